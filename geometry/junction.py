@@ -33,6 +33,7 @@ _COMPASS_16 = tuple(
     for name in (point, between)
 )
 CONNECTING = "connecting"  # kind of a lane through the junction
+ASSUMED = "assumed"  # kind of a lane that leads on where the map ends
 _ROAD_KINDS = ("driving", "parking")
 _CYCLE_KINDS = ("cycling",)
 _AT_OUTLINE_M = 1.5  # lanes end at the junction's outline but for the rounding of the map
@@ -181,13 +182,22 @@ class Junction:
     keeps_left : bool
         Traffic keeps left.
     connections : tuple of Lane
-        Lanes through the junction, each from the end of an entry lane to the begin of an exit lane.
+        Lanes through the junction, each from the end of an entry lane to the begin of an exit lane,
+        and through others around it.
+    beyond : tuple of Lane
+        Lanes that are assumed, from beyond the map to the begin of an entry lane.
     """
 
     name: str
     arms: dict[str, Arm]
     keeps_left: bool = False
     connections: tuple[Lane, ...] = ()
+    beyond: tuple[Lane, ...] = ()
+
+    def is_led_on(self, entry: Lane) -> bool:
+        """Whether a lane is assumed to lead to the begin of an entry lane, where the map ends."""
+        tips = [lane.centreline_m[-1] for lane in self.beyond]
+        return any(np.hypot(*(tip - entry.centreline_m[0])) <= _SAME_POINT_M for tip in tips)
 
     def connection(self, entry: Lane, leaving: Lane) -> Lane | None:
         """The lane through the junction from one lane into another; None if the map has none."""
@@ -238,6 +248,7 @@ def build_junction(scene: Scene) -> Junction:
         arms=arms,
         keeps_left=scene.keeps_left,
         connections=tuple(lane for lane in scene.lanes if lane.kind == CONNECTING),
+        beyond=tuple(lane for lane in scene.lanes if lane.kind == ASSUMED),
     )
 
 
@@ -268,6 +279,7 @@ def mirrored(junction: Junction) -> Junction:
         arms=arms,
         keeps_left=not junction.keeps_left,
         connections=tuple(turn_over(lane) for lane in junction.connections),
+        beyond=tuple(turn_over(lane) for lane in junction.beyond),
     )
 
 
@@ -291,6 +303,30 @@ def lane_line(lane: Lane, *, is_in: bool, length_m: float) -> tuple[Line, float]
 def lane_length_m(lane: Lane) -> float:
     """Length of a lane's centreline, in metres."""
     return float(np.hypot(*np.diff(lane.centreline_m, axis=0).T).sum())
+
+
+def curve_between(before: Line, after: Line) -> FloatArray:
+    """Points (n, 2) from one line's point to another's: a cubic Hermite curve.
+
+    At its ends it has the lines' directions.
+
+    Raises
+    ------
+    ValueError
+        The other line's point does not lie ahead: more than 60 degrees aside of a direction.
+    """
+    begin, end = before.point_m, after.point_m
+    length_m = float(np.hypot(*(end - begin)))
+    if min((end - begin) @ before.direction, (end - begin) @ after.direction) <= 0.5 * length_m:
+        raise ValueError(f"line at {end.tolist()}: got one aside; expected one ahead of the other")
+    share = np.linspace(0.0, 1.0, max(8, int(length_m)))[:, None]
+    curve: FloatArray = (
+        (2.0 * share**3 - 3.0 * share**2 + 1.0) * begin
+        + (share**3 - 2.0 * share**2 + share) * length_m * before.direction
+        + (3.0 * share**2 - 2.0 * share**3) * end
+        + (share**3 - share**2) * length_m * after.direction
+    )
+    return curve
 
 
 def _ends_at_outline(scene: Scene, kinds: Sequence[str]) -> list[tuple[bool, Lane]]:
@@ -395,23 +431,38 @@ def _crosswalk(lanes_in: tuple[Lane, ...], lanes_out: tuple[Lane, ...], scene: S
 
 
 def _whole(lane: Lane, lanes: Sequence[Lane], *, is_in: bool) -> Lane:
-    """The lane with the pieces that lead to its begin, or on from its end."""
+    """The lane with the pieces that lead to its begin, or on from its end.
+
+    Through other junctions it is followed along their connecting lanes, as straight on as they go.
+    """
     pieces = [lane]
     while True:
-        tip = pieces[0].centreline_m[0] if is_in else pieces[-1].centreline_m[-1]
+        last = pieces[0 if is_in else -1]
+        tip = last.centreline_m[0 if is_in else -1]
         following = [
             other
             for other in lanes
             if other not in pieces
-            and other.kind == lane.kind
+            and other.kind in (lane.kind, CONNECTING)
             and np.hypot(*(other.centreline_m[-1 if is_in else 0] - tip)) <= _SAME_POINT_M
         ]
+        same = [other for other in following if other.kind == lane.kind]
+        following = same[:1] or sorted(following, key=lambda other: _turn(last, other, is_in=is_in))
         if not following:
             break
         pieces = [following[0], *pieces] if is_in else [*pieces, following[0]]
+    if pieces[0 if is_in else -1].kind == CONNECTING:
+        del pieces[0 if is_in else -1]  # no lane of the map begins behind it
     points = np.concatenate([piece.centreline_m for piece in pieces])
     is_new = np.append(True, np.hypot(*np.diff(points, axis=0).T) > 1.0e-6)
     return replace(lane, centreline_m=points[is_new])
+
+
+def _turn(lane: Lane, other: Lane, *, is_in: bool) -> float:
+    """How far a piece of a lane turns away from the one to which it leads, or from which."""
+    before, after = (other, lane) if is_in else (lane, other)
+    ahead = lane_line(before, is_in=True, length_m=5.0)[0].direction
+    return -float(ahead @ lane_line(after, is_in=False, length_m=5.0)[0].direction)
 
 
 def _outward_bearing_deg(lane: Lane, *, is_in: bool) -> float:

@@ -130,6 +130,9 @@ class Scene:
     source_origin_m : (2,) float
         Where the world frame's origin lies in that map's own coordinates, of a map that does not
         say where on earth it lies. [m]
+    zero_height_m : float, optional
+        Height of z = 0 as what told the heights of the ground counts them, such as above the sea;
+        None: unknown. [m]
     """
 
     name: str
@@ -146,6 +149,7 @@ class Scene:
     keeps_left: bool = False
     source_crs: str = ""
     source_origin_m: FloatArray = field(default_factory=lambda: np.zeros(2))
+    zero_height_m: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(
@@ -196,8 +200,8 @@ class Lane:
     id : str
         Name in the source.
     kind : str
-        "driving", "parking", "cycling", or "connecting": through the junction, from the end of one
-        lane to the begin of another.
+        "driving", "parking", "cycling"; "connecting": through a junction, from the end of one lane
+        to the begin of another; or "assumed": straight on from beyond the map to the begin of one.
     width_m : float
         Full width. [m]
     centreline_m : (n, 2) float

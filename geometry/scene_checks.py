@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from .errors import InputError
-from .junction import Junction, LeadingRoad, build_junction
+from .junction import ASSUMED, Junction, LeadingRoad, build_junction, lane_length_m
 from .scene import (
     HANGING_KINDS,
     Scene,
@@ -90,6 +90,21 @@ def _check_roads(scene: Scene, roads: Sequence[LeadingRoad]) -> Iterator[Finding
         yield Finding(level="warning", what="crosswalks", why=why)
     if roads:
         yield from compare_arms(junction, roads)
+    for name, why in arms_that_end(scene):
+        yield Finding(level="warning", what=f"arm {name}", why=why)
+
+
+def arms_that_end(scene: Scene) -> Iterator[tuple[str, str]]:
+    """Arms that the map does not follow as far as VUT and VRU come from, and what is assumed."""
+    junction = build_junction(scene)
+    for name, arm in junction.arms.items():
+        ends_m = [lane_length_m(lane) for lane in arm.entry_lanes if junction.is_led_on(lane)]
+        if ends_m:
+            yield (
+                name,
+                f"the map leads no farther than {min(ends_m):.0f} m from the junction: whoever "
+                "comes from beyond comes straight on, and nothing is known that could hide them",
+            )
 
 
 def compare_arms(junction: Junction, roads: Sequence[LeadingRoad]) -> Iterator[Finding]:
@@ -174,16 +189,15 @@ def _check_feet(scene: Scene, sites: Sequence[Site]) -> Iterator[Finding]:
 
     feet = np.array([site.position_m[:2] for site in sites])
     junction = shapely.make_valid(shapely.Polygon(scene.outline_m)).buffer(-_AT_KERB_M)
+    mapped = [lane for lane in scene.lanes if lane.kind != ASSUMED]
     lanes = [
         shapely.LineString(lane.centreline_m).buffer(
             max(0.5 * lane.width_m - _AT_KERB_M, 0.0), cap_style="flat"
         )
-        for lane in scene.lanes
+        for lane in mapped
     ]
     hit, which = shapely.STRtree(lanes).query(shapely.points(feet), predicate="within")
-    in_lane = {
-        int(index): scene.lanes[int(lane)].id for index, lane in zip(hit, which, strict=True)
-    }
+    in_lane = {int(index): mapped[int(lane)].id for index, lane in zip(hit, which, strict=True)}
     in_middle = shapely.intersects_xy(junction, *feet.T)
     for index, site in enumerate(sites):
         if in_middle[index] or index in in_lane:

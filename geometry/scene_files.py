@@ -368,6 +368,7 @@ class _FolderScene(Struct, frozen=True, kw_only=True):
     crs: str
     source_crs: str
     source_origin_m: Point2
+    zero_height_m: float | None = None
     keeps_left: bool
     road_network: str = ""
     outline_m: Points2
@@ -418,6 +419,7 @@ def save_scene(
         "crs": scene.crs,
         "source_crs": scene.source_crs,
         "source_origin_m": scene.source_origin_m.tolist(),
+        **({} if scene.zero_height_m is None else {"zero_height_m": scene.zero_height_m}),
         "keeps_left": scene.keeps_left,
         "road_network": scene.road_network,
         "sources": list(sources),
@@ -474,6 +476,7 @@ def load_scene_folder(path: Path) -> Scene:
         keeps_left=table.keeps_left,
         source_crs=table.source_crs,
         source_origin_m=table.source_origin_m,
+        zero_height_m=table.zero_height_m,
     )
 
 

@@ -19,6 +19,7 @@ from .scene import Scene
 GROUND = "ground"
 """Id and class of the ground of a scene."""
 _GRID_DECIMALS = 3
+_HALVINGS = 20  # of half a metre
 _MAX_CELLS = 150  # along each side
 
 
@@ -68,6 +69,33 @@ class Terrain:
             south_west + v * (north_west - south_west) + u * (north_east - north_west),
         )
         return height
+
+    def distances(
+        self, origin_m: ArrayLike, directions: ArrayLike, *, max_range_m: float
+    ) -> FloatArray:
+        """How far the ground is along unit vectors (n, 3) from a point above it, (n,), in metres.
+
+        At most `max_range_m`; what the ground does within half a metre may be missed.
+
+        Examples
+        --------
+        >>> slope = Terrain(east_m=[0, 10], north_m=[0, 10], height_m=[[0, 1], [0, 1]])
+        >>> down = [[0.0, 0.0, -1.0]]
+        >>> slope.distances([5.0, 5.0, 3.0], down, max_range_m=9.0).round(3).tolist()
+        [2.5]
+        """
+        origin, ways = np.asarray(origin_m, dtype=np.float64), np.asarray(directions)
+        steps = np.linspace(0.0, max_range_m, int(2.0 * max_range_m) + 2)
+        points = origin + steps[:, None, None] * ways
+        is_below = points[..., 2] <= self.at(points[..., :2])
+        first = np.where(is_below.any(axis=0), is_below.argmax(axis=0), len(steps) - 1)
+        near, far = steps[np.maximum(first - 1, 0)], steps[first]
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (near + far)
+            point = origin + middle[:, None] * ways
+            below = point[:, 2] <= self.at(point[:, :2])
+            near, far = np.where(below, near, middle), np.where(below, middle, far)
+        return far
 
     def mesh(self) -> tuple[FloatArray, NDArray[np.int32]]:
         """Vertices (n, 3) and triangles (m, 3), seen from above counter-clockwise."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import chain, pairwise
 
 import numpy as np
@@ -98,25 +99,27 @@ def random_sets(
     for where, number in (("n_units", n_units), ("n", n)):
         if number < 1:
             raise InputError(where, number, "a whole number, at least 1")
+    forced = tuple(np.flatnonzero(limits.is_forced).tolist())
+
+    @cache  # every set begins alike
+    def free(units: tuple[int, ...]) -> IntArray:
+        return np.flatnonzero(fitting(limits, np.array(units, dtype=np.intp)))
+
+    @cache
+    def allowed(units: tuple[int, ...]) -> bool:
+        return is_allowed(limits, units)
+
     sets: list[tuple[int, ...]] = []
     for _ in range(n * _MAX_TRIES):
-        units = _draw(limits, n_units, rng)
-        if len(units) == n_units and is_allowed(limits, units):
-            sets.append(tuple(sorted(units.tolist())))
+        units = forced
+        while len(units) < n_units and len(free(units)):
+            units = (*units, int(rng.choice(free(units))))
+        units = tuple(sorted(units))
+        if len(units) == n_units and allowed(units):
+            sets.append(units)
         if len(sets) == n:
             break
     return tuple(sets)
-
-
-def _draw(limits: Limits, n_units: int, rng: np.random.Generator) -> IntArray:
-    """The forced poses, and random ones until there are enough or none fits any more."""
-    units = np.flatnonzero(limits.is_forced)
-    while len(units) < n_units:
-        free = np.flatnonzero(fitting(limits, units))
-        if not len(free):
-            break
-        units = np.append(units, rng.choice(free))
-    return units
 
 
 # ---------- an expert's rule of thumb

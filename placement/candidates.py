@@ -1,7 +1,7 @@
 """Candidate poses: every site x height x sensor x yaw x pitch."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.resources import files
 from itertools import product
@@ -17,6 +17,7 @@ from geometry.lidar import LidarModel
 from geometry.poses import Pose, body_rotation
 from geometry.scene import Scene
 from geometry.sensors import project_points
+from geometry.terrain import ground_height_m
 
 if TYPE_CHECKING:  # solvers of differential equations come with it
     from scenarios.aeb import AebRule
@@ -52,6 +53,15 @@ class CandidatePose:
 
     def __repr__(self) -> str:
         return f"CandidatePose({self.id!r})"
+
+
+def above_ground(unit: CandidatePose, scene: Scene) -> CandidatePose:
+    """A unit as if the ground below it was the plane z = 0; the same one where it is."""
+    ground_m = float(ground_height_m(scene, unit.pose.position_m[:2]))
+    if ground_m == 0.0:
+        return unit
+    position_m = unit.pose.position_m - [0.0, 0.0, ground_m]
+    return replace(unit, pose=replace(unit.pose, position_m=position_m))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

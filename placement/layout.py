@@ -24,7 +24,7 @@ from geometry.poses import Pose
 from geometry.scene import Scene, containing_instance
 from geometry.sensors import CameraModel, with_fov
 
-from .candidates import CandidatePose
+from .candidates import CandidatePose, above_ground
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -319,7 +319,7 @@ def check_layout(layout: Layout, scene: Scene) -> None:
     middle_m = np.append(scene.outline_m.mean(axis=0), 0.0)
     for unit in layout.units:
         where = f"layout {layout.name}: {unit.id}"
-        height_m = float(unit.pose.position_m[2])
+        height_m = float(above_ground(unit, scene).pose.position_m[2])
         if height_m <= 0.0:
             raise InputError(f"{where}.z_m", height_m, "a height above the road, > 0 m")
         distance_m = math.dist(unit.pose.position_m, middle_m)

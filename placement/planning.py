@@ -1,13 +1,16 @@
 """From a question to a plan: candidate poses, wishes, and how hard the optimiser tries."""
 
 import os
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import compress
 from pathlib import Path
 
 import numpy as np
 
+from geometry.arrays import BoolArray
 from geometry.catalogue import Sensor, load_catalogue, pick_sensor
 from geometry.errors import InputError, Unquoted
 from geometry.files import pick
@@ -15,7 +18,8 @@ from geometry.scene import Scene
 
 from .candidates import CandidateGrid, CandidatePose, build_candidates, load_candidate_grid
 from .layout import Layout, check_layout, load_layout
-from .optimiser import Effort
+from .optimiser import Effort, Failing
+from .prices import load_prices
 from .private_ground import (
     PrivateGround,
     load_private_ground,
@@ -42,6 +46,8 @@ class Plan:
         What hangs there already.
     private_ground : PrivateGround, optional
         What cameras must not look into.
+    may_look : function of poses, optional
+        Which of them respect private ground, (n,) bool; None: all.
     """
 
     wishes: Wishes
@@ -49,6 +55,7 @@ class Plan:
     candidates: tuple[CandidatePose, ...]
     kept: Layout | None
     private_ground: PrivateGround | None = None
+    may_look: Callable[[Sequence[CandidatePose]], BoolArray] | None = None
 
 
 def build_plan(question: Question, scene: Scene, *, study: Layout | None = None) -> Plan:
@@ -93,28 +100,30 @@ def build_plan(question: Question, scene: Scene, *, study: Layout | None = None)
         is_at_home = study is not None and study.scene_name == scene.name
         extra = _distinct([study if is_at_home else None, kept])
         candidates = build_candidates(scene, build_grid(question.sensors), extra=extra)
-    private_ground = None
+    private_ground, may_look = None, None
     if question.no_look:
         private_ground = load_private_ground(Path(question.no_look), scene)
-        may_stay = respects_private_ground(
-            private_shares(scene, candidates, private_ground),
-            max_share=question.no_look_share or 0.0,
+        may_look = partial(
+            _respects, scene=scene, ground=private_ground, max_share=question.no_look_share or 0.0
         )
-        candidates = tuple(compress(candidates, may_stay))
+        candidates = tuple(compress(candidates, may_look(candidates)))
         if kept is not None:  # what hangs there hangs there
             candidates = tuple(_distinct([Layout(name="all", units=candidates), kept]))
+    survive, failing = _failures(question.survive)
     wishes = Wishes(
         budget_units=question.budget,
         budget_eur=question.budget_cost,
         target=_target(question.target),
         saves=question.least,
         min_case_apr=question.min_case_apr,
-        survive=question.survive,
+        survive=survive,
+        failing=failing,
         kept=() if kept is None else tuple(unit.id for unit in kept.units),
         forced_sites=_words(question.force_site),
         forbidden_sites=_words(question.forbid_site),
         site_capacity=question.site_capacity,
         site_cost_eur=question.site_cost_eur,
+        prices=load_prices() if question.site_cost_eur is None and _asks_money(question) else None,
         separation_m=question.separation_m,
         tail=_tail(question.risk, question.samples),
     )
@@ -129,7 +138,14 @@ def build_plan(question: Question, scene: Scene, *, study: Layout | None = None)
         candidates=candidates,
         kept=kept,
         private_ground=private_ground,
+        may_look=may_look,
     )
+
+
+def _respects(
+    candidates: Sequence[CandidatePose], *, scene: Scene, ground: PrivateGround, max_share: float
+) -> BoolArray:
+    return respects_private_ground(private_shares(scene, candidates, ground), max_share=max_share)
 
 
 def build_effort(question: Question) -> Effort:
@@ -189,6 +205,21 @@ def _target(text: str) -> float | None:
     if text == "max":
         return np.inf
     return _number("--target", text, "a share of the runs from 0 to 1, or max", 0.0, 1.0)
+
+
+def _asks_money(question: Question) -> bool:
+    """Whether prices of sites decide about anything but ties."""
+    return question.budget_cost is not None or bool(question.target and question.least == "cost")
+
+
+def _failures(text: str) -> tuple[int, Failing]:
+    """How many of what may fail: "2", "unit", "site", "2 sites"."""
+    words = re.fullmatch(r"([0-9]{1,4})? ?(?:(unit|site)s?)?", text.strip())
+    if not text.strip() or words is None:
+        expected = "how many units may fail, at least 0, or unit, site, such as '2 sites'"
+        raise InputError("--survive", text, expected)
+    count, what = words.groups()
+    return 1 if count is None else int(count), "site" if what == "site" else "unit"
 
 
 def _tail(risk: str, n_samples: int) -> float:

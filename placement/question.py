@@ -92,14 +92,16 @@ class Question:
         Option(section=ASKED, help="APR that must be reached in every case."),
     ] = 0.0
     survive: Annotated[
-        Annotated[int, _at_least(0, "units that may fail, at least 0")],
+        str,
         Option(
             section=ASKED,
-            help="Reach --target and --min-case-apr even when any N units fail; without these, "
-            "look for the highest APR that is left then.",
+            help="Reach --target and --min-case-apr even when any N units fail, or any pole with "
+            "all its units: site, or '2 sites'. Without these, look for the highest APR that is "
+            "left then.",
+            metavar="N|unit|site",
             is_common=True,
         ),
-    ] = 0
+    ] = "0"
 
     keep: Annotated[
         str,
@@ -334,9 +336,9 @@ class Question:
         Option(
             section=DRIVEN,
             help="run: every run counts the same; case: every case, and within it every approach, "
-            "then every position, then every run; euroncap-rating-2026: by its points; or a CSV "
-            "file with case, approach, weight, and if wanted position and weather; default: case, "
-            "and run for --cases study.",
+            "then every position, then every run; fhwa-crash-types: by how often cars hit people "
+            "so; euroncap-rating-2026: by its points; or a CSV file with case, approach, weight, "
+            "and if wanted position and weather; default: case, and run for --cases study.",
             metavar="HOW",
         ),
     ] = ""

@@ -11,8 +11,9 @@ from geometry.scene import Scene
 
 from .candidates import CandidatePose
 from .detection_table import DetectionTable
-from .optimiser import Floor, Goal, Limits, PlacementProblem, apr
+from .optimiser import Failing, Floor, Goal, Limits, PlacementProblem, apr
 from .optimiser.problem import Fusion
+from .prices import SitePrices
 from .setting import Setting
 
 
@@ -34,8 +35,10 @@ class Wishes:
     min_case_apr : float
         APR that must be reached in every case.
     survive : int
-        Units that may fail, any of them: target and floors hold then, too; without these, the
-        APR that is left is the first objective.
+        Units or sites that may fail, any of them: target and floors hold then, too; without
+        these, the APR that is left is the first objective.
+    failing : {"unit", "site"}
+        What fails at once: a unit, or a site with everything that it carries.
     kept : tuple of str
         Ids of candidates that hang there already.
     forced_sites, forbidden_sites : tuple of str
@@ -44,6 +47,8 @@ class Wishes:
         Units per site, in place of the scene's.
     site_cost_eur : float, optional
         For a site that is used, in place of the scene's. [EUR]
+    prices : SitePrices, optional
+        For sites of which nobody tells a price; by default they cost nothing.
     separation_m : float
         Least distance on the ground between two units; on one site there is one at most then. [m]
     tail : float
@@ -57,11 +62,13 @@ class Wishes:
     saves: str = "units"
     min_case_apr: float = 0.0
     survive: int = 0
+    failing: Failing = "unit"
     kept: tuple[str, ...] = ()
     forced_sites: tuple[str, ...] = ()
     forbidden_sites: tuple[str, ...] = ()
     site_capacity: int | None = None
     site_cost_eur: float | None = None
+    prices: SitePrices | None = None
     separation_m: float = 0.0
     tail: float = 1.0
 
@@ -131,7 +138,7 @@ def build_limits(wishes: Wishes, scene: Scene, candidates: Sequence[CandidatePos
             capacity[index] = (
                 site.capacity_units if wishes.site_capacity is None else wishes.site_capacity
             )
-            cost[index] = site.cost_eur
+            cost[index] = site.cost_eur if wishes.prices is None else wishes.prices.cost_eur(site)
             is_forced_site[index] = site.use == "forced" or key in wishes.forced_sites
             is_forbidden_site[index] = site.use == "forbidden" or key in wishes.forbidden_sites
         if wishes.site_cost_eur is not None:
@@ -170,6 +177,7 @@ def build_limits(wishes: Wishes, scene: Scene, candidates: Sequence[CandidatePos
         is_forbidden=is_forbidden_site[site_index] & ~is_kept,
         is_forced_site=is_forced_site,
         rivals=_too_near(candidates, site_index, wishes.separation_m, kept_at > 0),
+        failing=wishes.failing,
     )
 
 

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from geometry.actors import Actor, PlacedActor
-from geometry.arrays import FloatArray, freeze
+from geometry.arrays import BoolArray, FloatArray, freeze
 from geometry.footprints import footprint_corners
+from geometry.junction import CONNECTING
 from geometry.raycast import RayCaster, build_caster
 from geometry.scene import Scene, thing_footprint
 from geometry.terrain import GROUND, on_ground, terrain_of
@@ -22,15 +23,17 @@ from .staging import CannotCarryError, Staging
 _HEIGHTS_M = (0.35, 1.0)  # above kerbs, below bonnets and walls
 _STEP_M = 2.0  # along bent paths
 _ACROSS_STEP_M = 0.1  # the thinnest pole is hit
+_WALL = "wall "  # how names of walls begin
 _POLES = ("lamp post", "traffic light")
 
 
 def make_room(staging: Staging, scene: Scene) -> Staging:
     """A staging whose obstruction stands where there is room for it.
 
-    Parked cars and walls stand outside the lanes that are driven on and outside the junction. Where
-    the protocol's place is not free they are moved, as little as possible: aside, away from whom
-    they stand beside, and back, away from where the ways cross; how far, ``data/laying.toml`` says.
+    Parked cars and walls stand outside the lanes that are driven on and outside the junction, cars
+    not on islands between them either, unless the map has a parking lane there. Where the
+    protocol's place is not free they are moved, as little as possible: aside, away from whom they
+    stand beside, and back, away from where the ways cross; how far, ``data/laying.toml`` says.
 
     Raises
     ------
@@ -80,6 +83,10 @@ def _find_room(
     places = rings + shifts[:, None, None, :]  # (n_moves, n_bodies, 4, 2)
     outlines = shapely.polygons(places)
     off_road = np.flatnonzero(~shapely.intersects(_carriageway(scene), outlines).any(axis=1))
+    n_off_road = len(off_road)
+    is_car = np.array([not name.startswith(_WALL) for name, _ in bodies])
+    on_island = _are_on_islands(scene, places[off_road][:, is_car], np.array(aside)).any(axis=1)
+    off_road = off_road[~on_island]
     # Rays do not meet the house that is all around them.
     is_indoors = shapely.contains(_houses(scene), outlines).any(axis=1)
     solid = _Solid(scene=scene, has_poles=True)
@@ -89,10 +96,22 @@ def _find_room(
     names = [name for name, _ in bodies]
     all_names = " and ".join(dict.fromkeys(names))
     if not len(off_road):
-        raise CannotCarryError(f"{all_names} would stand on the carriageway")
+        where = "a traffic island" if n_off_road else "the carriageway"
+        raise CannotCarryError(f"{all_names} would stand on {where}")
     for name, place in zip(names, places[off_road[0]], strict=True):
         _check(solid, _sides(place[None]), f"the place of {name}")
     raise CannotCarryError(f"there is no room beside the road for {all_names}")
+
+
+def _are_on_islands(scene: Scene, places_m: FloatArray, aside: FloatArray) -> BoolArray:
+    """Cars, (..., 4, 2), behind which the carriageway begins again, (...,)."""
+    import shapely
+
+    behind = places_m + load_obstruction_rules().island_m * aside
+    swept = shapely.convex_hull(shapely.multipoints(np.concatenate([places_m, behind], axis=-2)))
+    has_lane = shapely.intersects(_parking(scene), shapely.polygons(places_m))
+    is_island: BoolArray = shapely.intersects(_carriageway(scene), swept) & ~has_lane
+    return is_island
 
 
 @cache
@@ -120,10 +139,27 @@ def _carriageway(scene: Scene) -> Any:
             0.5 * lane.width_m - _MAY_OVERLAP_M, cap_style="flat"
         )
         for lane in scene.lanes
-        if lane.kind == "driving" and len(lane.centreline_m) > 1
+        if lane.kind in ("driving", CONNECTING) and len(lane.centreline_m) > 1
     ]
     inside = shapely.make_valid(shapely.Polygon(scene.outline_m)).buffer(-_INSIDE_OUTLINE_M)
-    area = shapely.union_all([inside, *lanes])
+    # Some maps mark parking spaces on a lane that is wide enough for both.
+    driven = shapely.difference(shapely.union_all(lanes), _parking(scene))
+    area = shapely.union(inside, driven)
+    shapely.prepare(area)
+    return area
+
+
+@lru_cache(maxsize=8)
+def _parking(scene: Scene) -> Any:
+    """Lanes to park on: a shapely geometry."""
+    import shapely
+
+    lanes = [
+        shapely.LineString(lane.centreline_m).buffer(0.5 * lane.width_m, cap_style="flat")
+        for lane in scene.lanes
+        if lane.kind == "parking" and len(lane.centreline_m) > 1
+    ]
+    area = shapely.union_all(lanes)
     shapely.prepare(area)
     return area
 

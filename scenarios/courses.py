@@ -23,6 +23,8 @@ _STEP_M = 0.01  # chords of an arc of 8 m come within two micrometres of it
 _SAME_POINT_M = 1.0e-6
 _MEETS_M = 1.0e-3
 _MAX_STEPS = 60
+_JOINT_M = 25.0  # of lanes beside a joint, where they may be left a little
+_UNBOUND, _BOUND = 1.0e-3, 1.0e3  # weights of points between the lanes, and far from the joint
 _DAMPING = 0.6  # where lanes bend, full steps may swing to and fro
 
 
@@ -180,15 +182,44 @@ def _follow(points: tuple[tuple[float, ...], ...], origin_m: tuple[float, ...]) 
         chain = chain[np.append(True, np.hypot(*np.diff(chain, axis=0).T) > _SAME_POINT_M)]
     if len(chain) < 2:
         raise InputError("centreline_m", len(chain), "at least two different points")
-    ahead, behind = _end_direction(chain), _end_direction(chain[::-1])
-    chain = np.concatenate([chain[:1] + _BEYOND_M * behind, chain, chain[-1:] + _BEYOND_M * ahead])
-    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(chain, axis=0).T)))
+    chain = _led_on(chain)
+    along = _along_m(chain)
     at = np.linspace(0.0, along[-1], int(along[-1] / _SAMPLE_M) + 2)
-    samples = np.stack([np.interp(at, along, chain[:, axis]) for axis in (0, 1)], axis=1)
-    origin = samples.mean(axis=0)
+    return _smoothed(_sampled(chain, along, at), at, origin_m, smoothing_m=_SMOOTHING_M)
+
+
+def _led_on(chain_m: FloatArray) -> FloatArray:
+    """A chain that goes straight on beyond both its ends."""
+    ahead, behind = _end_direction(chain_m), _end_direction(chain_m[::-1])
+    return np.concatenate(
+        [chain_m[:1] + _BEYOND_M * behind, chain_m, chain_m[-1:] + _BEYOND_M * ahead]
+    )
+
+
+def _along_m(chain_m: FloatArray) -> FloatArray:
+    """Distance of each point of a chain from its begin."""
+    along: FloatArray = np.append(0.0, np.cumsum(np.hypot(*np.diff(chain_m, axis=0).T)))
+    return along
+
+
+def _sampled(chain_m: FloatArray, along_m: FloatArray, at_m: FloatArray) -> FloatArray:
+    return np.stack([np.interp(at_m, along_m, chain_m[:, axis]) for axis in (0, 1)], axis=1)
+
+
+def _smoothed(
+    samples_m: FloatArray,
+    at_m: FloatArray,
+    origin_m: ArrayLike,
+    *,
+    smoothing_m: float,
+    weight: FloatArray | None = None,
+) -> Course:
+    """The smoothing spline of points at even stations; its origin is nearest to a point."""
+    origin = samples_m.mean(axis=0)
     # The sum over samples stands for an integral over the length.
-    spline = make_smoothing_spline(at, samples - origin, lam=_SMOOTHING_M**4 / (at[1] - at[0]))
-    fine = np.linspace(0.0, along[-1], int(along[-1] / _STEP_M) + 2)
+    stiffness = smoothing_m**4 / (at_m[1] - at_m[0])
+    spline = make_smoothing_spline(at_m, samples_m - origin, w=weight, lam=stiffness)
+    fine = np.linspace(0.0, at_m[-1], int(at_m[-1] / _STEP_M) + 2)
     derivative = spline.derivative()
     speed = np.hypot(*derivative(fine).T)
     length = np.append(0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(fine)))
@@ -197,7 +228,7 @@ def _follow(points: tuple[tuple[float, ...], ...], origin_m: tuple[float, ...]) 
     return _course_of(
         place,
         np.unwrap(np.arctan2(direction[:, 1], direction[:, 0])),
-        int(np.hypot(*(place - np.array(origin_m)).T).argmin()),
+        int(np.hypot(*(place - np.asarray(origin_m)).T).argmin()),
     )
 
 
@@ -294,3 +325,42 @@ def follow_lanes(chains_m: Sequence[FloatArray]) -> Course:
     """The smooth course along lanes one after the other; its origin is where the first one ends."""
     points = np.concatenate(chains_m)
     return _follow(tuple(map(tuple, points.tolist())), tuple(chains_m[0][-1].tolist()))
+
+
+def ease_joint(
+    before: Course,
+    between_m: FloatArray,
+    after: Course,
+    *,
+    lengths_m: tuple[float, float],
+    smoothing_m: float,
+) -> Course:
+    """The course along a lane, across to another one, and along that one, eased near the joint.
+
+    Parameters
+    ----------
+    before, after : Course
+        Along the lanes, with their origins where they end and begin.
+    between_m : (n, 2) float
+        A line from the first lane's end to the other's begin. [m]
+    lengths_m : (float, float)
+        Of the lanes. [m]
+    smoothing_m : float
+        L of :func:`follow_lane` within 25 m of the joint; beyond, the course is that of the lanes,
+        and between them it is bound to no line. [m]
+
+    Returns
+    -------
+    course : Course
+        Its origin is where the other lane begins.
+    """
+    one = before.at(np.arange(-lengths_m[0], 0.0, _SAMPLE_M))[0]
+    other = after.at(np.arange(_SAMPLE_M, lengths_m[1], _SAMPLE_M))[0]
+    chain = _led_on(np.concatenate([one, between_m, other]))
+    along = _along_m(chain)
+    at = np.linspace(0.0, along[-1], int(along[-1] / _SAMPLE_M) + 2)
+    begin_m, end_m = along[1 + len(one)], along[len(one) + len(between_m)]
+    beside_m = np.maximum(begin_m - at, at - end_m)  # negative: between the lanes
+    weight = np.where(beside_m < 0.0, _UNBOUND, np.where(beside_m < _JOINT_M, 1.0, _BOUND))
+    mouth = after.at(0.0)[0]
+    return _smoothed(_sampled(chain, along, at), at, mouth, smoothing_m=smoothing_m, weight=weight)

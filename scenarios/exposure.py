@@ -1,7 +1,7 @@
-"""How much each run counts: equally, per case, by Euro NCAP's points, or by a user's CSV file.
+"""How much each run counts: equally, per case, by accident statistics or points, or by a CSV file.
 
-There is no model of how often such accidents happen in a town: a table of one's own, by case,
-approach, position and weather, takes its place.
+The statistics (``data/crash_types.toml``) know types of accidents and how near to a junction they
+happen; a table of one's own, by case, approach, position and weather, may know better.
 """
 
 import csv
@@ -11,14 +11,15 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Meta, Struct
 from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, MissingExtraError, Unquoted
-from geometry.files import MAX_TEXT_BYTES, check_file, load_toml, read_table
+from geometry.files import MAX_TEXT_BYTES, Text, check_file, load_toml, read_table
 
 from .positions import is_study_set, read_position
 from .runs import Run
@@ -233,10 +234,78 @@ def _family(case_name: str) -> str:
     return case_name.rpartition("-")[0] or case_name
 
 
+# ---------- weights by types of accidents, from statistics
+
+
+CRASH_TYPES = "fhwa-crash-types"
+
+
+class CrashType(Struct, frozen=True, kw_only=True):
+    """A type of accident, and the cases (what our names begin with) that stand for it."""
+
+    name: Text
+    vru: Literal["pedestrian", "cyclist"]
+    share: Annotated[float, Meta(gt=0.0, le=1.0)]  # of all accidents of such road users
+    place: Literal["near", "far", "any"]  # to the junction
+    cases: tuple[Text, ...]
+
+
+class CrashTypes(Struct, frozen=True, kw_only=True):
+    """``data/crash_types.toml``."""
+
+    near_m: float
+    injured: dict[Literal["pedestrian", "cyclist"], float]
+    types: tuple[CrashType, ...]
+
+
+@cache
+def load_crash_types() -> CrashTypes:
+    """Types of accidents, from ``data/crash_types.toml``."""
+    where = "crash_types.toml"
+    return read_table(load_toml(files(__package__) / "data" / where), CrashTypes, where)
+
+
+def weight_by_crash_types(runs: Sequence[Run]) -> FloatArray:
+    """Weights by how often accidents of each type happen (FHWA-RD-95-163).
+
+    A type's share is that of its road users' accidents, times how many of them are injured. It is
+    shared by the cases that stand for it, near the junction or away from it, as
+    :func:`weight_per_case` does. Types without runs do not count, nor do runs without a type. The
+    weights sum to 1.
+
+    Raises
+    ------
+    InputError
+        No run is of any of the types.
+    """
+    table = load_crash_types()
+    weight = np.zeros(len(runs))
+    for kind in table.types:
+        members = [
+            index
+            for index, run in enumerate(runs)
+            if _family(run.case.name) in kind.cases
+            and kind.place in ("any", "near" if _away_m(run) <= table.near_m else "far")
+        ]
+        if members:
+            of_type = weight_per_case([runs[index] for index in members])
+            weight[members] += kind.share * table.injured[kind.vru] * of_type
+    if not weight.any():
+        driven = ", ".join(dict.fromkeys(run.case.name for run in runs))
+        raise InputError("--weights", CRASH_TYPES, f"a run of a type it has; driven: {driven}")
+    shares: FloatArray = weight / weight.sum()
+    return shares
+
+
+def _away_m(run: Run) -> float:
+    """How far along its arm from the junction a run is laid, in m."""
+    return read_position(run.position, run.id).distance_m
+
+
 # ---------- weights by a word
 
 
-_BY_WORD = ("run", "case", RATING)
+_BY_WORD = ("run", "case", CRASH_TYPES, RATING)
 
 
 def default_weights(cases: str) -> str:
@@ -256,7 +325,8 @@ def weigh(runs: Sequence[Run], how: str) -> FloatArray:
         At least one.
     how : str
         "run": every run the same, as in the study; "case": every case the same, see
-        :func:`scenarios.exposure.weight_per_case`; "euroncap-rating-2026": by Euro NCAP's points,
+        :func:`scenarios.exposure.weight_per_case`; "fhwa-crash-types": by accident statistics, see
+        :func:`scenarios.exposure.weight_by_crash_types`; "euroncap-rating-2026": by its points,
         see :func:`scenarios.exposure.weight_by_rating`; else a CSV file, see
         :func:`scenarios.exposure.weight_from_csv`.
 
@@ -276,6 +346,8 @@ def weigh(runs: Sequence[Run], how: str) -> FloatArray:
         return weight_per_run(runs)
     if how == "case":
         return weight_per_case(runs)
+    if how == CRASH_TYPES:
+        return weight_by_crash_types(runs)
     if how == RATING:
         return weight_by_rating(runs)
     path = Path(how)

@@ -97,7 +97,7 @@ def _beside_vut(
             gap_m=obstruction.between_gap_m,
         )
     row_m = sum(actor.length_m + obstruction.between_gap_m for actor in obstruction.bodies)
-    row, bumper_m = vut_way.beside(left_m, bumper_m, back_m=row_m)
+    row, bumper_m = vut_way.beside(left_m, bumper_m, back_m=row_m, ahead_m=0.0)
     bodies = []
     for actor in obstruction.bodies:
         station_m = bumper_m - 0.5 * actor.length_m

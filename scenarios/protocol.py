@@ -1,6 +1,6 @@
 """Cases laid on the approaches of any junction, by the rules of the protocol."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +31,8 @@ from .ways import (
     CurvedWay,
     StraightWay,
     Way,
+    WayAcross,
+    eased_way_across,
     lane_way,
     meeting_m,
     off_line_m,
@@ -84,7 +86,7 @@ def stage_by_protocol(
     lane = arm.entry_lanes[0]
     lay = _lay_crossing if case.kind == "crossing" else _lay_longitudinal
     if position.is_behind:
-        place = _place_behind(junction, arm, position, vut_speed_kmh)
+        place = _place_behind(junction, arm, position, vut_speed_kmh, vut)
         return lay(case, junction, place, vut_speed_kmh, vut)
 
     def along(way: Way) -> Staging:
@@ -121,14 +123,14 @@ class _Place:
     def meeting_point(self) -> tuple[float, FloatArray]:
         """Station and point (2,) at which the VUT's way and a crossing VRU's meet.
 
-        Raises CannotCarryError where no lane of the map lies.
+        Raises NoRoadError where no lane of the map lies.
         """
         station_m, point_m = self.way.crossing(self.crosswalk)
         if self.ahead_m == 0.0:
             return station_m, point_m
         station_m += self.ahead_m
         if not self.begin_m <= station_m <= self.end_m:
-            raise CannotCarryError("the mapped lane does not reach so far")
+            raise NoRoadError("the mapped lane does not reach so far")
         return station_m, self.way.tangent(station_m).point_m
 
     def check_straight(self, driven_m: float) -> None:
@@ -137,7 +139,9 @@ class _Place:
             _check_straight(self.way, self.entry_lane, driven_m - self.ahead_m)
 
 
-def _place_behind(junction: Junction, arm: Arm, position: Position, vut_speed_kmh: float) -> _Place:
+def _place_behind(
+    junction: Junction, arm: Arm, position: Position, vut_speed_kmh: float, vut: Actor
+) -> _Place:
     """A place on the arm straight ahead."""
     entry_lane = arm.entry_lanes[0]
     entry = straight_line(entry_lane, is_in=True)
@@ -152,25 +156,43 @@ def _place_behind(junction: Junction, arm: Arm, position: Position, vut_speed_km
             key=lambda pair: abs(float(entry.coordinates(pair[0].centreline_m[0])[1])),
         ),
     )
-    across = way_across(
-        entry_lane, exit_lane, connection, max_bend_m=load_way_rules().max_lane_bend_m
-    )
-    if across.swerve_per_m * (vut_speed_kmh * kmh) ** 2 > (
-        load_position_rules().across.max_lateral_mps2
-    ):
+    rules = load_way_rules()
+    across = way_across(entry_lane, exit_lane, connection, max_bend_m=rules.max_lane_bend_m)
+    max_swerve_per_m = load_position_rules().across.max_lateral_mps2 / (vut_speed_kmh * kmh) ** 2
+    for lane in arm.entry_lanes:  # from the kerb, where some lanes only turn
+        if across.swerve_per_m > max_swerve_per_m:
+            across = _gentlest(lane, ahead.exit_lanes, across, vut)
+    if across.swerve_per_m > max_swerve_per_m:
         raise CannotCarryError(
-            f"too fast for the change from lane {entry_lane.id} into {exit_lane.id}, "
+            f"too fast for the change from lane {across.entry.id} into {across.leaving.id}, "
             f"a curve of {1.0 / across.swerve_per_m:.0f} m"
         )
     return _Place(
         way=across.way,
         crosswalk=ahead.crosswalk,
-        entry_lane=entry_lane,
+        entry_lane=across.entry,
         begin_m=across.begin_m,
-        end_m=lane_length_m(exit_lane),
+        end_m=lane_length_m(across.leaving),
         ahead_m=position.ahead_m,
         is_checked=True,
     )
+
+
+def _gentlest(
+    entry_lane: Lane, exit_lanes: Sequence[Lane], across: WayAcross, vut: Actor
+) -> WayAcross:
+    """The way into one of some lanes that bends least, and stays in the lanes beside it."""
+    rules = load_way_rules()
+    for lane in exit_lanes:
+        free_m = 0.5 * (min(entry_lane.width_m, lane.width_m) - vut.width_m)
+        try:
+            eased = eased_way_across(
+                entry_lane, lane, max_aside_m=min(rules.max_ease_aside_m, max(free_m, 0.0))
+            )
+        except CannotCarryError:
+            continue
+        across = min(across, eased, key=lambda one: one.swerve_per_m)
+    return across
 
 
 def _straight_or_curved(
@@ -242,6 +264,8 @@ def _crossing(case: Case, junction: Junction, place: _Place) -> tuple[float, Way
     is_near = case.vru_side == "near"
     if case.vru_line.along == "crosswalk":
         vut_m, point = place.meeting_point()
+        if place.ahead_m != 0.0:
+            _check_no_junction(junction, point)
         left = vut_way.direction(vut_m).left
         line = Line(point_m=point, direction=left if is_near else -left)
         return vut_m, StraightWay(line=line), 0.0
@@ -254,6 +278,19 @@ def _crossing(case: Case, junction: Junction, place: _Place) -> tuple[float, Way
         lane, is_in=True, length_m=ridden_m, max_bend_m=load_way_rules().max_lane_bend_m
     )
     return _meet(vut_way, middle.beside(left_m, 0.0, back_m=ridden_m)[0])
+
+
+_IN_JUNCTION_M = 1.0  # from the middle of a lane through it
+
+
+def _check_no_junction(junction: Junction, point_m: FloatArray) -> None:
+    """Raise if a point along an arm lies in another junction's middle."""
+    import shapely
+
+    point = shapely.Point(point_m)
+    for lane in junction.connections:
+        if shapely.LineString(lane.centreline_m).distance(point) < _IN_JUNCTION_M:
+            raise NoRoadError("another junction lies there: nobody crosses in its middle")
 
 
 def _across(line: Line, direction: FloatArray) -> StraightWay:
@@ -290,7 +327,7 @@ def _lay_longitudinal(
     impact_m, _ = place.meeting_point()
     travel_m = _travel_m(case, 0.0)
     before_lane_m = travel_m + 0.5 * case.vru.length_m - impact_m + place.begin_m
-    if before_lane_m > 0.0:
+    if before_lane_m > 0.0 and not junction.is_led_on(place.entry_lane):
         if place.ahead_m != 0.0:  # one reason for many positions
             raise CannotCarryError("the VRU would set off before the mapped lane begins")
         raise CannotCarryError(
@@ -597,9 +634,17 @@ def _arm_ahead(junction: Junction, approach: Arm, vut_line: Line) -> Arm | None:
     best, best_cosine = None, np.cos(np.radians(load_way_rules().max_skew_deg))
     for arm in junction.arms.values():
         cosine = float(_outwards(arm, 15.0) @ vut_line.direction)
-        if arm is not approach and cosine >= best_cosine:
+        if arm is not approach and cosine >= best_cosine and _lies_ahead(arm, vut_line):
             best, best_cosine = arm, cosine
     return best
+
+
+def _lies_ahead(arm: Arm, vut_line: Line) -> bool:
+    """Whether one of an arm's lanes begins or ends no farther aside of a line than ahead."""
+    mouths = [lane.centreline_m[-1] for lane in arm.lanes_in]
+    mouths += [lane.centreline_m[0] for lane in arm.lanes_out]
+    ahead_m, left_m = vut_line.coordinates(np.array(mouths)).T
+    return bool((np.abs(left_m) <= ahead_m).any())
 
 
 def _outwards(arm: Arm, length_m: float) -> FloatArray:

@@ -1,6 +1,7 @@
 """The ways of road users along a lane: straight on, or round its bends."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -8,10 +9,10 @@ import numpy as np
 from geometry.actors import Actor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError
-from geometry.junction import Line, lane_length_m, lane_line
+from geometry.junction import Line, curve_between, lane_length_m, lane_line
 from geometry.scene import Lane
 
-from .courses import Course, follow_lane, follow_lanes
+from .courses import Course, ease_joint, follow_lane, follow_lanes
 from .paths import CoursePath, Path, StraightPath, TowedPath
 from .staging import CannotCarryError
 
@@ -19,6 +20,11 @@ STRAIGHT_M = 50.0  # of a lane next to the junction, which gives its direction
 DO_NOT_MEET = "the VUT's way and the VRU's do not meet"
 _MAX_STEPS = 60
 _MEETS_M = 1.0e-3
+_EASING_M = np.geomspace(2.0, 14.0, 15)  # smoothing of a joint, from tight to gentle
+_MOUTH_M = 5.0  # of the lanes beside a joint, where their bends count as its own
+_LOOKED_AT_M = 40.0  # of the lanes beside a joint
+_CUT_OFF_M = 1.0  # between the lanes, of the curve that has their directions
+_STRIDE = 20  # points of a course: every 20 cm
 
 
 class Way(Protocol):
@@ -49,10 +55,12 @@ class Way(Protocol):
         """The point some metres to the left of a station, (2,)."""
         ...
 
-    def beside(self, left_m: float, station_m: float, *, back_m: float) -> "tuple[Way, float]":
+    def beside(
+        self, left_m: float, station_m: float, *, back_m: float, ahead_m: float = np.inf
+    ) -> "tuple[Way, float]":
         """The way some metres to the left of it, and where one of its stations lies on that way.
 
-        It is needed from the station on and so far back; farther back it may go straight.
+        It is needed so far back from the station and so far ahead; beyond it may go straight.
         """
         ...
 
@@ -91,7 +99,9 @@ class StraightWay:
         """See :meth:`Way.point`."""
         return self.line.at(station_m, left_m)
 
-    def beside(self, left_m: float, station_m: float, *, back_m: float) -> "tuple[Way, float]":
+    def beside(
+        self, left_m: float, station_m: float, *, back_m: float, ahead_m: float = np.inf
+    ) -> "tuple[Way, float]":
         """See :meth:`Way.beside`."""
         beside = Line(point_m=self.line.at(station_m, left_m), direction=self.line.direction)
         return StraightWay(line=beside), 0.0
@@ -131,10 +141,13 @@ class CurvedWay:
         """See :meth:`Way.point`."""
         return self.course.tangent(station_m).at(0.0, left_m)
 
-    def beside(self, left_m: float, station_m: float, *, back_m: float) -> "tuple[Way, float]":
+    def beside(
+        self, left_m: float, station_m: float, *, back_m: float, ahead_m: float = np.inf
+    ) -> "tuple[Way, float]":
         """See :meth:`Way.beside`."""
         try:
-            near = self.course.between(station_m - back_m, self.course.end_m)
+            end_m = min(station_m + ahead_m, self.course.end_m)
+            near = self.course.between(station_m - back_m, end_m)
             course = near.beside(left_m)
         except InputError:
             raise CannotCarryError(
@@ -190,6 +203,8 @@ class WayAcross:
     ----------
     way : Way
         Its stations count from the mouth of the lane that leads out.
+    entry, leaving : Lane
+        The lanes.
     begin_m : float
         Station at which the first lane begins. [m]
     swerve_per_m : float
@@ -197,6 +212,8 @@ class WayAcross:
     """
 
     way: Way
+    entry: Lane
+    leaving: Lane
     begin_m: float
     swerve_per_m: float = 0.0
 
@@ -222,34 +239,80 @@ def way_across(
     if np.abs(line.coordinates(np.concatenate(chains))[:, 1]).max() <= max_bend_m:
         mouth_m = float(line.coordinates(leaving.centreline_m[0])[0])
         way = StraightWay(line=Line(point_m=line.at(mouth_m), direction=line.direction))
-        return WayAcross(way=way, begin_m=-mouth_m - lane_length_m(entry))
+        begin_m = -mouth_m - lane_length_m(entry)
+        return WayAcross(way=way, entry=entry, leaving=leaving, begin_m=begin_m)
     between = _curve_between(entry, leaving) if connection is None else connection.centreline_m
     course = follow_lanes([np.concatenate([entry.centreline_m, between]), leaving.centreline_m])
     across_m = float(np.hypot(*np.diff(between, axis=0).T).sum())
     return WayAcross(
         way=CurvedWay(course=course),
+        entry=entry,
+        leaving=leaving,
         begin_m=-across_m - lane_length_m(entry),
         swerve_per_m=course.between(-across_m, 0.0).max_bend_per_m if connection is None else 0.0,
     )
 
 
+@lru_cache(maxsize=64)  # every case and speed asks for the same few
+def eased_way_across(entry: Lane, leaving: Lane, *, max_aside_m: float) -> WayAcross:
+    """The gentlest way across where the map has no lane: it leaves the lanes near their mouths.
+
+    It bends least of those that stay within `max_aside_m` of the lanes' middles, and between them
+    within a metre of the curve of :func:`way_across`.
+
+    Raises
+    ------
+    CannotCarryError
+        The lane out of the junction does not lie ahead, or there is no such way.
+    """
+    between = _curve_between(entry, leaving)
+    across_m = float(np.hypot(*np.diff(between, axis=0).T).sum())
+    before = follow_lane(entry.centreline_m, is_in=True)
+    after = follow_lane(leaving.centreline_m, is_in=False)
+    lengths_m = lane_length_m(entry), lane_length_m(leaving)
+    best = None
+    for smoothing_m in _EASING_M:
+        course = ease_joint(before, between, after, lengths_m=lengths_m, smoothing_m=smoothing_m)
+        swerve_per_m = course.between(-across_m - _MOUTH_M, _MOUTH_M).max_bend_per_m
+        aside_m = max(
+            _aside_m(course, before.at(np.linspace(-min(lengths_m[0], _LOOKED_AT_M), 0.0, 60))[0]),
+            _aside_m(course, after.at(np.linspace(0.0, min(lengths_m[1], _LOOKED_AT_M), 60))[0]),
+        )
+        is_near = aside_m <= max_aside_m and _aside_m(course, between) <= _CUT_OFF_M
+        if not is_near or (best is not None and swerve_per_m > best.swerve_per_m):
+            continue
+        best = WayAcross(
+            way=CurvedWay(course=course),
+            entry=entry,
+            leaving=leaving,
+            begin_m=-across_m - lengths_m[0],
+            swerve_per_m=swerve_per_m,
+        )
+    if best is None:
+        raise CannotCarryError(f"no smooth way leads from lane {entry.id} into {leaving.id}")
+    return best
+
+
+def _aside_m(course: Course, points_m: FloatArray) -> float:
+    """How far a course passes points (n, 2) at most."""
+    import shapely
+
+    driven = shapely.LineString(course.points_m[::_STRIDE])
+    return float(shapely.distance(shapely.points(points_m), driven).max())
+
+
 def _curve_between(entry: Lane, leaving: Lane) -> FloatArray:
-    """Points (n, 2) from the end of a lane to the begin of another one: a cubic Hermite curve."""
+    """Points (n, 2) from the end of a lane to the begin of another one."""
     before = follow_lane(entry.centreline_m, is_in=True).tangent(0.0)
     after = follow_lane(leaving.centreline_m, is_in=False).tangent(0.0)
-    begin, end = entry.centreline_m[-1], leaving.centreline_m[0]
-    chord = end - begin
-    length_m = float(np.hypot(*chord))
-    if min(chord @ before.direction, chord @ after.direction) <= 0.5 * length_m:
-        raise CannotCarryError(f"lane {leaving.id} does not lie ahead of lane {entry.id}")
-    share = np.linspace(0.0, 1.0, max(8, int(length_m)))[:, None]
-    curve: FloatArray = (
-        (2.0 * share**3 - 3.0 * share**2 + 1.0) * begin
-        + (share**3 - 2.0 * share**2 + share) * length_m * before.direction
-        + (3.0 * share**2 - 2.0 * share**3) * end
-        + (share**3 - share**2) * length_m * after.direction
-    )
-    return curve
+    try:
+        return curve_between(
+            replace(before, point_m=entry.centreline_m[-1]),
+            replace(after, point_m=leaving.centreline_m[0]),
+        )
+    except ValueError:
+        why = f"lane {leaving.id} does not lie ahead of lane {entry.id}"
+        raise CannotCarryError(why) from None
 
 
 def reversed_way(way: Way) -> Way:

@@ -1,9 +1,11 @@
 """Values that many tests start from."""
 
+import gc
 import logging
 
 import numpy as np
 import pytest
+from _pytest.doctest import DoctestModule
 from hypothesis import settings
 
 from geometry.actors import load_actors
@@ -14,13 +16,34 @@ from scenarios.cases import pick_cases
 from scenarios.published import load_placements
 from scenarios.runs import FrameAxis, build_runs
 
-# How long an example takes is no test. Other examples are drawn each time; for more of them:
-# pytest --hypothesis-profile thorough
-settings.register_profile("place-rsus", deadline=None, max_examples=30)
+# How long an example takes is no test. Other examples are drawn each time, fewer where little hangs
+# on geometry and search; for more of them: pytest --hypothesis-profile thorough
+settings.register_profile("place-rsus", deadline=None, max_examples=25)
+settings.register_profile("place-rsus-few", deadline=None, max_examples=15)
 settings.register_profile("thorough", deadline=None, max_examples=200)
 settings.load_profile("place-rsus")
+MANY = ("geometry", "scenarios", "optimiser")
 # The first test that compiles is told so, on a new machine: whichever that is, and however quiet.
 logging.getLogger("geometry.kernels").setLevel(logging.ERROR)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collect_file():
+    """Docstrings of tests hold no examples: to look for them takes long."""
+    found = yield
+    return [collector for collector in found if not isinstance(collector, DoctestModule)]
+
+
+def pytest_collectstart(collector):
+    """Tests take the number of their examples from the profile in force when they are imported."""
+    if isinstance(collector, pytest.Module) and settings.get_current_profile_name() != "thorough":
+        is_many = not set(MANY).isdisjoint(collector.nodeid.split("/"))
+        settings.load_profile("place-rsus" if is_many else "place-rsus-few")
+
+
+def pytest_collection_finish():
+    """What is loaded by now stays: the garbage collector need not look at it again and again."""
+    gc.freeze()
 
 
 def pytest_addoption(parser):

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from geometry.image_boxes import clip_boxes
-from geometry.lidar import LidarModel
+from geometry.lidar import LidarModel, beams_per_steradian, load_lidar_detection, return_probability
 from geometry.poses import body_rotation, camera_rotation
-from placement.detectors import Evidence
+from placement.detectors import VRU_CLASSES, Evidence
 from placement.visibility import sensing as compiled
 
 MIN_DEPTH_M = np.float32(0.01)
@@ -67,9 +67,7 @@ class NumpySensing:
         made = self.sensing
         if isinstance(candidate.sensor, LidarModel):
             rotation = body_rotation(candidate.pose.yaw_deg, candidate.pose.pitch_deg)
-            return compiled._count(
-                made, np.arange(len(made.distance_m)), rotation, candidate.sensor
-            )
+            return count_points(made, rotation, candidate.sensor)
         evidence = self.evidence(candidate)
         found = []
         for contrast in made.contrast:
@@ -90,3 +88,49 @@ def boxes(columns, rows, hidden):
 
 def areas(boxes_px):
     return (boxes_px[:, 2:] - boxes_px[:, :2]).prod(axis=1)
+
+
+def count_points(sensing, rotation, lidar):
+    """Whether a LiDAR may expect enough points on each entry, in each weather, (n_weathers, n).
+
+    Each visible point stands for the part of the surface around it: its solid angle, seen from the
+    LiDAR, times the density of beams in that direction is the number of beams that hit it.
+    """
+    views, sight = sensing.world.views, sensing.sight
+    entries = np.arange(len(sight.view_index))
+    view = sight.view_index
+    offsets = views.points_m[view] - sensing.eye_m
+    distance = np.linalg.norm(offsets, axis=-1)
+    ahead, left, up = np.moveaxis(offsets @ rotation, -1, 0)
+    azimuth_deg = np.degrees(np.arctan2(left, ahead))
+    elevation_deg = np.degrees(np.arctan2(up, np.hypot(ahead, left)))
+    is_hit = (
+        sight.is_visible[entries]
+        & (np.abs(azimuth_deg) <= 0.5 * lidar.horizontal_fov_deg)
+        & (np.abs(elevation_deg) <= 0.5 * lidar.vertical_fov_deg)
+    )
+    areas = np.stack([surface.area_m2 for surface in sensing.world.surfaces])
+    area = areas[views.surface_index[view]] @ np.swapaxes(body_rotation(views.yaw_deg[view]), 1, 2)
+    facing_m2 = np.maximum(0.0, -(area * offsets).sum(axis=-1) / distance)
+    beams = is_hit * facing_m2 / distance**2 * beams_per_steradian(lidar, elevation_deg)
+    cosine = facing_m2 / np.maximum(np.linalg.norm(area, axis=-1), 1.0e-12)
+    detection = load_lidar_detection()
+    reflectivity = np.array([detection.reflectivity[name] for name in VRU_CLASSES])
+    needed = np.array([detection.min_points[name] for name in VRU_CLASSES])
+    classes = sensing.vru_class[entries]
+    return np.stack(
+        [
+            (
+                beams
+                * return_probability(
+                    lidar,
+                    distance,
+                    reflectivity=reflectivity[classes][:, None],
+                    incidence_cos=cosine,
+                    extinction_per_m=weather.lidar_extinction_per_m(lidar.wavelength_nm),
+                )
+            ).sum(axis=1)
+            >= needed[classes]
+            for weather in views.weathers
+        ]
+    )

@@ -35,7 +35,7 @@ def problems(draw: st.DrawFn) -> PlacementProblem:
         run_start=np.cumsum([0, *n_frames]),
         time_s=np.concatenate([np.arange(1 - n, 1) / 10.0 for n in n_frames]),
     )
-    n_poses = draw(st.sampled_from([8, 7, 6, 5, 4, 3, 2, 1]))
+    n_poses = draw(st.sampled_from([6, 5, 4, 3, 2, 1]))
     detected = rng.random((n_poses, n_frames.sum())) < draw(st.sampled_from([0.6, 0.8, 0.4]))
     n_sites = draw(st.sampled_from(sorted({n_poses, 1 + n_poses // 2, 1})))
     site_index = rng.integers(n_sites, size=n_poses)
@@ -86,6 +86,8 @@ def questions(draw: st.DrawFn) -> PlacementProblem:
         )
     floors: list[Floor] = []
     n_failures = draw(st.integers(0, 3)) if "failures" in kinds else 0
+    if n_failures:
+        limits = replace(limits, failing=draw(st.sampled_from(["unit", "site"])))
     if "floors" in kinds:
         floors.append(
             Floor(name="--target", share=rng.choice([1.0, 0.75, 0.5]), n_failures=n_failures)

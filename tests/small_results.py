@@ -1,6 +1,7 @@
 """A folder of results as an optimisation writes it: six runs, two units, no figures."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from placement import planning
 from placement.candidates import CandidateGrid, load_candidate_grid
 from placement.compute import Compute
 from placement.detectors import load_detector, load_planning_detector
+from placement.explain.sensitivity import load_assumptions
 from placement.layout import Layout
 from placement.question import Question
 from placement.setting import Setting
@@ -65,6 +67,14 @@ def build_small_baseline(scene: Scene) -> Layout:
     return replace(study, units=study.units[:2])
 
 
+def vary_few_assumptions(patch: pytest.MonkeyPatch, *names: str) -> None:
+    """The one that needs no rays, and those that are named: each casts its own."""
+    few = [item for item in load_assumptions() if item.name in ("latency_s", *names)]
+    patch.setattr(
+        placement, "find_sensitivity", partial(placement.find_sensitivity, assumptions=few)
+    )
+
+
 def write_small_results(folder: Path, setting: Setting, question: Question | None = None) -> None:
     """Choose two cameras of a coarse grid, and write everything but the report and its figures."""
 
@@ -76,6 +86,7 @@ def write_small_results(folder: Path, setting: Setting, question: Question | Non
         patch.setattr(planning, "load_candidate_grid", build_small_grid)
         patch.setattr(placement, "find_baseline", build_small_baseline)
         patch.setattr(writing, "write_report", write_blank_report)
+        vary_few_assumptions(patch)
         placement.run_placement(
             question or Question(budget=2, time_limit_s=60.0),
             out=folder,

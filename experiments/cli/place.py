@@ -21,6 +21,7 @@ from .evaluate import (
     apr_lines,
     baseline_lines,
     cost_line,
+    failure_lines,
     study_cases_lines,
     unit_lines,
 )
@@ -181,7 +182,7 @@ def placement_text(result: "Result", out: Path) -> str:
     assert result.disagreements is not UNSET
     stages = [
         [
-            _OBJECTIVES[stage.name][0],
+            _label(stage.name, result),
             _value(stage.name, stage.objective),
             _value(stage.name, stage.bound),
             "proven" if stage.gap == 0.0 else _gap(stage.gap),
@@ -205,12 +206,18 @@ def placement_text(result: "Result", out: Path) -> str:
         f"(fusion {result.fusion}):",
         *unit_lines(result.layout),
         cost_line(result),
+        *(
+            line
+            for text in result.assumed_prices or ()
+            for line in sentences(text, indent=2, hanging=2)
+        ),
         "",
         *table(["on the detection table", "found", "bound", "gap"], stages),
         "",
         "Evaluated by full perception and emergency braking:",
         *apr_lines(parties | announced(evaluation)),
         *sentences(f"{TOGETHER}; greedy: units chosen one by one.", indent=2),
+        *failure_lines(evaluation),
         *baseline_lines(result),
         *study_cases_lines(result.study_cases),
         "",
@@ -234,6 +241,12 @@ _OBJECTIVES: dict[str, tuple[str, Callable[[float], str]]] = {
     "mean_margin_s": ("mean margin", _seconds),
     "cost_eur": ("cost, EUR", "{:,.0f}".format),
 }
+
+
+def _label(name: str, result: "Result") -> str:
+    label = _OBJECTIVES[name][0]
+    by_site = result.failing is not UNSET
+    return label.replace("one fails", "pole fails").replace("ones", "poles") if by_site else label
 
 
 def _value(objective: str, value: float | None) -> str:

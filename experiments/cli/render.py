@@ -1,6 +1,7 @@
 """``place-rsus render``: one frame of a run as a camera sees it."""
 
 import os
+from errno import ENOENT
 from pathlib import Path
 from typing import Any
 
@@ -98,6 +99,8 @@ def render(
     suffix = render.suffixes_of(viewpoint.sensor)[0]
     path = out or _default_path(run, unit_id, frame_index, suffix)
     render.check_path(path, viewpoint.sensor)
+    if out is not None and not out.parent.is_dir():
+        raise unwritable(path, FileNotFoundError(ENOENT, os.strerror(ENOENT)))
     progress("render", 0, 0)
     seen = render.render(around, run, frame_index, viewpoint, compute=compute)
     try:

@@ -11,6 +11,7 @@ from geometry.frames import to_carla_yaw
 from geometry.maps.georeferences import transform
 from geometry.scene import Scene
 from geometry.sensors import CameraModel
+from geometry.terrain import on_ground, terrain_of
 from placement.candidates import CandidatePose, is_ring
 from placement.detectors import load_detector
 from placement.layout import Layout
@@ -36,7 +37,7 @@ def to_cpm(layout: Layout, scene: Scene) -> str:
 
     JSON: {"standard", "stations": [{"site", "units", "payload"}]}. A payload has the standard's
     names and units and what a layout says: the reference position (WGS 84, 0.1 microdegrees; on the
-    road in the middle of the station's units; no altitude, for z = 0 is the road), the RSU's
+    road in the middle of the station's units; no altitude), the RSU's
     container and that of its sensors. A sensor's id is its place in "units". Its region is a radial
     shape: reference point east, north, up of the reference position [0.01 m], range [0.1 m],
     horizontal opening clockwise from north and vertical opening upwards from the horizon [0.1
@@ -82,9 +83,8 @@ def to_cpm(layout: Layout, scene: Scene) -> str:
         where = f"cpm: {site or own}"
         if len(units) > _MAX_SENSORS:
             raise InputError(where, Unquoted(f"{len(units)} units"), f"at most {_MAX_SENSORS}")
-        shapes = [
-            _radial_shape(unit, np.append(origin_m, 0.0), adult_px_m, where) for unit in units
-        ]
+        road_m = on_ground(origin_m, terrain_of(scene))
+        shapes = [_radial_shape(unit, road_m, adult_px_m, where) for unit in units]
         payload = _payload(units, shapes, reference)
         records.append({"site": site, "units": [unit.id for unit in units], "payload": payload})
     return to_json_text({"standard": STANDARD, "stations": records})

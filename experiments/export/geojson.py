@@ -11,9 +11,10 @@ from .places import longitude_latitude, placed_records, positions_m, require_crs
 def to_geojson(layout: Layout, crs: str, scene: Scene | None = None) -> str:
     """Layout as GeoJSON: points in WGS 84, with the fields of the layout as properties.
 
-    A FeatureCollection. Coordinates are longitude, latitude [deg] and the height above the road
-    [m]; x_m and y_m among the properties stay in the world frame. Raises InputError if pyproj does
-    not know `crs`, or the layout lies outside of where it is defined.
+    A FeatureCollection. Coordinates are longitude, latitude [deg] and the height [m]: that of the
+    map where the ground is not flat and the map tells it, else above the road. x_m and y_m among
+    the properties stay in the world frame. Raises InputError if pyproj does not know `crs`, or the
+    layout lies outside of where it is defined.
 
     References
     ----------
@@ -26,7 +27,11 @@ def to_geojson(layout: Layout, crs: str, scene: Scene | None = None) -> str:
             "id": record["id"],
             "geometry": {
                 "type": "Point",
-                "coordinates": [float(longitude), float(latitude), record["z_m"]],
+                "coordinates": [
+                    float(longitude),
+                    float(latitude),
+                    record.get("map_z", record["z_m"]),
+                ],
             },
             "properties": record,
         }

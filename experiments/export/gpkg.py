@@ -14,7 +14,8 @@ _LAYER = "units"
 def to_geopackage(layout: Layout, scene: Scene) -> bytes:
     """Layout as a GeoPackage: points in the coordinates of the map that the scene was made from.
 
-    A SQLite database with the layer "units": points with the height above the road as z, and the
+    A SQLite database with the layer "units": points with the height as z (that
+    of the map where the ground is not flat and the map tells it, else above the road), and the
     fields of the layout; x_m and y_m among them stay in the world frame. Raises InputError if the
     scene has no crs, or one that pyproj does not know.
 
@@ -30,7 +31,7 @@ def to_geopackage(layout: Layout, scene: Scene) -> bytes:
     position = map_positions(layout, scene)
     records = placed_records(layout, scene)
     points = gpd.points_from_xy(
-        position[:, 0], position[:, 1], z=[record["z_m"] for record in records]
+        position[:, 0], position[:, 1], z=[record.get("map_z", record["z_m"]) for record in records]
     )
     table = gpd.GeoDataFrame(records, geometry=points, crs=scene.source_crs or scene.crs)
     file = io.BytesIO()

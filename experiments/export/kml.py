@@ -33,12 +33,13 @@ def to_kml(layout: Layout, scene: Scene) -> str:
     lon_lat_deg = longitude_latitude(positions_m(layout), scene.crs).tolist()
     records = placed_records(layout, scene)
     for unit, record, (longitude, latitude) in zip(layout.units, records, lon_lat_deg, strict=True):
+        height_m = record.get("height_m", record["z_m"])
         placemark = ET.SubElement(document, "Placemark")
         _text(placemark, "name", unit.id)
         camera = ET.SubElement(placemark, "Camera")
         _text(camera, "longitude", repr(longitude))
         _text(camera, "latitude", repr(latitude))
-        _text(camera, "altitude", repr(record["z_m"]))
+        _text(camera, "altitude", repr(height_m))
         _text(camera, "heading", repr(float(to_carla_yaw(unit.pose.yaw_deg) + 90.0) % 360.0))
         _text(camera, "tilt", repr(90.0 + unit.pose.pitch_deg))
         _text(camera, "altitudeMode", "relativeToGround")
@@ -48,7 +49,7 @@ def to_kml(layout: Layout, scene: Scene) -> str:
         point = ET.SubElement(placemark, "Point")
         _text(point, "extrude", "1")
         _text(point, "altitudeMode", "relativeToGround")
-        _text(point, "coordinates", f"{longitude!r},{latitude!r},{record['z_m']!r}")
+        _text(point, "coordinates", f"{longitude!r},{latitude!r},{height_m!r}")
     ET.indent(root)
     text = ET.tostring(root, encoding="unicode")
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'

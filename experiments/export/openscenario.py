@@ -25,6 +25,7 @@ from geometry.files import (
     take_number,
     take_text,
 )
+from geometry.terrain import Terrain, on_ground
 from geometry.weather import pick_weather
 from scenarios.runs import Run
 
@@ -150,7 +151,7 @@ class _Track:
         Of the entity.
     time_s : (n,) float
         Ascending. [s]
-    position_m : (n, 2) float
+    position_m : (n, 3) float
         World frame. [m]
     yaw_deg : (n,) float
         Without jumps by full turns. [deg]
@@ -345,7 +346,8 @@ def _build_init(run: Run, tracks: tuple[_Track, ...]) -> Any:
         lights = xosc.LightStateAction(xosc.VehicleLightType.lowBeam, xosc.LightMode.on)
         init.add_init_action(VUT, lights)
     for index, placed in enumerate(run.obstruction, 1):
-        point_m = _reference_m(placed.actor, placed.pose.position_m[:2], placed.pose.yaw_deg)
+        pose = placed.pose
+        point_m = _reference_m(placed.actor, pose.position_m[:2], pose.yaw_deg, run.terrain)
         teleport = xosc.TeleportAction(_world_position(point_m, placed.pose.yaw_deg))
         init.add_init_action(f"obstruction-{index}", teleport)
     return init
@@ -393,18 +395,19 @@ def _build_track(name: str, run: Run) -> _Track:
     return _Track(
         name=name,
         time_s=time_s - first_s,
-        position_m=_reference_m(actor, position_m, yaw_deg),
+        position_m=_reference_m(actor, position_m, yaw_deg, run.terrain),
         yaw_deg=np.unwrap(yaw_deg, period=360.0),
         speed_mps=round(float(way_m) / _SPEED_STEP_S, _SPEED_DECIMALS),
     )
 
 
-def _reference_m(actor: Actor, position_m: FloatArray, yaw_deg: ArrayLike) -> FloatArray:
-    """From the middle of the footprint to the standard's reference point, (..., 2)."""
+def _reference_m(
+    actor: Actor, position_m: FloatArray, yaw_deg: ArrayLike, terrain: Terrain | None
+) -> FloatArray:
+    """From the middle of the footprint to the standard's reference point on the ground, (.., 3)."""
     yaw_rad = np.radians(yaw_deg)
     ahead = np.stack([np.cos(yaw_rad), np.sin(yaw_rad)], axis=-1)
-    point_m: FloatArray = position_m + reference_ahead_m(actor) * ahead
-    return point_m
+    return on_ground(position_m + reference_ahead_m(actor) * ahead, terrain)
 
 
 def _build_trajectory(track: _Track) -> Any:
@@ -421,5 +424,5 @@ def _build_trajectory(track: _Track) -> Any:
 
 def _world_position(point_m: FloatArray, yaw_deg: float) -> Any:
     # Adding zero turns -0.0 into 0.0.
-    east_m, north_m = (point_m.round(DECIMALS) + 0.0).tolist()
-    return load_xosc().WorldPosition(east_m, north_m, 0.0, to_radians(yaw_deg), 0.0, 0.0)
+    east_m, north_m, up_m = (point_m.round(DECIMALS) + 0.0).tolist()
+    return load_xosc().WorldPosition(east_m, north_m, up_m, to_radians(yaw_deg), 0.0, 0.0)

@@ -9,6 +9,8 @@ from geometry.errors import InputError, Unquoted
 from geometry.frames import to_geographic
 from geometry.maps.georeferences import transform
 from geometry.scene import Scene
+from geometry.terrain import terrain_of
+from placement.candidates import above_ground
 from placement.layout import Layout, layout_records
 
 
@@ -22,9 +24,15 @@ def placed_records(layout: Layout, scene: Scene | None) -> list[dict[str, Any]]:
 
     As :func:`placement.layout.layout_records`; beside these map_x, map_y (longitude and latitude
     where the map has degrees) and map_crs, which is empty if the map does not say where on earth it
-    lies.
+    lies. Where the ground is not flat, height_m is that above the ground below the unit, and map_z
+    that of the map.
     """
     records = layout_records(layout)
+    if scene is not None and terrain_of(scene) is not None:
+        records = [
+            record | {"height_m": height_m} | map_height(record["z_m"], scene)
+            for record, height_m in zip(records, heights_m(layout, scene), strict=True)
+        ]
     if scene is None or not (scene.source_crs or scene.source_origin_m.any()):
         return records
     if scene.crs:
@@ -35,6 +43,18 @@ def placed_records(layout: Layout, scene: Scene | None) -> list[dict[str, Any]]:
         record | {"map_x": float(x), "map_y": float(y), "map_crs": scene.source_crs}
         for record, (x, y) in zip(records, position, strict=True)
     ]
+
+
+def heights_m(layout: Layout, scene: Scene) -> list[float]:
+    """Heights of the units above the ground below them, in metres."""
+    levels = [above_ground(unit, scene) for unit in layout.units]
+    return [round(float(unit.pose.position_m[2]), 3) for unit in levels]
+
+
+def map_height(z_m: float, scene: Scene) -> dict[str, float]:
+    """A height as the scene's map counts it, as a field "map_z"; none where that is not known."""
+    zero_m = scene.zero_height_m
+    return {} if zero_m is None else {"map_z": round(z_m + zero_m, 3)}
 
 
 def map_positions(layout: Layout, scene: Scene) -> FloatArray:

@@ -19,7 +19,7 @@ from geometry.arrays import FloatArray
 from geometry.footprints import footprint_corners
 from geometry.poses import camera_rotation
 from geometry.scene import Lane, Scene, thing_footprint
-from placement.candidates import CandidatePose, is_ring
+from placement.candidates import CandidatePose, above_ground, is_ring
 from placement.layout import Layout
 from placement.setting import Setting
 from scenarios.positions import AT_ZERO
@@ -146,7 +146,7 @@ SITE_STYLE: Style = {
 
 
 def draw_scene(axes: Axes, scene: Scene) -> None:
-    """Draw lanes, sites, buildings and walls; later things go on top up to zorder 6.5."""
+    """Draw lanes, crosswalks, sites and things; what comes later goes on top up to zorder 6.5."""
     axes.set_facecolor("#f4f2ee")
     for lane in scene.lanes:
         is_parking = lane.kind == "parking"
@@ -160,6 +160,10 @@ def draw_scene(axes: Axes, scene: Scene) -> None:
             )
         )
     axes.add_patch(Polygon(scene.outline_m, facecolor="#dedede", edgecolor="none", zorder=1))
+    for ends in scene.crosswalks_m:
+        # Grey below the white bars: beside the road they would not be seen on a white ground.
+        axes.plot(*ends.T, color="#8c8c8c", linewidth=6.0, solid_capstyle="butt", zorder=1.8)
+        axes.plot(*ends.T, color="white", linewidth=5.0, linestyle=(0, (0.6, 0.6)), zorder=1.9)
     for index, instance in enumerate(scene.instances):
         if instance.class_name in CLASS_STYLES:
             path = _outline(thing_footprint(scene, index))
@@ -280,7 +284,7 @@ def plot_plan(
         Drawn lighter, without fields of view.
     half_size_m : float, optional
         Half the side of the square that is shown, around the middle of the junction; by default 45,
-        or what shows all places along the arms. [m]
+        or what shows all units and places along the arms. [m]
     max_range_m : float
         Fields of view end here; the camera itself sees farther. [m]
     width_in : float
@@ -303,14 +307,15 @@ def plot_plan(
     outline = scene.outline_m
     middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
     if half_size_m is None:
-        places = np.array([run.vru_position_m[-1] for run in setting.runs]).reshape(-1, 2)
+        ends_m = [run.vru_position_m[-1] for run in setting.runs]
+        places = np.array([*ends_m, *(unit.pose.position_m[:2] for unit in layout.units)])
         half_size_m = max(_HALF_SIZE_M, float(np.abs(places - middle).max(initial=0.0)) + _MARGIN_M)
     draw_scene(axes, scene)
     draw_parked(axes, [body for run in setting.runs for body in run.obstruction])
     _draw_paths(axes, setting.runs)
     for other in others:
         _draw_other(axes, other)
-    _draw_units(axes, layout, max_range_m)
+    _draw_units(axes, layout, setting.scene, max_range_m)
     show_square(axes, middle, half_size_m)
     axes.set_xlabel("east (m)")
     axes.set_ylabel("north (m)")
@@ -404,15 +409,16 @@ _IMPACT_STYLE: Style = {
 }
 
 
-def _draw_units(axes: Axes, layout: Layout, max_range_m: float) -> None:
+def _draw_units(axes: Axes, layout: Layout, scene: Scene, max_range_m: float) -> None:
     labels = unit_labels(layout)
     is_labelled = len(labels) <= MAX_LABELLED_UNITS
     for index, unit in enumerate(layout.units):
         colour = _UNIT_COLOURS[index % len(_UNIT_COLOURS)]
         position = unit.pose.position_m[:2]
-        corners = ground_footprint(unit, max_range_m=max_range_m)
+        level = above_ground(unit, scene)
+        corners = ground_footprint(level, max_range_m=max_range_m)
         if len(corners):
-            shape = ring_path(corners, blind_footprint(unit, max_range_m=max_range_m))
+            shape = ring_path(corners, blind_footprint(level, max_range_m=max_range_m))
             axes.add_patch(
                 PathPatch(shape, facecolor=colour, alpha=0.6 / (len(labels) + 3.0), zorder=2.5)
             )

@@ -51,10 +51,6 @@ def plot_scene_plan(
     draw_scene(axes, scene)
     outline = np.vstack([scene.outline_m, scene.outline_m[:1]])
     axes.plot(*outline.T, color="#0072B2", linewidth=1.4, zorder=3)
-    for ends in scene.crosswalks_m:
-        # Grey below the white bars: beside the road they would not be seen on a white ground.
-        axes.plot(*ends.T, color="#8c8c8c", linewidth=6.0, solid_capstyle="butt", zorder=3)
-        axes.plot(*ends.T, color="white", linewidth=5.0, linestyle=(0, (0.6, 0.6)), zorder=3.1)
     for arm in junction.arms.values():
         for lanes, is_in in ((arm.lanes_in, True), (arm.lanes_out, False)):
             for lane in lanes:

@@ -16,6 +16,7 @@ from placement.optimiser.cost_front import cost_front
 from placement.optimiser.front import Front, StageChoice, pareto_front
 from placement.pipeline import obtain_table
 from placement.planning import Plan, build_plan
+from placement.prices import assumed_prices, load_prices
 from placement.question import Question
 from placement.setting import build_setting
 from placement.wishes import build_problem
@@ -84,7 +85,8 @@ def run_pareto(
         check_folder(out)
         progress.kept = f"nothing was written to {out}"
     plan = build_plan(replace(question, budget=1), scene, study=load_carlancap_layout())
-    wishes = replace(plan.wishes, budget_units=max_units)
+    prices = load_prices() if by == "cost" and question.site_cost_eur is None else None
+    wishes = replace(plan.wishes, budget_units=max_units, prices=prices)
     progress("setting", 0, 0)
     setting = build_setting(question, scene)
     table = obtain_table(
@@ -106,6 +108,9 @@ def run_pareto(
         seconds={},
         versions=versions(),
     )
+    if prices is not None:
+        told = assumed_prices(prices, scene.sites)
+        result = replace_fields(result, sentences=(*result.sentences, *told))
     if out is None:
         return replace_fields(result, seconds=progress.finish())
     progress(WRITING, 0, 0)

@@ -9,17 +9,20 @@ from pathlib import Path
 from msgspec import UNSET, UnsetType
 from msgspec.structs import replace as replace_fields
 
+from geometry.catalogue import load_cameras
 from geometry.errors import InputError
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
 from placement.compute import Compute
 from placement.evaluation import Evaluation, apr
 from placement.evaluator import evaluate_layouts
+from placement.explain import find_other_sensors
 from placement.explain.sensitivity import find_sensitivity
 from placement.layout import Layout, check_layout
 from placement.optimiser.front import Front, front_below
 from placement.pipeline import Placement, place
 from placement.planning import Plan, build_plan
+from placement.prices import assumed_prices
 from placement.private_ground import load_private_ground
 from placement.question import Question
 from placement.refinement.refine import refine
@@ -33,7 +36,12 @@ from ..report.comparison import EXPERT, GREEDY
 from ..report.coverage import coverage_section
 from ..report.sampled_worlds import plot_sampled_apr
 from ..report.units import build_plans
-from ..results.baselines import StudyCasesRecord, build_next_unit_record
+from ..results.baselines import (
+    ExchangeRecord,
+    StudyCasesRecord,
+    build_exchange_records,
+    build_next_unit_record,
+)
 from ..results.explanations import (
     PrivateGroundRecord,
     build_explained_record,
@@ -147,8 +155,14 @@ def run_placement(
         result = replace_fields(
             result,
             explained=explained,
+            assumed_prices=(
+                UNSET
+                if plan.wishes.prices is None
+                else assumed_prices(plan.wishes.prices, scene.sites)
+            ),
             baselines=build_baselines_record(compared, evaluations.get(EXPERT), setting),
             next_unit=UNSET if next_unit is None else next_unit,
+            other_sensors=_other_sensors(placement, plan, setting, question, compute),
             study_cases=_on_study_cases(question, scene, setting, evaluations, compute),
             front=(
                 UNSET
@@ -198,6 +212,7 @@ def run_placement(
                 placement.layout,
                 scene,
                 site_cost_eur=question.site_cost_eur,
+                prices=plan.wishes.prices,
                 kept_ids=plan.wishes.kept,
             ),
             sampled_figure=sampled_figure,
@@ -211,6 +226,23 @@ _LARGE_RUNS = 100
 def _is_large(setting: Setting, compute: Compute) -> bool:
     """Whether it takes longer to answer and draw than to start a process that helps to draw."""
     return compute.workers > 1 and len(setting.runs) >= _LARGE_RUNS
+
+
+def _other_sensors(
+    placement: Placement, plan: Plan, setting: Setting, question: Question, compute: Compute
+) -> tuple[ExchangeRecord, ...] | UnsetType:
+    """Other cameras at the same mounts, and LiDARs where the question has some; UNSET: none."""
+    asked = {unit.sensor.name: unit.sensor for unit in plan.candidates}
+    found = find_other_sensors(
+        setting,
+        placement.layout.units,
+        models=[*{**load_cameras(), **asked}.values()],
+        kept=plan.wishes.kept,
+        fusion=question.fusion,
+        may_look=plan.may_look,
+        compute=compute,
+    )
+    return UNSET if found is None else build_exchange_records(placement.layout, found)
 
 
 def _front_below(placement: Placement, plan: Plan, progress: StageProgress) -> Front | None:

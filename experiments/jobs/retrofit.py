@@ -15,6 +15,7 @@ from placement.layout import Layout, check_layout
 from placement.optimiser import PlacementValue, is_better
 from placement.pipeline import obtain_table
 from placement.planning import build_grid, build_plan
+from placement.prices import assumed_prices, load_prices
 from placement.question import Question
 from placement.retrofit import (
     Change,
@@ -199,7 +200,8 @@ def run_retrofit(
     check_layout(layout, scene)
     plan = build_plan(replace(question, budget=1, budget_cost=None), scene)
     poses = build_retrofit_poses(layout, build_grid(question.sensors), plan.candidates)
-    wishes = replace(plan.wishes, kept=tuple(unit.id for unit in layout.units))
+    prices = load_prices() if question.site_cost_eur is None else None
+    wishes = replace(plan.wishes, kept=tuple(unit.id for unit in layout.units), prices=prices)
     progress("setting", 0, 0)
     setting = build_setting(question, scene)
     table = obtain_table(
@@ -246,7 +248,8 @@ def run_retrofit(
         seconds={},
         versions=versions(),
     )
-    result = replace_fields(result, sentences=tuple(describe_retrofit(result)))
+    assumed = () if prices is None else assumed_prices(prices, scene.sites)
+    result = replace_fields(result, sentences=(*describe_retrofit(result), *assumed))
     if out is None:
         return replace_fields(result, seconds=progress.finish())
     progress(WRITING, 0, 0)

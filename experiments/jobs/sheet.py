@@ -20,7 +20,7 @@ from geometry.scene import Scene, thing_footprint
 from geometry.scene_files import load_scene
 from geometry.sensors import CameraModel
 from geometry.weather import pick_weather
-from placement.candidates import CandidatePose, is_ring, is_turn_useless
+from placement.candidates import CandidatePose, above_ground, is_ring, is_turn_useless
 from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.explain.sensitivity import LIFTS_M, TURNS_DEG, Tolerance, find_tolerances
 from placement.imaging import render_picture
@@ -126,7 +126,8 @@ def _page(
 
 
 def _rows(unit: CandidatePose, scene: Scene, tolerance: Tolerance) -> list[tuple[str, str]]:
-    x, y, z = unit.pose.position_m
+    level = above_ground(unit, scene)
+    x, y, z = level.pose.position_m
     where = f"{x:.2f} m east, {y:.2f} m north in the junction's coordinates"
     if scene.crs:
         lon_deg, lat_deg = to_geographic(unit.pose.position_m[None], scene.crs)[0]
@@ -136,7 +137,7 @@ def _rows(unit: CandidatePose, scene: Scene, tolerance: Tolerance) -> list[tuple
         ("Where", where),
         ("Height", f"{z:.2f} m above the road"),
         ("Scans" if is_ring(unit.sensor) else "Looks", _direction(unit)),
-        ("Tilt", _tilt(unit)),
+        ("Tilt", _tilt(level)),
         ("May be off", _tolerance_text(tolerance)),
         ("Landmarks", "\n".join(_landmarks(unit, scene)) or "none within 40 m"),
     ]
@@ -229,9 +230,10 @@ def _landmarks(unit: CandidatePose, scene: Scene) -> list[str]:
 def _draw_plan(axes: Axes, unit: CandidatePose, label: str, scene: Scene) -> None:
     draw_scene(axes, scene)
     x, y = unit.pose.position_m[:2]
-    corners = ground_footprint(unit, max_range_m=_VIEW_RANGE_M)
+    level = above_ground(unit, scene)
+    corners = ground_footprint(level, max_range_m=_VIEW_RANGE_M)
     if len(corners):
-        blind = blind_footprint(unit, max_range_m=_VIEW_RANGE_M)
+        blind = blind_footprint(level, max_range_m=_VIEW_RANGE_M)
         style = {"facecolor": BLUE, "alpha": 0.25, "edgecolor": BLUE, "linewidth": 1.5, "zorder": 5}
         axes.add_patch(PathPatch(ring_path(corners, blind), **style))
     if not is_turn_useless(unit.sensor, pitch_deg=unit.pose.pitch_deg):
@@ -296,7 +298,8 @@ def _shown_frame(unit: CandidatePose, setting: Setting) -> tuple[Run, int]:
         [math.cos(math.radians(unit.pose.yaw_deg)), math.sin(math.radians(unit.pose.yaw_deg))]
     )
     tilt = math.radians(max(-unit.pose.pitch_deg, 10.0))
-    aim = unit.pose.position_m[:2] + ahead * unit.pose.position_m[2] / math.tan(tilt)
+    height_m = above_ground(unit, setting.scene).pose.position_m[2]
+    aim = unit.pose.position_m[:2] + ahead * height_m / math.tan(tilt)
     best = (math.inf, setting.runs[0], 0)
     for run in setting.runs:
         distance = np.hypot(*(run.vru_position_m - aim).T)

@@ -20,6 +20,7 @@ from ..results.dangers import DangerGroupRecord, DangersRecord, avoided_runs
 from ..results.numbers import NOTHING, count_runs, joined, number, or_nan, percent, several
 from ..results.record import StageRecord
 from ..results.result import Result
+from .next_unit import next_unit_sentence
 from .private_ground import private_ground_sentences
 from .refinement import refinement_sentences
 from .sampled_worlds import uncertainty_sentences
@@ -134,20 +135,6 @@ def _most_left(
     return joined([*words, *([f"{others} {n_others}"] if n_others else [])])
 
 
-def next_unit_sentence(result: Result) -> str:
-    """What one more unit would buy; empty where nothing was optimised, or none fits."""
-    if not result.next_unit:
-        return ""
-    unit = result.next_unit
-    how = "on the detection table, by greedy choice"
-    if unit.gain < 0.5e-9:
-        return f"One more unit among the candidates would avoid nothing more ({how})"
-    return (
-        f"One more unit would add {100.0 * unit.gain:.1f} points of APR: {percent(unit.apr)} with "
-        f"{unit.pose} ({how})"
-    )
-
-
 def _baselines(result: Result) -> list[str]:
     """What an expert's rule and random layouts prevent, in short."""
     if not result.baselines:
@@ -250,14 +237,14 @@ def proof_section(result: Result) -> Section | None:
     """The optimiser's objectives with their proof; None where nothing was optimised."""
     if not result.stages:
         return None
-    is_open = [Objective(stage.name).label for stage in result.stages if stage.gap != 0.0]
+    is_open = [_label(stage.name, result) for stage in result.stages if stage.gap != 0.0]
     proof = "Yes: every objective's gap is closed."
     if is_open:
         proof = f"Not in full: proven are all objectives but {', '.join(is_open)}."
     table = Table(
         caption="Objectives in order: each is optimised without giving up any before it",
         columns=["objective", "this layout", "no layout can exceed", "gap", "time (s)"],
-        rows=[_stage_row(stage) for stage in result.stages],
+        rows=[[_label(stage.name, result), *_stage_row(stage)] for stage in result.stages],
         numeric=range(1, 5),
     )
     note = (
@@ -266,6 +253,12 @@ def proof_section(result: Result) -> Section | None:
         "other choice among them is better."
     )
     return Section("proof", "How good is it, and is that proven?", [proof, table, note])
+
+
+def _label(name: str, result: Result) -> str:
+    """Name of an objective; what fails is a pole where that was asked."""
+    label = Objective(name).label
+    return label if result.failing is UNSET else label.replace(" unit", " pole")
 
 
 def _stage_row(stage: StageRecord) -> list[str]:
@@ -278,7 +271,6 @@ def _stage_row(stage: StageRecord) -> list[str]:
 
     gap = stage.gap
     return [
-        Objective(stage.name).label,
         shown(stage.objective),
         shown(stage.bound),
         NOTHING if gap is None or not math.isfinite(gap) else percent(gap),

@@ -7,8 +7,9 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from geometry.catalogue import sensor_kind
-from geometry.scene import Scene
+from geometry.scene import Scene, Site
 from placement.layout import Layout
+from placement.prices import SitePrices, assumed_prices
 
 from ..results.csv_text import safe_cell
 from ..results.numbers import several
@@ -75,10 +76,13 @@ class BillOfMaterials:
         One per model.
     sites : tuple of Item
         One per site that is used, in the layout's order.
+    assumed : tuple of str
+        What is assumed of sites without a price, in sentences.
     """
 
     sensors: tuple[Item, ...]
     sites: tuple[Item, ...]
+    assumed: tuple[str, ...] = ()
 
 
 def build_bill(
@@ -86,12 +90,14 @@ def build_bill(
     scene: Scene,
     *,
     site_cost_eur: float | None = None,
+    prices: SitePrices | None = None,
     kept_ids: Collection[str] = (),
 ) -> BillOfMaterials:
     """What a layout takes.
 
     A cost or price of 0 has never been told: it is unknown, unless `site_cost_eur` was said for
-    every site. Units of `kept_ids` hang there already: neither they nor their sites are paid for.
+    every site, or `prices` tell what is assumed. Units of `kept_ids` hang there already: neither
+    they nor their sites are paid for.
     """
     to_buy = Counter(unit.sensor.name for unit in layout.units if unit.id not in kept_ids)
     of_model = Counter(unit.sensor.name for unit in layout.units)
@@ -107,12 +113,17 @@ def build_bill(
             )
             for name, sensor in {unit.sensor.name: unit.sensor for unit in layout.units}.items()
         ),
-        sites=_site_items(layout, scene, site_cost_eur, kept_ids),
+        sites=_site_items(layout, scene, site_cost_eur, prices, kept_ids),
+        assumed=() if prices is None else assumed_prices(prices, _used_sites(layout, scene)),
     )
 
 
 def _site_items(
-    layout: Layout, scene: Scene, site_cost_eur: float | None, kept_ids: Collection[str]
+    layout: Layout,
+    scene: Scene,
+    site_cost_eur: float | None,
+    prices: SitePrices | None,
+    kept_ids: Collection[str],
 ) -> tuple[Item, ...]:
     sites = {site.id: site for site in scene.sites}
     used: dict[str | None, list[str]] = {}
@@ -126,7 +137,8 @@ def _site_items(
             count = sum(unit_id not in kept_ids for unit_id in unit_ids)
         else:
             name, kind = site_id, sites[site_id].kind
-            price_eur = _told(sites[site_id].cost_eur)
+            site = sites[site_id]
+            price_eur = _told(site.cost_eur if prices is None else prices.cost_eur(site))
             count = int(not any(unit_id in kept_ids for unit_id in unit_ids))
         items.append(
             Item(
@@ -139,6 +151,11 @@ def _site_items(
             )
         )
     return tuple(items)
+
+
+def _used_sites(layout: Layout, scene: Scene) -> list[Site]:
+    used = {unit.site_id for unit in layout.units}
+    return [site for site in scene.sites if site.id in used]
 
 
 def _told(price_eur: float) -> float | None:
@@ -274,10 +291,10 @@ def bill_section(bill: BillOfMaterials) -> Section:
         "program; it is not zero. Not in the bill:"
     )
     blocks: list[Block] = [
-        " ".join(bill_sentences(bill)),
+        " ".join([*bill_sentences(bill), *bill.assumed]),
         *bill_tables(bill),
         note,
-        Bullets(NOT_IN_IT),
+        Bullets(NOT_IN_IT[1:] if bill.assumed else NOT_IN_IT),  # assumed costs are with poles
     ]
     return Section("bill", "Bill of materials", blocks)
 

@@ -29,6 +29,7 @@ from .failures import failures_section
 from .front import front_section
 from .interactive.part import interactive_part
 from .margins import margins_section
+from .next_unit import next_unit_section
 from .positions import positions_section
 from .private_ground import private_ground_section
 from .runs import build_heatmaps, cases_section, heatmaps_section, runs_section
@@ -174,9 +175,10 @@ def _build_report(
         pictures["sampled_apr"] = sampled
 
     sections = [
-        units_section(layouts, plans.result()),
+        units_section(layouts, plans.result(), setting.scene),
         proof_section(result),
         front.result(),
+        next_unit_section(result),
         *explanation_sections(result.explained, labels),
         accidents_section(evaluations, of_apr.result(), is_optimised=bool(result.stages)),
         dangers.result(),

@@ -3,6 +3,9 @@
 from collections.abc import Mapping, Sequence
 from functools import partial
 
+from geometry.scene import Scene
+from geometry.terrain import terrain_of
+from placement.candidates import above_ground
 from placement.layout import Layout, layout_records
 from placement.setting import Setting
 
@@ -22,19 +25,20 @@ _COLUMNS = (
 )
 
 
-def units_section(layouts: Mapping[str, Layout], plans: Sequence[Picture]) -> Section:
+def units_section(layouts: Mapping[str, Layout], plans: Sequence[Picture], scene: Scene) -> Section:
     """Where the units of layouts, by display name, hang and look, with a plan of each."""
     is_beside = len(plans) > 1 and plans[0].width_in < WIDTH_IN
+    is_flat = terrain_of(scene) is None
+    where = "the road is at height 0" if is_flat else "height is that above the ground below"
     note = (
-        "East, north and height are metres in the junction's own coordinates; the road is at "
-        "height 0. Yaw is counted counter-clockwise from east; pitch is negative where the sensor "
-        "looks down."
+        f"East, north and height are metres in the junction's own coordinates; {where}. Yaw is "
+        "counted counter-clockwise from east; pitch is negative where the sensor looks down."
     )
-    tables = [unit_table(name, layout) for name, layout in layouts.items()]
+    tables = [unit_table(name, layout, scene) for name, layout in layouts.items()]
     return Section("units", "The units", [*tables, note, Box("beside" if is_beside else "", plans)])
 
 
-def unit_table(name: str, layout: Layout) -> Table:
+def unit_table(name: str, layout: Layout, scene: Scene) -> Table:
     """The units of a layout, a row each."""
     labels = unit_labels(layout)
     rows = [
@@ -42,7 +46,7 @@ def unit_table(name: str, layout: Layout) -> Table:
             labels[record["id"]],
             record["id"],
             record["site"] or NOTHING,
-            *(number(record[key]) for key in ("x_m", "y_m", "z_m")),
+            *(number(value) for value in above_ground(unit, scene).pose.position_m.tolist()),
             number(record["yaw_deg"], 1),
             number(record["pitch_deg"], 1),
             compass_word(unit),

@@ -1,15 +1,17 @@
 """The parts of a result to compare with: random layouts, an expert's rule, the study's cases."""
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from msgspec import UNSET, UnsetType
 
 from geometry.arrays import FloatArray
+from geometry.catalogue import sensor_kind
 from placement.baselines import RandomLayouts
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, apr_by_position
+from placement.explain import OtherSensors
 from placement.layout import Layout
 from placement.optimiser import apr as table_apr
 from placement.pipeline import Placement
@@ -99,6 +101,28 @@ class NextUnitRecord(Record, frozen=True, kw_only=True):
     gain: Annotated[Share, says("How much higher that is.")]
 
 
+class ExchangeRecord(Record, frozen=True, kw_only=True):
+    """Another sensor model in place of those of the layout, on the detection table."""
+
+    model: Annotated[str, says("Name in the catalogue.", min_length=1)]
+    kind: Annotated[Literal["camera", "lidar"], says("What it is.")]
+    unit: Annotated[str, says("Id of the unit for which it does most.", min_length=1)]
+    horizontal_fov_deg: Annotated[
+        float, says("Its field of view there, in degrees; a varifocal lens is tried at several.")
+    ]
+    yaw_deg: Annotated[float, says("Where that unit then looks, in degrees.")]
+    pitch_deg: Annotated[float, says("In degrees, positive up.")]
+    apr: Annotated[Share, says("APR with that unit exchanged alone and turned for the most.")]
+    gain: Annotated[float, says("By how much that is higher than without; negative: lower.")]
+    extra_eur: Annotated[
+        float, says("Price by the catalogue less that of what it takes the place of, in EUR.")
+    ]
+    all_units: Annotated[int, says("How many units can be exchanged.", ge=1)]
+    apr_all: Annotated[Share, says("APR with all of them exchanged, each turned for the most.")]
+    apr_as_they_hang: Annotated[Share, says("APR with all of them exchanged and none turned.")]
+    extra_all_eur: Annotated[float, says("What that costs more, in EUR.")]
+
+
 class StudyCasesRecord(Record, frozen=True, kw_only=True):
     """The same layouts on the study's cases, as the study drives and reads them."""
 
@@ -176,6 +200,32 @@ def build_next_unit_record(
     gain = further.apr - table_apr(placement.problem, placement.pose_index)
     return NextUnitRecord(
         pose=unit.id, site=unit.site_id, apr=round(further.apr, 12), gain=round(gain, 12)
+    )
+
+
+def build_exchange_records(layout: Layout, found: OtherSensors) -> tuple[ExchangeRecord, ...]:
+    """What other models at the mounts of a layout would gain, and what they cost more."""
+    return tuple(
+        ExchangeRecord(
+            model=other.sensor.name,
+            kind="lidar" if sensor_kind(other.sensor) == "lidar" else "camera",
+            unit=other.one.id,
+            horizontal_fov_deg=other.one.sensor.horizontal_fov_deg,
+            yaw_deg=round(other.one.pose.yaw_deg, 6),
+            pitch_deg=round(other.one.pose.pitch_deg, 6),
+            apr=round(other.apr_one, 12),
+            gain=round(other.apr_one - found.apr, 12),
+            extra_eur=other.sensor.price_eur - layout.units[other.unit_index].sensor.price_eur,
+            all_units=len(other.all),
+            apr_all=round(other.apr_all, 12),
+            apr_as_they_hang=round(other.apr_as_they_hang, 12),
+            extra_all_eur=sum(
+                other.sensor.price_eur - unit.sensor.price_eur
+                for unit in layout.units
+                if unit.id in {pose.id for pose in other.all}
+            ),
+        )
+        for other in found.models
     )
 
 

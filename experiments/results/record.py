@@ -91,7 +91,7 @@ class UnitRecord(Record, frozen=True, kw_only=True):
     site: Annotated[str, says("Site of the scene; empty: none.")]
     x_m: Annotated[float, says("East, in metres.")]
     y_m: Annotated[float, says("North, in metres.")]
-    z_m: Annotated[float, says("Above the road, in metres.")]
+    z_m: Annotated[float, says("Above the road (of a slope: in the junction's middle), in metres.")]
     yaw_deg: Annotated[float, says("Counter-clockwise from east, in degrees.")]
     pitch_deg: Annotated[float, says("Positive up, in degrees.", ge=-90, le=90)]
     camera: (

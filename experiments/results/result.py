@@ -1,9 +1,10 @@
 """The result of a placement, an evaluation or a comparison: what ``summary.json`` holds."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from itertools import combinations
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, get_args
 
 import numpy as np
 from msgspec import UNSET, Meta, UnsetType, field
@@ -11,6 +12,7 @@ from msgspec.structs import asdict as fields_of
 from msgspec.structs import replace
 
 from geometry.arrays import BoolArray
+from placement import optimiser
 from placement.evaluation import (
     Evaluation,
     Verdict,
@@ -22,12 +24,12 @@ from placement.evaluation import (
     units_by_site,
 )
 from placement.explain.agreement import find_disagreements
-from placement.optimiser import placement_value, run_margins_s
+from placement.optimiser import Failing, placement_value, run_margins_s
 from placement.pipeline import Placement
 from placement.setting import Setting
 from scenarios.aeb import AebRule
 
-from .baselines import BaselinesRecord, NextUnitRecord, StudyCasesRecord
+from .baselines import BaselinesRecord, ExchangeRecord, NextUnitRecord, StudyCasesRecord
 from .dangers import DangersRecord, avoided_runs, build_dangers_record
 from .drives import RefusalRecord, build_drives_record, versions
 from .explanations import (
@@ -187,6 +189,7 @@ class Result(Record, frozen=True, kw_only=True):
             "front": ["stages"],
             "refinement": ["stages"],
             "next_unit": ["stages"],
+            "other_sensors": ["stages"],
             "compared": [
                 "baseline_name",
                 "baseline_layout",
@@ -245,6 +248,23 @@ class Result(Record, frozen=True, kw_only=True):
     apr_without_worst_unit: Annotated[
         Share | None, says("APR if the unit that is needed most fails; of the same origin as apr.")
     ]
+    apr_without_worst_site: (
+        Annotated[
+            Share,
+            says(
+                "APR if the pole that is needed most fails with all its units, on the detection "
+                "table; only where a pole carries several."
+            ),
+        ]
+        | UnsetType
+    ) = UNSET
+    failing: (
+        Annotated[
+            Literal["site"],
+            says("What fails at once where the optimiser asks (--survive site); missing: units."),
+        ]
+        | UnsetType
+    ) = UNSET
     evaluation: Annotated[EvaluationRecord, says("The layout by the evaluator.")]
     baseline: Annotated[EvaluationRecord | None, says("That layout by the evaluator; null: none.")]
     surrogate_disagreement: Annotated[
@@ -272,6 +292,15 @@ class Result(Record, frozen=True, kw_only=True):
     presolve: Annotated[str, says("What dropped out before solving, in words.")] | UnsetType = UNSET
     spent_eur: (
         Annotated[float, says("Units, and sites once, as the optimiser counts them, in EUR.")]
+        | UnsetType
+    ) = UNSET
+    assumed_prices: (
+        Annotated[
+            tuple[str, ...],
+            says(
+                "What is assumed of sites without a price, in sentences; only where money counts."
+            ),
+        ]
         | UnsetType
     ) = UNSET
     stages: (
@@ -351,6 +380,16 @@ class Result(Record, frozen=True, kw_only=True):
             says(
                 "What one more unit would gain on the detection table, chosen greedily, budgets "
                 "aside; missing where none fits."
+            ),
+        ]
+        | UnsetType
+    ) = UNSET
+    other_sensors: (
+        Annotated[
+            tuple[ExchangeRecord, ...],
+            says(
+                "Other models at the same mounts, on the detection table, the one that gains most "
+                "first; missing where no unit can be exchanged."
             ),
         ]
         | UnsetType
@@ -469,6 +508,15 @@ def build_placement_result(
     certificate, problem = placement.certificate, placement.problem
     rule = problem.rule
     value = placement_value(problem, placement.pose_index)
+    limits = problem.limits
+    units_fail, sites_fail = (
+        optimiser.apr_one_failed(
+            dataclasses.replace(problem, limits=dataclasses.replace(limits, failing=what)),
+            placement.pose_index,
+        )
+        for what in get_args(Failing)
+    )
+    n_sites = len(np.unique(limits.site_index[list(placement.pose_index)]))
     apr_stage = next((stage for stage in certificate.stages if stage.name == "apr"), None)
     return replace(
         build_layout_result(setting, found),
@@ -478,7 +526,11 @@ def build_placement_result(
         apr=_without_rounding(value.apr),
         bound=None if apr_stage is None else _without_rounding(apr_stage.bound),
         gap=None if apr_stage is None else apr_stage.gap,
-        apr_without_worst_unit=_without_rounding(value.apr_one_failed),
+        apr_without_worst_unit=_without_rounding(units_fail),
+        apr_without_worst_site=(
+            _without_rounding(sites_fail) if n_sites < len(placement.pose_index) else UNSET
+        ),
+        failing="site" if limits.failing == "site" else UNSET,
         goal=problem.goal,
         candidates=problem.table.n_poses,
         presolve=str(placement.presolve),

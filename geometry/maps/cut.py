@@ -1,6 +1,6 @@
 """Cut the surroundings of one junction out of maps, and build a scene from them."""
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -8,7 +8,15 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
-from ..junction import LeadingRoad, distance_to_outline_m
+from ..junction import (
+    ASSUMED,
+    CONNECTING,
+    LeadingRoad,
+    build_junction,
+    curve_between,
+    distance_to_outline_m,
+    lane_line,
+)
 from ..scene import Instance, Lane, Scene, Site
 from ..terrain import GROUND, Terrain, on_ground
 from .georeferences import LocalFrame, frame_at
@@ -21,6 +29,9 @@ LANES_BEYOND_M = 70.0  # cars come from farther away than anything that could hi
 _SAME_LEVEL_M = 3.0
 _AT_OUTLINE_M = 2.0  # other roads that end here would look like an arm
 _CROSSWALK_WITHIN_M = 25.0
+_ASSUMED_M = 60.0  # straight on beyond the map
+_MOUTH_M = 4.0  # of a lane next to a junction, whose direction counts there
+_STRAIGHT_ON_DEG = 25.0  # between the way through a junction and the lanes at its ends
 _DIGITS_M = 0.002
 _LOWEST_M = 0.2  # lower things hide nobody
 _KEPT = ("driving", "parking", "cycling")
@@ -40,6 +51,7 @@ class Surroundings:
     skipped: tuple[Skipped, ...]
     roads: tuple[LeadingRoad, ...] = ()  # that lead to the junction
     terrain: Terrain | None = None  # the ground, 0 in the junction's middle; None: a plane
+    zero_height_m: float | None = None  # of the middle, as the map counts heights
 
 
 def cut_out(
@@ -103,9 +115,13 @@ def cut_out(
                 if np.hypot(*foot[:2]) <= radius_m:
                     pole_id = _unique(pole.id, source, taken)
                     poles.append(replace(pole, id=pole_id, position_m=np.append(foot[:2], 0.0)))
+    lanes, through = _lanes(roads, junction, frame, outline, half_m)
+    if through:
+        why = "lanes are led straight on through them on smooth curves: assumed"
+        skipped.append(Skipped(what="other junctions around it", why=why))
     return Surroundings(
         frame=frame,
-        lanes=tuple(_lanes(roads, junction, frame, outline, half_m)),
+        lanes=(*lanes, *through),
         outline_m=outline,
         crosswalks_m=_crosswalks(maps, frame, outline),
         things=tuple(things),
@@ -114,6 +130,7 @@ def cut_out(
         skipped=tuple(skipped),
         roads=tuple(_taken(road, frame, roads) for road in junction.roads),
         terrain=relief.terrain,
+        zero_height_m=None if relief.terrain is None else round(relief.zero_m, 3),
     )
 
 
@@ -150,7 +167,7 @@ def build_scene(
         bodies.append((pole.id, class_name, (body + [0.0, 0.0, foot[2]], body_faces)))
     vertices, triangles = join([mesh for _, _, mesh in bodies])
     n_triangles = [len(faces) for _, _, (_, faces) in bodies]
-    return Scene(
+    scene = Scene(
         name=name,
         vertices_m=vertices,
         triangles=triangles,
@@ -166,7 +183,27 @@ def build_scene(
         keeps_left=surroundings.keeps_left,
         source_crs=source_crs,
         source_origin_m=surroundings.frame.origin_m,
+        zero_height_m=surroundings.zero_height_m,
     )
+    return replace(scene, lanes=(*scene.lanes, *_lead_on(scene, reach_m=half)))
+
+
+def _lead_on(scene: Scene, *, reach_m: float) -> Iterator[Lane]:
+    """Lanes straight on to the begins of entry lanes where the map has nothing that leads there."""
+    for arm in build_junction(scene).arms.values():
+        for lane in arm.entry_lanes:
+            begin = lane.centreline_m[0]
+            if np.hypot(*begin) < reach_m - 1.0:  # else the map goes on
+                ahead = lane_line(lane, is_in=False, length_m=_MOUTH_M)[0].direction
+                chain = _reaching(
+                    np.array([begin, begin - _ASSUMED_M * ahead]), reach_m, from_end=False
+                )
+                yield Lane(
+                    id=f"{lane.id} beyond the map",
+                    kind=ASSUMED,
+                    width_m=lane.width_m,
+                    centreline_m=chain[::-1],
+                )
 
 
 def _lanes(
@@ -175,24 +212,71 @@ def _lanes(
     frame: LocalFrame,
     outline_m: FloatArray,
     reach_m: float,
-) -> Iterator[Lane]:
+) -> tuple[list[Lane], list[Lane]]:
+    """Lanes around a junction, and those through the other junctions around it."""
+    found: list[Lane] = []
+    ends: dict[str, list[Lane]] = defaultdict(list)  # by the junction into which they lead
+    begins: dict[str, list[Lane]] = defaultdict(list)
     for lane in roads.lanes:
         if lane.kind not in _KEPT:
             continue
         height = lane.centreline_m[:, 2]
-        points = frame.take(lane.centreline_m[:, :2], roads)
+        whole = frame.take(lane.centreline_m[:, :2], roads)
         ends_here, begins_here = (
             junction.id == name for name in (lane.to_junction, lane.from_junction)
         )
         if ends_here or begins_here:
-            points = _reaching(points, reach_m, from_end=ends_here)
+            points = _reaching(whole, reach_m, from_end=ends_here)
         else:
-            if _is_elsewhere(points, height - junction.height_m, outline_m, reach_m):
+            if _is_elsewhere(whole, height - junction.height_m, outline_m, reach_m):
                 continue
-            points = _longest_within(points, reach_m)
+            points = _longest_within(whole, reach_m)
         points = _apart(points)
-        if len(points) >= 2:
-            yield Lane(id=lane.id, kind=lane.kind, width_m=lane.width_m, centreline_m=points)
+        if len(points) < 2:
+            continue
+        found.append(Lane(id=lane.id, kind=lane.kind, width_m=lane.width_m, centreline_m=points))
+        if lane.kind == "driving":
+            for others, at, name in ((ends, -1, lane.to_junction), (begins, 0, lane.from_junction)):
+                if name not in ("", junction.id) and (points[at] == whole[at]).all():
+                    others[name].append(found[-1])
+    return found, [
+        lane
+        for name in ends.keys() & begins.keys()
+        for lane in _straight_on(ends[name], begins[name])
+    ]
+
+
+def _straight_on(ends: Sequence[Lane], begins: Sequence[Lane]) -> Iterator[Lane]:
+    """Lanes through a junction, from each one that leads into it and to each one out of it.
+
+    They lead as straight on as there is a lane; lanes that only turn there have none.
+    """
+    bends: dict[tuple[int, int], float] = {}
+    mouths = [
+        [lane_line(lane, is_in=is_in, length_m=_MOUTH_M)[0] for lane in lanes]
+        for is_in, lanes in ((True, ends), (False, begins))
+    ]
+    for one, before in enumerate(mouths[0]):
+        for other, after in enumerate(mouths[1]):
+            way = after.point_m - before.point_m
+            ahead = way / max(float(np.hypot(*way)), 1e-9)
+            bend_deg = np.degrees(
+                np.arccos(np.clip([before.direction @ ahead, after.direction @ ahead], -1.0, 1.0))
+            )
+            if bend_deg.max() <= _STRAIGHT_ON_DEG:
+                bends[one, other] = float(bend_deg.sum())
+    wanted = {
+        min((pair for pair in bends if pair[side] == index), key=bends.__getitem__)
+        for side in (0, 1)
+        for index in {pair[side] for pair in bends}
+    }
+    for one, other in sorted(wanted):
+        yield Lane(
+            id=f"{ends[one].id} to {begins[other].id}",
+            kind=CONNECTING,
+            width_m=min(ends[one].width_m, begins[other].width_m),
+            centreline_m=curve_between(mouths[0][one], mouths[1][other]),
+        )
 
 
 def _apart(points_m: FloatArray) -> FloatArray:

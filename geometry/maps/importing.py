@@ -13,6 +13,7 @@ from ..errors import InputError, Unquoted
 from ..files import check_file
 from ..junction import LeadingRoad
 from ..scene import Scene
+from ..scene_checks import arms_that_end
 from ..untrusted_files import local_name, read_xml_root, unpacked
 from .cut import LANES_BEYOND_M, build_scene, cut_out
 from .junctions import Surveyed, choose_junction, survey_junctions
@@ -362,6 +363,7 @@ def import_scene(paths: Sequence[Path], options: ImportOptions) -> ImportedScene
         radius_m=options.radius_m,
     )
     skipped = [(skip.what, skip.why) for skip in (*surroundings.skipped, *settled, *told)]
+    skipped += [(f"arm {name}", why) for name, why in arms_that_end(scene)]
     if len(junctions) > 1 and not options.junction and options.at is None:
         skipped.append(
             (

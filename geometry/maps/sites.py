@@ -313,6 +313,7 @@ def _kerbs(surroundings: Surroundings, spacing_m: float, radius_m: float) -> tup
             centreline_m=np.column_stack([lane.centreline_m, np.zeros(len(lane.centreline_m))]),
         )
         for lane in surroundings.lanes
+        if lane.kind in _KINDS
     ]
     wishes = kerb_sites(lanes, surroundings.outline_m, spacing_m)
     near = [wish for wish in wishes if np.hypot(*wish.position_m) <= radius_m]

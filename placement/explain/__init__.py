@@ -1,15 +1,17 @@
 """Explanations of a layout: what its units contribute, what it misses, what else would do.
 
-``contributions`` takes one or two units away, ``next_unit`` adds one; ``unavoided`` says why runs
-are not avoided, ``agreement`` where detection table and evaluator differ, ``sensitivity`` what
-wrong assumptions and mounting errors do. ``pool`` lists other sets that are as good; ``conflicts``
-finds the smallest set of ``demands`` that no layout meets, with the search of ``feasible_sets``.
+``contributions`` takes one or two units away, ``next_unit`` adds one, ``other_sensors`` exchanges
+them; ``unavoided`` says why runs are not avoided, ``agreement`` where detection table and evaluator
+differ, ``sensitivity`` what wrong assumptions and mounting errors do. ``pool`` lists other sets
+that are as good; ``conflicts`` finds the smallest set of ``demands`` that no layout meets, with the
+search of ``feasible_sets``.
 """
 
 from .conflicts import Conflict, build_separation, find_conflicts, find_refusal
 from .contributions import Contribution, find_contributions
 from .demands import Demand, Relaxation, Separation, relax
 from .next_unit import NextUnit, find_next_unit
+from .other_sensors import OtherSensor, OtherSensors, find_other_sensors
 from .pool import Pool, PooledSet, find_pool
 from .unavoided import Reason, Rescue, Unavoided, find_unavoided
 
@@ -18,6 +20,8 @@ __all__ = [
     "Contribution",
     "Demand",
     "NextUnit",
+    "OtherSensor",
+    "OtherSensors",
     "Pool",
     "PooledSet",
     "Reason",
@@ -29,6 +33,7 @@ __all__ = [
     "find_conflicts",
     "find_contributions",
     "find_next_unit",
+    "find_other_sensors",
     "find_pool",
     "find_refusal",
     "find_unavoided",

@@ -252,7 +252,7 @@ class _Words:
             "capacity": self.wishes.site_capacity,
             "separation": self.wishes.separation_m,
         }[kind]
-        return f"{_OPTIONS[kind]} {number:g}"
+        return f"{_OPTIONS[kind]} {number:g}{self._failing if kind == 'survive' else ''}"
 
     def _way_out(self, relaxation: Relaxation) -> str:
         demand, value = relaxation.demand, relaxation.value
@@ -275,10 +275,16 @@ class _Words:
         elif demand.kind == "separation":
             text = f"--separation {np.floor(value * 100.0) / 100.0:g}"
         else:
-            text = f"{_OPTIONS[demand.kind]} {value:g}"
+            failing = self._failing if demand.kind == "survive" else ""
+            text = f"{_OPTIONS[demand.kind]} {value:g}{failing}"
         if not relaxation.suffices:
             text += " (not enough by itself)"
         return text if relaxation.is_least else f"{text} (perhaps less will do)"
+
+    @property
+    def _failing(self) -> str:
+        """What stands behind the number of failures."""
+        return " sites" if self.problem.limits.failing == "site" else ""
 
     @property
     def _n_kept(self) -> int:

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -22,6 +21,7 @@ from ..optimiser.bitsets import (
     union_margins_s,
 )
 from ..optimiser.enumeration import best_of_few
+from ..optimiser.failures import least_left_with_each
 from ..optimiser.greedy import forced_units, improve, to_full
 from ..optimiser.limits import fitting
 from ..optimiser.objectives import COST_TOLERANCE_EUR, TOLERANCE, Objective
@@ -62,18 +62,20 @@ class QuickRows:
 
     def _left(self, measure: Measure, n_failures: int, units: IntArray) -> FloatArray:
         """Ratio that each set still reaches when its most needed units fail, (n_poses,)."""
-        if n_failures > len(units):
-            return np.zeros(self.reduced.n_poses)
-        smallest = np.full(self.reduced.n_poses, np.inf)
-        for failed in combinations(range(len(units)), n_failures):
-            left = self._ratio(measure, np.delete(units, failed))
-            smallest = np.minimum(smallest, left)
-        if n_failures:  # the pose that has joined may be among those that fail
-            for failed in combinations(range(len(units)), n_failures - 1):
-                *others, last = np.delete(units, failed).tolist()
-                alone = self._ratio(measure, np.array(others, dtype=np.int64))[last]
-                smallest = np.minimum(smallest, alone)
-        return smallest
+
+        def alone(left: IntArray) -> float:
+            if not len(left):
+                return 0.0
+            return float(self._ratio(measure, left[:-1])[left[-1]])
+
+        return least_left_with_each(
+            self.reduced.limits,
+            units,
+            n_failures,
+            poses=np.arange(self.reduced.n_poses),
+            with_each=lambda left: self._ratio(measure, left),
+            alone=alone,
+        )
 
     def _ratio(self, measure: Measure, units: IntArray) -> FloatArray:
         """Ratio of avoided runs of a set together with each pose, (n_poses,)."""

@@ -6,6 +6,7 @@ length, half width.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache, lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -218,6 +219,27 @@ def build_ground_map(
     `things` stand still and take light from the sky; `marks` is ``[markings]`` of
     ``data/materials.toml``.
     """
+    origin_m, layers = _road_and_paint(scene, tuple(marks.items()))
+    ground = GroundMap(
+        origin_m=origin_m,
+        layers=layers.copy(),
+        grain=_noise(0.0, sigma=1),
+        patches=_noise(1.1, sigma=0),
+    )
+    for thing in things:
+        if thing.class_name in _SHADERS:
+            rectangle = thing_rectangle(thing)
+            window, points = _window(origin_m, ground.layers, _corners(rectangle), _SHADE_REACH_M)
+            distance = rectangle_distance(points, rectangle)
+            ground.layers[*window, SKY] *= sky_left(distance, thing)
+    return ground
+
+
+@lru_cache(maxsize=1)  # pictures of a scene differ in what stands there
+def _road_and_paint(
+    scene: Scene, marks: tuple[tuple[str, float], ...]
+) -> tuple[FloatArray, FloatRays]:
+    """Origin and layers of a map on which nothing stands yet: not to be changed."""
     corners = np.concatenate([scene.outline_m, *(lane.centreline_m for lane in scene.lanes)])
     if not len(corners):
         corners = np.zeros((1, 2))
@@ -225,26 +247,24 @@ def build_ground_map(
     n_east, n_north = (np.ceil((high - low) / _STEP_M).astype(int) + 2).tolist()
     layers = np.empty((n_north, n_east, 3), dtype=np.float32)
     layers[...] = [_ROAD_REACH_M, _PAINT_REACH_M, 1.0]
-    ground = GroundMap(
-        origin_m=low, layers=layers, grain=_noise(0.0, sigma=1), patches=_noise(1.1, sigma=0)
-    )
+
+    def keep_least(layer: int, rectangle: FloatArray, reach_m: float) -> None:
+        window, points = _window(low, layers, _corners(rectangle), reach_m)
+        kept = layers[*window, layer]
+        kept[...] = np.minimum(kept, rectangle_distance(points, rectangle))
+
     for rectangle in build_road(scene):
-        _keep_least(ground, ROAD, rectangle, _ROAD_REACH_M)
+        keep_least(ROAD, rectangle, _ROAD_REACH_M)
     if len(scene.outline_m):
-        window, points = _window(ground, scene.outline_m, _ROAD_REACH_M)
+        window, points = _window(low, layers, scene.outline_m, _ROAD_REACH_M)
         kept = layers[*window, ROAD]
         kept[...] = np.minimum(kept, polygon_distance(points, scene.outline_m))
-    for rectangle in build_markings(scene, marks):
-        _keep_least(ground, PAINT, rectangle, _PAINT_REACH_M)
+    for rectangle in build_markings(scene, dict(marks)):
+        keep_least(PAINT, rectangle, _PAINT_REACH_M)
     # Paint is on the road only.
     layers[..., PAINT] = np.maximum(layers[..., PAINT], layers[..., ROAD])
-    for thing in things:
-        if thing.class_name in _SHADERS:
-            rectangle = thing_rectangle(thing)
-            window, points = _window(ground, _corners(rectangle), _SHADE_REACH_M)
-            distance = rectangle_distance(points, rectangle)
-            layers[*window, SKY] *= sky_left(distance, thing)
-    return ground
+    layers.setflags(write=False)
+    return low, layers
 
 
 def thing_rectangle(thing: Thing) -> FloatArray:
@@ -309,6 +329,7 @@ def soft_noise_at(
     return below
 
 
+@cache
 def _noise(exponent: float, *, sigma: int) -> FloatRays:
     """Periodic noise whose amplitude falls with frequency, made by filtering white noise."""
     white = np.random.default_rng([_NOISE_SEED, sigma]).standard_normal((_NOISE_SIZE, _NOISE_SIZE))
@@ -319,13 +340,8 @@ def _noise(exponent: float, *, sigma: int) -> FloatRays:
     amplitude[0, 0] = 0.0
     field = np.fft.irfft2(np.fft.rfft2(white) * amplitude, s=white.shape)
     scaled: FloatRays = (field / field.std()).astype(np.float32).ravel()
+    scaled.setflags(write=False)
     return scaled
-
-
-def _keep_least(ground: GroundMap, layer: int, rectangle: FloatArray, reach_m: float) -> None:
-    window, points = _window(ground, _corners(rectangle), reach_m)
-    kept = ground.layers[*window, layer]
-    kept[...] = np.minimum(kept, rectangle_distance(points, rectangle))
 
 
 def _corners(rectangle: FloatArray) -> FloatArray:
@@ -338,16 +354,16 @@ def _corners(rectangle: FloatArray) -> FloatArray:
 
 
 def _window(
-    ground: GroundMap, corners_m: FloatArray, reach_m: float
+    origin_m: FloatArray, layers: FloatRays, corners_m: FloatArray, reach_m: float
 ) -> tuple[tuple[slice, slice], FloatArray]:
     """Part of a map around corners, and the middles of its texels, (.., .., 2)."""
-    low = np.floor((corners_m.min(axis=0) - reach_m - ground.origin_m) / _STEP_M).astype(int)
-    high = np.ceil((corners_m.max(axis=0) + reach_m - ground.origin_m) / _STEP_M).astype(int)
-    n_north, n_east = ground.layers.shape[:2]
+    low = np.floor((corners_m.min(axis=0) - reach_m - origin_m) / _STEP_M).astype(int)
+    high = np.ceil((corners_m.max(axis=0) + reach_m - origin_m) / _STEP_M).astype(int)
+    n_north, n_east = layers.shape[:2]
     columns = slice(max(0, low[0]), max(0, min(n_east, high[0] + 1)))
     rows = slice(max(0, low[1]), max(0, min(n_north, high[1] + 1)))
-    east = ground.origin_m[0] + _STEP_M * np.arange(columns.start, max(columns.start, columns.stop))
-    north = ground.origin_m[1] + _STEP_M * np.arange(rows.start, max(rows.start, rows.stop))
+    east = origin_m[0] + _STEP_M * np.arange(columns.start, max(columns.start, columns.stop))
+    north = origin_m[1] + _STEP_M * np.arange(rows.start, max(rows.start, rows.stop))
     return (rows, columns), np.stack(np.meshgrid(east, north), axis=-1)
 
 

@@ -3,12 +3,12 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import combinations
 
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
+from .failures import least_left, least_left_with_each
 from .limits import cost_eur, costs_eur
 from .objectives import TOLERANCE, Objective
 from .presolve import ReducedProblem, WordArray, pack_words, unpack_words
@@ -138,15 +138,11 @@ def left_after_failures(
     reduced: ReducedProblem, measure: Measure, n_failures: int, sets: IntArray
 ) -> FloatArray:
     """What sets of poses still reach when the worst of their units fail, (n_sets,)."""
-    n_units = sets.shape[1]
-    if n_failures > n_units:
-        return np.zeros(len(sets))
-    smallest = np.full(len(sets), np.inf)
-    for failed in combinations(range(n_units), n_failures):
-        unions = unions_of(reduced, np.delete(sets, failed, axis=1))
-        left = measure.of(union_margins_s(reduced, unions) > -np.inf)
-        smallest = np.minimum(smallest, left)
-    return smallest
+
+    def value(left: IntArray) -> FloatArray:
+        return measure.of(union_margins_s(reduced, unions_of(reduced, left)) > -np.inf)
+
+    return least_left(reduced.limits, sets, n_failures, value)
 
 
 def keep_apr(
@@ -326,18 +322,19 @@ def _left_with_each(
     reduced: ReducedProblem, measure: Measure, n_failures: int, units: IntArray
 ) -> FloatArray:
     """What a set with each pose in turn still reaches when its worst units fail, (n_poses,)."""
-    if n_failures > len(units):  # nothing is left then
-        return np.zeros(reduced.n_poses)
-    smallest = np.full(reduced.n_poses, np.inf)
-    for failed in combinations(range(len(units)), n_failures):
-        left = measure.of(avoided_with_each(reduced, np.delete(units, failed)))
-        smallest = np.minimum(smallest, left)
-    if n_failures:
-        for failed in combinations(range(len(units)), n_failures - 1):
-            union = unions_of(reduced, np.delete(units, failed)[None, :])
-            is_avoided = union_margins_s(reduced, union)[0] > -np.inf
-            smallest = np.minimum(smallest, measure.of(is_avoided))
-    return smallest
+
+    def alone(left: IntArray) -> float:
+        margin_s = union_margins_s(reduced, unions_of(reduced, left[None, :]))
+        return float(measure.of(margin_s > -np.inf)[0])
+
+    return least_left_with_each(
+        reduced.limits,
+        units,
+        n_failures,
+        poses=np.arange(reduced.n_poses),
+        with_each=lambda left: measure.of(avoided_with_each(reduced, left)),
+        alone=alone,
+    )
 
 
 def _margins_with_each(reduced: ReducedProblem, units: IntArray) -> FloatArray:

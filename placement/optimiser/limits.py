@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -10,6 +10,9 @@ from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
 
 from .objectives import COST_TOLERANCE_EUR
+
+Failing = Literal["unit", "site"]
+"""What fails at once: a unit, or a site (a pole) with everything that it carries."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -37,6 +40,9 @@ class Limits:
     rivals : (n_pairs, 2) int
         Pairs of sites that must not both carry units, such as those too near to each other; by
         default none.
+    failing : {"unit", "site"}
+        What fails at once, wherever failures are asked about: a unit, or a site with everything
+        that it carries.
     """
 
     site_index: IntArray
@@ -49,6 +55,7 @@ class Limits:
     is_forbidden: BoolArray = None  # type: ignore[assignment]
     is_forced_site: BoolArray = None  # type: ignore[assignment]
     rivals: IntArray = None  # type: ignore[assignment]
+    failing: Failing = "unit"
 
     def __post_init__(self) -> None:
         for field in ("site_index", "site_capacity"):
@@ -80,6 +87,8 @@ class Limits:
         ):
             raise InputError("rivals", rivals.tolist(), f"pairs of two sites, 0..{n_sites - 1}")
         object.__setattr__(self, "rivals", freeze(rivals))
+        if self.failing not in get_args(Failing):
+            raise InputError("failing", self.failing, "one of " + ", ".join(get_args(Failing)))
         self._check_budgets()
 
     def _fill(self, field: str, size: int, kind: Any) -> None:
@@ -147,6 +156,7 @@ class Limits:
             is_forbidden=self.is_forbidden[poses],
             is_forced_site=self.is_forced_site,
             rivals=self.rivals,
+            failing=self.failing,
         )
 
     def __repr__(self) -> str:

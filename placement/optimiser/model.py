@@ -121,10 +121,10 @@ _OBJECTIVE_SUM = 1.0e4  # HiGHS's tolerances are absolute, 1e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Cut:
-    """At least so many of some poses must be chosen."""
+    """At least so many of some poses must be chosen, or poses at so many sites."""
 
     is_counted: BoolArray  # (n_poses,): which poses count
-    n_units: int  # how many of them are needed
+    n_units: int  # how many of them, or of their sites where sites fail, are needed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -282,10 +282,29 @@ def _tail_share(
     return share, [d >= eta - by_sample @ a]
 
 
-def cut_constraint(x: cp.Variable, cuts: Sequence[Cut]) -> cp.Constraint:
-    """Cuts: sum of the x that count >= units needed."""
-    counted = sp.csr_array(np.array([cut.is_counted for cut in cuts], dtype=np.float64))
-    return counted @ x >= np.array([cut.n_units for cut in cuts])
+def cut_constraints(x: cp.Variable, cuts: Sequence[Cut], limits: Limits) -> list[cp.Constraint]:
+    """Cuts: sum of the x that count >= units needed.
+
+    Where sites fail, sites count: sum over them of v_s >= sites needed, with v_s <= 1 and
+    v_s <= sum of the x at the site that count.
+    """
+    needed = np.array([cut.n_units for cut in cuts])
+    is_counted = np.array([cut.is_counted for cut in cuts])
+    if limits.failing == "unit":
+        return [sp.csr_array(is_counted.astype(np.float64)) @ x >= needed]
+    import cvxpy as cp
+
+    row, pose = np.nonzero(is_counted)
+    place, index = np.unique(
+        row * limits.n_sites + limits.site_index[pose], return_inverse=True
+    )  # of each cut, the sites that count
+    v = cp.Variable(len(place), bounds=[0.0, 1.0])
+    at_site = sp.csr_array((np.ones(len(row)), (index, pose)), shape=(len(place), x.size))
+    by_cut = sp.csr_array(
+        (np.ones(len(place)), (place // limits.n_sites, np.arange(len(place)))),
+        shape=(len(cuts), len(place)),
+    )
+    return [v <= at_site @ x, by_cut @ v >= needed]
 
 
 def last_links(reduced: ReducedProblem, *, min_margin_s: float = -np.inf) -> IntArray:
@@ -372,7 +391,7 @@ def solve_window_model(
             unit = max(float(weights.sum()), TOLERANCE) / _OBJECTIVE_SUM
             goal = (weights / unit) @ a
     if cuts:
-        constraints.append(cut_constraint(x, cuts))
+        constraints += cut_constraints(x, cuts, limits)
     problem = cp.Problem(cp.Maximize(goal), constraints)
     sign = -1.0 if objective is not None and objective.is_minimised else 1.0
     spent_s = time.monotonic() - begun_s

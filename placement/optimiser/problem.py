@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import chain, combinations
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
@@ -322,12 +322,16 @@ def apr_failed(problem: PlacementProblem, pose_index: Sequence[int], n_failures:
 def _left_after_failures(
     problem: PlacementProblem, measure: Measure, pose_index: Sequence[int], n_failures: int
 ) -> float:
-    n_left = len(pose_index) - n_failures
-    if n_left < 0:
+    if n_failures > len(pose_index):
         return 0.0
+    site_of = problem.limits.site_index
+    at_once: dict[int, list[int]] = {}
+    for pose in pose_index:
+        key = pose if problem.limits.failing == "unit" else int(site_of[pose])
+        at_once.setdefault(key, []).append(pose)
     return min(
-        float(measure.of(run_margins_s(problem, left) > -np.inf))
-        for left in combinations(pose_index, n_left)
+        float(measure.of(run_margins_s(problem, list(chain.from_iterable(left))) > -np.inf))
+        for left in combinations(at_once.values(), max(len(at_once) - n_failures, 0))
     )
 
 

@@ -1,14 +1,22 @@
-"""Machine code for the root of the tree: detections laid out by chains, what windows are asked for.
+"""Machine code of the covering problem: what windows are asked for, and prices on its rows.
 
 Everything here works on plain arrays; :mod:`placement.optimiser.set_tree` says what they hold.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geometry.arrays import FloatArray, IntArray
 from geometry.kernels import kernel
 
 from .presolve import WordArray
+
+Float32Array = NDArray[np.float32]
+
+_DEFLECTION = 0.7
+_CUT = 0.6
+_MEMORY = 0.97  # of the shares
+_PATIENCE = 6
 
 
 @kernel
@@ -95,3 +103,116 @@ def ask_for_tails(
             for link in range(fewer, n_links):
                 seen[begin + link] = seen_of_tail[least]
                 asked_place[begin + link] = begin + least - first
+
+
+@kernel
+def price_poses(cover: Float32Array, price: FloatArray, gain: FloatArray) -> None:
+    """Prices of the rows that each pose covers, summed."""
+    n = len(gain)
+    gain[:] = 0.0
+    for row in range(len(price)):
+        if price[row] > 0.0:
+            of_row = cover[row]
+            amount = price[row]
+            for place in range(n):
+                gain[place] += amount * of_row[place]
+
+
+@kernel
+def pick_best(
+    gain: FloatArray, site: IntArray, room: IntArray, n_units: int, picked: IntArray
+) -> tuple[float, int]:
+    """Poses that gain most and have room at their sites: their sum and number."""
+    total, n_picked = 0.0, 0
+    for _ in range(n_units):
+        best, most = -1, 0.0
+        for place in range(len(gain)):
+            if gain[place] > most:
+                here = site[place]
+                left = room[here]
+                for earlier in range(n_picked):
+                    if picked[earlier] == place:
+                        left = 0
+                    elif site[picked[earlier]] == here:
+                        left -= 1
+                if left > 0:
+                    best, most = place, gain[place]
+        if best < 0:
+            break
+        picked[n_picked] = best
+        n_picked += 1
+        total += most
+    return total, n_picked
+
+
+@kernel
+def row_limit(reward: FloatArray, weight: float, n_units: int, price: float) -> tuple[float, int]:
+    """Most that a row is worth after paying for each unit that covers it; how many do."""
+    most, units = weight * reward[0], 0
+    for number in range(1, n_units + 1):
+        value = weight * reward[number] - number * price
+        if value > most:
+            most, units = value, number
+    return most, units
+
+
+@kernel
+def tighten_prices(
+    cover: Float32Array,
+    site: IntArray,
+    room: IntArray,
+    weight: FloatArray,
+    reward: FloatArray,
+    n_units: int,
+    price: FloatArray,
+    n_steps: int,
+    share: FloatArray,
+) -> float:
+    """Lower the bound of sets of so many units by subgradient steps on the prices of rows.
+
+    `cover`, (n_rows, n_poses), is 0 or 1. Returns the bound; `price` becomes what proves it, and
+    `share` how often each pose was picked of late.
+    """
+    n_rows = len(price)
+    best = np.inf
+    best_price = np.empty(n_rows)
+    slope, units = np.zeros(n_rows), np.zeros(n_rows, dtype=np.int64)
+    gain, picked = np.empty(len(share)), np.empty(max(n_units, 1), dtype=np.int64)
+    length, idle = 0.7, 0
+    for step in range(n_steps + 1):
+        total = 0.0
+        for row in range(n_rows):
+            most = weight[row] * (reward[1] - reward[0])
+            price[row] = min(max(price[row], 0.0), most)
+            value, units[row] = row_limit(reward, weight[row], n_units, price[row])
+            total += value
+        price_poses(cover, price, gain)
+        of_poses, n_picked = pick_best(gain, site, room, n_units, picked)
+        total += of_poses
+        share *= _MEMORY
+        for number in range(n_picked):
+            share[picked[number]] += 1.0 - _MEMORY
+        if total < best * (1.0 - 1.0e-12):
+            best, idle = total, 0
+            best_price[:] = price
+        else:
+            idle += 1
+        if step == n_steps:
+            break
+        if idle > _PATIENCE:
+            price[:] = best_price
+            slope[:] = 0.0
+            length, idle = length * _CUT, 0
+            continue
+        steepness = 0.0
+        for row in range(n_rows):
+            rise = -float(units[row])
+            for number in range(n_picked):
+                rise += cover[row, picked[number]]
+            slope[row] = rise + _DEFLECTION * slope[row]
+            steepness += slope[row] * slope[row]
+        if steepness < 1.0e-12:
+            break
+        price -= length * total / steepness * slope
+    price[:] = best_price
+    return best

@@ -25,7 +25,7 @@ Fails = Callable[[WordArray], BoolArray]
 
 
 def first_cuts(reduced: ReducedProblem, requirement: Requirement) -> list[Cut]:
-    """Cuts that hold from the start: enough units must see stabbing frames and tails of every run.
+    """Cuts that hold from the start: enough must see stabbing frames and tails of every run.
 
     Only where no run may be lost with any unit. Tails count that all windows of a run need.
     """
@@ -61,9 +61,12 @@ def violated_cuts(
     for requirement in requirements:
         fails = _fails_requirement(reduced, requirement)
         n_units = requirement.n_failures + 1
-        n_left = max(len(units) - requirement.n_failures, 0)
-        for left in combinations(units, n_left):
-            union = unions_of(reduced, np.array(left, dtype=np.int64)[None, :])[0]
+        is_unit = reduced.limits.failing == "unit"
+        at = np.arange(len(units)) if is_unit else reduced.limits.site_index[units]
+        groups = np.unique(at)
+        n_left = max(len(groups) - requirement.n_failures, 0)
+        for left in combinations(groups.tolist(), n_left):
+            union = unions_of(reduced, units[np.isin(at, left)][None, :])[0]
             if not fails(union[None, :])[0]:
                 continue
             if requirement.needs_all:

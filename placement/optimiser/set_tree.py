@@ -1,27 +1,19 @@
-"""All sets of so many poses that reach a share of the runs: branch and bound, prices on runs.
+"""Detections laid out by chains, and prices on runs that bound all sets of so many units.
 
 A set avoids a run only if one of its poses sees a certain frame of one of the run's windows, or a
 certain tail of it; any frame or tail of each window may be asked for, so that every choice makes
 the problem a maximal covering problem that promises no less (see
 :mod:`placement.optimiser.window_cover`). There a pose *covers* a run, and prices on runs bound all
-sets that contain certain poses:
+sets:
 
-    sum over runs of max over m of (weight G(n + m) - m price) + the best poses' sums of prices,
+    sum over runs of max over n of (weight G(n) - n price) + the best poses' sums of prices,
 
-where n of the poses that are certain cover the run, m more do, and G(n) is what n covering poses
-are worth. With G(n) = 1 from n = 1 on that is the share of runs avoided (the Lagrangian dual of
-Cornuejols, Fisher, Nemhauser 1977). What is left when N of K units fail is no more than what is
-left on average, and of the ways to fail the share C(K - n, N - n) / C(K, N) takes all n poses that
-cover a run: G is concave again, so that the same prices bound it. It is also no more than what is
-left without a certain unit. A node is given up when any of these bounds is below its need. Where
-the best poses in parts cover nearly all, prices cannot tell: the node then asks which pose covers
-the run that fewest poses cover, and at last what is left without it.
-
-Sets that remain are valued on the windows themselves. A walk that ends has met every set.
+where G(n) is what n covering poses are worth. With G(n) = 1 from n = 1 on that is the share of runs
+avoided (the Lagrangian dual of Cornuejols, Fisher, Nemhauser 1977). What is left when N of K units
+fail is no more than what is left on average, and of the ways to fail the share C(K - n, N - n) /
+C(K, N) takes all n poses that cover a run: G is concave again, so that the same prices bound it.
 """
 
-from collections.abc import Iterator
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from functools import partial
 from math import comb
@@ -41,7 +33,7 @@ from .presolve import (
     pack_words,
     unpack_words,
 )
-from .threads import WORKERS, share_out
+from .threads import share_out
 
 if TYPE_CHECKING:
     from .chain_kernels import Layout
@@ -51,11 +43,6 @@ _ROOT_STEPS = 250
 _LATER_STEPS = 120  # in rounds that begin with good prices
 _SMALL_SHARE = 1.0e-3
 _SHARE_DIGITS = 3
-_SLACK = 1.0e-9  # relative, of needs: rounding of sums
-_OUT_SETS = 1 << 16
-_WORK = 30_000  # candidates looked at between two looks at the clock
-_PARTS = 256  # of the candidates of the root
-_STEPS = (60, 30, 10, 6)  # of subgradient in nodes of depth 0, 1, ..
 _PRICES_OF_APR = (0.0, 0.3, 1.0, 3.0)
 
 
@@ -227,7 +214,7 @@ def find_root(
             row_weight,
             row_price,
             limits,
-            _rewards(n_units, 0)[0],
+            _reward(n_units, 0),
             n_units,
             n_steps=_LATER_STEPS if number else _ROOT_STEPS,
         )
@@ -309,48 +296,24 @@ def _tighten(
     reward: FloatArray,
     n_units: int,
     *,
-    need: float = 0.0,
     n_steps: int = _ROOT_STEPS,
 ) -> Root:
     """Better prices for all sets of so many units, by the reward of being covered so often."""
-    from .tree_kernels import fill_cover, tighten_node
+    from .root_kernels import tighten_prices
 
-    n_poses, n_rows = len(covers), len(weight)
-    candidate = np.arange(n_poses)
-    cover = np.empty((n_rows, n_poses), dtype=np.float32)
-    fill_cover(covers, candidate, n_poses, cover)
-    price, gain, share = price.copy(), np.empty(n_poses), np.zeros(n_poses)
-    limit, _ = tighten_node(
-        cover,
-        n_poses,
-        candidate,
-        limits.site_index,
-        limits.site_capacity,
-        weight,
-        reward,
-        np.zeros(n_rows, dtype=np.uint8),
-        n_units,
-        price,
-        need,
-        n_steps,
-        gain,
-        share,
+    cover = np.ascontiguousarray(unpack_words(covers, len(weight)).T, dtype=np.float32)
+    price, share = price.copy(), np.zeros(len(covers))
+    limit = tighten_prices(
+        *(cover, limits.site_index, limits.site_capacity, weight, reward),
+        *(n_units, price, n_steps, share),
     )
     share *= n_units / max(float(share.sum()), 1.0e-300)
     return Root(covers=covers, weight=weight, price=price, limit=limit, share=share)
 
 
-def _rewards(n_units: int, n_failures: int) -> FloatArray:
-    """What a row is worth by the number of units that cover it, (3, n_units + 2).
-
-    For a whole set, on average when units fail, and when one certain unit and others fail.
-    """
-    rewards = np.zeros((3, n_units + 2))
-    rewards[0, 1:] = 1.0
-    rewards[1] = [_share_left(n, n_units, n_failures) for n in range(n_units + 2)]
-    fewer = max(n_failures - 1, 0)
-    rewards[2] = [_share_left(n, n_units - 1, fewer) for n in range(n_units + 2)]
-    return rewards
+def _reward(n_units: int, n_failures: int) -> FloatArray:
+    """What a row is worth on average by the number of units that cover it, (n_units + 2,)."""
+    return np.array([_share_left(n, n_units, n_failures) for n in range(n_units + 2)])
 
 
 def _share_left(n_covering: int, n_units: int, n_failures: int) -> float:
@@ -363,168 +326,19 @@ def _share_left(n_covering: int, n_units: int, n_failures: int) -> float:
     return 1.0 - n_lost / comb(n_units, n_failures)
 
 
-# ---------- the walk
+def failure_limit(root: Root, limits: Limits, n_units: int, n_failures: int, least: float) -> float:
+    """No set of so many units that is worth `least` keeps more when units fail."""
+    if not n_failures:
+        return root.limit
+    limit = np.inf
+    for amount in _PRICES_OF_APR:
+        reward = _reward(n_units, n_failures) + amount * _reward(n_units, 0)
+        trial = _tighten(root.covers, root.weight, root.price, limits, reward, n_units)
+        limit = min(limit, trial.limit - amount * least)
+    return limit
 
 
-class SetWalk:
-    """A walk through all sets of so many units that reach `need`, also when units fail.
-
-    With failures, `left` is what must remain of any `n_failures` of them; sets are checked exactly
-    for one failure, and for more only by bounds. Sites' capacities hold; other limits do not count.
-    """
-
-    def __init__(
-        self,
-        links: Links,
-        limits: Limits,
-        weight: FloatArray,
-        root: Root,
-        *,
-        n_units: int,
-        need: float,
-        n_failures: int = 0,
-        left: float = 0.0,
-    ) -> None:
-        from .tree_kernels import Forest, Walk
-
-        n_poses, n_rows = len(root.covers), len(root.weight)
-        of_union = links.layout.bits.shape[1:]
-        self.n_failures, self.n_units = n_failures, n_units
-        self.total = float(weight.sum())
-        rewards = _rewards(n_units, n_failures)
-        prices = [root.price, root.price]
-        self.price_of_apr = 0.0
-        self.root_limit = root.limit
-        if n_failures:
-            self.root_limit = np.inf
-            for amount in _PRICES_OF_APR:
-                reward = rewards[1] + amount * rewards[0]
-                trial = _tighten(
-                    root.covers, root.weight, root.price, limits, reward, n_units, need=0.0
-                )
-                if trial.limit - amount * need < self.root_limit:
-                    self.root_limit = trial.limit - amount * need
-                    self.price_of_apr, prices[1] = amount, trial.price
-            rewards[1] += self.price_of_apr * rewards[0]
-        worth = links.chain_worth(weight)
-        steps = [*_STEPS, *[_STEPS[-1]] * n_units][:n_units]
-        self.forest = Forest(
-            layout=links.layout,
-            worth=worth,
-            chains=_hardest_first(links, worth, root),
-            covers=root.covers,
-            weight=root.weight,
-            site=limits.site_index,
-            rewards=rewards,
-            steps=np.array(steps),
-        )
-        self.needs = np.zeros(4)
-        self.walks = [
-            Walk(
-                needs=self.needs,
-                where=np.zeros(5, dtype=np.int64),
-                chosen=np.zeros(n_units, dtype=np.int64),
-                union=np.zeros((n_units + 1, *of_union), dtype=np.uint64),
-                n_covering=np.zeros((n_units + 1, n_rows), dtype=np.uint8),
-                price=np.zeros((n_units + 1, n_units + 2, n_rows)),
-                room=np.tile(limits.site_capacity, (n_units + 1, 1)),
-                candidate=np.zeros((n_units, n_poses), dtype=np.int64),
-                gain=np.zeros((n_units, 2, n_poses)),
-                fixed=np.zeros((n_units, 2)),
-                n_candidates=np.zeros(n_units, dtype=np.int64),
-                position=np.zeros(n_units, dtype=np.int64),
-                group=np.zeros(n_units, dtype=np.int64),
-                cover=np.zeros((n_rows, n_poses), dtype=np.float32),
-                gain_now=np.zeros(n_poses),
-            )
-            for _ in range(WORKERS)
-        ]
-        self.outs = [np.empty((n_poses + _OUT_SETS, n_units), dtype=np.int64) for _ in self.walks]
-        usable = np.flatnonzero(
-            ~limits.is_forbidden & (limits.site_capacity > 0)[limits.site_index]
-        )
-        first = self.walks[0]
-        first.candidate[0, : len(usable)] = usable
-        first.n_candidates[0] = len(usable)
-        first.price[0, 0], first.price[0, 1] = prices
-        self.is_finished = False  # whether all sets were gone through
-        self.raise_needs(need, left)
-
-    def raise_needs(self, need: float, left: float = 0.0) -> None:
-        """Ask for more from here on."""
-        slack = _SLACK * max(self.total, 1.0)
-        self.needs[0] = need - slack
-        self.needs[1] = left + self.price_of_apr * need - slack
-        self.needs[2] = left - slack
-        self.needs[3] = left - slack
-
-    def blocks(self, end_s: float) -> Iterator[IntArray]:
-        """Sets that meet the needs, many at a time, until `end_s` on the monotonic clock.
-
-        An empty block says that nothing was found for a while. All processors walk, each behind
-        some candidates of the root at a time: the order of the sets is left to chance.
-        """
-        from .tree_kernels import look_at_node
-
-        if now_s() >= end_s:
-            return
-        with ThreadPoolExecutor(len(self.walks)) as threads:
-            while look_at_node(self.forest, self.walks[0], self.n_failures):
-                self._copy_root()
-                group = int(self.walks[0].group[0])
-                yield from self._walk_behind(group, threads, end_s)
-                if now_s() >= end_s:
-                    return
-                n_left = int(self.walks[0].n_candidates[0]) - group
-                if n_left < self.n_units:
-                    break
-                # Nothing covers the row of the group any more.
-                candidate = self.walks[0].candidate[0]
-                candidate[:n_left] = candidate[group : group + n_left].copy()
-                self.walks[0].n_candidates[0] = n_left
-        self.is_finished = True
-
-    def _copy_root(self) -> None:
-        for name in ("candidate", "gain", "fixed", "n_candidates", "group", "price"):
-            for walk in self.walks[1:]:
-                getattr(walk, name)[0] = getattr(self.walks[0], name)[0]
-
-    def _walk_behind(
-        self, n_places: int, threads: ThreadPoolExecutor, end_s: float
-    ) -> Iterator[IntArray]:
-        """Sets with one of the first candidates of the root, and others behind that one."""
-        from .tree_kernels import DONE, grow
-
-        at_a_time = 1 + n_places // _PARTS
-        tasks = iter(range(0, n_places, at_a_time))
-
-        def begin(number: int) -> bool:
-            place = next(tasks, None)
-            if place is not None:
-                self.walks[number].position[0] = place
-                self.walks[number].where[:2] = 0
-                self.walks[number].where[4] = min(place + at_a_time, n_places)
-            return place is not None
-
-        def go_on(number: int) -> tuple[int, int]:
-            walk, out = self.walks[number], self.outs[number]
-            walk.where[2] = 0
-            exactly = self.n_failures == 1
-            return number, grow(self.forest, walk, self.n_failures, exactly, _WORK, out)
-
-        waiting = {
-            threads.submit(go_on, number) for number in range(len(self.walks)) if begin(number)
-        }
-        while waiting:
-            done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-            for number, state in sorted(future.result() for future in done):
-                found = self.outs[number][: self.walks[number].where[2]].copy()
-                if now_s() < end_s and (state != DONE or begin(number)):
-                    waiting.add(threads.submit(go_on, number))
-                yield found
-
-
-def _hardest_first(links: Links, worth: FloatArray, root: Root) -> IntArray:
+def chains_hardest_first(links: Links, worth: FloatArray, root: Root) -> IntArray:
     """Chains in the order of what the worthiest poses lose in them."""
     n_look = min(len(root.covers), 256)
     gain = unpack_words(root.covers, len(root.weight)) @ root.price

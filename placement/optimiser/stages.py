@@ -429,6 +429,7 @@ class Stages:
             is_apr_proven = search.value.apr >= self.apr_limit - TOLERANCE
             is_plain = reduced.limits.is_plain and reduced.measure.is_mean
             is_plain = is_plain and not (problem.floors or problem.survive)
+            is_plain = is_plain and reduced.limits.failing == "unit"
             is_full = len(self._units()) == reduced.limits.max_units
             if is_apr_proven and is_plain and is_full and search.uses_models:
                 best = best_of_all(

@@ -1,14 +1,13 @@
 """Good sets by exchanges, and all sets that are as good as the best in the first stages.
 
-The stages after the APR choose among sets that tie. Where the tree of sets
-(:mod:`placement.optimiser.set_tree`) leaves few of them, they are all valued, and every later stage
-is proven at once. Where they are many, the APR that is left when units fail is asked for in the
-tree, too; few sets are best in both.
+The stages after the APR choose among sets that tie. Where the walk through all sets
+(:mod:`placement.optimiser.cover_tree`) meets few of them, they are all valued, and every later
+stage is proven at once. Where they are many, the APR that is left when units fail is asked for in
+the walk, too; few sets are best in both.
 """
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 
@@ -16,6 +15,8 @@ from geometry.arrays import FloatArray, IntArray
 from geometry.clock import now_s
 
 from .bitsets import BestSet, SetValues, set_values
+from .cover_tree import SetWalk
+from .failures import least_left, least_left_with_each
 from .limits import fitting, is_allowed
 from .objectives import TOLERANCE
 from .presolve import ReducedProblem
@@ -23,7 +24,6 @@ from .problem import Measure
 from .set_tree import (
     Links,
     Root,
-    SetWalk,
     avoided_runs,
     build_links,
     find_root,
@@ -41,6 +41,7 @@ _N_RESTARTS = 40
 _SEED = 1
 _WORLD_ROUNDS = 12
 _STEP_UP = 2.0 * TOLERANCE
+_NEAR = 0.01  # of what is left when units fail
 
 
 def can_walk(reduced: ReducedProblem) -> bool:
@@ -102,15 +103,14 @@ class SetSearch:
 
     def left_with_each(self, units: IntArray, n_failures: int, poses: IntArray) -> FloatArray:
         """APR that a set with each of some poses keeps when its worst units fail, (n_poses,)."""
-        if n_failures > len(units):
-            return np.zeros(len(poses))
-        left = np.full(len(poses), np.inf)
-        for failed in combinations(range(len(units)), n_failures):
-            left = np.minimum(left, self.shares_with_each(np.delete(units, failed), poses))
-        if n_failures:
-            for failed in combinations(range(len(units)), n_failures - 1):
-                left = np.minimum(left, self.shares(np.delete(units, failed)[None, :])[0])
-        return left
+        return least_left_with_each(
+            self.reduced.limits,
+            units,
+            n_failures,
+            poses=poses,
+            with_each=lambda left: self.shares_with_each(left, poses),
+            alone=lambda left: float(self.shares(left[None, :])[0]),
+        )
 
     def shares(self, sets: IntArray, *, left_out: int = -1) -> FloatArray:
         """APR of sets, (n_sets,), without one of their units if that is not negative."""
@@ -123,18 +123,11 @@ class SetSearch:
 
     def left(self, sets: IntArray, n_failures: int) -> FloatArray:
         """APR that sets keep when their worst units fail, (n_sets,)."""
-        n_units = sets.shape[1]
-        if n_failures > n_units:
-            return np.zeros(len(sets))
-        if n_failures == 1:
-            kept = [self.shares(sets, left_out=unit) for unit in range(n_units)]
-        else:
-            kept = [
-                self.shares(np.delete(sets, failed, axis=1))
-                for failed in combinations(range(n_units), n_failures)
-            ]
-        smallest: FloatArray = np.min(kept, axis=0)
-        return smallest
+        if n_failures == 1 and self.reduced.limits.failing == "unit" and sets.shape[1]:
+            kept = [self.shares(sets, left_out=unit) for unit in range(sets.shape[1])]
+            smallest: FloatArray = np.min(kept, axis=0)
+            return smallest
+        return least_left(self.reduced.limits, sets, n_failures, self.shares)
 
     # ---------- exchanges
 
@@ -357,24 +350,26 @@ class SetSearch:
             return block[self.shares(block) >= least_apr - TOLERANCE]
 
         best = float(value_of(np.sort(units)[None, :])[0])
-        # Where values are so far apart, it takes much less to prove the best than to meet all ties,
-        # but hardly less when units fail.
+        # It takes much less to prove that nothing is better by a step, where values are so far
+        # apart, or that little more would be left when units fail, than to meet all ties.
         step = (1.0 - 1.0e-6) * self._unit()
-        proves_first, is_proven = step > 0.0 and n_failures == 0, False
-        walk = walk_from(best + step if proves_first else best)
+        ahead = _NEAR * best if n_failures else step
+        walk = walk_from(best + ahead)
         limit = self._rounded_down(walk.root_limit)
-        if proves_first:
+        is_proven = ahead > 0.0 and n_failures == 0
+        if is_proven or (n_failures and limit >= best + ahead):
             for block in walk.blocks(end_s):
                 block = within(block)
                 value = value_of(block)
                 if len(block) and value.max() > best + TOLERANCE:
                     better = on_better(block[value.argmax()])
                     best = max(float(value.max()), float(value_of(better[None, :])[0]))
-                    walk.raise_needs(best + step if least_apr is None else least_apr, best + step)
-            is_proven = walk.is_finished
-            if not is_proven:
+                    need = best + ahead
+                    walk.raise_needs(need if least_apr is None else least_apr, need)
+            if not walk.is_finished:
                 return Tied(sets=None, value=best, limit=max(limit, best), is_finished=False)
-            walk = walk_from(best)
+            limit = min(limit, self._rounded_down(best + ahead)) if n_failures else best
+        walk = walk_from(best)
         tied, has_all = [np.empty((0, self.n_units), dtype=np.int64)], True
         for block in walk.blocks(end_s):
             block = within(block)

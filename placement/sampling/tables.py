@@ -61,14 +61,12 @@ def build_drawn_table(
             planned = sample.planned[row]
             if (limit == -np.inf).all():
                 continue
-            if isinstance(planned.sensor, LidarModel):  # nothing is left to chance
-                noise = np.zeros(links.n_cells)
-            else:
-                rng = sample.luck.rng("detector", *pose_key(planned))
-                noise = links.linked(detector.frame_correlation, rng)
             draw_frames(
                 *(limit, world.views.weather_of_frame, entry_of_frame),
-                *(noise, links.cell_of_frame, packed[row]),
+                *(links.run_of_frame, links.place_of_frame),
+                sample.luck.key("detector", *pose_key(planned)),
+                detector.frame_correlation,
+                packed[row],
             )
 
     with threadpool_limits(1), ThreadPoolExecutor(compute.workers) as pool:
@@ -95,12 +93,13 @@ def lose_messages(sample: Sample, table: DetectionTable) -> DetectionTable:
     loss = sample.setting.links.packet_loss
     if loss == 0.0:
         return table
-    draws, frame_draw = np.unique(draw_index(sample.setting.runs), return_inverse=True)
+    from .drawing import lose_frames
+
+    links = link_frames(draw_index(sample.setting.runs))
     packed = np.array(table.packed)
     for row in np.flatnonzero(packed.any(axis=1)).tolist():
-        luck = sample.luck.rng("message", *pose_key(sample.planned[row]))
-        arrives = luck.random(len(draws), dtype=np.float32) >= loss
-        packed[row] &= np.packbits(arrives[frame_draw], bitorder="little")
+        key = sample.luck.key("message", *pose_key(sample.planned[row]))
+        lose_frames(links.run_of_frame, links.place_of_frame, key, loss, packed[row])
     return DetectionTable(pose_ids=table.pose_ids, axis=table.axis, packed=packed)
 
 
@@ -108,26 +107,10 @@ def lose_messages(sample: Sample, table: DetectionTable) -> DetectionTable:
 class FrameLinks:
     """Which frames share their luck, and which follow one another."""
 
-    n_runs: int  # the same run in several weathers once
-    longest: int  # frames of the longest run
-    # (n_frames,): which of the `n_runs` x `longest` cells of runs side by side each frame is
-    cell_of_frame: IntArray
-
-    @property
-    def n_cells(self) -> int:
-        """Number of cells."""
-        return self.n_runs * self.longest
-
-    def linked(self, correlation: float, rng: np.random.Generator) -> FloatArray:
-        """Standard normal numbers, (n_cells,): a first-order autoregression in each run.
-
-        `correlation` is that of a frame with the next, 0 .. 1.
-        """
-        from .drawing import link_noise
-
-        noise = rng.standard_normal((self.n_runs, self.longest))
-        link_noise(noise, correlation)
-        return noise.ravel()
+    # run_of_frame, place_of_frame: (n_frames,): place in its run, and what makes the sum of both
+    # another for each frame; the same for the same run in several weathers
+    run_of_frame: IntArray
+    place_of_frame: IntArray
 
 
 def link_frames(frames: IntArray) -> FrameLinks:
@@ -137,11 +120,11 @@ def link_frames(frames: IntArray) -> FrameLinks:
     """
     draws, index = np.unique(frames, return_inverse=True)
     starts = np.flatnonzero(np.diff(draws, prepend=draws[0] - 2) != 1)
-    lengths = np.diff(np.append(starts, len(draws)))
-    longest = int(lengths.max())
-    run = np.repeat(np.arange(len(starts)), lengths)
-    cell = run * longest + np.arange(len(draws)) - starts[run]
-    return FrameLinks(n_runs=len(starts), longest=longest, cell_of_frame=cell[index])
+    run = np.repeat(starts, np.diff(np.append(starts, len(draws))))
+    return FrameLinks(
+        run_of_frame=run[index].astype(np.int32),
+        place_of_frame=(np.arange(len(draws)) - run)[index].astype(np.int32),
+    )
 
 
 def _limits(
@@ -169,8 +152,8 @@ def _limits(
 
 
 def drawing_key(luck: Luck, detector: ResponseDetector) -> str:
-    """Everything that a drawn table depends on beside the probabilities."""
-    return f"{luck.seed} {luck.purpose} {luck.index} {detector.frame_correlation!r}"
+    """Everything that a drawn table depends on beside the probabilities, and how it is drawn."""
+    return f"2 {luck.seed} {luck.purpose} {luck.index} {detector.frame_correlation!r}"
 
 
 # ---------- detection tables of sampled worlds

@@ -1,5 +1,6 @@
 """Sampled worlds: mounting errors, standing vehicles and latencies, drawn for each world."""
 
+import hashlib
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -46,6 +47,11 @@ class Luck:
         return np.random.default_rng(
             [self.seed, PURPOSES.index(self.purpose) + 1, self.index, thing]
         )
+
+    def key(self, *thing: object) -> np.uint64:
+        """Key of one thing's random numbers where each is made from a counter."""
+        where = repr((self.seed, self.purpose, self.index, thing)).encode()
+        return np.uint64(int.from_bytes(hashlib.blake2b(where, digest_size=8).digest()))
 
 
 def mount_key(candidate: CandidatePose) -> tuple[object, ...]:

@@ -38,7 +38,7 @@ from .mounts import Mounts
 SCHEMA = "place-rsus/certificate/1"
 CERTIFICATE_FILE = "certificate.json"
 
-_FORMULAS: Mapping[Objective, str] = {
+_FORMULAS: dict[Objective, str] = {
     Objective.UNITS: "least sum_c x_c: the number of units",
     Objective.COST: "least sum_c price_c x_c + sum_s price_s u_s, u_s = 1 if site s carries a unit",
     Objective.APR_SURVIVED: "most of what is left of the APR when any `survive` of the units fail",
@@ -48,6 +48,12 @@ _FORMULAS: Mapping[Objective, str] = {
     Objective.SMALLEST_MARGIN: "largest min over the avoided runs with weight of last brake time - "
     "(confirmation + latency)",
     Objective.MEAN_MARGIN: "largest sum_r w_r a_r margin_r / sum_r w_r a_r",
+}
+_SITE_FORMULAS = {
+    Objective.APR_SURVIVED: "most of what is left of the APR when any `survive` of the sites fail, "
+    "each with all that it carries",
+    Objective.APR_ONE_FAILED: "most of min over the sites of chosen c of the APR without what "
+    "stands there",
 }
 _FUSIONS: Mapping[str, str] = {
     "any": "frame f is seen if a chosen pose detects in it: y_f <= sum_c V[c,f] x_c",
@@ -214,10 +220,11 @@ def instance_of(problem: PlacementProblem, mounts: Mounts | None) -> dict[str, A
 
 def words_of(problem: PlacementProblem, stages: Sequence[str]) -> dict[str, str]:
     """The model in words: fusion, what avoided means, and the formula of each stage."""
+    formulas = _FORMULAS if problem.limits.failing == "unit" else _FORMULAS | _SITE_FORMULAS
     return {
         "fusion": _FUSIONS[problem.fusion],
         "avoided": _AVOIDED + ("" if is_never_lost(problem.rule) else _ALIVE),
-        **{name: _FORMULAS[Objective(name)] for name in stages},
+        **{name: formulas[Objective(name)] for name in stages},
     }
 
 
@@ -228,6 +235,7 @@ def model_of(problem: PlacementProblem) -> dict[str, Any]:
         "fusion": problem.fusion,
         "goal": problem.goal,
         "survive": problem.survive,
+        **({} if limits.failing == "unit" else {"failing": limits.failing}),
         "tail": problem.tail,
         "n_samples": 0 if samples is None else int(samples.max()) + 1,
         "limits": {

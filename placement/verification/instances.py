@@ -25,7 +25,7 @@ from scenarios.runs import FrameAxis
 
 from ..detection_table import DetectionTable
 from ..memory import check_fits
-from ..optimiser import Floor, Fusion, Goal, Limits, PlacementProblem
+from ..optimiser import Failing, Floor, Fusion, Goal, Limits, PlacementProblem
 from .mounts import FIELDS as MOUNT_FIELDS
 from .mounts import Mounts
 from .mounts import from_arrays as mounts_from_arrays
@@ -76,6 +76,7 @@ _FIELDS: Mapping[str, _Field] = {
     "is_forbidden": _Field("bool", ("poses",)),
     "is_forced_site": _Field("bool", ("sites",)),
     "rivals": _Field("int64", ("pairs", "2")),
+    "failing": _Field("str", is_optional=True),  # units where it is missing
     # What is asked.
     "fusion": _Field("str"),
     "goal": _Field("str"),
@@ -213,6 +214,8 @@ def _to_arrays(problem: PlacementProblem, mounts: Mounts | None) -> Arrays:
         values |= {name: getattr(owner, name) for name in _FIELDS if hasattr(owner, name)}
     if is_never_lost(rule):
         del values["track_memory_s"]
+    if limits.failing == "unit":
+        del values["failing"]  # the same file, and hash, as before sites could fail
     if set(axis.positions) == {AT_ZERO.name}:
         del values["positions"]  # the same file, and hash, as before there were others
     arrays = {
@@ -263,6 +266,7 @@ def _from_arrays(arrays: Arrays) -> PlacementProblem:
             is_forbidden=arrays["is_forbidden"],
             is_forced_site=arrays["is_forced_site"],
             rivals=arrays["rivals"],
+            failing=cast(Failing, number("failing") or "unit"),
         ),
         fusion=cast(Fusion, number("fusion")),
         rule=AebRule(

@@ -221,7 +221,7 @@ def scene_hash(scene: Scene) -> str:
         add("lane", lane.centreline_m)
     for site in scene.sites:
         add("site", np.concatenate([site.position_m, site.height_range_m]))
-    words = {
+    words: dict[str, Any] = {
         "name": scene.name,
         "crs": [scene.crs, scene.source_crs],
         "road_network": scene.road_network,
@@ -233,6 +233,8 @@ def scene_hash(scene: Scene) -> str:
             for site in scene.sites
         ],
     }
+    if scene.zero_height_m is not None:  # else as before scenes told it
+        words["zero_height_m"] = scene.zero_height_m
     digest.update(json.dumps(words).encode())
     return digest.hexdigest()
 

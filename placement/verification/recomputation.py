@@ -166,10 +166,30 @@ def _left(
     n_units = sets.shape[1]
     if n_failures > n_units:
         return np.zeros(len(sets))
+    if problem.limits.failing == "site":
+        return _left_of_sites(problem, sets, n_failures, floor)
     smallest = np.full(len(sets), np.inf)
     for working in combinations(range(n_units), n_units - n_failures):
         margin_s = margins_s(problem, sets[:, list(working)])
         smallest = np.minimum(smallest, _apr(problem, margin_s, floor))
+    return smallest
+
+
+def _left_of_sites(
+    problem: "PlacementProblem", sets: IntArray, n_failures: int, floor: "Floor | None"
+) -> FloatArray:
+    """The same when sites fail with all that they carry."""
+    sites = problem.limits.site_index[sets]
+    smallest = np.full(len(sets), np.inf)
+    for chosen in combinations(range(sets.shape[1]), n_failures):
+        has_failed = np.zeros(sites.shape, dtype=bool)
+        for unit in chosen:
+            has_failed |= sites == sites[:, [unit]]
+        patterns, which = np.unique(has_failed, axis=0, return_inverse=True)
+        for number, pattern in enumerate(patterns):
+            rows = which.ravel() == number
+            left = _apr(problem, margins_s(problem, sets[rows][:, ~pattern]), floor)
+            smallest[rows] = np.minimum(smallest[rows], left)
     return smallest
 
 

@@ -128,7 +128,8 @@ def verify_certificate(
     ]
     for floor in problem.floors:
         reached = float(floor_values(problem, floor, chosen)[0])
-        failing = f" when any {floor.n_failures} fail" if floor.n_failures else ""
+        who = f"{floor.n_failures} {problem.limits.failing}s"
+        failing = f" when any {who} fail" if floor.n_failures else ""
         text = f"{reached:.9g} is reached{failing}, {floor.share:.9g} is asked for"
         checks.append(Check(f"floor {floor.name}", reached >= floor.share - EPSILON, text))
     limits = simple_limits(problem, stored.stages)

@@ -147,13 +147,14 @@ def _fill(
 ) -> None:
     """Rows of all looks from one place."""
     here = [looks[row] for row in rows]
-    first, detector = here[0]
-    position_m = first.pose.position_m
-    sight = cast_for(world, position_m, here)
-    sensing = build_sensing(world, sight, position_m, detector)
-    for row, (unit, detector) in zip(rows, here, strict=True):
-        bits = replace(sensing, detector=detector).packed([unit])[0]
-        frames[row] = np.unpackbits(bits, count=frames.shape[1], bitorder="little")
+    position_m = here[0][0].pose.position_m
+    sensing = build_sensing(world, cast_for(world, position_m, here), position_m, here[0][1])
+    rows_of: dict[PlanningDetector, list[int]] = {}
+    for row in rows:
+        rows_of.setdefault(looks[row][1], []).append(row)
+    for detector, alike in rows_of.items():
+        bits = replace(sensing, detector=detector).packed([looks[row][0] for row in alike])
+        frames[alike] = np.unpackbits(bits, axis=1, count=frames.shape[1], bitorder="little")
 
 
 # ---------- tables on disk, under a hash of everything that went into them

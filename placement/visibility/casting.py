@@ -7,20 +7,20 @@ the frame of the VRU, or of the VUT, and cast against one fixed scene each.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from geometry.actors import Actor, MovingActor, PlacedActor, Shape
-from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
+from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.poses import body_rotation, to_world
 from geometry.raycast import FloatRays, RayCaster, build_caster
 from geometry.scene import Scene
 from geometry.terrain import Terrain, on_ground, terrain_of
 from geometry.weather import Weather, pick_weather
 from scenarios.runs import Run
+
+from .surfaces import Surface, build_surface
 
 # ---------- obstructions
 
@@ -90,75 +90,6 @@ _AROUND_BODY_M = 2.0e-3  # rays that pass a body this near are cast
 def _corners(vertices_m: FloatArray, triangles: NDArray[np.int32]) -> FloatArray:
     corners: FloatArray = np.asarray(vertices_m, dtype=np.float64)[triangles]
     return corners.reshape(-1, 3, 3)
-
-
-# ---------- points on a body
-
-
-_SAMPLES_PER_POINT = 30
-_TURN_M = 0.3  # a normal turned by a radian counts as much as a way of this length
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Surface:
-    """Points on the outside of a body at one instant of its gait."""
-
-    actor: Actor
-    shape_index: int  # which of its shapes
-    points_m: FloatArray  # (n, 3): body frame; the shape's extremes are among them. [m]
-    # (n, 3): the part of the surface around each point: its area along its mean outward normal.
-    # [m^2]
-    area_m2: FloatArray
-    hull_index: IntArray  # (n_corners,): points at the corners of the convex hull of all
-    radius_m: float  # all points lie this near to their mean. [m]
-
-
-@cache  # tables of variants ask for the same bodies again
-def build_surface(actor: Actor, shape_index: int, *, n_points: int, seed: int) -> Surface:
-    """Spread points evenly over the outside of a body's shape, a closed mesh.
-
-    The extremes along 26 directions come first, so that boxes around the points are boxes around
-    the shape; then, one by one, the random sample farthest from all points so far.
-
-    References
-    ----------
-    .. [1] Y. Eldar et al., "The farthest point strategy for progressive image sampling", 1997.
-    """
-    import trimesh
-
-    from .spreading import farthest_samples
-
-    shape = actor.shapes[shape_index]
-    mesh = trimesh.Trimesh(shape.vertices_m, shape.triangles, process=False)
-    samples, faces = trimesh.sample.sample_surface(mesh, _SAMPLES_PER_POINT * n_points, seed=seed)
-    signs = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)])
-    extremes = np.unique(np.argmax(shape.vertices_m @ signs[signs.any(axis=1)].T, axis=0))
-    corners = extremes[:n_points]
-    spread = farthest_samples(samples, shape.vertices_m[corners], n_points - len(corners))
-    points = np.concatenate([shape.vertices_m[corners], samples[spread]])
-    normals = np.concatenate([mesh.vertex_normals[corners], mesh.face_normals[faces[spread]]])
-    # A sample belongs to the nearest point that faces the same way: not to one around the corner.
-    tree = cKDTree(np.hstack([points, _TURN_M * normals]))
-    sample_normals = mesh.face_normals[faces]
-    _, nearest = tree.query(np.hstack([samples, _TURN_M * sample_normals]))
-    area = np.zeros_like(points)
-    np.add.at(area, nearest, sample_normals)
-    return Surface(
-        actor=actor,
-        shape_index=shape_index,
-        points_m=freeze(points),
-        area_m2=freeze(area * (mesh.area / len(samples))),
-        hull_index=freeze(_hull_corners(points)),
-        radius_m=float(np.linalg.norm(points - points.mean(axis=0), axis=1).max()),
-    )
-
-
-def _hull_corners(points_m: FloatArray) -> IntArray:
-    """Points at the corners of the convex hull; all of them if they lie in a plane."""
-    try:
-        return ConvexHull(points_m).vertices.astype(np.int64)
-    except (QhullError, ValueError):  # fewer than four points, or a flat body
-        return np.arange(len(points_m))
 
 
 # ---------- rays
@@ -448,24 +379,19 @@ def _is_close(world: World, eye_m: FloatArray, view_index: IntArray) -> BoolArra
 
 def _is_self_visible(world: World, eye_m: FloatArray, view_index: IntArray) -> BoolArray:
     """Points that the VRU's own body does not hide, (n, n_points)."""
-    from .shadows import fill_own_rays
+    from .own_shadows import find_own_visible
 
     views = world.views
-    points = np.stack([surface.points_m for surface in world.surfaces]).astype(np.float32)
-    visible = np.empty((len(view_index), points.shape[1]), dtype=bool)
     offset = np.column_stack(
         [eye_m[:2] - views.position_m[view_index], eye_m[2] - views.up_m[view_index]]
     )
-    # Row vectors times R_world_body = coordinates in the body frame.
-    eye_body = np.einsum("ni,nij->nj", offset, body_rotation(views.yaw_deg[view_index]))
-    surface = views.surface_index[view_index]
-    for index, body in enumerate(world.bodies):
-        rows = np.flatnonzero(surface == index)
-        asked = np.ones((len(rows), points.shape[1]), dtype=bool)
-        starts, vectors = (np.empty((asked.size, 3), np.float32) for _ in range(2))
-        fill_own_rays(points, surface[rows], eye_body[rows], asked, _OFF_SURFACE_M, starts, vectors)
-        visible[rows] = ~body.is_blocked(starts, vectors).reshape(asked.shape)
-    return visible
+    return find_own_visible(
+        world.surfaces,
+        world.bodies,
+        surface_index=views.surface_index[view_index],
+        # Row vectors times R_world_body = coordinates in the body frame.
+        eye_m=np.einsum("ni,nij->nj", offset, body_rotation(views.yaw_deg[view_index])),
+    )
 
 
 def _is_blocked_by_static(
@@ -477,7 +403,14 @@ def _is_blocked_by_static(
     farthest_m: float,
 ) -> BoolArray:
     """Points hidden by the scene or the case's obstruction, (n, n_points)."""
-    from .shadows import N_AROUND, N_UP, find_points_behind, find_unclear_points, mark_nearest
+    from .shadow_kernels import (
+        N_AROUND,
+        N_UP,
+        find_points_behind,
+        find_unclear_points,
+        mark_covered,
+        mark_nearest,
+    )
 
     views = world.views
     blocked = np.zeros((len(view_index), views.axes_m.shape[2]), dtype=bool)
@@ -486,11 +419,16 @@ def _is_blocked_by_static(
     # Things farther than this are behind all bodies: footprints' middles are what is near enough.
     far_m = farthest_m + 2.0 * world.radius_m + 1.0
     nearest = np.full((N_UP, N_AROUND), np.inf, dtype=np.float32)
-    mark_nearest(nearest, world.scene_m, eye_m, near_m, far_m, *world.height_limits_m)
-    find_unclear_points(
-        nearest, views.axes_m, views.middle_m, views.radius_m, eye_m, view_index, blocked
-    )
-    _cast_to_points(world.scene, world, eye_m, view_index, blocked, near_m=near_m)
+    heights = world.height_limits_m
+    mark_nearest(nearest, world.scene_m, eye_m, near_m, far_m, *heights)
+    covered = np.full_like(nearest, np.inf)
+    of_interest = _rows_of_interest(world, eye_m, view_index)
+    mark_covered(covered, world.scene_m, eye_m, near_m, *heights, of_interest)
+    bodies = (views.axes_m, views.middle_m, views.radius_m, eye_m)
+    unclear = np.zeros_like(blocked)
+    find_unclear_points(nearest, covered, *bodies, view_index, blocked, unclear)
+    _cast_to_points(world.scene, world, eye_m, view_index, unclear, near_m=near_m)
+    blocked |= unclear
     for index, obstruction in enumerate(world.obstructions):
         rows = np.flatnonzero(views.obstruction_index[view_index] == index)
         if len(rows) == 0 or len(obstruction.position_m) == 0:
@@ -502,11 +440,24 @@ def _is_blocked_by_static(
             obstruction.rotation,
             obstruction.low_m,
             obstruction.high_m,
-            *(views.axes_m, views.middle_m, views.radius_m, eye_m, here, blocked[rows], behind),
+            *(*bodies, here, blocked[rows], behind),
         )
         _cast_to_points(obstruction.caster, world, eye_m, here, behind, near_m=near_m)
         blocked[rows] |= behind
     return blocked
+
+
+def _rows_of_interest(world: World, eye_m: FloatArray, view_index: IntArray) -> tuple[int, int]:
+    """First and last row of cells, as ``shadow_kernels`` has them, in which bodies may be."""
+    from .shadow_kernels import N_UP
+
+    offset = world.views.middle_m[view_index] - eye_m
+    distance = np.maximum(np.linalg.norm(offset, axis=1), 1.0e-9)
+    up = np.arcsin(offset[:, 2] / distance)
+    half = np.arcsin(np.minimum(1.0, (world.views.radius_m[view_index] + 0.01) / distance))
+    sines = np.sin(np.clip([(up - half).min(), (up + half).max()], -0.5 * np.pi, 0.5 * np.pi))
+    first, last = np.clip((0.5 * N_UP * (sines + 1.0)).astype(int) + [-1, 1], 0, N_UP - 1).tolist()
+    return first, last
 
 
 def _cast_to_points(
@@ -519,7 +470,7 @@ def _cast_to_points(
     near_m: float,
 ) -> None:
     """Of the points asked for, (n, n_points), leave those that something hides, in place."""
-    from .shadows import fill_rays
+    from .shadow_kernels import fill_rays
 
     starts, vectors = (np.empty((int(asked.sum()), 3), np.float32) for _ in range(2))
     fill_rays(world.views.axes_m, view_index, asked, eye_m, near_m, _OFF_SURFACE_M, starts, vectors)
@@ -572,7 +523,7 @@ def _hidden_by_vehicles(
 
     Points of a view that are `hidden` (n_rows, n_points) already are left out.
     """
-    from .shadows import find_rays_at_body
+    from .shadow_kernels import find_rays_at_body
 
     vehicles = world.vehicles
     between = _rows_between(world, eye_m, row_of_frame)

@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.catalogue import Sensor
 from geometry.image_boxes import box_height_px
-from geometry.lidar import LidarModel, beams_per_steradian, load_lidar_detection, return_probability
+from geometry.lidar import LidarModel
 from geometry.poses import body_rotation, camera_rotation
 from geometry.sensors import CameraModel
 
 from ..candidates import CandidatePose
 from ..detectors import VRU_CLASSES, Evidence, PlanningDetector, aspects_deg, vru_class
 from .casting import Sight, World, cast_sight
+from .echoes import find_echoes
 
 _MIN_DEPTH_M = 0.01  # points beside or behind the lens are projected far outside the image
 _SLACK = 1.0e-6  # of a cosine: nobody at the edge is left out
@@ -45,11 +46,11 @@ class Sensing:
         The sight must have been cast for LiDARs if one is among the sensors.
         """
         detected = np.zeros((len(candidates), *self.contrast.shape), dtype=bool)
-        for row, candidate in enumerate(candidates):
-            if isinstance(candidate.sensor, LidarModel):
-                entries = self._in_cone(candidate)
-                rotation = body_rotation(candidate.pose.yaw_deg, candidate.pose.pitch_deg)
-                detected[row][:, entries] = _count(self, entries, rotation, candidate.sensor)
+        for lidar, rows in _rows_by_lidar(candidates).items():
+            echoes = find_echoes(self.world, self.sight, self.eye_m, self.vru_class, lidar)
+            alike = [candidates[row] for row in rows]
+            is_near = np.stack([self._in_cone(candidate) for candidate in alike])
+            detected[rows] = echoes.detected(alike, is_near)
         least_px = self._least_height_px()
         for boxes in self._boxes(candidates):
             high_px = box_height_px(boxes.plain_px)
@@ -112,13 +113,22 @@ class Sensing:
             [self.detector.least_height_px(replace(whole, contrast=c)) for c in self.contrast]
         )
 
-    def _in_cone(self, candidate: CandidatePose) -> IntArray:
-        """Entries of which some part may be in a sensor's field of view."""
+    def _in_cone(self, candidate: CandidatePose) -> BoolArray:
+        """Entries of which some part may be in a sensor's field of view, (n,)."""
         ahead = body_rotation(candidate.pose.yaw_deg, candidate.pose.pitch_deg)[:, 0]
         half_angle = np.radians(0.5 * candidate.sensor.diagonal_fov_deg) + self.half_angle_rad
         along = self.middle_m @ ahead + _SLACK * self.distance_m
-        is_in = along >= np.cos(np.minimum(half_angle, np.pi)) * self.distance_m
-        return np.flatnonzero(is_in)
+        is_in: BoolArray = along >= np.cos(np.minimum(half_angle, np.pi)) * self.distance_m
+        return is_in
+
+
+def _rows_by_lidar(candidates: Sequence[CandidatePose]) -> dict[LidarModel, list[int]]:
+    """Indices of the LiDARs among some sensors, by model."""
+    rows: dict[LidarModel, list[int]] = {}
+    for row, candidate in enumerate(candidates):
+        if isinstance(candidate.sensor, LidarModel):
+            rows.setdefault(candidate.sensor, []).append(row)
+    return rows
 
 
 def build_sensing(
@@ -286,51 +296,4 @@ def _evidence(sensing: Sensing, boxes: _Boxes, *, is_plain: bool) -> tuple[IntAr
         aspect_deg=sensing.aspect_deg[entries],
         vru_class=sensing.vru_class[entries],
         draw_index=entries,
-    )
-
-
-def _count(
-    sensing: Sensing, entries: IntArray, rotation: FloatArray, lidar: LidarModel
-) -> BoolArray:
-    """Whether a LiDAR may expect enough points on each entry, in each weather, (n_weathers, n).
-
-    Each visible point stands for the part of the surface around it: its solid angle, seen from the
-    LiDAR, times the density of beams in that direction is the number of beams that hit it.
-    """
-    views, sight = sensing.world.views, sensing.sight
-    view = sight.view_index[entries]
-    offsets = views.points_m[view] - sensing.eye_m
-    distance = np.linalg.norm(offsets, axis=-1)
-    ahead, left, up = np.moveaxis(offsets @ rotation, -1, 0)
-    azimuth_deg = np.degrees(np.arctan2(left, ahead))
-    elevation_deg = np.degrees(np.arctan2(up, np.hypot(ahead, left)))
-    is_hit = (
-        sight.is_visible[entries]
-        & (np.abs(azimuth_deg) <= 0.5 * lidar.horizontal_fov_deg)
-        & (np.abs(elevation_deg) <= 0.5 * lidar.vertical_fov_deg)
-    )
-    areas = np.stack([surface.area_m2 for surface in sensing.world.surfaces])
-    area = areas[views.surface_index[view]] @ np.swapaxes(body_rotation(views.yaw_deg[view]), 1, 2)
-    facing_m2 = np.maximum(0.0, -(area * offsets).sum(axis=-1) / distance)
-    beams = is_hit * facing_m2 / distance**2 * beams_per_steradian(lidar, elevation_deg)
-    cosine = facing_m2 / np.maximum(np.linalg.norm(area, axis=-1), 1.0e-12)
-    detection = load_lidar_detection()
-    reflectivity = np.array([detection.reflectivity[name] for name in VRU_CLASSES])
-    needed = np.array([detection.min_points[name] for name in VRU_CLASSES])
-    classes = sensing.vru_class[entries]
-    return np.stack(
-        [
-            (
-                beams
-                * return_probability(
-                    lidar,
-                    distance,
-                    reflectivity=reflectivity[classes][:, None],
-                    incidence_cos=cosine,
-                    extinction_per_m=weather.lidar_extinction_per_m(lidar.wavelength_nm),
-                )
-            ).sum(axis=1)
-            >= needed[classes]
-            for weather in views.weathers
-        ]
     )

@@ -1,17 +1,23 @@
 """A small version of the study: the same steps in a second or two."""
 
-from functools import partial
+from contextlib import chdir, redirect_stderr, redirect_stdout
+from pathlib import Path
 
 import pytest
+from once import make_once
 from partial_pages import blank_pictures
-from small_results import build_small_baseline, build_small_grid, build_small_setting
+from small_results import (
+    build_small_baseline,
+    build_small_grid,
+    build_small_setting,
+    vary_few_assumptions,
+)
 
 from experiments.cli import main
 from experiments.jobs import placement, writing
 from geometry.poses import Pose
 from placement import planning
 from placement.candidates import CandidatePose
-from placement.explain.sensitivity import load_assumptions
 from placement.layout import Layout
 
 
@@ -45,10 +51,30 @@ def small_study(few_runs, with_blank_pictures, one_assumption, monkeypatch):
 @pytest.fixture
 def one_assumption(monkeypatch):
     """Varies the one that needs no rays."""
-    few = [item for item in load_assumptions() if item.name == "latency_s"]
-    monkeypatch.setattr(
-        placement, "find_sensitivity", partial(placement.find_sensitivity, assumptions=few)
-    )
+    vary_few_assumptions(monkeypatch)
+
+
+@pytest.fixture(scope="session")
+def whole_placement(small_setting, tmp_path_factory):
+    """Where two units were placed, with report and figures: results, what was said and told."""
+
+    def place(folder: Path) -> None:
+        with pytest.MonkeyPatch.context() as patch, chdir(folder):
+            patch.setenv("PLACE_RSUS_CACHE", str(folder / "tables"))
+            patch.setattr(placement, "build_setting", lambda question, scene: small_setting)
+            patch.setattr(planning, "load_candidate_grid", build_small_grid)
+            vary_few_assumptions(patch, "height_m")
+            with (
+                Path("out").open("w") as out,
+                Path("err").open("w") as err,
+                redirect_stdout(out),
+                redirect_stderr(err),
+                pytest.raises(SystemExit) as ended,
+            ):
+                main.main(["--budget", "2", "--json", "--workers", "2"])
+        assert ended.value.code == 0
+
+    return make_once(tmp_path_factory, "whole-placement", place)
 
 
 @pytest.fixture

@@ -1,9 +1,10 @@
 """Machine code in the user's cache, by processes of their own: what is loaded stays loaded."""
 
-import os
+import json
 import shutil
 import subprocess
 import sys
+from itertools import count
 from pathlib import Path
 
 import pytest
@@ -33,21 +34,73 @@ def total(x, n):
 """
 
 
+# Loads the compiler once, and lets it find its feet; each program is forked from there.
+_STARTER = """
+import json, os, sys, traceback
+import numba
+
+@numba.njit(nogil=True, error_model="numpy")
+def warm(x, n):
+    return x / 0.0 if n < 0 else x
+
+warm(1.0, 1)
+for line in sys.stdin:
+    asked = json.loads(line)
+    if "ends" in asked:
+        print(os.waitstatus_to_exitcode(os.waitpid(asked["ends"], 0)[1]), flush=True)
+        continue
+    child = os.fork()
+    if child:
+        print(child, flush=True)
+        continue
+    for number, path in enumerate(asked["files"], start=1):
+        os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT), number)
+    os.environ["NUMBA_CACHE_DIR"] = asked["cache"]
+    sys.path[:0] = asked["modules"]
+    code = 1
+    try:
+        exec(asked["program"], {"__name__": "__main__"})
+        code = 0
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        os._exit(code)
+"""
+
+
 @pytest.fixture(scope="module")
-def start(tmp_path_factory):
+def starter():
+    with subprocess.Popen(
+        [sys.executable, "-c", _STARTER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+
+        def ask(**asked):
+            process.stdin.write(json.dumps(asked) + "\n")
+            process.stdin.flush()
+            return int(process.stdout.readline())
+
+        yield ask
+        process.stdin.close()
+
+
+@pytest.fixture(scope="module")
+def start(starter, tmp_path_factory):
     """Start a program that sums, by the modules of a folder, with another one as the cache."""
     place = tmp_path_factory.mktemp("program")
     (place / "summing.py").write_text(_MODULE)
+    numbers = count()
 
     def build(folder, before="", modules=place):
-        return subprocess.Popen(
-            [sys.executable, "-c", before + _PROGRAM],
-            env=os.environ
-            | {"PYTHONPATH": f"{ROOT}{os.pathsep}{modules}", "NUMBA_CACHE_DIR": str(folder)},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
+        number = next(numbers)
+        files = [place / f"{number}-{name}" for name in ("out", "err")]
+        child = starter(
+            program=before + _PROGRAM,
+            cache=str(folder),
+            modules=[str(ROOT), str(modules)],
+            files=[str(path) for path in files],
         )
+        return lambda: (starter(ends=child), *(path.read_text() for path in files))
 
     return build
 
@@ -60,9 +113,9 @@ def compiled(start, tmp_path_factory):
     return folder
 
 
-def _end(process):
-    out, err = process.communicate(timeout=120)
-    assert process.returncode == 0, err
+def _end(wait):
+    code, out, err = wait()
+    assert code == 0, err
     total, hits = out.split()
     assert total == "28.0"
     return int(hits), err.splitlines()
@@ -74,8 +127,8 @@ COMPILING = ["compiling for this machine, once: some seconds"]
 def test_code_is_compiled_once_and_said_so_also_by_two_processes_at_once(start, tmp_path):
     folder = tmp_path / "compiled"
     both = [start(folder), start(folder)]
-    for process in both:
-        _, told = _end(process)
+    for wait in both:
+        _, told = _end(wait)
         assert told in (COMPILING, [])
     assert _end(start(folder)) == (1, [])
 

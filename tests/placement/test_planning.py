@@ -9,7 +9,11 @@ from placement import planning
 from placement.candidates import CandidatePose, load_candidate_grid
 from placement.layout import Layout
 from placement.planning import build_plan
+from placement.prices import load_prices
 from placement.question import Question
+from placement.wishes import build_limits
+
+KINDS = ("lamp post", "traffic light", "mast arm")  # of the sites of the study's junction
 
 
 @pytest.fixture
@@ -76,3 +80,44 @@ def test_every_sensor_asked_for_is_tried_at_every_pose(coarse):
 
 def _place(candidate: CandidatePose) -> tuple[float, ...]:
     return (*candidate.pose.position_m.tolist(), candidate.pose.yaw_deg)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [("0", (0, "unit")), ("2", (2, "unit")), ("unit", (1, "unit")), ("site", (1, "site")),
+     ("2 sites", (2, "site")), ("3units", (3, "unit"))],
+)  # fmt: skip
+def test_what_may_fail_is_a_number_of_units_or_of_sites(coarse, text, expected):
+    wishes = build_plan(Question(budget=1, survive=text), load_study_scene()).wishes
+    assert (wishes.survive, wishes.failing) == expected
+
+
+@pytest.mark.parametrize("text", ["", "-1", "1.5", "poles", "2 sites 3"])
+def test_other_words_for_what_may_fail_are_refused(coarse, text):
+    with pytest.raises(InputError) as told:
+        build_plan(Question(budget=1, survive=text), load_study_scene())
+    assert str(told.value) == (
+        f"--survive: got {text!r}; expected how many units may fail, at least 0, or unit, site, "
+        "such as '2 sites'"
+    )
+
+
+def test_prices_of_sites_are_assumed_only_where_money_is_asked_about(coarse):
+    scene = load_study_scene()
+
+    def cost_eur(question):
+        plan = build_plan(question, scene)
+        limits = build_limits(plan.wishes, scene, plan.candidates)
+        names = {
+            one.site_id: index
+            for one, index in zip(plan.candidates, limits.site_index, strict=True)
+        }
+        return {site.kind: limits.site_cost_eur[names[site.id]] for site in scene.sites}
+
+    prices = load_prices()
+    assumed = {kind: sum(prices.of_kind(kind).values()) for kind in KINDS}
+    assert set(cost_eur(Question(budget=1)).values()) == {0.0}
+    assert set(cost_eur(Question(budget=1, target="0.9")).values()) == {0.0}
+    assert cost_eur(Question(budget_cost=9000.0)) == assumed
+    assert cost_eur(Question(target="0.9", least="cost")) == assumed
+    assert set(cost_eur(Question(budget_cost=9000.0, site_cost_eur=5.0)).values()) == {5.0}

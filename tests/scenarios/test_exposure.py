@@ -8,8 +8,10 @@ from hypothesis import strategies as st
 
 from geometry.errors import InputError, MissingExtraError
 from scenarios import exposure
+from scenarios.cases import select_cases
 from scenarios.exposure import (
     default_weights,
+    load_crash_types,
     weigh,
     weight_per_case,
     weight_per_run,
@@ -108,7 +110,7 @@ def test_unknown_words_list_the_known_ones(how):
     with pytest.raises(InputError) as caught:
         weigh(DRIVEN, how)
     assert str(caught.value) == (
-        f"--weights: got {how!r}; expected run, case, euroncap-rating-2026, "
+        f"--weights: got {how!r}; expected run, case, fhwa-crash-types, euroncap-rating-2026, "
         "or a CSV file that exists"
     )
 
@@ -258,3 +260,52 @@ def test_a_missing_package_names_the_extra(monkeypatch):
     exposure.load_points.cache_clear()
     with pytest.raises(MissingExtraError, match=r"pip install place-rsus\[rating\]"):
         weigh(DRIVEN, "euroncap-rating-2026")
+
+
+def test_accident_types_weigh_by_manoeuvre_and_distance_from_the_junction():
+    """FHWA-RD-95-163: see data/crash_types.toml."""
+    driven = (
+        run("CPTAfs-50"),
+        run("CPTAno-50"),
+        run("CPNC-50"),
+        run("CPNC-50", position="+15"),
+        run("CPNCO-50", position="-15"),
+        run("CPNC-50", position="-30"),
+        run("CPNCO-50", "south", position="+45"),
+        run("CPLA-50", position="-45"),
+        run("CBNA"),
+        run("CBLA"),
+        run("CBTAfs-100"),
+    )
+    weight = weigh(driven, "fhwa-crash-types")
+    on_foot, by_bicycle = 92.0, 67.0
+    expected = np.array(
+        [
+            *[on_foot * 0.098 / 2] * 2,
+            *[on_foot * (0.072 + 0.051 + 0.101) / 4] * 2,
+            on_foot * (0.072 + 0.051 + 0.101) / 2,
+            *[on_foot * (0.133 + 0.131) / 2] * 2,
+            on_foot * 0.079,
+            by_bicycle * 0.57 * (0.377 + 0.291),
+            by_bicycle * 0.36 * 0.242,
+            by_bicycle * 0.36 * 0.344,
+        ]
+    )
+    assert weight.sum() == pytest.approx(1.0)
+    assert weight == pytest.approx(expected / expected.sum(), rel=5e-3)  # shares are rounded
+    alone = weigh((run("CPNC-50", position="-30"), run("CPNC-50")), "fhwa-crash-types")
+    assert alone == pytest.approx([0.264 / 0.488, 0.224 / 0.488])
+
+
+def test_accident_types_ask_for_a_case_that_they_have():
+    with pytest.raises(InputError) as caught:
+        weigh((run("CPRA"),), "fhwa-crash-types")
+    assert str(caught.value) == (
+        "--weights: got 'fhwa-crash-types'; expected a run of a type it has; driven: CPRA"
+    )
+
+
+def test_every_case_of_the_default_set_stands_for_a_type():
+    known = {name for kind in load_crash_types().types for name in kind.cases}
+    for case in select_cases("default").cases:
+        assert case.name.rpartition("-")[0] in known or case.name in known, case.name

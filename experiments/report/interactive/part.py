@@ -137,7 +137,7 @@ def interactive_part(
     units_m = np.array([unit.pose.position_m[:2] for unit in subject.layout.units])
     player = {
         "plan": plan_record(setting.scene, units_m),
-        "units": unit_records(subject.layout),
+        "units": unit_records(subject.layout, setting.scene),
         "parties": party_records(evaluations),
         "runs": records,
     }

@@ -4,6 +4,7 @@ import base64
 import json
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,8 @@ from geometry.junction import build_junction
 from geometry.lidar import LidarModel
 from geometry.poses import body_rotation
 from geometry.scene import Lane, Scene, thing_footprint
-from placement.candidates import CandidatePose, is_ring
+from geometry.terrain import Terrain, on_ground
+from placement.candidates import CandidatePose, above_ground, is_ring
 from placement.evaluation import Evaluation, Verdict
 from placement.layout import Layout
 from scenarios.runs import Run
@@ -166,6 +168,7 @@ def run_record(run: Run, evaluations: Mapping[str, Evaluation], *, group: str) -
             }
             for body in run.obstruction
         ],
+        **_on_slope(run),
         "bits": pack_bits(detected),
         "confirmed": [
             _milliseconds(verdict.confirmation_time_s[position])
@@ -179,6 +182,17 @@ def run_record(run: Run, evaluations: Mapping[str, Evaluation], *, group: str) -
             bool(verdict.is_avoided[position])
             for verdict, position in zip(verdicts, at, strict=True)
         ],
+    }
+
+
+def _on_slope(run: Run) -> dict[str, Any]:
+    """Heights of the ground below car, road user and parked bodies; nothing on the plane."""
+    if run.terrain is None:
+        return {}
+    return {
+        "carGround": _centimetres(run.terrain.at(run.vut_position_m)),
+        "roadGround": _centimetres(run.terrain.at(run.vru_position_m)),
+        "parkedGround": [_centimetres(body.pose.position_m[2]) for body in run.obstruction],
     }
 
 
@@ -231,7 +245,7 @@ _POINTS_PER_SIDE = 8
 _ABOVE_ROAD_M = 0.1  # or the road would hide parts of lines that lie on it
 
 
-def unit_records(layout: Layout) -> list[dict[str, Any]]:
+def unit_records(layout: Layout, scene: Scene) -> list[dict[str, Any]]:
     """Units of a layout for the player: centimetres, tenths of a degree."""
     labels = unit_labels(layout)
     return [
@@ -246,12 +260,12 @@ def unit_records(layout: Layout) -> list[dict[str, Any]]:
             "sees": _outline_cm(ground_footprint(unit, max_range_m=RANGE_M)),
             "blind": _outline_cm(blind_footprint(unit, max_range_m=RANGE_M)),
         }
-        for index, unit in enumerate(layout.units)
+        for index, unit in enumerate(above_ground(unit, scene) for unit in layout.units)
     ]
 
 
 def describe_unit(label: str, unit: CandidatePose) -> str:
-    """A unit in words, for hovering."""
+    """A unit in words, for hovering; its height is that above the plane z = 0."""
     name = label if label == unit.id else f"{label}, {unit.id}"
     return (
         f"{name}: {sensor_kind(unit.sensor)} {unit.sensor.name}, "
@@ -259,16 +273,20 @@ def describe_unit(label: str, unit: CandidatePose) -> str:
     )
 
 
-def field_lines(unit: CandidatePose, *, max_range_m: float) -> list[FloatArray]:
+def field_lines(
+    unit: CandidatePose, *, max_range_m: float, terrain: Terrain | None = None
+) -> list[FloatArray]:
     """Lines that show a unit's field of view.
 
     Each is (n, 3), in metres, world frame: the border, and the edges from the sensor to its
     corners. Of a LiDAR that scans all round: where on the road its scan ends and begins, and four
     of its lowest beams. World frame. [m]
     """
-    rings = ground_rings(unit, max_range_m=max_range_m) if is_ring(unit.sensor) else ()
-    borders = [np.insert(ring, 2, _ABOVE_ROAD_M, axis=1) for ring in rings if len(ring)]
-    borders = borders or [view_border(unit, max_range_m=max_range_m)]
+    foot_m = on_ground(unit.pose.position_m[:2], terrain) * [0.0, 0.0, 1.0]
+    level = replace(unit, pose=replace(unit.pose, position_m=unit.pose.position_m - foot_m))
+    rings = ground_rings(level, max_range_m=max_range_m) if is_ring(unit.sensor) else ()
+    borders = [on_ground(ring, terrain) + [0.0, 0.0, _ABOVE_ROAD_M] for ring in rings if len(ring)]
+    borders = borders or [view_border(unit, max_range_m=max_range_m, terrain=terrain)]
     corners = borders[-1][:: len(borders[-1]) // 4]
     return [
         *(np.vstack([border, border[:1]]) for border in borders),
@@ -276,15 +294,20 @@ def field_lines(unit: CandidatePose, *, max_range_m: float) -> list[FloatArray]:
     ]
 
 
-def view_border(unit: CandidatePose, *, max_range_m: float) -> FloatArray:
+def view_border(
+    unit: CandidatePose, *, max_range_m: float, terrain: Terrain | None = None
+) -> FloatArray:
     """Where the rays through the border of a sensor's field of view end.
 
     Shape (32, 3), in order around the border; every eighth is a corner. Rays end at `max_range_m`,
-    or on the road plane. World frame. [m]
+    or on the ground. World frame. [m]
     """
     directions = _border_directions(unit.sensor) @ (
         body_rotation(unit.pose.yaw_deg, unit.pose.pitch_deg).T
     )
+    if terrain is not None:
+        length = terrain.distances(unit.pose.position_m, directions, max_range_m=max_range_m)
+        return unit.pose.position_m + length[:, None] * directions
     length = np.full(len(directions), max_range_m)
     falls = directions[:, 2] < -1.0e-9
     to_ground = -unit.pose.position_m[2] / directions[falls, 2]

@@ -8,7 +8,8 @@ import numpy as np
 from geometry.arrays import FloatArray, IntArray
 from geometry.catalogue import sensor_kind
 from geometry.scene import Scene
-from placement.candidates import CandidatePose
+from geometry.terrain import Terrain, on_ground, terrain_of
+from placement.candidates import CandidatePose, above_ground
 from placement.layout import Layout
 
 from ...figures.axes import unit_labels
@@ -29,6 +30,7 @@ _COLOURS = {"ground": "#ebe8e0", "lamp post": "#40404d"} | {
 }
 _ROAD_COLOUR = "#b5b5b8"
 _ROAD_LIFT_M, _LINE_LIFT_M = 0.04, 0.08  # above the ground, so that neither flickers
+_PIECE_M = 4.0  # of a road that is not flat
 _WALL_SHADE, _SIDE_SHADE = 0.2, 0.4
 _LIT_SIDE = np.array([0.9, 0.44])
 _LEAST_HALF_M, _MOST_HALF_M = 40.0, 90.0
@@ -43,8 +45,8 @@ def view_record(scene: Scene, layout: Layout, others: Sequence[Layout] = ()) -> 
     """Traces and layout of the 3-D view.
 
     "traces" for plotly.js; a mesh's "names" and "nameIndex" (of each vertex) are for the script,
-    which makes hover texts of them. "middle" and "half" of the part that is shown and its "top".
-    [m] "note": what is left out, or an empty text.
+    which makes hover texts of them. "middle" and "half" of the part that is shown, its "top"
+    and "bottom" [m]. "note": what is left out, or an empty text.
     """
     middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
     kept = nearest_triangles(scene, middle, MAX_TRIANGLES)
@@ -52,18 +54,20 @@ def view_record(scene: Scene, layout: Layout, others: Sequence[Layout] = ()) -> 
     reach = np.abs(np.concatenate([scene.outline_m, units_m[:, :2]]) - middle).max() + 15.0
     half = float(np.clip(reach, _LEAST_HALF_M, _MOST_HALF_M))
     n_left_out = len(scene.triangles) - len(kept)
+    terrain = terrain_of(scene)
     return {
         "traces": [
             *_meshes(scene, kept),
-            _road(scene),
-            _lane_lines(scene),
-            *_fields_of_view(layout.units),
-            *_sensors(layout),
-            *(_other_sensors(other) for other in others),
+            _road(scene, terrain),
+            _lane_lines(scene, terrain),
+            *_fields_of_view(layout.units, terrain),
+            *_sensors(layout, scene),
+            *(_other_sensors(other, scene) for other in others),
         ],
         "middle": np.round(middle, 2).tolist(),
         "half": round(half, 2),
         "top": round(_top_m(scene, kept, units_m, middle, half), 2),
+        "bottom": round(_bottom_m(terrain, middle, half), 2),
         "note": f"{n_left_out} of the scene's {len(scene.triangles)} triangles, those farthest "
         "from the junction, are left out here."
         if n_left_out
@@ -86,6 +90,24 @@ def _top_m(
     is_near = (np.abs(vertices[:, :2] - middle_m) <= half_m).all(axis=1)
     heights_m = np.concatenate([units_m[:, 2] + 2.5, vertices[is_near, 2]])
     return float(np.clip(heights_m.max() + 1.5, _LEAST_TOP_M, _MOST_TOP_M))
+
+
+def _bottom_m(terrain: Terrain | None, middle_m: FloatArray, half_m: float) -> float:
+    """Below everything that is shown."""
+    if terrain is None:
+        return -1.0
+    east, north = (np.clip(line, *span) for line, span in _shown(terrain, middle_m, half_m))
+    return float(terrain.at(np.stack(np.meshgrid(east, north), axis=-1)).min()) - 1.0
+
+
+def _shown(
+    terrain: Terrain, middle_m: FloatArray, half_m: float
+) -> list[tuple[FloatArray, tuple[float, float]]]:
+    lines = (terrain.east_m, terrain.north_m)
+    return [
+        (line, (float(middle - half_m), float(middle + half_m)))
+        for line, middle in zip(lines, middle_m, strict=True)
+    ]
 
 
 def nearest_triangles(scene: Scene, middle_m: FloatArray, max_triangles: int) -> IntArray:
@@ -167,21 +189,33 @@ def _darker(colour: str) -> str:
     return "#" + "".join(f"{part:02x}" for part in parts)
 
 
-def _road(scene: Scene) -> dict[str, Any]:
+def _road(scene: Scene, terrain: Terrain | None) -> dict[str, Any]:
     import shapely
 
-    area = shapely.constrained_delaunay_triangles(road_area(scene).simplify(0.05))
+    road = road_area(scene).simplify(0.05)
+    if terrain is not None:  # pieces so small that they lie on the ground
+        west, south, east, north = road.bounds
+        places = np.meshgrid(np.arange(west, east, _PIECE_M), np.arange(south, north, _PIECE_M))
+        x, y = (place.ravel() for place in places)
+        pieces = shapely.intersection(shapely.box(x, y, x + _PIECE_M, y + _PIECE_M), road)
+        road = shapely.geometrycollections(pieces[shapely.area(pieces) > 0.0])
+    area = shapely.constrained_delaunay_triangles(road)
     corners = [np.asarray(part.exterior.coords)[:3] for part in shapely.get_parts(area)]
     flat = np.array(corners).reshape(-1, 2)
-    vertices = np.column_stack([flat, np.full(len(flat), _ROAD_LIFT_M)])
+    vertices = on_ground(flat, terrain) + [0.0, 0.0, _ROAD_LIFT_M]
     trace = _mesh("road", _ROAD_COLOUR, vertices, np.arange(len(flat)).reshape(-1, 3))
     return trace | {"hoverinfo": "skip"}
 
 
-def _lane_lines(scene: Scene) -> dict[str, Any]:
+def _lane_lines(scene: Scene, terrain: Terrain | None) -> dict[str, Any]:
+    import shapely
+
     lines = [np.asarray(lane_area(lane).exterior.coords) for lane in scene.lanes]
     lines += [np.vstack([scene.outline_m, scene.outline_m[:1]]), *scene.crosswalks_m]
-    points = [np.column_stack([line, np.full(len(line), _LINE_LIFT_M)]) for line in lines]
+    if terrain is not None:
+        bent = shapely.segmentize([shapely.LineString(line) for line in lines], 0.5 * _PIECE_M)
+        lines = [np.asarray(line.coords) for line in bent]
+    points = [on_ground(line, terrain) + [0.0, 0.0, _LINE_LIFT_M] for line in lines]
     trace = _lines("lanes and crosswalks", points, colour="#ffffff", width=2)
     return trace | {"showlegend": False}  # white on white
 
@@ -223,12 +257,14 @@ def dashes(line_m: FloatArray, pattern_m: Sequence[float]) -> list[FloatArray]:
     return pieces
 
 
-def _fields_of_view(units: Sequence[CandidatePose]) -> list[dict[str, Any]]:
+def _fields_of_view(
+    units: Sequence[CandidatePose], terrain: Terrain | None
+) -> list[dict[str, Any]]:
     """Borders of fields of view: a trace per style, however many units there are."""
     by_style: dict[int, list[FloatArray]] = {}
     is_dashed = len(units) <= _MAX_STYLES
     for index, unit in enumerate(units):
-        lines = field_lines(unit, max_range_m=RANGE_M)
+        lines = field_lines(unit, max_range_m=RANGE_M, terrain=terrain)
         by_style.setdefault(index % _MAX_STYLES, []).extend(lines)
     return [
         _lines(
@@ -252,7 +288,7 @@ _SYMBOLS = {"camera": "diamond", "lidar": "square"}
 _KIND_NAMES = {"camera": "camera", "lidar": "LiDAR"}
 
 
-def _sensors(layout: Layout) -> list[dict[str, Any]]:
+def _sensors(layout: Layout, scene: Scene) -> list[dict[str, Any]]:
     """Points with labels: a trace per kind of sensor."""
     labels = unit_labels(layout)
     colours = {unit.id: COLOURS[index % len(COLOURS)] for index, unit in enumerate(layout.units)}
@@ -270,7 +306,10 @@ def _sensors(layout: Layout) -> list[dict[str, Any]]:
                     _LABEL_PLACES[index % len(_LABEL_PLACES)] for index in range(len(units))
                 ],
                 "textfont": {"size": 14, "color": "#000000"},
-                "hovertext": [unmarked(describe_unit(labels[unit.id], unit)) for unit in units],
+                "hovertext": [
+                    unmarked(describe_unit(labels[unit.id], above_ground(unit, scene)))
+                    for unit in units
+                ],
                 "marker": {
                     "symbol": symbol,
                     "size": 7,
@@ -282,11 +321,12 @@ def _sensors(layout: Layout) -> list[dict[str, Any]]:
     return traces
 
 
-def _other_sensors(layout: Layout) -> dict[str, Any]:
+def _other_sensors(layout: Layout, scene: Scene) -> dict[str, Any]:
     return _points(layout.units, f"{layout.name}: sensor") | {
         "mode": "markers",
         "hovertext": [
-            unmarked(f"{layout.name}, {describe_unit(unit.id, unit)}") for unit in layout.units
+            unmarked(f"{layout.name}, {describe_unit(unit.id, above_ground(unit, scene))}")
+            for unit in layout.units
         ],
         "marker": {"symbol": "circle-open", "size": 5, "color": "#333333"},
     }

@@ -41,23 +41,28 @@ function startView(player) {
 
   // Dots at least so far apart: plotly.js draws dashes of lines by the distance from the eye.
   function spaced(motion) {
-    const kept = { x: [], y: [] };
+    const kept = { x: [], y: [], ground: [] };
     motion.x.forEach((x, index) => {
       const [last, y] = [kept.x.length - 1, motion.y[index]];
       if (last >= 0 && Math.hypot(x - kept.x[last], y - kept.y[last]) < DOT_DISTANCE_CM) return;
       kept.x.push(x);
       kept.y.push(y);
+      kept.ground.push(motion.ground[index]);
     });
     return kept;
   }
 
   function wayTraces() {
-    const way = (motion, height = 0.4) => ({ x: metres(motion.x), y: metres(motion.y), z: motion.x.map(() => height) });
-    const final = run.road.x.length - 1;
+    // Heights of the ground are only there where it is not flat.
+    const level = (motion, ground) => ({ ...motion, ground: ground ?? motion.x.map(() => 0) });
+    const [car, road] = [level(run.car, run.carGround), level(run.road, run.roadGround)];
+    const way = (motion, height = 0.4) => ({ x: metres(motion.x), y: metres(motion.y), z: motion.ground.map((ground) => ground / 100 + height) });
+    const final = run.road.x.length - 1, foot = road.ground[final] / 100;
     const corners = [[], [], []], sides = [[], [], []], names = [];
-    run.parked.forEach((body) => {
+    run.parked.forEach((body, index) => {
+      const ground = run.parkedGround?.[index] ?? 0;
       const base = corners[0].length;
-      for (const height of [0, body.height]) body.corners.forEach(([x, y]) => {
+      for (const height of [ground, ground + body.height]) body.corners.forEach(([x, y]) => {
         [x, y, height].forEach((value, axis) => corners[axis].push(value / 100));
         names.push(`parked: ${body.name}`);
       });
@@ -65,9 +70,9 @@ function startView(player) {
         .forEach((triangle) => triangle.forEach((corner, axis) => sides[axis].push(base + corner)));
     });
     return [
-      { ...way(run.car, 0.8), type: "scatter3d", mode: "lines", name: "way of the car", hoverinfo: "name", line: { color: "#000000", width: 6 } },
-      { ...way(spaced(run.road)), type: "scatter3d", mode: "markers", name: `way of the ${run.user}`, hoverinfo: "name", marker: { symbol: "circle", size: 2.5, color: "#D55E00" } },
-      { x: Array(2).fill(run.road.x[final] / 100), y: Array(2).fill(run.road.y[final] / 100), z: [0, 4], text: ["", "impact"], textposition: "top center", textfont: { size: 14, color: "#A80000" }, type: "scatter3d", mode: "lines+text", name: "impact", hoverinfo: "name", line: { color: "#CC0000", width: 8 } },
+      { ...way(car, 0.8), type: "scatter3d", mode: "lines", name: "way of the car", hoverinfo: "name", line: { color: "#000000", width: 6 } },
+      { ...way(spaced(road)), type: "scatter3d", mode: "markers", name: `way of the ${run.user}`, hoverinfo: "name", marker: { symbol: "circle", size: 2.5, color: "#D55E00" } },
+      { x: Array(2).fill(run.road.x[final] / 100), y: Array(2).fill(run.road.y[final] / 100), z: [foot, foot + 4], text: ["", "impact"], textposition: "top center", textfont: { size: 14, color: "#A80000" }, type: "scatter3d", mode: "lines+text", name: "impact", hoverinfo: "name", line: { color: "#CC0000", width: 8 } },
       { x: corners[0], y: corners[1], z: corners[2], i: sides[0], j: sides[1], k: sides[2], text: names, hoverinfo: "text", type: "mesh3d", name: "parked in this run", color: "#f2f2f2", flatshading: true, lighting: { ambient: 0.85, diffuse: 0.2, specular: 0, fresnel: 0 }, showlegend: run.parked.length > 0 },
     ];
   }
@@ -91,10 +96,10 @@ function startView(player) {
       scene: {
         dragmode: "turntable",
         aspectmode: "manual",
-        aspectratio: { x: 1.6, y: 1.6, z: 1.6 * (data.top + 1) / (2 * data.half) },
+        aspectratio: { x: 1.6, y: 1.6, z: 1.6 * (data.top - data.bottom) / (2 * data.half) },
         xaxis: axis("east (m)", [x - data.half, x + data.half]),
         yaxis: axis("north (m)", [y - data.half, y + data.half]),
-        zaxis: axis("up (m)", [-1, data.top]),
+        zaxis: axis("up (m)", [data.bottom, data.top]),
         camera: { eye: { x: -0.8, y: -1.05, z: 1.35 }, center: { x: 0, y: 0, z: -0.1 } },
       },
     };

@@ -10,6 +10,7 @@ from ...arrays import FloatArray
 from ...errors import InputError, Unquoted
 from ..source_map import MapLane
 from .attributes import lane_kinds
+from .cross_sections import CrossSections
 from .reference_line import MAX_COORDINATE_M, PiecewiseCubic, evaluate
 from .roads import LaneRecord, LaneSection, Road
 
@@ -46,19 +47,22 @@ class SampledSection:
     points_m: FloatArray  # (n, 3), of the reference line
     left: FloatArray  # (n, 2), unit vectors to the left of it
     rise: FloatArray  # (n,), by which the surface rises towards it: sine of the superelevation
+    shape: CrossSections  # above that
     lanes: dict[int, SampledLane]  # by number
 
     def beside(self, t_m: FloatArray) -> FloatArray:
         """Points (n, 3) of the surface some metres to the left of the reference line."""
         points = self.points_m.copy()
         points[:, :2] += t_m[:, None] * self.left
-        points[:, 2] += t_m * self.rise
+        points[:, 2] += t_m * self.rise + self.shape.at(self.s_m, t_m)
         return points
 
     def surface_m(self) -> FloatArray:
-        """Points (m, 3) of the surface: on the reference line and both edges."""
+        """Points (m, 3) of the surface: on the reference line and both edges, or at all lanes."""
         edges = [lane.outer_m for lane in self.lanes.values()] or [np.zeros(len(self.s_m))]
-        sides = (np.zeros(len(self.s_m)), np.min(edges, axis=0), np.max(edges, axis=0))
+        sides = [np.zeros(len(self.s_m)), np.min(edges, axis=0), np.max(edges, axis=0)]
+        if len(self.shape.stations_m):
+            sides += edges
         return np.concatenate([self.beside(t_m) for t_m in sides])
 
 
@@ -121,6 +125,7 @@ def _sample_section(road: Road, section: LaneSection, bends: FloatArray) -> Samp
         points_m=np.column_stack([points, height]),
         left=np.stack([-np.sin(heading), np.cos(heading)], axis=1),
         rise=np.sin(evaluate(road.bank.rebased(starts, inside)[interval], ds)),
+        shape=road.shape,
         lanes={
             lane.number: SampledLane(
                 record=lane, inner_m=t_m[inner_of[lane.number]], outer_m=t_m[lane.number]
@@ -142,7 +147,8 @@ def _intervals(road: Road, section: LaneSection) -> tuple[FloatArray, FloatArray
     cubics: list[PiecewiseCubic] = [road.offset, road.elevation, road.bank]
     for lane in (*section.left, *section.right):
         cubics += [lane.width, lane.border]
-    inner = np.concatenate([road.line.starts_m, *(cubic.starts_m for cubic in cubics)])
+    starts_m = [road.line.starts_m, road.shape.stations_m, *(cubic.starts_m for cubic in cubics)]
+    inner = np.concatenate(starts_m)
     inner = inner[(inner > section.start_m) & (inner < section.end_m)]
     starts = np.unique(np.append(inner, section.start_m))
     return starts, np.diff(np.append(starts, max(section.end_m, section.start_m)))

@@ -27,7 +27,7 @@ def read_opendrive(path: Path) -> SourceMap:
 
     Roads outside junctions become lanes in driving direction; the surface of a junction's
     connecting roads becomes its outline; objects and signals become things, poles, crosswalks and
-    parking lanes. Heights are absolute; roads are lines across, banked by their superelevation.
+    parking lanes. Heights are absolute; across, roads have their superelevation and shape.
 
     Raises InputError if the file cannot be read, is no OpenDRIVE, has no roads, lacks a number or
     has one out of range, or needs too many points.
@@ -66,7 +66,7 @@ def read_opendrive(path: Path) -> SourceMap:
     ]
     poles, painted = read_signals(roads, sampled, offset, omissions)
     crosswalks = [*found.crosswalks_m, *painted, *cross_paths(records, roads)]
-    _note_ignored(root, roads, omissions)
+    _note_ignored(root, omissions)
     return SourceMap(
         name=where,
         crs=crs,
@@ -149,14 +149,7 @@ def _keeps_left(roads: Mapping[str, Road], omissions: Omissions) -> bool:
     return 2 * n_left > len(roads)
 
 
-def _note_ignored(root: Element, roads: Mapping[str, Road], omissions: Omissions) -> None:
-    for road in roads.values():
-        if road.has_shape:
-            omissions.add(
-                "cross-sections",
-                f"road {road.id}, shape",
-                "across, roads are lines: banked by their superelevation alone",
-            )
+def _note_ignored(root: Element, omissions: Omissions) -> None:
     for element in root.iter("include"):
         omissions.add(
             "included files", f"include {element.get('file', '')[:80]}", "other files are not read"

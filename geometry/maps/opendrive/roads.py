@@ -10,6 +10,7 @@ import numpy as np
 from ...arrays import FloatArray
 from ...errors import InputError, Unquoted
 from .attributes import Offset, numbered, take_id, take_number
+from .cross_sections import CrossSections, read_cross_sections
 from .reference_line import PiecewiseCubic, ReferenceLine, read_cubics, read_reference_line
 
 NO_JUNCTION = "-1"
@@ -68,7 +69,7 @@ class Road:
     before: RoadLink  # at its begin
     after: RoadLink  # at its end
     bank: PiecewiseCubic  # roll around the reference line, its left side upwards. [rad]
-    has_shape: bool  # its cross-section is no line, which is ignored
+    shape: CrossSections  # above the line across that the bank makes
     element: Element  # for objects and signals
 
     def height_at(self, s_m: FloatArray) -> FloatArray:
@@ -81,7 +82,7 @@ class Road:
         s_m = np.clip(s_m, 0.0, self.length_m)
         points, heading = self.line.at(s_m)
         left = np.stack([-np.sin(heading), np.cos(heading)], axis=1)
-        height_m = self.height_at(s_m) + t_m * np.sin(self.bank.at(s_m))
+        height_m = self.height_at(s_m) + t_m * np.sin(self.bank.at(s_m)) + self.shape.at(s_m, t_m)
         return np.column_stack([points + t_m[:, None] * left, height_m]), heading
 
     def listed(self, tag: str, names: Counter[str]) -> Iterator["RoadElement"]:
@@ -138,16 +139,8 @@ def read_road(element: Element, where: str, offset: Offset) -> Road:
         before=before,
         after=after,
         bank=read_cubics(lateral, "superelevation", where),
-        has_shape=lateral is not None and _has_shape(lateral, where),
+        shape=read_cross_sections(lateral, where),
         element=element,
-    )
-
-
-def _has_shape(lateral: Element, where: str) -> bool:
-    return any(
-        take_number(piece, key, here) != 0.0
-        for piece, here in numbered(lateral, "shape", where)
-        for key in "abcd"
     )
 
 

@@ -309,10 +309,9 @@ def test_what_does_not_fit_into_memory_is_refused_before_it_starts(
 # Results
 
 
-def test_placement_prints_one_object_and_writes_a_report(run, few_runs):
-    code, out, err = run("--budget", 2, "--json", "--workers", 2)
-    assert code == 0
-    assert err.splitlines()[0] == "setting ..."
+def test_placement_prints_one_object_and_writes_a_report(run, few_runs, whole_placement):
+    assert (whole_placement / "err").read_text().splitlines()[0] == "setting ..."
+    out = (whole_placement / "out").read_text()
     summary = json.loads(out, parse_constant=pytest.fail)
     assert set(summary) >= KEYS
     assert [list(unit) for unit in summary["layout"]] == [list(UNIT)] * 2
@@ -335,7 +334,7 @@ def test_placement_prints_one_object_and_writes_a_report(run, few_runs):
                 0.0 <= ratio <= 1.0 for ratio in (ratios["all"], *ratios["by_case"].values())
             )
     assert 0.0 <= summary["apr_without_worst_unit"] <= summary["apr"] <= summary["bound"] <= 1.0
-    assert {path.name for path in Path("results/latest").iterdir()} == {
+    assert {path.name for path in (whole_placement / "results/latest").iterdir()} == {
         "report.html",
         "certificate.json",
         "instance.npz",
@@ -353,10 +352,12 @@ def test_placement_prints_one_object_and_writes_a_report(run, few_runs):
         "heatmap_CBNA_east_60.png",
         "heatmap_CBLA_east_50.png",
     }
-    assert json.loads(Path("results/latest/summary.json").read_text()) == summary
-    assert list(Path("results").iterdir()) == [Path("results/latest")]
+    results = whole_placement / "results"
+    assert json.loads((results / "latest/summary.json").read_text()) == summary
+    assert list(results.iterdir()) == [results / "latest"]
     # What was written is read again.
-    code, out, err = run("evaluate", "--layout", "results/latest/layout.json", "--json", "--quiet")
+    layout = results / "latest/layout.json"
+    code, out, err = run("evaluate", "--layout", layout, "--json", "--quiet")
     assert (code, err) == (0, "")
     again = json.loads(out, parse_constant=pytest.fail)
     assert set(again) >= KEYS

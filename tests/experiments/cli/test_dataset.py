@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -27,8 +28,8 @@ def dataset(run, tmp_path):
     study = load_carlancap_layout()
     small = CameraModel(
         name="small",
-        width_px=640,
-        height_px=360,
+        width_px=320,
+        height_px=180,
         horizontal_fov_deg=90.0,
         frame_rate_hz=10.0,
         near_m=0.1,
@@ -47,6 +48,21 @@ def dataset(run, tmp_path):
         )
 
     return run_dataset
+
+
+@pytest.fixture(scope="module")
+def drawn_once(tmp_path_factory):
+    return tmp_path_factory.mktemp("drawn") / "data"
+
+
+@pytest.fixture
+def drawn(dataset, drawn_once):
+    """The dataset without clouds, which several tests begin with: in the folder `data`."""
+    if not drawn_once.exists():
+        code, _, err = dataset("--lidar", "none", out=drawn_once)
+        assert code == 0, err
+    shutil.copytree(drawn_once, "data")
+    return drawn_once
 
 
 def _files(folder):
@@ -72,7 +88,7 @@ def test_pictures_clouds_labels_and_a_manifest_are_written(dataset):
         assert len(list(Path("data", folder).glob("*.txt"))) == sum(frames)
         assert len(list(Path("data/depth", folder).glob("*.png"))) == n_each
     with Image.open("data/0/0_0.png") as picture, Image.open("data/instances/0/0_0.png") as masks:
-        assert picture.size == masks.size == (640, 360)
+        assert picture.size == masks.size == (320, 180)
     cloud = np.fromfile("data/0/0_0.bin", dtype="<f4").reshape(-1, 4)
     assert np.isfinite(cloud).all()
     assert len(cloud) > 1000
@@ -138,14 +154,13 @@ def test_coco_is_read_by_its_own_library(dataset, capsys):
     }
     for found in labels.loadAnns(labels.getAnnIds()):
         x, y, width, height = found["bbox"]
-        assert 0 <= x < x + width <= 640
-        assert 0 <= y < y + height <= 360
+        assert 0 <= x < x + width <= 320
+        assert 0 <= y < y + height <= 180
     assert labels.getAnnIds()
     assert not list(Path("data").rglob("*.txt"))
 
 
-def test_it_goes_on_where_it_stopped_and_writes_nothing_twice(dataset):
-    assert dataset("--lidar", "none")[0] == 0
+def test_it_goes_on_where_it_stopped_and_writes_nothing_twice(dataset, drawn):
     whole = _files("data")
     pictures = sorted(name for name in whole if name.endswith(".png"))
     lost = pictures[1::2]
@@ -160,17 +175,18 @@ def test_it_goes_on_where_it_stopped_and_writes_nothing_twice(dataset):
     assert {name: Path("data", name).stat().st_mtime_ns for name in stamps} == stamps
 
 
-def test_processes_draw_the_same_and_for_one_that_dies_another(dataset, monkeypatch, tmp_path):
-    assert dataset("--lidar", "none", out="one")[0] == 0
+def test_processes_draw_the_same_and_for_one_that_dies_another(
+    dataset, drawn, monkeypatch, tmp_path
+):
     # A process that finds the file dies, once.
     mark = tmp_path / "die"
     mark.write_text("")
     monkeypatch.setattr(job, "draw_task", _die_once)
     monkeypatch.setenv("PLACE_RSUS_TEST_MARK", str(mark))
-    code, _, err = dataset("--lidar", "none", "--workers", 2)
+    code, _, err = dataset("--lidar", "none", "--workers", 2, out="other")
     assert code == 0, err
     assert not mark.exists()
-    assert _files("data") == _files("one")
+    assert _files("other") == _files(drawn)
 
 
 def _die_once(task):
@@ -188,7 +204,7 @@ def test_killed_in_the_middle_it_goes_on(dataset, tmp_path):
     command = [
         *(sys.executable, "-m", "experiments.cli.main", "dataset"),
         *("--layout", str(tmp_path / "two.json"), *ASKED, "--units", "RSU3,RSU8"),
-        *("--every", "10", "--lidar", "none", "--workers", "1", "--out", "data", "--quiet"),
+        *("--every", "20", "--lidar", "none", "--workers", "1", "--out", "data", "--quiet"),
     ]
     root = Path(job.__file__).parents[2]
     process = subprocess.Popen(command, env={**os.environ, "PYTHONPATH": str(root)})
@@ -198,7 +214,7 @@ def test_killed_in_the_middle_it_goes_on(dataset, tmp_path):
     process.wait()
     n_there = len(list(Path("data").rglob("[0-9]*.png")))
     assert n_there >= 3
-    code, out, _ = dataset("--lidar", "none", "--json", every=10)
+    code, out, _ = dataset("--lidar", "none", "--json", every=20)
     summary = json.loads(out)
     assert (code, summary["drawn"]) == (0, summary["pictures"] - n_there)
     for path in Path("data").rglob("*.png"):
@@ -244,8 +260,8 @@ def test_what_cannot_be_written_is_said_in_a_line(dataset, more, message):
     assert not Path("data").exists()
 
 
+@pytest.mark.usefixtures("drawn")
 def test_a_folder_of_another_dataset_or_of_something_else_is_left_alone(dataset):
-    assert dataset("--lidar", "none")[0] == 0
     before = _files("data")
     code, _, err = dataset("--lidar", "none", "--seed", 1)
     assert code == 2
@@ -281,8 +297,9 @@ def test_workers_of_a_dask_cluster_draw_and_one_may_die(dataset, tmp_path):
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, dashboard_address=None, protocol="tcp"
     ) as cluster:
-        pid = next(iter(cluster.workers.values())).pid
-        os.kill(pid, signal.SIGKILL)
+        first = next(iter(cluster.workers.values()))
+        first.auto_restart = False
+        os.kill(first.pid, signal.SIGKILL)
         code, out, err = dataset("--lidar", "none", "--scheduler", cluster.scheduler_address)
     assert code == 0, err
     assert len(list(Path("data").rglob("*.png"))) == int(out.split()[0])

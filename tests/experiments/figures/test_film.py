@@ -77,7 +77,8 @@ def test_stills_are_written_in_the_form_that_the_name_asks_for(child, tmp_path, 
 
 def test_an_animation_has_a_picture_per_frame_and_tells_its_progress(tmp_path, monkeypatch):
     monkeypatch.setattr(film_figure, "_SHOWN_S", 0.3)
-    run = run_of("CPNCO-50", speeds="60")
+    monkeypatch.setattr(film_figure, "_DPI", 40)
+    run = run_of("CPNCO-50", speeds="20")
     path, told = tmp_path / "film.gif", []
     save_film(path, load_study_scene(), run, progress=lambda stage, *done: told.append(done))
     with Image.open(path) as film:

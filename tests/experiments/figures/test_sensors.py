@@ -83,7 +83,10 @@ def test_the_words_say_that_it_scans_all_round():
     camera = _unit(next(iter(load_cameras().values())), yaw_deg=90.0)
     assert [compass_word(camera), looking_words(camera)] == ["north", "looking to the north"]
     layout = Layout(name="two", units=(_unit(), replace(camera, id="U2")))
-    assert [row[8] for row in unit_table("two", layout).rows] == ["all round", "north"]
+    assert [row[8] for row in unit_table("two", layout, load_study_scene()).rows] == [
+        "all round",
+        "north",
+    ]
 
 
 def test_the_plan_marks_a_ring_by_a_disc_and_draws_its_blind_spot(small_setting):
@@ -124,7 +127,7 @@ def test_the_sheet_says_how_a_ring_hangs_and_draws_an_arrow_only_where_it_helps(
 
 def test_the_player_gets_a_round_sign_and_the_blind_disc():
     camera = _unit(next(iter(load_cameras().values())), pitch_deg=-30.0, unit_id="U2")
-    ring, other = unit_records(Layout(name="two", units=(_unit(), camera)))
+    ring, other = unit_records(Layout(name="two", units=(_unit(), camera)), load_study_scene())
     assert (ring["kind"], other["kind"]) == ("ring", "camera")
     assert (len(ring["blind"]) > 20, other["blind"]) == (True, [])
     assert "scans all round" in ring["title"]

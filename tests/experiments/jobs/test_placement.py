@@ -74,6 +74,7 @@ def test_a_placement_is_written_as_it_is_returned(small_study, tmp_path):
         "start",
         *stages,
         "evaluate",
+        "other lenses",
         "what if",
         "write results",
         "total",
@@ -106,7 +107,8 @@ def test_sampled_worlds_are_explained_and_lose_the_messages_asked_for(
     assert "Other layouts as good" in page
 
 
-def test_a_layout_brings_its_own_sensors_along(small_study, tmp_path, monkeypatch):
+@pytest.mark.usefixtures("small_study", "without_figures")
+def test_a_layout_brings_its_own_sensors_along(tmp_path, monkeypatch):
     monkeypatch.setattr(
         placement, "build_plan", lambda asked, scene, study: build_plan(asked, scene)
     )

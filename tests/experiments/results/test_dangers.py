@@ -3,10 +3,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace as replace_fields
 from partial_pages import build_result
 
-from experiments.report.answer import danger_sentences, next_unit_sentence, position_words
-from experiments.results.baselines import NextUnitRecord
+from experiments.report.answer import danger_sentences, position_words
+from experiments.report.next_unit import (
+    next_unit_section,
+    next_unit_sentence,
+    other_sensor_sentence,
+)
+from experiments.results.baselines import ExchangeRecord, NextUnitRecord
 from experiments.results.dangers import avoided_runs, build_dangers_record
 
 
@@ -96,3 +102,46 @@ def test_what_the_next_unit_buys_and_how_that_is_known():
         "greedy choice)"
     )
     assert next_unit_sentence(build_result("any")) == ""
+
+
+LENS = ExchangeRecord(
+    model="basler-aca1920-50gc-16mm",
+    kind="camera",
+    unit="U2",
+    horizontal_fov_deg=38.0,
+    yaw_deg=-60.0,
+    pitch_deg=-15.0,
+    apr=0.974,
+    gain=0.064,
+    extra_eur=400.0,
+    all_units=3,
+    apr_all=0.7,
+    apr_as_they_hang=0.5,
+    extra_all_eur=1200.0,
+)
+
+
+def test_what_a_longer_lens_buys_and_how_that_is_known():
+    assert other_sensor_sentence(build_result("any", other_sensors=(LENS,))) == (
+        "basler-aca1920-50gc-16mm (38 deg wide) in place of U2 would add 6.4 points of APR: 97.4 % "
+        "for 400 EUR more (on the detection table, at the same mounts, turned by up to 45 deg)"
+    )
+    worse = replace_fields(LENS, apr=0.9, gain=-0.01, extra_eur=-100.0)
+    assert other_sensor_sentence(build_result("any", other_sensors=(worse, worse))) == (
+        "None of 2 other models in place of one of these would add anything: "
+        "basler-aca1920-50gc-16mm (38 deg wide) in place of U2 would come closest, with 90.0 % (on "
+        "the detection table, at the same mounts, turned by up to 45 deg)"
+    )
+    assert other_sensor_sentence(build_result("any")) == ""
+
+
+def test_the_section_has_a_row_per_model_and_both_sentences():
+    unit = NextUnitRecord(pose="mast-w/7m", site="mast-w", apr=0.974, gain=0.064)
+    result = build_result("any", next_unit=unit, other_sensors=(LENS,))
+    section = next_unit_section(result)
+    said, table = section.blocks
+    assert said == f"{next_unit_sentence(result)}. {other_sensor_sentence(result)}."
+    assert table.rows == [
+        [LENS.model, "38", "U2", "97.4 %", "+6.4", "+400", "70.0 %", "50.0 %", "+1,200"]
+    ]
+    assert next_unit_section(build_result("any")) is None

@@ -6,13 +6,18 @@ import pytest
 
 from experiments.study import reproduction
 from experiments.study.reproduction import (
-    Variant,
-    build_additional_variants,
-    build_variants,
     load_additional,
     load_published,
     quantities,
     write_reproduction,
+)
+from experiments.study.variants import (
+    BEHIND,
+    FARTHEST,
+    TURNING,
+    Variant,
+    build_additional_variants,
+    build_variants,
 )
 from geometry.errors import InputError
 from placement.compute import Compute
@@ -74,8 +79,10 @@ def test_the_page_has_every_published_figure_and_a_range(small, tmp_path, monkey
         assert f"| {figure.quantity} | {figure.case} | {100 * figure.value:.2f} % |" in text
     assert "| field of view 90 deg, not 110 |" in text
     assert "## Predictions" in text
-    for figure in load_additional():  # of cases that the small variants do not drive
-        assert f"| {figure.case} | {figure.quantity} | {figure.published} | - |" in text
+    published = next(line for line in text.splitlines() if line.startswith("| published |"))
+    for figure in load_additional():
+        assert figure.published in published
+    assert "| as it is | - | - | - | - |" in text  # the small variants do not drive these cases
     assert (tmp_path / "reproduction_heatmaps.png").read_bytes().startswith(b"\x89PNG")
     assert stages[0] == ("evaluate variants", 0, 3)
     assert sorted(path.name for path in Path(tmp_path).iterdir()) == [
@@ -102,10 +109,26 @@ def test_the_additional_cases_are_changed_in_one_thing_at_a_time():
     live = variants["a track lives for 1 s"]
     assert live.rule == replace(base.rule, track_memory_s=1.0)
     assert live.axis is base.axis
-    short = variants["the last 3 s before the impact"]
+    short = variants["recordings of the last 3 s before the impact"]
     assert short.axis.run_ids == base.axis.run_ids
     for run, whole in zip(short.runs, base.runs, strict=True):
         assert len(run.time_s) == min(31, len(whole.time_s))
         assert (run.vru_position_m == whole.vru_position_m[-len(run.time_s) :]).all()
     assert set(variants["15 m before the crosswalk"].axis.positions) == {"-15"}
     assert variants["30 m before the crosswalk"].axis.cases.count("CPNCO-50") >= 4
+    for run in variants[BEHIND].runs:
+        yaw = np.radians(run.vut_yaw_deg[0])
+        way = way_of(run)
+        assert np.array([np.cos(yaw), np.sin(yaw)]) @ way > 0.9
+    farther = {run.id: run for run in variants[FARTHEST].runs}
+    for run in base.runs:
+        if run.case.name in TURNING:
+            moved = (farther[run.id].vru_position_m[-1] - run.vru_position_m[-1])[:2]
+            across = abs(way_of(run)[0] * moved[1] - way_of(run)[1] * moved[0])
+            assert across == pytest.approx(30.0, abs=0.1)
+
+
+def way_of(run):
+    """Unit vector from where the VRU starts to where it ends."""
+    way = (run.vru_position_m[-1] - run.vru_position_m[0])[:2]
+    return way / np.linalg.norm(way)

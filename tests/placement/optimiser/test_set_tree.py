@@ -13,10 +13,10 @@ from geometry.arrays import IntArray
 from geometry.clock import now_s
 from placement.optimiser import PlacementProblem, presolve
 from placement.optimiser.bitsets import left_after_failures, set_values, union_apr, unions_of
+from placement.optimiser.cover_tree import SetWalk
 from placement.optimiser.limits import are_allowed
 from placement.optimiser.presolve import ReducedProblem
 from placement.optimiser.set_tree import (
-    SetWalk,
     avoided_runs,
     build_links,
     find_root,

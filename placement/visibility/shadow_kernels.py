@@ -4,7 +4,8 @@ All directions from the eye are sorted into cells: azimuth by the diamond angle,
 sine, so that no trigonometric function is needed. Each cell knows how near the nearest thing in it
 may be. Triangles are cut into pieces of some degrees, and each piece counts in all cells between
 its least and greatest azimuth and elevation: a cell never knows too little, and where it knows
-nothing nearer than a point, the ray to that point would meet nothing.
+nothing nearer than a point, the ray to that point would meet nothing. Where one triangle fills a
+whole cell, its ray to any point behind would meet that triangle.
 """
 
 from typing import Any
@@ -24,6 +25,8 @@ _SLACK_M = 1.0e-3  # for rays in single precision
 _SLACK_SIN = 1.0e-5
 _MOST_CUTS = 64
 _BLOCK = 8  # cells along either side of a block whose nearest thing is looked at first
+_FLATTEST = 0.01  # sine between a triangle and the directions that it surely stops
+_BEHIND_M = 0.01  # what is farther behind a triangle than this is surely behind it
 
 
 @kernel
@@ -39,20 +42,23 @@ def _diamond(x: float, y: float) -> float:
 
 
 @kernel
-def _around(x: float, y: float) -> int:
+def cell_around(x: float, y: float, n_around: int) -> int:
     """Column of cells of an azimuth."""
-    return min(int(_diamond(x, y) * (0.25 * N_AROUND)), N_AROUND - 1)
+    return min(int(_diamond(x, y) * (0.25 * n_around)), n_around - 1)
 
 
 @kernel
-def _up(sine: float) -> int:
+def cell_up(sine: float, n_up: int) -> int:
     """Row of cells of an elevation."""
-    return max(0, min(int((sine + 1.0) * (0.5 * N_UP)), N_UP - 1))
+    return max(0, min(int((sine + 1.0) * (0.5 * n_up)), n_up - 1))
 
 
 @kernel
-def _window(x: float, y: float, z: float, radius: float) -> tuple[int, int, int, int]:
+def _window(
+    x: float, y: float, z: float, radius: float, shape: tuple[int, int]
+) -> tuple[int, int, int, int]:
     """Cells that a sphere touches, the eye outside of it: rows, columns; the end may be > N."""
+    n_up, n_around = shape
     level = np.sqrt(x * x + y * y)
     distance = np.sqrt(x * x + y * y + z * z)
     sine = radius / distance
@@ -64,18 +70,20 @@ def _window(x: float, y: float, z: float, radius: float) -> tuple[int, int, int,
             low = -1.0
         else:
             high = 1.0
-        return _up(low), _up(high), 0, N_AROUND - 1
+        return cell_up(low, n_up), cell_up(high, n_up), 0, n_around - 1
     turn = radius / level
     keep = np.sqrt(1.0 - turn * turn)
-    first = _around(x * keep + y * turn, y * keep - x * turn)
-    last = _around(x * keep - y * turn, y * keep + x * turn)
+    first = cell_around(x * keep + y * turn, y * keep - x * turn, n_around)
+    last = cell_around(x * keep - y * turn, y * keep + x * turn, n_around)
     if last < first:
-        last += N_AROUND
-    return _up(low), _up(high), first, last
+        last += n_around
+    return cell_up(low, n_up), cell_up(high, n_up), first, last
 
 
 @kernel
-def _piece_window(corners: Any, x: float, y: float, sine: float) -> tuple[int, int, int, int]:
+def _piece_window(
+    corners: Any, x: float, y: float, sine: float, shape: tuple[int, int]
+) -> tuple[int, int, int, int]:
     """Cells that a triangle touches, as `_window`: `sine` is that of its half angle at least.
 
     Azimuth on a triangle is between those of its corners. Of a point p = sum of shares t of the
@@ -99,11 +107,12 @@ def _piece_window(corners: Any, x: float, y: float, sine: float) -> tuple[int, i
     top = top * bulge if top > 0.0 else top
     distance = np.sqrt(x * x + y * y)
     slack = _SLACK_M / distance + _SLACK_SIN
-    first = int(np.floor((middle + left - slack) * (0.25 * N_AROUND)))
-    last = int(np.floor((middle + right + slack) * (0.25 * N_AROUND)))
+    n_up, n_around = shape
+    first = int(np.floor((middle + left - slack) * (0.25 * n_around)))
+    last = int(np.floor((middle + right + slack) * (0.25 * n_around)))
     if first < 0:
-        first, last = first + N_AROUND, last + N_AROUND
-    return _up(bottom - slack), _up(top + slack), first, last
+        first, last = first + n_around, last + n_around
+    return cell_up(bottom - slack, n_up), cell_up(top + slack, n_up), first, last
 
 
 @kernel
@@ -116,12 +125,14 @@ def mark_nearest(
     low_m: float,
     high_m: float,
 ) -> None:
-    """Enter triangles (n, 3, 3) into cells (N_UP, N_AROUND) of distances from the eye.
+    """Enter triangles (n, 3, 3) into cells (n_up, n_around) of distances from the eye.
 
     Left out is what is nearer than `near_m`, farther than `far_m`, and what no way from the eye to
     a point whose height is `low_m` .. `high_m` can meet.
     """
     floor, ceiling = min(eye[2], low_m), max(eye[2], high_m)
+    shape = nearest.shape
+    n_around = shape[1]
     stack = np.empty((_MOST_CUTS + 1, 9))
     for number in range(len(triangles)):
         for corner in range(3):
@@ -167,16 +178,169 @@ def mark_nearest(
                 return
             least = np.float32(max(0.0, distance - wide))
             if np.sqrt(x * x + y * y) <= wide:  # straight above or below
-                low, high, begin, end = _window(x, y, z, wide)
+                low, high, begin, end = _window(x, y, z, wide, shape)
             else:
                 corners = ((ax, ay, az), (bx, by, bz), (cx, cy, cz))
-                low, high, begin, end = _piece_window(corners, x, y, wide / distance)
+                low, high, begin, end = _piece_window(corners, x, y, wide / distance, shape)
             for up in range(low, high + 1):
                 row = nearest[up]
-                for column in range(begin, min(end, N_AROUND - 1) + 1):
+                for column in range(begin, min(end, n_around - 1) + 1):
                     row[column] = min(row[column], least)
-                for column in range(0, end - N_AROUND + 1):
+                for column in range(0, end - n_around + 1):
                     row[column] = min(row[column], least)
+
+
+@kernel
+def _lattice() -> tuple[Array, Array]:
+    """Unit vectors (2, n): (east, north) to where columns of cells begin, (level, up) for rows."""
+    around, up = np.empty((2, N_AROUND + 1)), np.empty((2, N_UP + 1))
+    for column in range(N_AROUND + 1):
+        turn = 4.0 * column / N_AROUND
+        x = 1.0 - turn if turn < 2.0 else turn - 3.0
+        y = turn if turn < 1.0 else (2.0 - turn if turn < 3.0 else turn - 4.0)
+        size = np.sqrt(x * x + y * y)
+        around[0, column], around[1, column] = x / size, y / size
+    for row in range(N_UP + 1):
+        up[1, row] = 2.0 * row / N_UP - 1.0
+        up[0, row] = np.sqrt(max(0.0, 1.0 - up[1, row] ** 2))
+    return around, up
+
+
+@kernel
+def _cross(a: Any, b: Any, sign: float) -> tuple[float, float, float]:
+    """Unit normal of the plane through the eye and two points, turned by a sign."""
+    x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    size = sign * max(np.sqrt(x * x + y * y + z * z), 1.0e-300)
+    return x / size, y / size, z / size
+
+
+@kernel
+def _columns(a: Any, b: Any, c: Any) -> tuple[int, int]:
+    """First and last column of cells that a triangle touches; all, if it is above or below."""
+    ab, bc, ca = a[0] * b[1] - a[1] * b[0], b[0] * c[1] - b[1] * c[0], c[0] * a[1] - c[1] * a[0]
+    if min(ab, bc, ca) >= 0.0 or max(ab, bc, ca) <= 0.0:
+        return 0, N_AROUND - 1
+    middle = _diamond(a[0] + b[0] + c[0], a[1] + b[1] + c[1])
+    left = right = 0.0
+    for corner in (a, b, c):
+        turn = _diamond(corner[0], corner[1]) - middle
+        if turn > 2.0:
+            turn -= 4.0
+        elif turn < -2.0:
+            turn += 4.0
+        left, right = min(left, turn), max(right, turn)
+    first = int(np.floor((middle + left) * (0.25 * N_AROUND)))
+    last = int(np.floor((middle + right) * (0.25 * N_AROUND)))
+    return (first + N_AROUND, last + N_AROUND) if first < 0 else (first, last)
+
+
+@kernel
+def mark_covered(
+    covered: Array,
+    triangles: Array,
+    eye: Array,
+    near_m: float,
+    low_m: float,
+    high_m: float,
+    rows: tuple[int, int],
+) -> None:
+    """Enter triangles (n, 3, 3) that fill whole cells (N_UP, N_AROUND), by distance from the eye.
+
+    All directions of a cell meet the triangle no farther away than it says, beyond `near_m`. The
+    heights are as for :func:`mark_nearest`; rows before and after `rows` may be left out.
+
+    On a cell, the sine between a direction and a plane through the eye is as at its four corners,
+    or between, but for a bulge of an eighth of the squared angle from corner to corner.
+    """
+    floor, ceiling = min(eye[2], low_m), max(eye[2], high_m)
+    around, up = _lattice()
+    n_rows, n_columns = N_UP // _BLOCK, N_AROUND // _BLOCK
+    planes, sines = np.empty((4, 3)), np.empty((4, _BLOCK + 1, _BLOCK + 1))
+    farthest = np.full((n_rows, n_columns), np.inf, np.float32)  # in each block
+    for number in range(len(triangles)):
+        one, two, three = triangles[number]
+        if max(one[2], two[2], three[2]) <= floor or min(one[2], two[2], three[2]) >= ceiling:
+            continue
+        a = (one[0] - eye[0], one[1] - eye[1], one[2] - eye[2])
+        b = (two[0] - eye[0], two[1] - eye[1], two[2] - eye[2])
+        c = (three[0] - eye[0], three[1] - eye[1], three[2] - eye[2])
+        u = (b[0] - a[0], b[1] - a[1], b[2] - a[2])
+        v = (c[0] - a[0], c[1] - a[1], c[2] - a[2])
+        size = max(
+            np.sqrt(u[0] ** 2 + u[1] ** 2 + u[2] ** 2), np.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
+        )
+        least = np.sqrt(a[0] ** 2 + a[1] ** 2 + a[2] ** 2)
+        if size < 1.5 / N_AROUND * (least - size):  # smaller than half of any cell
+            continue
+        normal = _cross(u, v, 1.0)
+        height = normal[0] * a[0] + normal[1] * a[1] + normal[2] * a[2]
+        sign = 1.0 if height > 0.0 else -1.0
+        height = abs(height)
+        planes[0], planes[1] = _cross(a, b, sign), _cross(b, c, sign)
+        planes[2], planes[3] = _cross(c, a, sign), _cross(u, v, sign)
+        first, last = _columns(a, b, c)
+        for row in range(rows[0] // _BLOCK, rows[1] // _BLOCK + 1):
+            i, k = row * _BLOCK, (row + 1) * _BLOCK
+            bulge = 1.0e-3 + 0.125 * (np.arcsin(up[1, k]) - np.arcsin(up[1, i])) ** 2
+            for wide in range(first // _BLOCK, last // _BLOCK + 1):
+                column = wide if wide < n_columns else wide - n_columns
+                if farthest[row, column] <= height:
+                    continue
+                j, m = column * _BLOCK, (column + 1) * _BLOCK
+                is_outside = False
+                for plane in range(4):
+                    x, y, z = planes[plane]
+                    left = x * around[0, j] + y * around[1, j]
+                    right = x * around[0, m] + y * around[1, m]
+                    most = max(left, right)
+                    greatest = max(up[0, i] * most + up[1, i] * z, up[0, k] * most + up[1, k] * z)
+                    if greatest + bulge < (_FLATTEST if plane == 3 else 0.0):
+                        is_outside = True
+                        break
+                if not is_outside:
+                    cells = covered[i:k, j:m]
+                    _mark_block(cells, i, j, planes, height, near_m, sines, around, up)
+                    farthest[row, column] = cells.max()
+
+
+@kernel
+def _mark_block(
+    cells: Array,
+    row: int,
+    column: int,
+    planes: Array,
+    height: float,
+    near_m: float,
+    sines: Array,
+    around: Array,
+    up: Array,
+) -> None:
+    """Enter a triangle into a block of cells: three planes through the eye, and its own."""
+    for plane in range(4):
+        px, py, pz = planes[plane]
+        for i in range(_BLOCK + 1):
+            level, z = up[0, row + i], up[1, row + i] * pz
+            for j in range(_BLOCK + 1):
+                sines[plane, i, j] = (
+                    level * (around[0, column + j] * px + around[1, column + j] * py) + z
+                )
+    low, high = sines[0], sines[1]
+    for i in range(_BLOCK + 1):  # the least of the three
+        for j in range(_BLOCK + 1):
+            least = low[i, j] if low[i, j] < high[i, j] else high[i, j]
+            low[i, j] = least if least < sines[2, i, j] else sines[2, i, j]
+    least_height = near_m + _SLACK_M
+    for i in range(_BLOCK):
+        tall = np.arcsin(up[1, row + i + 1]) - np.arcsin(up[1, row + i])
+        slack = 1.2e-4 + 0.125 * tall * tall
+        for j in range(_BLOCK):
+            inside = min(low[i, j], low[i, j + 1], low[i + 1, j], low[i + 1, j + 1])
+            one, two = sines[3, i, j], sines[3, i, j + 1]
+            three, four = sines[3, i + 1, j], sines[3, i + 1, j + 1]
+            flat, steep = min(one, two, three, four) - slack, max(one, two, three, four) + slack
+            is_filled = (inside >= slack) & (flat >= _FLATTEST) & (height > least_height * steep)
+            far = np.float32(height / flat) if is_filled else np.float32(np.inf)
+            cells[i, j] = far if far < cells[i, j] else cells[i, j]
 
 
 @kernel
@@ -192,19 +356,33 @@ def _is_clear(nearest: Array, size: int, window: tuple[int, int, int, int], far:
 
 
 @kernel
+def _is_covered(covered: Array, window: tuple[int, int, int, int], near: Any) -> bool:
+    """Whether all cells of a window are filled nearer than `near`."""
+    low, high, begin, end = window
+    for up in range(low, high + 1):
+        for around in range(begin, end + 1):
+            if covered[up, around if around < N_AROUND else around - N_AROUND] > near:
+                return False
+    return True
+
+
+@kernel
 def find_unclear_points(
     nearest: Array,
+    covered: Array,
     points: Array,
     middle: Array,
     radius: Array,
     eye: Array,
     views: Array,
+    hidden: Array,
     unclear: Array,
 ) -> None:
-    """Set `unclear` (n, n_points) where something may stand before a point of a view.
+    """Set `hidden` (n, n_points) where something stands before a point of a view.
 
-    `points` (n_views, 3, n_points), `middle` (n_views, 3), `radius` (n_views,): each body's points,
-    and a sphere around them; `views` (n,): which of them are asked for.
+    And set `unclear` (n, n_points) where something may. `points` (n_views, 3, n_points), `middle`
+    (n_views, 3), `radius` (n_views,): each body's points, and a sphere around them; `views` (n,):
+    which of them are asked for.
     """
     ex, ey, ez = eye[0], eye[1], eye[2]
     blocks = np.full((N_UP // _BLOCK, N_AROUND // _BLOCK), np.inf, np.float32)
@@ -218,9 +396,12 @@ def find_unclear_points(
         distance = np.sqrt(x * x + y * y + z * z)
         wide = radius[view] + _SLACK_M
         if distance > wide:
-            window = _window(x, y, z, wide)
+            window = _window(x, y, z, wide, nearest.shape)
             far = np.float32(distance + wide)
             if _is_clear(blocks, _BLOCK, window, far) or _is_clear(nearest, 1, window, far):
+                continue
+            if _is_covered(covered, window, np.float32(distance - wide - _BEHIND_M)):
+                hidden[row] = True
                 continue
         for point in range(points.shape[2]):
             x = points[view, 0, point] - ex
@@ -230,7 +411,11 @@ def find_unclear_points(
             if distance == 0.0:
                 unclear[row, point] = True
                 continue
-            unclear[row, point] = nearest[_up(z / distance), _around(x, y)] <= distance
+            up, column = cell_up(z / distance, N_UP), cell_around(x, y, N_AROUND)
+            if covered[up, column] <= distance - _BEHIND_M:
+                hidden[row, point] = True
+            else:
+                unclear[row, point] = nearest[up, column] <= distance
 
 
 @kernel
@@ -420,33 +605,3 @@ def find_rays_at_body(
             shorten((ox, oy, oz), (vx, vy, vz), near, cut, starts[ray], vectors[ray])
             ray += 1
     return ray
-
-
-@kernel
-def fill_own_rays(
-    points: Array,
-    surfaces: Array,
-    eyes: Array,
-    asked: Array,
-    off_surface_m: float,
-    starts: Array,
-    vectors: Array,
-) -> None:
-    """Rays to points of a body in its own frame that are asked for (n, n_points), row by row.
-
-    `points` (n_surfaces, n_points, 3), of which row n has those of `surfaces[n]`; `eyes` (n, 3).
-    They end `off_surface_m` before the point, as seen from the body's origin.
-    """
-    ray = 0
-    for row in range(len(eyes)):
-        x, y, z = eyes[row, 0], eyes[row, 1], eyes[row, 2]
-        share = np.float32(1.0 - off_surface_m / np.sqrt(x * x + y * y + z * z))
-        ex, ey, ez = np.float32(x), np.float32(y), np.float32(z)
-        for point in range(asked.shape[1]):
-            if not asked[row, point]:
-                continue
-            starts[ray, 0], starts[ray, 1], starts[ray, 2] = ex, ey, ez
-            vectors[ray, 0] = (points[surfaces[row], point, 0] - ex) * share
-            vectors[ray, 1] = (points[surfaces[row], point, 1] - ey) * share
-            vectors[ray, 2] = (points[surfaces[row], point, 2] - ez) * share
-            ray += 1

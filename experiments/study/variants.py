@@ -1,0 +1,260 @@
+"""The study's setting with one thing of our reconstruction, or of what it leaves open, changed."""
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geometry.actors import PlacedActor, pick_actor
+from geometry.catalogue import pick_camera
+from geometry.poses import Pose, body_rotation
+from geometry.scene import Scene
+from geometry.scene_files import load_study_scene
+from placement.detectors import GeometricDetector, load_planning_detector
+from placement.layout import Layout
+from placement.question import Question
+from placement.setting import Setting, build_setting
+from scenarios.aeb import load_track_memory_s
+from scenarios.cases import Case, select_cases
+from scenarios.exposure import weight_per_run
+from scenarios.positions import AT_ZERO, Position, is_bound, read_position
+from scenarios.runs import Run, build_frame_axis, build_runs
+
+from .layout import load_carlancap_layout
+
+# ---------- the cases whose starts the study publishes: one thing of the reconstruction changed
+
+
+OWN_CASES = "CPNC-50,CBNA,CBLA"
+"""The cases whose starts and figures the study publishes."""
+# At the junction alone, every run alike, a track for ever once confirmed.
+AS_STUDIED = Question(cases=OWN_CASES, along_arms="0", weights="run", track_memory_s=math.inf)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Variant:
+    """A setting and the study's layout in it.
+
+    Attributes
+    ----------
+    name : str
+        What is changed.
+    setting : Setting
+        Scene, runs, detector.
+    layout : Layout
+        The study's 12 cameras.
+    """
+
+    name: str
+    setting: Setting
+    layout: Layout
+
+
+def build_variants() -> tuple[Variant, ...]:
+    """As it is first; then walls, parked cars, smallest box and field of view, changed."""
+    layout = load_carlancap_layout()
+    base = build_setting(AS_STUDIED, load_study_scene())
+    changes: Mapping[str, Callable[[], Setting]] = {
+        "as it is": lambda: base,
+        "walls 0.5 m nearer to the corner": lambda: _move_walls(base, 0.5),
+        "walls 5 m farther from the corner": lambda: _move_walls(base, -5.0),
+        "no parked cars": lambda: _keep_parked(base, 0),
+        "no parked cars, walls 5 m farther": lambda: _move_walls(_keep_parked(base, 0), -5.0),
+        "two parked cars instead of eight": lambda: _keep_parked(base, 2),
+        "parked row 1 m beside the VUT, not 0.5 m": lambda: _move_parked(base, 0.5),
+        "smallest box 30 px": lambda: _detect_from(base, 30.0),
+        "smallest box 50 px": lambda: _detect_from(base, 50.0),
+    }
+    variants = [
+        Variant(name=name, setting=build(), layout=layout) for name, build in changes.items()
+    ]
+    return (*variants, _narrow(Variant(name=_NARROW, setting=base, layout=layout)))
+
+
+_NARROW = "field of view 90 deg, not 110"
+
+
+def _narrow(variant: Variant) -> Variant:
+    """All cameras with the field of view of the study's text, on the VUT, too."""
+    camera = pick_camera("carla-ncap-rgb-90", "variants")
+    units = tuple(replace(unit, sensor=camera) for unit in variant.layout.units)
+    return replace(
+        variant,
+        setting=replace(variant.setting, vut_camera=camera),
+        layout=replace(variant.layout, units=units),
+    )
+
+
+def _move_walls(setting: Setting, by_m: float) -> Setting:
+    """Every wall moved towards the middle of the junction, along both roads. [m]."""
+    return replace(setting, scene=move_walls(setting.scene, by_m))
+
+
+def move_walls(scene: Scene, by_m: float) -> Scene:
+    """Move every wall towards the middle of a junction, by so much along both roads. [m].
+
+    All else stands where it stood.
+    """
+    vertices = scene.vertices_m.copy()
+    middle = scene.outline_m.mean(axis=0)
+    for index, instance in enumerate(scene.instances):
+        if instance.class_name == "wall":
+            own = np.unique(scene.triangles[scene.triangle_instance == index])
+            nearest = own[np.argmin(np.linalg.norm(vertices[own, :2] - middle, axis=1))]
+            vertices[own, :2] -= by_m * np.sign(vertices[nearest, :2] - middle)
+    return replace(scene, vertices_m=vertices)
+
+
+def _keep_parked(setting: Setting, count: int) -> Setting:
+    return _with_runs(setting, lambda run: run.obstruction[:count])
+
+
+def _move_parked(setting: Setting, by_m: float) -> Setting:
+    """Parked bodies moved away from the VUT's path, to its right. [m]."""
+
+    def moved(run: Run) -> tuple[PlacedActor, ...]:
+        right = -body_rotation(float(run.vut_yaw_deg[0]))[:, 1]
+        return tuple(
+            PlacedActor(
+                actor=parked.actor,
+                pose=Pose(
+                    position_m=parked.pose.position_m + by_m * right,
+                    yaw_deg=parked.pose.yaw_deg,
+                ),
+            )
+            for parked in run.obstruction
+        )
+
+    return _with_runs(setting, moved)
+
+
+def _with_runs(setting: Setting, obstruction: Callable[[Run], tuple[PlacedActor, ...]]) -> Setting:
+    runs = tuple(replace(run, obstruction=obstruction(run)) for run in setting.runs)
+    return replace(setting, runs=runs)
+
+
+def _detect_from(setting: Setting, height_px: float) -> Setting:
+    default = load_planning_detector()
+    assert isinstance(default, GeometricDetector)
+    detector = replace(default, min_box_height_px=height_px)
+    return replace(setting, detector=detector, planner=detector)
+
+
+# ---------- the additional cases: one thing changed that the study leaves open
+
+
+ADDITIONAL_CASES = ("CPNCO-50", "CPLA-50", "CBTAno-50", "CBTAfo-50")
+TURNING = ("CBTAno-50", "CBTAfo-50")
+LARGE_BOX = "smallest box 60 px"
+BEFORE = "15 m before the crosswalk"
+BEHIND = "cyclist comes from behind"
+BEHIND_NARROW = "cyclist comes from behind, field of view 90 deg"
+FARTHEST = "met 30 m farther out on the exit arm, no buildings"
+SHORTEST = "recordings of the last 0.6 s before the impact"
+
+
+def build_additional_variants() -> tuple[Variant, ...]:
+    """As it is first; some are about some of the cases only."""
+    layout = load_carlancap_layout()
+    scene = load_study_scene()
+    cases = {
+        case.name: case for case in select_cases("study").cases if case.name in ADDITIONAL_CASES
+    }
+    turning = [cases[name] for name in TURNING]
+    some = build_setting(replace(AS_STUDIED, cases=TURNING[0]), scene)
+    base = _lay(some, cases.values())
+    along = [case for case in cases.values() if not is_bound(case)]
+    live = replace(base, rule=replace(base.rule, track_memory_s=load_track_memory_s()))
+    open_scene = _without(scene, ("building", "wall", "vegetation"))
+    behind = _lay(base, [replace(case, vru_direction="same") for case in turning])
+    settings = {
+        "as it is": base,
+        f"a track lives for {live.rule.track_memory_s:g} s": live,
+        LARGE_BOX: _detect_from(base, 60.0),
+        **{
+            f"recordings of the last {last_s:g} s before the impact": _shorten(base, last_s)
+            for last_s in (5.0, 3.0, 1.0, 0.6)
+        },
+        **{
+            f"{place_m} m before the crosswalk": _lay(
+                base, along, position=read_position(f"-{place_m}", "variants")
+            )
+            for place_m in (15, 30)
+        },
+        "cyclist at 20 km/h": _lay(base, [replace(case, vru_speed_kmh=20.0) for case in turning]),
+        **{
+            f"met at {percent:g} % of the VUT's width": _lay(
+                base, [replace(case, impact_percent=percent) for case in turning]
+            )
+            for percent in (25.0, 75.0)
+        },
+        **{
+            f"met {away_m:g} m farther out on the exit arm, no buildings": _lay(
+                replace(base, scene=open_scene), [_farther(case, away_m) for case in turning]
+            )
+            for away_m in (15.0, 30.0)
+        },
+        BEHIND: behind,
+    }
+    variants = [
+        Variant(name=name, setting=setting, layout=layout) for name, setting in settings.items()
+    ]
+    return (
+        *variants,
+        _narrow(Variant(name=_NARROW, setting=base, layout=layout)),
+        _narrow(Variant(name=BEHIND_NARROW, setting=behind, layout=layout)),
+    )
+
+
+def _lay(setting: Setting, cases: Iterable[Case], *, position: Position = AT_ZERO) -> Setting:
+    """A setting with other cases at all of their speeds, each run alike."""
+    runs, _ = build_runs(
+        setting.scene,
+        cases,
+        vut=pick_actor("vut", "variants"),
+        rule=setting.rule,
+        positions=(position,),
+        is_spread=False,
+    )
+    return _of_runs(setting, runs)
+
+
+def _farther(case: Case, away_m: float) -> Case:
+    """A turning case whose VRU crosses the exit arm so much farther from the junction. [m]."""
+    assert case.vru_line is not None
+    left_m = case.vru_line.left_m + away_m
+    return replace(case, vru_line=replace(case.vru_line, left_m=left_m))
+
+
+def _without(scene: Scene, classes: Sequence[str]) -> Scene:
+    """A scene less all things of some classes."""
+    kept = [i for i, thing in enumerate(scene.instances) if thing.class_name not in classes]
+    number = np.full(len(scene.instances), -1, dtype=scene.triangle_instance.dtype)
+    number[kept] = np.arange(len(kept))
+    stays = number[scene.triangle_instance] >= 0
+    return replace(
+        scene,
+        triangles=scene.triangles[stays],
+        triangle_instance=number[scene.triangle_instance[stays]],
+        instances=tuple(scene.instances[i] for i in kept),
+    )
+
+
+def _shorten(setting: Setting, last_s: float) -> Setting:
+    """Recordings that begin so long before the impact, if they began earlier. [s]."""
+
+    def shorten(run: Run) -> Run:
+        kept = run.time_s >= -last_s - _TOLERANCE_S
+        names = ("time_s", "vut_position_m", "vut_yaw_deg", "vru_position_m", "vru_yaw_deg")
+        return replace(run, **{name: getattr(run, name)[kept] for name in (*names, "vru_shape")})
+
+    return _of_runs(setting, [shorten(run) for run in setting.runs])
+
+
+_TOLERANCE_S = 1.0e-6
+
+
+def _of_runs(setting: Setting, runs: Sequence[Run]) -> Setting:
+    axis = build_frame_axis(runs, weight_per_run(runs))
+    return replace(setting, runs=tuple(runs), axis=axis)

@@ -1,0 +1,92 @@
+"""What sites cost where nobody has told a price: a table of assumptions, each with its source."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import Annotated
+
+from msgspec import Meta
+
+from geometry.errors import InputError
+from geometry.files import load_toml, read_table
+from geometry.scene import Site
+
+_FILE = "prices.toml"
+_OTHERWISE = "pole"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Part:
+    """Something that a site takes.
+
+    Attributes
+    ----------
+    eur : float
+        Its price. [EUR]
+    source : str
+        Where the price comes from; it begins with "assumption" where that is nowhere.
+    """
+
+    eur: Annotated[float, Meta(ge=0.0, description="euros, at least 0")]
+    source: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SitePrices:
+    """The content of ``data/prices.toml``.
+
+    Attributes
+    ----------
+    parts : dict of str to Part
+        What sites may take, by name.
+    kinds : dict of str to tuple of str
+        Names of the parts that a site takes, by its kind; "pole" stands for all other kinds.
+    """
+
+    parts: dict[str, Part]
+    kinds: dict[str, tuple[str, ...]]
+
+    def __post_init__(self) -> None:
+        unknown = {name for kind in self.kinds.values() for name in kind} - set(self.parts)
+        if unknown or _OTHERWISE not in self.kinds:
+            got = sorted(unknown) or list(self.kinds)
+            raise InputError(f"{_FILE}: kinds", got, f"parts of the table, and {_OTHERWISE!r}")
+
+    def of_kind(self, kind: str) -> dict[str, float]:
+        """What a site of a kind takes: prices in euros by the name of the part."""
+        names = self.kinds.get(kind, self.kinds[_OTHERWISE])
+        return {name: self.parts[name].eur for name in names}
+
+    def cost_eur(self, site: Site) -> float:
+        """Cost of a site: what it says itself, else what its kind takes, in euros."""
+        return site.cost_eur if site.cost_eur > 0.0 else sum(self.of_kind(site.kind).values())
+
+
+@cache
+def load_prices() -> SitePrices:
+    """Read ``data/prices.toml``.
+
+    Examples
+    --------
+    >>> load_prices().of_kind("lamp post")
+    {'mounting': 900.0, 'power-at-hand': 400.0, 'data-link': 2260.0}
+    """
+    return read_table(load_toml(files(__package__) / "data" / _FILE), SitePrices, _FILE)
+
+
+def assumed_prices(prices: SitePrices, sites: Sequence[Site]) -> tuple[str, ...]:
+    """What is assumed of sites that tell no price, in sentences; a sentence for each kind."""
+    count = Counter(site.kind for site in sites if not site.cost_eur > 0.0)
+    told = []
+    for kind, number in count.most_common():
+        parts = prices.of_kind(kind)
+        sum_of = ", ".join(f"{name.replace('-', ' ')} {eur:,.0f}" for name, eur in parts.items())
+        told.append(
+            f"No price is told for {number} site{'s' if number > 1 else ''} of the kind {kind}: "
+            f"{sum(parts.values()):,.0f} EUR each are assumed ({sum_of})."
+        )
+    if told:
+        told.append(f"Sources are in {_FILE}; --site-cost, or cost_eur in the scene, says better.")
+    return tuple(told)
