@@ -338,13 +338,17 @@ def find_box(image: Image, points: FloatArray, skin: Skin, window: Window) -> Wi
 def draw(
     image: Image, points: FloatArray, triangles: IntArray, window: Window, depth_m: FloatArray
 ) -> None:
-    """Draw a body's `points` (camera frame) and `triangles` in a window of the image.
+    """Draw a closed body's `points` (camera frame) and `triangles` in a window of the image.
 
     Depths in the pixels of the window, row by row, become those of the body where it is nearer.
+    Triangles whose back is seen lie behind others, unless those are too near to be drawn.
     """
     least_depth = _least_depth(image, window)
     pixels = np.empty((len(points), 2))
     is_ahead = _project(image, points, least_depth, pixels)
+    has_backs = False
+    for row in range(len(points)):
+        has_backs = has_backs or points[row, 2] < image.near_m
     width = window[2] - window[0]
     middle_x, middle_y = 0.5 * image.width_px - 0.5, 0.5 * image.height_px - 0.5
     per_px = 1.0 / image.focal_px
@@ -362,6 +366,8 @@ def draw(
             bounds = _find_span(image, least_depth, a, b, c)
         x_min, y_min, x_max, y_max = _pixels_within(bounds, window)
         if x_min >= x_max or y_min >= y_max:
+            continue
+        if not has_backs and _dot(a, _cross(b, c)) > 0.0:
             continue
         edges, volume = _find_edges(a, b, c)
         is_near = min(min(a[2], b[2]), c[2]) < image.near_m
