@@ -61,10 +61,12 @@ def measure_growth(question: Question, *, n_mounts: Sequence[int] = _MOUNTS) -> 
 
     few = poses(n_mounts[0])
     compute = Compute(workers=1)
-    _seconds(setting, few, compute)  # compiles
     parts = {len(setting.runs[::part]): setting.runs[::part] for part in _PARTS}
     drawn = replace(question, detector="response")
     uncertain, uncertainty = build_setting(drawn), load_uncertainty()
+    # These compile, and fill what is kept from one table to the next.
+    _seconds(setting, few, compute)
+    sampled_table(uncertain, few, uncertainty, n_samples=1, compute=compute)
     return {
         "mounts": {str(n): _seconds(setting, poses(n), compute) for n in n_mounts},
         "runs": {

@@ -52,13 +52,13 @@ _HALF_WIDTH, _DENSITY = _layers()
 
 
 @kernel
-def _share(bits: Any) -> float:
-    """A number from 0 to 1, of the upper 53 of 64 random bits; neither is reached."""
-    return (np.float64(bits >> np.uint64(11)) + 0.5) / 2.0**53
+def _share(bits: Any) -> Any:
+    """A number from 0 to 1, of the upper 52 of 64 random bits; neither is reached."""
+    return (np.float64(bits >> np.uint64(12)) + 0.5) / 2.0**52
 
 
 @kernel
-def _normal(key: Any, counter: int) -> float:
+def _normal(key: Any, counter: int) -> Any:
     """A standard normal number."""
     bits = random_bits(key, counter)
     while True:

@@ -207,11 +207,11 @@ def _lattice() -> tuple[Array, Array]:
 
 
 @kernel
-def _cross(a: Any, b: Any, sign: float) -> tuple[float, float, float]:
-    """Unit normal of the plane through the eye and two points, turned by a sign."""
+def _cross(a: Any, b: Any, sign: float, normal: Array) -> None:
+    """Unit normal (3,) of the plane through the eye and two points, turned by a sign."""
     x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
     size = sign * max(np.sqrt(x * x + y * y + z * z), 1.0e-300)
-    return x / size, y / size, z / size
+    normal[0], normal[1], normal[2] = x / size, y / size, z / size
 
 
 @kernel
@@ -258,7 +258,7 @@ def mark_covered(
     planes, sines = np.empty((4, 3)), np.empty((4, _BLOCK + 1, _BLOCK + 1))
     farthest = np.full((n_rows, n_columns), np.inf, np.float32)  # in each block
     for number in range(len(triangles)):
-        one, two, three = triangles[number]
+        one, two, three = triangles[number, 0], triangles[number, 1], triangles[number, 2]
         if max(one[2], two[2], three[2]) <= floor or min(one[2], two[2], three[2]) >= ceiling:
             continue
         a = (one[0] - eye[0], one[1] - eye[1], one[2] - eye[2])
@@ -272,12 +272,15 @@ def mark_covered(
         least = np.sqrt(a[0] ** 2 + a[1] ** 2 + a[2] ** 2)
         if size < 1.5 / N_AROUND * (least - size):  # smaller than half of any cell
             continue
-        normal = _cross(u, v, 1.0)
-        height = normal[0] * a[0] + normal[1] * a[1] + normal[2] * a[2]
+        own = planes[3]
+        _cross(u, v, 1.0, own)
+        height = own[0] * a[0] + own[1] * a[1] + own[2] * a[2]
         sign = 1.0 if height > 0.0 else -1.0
         height = abs(height)
-        planes[0], planes[1] = _cross(a, b, sign), _cross(b, c, sign)
-        planes[2], planes[3] = _cross(c, a, sign), _cross(u, v, sign)
+        _cross(a, b, sign, planes[0])
+        _cross(b, c, sign, planes[1])
+        _cross(c, a, sign, planes[2])
+        _cross(u, v, sign, own)
         first, last = _columns(a, b, c)
         for row in range(rows[0] // _BLOCK, rows[1] // _BLOCK + 1):
             i, k = row * _BLOCK, (row + 1) * _BLOCK
@@ -289,7 +292,7 @@ def mark_covered(
                 j, m = column * _BLOCK, (column + 1) * _BLOCK
                 is_outside = False
                 for plane in range(4):
-                    x, y, z = planes[plane]
+                    x, y, z = planes[plane, 0], planes[plane, 1], planes[plane, 2]
                     left = x * around[0, j] + y * around[1, j]
                     right = x * around[0, m] + y * around[1, m]
                     most = max(left, right)
@@ -317,7 +320,7 @@ def _mark_block(
 ) -> None:
     """Enter a triangle into a block of cells: three planes through the eye, and its own."""
     for plane in range(4):
-        px, py, pz = planes[plane]
+        px, py, pz = planes[plane, 0], planes[plane, 1], planes[plane, 2]
         for i in range(_BLOCK + 1):
             level, z = up[0, row + i], up[1, row + i] * pz
             for j in range(_BLOCK + 1):
