@@ -125,13 +125,32 @@ def evaluation_text(result: "Result", out: Path | None) -> str:
             }
         ),
         *sentences(f"each unit by itself; {TOGETHER}.", indent=2),
+        *failure_lines(evaluation),
         *written(out),
     ]
     return "\n".join(lines)
 
 
+def failure_lines(evaluation: "EvaluationRecord") -> list[str]:
+    """What is left of the APR of all units when the worst one, or the worst pole, fails."""
+    if len(evaluation.units) == 1:
+        return []
+    text = f"if the worst unit fails, the others have {percent(evaluation.apr_without_worst_unit)}"
+    of_site = evaluation.apr_without_worst_site
+    if of_site is not UNSET:
+        text += f"; if the worst pole fails with all its units, {percent(of_site)}"
+    return sentences(f"{text}.", indent=2)
+
+
 def unit_lines(units: Sequence["UnitRecord"]) -> list[str]:
-    """A table of units, where they hang and look."""
+    """A table of units, where they hang and look; below it what they are, if not the default."""
+    from placement.candidates import load_candidate_grid
+
+    units_of: dict[str, list[str]] = {}
+    for unit in units:
+        units_of.setdefault(unit.camera or unit.lidar or "", []).append(unit.id)
+    models = [f"{model} ({', '.join(ids)})" for model, ids in units_of.items()]
+    is_default = set(units_of) == {sensor.name for sensor in load_candidate_grid().sensors}
     rows = [
         [
             shortened(unit.id, _MAX_ID_WIDTH),  # heads of columns further down: cut if they must be
@@ -144,7 +163,10 @@ def unit_lines(units: Sequence["UnitRecord"]) -> list[str]:
         ]
         for unit in units
     ]
-    return table(["unit", "site", "x m", "y m", "z m", "yaw", "pitch"], rows, n_left=2)
+    return [
+        *table(["unit", "site", "x m", "y m", "z m", "yaw", "pitch"], rows, n_left=2),
+        *([] if is_default else sentences(f"models: {'; '.join(models)}", indent=2, hanging=2)),
+    ]
 
 
 def apr_lines(parties: "Mapping[str, PartyAprRecord | ScoreRecord]") -> list[str]:

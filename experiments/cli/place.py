@@ -21,6 +21,7 @@ from .evaluate import (
     apr_lines,
     baseline_lines,
     cost_line,
+    failure_lines,
     study_cases_lines,
     unit_lines,
 )
@@ -216,6 +217,7 @@ def placement_text(result: "Result", out: Path) -> str:
         "Evaluated by full perception and emergency braking:",
         *apr_lines(parties | announced(evaluation)),
         *sentences(f"{TOGETHER}; greedy: units chosen one by one.", indent=2),
+        *failure_lines(evaluation),
         *baseline_lines(result),
         *study_cases_lines(result.study_cases),
         "",
@@ -243,7 +245,7 @@ _OBJECTIVES: dict[str, tuple[str, Callable[[float], str]]] = {
 
 def _label(name: str, result: "Result") -> str:
     label = _OBJECTIVES[name][0]
-    by_site = result.apr_without_worst_site is not UNSET
+    by_site = result.failing is not UNSET
     return label.replace("one fails", "pole fails").replace("ones", "poles") if by_site else label
 
 

@@ -284,7 +284,7 @@ def plot_plan(
         Drawn lighter, without fields of view.
     half_size_m : float, optional
         Half the side of the square that is shown, around the middle of the junction; by default 45,
-        or what shows all places along the arms. [m]
+        or what shows all units and places along the arms. [m]
     max_range_m : float
         Fields of view end here; the camera itself sees farther. [m]
     width_in : float
@@ -307,7 +307,8 @@ def plot_plan(
     outline = scene.outline_m
     middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
     if half_size_m is None:
-        places = np.array([run.vru_position_m[-1] for run in setting.runs]).reshape(-1, 2)
+        ends_m = [run.vru_position_m[-1] for run in setting.runs]
+        places = np.array([*ends_m, *(unit.pose.position_m[:2] for unit in layout.units)])
         half_size_m = max(_HALF_SIZE_M, float(np.abs(places - middle).max(initial=0.0)) + _MARGIN_M)
     draw_scene(axes, scene)
     draw_parked(axes, [body for run in setting.runs for body in run.obstruction])

@@ -258,7 +258,7 @@ def proof_section(result: Result) -> Section | None:
 def _label(name: str, result: Result) -> str:
     """Name of an objective; what fails is a pole where that was asked."""
     label = Objective(name).label
-    return label if result.apr_without_worst_site is UNSET else label.replace(" unit", " pole")
+    return label if result.failing is UNSET else label.replace(" unit", " pole")
 
 
 def _stage_row(stage: StageRecord) -> list[str]:

@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from itertools import combinations
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, get_args
 
 import numpy as np
 from msgspec import UNSET, Meta, UnsetType, field
@@ -12,6 +12,7 @@ from msgspec.structs import asdict as fields_of
 from msgspec.structs import replace
 
 from geometry.arrays import BoolArray
+from placement import optimiser
 from placement.evaluation import (
     Evaluation,
     Verdict,
@@ -23,7 +24,7 @@ from placement.evaluation import (
     units_by_site,
 )
 from placement.explain.agreement import find_disagreements
-from placement.optimiser import placement_value, run_margins_s
+from placement.optimiser import Failing, placement_value, run_margins_s
 from placement.pipeline import Placement
 from placement.setting import Setting
 from scenarios.aeb import AebRule
@@ -252,8 +253,15 @@ class Result(Record, frozen=True, kw_only=True):
             Share,
             says(
                 "APR if the pole that is needed most fails with all its units, on the detection "
-                "table; only where poles were asked to fail (--survive site)."
+                "table; only where a pole carries several."
             ),
+        ]
+        | UnsetType
+    ) = UNSET
+    failing: (
+        Annotated[
+            Literal["site"],
+            says("What fails at once where the optimiser asks (--survive site); missing: units."),
         ]
         | UnsetType
     ) = UNSET
@@ -499,11 +507,16 @@ def build_placement_result(
     """
     certificate, problem = placement.certificate, placement.problem
     rule = problem.rule
-    value = by_unit = placement_value(problem, placement.pose_index)
-    if problem.limits.failing == "site":
-        limits = dataclasses.replace(problem.limits, failing="unit")
-        units_fail = dataclasses.replace(problem, limits=limits)
-        by_unit = placement_value(units_fail, placement.pose_index)
+    value = placement_value(problem, placement.pose_index)
+    limits = problem.limits
+    units_fail, sites_fail = (
+        optimiser.apr_one_failed(
+            dataclasses.replace(problem, limits=dataclasses.replace(limits, failing=what)),
+            placement.pose_index,
+        )
+        for what in get_args(Failing)
+    )
+    n_sites = len(np.unique(limits.site_index[list(placement.pose_index)]))
     apr_stage = next((stage for stage in certificate.stages if stage.name == "apr"), None)
     return replace(
         build_layout_result(setting, found),
@@ -513,10 +526,11 @@ def build_placement_result(
         apr=_without_rounding(value.apr),
         bound=None if apr_stage is None else _without_rounding(apr_stage.bound),
         gap=None if apr_stage is None else apr_stage.gap,
-        apr_without_worst_unit=_without_rounding(by_unit.apr_one_failed),
+        apr_without_worst_unit=_without_rounding(units_fail),
         apr_without_worst_site=(
-            UNSET if by_unit is value else _without_rounding(value.apr_one_failed)
+            _without_rounding(sites_fail) if n_sites < len(placement.pose_index) else UNSET
         ),
+        failing="site" if limits.failing == "site" else UNSET,
         goal=problem.goal,
         candidates=problem.table.n_poses,
         presolve=str(placement.presolve),

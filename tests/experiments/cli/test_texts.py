@@ -4,13 +4,15 @@ import re
 from itertools import product
 from pathlib import Path
 
+import msgspec
 import pytest
 from partial_pages import build_result
 
 from experiments.cli.compare import comparison_text
-from experiments.cli.evaluate import evaluation_text
+from experiments.cli.evaluate import evaluation_text, failure_lines
 from experiments.cli.place import placement_text
 from experiments.results.numbers import percent
+from experiments.results.result import EvaluationRecord, PartyAprRecord
 
 OUT = Path("results/latest")
 
@@ -278,3 +280,16 @@ def test_percent_never_rounds_to_all_or_nothing(share, text):
 
 def test_percent_of_nothing_is_a_dash():
     assert percent(float("nan")) == "\N{EN DASH}"
+
+
+def test_what_is_left_after_a_failure_is_told_for_units_and_for_poles():
+    share = PartyAprRecord(all=0.9, by_case={}, by_position={})
+    shares = {"vut": share, "rsu_all": share, "vut_and_rsus": share}
+    two = EvaluationRecord(**shares, units={"a": share, "b": share}, apr_without_worst_unit=0.625)
+    assert failure_lines(two) == ["  if the worst unit fails, the others have 62.5 %."]
+    on_one_pole = msgspec.structs.replace(two, apr_without_worst_site=0.0)
+    assert " ".join(" ".join(failure_lines(on_one_pole)).split()) == (
+        "if the worst unit fails, the others have 62.5 %; if the worst pole fails with all its "
+        "units, 0.0 %."
+    )
+    assert failure_lines(msgspec.structs.replace(two, units={"a": share})) == []
