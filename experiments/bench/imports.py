@@ -186,10 +186,11 @@ def _page(rows: Sequence[Sequence[str]], notes: Sequence[str], command: str) -> 
         "# Maps that others made, from file to placement",
         "",
         f"Made by `{command}`, at the largest junction of each file, the default cases, the "
-        "default camera; plans in `imports/`. Driven: the share of the runs, each case from each arm "
-        "at each of seven places. A run is possible where the map has the road that it needs: not "
-        "where no arm lies ahead or aside, where the arm ends before the place, or where another "
-        "junction's middle lies there. The reason is the one that keeps most possible runs away.",
+        "default camera; plans in `imports/`. Driven: the share of the runs, each case from each "
+        "arm at each of seven places. A run is possible where the map has the road that it needs: "
+        "not where no arm lies ahead or aside, where the arm ends before the place, or where "
+        "another junction's middle lies there. The reason is the one that keeps most possible runs "
+        "away.",
         "",
         "| " + " | ".join(_HEADS) + " |",
         "|" + " --- |" * len(_HEADS),

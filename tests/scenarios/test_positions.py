@@ -436,3 +436,197 @@ def test_a_frame_axis_knows_where_each_run_is(default_runs):
 def test_lanes_end_where_the_scene_says():
     arm = build_junction(protocol_scene()).arms["west"]
     assert lane_length_m(arm.entry_lanes[0]) == ARM_M
+
+
+# Joints of lanes that are not in line
+
+
+@settings(max_examples=5)
+@given(aside_m=st.floats(-4.0, 4.0), turned_deg=st.floats(-8.0, 8.0))
+def test_a_fast_vut_eases_into_a_lane_that_is_not_in_line_and_stays_in_both(
+    vut, rule, aside_m, turned_deg
+):
+    assume(abs(aside_m) > 0.6 and abs(aside_m - 3.5) > 0.6)  # 3.5 m: into the lane out of the west
+    scene, exit_lane = _scene_with_exit(aside_m, turned_deg)
+    position = Position(is_behind=True, distance_m=5.0)
+    runs, refusals = laid(scene, "CPFA-50", position, vut, rule, speeds=(50.0,))
+    assert all("too fast for the change" in refusal.reason for refusal in refusals)
+    assert runs or abs(aside_m) + 0.2 * abs(turned_deg) > 2.0
+    for run in runs:
+        motion = run.encounter.vut_motion
+        place, _ = motion.path.at(np.linspace(0.0, float(motion.distance_m(0.0)), 400))
+        before, after = place[place[:, 0] < -MOUTH_M], place[place[:, 0] > MOUTH_M + 1.0]
+        assert len(before)
+        assert np.abs(before[:, 1] + 0.5 * LANE_M).max() < 0.55
+        if len(after):
+            assert distance_to_chain_m(after, exit_lane.centreline_m).max() < 0.55
+
+
+def test_a_change_of_lanes_is_eased_only_where_it_would_be_too_fast(vut, rule):
+    scene, _ = _scene_with_exit(2.0, 0.0)
+    position = Position(is_behind=True, distance_m=15.0)
+    slow, fast = laid(scene, "CPFA-50", position, vut, rule, speeds=(20.0, 60.0))[0]
+
+    def aside_m(run):
+        path = run.encounter.vut_motion.path
+        points = path.course.points_m
+        before = points[np.abs(points[:, 0] + MOUTH_M + 2.0) < 1.0]
+        return np.abs(before[:, 1] + 0.5 * LANE_M).max()
+
+    assert aside_m(slow) < 0.1 < aside_m(fast) < 0.5
+
+
+def test_behind_a_lane_that_only_turns_the_next_one_leads_straight_on(vut, rule):
+    lanes = [lane for arm, at in ARMS.items() for lane in lanes_of(arm, at, n_lanes=3, arm_m=70.0)]
+    lanes = [lane for lane in lanes if lane.id not in ("east-out-0", "east-out-1")]
+    scene = build_scene(lanes)
+    position = Position(is_behind=True, distance_m=15.0)
+    (run,), _ = laid(scene, "CPFA-50", position, vut, rule, speeds=(100.0,))
+    assert isinstance(run.encounter.vut_motion.path, TowedPath)
+    # Not from the lane at the kerb, 7 m aside.
+    assert run.vut_position_m[0, 1] > -2.0 * LANE_M
+
+
+def test_an_arm_far_aside_does_not_lie_ahead(vut, rule):
+    lanes = [lane for arm, at in ARMS.items() for lane in lanes_of(arm, at)]
+    moved = [
+        dataclasses.replace(lane, centreline_m=lane.centreline_m + [0.0, 26.0])
+        if lane.id.startswith("east")
+        else lane
+        for lane in lanes
+    ]
+    outline = np.array([[-11.5, -11.5], [11.5, -11.5], [11.5, 30.0], [-11.5, 30.0]])
+    north = [turned([[0.0, 0.0]], 0.0)[0] + [0.0, 18.5]]
+    scene = build_scene(
+        [
+            dataclasses.replace(lane, centreline_m=lane.centreline_m + north[0])
+            if lane.id.startswith("north")
+            else lane
+            for lane in moved
+        ],
+        outline_m=outline,
+    )
+    position = Position(is_behind=True, distance_m=15.0)
+    runs, (refusal,) = laid(scene, "CPNA-25", position, vut, rule)
+    assert not runs
+    assert (refusal.reason, refusal.is_possible) == (
+        "no lane leads straight on out of the junction",
+        False,
+    )
+
+
+# Beyond another junction, and where the map ends
+
+NEXT_M = 15.0  # length of the arm to the west, up to another junction
+ACROSS_M = 12.0  # of that one
+
+
+def _followed_scene():
+    """The protocol's junction; 15 m to the west lies another one, and the road goes on."""
+    lanes = [lane for arm, at in ARMS.items() if arm != "west" for lane in lanes_of(arm, at)]
+    near = lanes_of("west", 180.0, arm_m=NEXT_M)
+    pieces = []
+    for lane in near:
+        tip = lane.centreline_m[0 if lane.id == "west-in-0" else -1]
+        beyond, far = tip - [ACROSS_M, 0.0], tip - [ACROSS_M + 200.0, 0.0]
+        is_in = lane.id == "west-in-0"
+        for name, kind, line in (
+            ("through", "connecting", [beyond, tip] if is_in else [tip, beyond]),
+            ("far", "driving", [far, beyond] if is_in else [beyond, far]),
+        ):
+            pieces.append(
+                Lane(id=f"{lane.id}-{name}", kind=kind, width_m=LANE_M, centreline_m=np.array(line))
+            )
+    return build_scene([*lanes, *near, *pieces])
+
+
+def test_a_lane_is_followed_straight_on_through_another_junction(vut, rule):
+    scene = _followed_scene()
+    arm = build_junction(scene).arms["west"]
+    assert [round(lane_length_m(lane)) for lane in (*arm.lanes_in, *arm.lanes_out)] == [227, 227]
+    for name in ("CPNA-25", "CBLA-50", "CPLA-50"):
+        position = Position(distance_m=NEXT_M + ACROSS_M + 10.0)
+        (run,), _ = laid(scene, name, position, vut, rule)
+        (same,), _ = laid(protocol_scene(), name, position, vut, rule)
+        same_frames(run, same, tolerance_m=1e-9)
+
+
+def test_nobody_crosses_in_the_middle_of_another_junction(vut, rule):
+    scene = _followed_scene()
+    position = Position(distance_m=NEXT_M + 8.0)
+    runs, (refusal,) = laid(scene, "CPNA-25", position, vut, rule)
+    assert not runs
+    assert (refusal.reason, refusal.is_possible) == (
+        "another junction lies there: nobody crosses in its middle",
+        False,
+    )
+    assert laid(scene, "CBLA-50", position, vut, rule)[0]
+
+
+def test_a_connecting_lane_behind_which_nothing_begins_is_no_part_of_an_arm():
+    scene = _followed_scene()
+    lanes = tuple(lane for lane in scene.lanes if not lane.id.endswith("-far"))
+    arm = build_junction(dataclasses.replace(scene, lanes=lanes)).arms["west"]
+    assert [lane_length_m(lane) for lane in arm.lanes_in] == pytest.approx([NEXT_M])
+
+
+def test_where_the_map_ends_a_vru_sets_off_beyond_if_a_lane_is_assumed_there(vut, rule):
+    lanes = [lane for arm, at in ARMS.items() for lane in lanes_of(arm, at, arm_m=40.0)]
+    begin = np.array([-MOUTH_M - 40.0, -0.5 * LANE_M])
+    assumed = Lane(
+        id="beyond",
+        kind="assumed",
+        width_m=LANE_M,
+        centreline_m=np.array([begin - [60.0, 0.0], begin]),
+    )
+    position = Position(distance_m=15.0)
+    for scene, is_driven in ((build_scene(lanes), False), (build_scene([*lanes, assumed]), True)):
+        runs, refusals = laid(scene, "CBLA-50", position, vut, rule)
+        assert (bool(runs), bool(refusals)) == (is_driven, not is_driven)
+        if runs:
+            (same,), _ = laid(protocol_scene(), "CBLA-50", position, vut, rule)
+            same_frames(runs[0], same, tolerance_m=1e-9)
+        # But nobody is met where the map has no road.
+        _, (refusal,) = laid(scene, "CPNA-25", Position(distance_m=45.0), vut, rule)
+        assert (refusal.reason, refusal.is_possible) == (
+            "the mapped lane does not reach so far",
+            False,
+        )
+
+
+# Parked cars
+
+
+def test_a_row_of_parked_cars_does_not_mind_a_bend_ahead_of_it(vut, rule):
+    """Behind the place where the VRU crosses, the lane turns as sharply as a corner of a house."""
+    corner = np.array([[-260.0, -1.75], [-20.0, -1.75], [-20.0, 12.0], [-11.5, 12.0]])
+    lane = Lane(id="west-in-0", kind="driving", width_m=LANE_M, centreline_m=corner)
+    others = [
+        lane for arm, at in ARMS.items() if arm in ("east", "north") for lane in lanes_of(arm, at)
+    ]
+    scene = build_scene(
+        [*others, lane],
+        outline_m=np.array([[-11.5, -11.5], [11.5, -11.5], [11.5, 14.0], [-11.5, 14.0]]),
+    )
+    runs, refusals = laid(scene, "CPNCO-50", Position(distance_m=60.0), vut, rule)
+    assert runs, refusals
+
+
+def test_cars_park_on_spaces_that_a_wide_lane_has_beside_who_drives(vut, rule):
+    lanes = [lane for arm, at in ARMS.items() for lane in lanes_of(arm, at)]
+    wide = [
+        dataclasses.replace(lane, width_m=12.0) if lane.id == "west-in-0" else lane
+        for lane in lanes
+    ]
+    row = Lane(
+        id="spaces",
+        kind="parking",
+        width_m=4.0,
+        centreline_m=np.array([[-200.0, -5.5], [-15.0, -5.5]]),
+    )
+    position = Position(distance_m=30.0)
+    runs, (refusal,) = laid(build_scene(wide), "CPNCO-50", position, vut, rule)
+    assert not runs
+    assert "would stand on the carriageway" in refusal.reason
+    runs, refusals = laid(build_scene([*wide, row]), "CPNCO-50", position, vut, rule)
+    assert runs, refusals

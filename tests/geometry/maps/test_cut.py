@@ -17,6 +17,7 @@ from geometry.maps.source_map import (
     SourceMap,
     Thing,
 )
+from geometry.scene_checks import arms_that_end, check_scene
 
 SQUARE_M = 8.0 * np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
 UTM = "EPSG:25832"
@@ -158,3 +159,71 @@ def test_coordinates_that_cannot_be_are_refused():
     wild = replace(JUNCTION, outline_m=SQUARE_M + 1.0e12)
     with pytest.raises(InputError, match=r"roads\.xodr: got"):
         cut_out([ROADS], wild, radius_m=50.0)
+
+
+# Lanes through other junctions, and beyond the map
+
+
+def crossing_map(*, goes_on=True, aside_m=0.0):
+    """A junction with an arm of 20 m to the east, where another junction lies."""
+    lanes = [
+        lane("near in", (28.0, 1.5), (8.0, 1.5), to="j", start="k", height_m=5.0),
+        lane("near out", (8.0, -1.5), (28.0, -1.5), start="j", to="k", height_m=5.0),
+        lane("side", (34.0, 40.0), (34.0, 8.0), to="k", height_m=5.0),
+    ]
+    if goes_on:
+        lanes += [
+            lane("far in", (300.0, 1.5 + aside_m), (40.0, 1.5 + aside_m), to="k", height_m=5.0),
+            lane("far out", (40.0, aside_m - 1.5), (80.0, aside_m - 1.5), start="k", height_m=5.0),
+        ]
+    other = replace(JUNCTION, id="k", outline_m=JUNCTION.outline_m + [34.0, 0.0])
+    return replace(ROADS, lanes=tuple(lanes), junctions=(JUNCTION, other), things=(), poles=())
+
+
+def imported(source):
+    surroundings = cut_out([source], JUNCTION, radius_m=80.0)
+    return surroundings, build_scene(surroundings, name="s", source_crs="", sites=(), radius_m=80.0)
+
+
+@pytest.mark.parametrize("aside_m", [0.0, 1.0])
+def test_lanes_are_led_straight_on_through_another_junction(aside_m):
+    surroundings, scene = imported(crossing_map(aside_m=aside_m))
+    through = {one.id: one for one in scene.lanes if one.kind == "connecting"}
+    assert through.keys() == {"far in to near in", "near out to far out"}
+    lanes = {one.id: one.centreline_m for one in scene.lanes}
+    middle = through["near out to far out"].centreline_m
+    assert middle[0] == pytest.approx(lanes["near out"][-1])
+    assert middle[-1] == pytest.approx(lanes["far out"][0])
+    # From one to the other it swings no farther aside than they lie.
+    chord = (middle[-1] - middle[0]) / np.hypot(*(middle[-1] - middle[0]))
+    ahead_m = (middle - middle[0]) @ chord
+    left_m = (middle - middle[0]) @ [-chord[1], chord[0]]
+    assert (np.diff(ahead_m) > 0.0).all()
+    assert np.abs(left_m).max() <= 0.2 * aside_m + 0.02
+    (arm,) = build_junction(scene).arms.values()
+    (entry,), (leaving,) = arm.entry_lanes, arm.exit_lanes
+    assert np.hypot(*entry.centreline_m[0]) == pytest.approx(150.0)
+    assert leaving.centreline_m[-1] == pytest.approx(lanes["far out"][-1])
+    # The circle cuts the lane off: the map goes on, and nothing is assumed.
+    assert not [one for one in scene.lanes if one.kind == "assumed"]
+    assert "other junctions around it" in {skip.what for skip in surroundings.skipped}
+
+
+def test_where_the_map_ends_a_lane_is_assumed_and_told():
+    surroundings, scene = imported(crossing_map(goes_on=False))
+    assert "other junctions around it" not in {skip.what for skip in surroundings.skipped}
+    (assumed,) = (one for one in scene.lanes if one.kind == "assumed")
+    (entry,) = (one.centreline_m for one in scene.lanes if one.id == "near in")
+    assert assumed.centreline_m[-1] == pytest.approx(entry[0])
+    ahead = (entry[1] - entry[0]) / np.hypot(*(entry[1] - entry[0]))
+    assert assumed.centreline_m[0] == pytest.approx(entry[0] - 60.0 * ahead)
+    ((name, why),) = arms_that_end(scene)
+    assert name == "east"
+    assert why.startswith("the map leads no farther than 20 m from the junction")
+    assert [f.level for f in check_scene(scene) if f.why == why] == ["warning"]
+
+
+def test_a_lane_that_only_turns_at_another_junction_is_not_led_on():
+    source = crossing_map(goes_on=False)
+    _, scene = imported(source)
+    assert not [one for one in scene.lanes if one.kind == "connecting"]
