@@ -104,7 +104,9 @@ def _causes(
     nothing = build_caster(np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
     clear = tuple(replace(obstruction, caster=nothing) for obstruction in world.obstructions)
     vehicles = replace(world.vehicles, casters=(nothing,) * len(world.vehicles.casters))
-    empty = replace(world, scene=nothing, obstructions=clear, vehicles=vehicles)
+    empty = replace(
+        world, scene=nothing, scene_m=world.scene_m[:0], obstructions=clear, vehicles=vehicles
+    )
     position_m, near_m = unit.pose.position_m, unit.sensor.near_m
     open_sight = cast_sight(empty, position_m, near_m=near_m, max_distance_m=np.inf)
     sensing = build_sensing(empty, open_sight, position_m, setting.planner)

@@ -170,7 +170,7 @@ def test_forced_speeds_are_warned_about(caplog):
         ({"packet_loss": 1.5}, "links.packet_loss: got 1.5; expected 0 .. 1"),
         ({"vam_rate": -0.5}, "links.vam_rate: got -0.5; expected 0 .. 1"),
         ({"speeds": "130"}, "--speeds: got 130; expected 10 to 60 km/h as the protocol drives"),
-        ({"weights": "none"}, "--weights: got 'none'; expected run, case, euroncap-rating-2026"),
+        ({"weights": "none"}, "--weights: got 'none'; expected run, case, fhwa-crash-types, "),
         ({"deceleration_mps2": 0.0}, "aeb.deceleration_mps2: got 0.0; expected a positive number"),
         (
             {"track_memory_s": 0.05},

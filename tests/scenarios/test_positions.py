@@ -333,12 +333,12 @@ def test_without_a_road_ahead_nothing_is_behind(vut, rule):
 
 
 def test_a_change_of_lanes_that_is_too_sharp_for_the_speed_is_refused(vut, rule):
-    scene, _ = _scene_with_exit(3.0, 0.0)
-    speeds = (10.0, 90.0)
+    scene, _ = _scene_with_exit(5.0, 0.0)  # too far aside to be eased
+    speeds = (10.0, 60.0)
     position = Position(is_behind=True, distance_m=15.0)
     runs, (refusal,) = laid(scene, "CPNA-25", position, vut, rule, speeds=speeds)
     assert [run.vut_speed_kmh for run in runs] == [10.0]
-    assert refusal.speeds_kmh == (90.0,)
+    assert refusal.speeds_kmh == (60.0,)
     assert refusal.reason.startswith("too fast for the change from lane west-in-0 into east-out-0,")
 
 

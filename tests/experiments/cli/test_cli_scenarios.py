@@ -114,7 +114,7 @@ def test_options_that_cannot_be_are_one_line(run, command, arguments, message):
 def test_unknown_weights_are_one_line(run, how):
     line = refusal(run("--budget", "1", "--cases", "CBLA", "--weights", how, "--quiet"))
     assert line == (
-        f"--weights: got '{how}'; expected run, case, euroncap-rating-2026, "
+        f"--weights: got '{how}'; expected run, case, fhwa-crash-types, euroncap-rating-2026, "
         "or a CSV file that exists"
     )
 
