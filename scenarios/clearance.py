@@ -142,7 +142,9 @@ def _carriageway(scene: Scene) -> Any:
         if lane.kind in ("driving", CONNECTING) and len(lane.centreline_m) > 1
     ]
     inside = shapely.make_valid(shapely.Polygon(scene.outline_m)).buffer(-_INSIDE_OUTLINE_M)
-    area = shapely.union_all([inside, *lanes])
+    # Some maps mark parking spaces on a lane that is wide enough for both.
+    driven = shapely.difference(shapely.union_all(lanes), _parking(scene))
+    area = shapely.union(inside, driven)
     shapely.prepare(area)
     return area
 

@@ -159,8 +159,9 @@ def _place_behind(
     rules = load_way_rules()
     across = way_across(entry_lane, exit_lane, connection, max_bend_m=rules.max_lane_bend_m)
     max_swerve_per_m = load_position_rules().across.max_lateral_mps2 / (vut_speed_kmh * kmh) ** 2
-    if across.swerve_per_m > max_swerve_per_m:
-        across = _gentlest(entry_lane, ahead.exit_lanes, across, vut)
+    for lane in arm.entry_lanes:  # from the kerb, where some lanes only turn
+        if across.swerve_per_m > max_swerve_per_m:
+            across = _gentlest(lane, ahead.exit_lanes, across, vut)
     if across.swerve_per_m > max_swerve_per_m:
         raise CannotCarryError(
             f"too fast for the change from lane {across.entry.id} into {across.leaving.id}, "
@@ -169,7 +170,7 @@ def _place_behind(
     return _Place(
         way=across.way,
         crosswalk=ahead.crosswalk,
-        entry_lane=entry_lane,
+        entry_lane=across.entry,
         begin_m=across.begin_m,
         end_m=lane_length_m(across.leaving),
         ahead_m=position.ahead_m,

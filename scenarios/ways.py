@@ -20,9 +20,10 @@ STRAIGHT_M = 50.0  # of a lane next to the junction, which gives its direction
 DO_NOT_MEET = "the VUT's way and the VRU's do not meet"
 _MAX_STEPS = 60
 _MEETS_M = 1.0e-3
-_EASING_M = (2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0)  # smoothing of a joint, from tight to gentle
+_EASING_M = np.geomspace(2.0, 14.0, 15)  # smoothing of a joint, from tight to gentle
 _MOUTH_M = 5.0  # of the lanes beside a joint, where their bends count as its own
-_LOOKED_AT_M = 40.0
+_LOOKED_AT_M = 40.0  # of the lanes beside a joint
+_CUT_OFF_M = 1.0  # between the lanes, of the curve that has their directions
 _STRIDE = 20  # points of a course: every 20 cm
 
 
@@ -256,12 +257,13 @@ def way_across(
 def eased_way_across(entry: Lane, leaving: Lane, *, max_aside_m: float) -> WayAcross:
     """The gentlest way across where the map has no lane: it leaves the lanes near their mouths.
 
-    It bends least of those that stay within `max_aside_m` of the lanes' middles.
+    It bends least of those that stay within `max_aside_m` of the lanes' middles, and between them
+    within a metre of the curve of :func:`way_across`.
 
     Raises
     ------
     CannotCarryError
-        The lane out of the junction does not lie ahead.
+        The lane out of the junction does not lie ahead, or there is no such way.
     """
     between = _curve_between(entry, leaving)
     across_m = float(np.hypot(*np.diff(between, axis=0).T).sum())
@@ -273,10 +275,11 @@ def eased_way_across(entry: Lane, leaving: Lane, *, max_aside_m: float) -> WayAc
         course = ease_joint(before, between, after, lengths_m=lengths_m, smoothing_m=smoothing_m)
         swerve_per_m = course.between(-across_m - _MOUTH_M, _MOUTH_M).max_bend_per_m
         aside_m = max(
-            _aside_m(course, before, entry, is_in=True),
-            _aside_m(course, after, leaving, is_in=False),
+            _aside_m(course, before.at(np.linspace(-min(lengths_m[0], _LOOKED_AT_M), 0.0, 60))[0]),
+            _aside_m(course, after.at(np.linspace(0.0, min(lengths_m[1], _LOOKED_AT_M), 60))[0]),
         )
-        if best is not None and (aside_m > max_aside_m or swerve_per_m > best.swerve_per_m):
+        is_near = aside_m <= max_aside_m and _aside_m(course, between) <= _CUT_OFF_M
+        if not is_near or (best is not None and swerve_per_m > best.swerve_per_m):
             continue
         best = WayAcross(
             way=CurvedWay(course=course),
@@ -285,18 +288,17 @@ def eased_way_across(entry: Lane, leaving: Lane, *, max_aside_m: float) -> WayAc
             begin_m=-across_m - lengths_m[0],
             swerve_per_m=swerve_per_m,
         )
-    assert best is not None
+    if best is None:
+        raise CannotCarryError(f"no smooth way leads from lane {entry.id} into {leaving.id}")
     return best
 
 
-def _aside_m(course: Course, middle: Course, lane: Lane, *, is_in: bool) -> float:
-    """How far a course leaves the middle of a lane: up to its end, or from its begin on."""
+def _aside_m(course: Course, points_m: FloatArray) -> float:
+    """How far a course passes points (n, 2) at most."""
     import shapely
 
-    length_m = min(lane_length_m(lane), _LOOKED_AT_M)
-    stations = np.linspace(-length_m, 0.0, 60) if is_in else np.linspace(0.0, length_m, 60)
     driven = shapely.LineString(course.points_m[::_STRIDE])
-    return float(shapely.distance(shapely.points(middle.at(stations)[0]), driven).max())
+    return float(shapely.distance(shapely.points(points_m), driven).max())
 
 
 def _curve_between(entry: Lane, leaving: Lane) -> FloatArray:

@@ -67,9 +67,9 @@ def build_small_baseline(scene: Scene) -> Layout:
     return replace(study, units=study.units[:2])
 
 
-def vary_one_assumption(patch: pytest.MonkeyPatch) -> None:
-    """The one that needs no rays: each of the others casts its own."""
-    few = [item for item in load_assumptions() if item.name == "latency_s"]
+def vary_few_assumptions(patch: pytest.MonkeyPatch, *names: str) -> None:
+    """The one that needs no rays, and those that are named: each casts its own."""
+    few = [item for item in load_assumptions() if item.name in ("latency_s", *names)]
     patch.setattr(
         placement, "find_sensitivity", partial(placement.find_sensitivity, assumptions=few)
     )
@@ -86,7 +86,7 @@ def write_small_results(folder: Path, setting: Setting, question: Question | Non
         patch.setattr(planning, "load_candidate_grid", build_small_grid)
         patch.setattr(placement, "find_baseline", build_small_baseline)
         patch.setattr(writing, "write_report", write_blank_report)
-        vary_one_assumption(patch)
+        vary_few_assumptions(patch)
         placement.run_placement(
             question or Question(budget=2, time_limit_s=60.0),
             out=folder,

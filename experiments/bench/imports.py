@@ -43,7 +43,8 @@ _WORKERS = 2
 _NO_MAPS = ("_16mm.json", "_8mm.json", ".boundary.geojson")  # calibrations, outlines
 _BESIDE_M = 14.0  # from the middle of the junction to the corner of the houses
 _HEADS = (
-    *("file", "junction", "arms", "lanes", "things", "sites", "of them kerb", "runs", "driven"),
+    *("file", "junction", "arms", "lanes", "things", "sites", "of them kerb", "runs"),
+    *("driven of possible", "driven of all"),
     "most often refused",
     *("APR of the car", "APR of the units", "proven", "read and cut (s)", "place and judge (s)"),
 )
@@ -147,15 +148,22 @@ def _run(task: _Task, budget: int, pictures: Path) -> list[str]:
     ]
 
 
-def _driven(setting: Setting) -> tuple[str, str]:
-    """Share of the possible runs that are driven, and the reason that keeps the most from it."""
+def _driven(setting: Setting) -> tuple[str, str, str]:
+    """Shares of runs that are driven, and the reason that keeps the most possible ones from it."""
     refused: Counter[str] = Counter()
+    n_impossible = 0
     for refusal in setting.refusals:
         if refusal.is_possible:
             refused[refusal.reason] += len(refusal.speeds_kmh)
-    share = setting.axis.n_runs / (setting.axis.n_runs + refused.total())
+        else:
+            n_impossible += len(refusal.speeds_kmh)
+    n_possible = setting.axis.n_runs + refused.total()
     most = [f"{reason} ({count})" for reason, count in refused.most_common(1)]
-    return f"{100.0 * share:.0f} %", (most or ["-"])[0]
+    return (
+        f"{100.0 * setting.axis.n_runs / n_possible:.0f} %",
+        f"{100.0 * setting.axis.n_runs / (n_possible + n_impossible):.0f} %",
+        (most or ["-"])[0],
+    )
 
 
 def _place(setting: Setting, budget: int) -> list[str]:
@@ -178,7 +186,10 @@ def _page(rows: Sequence[Sequence[str]], notes: Sequence[str], command: str) -> 
         "# Maps that others made, from file to placement",
         "",
         f"Made by `{command}`, at the largest junction of each file, the default cases, the "
-        "default camera; plans in `imports/`.",
+        "default camera; plans in `imports/`. Driven: the share of the runs, each case from each arm "
+        "at each of seven places. A run is possible where the map has the road that it needs: not "
+        "where no arm lies ahead or aside, where the arm ends before the place, or where another "
+        "junction's middle lies there. The reason is the one that keeps most possible runs away.",
         "",
         "| " + " | ".join(_HEADS) + " |",
         "|" + " --- |" * len(_HEADS),

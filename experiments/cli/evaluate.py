@@ -143,7 +143,14 @@ def failure_lines(evaluation: "EvaluationRecord") -> list[str]:
 
 
 def unit_lines(units: Sequence["UnitRecord"]) -> list[str]:
-    """A table of units, where they hang and look."""
+    """A table of units, where they hang and look; below it what they are, if not the default."""
+    from placement.candidates import load_candidate_grid
+
+    units_of: dict[str, list[str]] = {}
+    for unit in units:
+        units_of.setdefault(unit.camera or unit.lidar or "", []).append(unit.id)
+    models = [f"{model} ({', '.join(ids)})" for model, ids in units_of.items()]
+    is_default = set(units_of) == {sensor.name for sensor in load_candidate_grid().sensors}
     rows = [
         [
             shortened(unit.id, _MAX_ID_WIDTH),  # heads of columns further down: cut if they must be
@@ -156,7 +163,10 @@ def unit_lines(units: Sequence["UnitRecord"]) -> list[str]:
         ]
         for unit in units
     ]
-    return table(["unit", "site", "x m", "y m", "z m", "yaw", "pitch"], rows, n_left=2)
+    return [
+        *table(["unit", "site", "x m", "y m", "z m", "yaw", "pitch"], rows, n_left=2),
+        *([] if is_default else sentences(f"models: {'; '.join(models)}", indent=2, hanging=2)),
+    ]
 
 
 def apr_lines(parties: "Mapping[str, PartyAprRecord | ScoreRecord]") -> list[str]:

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +14,7 @@ from ..errors import InputError, Unquoted
 from .source_map import Skipped, SourceMap
 
 if TYPE_CHECKING:
-    from pyproj import CRS
+    from pyproj import CRS, Transformer
 
 
 WGS84 = "EPSG:4326"
@@ -96,12 +97,16 @@ def local_crs(point_m: ArrayLike, crs: str, *, where: str) -> str:
 
 def transform(points: ArrayLike, from_crs: str, to_crs: str) -> FloatArray:
     """Transform points (..., 2) between coordinate reference systems: east or longitude first."""
+    array = np.asarray(points, dtype=np.float64)
+    x, y = _transformer(from_crs, to_crs).transform(array[..., 0], array[..., 1])
+    return np.stack([x, y], axis=-1)
+
+
+@lru_cache(maxsize=16)  # to make one takes longer than to transform most maps
+def _transformer(from_crs: str, to_crs: str) -> "Transformer":
     from pyproj import Transformer
 
-    array = np.asarray(points, dtype=np.float64)
-    transformer = Transformer.from_crs(from_crs, to_crs, always_xy=True)
-    x, y = transformer.transform(array[..., 0], array[..., 1])
-    return np.stack([x, y], axis=-1)
+    return Transformer.from_crs(from_crs, to_crs, always_xy=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

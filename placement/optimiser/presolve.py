@@ -177,7 +177,12 @@ def presolve(problem: PlacementProblem) -> ReducedProblem:
     if limits.budget_eur is not None:
         price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
         usable &= price <= limits.budget_eur + COST_TOLERANCE_EUR
-    usable |= limits.is_forced
+    # What sees nothing would drop out below, but making the problem anew takes long.
+    is_kept = windows.sees_any() | limits.is_forced_site[limits.site_index]
+    if usable.any():
+        price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
+        is_kept[np.flatnonzero(usable)[np.argmin(price[usable])]] = True
+    usable = (usable & is_kept) | limits.is_forced
     # Where only the worst worlds count, the smallest margin may fall when more is seen: a run that
     # is avoided in another world, too, adds nothing to their APR, but its margin counts.
     is_monotone = windows.measure.is_mean
@@ -246,29 +251,25 @@ def is_dominated(
         is_bound_site |= limits.site_capacity > 1
     elsewhere = price + limits.site_cost_eur[sites]
     elsewhere[is_bound_site[sites]] = np.inf
-    most = np.empty((0, n_words), dtype=np.uint64)
-    if may_add is not None and n_poses:
-        most = np.stack([words[pose] | may_add(int(pose)) for pose in order])
+    words = words[order]
+    columns = np.ascontiguousarray(words.T)
     dominated = np.zeros(n_poses, dtype=bool)
 
-    def look_at(begin: int) -> None:
-        find_dominated(
-            words[order],
-            most,
-            sites,
-            price,
-            elsewhere,
-            price + COST_TOLERANCE_EUR,
-            ~is_bound_site[sites],
-            limits.site_capacity,
-            max_units,
-            begin,
-            WORKERS,
-            dominated,
-        )
+    def look_at(poses: IntArray, most: WordArray) -> None:
+        def look(begin: int) -> None:
+            find_dominated(
+                *(words, columns, poses, most),
+                *(sites, price, elsewhere, price + COST_TOLERANCE_EUR, ~is_bound_site[sites]),
+                *(limits.site_capacity, max_units, begin, WORKERS, dominated),
+            )
 
-    with ThreadPoolExecutor(WORKERS) as threads:
-        list(threads.map(look_at, range(WORKERS)))
+        with ThreadPoolExecutor(WORKERS) as threads:
+            list(threads.map(look, range(WORKERS)))
+
+    look_at(np.arange(n_poses), np.empty((0, n_words), dtype=np.uint64))
+    if may_add is not None and dominated.any():  # few, or none: what each may see takes long
+        poses = np.flatnonzero(dominated)
+        look_at(poses, np.stack([words[pose] | may_add(int(order[pose])) for pose in poses]))
     result = np.zeros(n_poses, dtype=bool)
     result[order] = dominated
     return result & ~limits.is_forced
@@ -387,6 +388,12 @@ class _Windows:
             np.bitwise_or.accumulate(windows, axis=0, out=windows)
         self.tail_end, self.tail_run = self.tail_end[:0], self.tail_run[:0]
         self.tail_columns = self.tail_columns[:0]
+
+    def sees_any(self) -> BoolArray:
+        """Which poses see anything that matters, (n_poses,)."""
+        words = np.bitwise_or.reduce(self.columns, axis=0)
+        words |= np.bitwise_or.reduce(self.tail_columns, axis=0)
+        return unpack_words(words, self.problem.table.n_poses)
 
     def reduce(self, poses: IntArray) -> ReducedProblem:
         """The problem on some poses, all of them kept."""

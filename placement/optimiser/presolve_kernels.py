@@ -12,6 +12,8 @@ from geometry.kernels import kernel
 ByteArray = NDArray[np.uint8]
 WordArray = NDArray[np.uint64]
 
+_N_LOOK = 24  # words by which poses are told that see less
+
 
 @kernel
 def turn_round(rows: ByteArray, columns: WordArray) -> None:
@@ -94,6 +96,8 @@ def number_rows(rows: WordArray, kept: WordArray, slots: IntArray, number: IntAr
 @kernel
 def find_dominated(
     words: WordArray,
+    columns: WordArray,
+    poses: IntArray,
     most: WordArray,
     site: IntArray,
     price: FloatArray,
@@ -108,49 +112,64 @@ def find_dominated(
 ) -> None:
     """Poses whose dominators other units cannot use up; poses come in the order of dominance.
 
-    Every `step`-th pose from `begin` on is looked at. `most`, what dominators may see, has a row
-    for each pose, or none where they may see anything. A dominator costs no more than `affordable`,
-    by its `price` at the same site, `elsewhere` at another one, if the pose `may_move` there.
+    Every `step`-th of `poses` from `begin` on is looked at. `columns` are the words turned round,
+    (n_words, n_poses). `most`, what dominators may see, has a row for each of `poses`, or none
+    where they may see anything. A dominator costs no more than `affordable`, by its `price` at the
+    same site, `elsewhere` at another one, if the pose `may_move` there.
     """
     n_words = words.shape[1]
     needed = np.empty(n_words, dtype=np.int64)
+    above = np.empty(len(words), dtype=np.int64)
     at_site = np.zeros(len(capacity), dtype=np.int64)
-    for pose in range(begin, len(words), step):
-        own, n_blockers, n_needed = site[pose], 0, 0
+    for place in range(begin, len(poses), step):
+        pose = poses[place]
+        own, n_blockers, n_needed, n_above = site[pose], 0, 0, 0
+        at_site[:] = 0
+        dominated[pose] = capacity[own] <= 0 or max_units <= 0
+        if dominated[pose]:
+            continue
         for word in range(n_words):
             if words[pose, word]:
                 needed[n_needed] = word
                 n_needed += 1
-        at_site[:] = 0
-        dominated[pose] = capacity[own] <= 0 or max_units <= 0
         for other in range(pose - 1, -1, -1):  # those that see little more come first
-            if dominated[pose]:
-                break
+            if (site[other] == own and price[other] <= affordable[pose]) or (
+                may_move[pose] and elsewhere[other] <= affordable[pose]
+            ):
+                above[n_above] = other
+                n_above += 1
+        # A few words tell of most poses that they see less: word by word they lie side by side.
+        for number in range(min(_N_LOOK, n_needed)):
+            word = needed[number * n_needed // min(_N_LOOK, n_needed)]
+            of_pose, column, n_left = words[pose, word], columns[word], 0
+            for rank in range(n_above):
+                above[n_left] = above[rank]
+                n_left += of_pose & ~column[above[rank]] == 0
+            n_above = n_left
+        for rank in range(n_above):
+            other = above[rank]
             there = site[other]
             if at_site[there] >= capacity[there]:
                 continue
-            if not (
-                (there == own and price[other] <= affordable[pose])
-                or (may_move[pose] and elsewhere[other] <= affordable[pose])
-            ):
-                continue
             is_above = True
-            for place in range(n_needed):
-                word = needed[place]
+            for number in range(n_needed):
+                word = needed[number]
                 if words[pose, word] & ~words[other, word]:
                     is_above = False
-                    before = place // 2  # where others fail, too
-                    needed[place], needed[before] = needed[before], word
+                    before = number // 2  # where others fail, too
+                    needed[number], needed[before] = needed[before], word
                     break
             if is_above and len(most):
                 for word in range(n_words):
-                    if words[other, word] & ~most[pose, word]:
+                    if words[other, word] & ~most[place, word]:
                         is_above = False
                         break
             if is_above:
                 at_site[there] += 1
                 n_blockers += 1
                 dominated[pose] = at_site[own] >= capacity[own] or n_blockers > max_units - 1
+                if dominated[pose]:
+                    break
 
 
 @kernel

@@ -1,14 +1,17 @@
 """Loops that draw detections frame by frame.
 
 Every random number is a function of a key and a counter, so that only those are made that are
-looked at, in any order: the finaliser of SplitMix64, and the transform of Box and Muller.
+looked at, in any order: the bits of SplitMix64, and the ziggurat of Marsaglia and Tsang.
 
 References
 ----------
 .. [1] G. L. Steele, D. Lea, C. H. Flood, "Fast splittable pseudorandom number generators", 2014.
-.. [2] G. E. P. Box, M. E. Muller, "A note on the generation of random normal deviates", 1958.
+.. [2] G. Marsaglia, W. W. Tsang, "The ziggurat method for generating random variables", 2000.
+.. [3] J. A. Doornik, "An improved ziggurat method to generate normal random samples", 2005: the
+   layer comes from other bits than the number, as here.
 """
 
+import math
 from typing import Any
 
 import numpy as np
@@ -28,20 +31,58 @@ def random_bits(key: Any, counter: int) -> Any:
     return bits ^ (bits >> np.uint64(31))
 
 
+_N_LAYERS = 128  # of the ziggurat
+_TAIL = 3.442619855899  # where its lowest layer ends, and the tail begins: of 128 layers [2]
+
+
+def _layers() -> tuple[Array, Array]:
+    """Half widths of the layers from the lowest on, the last one 0, and the density there."""
+    density = np.exp(-0.5 * _TAIL**2)
+    area = _TAIL * density + math.sqrt(math.pi / 2.0) * math.erfc(_TAIL / math.sqrt(2.0))
+    widths = [area / density, _TAIL]
+    while len(widths) < _N_LAYERS:
+        widths.append(
+            math.sqrt(-2.0 * math.log(area / widths[-1] + math.exp(-0.5 * widths[-1] ** 2)))
+        )
+    half = np.array([*widths, 0.0])
+    return half, np.exp(-0.5 * half**2)
+
+
+_HALF_WIDTH, _DENSITY = _layers()
+
+
+@kernel
+def _share(bits: Any) -> float:
+    """A number from 0 to 1, of the upper 53 of 64 random bits; neither is reached."""
+    return (np.float64(bits >> np.uint64(11)) + 0.5) / 2.0**53
+
+
 @kernel
 def _normal(key: Any, counter: int) -> float:
-    """A standard normal number; none is beyond 6.8."""
+    """A standard normal number."""
     bits = random_bits(key, counter)
-    radius = (np.float64(bits >> np.uint64(32)) + 0.5) / 2.0**32
-    turn = np.float64(bits & np.uint64(0xFFFFFFFF)) / 2.0**32
-    return float(np.sqrt(-2.0 * np.log(radius)) * np.cos(2.0 * np.pi * turn))
+    while True:
+        layer = np.int64(bits & np.uint64(_N_LAYERS - 1))  # these bits are not in the share
+        x = (2.0 * _share(bits) - 1.0) * _HALF_WIDTH[layer]
+        if abs(x) < _HALF_WIDTH[layer + 1]:
+            return x
+        more = random_bits(bits, 0)
+        if layer == 0:
+            tail = -np.log(_share(more)) / _TAIL
+            if -2.0 * np.log(_share(random_bits(bits, 1))) > tail * tail:
+                return _TAIL + tail if x > 0.0 else -_TAIL - tail
+        else:
+            low, high = _DENSITY[layer], _DENSITY[layer + 1]
+            if low + _share(more) * (high - low) < np.exp(-0.5 * x * x):
+                return x
+        bits = random_bits(bits, 2)
 
 
 @kernel
 def _linked(
     key: Any, correlation: float, step: float, run: int, place: int, before: int, last: float
 ) -> float:
-    """Noise at a place of a run (its first cell), from that of a place before; -1 is the start."""
+    """Noise at a place of a run, from that at a place before; -1 is before the first."""
     for here in range(before + 1, place + 1):
         fresh = _normal(key, run + here)
         # The first one stands for all that came before.
@@ -50,15 +91,15 @@ def _linked(
 
 
 @kernel
-def link_noise(cell: Array, longest: int, key: Any, correlation: float, noise: Array) -> None:
-    """Noise of cells (n,): standard normal, a first-order autoregression in each run.
+def link_noise(run: Array, place: Array, key: Any, correlation: float, noise: Array) -> None:
+    """Noise of frames (n,): standard normal, a first-order autoregression in each run.
 
-    A run has `longest` cells; `correlation` is that of a cell with the next, 0 .. 1.
+    The frame of number `place` of a run has the fresh random number of counter `run` + `place`;
+    `correlation` is that of a frame with the next, 0 .. 1.
     """
     step = np.sqrt(1.0 - correlation**2)
-    for index in range(len(cell)):
-        place = cell[index] % longest
-        noise[index] = _linked(key, correlation, step, cell[index] - place, place, -1, 0.0)
+    for index in range(len(run)):
+        noise[index] = _linked(key, correlation, step, run[index], place[index], -1, 0.0)
 
 
 @kernel
@@ -66,16 +107,16 @@ def draw_frames(
     limit: Array,
     weather_of_frame: Array,
     entry_of_frame: Array,
-    cell_of_frame: Array,
-    longest: int,
+    run_of_frame: Array,
+    place_of_frame: Array,
     key: Any,
     correlation: float,
     packed: Array,
 ) -> None:
     """Bits (n_bytes,) of the frames whose noise is below the limit of what they show.
 
-    `limit` (n_weathers, n_entries); a frame whose entry is -1 shows nothing. The noise of each
-    frame's cell is as in :func:`link_noise`.
+    `limit` (n_weathers, n_entries); a frame whose entry is -1 shows nothing. Noise is as in
+    :func:`link_noise`.
     """
     step = np.sqrt(1.0 - correlation**2)
     run, before, last = -1, -1, 0.0
@@ -87,9 +128,9 @@ def draw_frames(
         if least == -np.inf:
             continue
         if least < np.inf:
-            place = cell_of_frame[frame] % longest
-            if cell_of_frame[frame] - place != run or place < before:
-                run, before, last = cell_of_frame[frame] - place, -1, 0.0
+            place = place_of_frame[frame]
+            if run_of_frame[frame] != run or place < before:
+                run, before, last = run_of_frame[frame], -1, 0.0
             last = _linked(key, correlation, step, run, place, before, last)
             before = place
             if not last < least:
@@ -98,11 +139,13 @@ def draw_frames(
 
 
 @kernel
-def lose_frames(cell_of_frame: Array, key: Any, loss: float, packed: Array) -> None:
-    """Take a share of the frames out of bits (n_bytes,), those of one cell alike."""
-    for frame in range(len(cell_of_frame)):
+def lose_frames(
+    run_of_frame: Array, place_of_frame: Array, key: Any, loss: float, packed: Array
+) -> None:
+    """Take a share of the frames out of bits (n_bytes,), by counters as in :func:`link_noise`."""
+    for frame in range(len(run_of_frame)):
         bit = np.uint8(1 << (frame & 7))
-        if packed[frame >> 3] & bit:
-            chance = np.float64(random_bits(key, cell_of_frame[frame]) >> np.uint64(11)) / 2.0**53
-            if chance < loss:
-                packed[frame >> 3] &= np.uint8(~bit)
+        if not packed[frame >> 3] & bit:
+            continue
+        if _share(random_bits(key, run_of_frame[frame] + place_of_frame[frame])) < loss:
+            packed[frame >> 3] &= np.uint8(~bit)

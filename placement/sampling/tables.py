@@ -63,7 +63,7 @@ def build_drawn_table(
                 continue
             draw_frames(
                 *(limit, world.views.weather_of_frame, entry_of_frame),
-                *(links.cell_of_frame, links.longest),
+                *(links.run_of_frame, links.place_of_frame),
                 sample.luck.key("detector", *pose_key(planned)),
                 detector.frame_correlation,
                 packed[row],
@@ -95,11 +95,11 @@ def lose_messages(sample: Sample, table: DetectionTable) -> DetectionTable:
         return table
     from .drawing import lose_frames
 
-    cell_of_frame = link_frames(draw_index(sample.setting.runs)).cell_of_frame
+    links = link_frames(draw_index(sample.setting.runs))
     packed = np.array(table.packed)
     for row in np.flatnonzero(packed.any(axis=1)).tolist():
         key = sample.luck.key("message", *pose_key(sample.planned[row]))
-        lose_frames(cell_of_frame, key, loss, packed[row])
+        lose_frames(links.run_of_frame, links.place_of_frame, key, loss, packed[row])
     return DetectionTable(pose_ids=table.pose_ids, axis=table.axis, packed=packed)
 
 
@@ -107,10 +107,10 @@ def lose_messages(sample: Sample, table: DetectionTable) -> DetectionTable:
 class FrameLinks:
     """Which frames share their luck, and which follow one another."""
 
-    longest: int  # frames of the longest run
-    # (n_frames,): which cell each frame is, of runs side by side that have `longest` cells each;
-    # the same run in several weathers has them once
-    cell_of_frame: IntArray
+    # run_of_frame, place_of_frame: (n_frames,): place in its run, and what makes the sum of both
+    # another for each frame; the same for the same run in several weathers
+    run_of_frame: IntArray
+    place_of_frame: IntArray
 
 
 def link_frames(frames: IntArray) -> FrameLinks:
@@ -120,11 +120,11 @@ def link_frames(frames: IntArray) -> FrameLinks:
     """
     draws, index = np.unique(frames, return_inverse=True)
     starts = np.flatnonzero(np.diff(draws, prepend=draws[0] - 2) != 1)
-    lengths = np.diff(np.append(starts, len(draws)))
-    longest = int(lengths.max())
-    run = np.repeat(np.arange(len(starts)), lengths)
-    cell = run * longest + np.arange(len(draws)) - starts[run]
-    return FrameLinks(longest=longest, cell_of_frame=cell[index])
+    run = np.repeat(starts, np.diff(np.append(starts, len(draws))))
+    return FrameLinks(
+        run_of_frame=run[index].astype(np.int32),
+        place_of_frame=(np.arange(len(draws)) - run)[index].astype(np.int32),
+    )
 
 
 def _limits(

@@ -18,6 +18,7 @@ Array = NDArray[Any]
 LANES = 16  # cameras, or points, that are handled at once
 # Where each number of the cameras in the lanes begins: the rotation's, by rows, and the others.
 _FOCAL, _HALF_WIDTH, _HALF_HEIGHT = (LANES * number for number in range(9, 12))
+_N_NUMBERS = 12  # of a camera that projecting takes
 _COS_ACROSS, _SIN_ACROSS, _COS_UP, _SIN_UP = (LANES * number for number in range(12, 16))
 _X0, _X1, _X2, _Y0, _Y1, _Y2, _Z0, _Z1, _Z2 = (LANES * number for number in range(9))
 _LEFT, _TOP, _RIGHT, _BOTTOM, _DEPTH = (LANES * number for number in range(5))
@@ -154,20 +155,29 @@ def _project_into_all(
 
 
 @kernel
-def _set_out(points: Array, view: int, eye: Array, offsets: Array) -> None:
-    """Offsets of a view's points from the eye, by axis, into lanes, (n_blocks, 3 * LANES)."""
-    last = points.shape[2] - 1
-    for block in range(len(offsets)):
-        for j in range(LANES):
-            point = min(block * LANES + j, last)  # the last one fills what is left of the lanes
+def _set_out(points: Array, view: int, eye: Array, shown: Array, offsets: Array) -> int:
+    """Offsets of a view's points from the eye, by axis, into lanes, (n_blocks, 3 * LANES).
+
+    Of those that are `shown` (n_points,); returns how many blocks they fill.
+    """
+    count = 0
+    for point in range(points.shape[2]):
+        if shown[point]:
             for axis in range(3):
-                offsets[block, axis * LANES + j] = points[view, axis, point] - eye[axis]
+                offset = points[view, axis, point] - eye[axis]
+                offsets[count // LANES, axis * LANES + count % LANES] = offset
+            count += 1
+    n_blocks = -(-count // LANES)
+    for lane in range(count, n_blocks * LANES):  # the last one fills what is left of the lanes
+        for axis in range(3):
+            last = offsets[(count - 1) // LANES, axis * LANES + (count - 1) % LANES]
+            offsets[n_blocks - 1, axis * LANES + lane % LANES] = last
+    return n_blocks
 
 
 @kernel
 def _box_points(
     offsets: Array,
-    is_counted: Array,
     lens: Array,
     camera: int,
     min_depth: Any,
@@ -176,10 +186,10 @@ def _box_points(
     box: Array,
     side: int,
 ) -> None:
-    """Box of the points that count, (n_blocks, LANES), in one camera of the lanes.
+    """Box of points, (n_blocks, 3 * LANES), in one camera of the lanes.
 
-    Into `box` (8,), from `side` on; zeros if there is no such point. If the image cuts the body
-    off, only points inside the image count.
+    Into `box` (8,), from `side` on; zeros if no point counts. If the image cuts the body off, only
+    points inside the image count.
     """
     x0, x1, x2 = lens[_X0 + camera], lens[_X1 + camera], lens[_X2 + camera]
     y0, y1, y2 = lens[_Y0 + camera], lens[_Y1 + camera], lens[_Y2 + camera]
@@ -193,7 +203,7 @@ def _box_points(
         limits[_LEFT + j] = limits[_TOP + j] = _FAR
         limits[_RIGHT + j] = limits[_BOTTOM + j] = -_FAR
     for block in range(len(offsets)):
-        offset, counted = offsets[block], is_counted[block]
+        offset = offsets[block]
         for j in range(LANES):
             x, y, z = offset[j], offset[LANES + j], offset[2 * LANES + j]
             depth = x * x2 + y * y2 + z * z2
@@ -201,8 +211,7 @@ def _box_points(
             column = (x * x0 + y * y0 + z * z0) * scale + half_width
             row = (x * x1 + y * y1 + z * z1) * scale + half_height
             counts = (
-                counted[j]
-                & (depth > nearest)
+                (depth > nearest)
                 & (abs(column - half_width) <= widest)
                 & (abs(row - half_height) <= highest)
             )
@@ -261,10 +270,11 @@ def box_bodies(
     """
     limits, some = np.empty(5 * LANES, np.float32), np.empty(5 * LANES, np.float32)
     is_near, box = np.empty(LANES, np.bool_), np.empty(8, np.float32)
+    near, lens = np.empty(n_cameras + 1, np.int64), np.zeros(_N_NUMBERS * LANES, np.float32)
     n_points = points.shape[2]
-    offsets = np.empty((-(-n_points // LANES), 3 * LANES), np.float32)
-    every = np.ones((len(offsets), LANES), np.bool_)
-    shown = np.zeros_like(every)
+    every_point = np.ones(n_points, np.bool_)
+    every = np.empty((-(-n_points // LANES), 3 * LANES), np.float32)
+    seen = np.empty_like(every)
     zero, least_px = np.float32(0.0), _least(min_height_px)
     n_plain = n_part = 0
     for entry in range(len(view_of_entry)):
@@ -273,16 +283,23 @@ def box_bodies(
         y = np.float32(middle[view, 1] - eye[1])
         z = np.float32(middle[view, 2] - eye[2])
         reach = np.float32(radius[view]) + _SLACK_M
-        is_set_out = False
+        n_every = n_seen = -1  # blocks of points; not yet set out
+        n_near = 0
         for block in range(len(lenses)):
-            lens = lenses[block]
             n = min(LANES, n_cameras - block * LANES)
-            if not _is_any_near(x, y, z, reach, lens, n, least_px, is_near):
-                continue
+            if _is_any_near(x, y, z, reach, lenses[block], n, least_px, is_near):
+                for j in range(n):
+                    near[n_near] = block * LANES + j
+                    n_near += is_near[j]
+        for first in range(0, n_near, LANES):
+            n = min(LANES, n_near - first)
+            for j in range(n):
+                block, lane = near[first + j] // LANES, near[first + j] % LANES
+                for number in range(_N_NUMBERS):
+                    lens[number * LANES + j] = lenses[block, number * LANES + lane]
             _project_into_all(hull, view, eye, lens, min_depth_m, limits)
             for j in range(n):
-                if not is_near[j]:
-                    continue
+                camera = near[first + j]
                 left, top = limits[_LEFT + j], limits[_TOP + j]
                 right, bottom = limits[_RIGHT + j], limits[_BOTTOM + j]
                 width = lens[_HALF_WIDTH + j] + lens[_HALF_WIDTH + j]
@@ -295,24 +312,23 @@ def box_bodies(
                 is_cut = is_behind or left < zero or top < zero or right > width or bottom > height
                 if is_whole[entry] and not is_cut:
                     if high >= min_height_px and high > 0.0:
-                        plain[n_plain, 0], plain[n_plain, 1] = block * LANES + j, entry
+                        plain[n_plain, 0], plain[n_plain, 1] = camera, entry
                         plain_px[n_plain, 0], plain_px[n_plain, 1] = left, top
                         plain_px[n_plain, 2], plain_px[n_plain, 3] = right, bottom
                         n_plain += 1
                     continue
-                if not is_set_out:
-                    _set_out(points, view, eye, offsets)
-                    for point in range(n_points):
-                        shown[point // LANES, point % LANES] = is_visible[entry, point]
-                    is_set_out = True
                 shot = (lens, j, min_depth_m, is_cut, some, box)
                 if not is_whole[entry]:
-                    _box_points(offsets, shown, *shot, _SEEN)
+                    if n_seen < 0:
+                        n_seen = _set_out(points, view, eye, is_visible[entry], seen)
+                    _box_points(seen[:n_seen], *shot, _SEEN)
                     high = np.float64(box[3]) - np.float64(box[1])
                     if not (high >= min_height_px and high > 0.0):
                         continue
                 if is_cut:
-                    _box_points(offsets, every, *shot, _ALL)
+                    if n_every < 0:
+                        n_every = _set_out(points, view, eye, every_point, every)
+                    _box_points(every[:n_every], *shot, _ALL)
                 if is_whole[entry]:
                     for k in range(4):
                         box[_SEEN + k] = box[_ALL + k]
@@ -321,7 +337,7 @@ def box_bodies(
                     continue
                 for k in range(4 if not is_cut else 0):
                     box[_ALL + k] = limits[k * LANES + j]
-                part[n_part, 0], part[n_part, 1] = block * LANES + j, entry
+                part[n_part, 0], part[n_part, 1] = camera, entry
                 for side in range(8):
                     part_px[n_part, side] = box[side]
                 if is_behind:  # beside and behind the lens points are not projected as bodies are

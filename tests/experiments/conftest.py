@@ -10,7 +10,7 @@ from small_results import (
     build_small_baseline,
     build_small_grid,
     build_small_setting,
-    vary_one_assumption,
+    vary_few_assumptions,
 )
 
 from experiments.cli import main
@@ -51,7 +51,7 @@ def small_study(few_runs, with_blank_pictures, one_assumption, monkeypatch):
 @pytest.fixture
 def one_assumption(monkeypatch):
     """Varies the one that needs no rays."""
-    vary_one_assumption(monkeypatch)
+    vary_few_assumptions(monkeypatch)
 
 
 @pytest.fixture(scope="session")
@@ -63,6 +63,7 @@ def whole_placement(small_setting, tmp_path_factory):
             patch.setenv("PLACE_RSUS_CACHE", str(folder / "tables"))
             patch.setattr(placement, "build_setting", lambda question, scene: small_setting)
             patch.setattr(planning, "load_candidate_grid", build_small_grid)
+            vary_few_assumptions(patch, "height_m")
             with (
                 Path("out").open("w") as out,
                 Path("err").open("w") as err,

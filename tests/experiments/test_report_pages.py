@@ -8,7 +8,7 @@ import pytest
 from browser_pages import open_page, start_browser
 from interactive_pages import EVIL, build_evaluation, build_layout, with_evil_names
 from partial_pages import blank_pictures, build_result
-from small_results import vary_one_assumption
+from small_results import vary_few_assumptions
 
 from experiments.jobs import placement
 from experiments.progress import StageProgress
@@ -45,7 +45,7 @@ def addresses(small_setting, whole_placement, tmp_path_factory):
     away = Layout(name="away", units=(replace(units[0], pose=turned),))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(placement, "build_setting", lambda question, scene: small_setting)
-        vary_one_assumption(patch)
+        vary_few_assumptions(patch)
         question = Question()
         with blank_pictures():
             placement.run_evaluation(question, layout=away, out=folder / "missed", **common)
@@ -95,21 +95,29 @@ def test_runs_that_are_missed_are_told_where_there_are_any(browser, addresses):
             assert ("of them hit" in " ".join(texts(page, "summary"))) == is_told
 
 
-def test_no_page_scrolls_sideways_on_a_phone_even_if_all_is_unfolded(browser, address):
-    with open_page(browser, address, width=360) as page:
+def test_on_a_phone_letters_are_large_contents_lead_everywhere_and_nothing_scrolls_sideways(
+    browser, address
+):
+    with open_page(browser, address, width=360, reduced_motion="reduce") as page:
         assert page.get_attribute("#contents", "open") is None
-        for _ in range(2):
-            assert page.evaluate("document.documentElement.scrollWidth") <= 360
-            page.evaluate("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
-        # What is wider than the screen moves in a box of its own, which the tab key reaches. The
-        # page marks the boxes once it has laid them out: a busy machine takes a while.
-        boxes = "[...document.querySelectorAll('.scroll')]"
-        wide = f"{boxes}.filter((box) => box.scrollWidth > box.clientWidth + 1)"
-        assert page.evaluate(f"{wide}.length") > 0
-        page.wait_for_function(f"{wide}.every((box) => box.tabIndex === 0)", timeout=10_000)
-        assert page.evaluate(
-            f"{wide}.every((box) => getComputedStyle(box).overflowX === 'auto' && box.ariaLabel)"
-        )
+        check_letters_are_no_smaller_than_9_pixels(page)
+        check_contents_lead_to_every_section(page)
+        check_nothing_scrolls_sideways_even_if_all_is_unfolded(page)
+
+
+def check_nothing_scrolls_sideways_even_if_all_is_unfolded(page):
+    for _ in range(2):
+        assert page.evaluate("document.documentElement.scrollWidth") <= 360
+        page.evaluate("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
+    # What is wider than the screen moves in a box of its own, which the tab key reaches. The
+    # page marks the boxes once it has laid them out: a busy machine takes a while.
+    boxes = "[...document.querySelectorAll('.scroll')]"
+    wide = f"{boxes}.filter((box) => box.scrollWidth > box.clientWidth + 1)"
+    assert page.evaluate(f"{wide}.length") > 0
+    page.wait_for_function(f"{wide}.every((box) => box.tabIndex === 0)", timeout=10_000)
+    assert page.evaluate(
+        f"{wide}.every((box) => getComputedStyle(box).overflowX === 'auto' && box.ariaLabel)"
+    )
 
 
 def test_rows_are_named_in_sight_when_a_table_is_moved(browser, addresses):
@@ -130,28 +138,26 @@ def test_rows_are_named_in_sight_when_a_table_is_moved(browser, addresses):
         assert abs(left_px) < 1.0
 
 
-def test_letters_of_figures_are_no_smaller_than_9_pixels(browser, address):
-    with open_page(browser, address, width=360) as page:
-        for width_in, shown_px in page.evaluate(
-            """() => [...document.querySelectorAll('figure')].map((figure) => [
-                Number(figure.style.getPropertyValue('--phone-width-in')
-                    || figure.style.getPropertyValue('--width-in')),
-                figure.querySelector('img').getBoundingClientRect().width])"""
-        ):
-            assert 8.0 / 72.0 * shown_px / width_in >= 8.99  # letters of 8 pt
+def check_letters_are_no_smaller_than_9_pixels(page):
+    for width_in, shown_px in page.evaluate(
+        """() => [...document.querySelectorAll('figure')].map((figure) => [
+            Number(figure.style.getPropertyValue('--phone-width-in')
+                || figure.style.getPropertyValue('--width-in')),
+            figure.querySelector('img').getBoundingClientRect().width])"""
+    ):
+        assert 8.0 / 72.0 * shown_px / width_in >= 8.99  # letters of 8 pt
 
 
-def test_contents_lead_to_every_section(browser, address):
-    with open_page(browser, address, width=360, reduced_motion="reduce") as page:
-        assert texts(page, "#contents a") == texts(page, "h2")
-        page.click("#contents summary")
-        for link in page.locator("#contents a").all():
-            link.click()
-            target = page.locator(f"{link.get_attribute('href')}")
-            top = target.bounding_box()["y"]
-            at_end = page.evaluate("innerHeight + scrollY >= document.body.scrollHeight - 2")
-            assert -1.0 <= top < 60.0 or (at_end and 0.0 <= top < 900.0)
-        assert page.evaluate("getComputedStyle(document.documentElement).scrollBehavior") == "auto"
+def check_contents_lead_to_every_section(page):
+    assert texts(page, "#contents a") == texts(page, "h2")
+    page.click("#contents summary")
+    for link in page.locator("#contents a").all():
+        link.click()
+        target = page.locator(f"{link.get_attribute('href')}")
+        top = target.bounding_box()["y"]
+        at_end = page.evaluate("innerHeight + scrollY >= document.body.scrollHeight - 2")
+        assert -1.0 <= top < 60.0 or (at_end and 0.0 <= top < 900.0)
+    assert page.evaluate("getComputedStyle(document.documentElement).scrollBehavior") == "auto"
 
 
 def test_contents_without_scripts_name_no_section_that_is_missing(browser, addresses):

@@ -37,6 +37,8 @@ class Result(NamedTuple):
 @pytest.fixture
 def command(run, monkeypatch):
     """Runs a command without spending time on pictures of scenes."""
+    for name in ("plan", "view"):
+        monkeypatch.setattr(f"experiments.jobs.scene.plot_scene_{name}", lambda scene: None)
     monkeypatch.setattr("experiments.jobs.scene.to_png", lambda figure: b"picture")
     return lambda *arguments: Result(*run(*arguments))
 
@@ -293,6 +295,7 @@ def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
     monkeypatch.setattr(planning, "load_candidate_grid", lambda: grid)
     results = tmp_path / "results"
     question = ["--cases", "CPNA-25,CBNA,CPTAfs-50", "--speeds", "20,40", "--approaches", "north"]
+    question += ["--along-arms", "0"]
     result = command(
         *("--scene", str(out), "--budget", "1", *question, "--json", "--quiet"),
         *("--out", str(results)),

@@ -170,8 +170,7 @@ def test_layouts_of_the_same_name_are_told_apart(small_study, tmp_path):
     assert all(name in page for name in names)
 
 
-@pytest.mark.usefixtures("small_study", "without_figures")
-def test_a_comparison_in_sampled_worlds_says_how_sure_it_is(tmp_path):
+def test_a_comparison_in_sampled_worlds_says_how_sure_it_is(small_study, tmp_path):
     summary = compare([named("two", 2), named("one", 1)], tmp_path / "out", samples=3)
     gains = {gain["over"]: gain for gain in summary["sampled"]["gains"]}
     assert list(gains) == ["one", "expert-2"]
@@ -196,8 +195,9 @@ def test_every_export_names_every_unit(name):
     assert all(unit.id in text for unit in load_carlancap_layout().units)
 
 
-@pytest.mark.usefixtures("small_study", "without_figures")
-def test_a_layout_is_chosen_in_sampled_worlds_and_judged_in_fresh_ones(tmp_path, monkeypatch):
+def test_a_layout_is_chosen_in_sampled_worlds_and_judged_in_fresh_ones(
+    small_study, tmp_path, monkeypatch
+):
     monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 3)
     summary = place(tmp_path / "out", samples=2, risk="worst", budget=2)
     sampled = summary["sampled"]

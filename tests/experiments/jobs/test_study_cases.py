@@ -9,6 +9,7 @@ import pytest
 from experiments.jobs import study_cases
 from experiments.jobs.study_cases import (
     is_same_question,
+    judge_again,
     on_study_cases,
     score_on,
     study_question,
@@ -18,9 +19,12 @@ from experiments.results.baselines import build_study_cases_record
 from experiments.study.layout import load_carlancap_layout
 from placement.compute import Compute
 from placement.evaluator import evaluate_layouts
+from placement.evaluator.evaluate import Judge
 from placement.layout import Layout
 from placement.question import Question
 from placement.setting import build_setting
+from scenarios.exposure import weight_per_case
+from scenarios.runs import build_frame_axis
 
 ASKED = Question(
     cases="CPNC-50,CBNA",
@@ -146,16 +150,51 @@ def test_the_study_is_asked_about_as_it_drives_and_reads():
     )
 
 
-def test_a_question_along_the_arms_has_all_runs_of_the_study():
-    """So that nobody has to look again."""
+@pytest.fixture(scope="module")
+def default():
+    """A question along the arms, and in fog, too."""
     question = Question(weather="fog, day", along_arms="45,0")
-    default, study = build_setting(question), build_setting(study_question(question))
-    rows = study_rows(question, default)
+    setting = build_setting(question)
+    return question, setting, study_rows(question, setting)
+
+
+@pytest.fixture(scope="module")
+def study(default):
+    return build_setting(study_question(default[0]))
+
+
+def test_a_question_along_the_arms_has_all_runs_of_the_study(default, study):
+    """So that nobody has to look again."""
+    _, asked, rows = default
     assert study.axis.n_runs == 240
-    part = study_cases._part(default, rows)
+    part = study_cases._part(asked, rows)
     assert is_same_question(part, study)
-    assert not is_same_question(default, study)
+    assert not is_same_question(asked, study)
     for one, other in zip(part.runs, study.runs, strict=True):
         assert np.array_equal(one.vut_position_m, other.vut_position_m)
         assert np.array_equal(one.vru_position_m, other.vru_position_m)
     assert np.array_equal(part.axis.last_brake_time_s, study.axis.last_brake_time_s)
+
+
+def test_the_block_is_an_evaluation_of_the_studys_cases_run_by_run(default, study):
+    """All 240 runs, among others; by three of the cameras, which see far less than all twelve."""
+    _, asked, rows = default
+    others = [row for row in range(0, asked.axis.n_runs, 20) if row not in rows]
+    kept = np.array(sorted({*rows.tolist(), *others}))
+    runs = tuple(asked.runs[row] for row in kept)
+    asked = replace(asked, runs=runs, axis=build_frame_axis(runs, weight_per_case(runs)))
+    units = load_carlancap_layout().units
+    layout = Layout(name="three", units=(units[2], units[5], units[9]))
+    judge = Judge(study.runs, study.axis, study.rule)
+    (looked,) = evaluate_layouts([layout], asked, compute=COMPUTE)
+    block = judge_again(looked, np.searchsorted(kept, rows), study, judge)
+    (alone,) = evaluate_layouts([layout], study, compute=COMPUTE)
+    assert 0 < alone.rsu_all.is_avoided.sum() < 240
+    names = ("vut", "rsu_all", "vut_and_rsus")
+    pairs = [(getattr(block, name), getattr(alone, name)) for name in names]
+    pairs += [(block.units[name], alone.units[name]) for name in alone.units]
+    for one, other in pairs:
+        assert np.array_equal(one.is_avoided, other.is_avoided)
+        assert np.array_equal(one.detected, other.detected)
+        assert np.array_equal(one.confirmation_time_s, other.confirmation_time_s)
+    assert build_study_cases_record({"three": block}) == build_study_cases_record({"three": alone})

@@ -78,15 +78,8 @@ def surroundings(build_scene, build_run):
     )
 
 
-@pytest.fixture
-def small_camera(camera):
-    """For the plain render, which casts a ray for every pixel of every frame."""
-    return replace(camera, width_px=640, height_px=360)
-
-
 @pytest.mark.parametrize("mount", MOUNTS)
-def test_roadside_boxes_equal_the_plain_render_of_every_frame(surroundings, small_camera, mount):
-    camera = small_camera
+def test_roadside_boxes_equal_the_plain_render_of_every_frame(surroundings, camera, mount):
     boxes = perceive_from_roadside(surroundings, mount, camera)
     views = [render_frame(surroundings, frame, mount, camera) for frame in range(N_FRAMES)]
     assert (boxes.amodal_px == [view.amodal_box_px for view in views]).all()
@@ -99,8 +92,7 @@ def test_roadside_boxes_equal_the_plain_render_of_every_frame(surroundings, smal
     )
 
 
-def test_vut_boxes_equal_the_plain_render_from_where_its_camera_is(surroundings, small_camera, vut):
-    camera = small_camera
+def test_vut_boxes_equal_the_plain_render_from_where_its_camera_is(surroundings, camera, vut):
     vut_camera = VutCamera(camera=camera, ahead_per_half_length=0.8, up_per_half_height=1.3)
     boxes = perceive_from_vut(surroundings, vut_camera)
     mount = vut_camera.pose_on(vut)

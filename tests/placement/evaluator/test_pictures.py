@@ -41,12 +41,6 @@ def scene():
 
 
 @pytest.fixture(scope="module")
-def camera(camera):
-    """A small one: what is asked does not depend on the number of pixels."""
-    return replace(camera, width_px=640, height_px=360)
-
-
-@pytest.fixture(scope="module")
 def last_frames(runs):
     """Runs by name, cut to what happens right before the impact."""
     by_name = {run.id: run for run in runs}
@@ -182,35 +176,40 @@ def test_a_network_that_knows_one_picture_detects_in_that_frame_of_that_unit_alo
 # Pictures.
 
 
-def test_pictures_are_those_of_the_run_and_frame_that_lie_at_an_index(last_frames, scene, camera):
+@pytest.fixture(scope="module")
+def tiny(camera):
+    return replace(camera, width_px=160, height_px=90)
+
+
+def test_pictures_are_those_of_the_run_and_frame_that_lie_at_an_index(last_frames, scene, tiny):
     first, second = last_frames(PEDESTRIAN, CYCLIST)
     second = replace(second, weather="night", obstruction=())
     source = PictureSource(scene, [first, second], seed=5)
-    mount = replace(load_vut_camera(), camera=camera)
+    mount = replace(load_vut_camera(), camera=tiny)
     for index, run, frame in (
         (N_FRAMES - 1, first, N_FRAMES - 1),
         (N_FRAMES, second, 0),
         (2 * N_FRAMES - 1, second, N_FRAMES - 1),
     ):
-        by_rsu = render(scene, run, frame, POSE, camera, compute=Compute(seed=5))
-        assert np.array_equal(source.from_roadside(POSE, camera)(index), by_rsu)
+        by_rsu = render(scene, run, frame, POSE, tiny, compute=Compute(seed=5))
+        assert np.array_equal(source.from_roadside(POSE, tiny)(index), by_rsu)
         pose = vut_camera_pose(mount, run, frame)
-        by_vut = render(scene, run, frame, pose, camera, compute=Compute(seed=5), with_vut=False)
+        by_vut = render(scene, run, frame, pose, tiny, compute=Compute(seed=5), with_vut=False)
         assert np.array_equal(source.from_vut(mount)(index), by_vut)
 
 
-def test_each_run_is_drawn_behind_its_own_obstruction(last_frames, scene, camera):
+def test_each_run_is_drawn_behind_its_own_obstruction(last_frames, scene, tiny):
     (hidden,) = last_frames(PEDESTRIAN, n_frames=1)
     free = replace(hidden, obstruction=())
-    picture = PictureSource(scene, [hidden, free, hidden], seed=0).from_roadside(POSE, camera)
-    assert np.array_equal(picture(1), render(scene, free, 0, POSE, camera))
+    picture = PictureSource(scene, [hidden, free, hidden], seed=0).from_roadside(POSE, tiny)
+    assert np.array_equal(picture(1), render(scene, free, 0, POSE, tiny))
     assert np.array_equal(picture(0), picture(2))
     assert not np.array_equal(picture(0), picture(1))
 
 
-def test_the_vuts_camera_goes_and_turns_with_it(last_frames, camera):
+def test_the_vuts_camera_goes_and_turns_with_it(last_frames, tiny):
     (run,) = last_frames(CYCLIST)
-    mount = replace(load_vut_camera(), camera=camera)
+    mount = replace(load_vut_camera(), camera=tiny)
     on_vut = mount.pose_on(run.encounter.vut)
     ahead_m, left_m, up_m = on_vut.position_m
     for frame in (0, N_FRAMES - 1):

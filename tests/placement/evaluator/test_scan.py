@@ -333,7 +333,7 @@ def test_all_round_as_many_beams_end_on_the_vru_as_of_the_whole_pattern(
 ):
     """Also over the seam behind, and below the LiDAR, where a VRU is at all azimuths at once."""
     scene = build_scene(((3.0, 2.0, 0.0), (6.0, 5.0, 3.0)))
-    run = _around(build_run, "cyclist", distance_m)
+    run = _around(build_run, "cyclist", distance_m, n_frames=10)
     # Looking east: the first frames are right behind.
     for yaw_deg in (0.0, 100.0):
         pose = replace(OVERHEAD, yaw_deg=yaw_deg, pitch_deg=pitch_deg)

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from scipy.stats import kstest
+from scipy.stats import kstest, norm
 
 from geometry.catalogue import load_lidars
 from placement.compute import Compute
@@ -37,7 +37,7 @@ def _first(setting, poses, uncertainty, seed=0):
 def _noise(frames, correlation, seed):
     links = link_frames(np.asarray(frames))
     noise = np.empty(len(frames))
-    link_noise(links.cell_of_frame, links.longest, np.uint64(seed), correlation, noise)
+    link_noise(links.run_of_frame, links.place_of_frame, np.uint64(seed), correlation, noise)
     return noise
 
 
@@ -45,6 +45,17 @@ def test_random_bits_are_those_of_splitmix64():
     """Numbers of the reference implementation: Vigna, splitmix64.c, seed 1234567."""
     expected = [6457827717110365317, 3203168211198807973, 9817491932198370423]
     assert [int(random_bits(np.uint64(1234567), n)) for n in range(3)] == expected
+
+
+def test_fresh_noise_is_standard_normal_also_in_its_tails():
+    n = 2_000_000
+    noise = _noise(2 * np.arange(n), 0.0, 3)
+    assert kstest(noise, "norm").pvalue > 0.001
+    for limit in (2.0, 3.0, 3.5, 4.0):  # the ziggurat's own tail begins at 3.44
+        for tail in (noise > limit, noise < -limit):
+            expected = n * norm.sf(limit)
+            assert tail.sum() == pytest.approx(expected, abs=4.5 * np.sqrt(expected))
+    assert abs(np.corrcoef(noise[:-1], noise[1:])[0, 1]) < 0.004
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.3, 0.97, 1.0])
@@ -64,15 +75,16 @@ def test_frames_are_drawn_where_the_noise_of_their_cell_is_below_the_limit(seed)
     """Also where they are out of order, show nothing, or leave nothing to chance."""
     rng = np.random.default_rng(seed)
     links = link_frames(rng.permutation(np.tile(np.flatnonzero(rng.random(400) < 0.9), 2)))
-    n = len(links.cell_of_frame)
+    where = links.run_of_frame, links.place_of_frame
+    n = len(links.run_of_frame)
     weather, entry = rng.integers(0, 2, n), rng.integers(-1, 30, n)
     limit = rng.normal(size=(2, 30))
     limit[rng.random((2, 30)) < 0.2] = np.inf
     limit[rng.random((2, 30)) < 0.2] = -np.inf
     key, packed = np.uint64(seed), np.zeros(-(-n // 8), dtype=np.uint8)
-    draw_frames(limit, weather, entry, links.cell_of_frame, links.longest, key, 0.6, packed)
+    draw_frames(limit, weather, entry, *where, key, 0.6, packed)
     noise = np.empty(n)
-    link_noise(links.cell_of_frame, links.longest, key, 0.6, noise)
+    link_noise(*where, key, 0.6, noise)
     expected = (entry >= 0) & (noise < limit[weather, entry])
     drawn = np.unpackbits(packed, count=n, bitorder="little").astype(bool)
     assert np.array_equal(drawn, expected)

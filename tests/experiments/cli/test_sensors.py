@@ -1,0 +1,54 @@
+"""``--sensors``: several models in one question, with their prices among the objectives."""
+
+import json
+
+from experiments.cli.evaluate import unit_lines
+from experiments.results.record import UnitRecord
+from experiments.study.layout import load_carlancap_layout
+from placement.candidates import build_candidates
+from placement.pipeline import place
+from placement.planning import build_grid
+from placement.wishes import Wishes
+
+COSTS_EUR = {"carla-ncap-rgb": 1500.0, "basler-aca1920-50gc-16mm": 1900.0, "carla-ncap-lidar": 4000}
+BUDGET_EUR = 5600.0
+
+
+def model_of(unit):
+    return unit.get("camera") or unit["lidar"]
+
+
+def test_cameras_a_longer_lens_and_a_lidar_compete_for_the_money(run, small_study, without_figures):
+    """No single model spends the same money better."""
+    code, out, err = run(
+        *("--sensors", ",".join(COSTS_EUR), "--budget-cost", BUDGET_EUR, "--json", "--quiet")
+    )
+    assert code == 0, err
+    found = json.loads(out)
+    assert found["gap"] == 0.0
+    assert found["spent_eur"] == sum(COSTS_EUR[model_of(unit)] for unit in found["layout"])
+    assert found["spent_eur"] <= BUDGET_EUR
+    tried = {entry["model"] for entry in found["other_sensors"]}
+    assert set(COSTS_EUR) - {model_of(unit) for unit in found["layout"]} <= tried
+    study = load_carlancap_layout().units  # always among the candidates
+    n_candidates = len(study)
+    for model in COSTS_EUR:
+        candidates = build_candidates(small_study.scene, build_grid(model))
+        n_candidates += len(candidates)
+        alone = place(small_study, candidates, wishes=Wishes(budget_eur=BUDGET_EUR))
+        assert alone.certificate.stages[0].objective <= found["apr"] + 1e-9
+    assert found["candidates"] == n_candidates
+
+
+def test_what_is_mounted_is_told_where_it_is_not_the_default():
+    def unit(name, **model):
+        pose = {"x_m": 1.0, "y_m": 2.0, "z_m": 6.0, "yaw_deg": 0.0, "pitch_deg": -15.0}
+        return UnitRecord(id=name, site="lamp", **pose, **model)
+
+    wide, long = ({"camera": model} for model in list(COSTS_EUR)[:2])
+    assert unit_lines([unit("U1", **wide), unit("U2", **long), unit("U3", **long)])[-1].strip() == (
+        "models: carla-ncap-rgb (U1); basler-aca1920-50gc-16mm (U2, U3)"
+    )
+    scanner = unit_lines([unit("U1", lidar="carla-ncap-lidar")])
+    assert scanner[-1] == "  models: carla-ncap-lidar (U1)"
+    assert len(unit_lines([unit("U1", **wide)])) == len(scanner) - 1
