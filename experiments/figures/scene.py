@@ -10,7 +10,7 @@ from geometry.raycast import build_caster
 from geometry.scene import Scene, road_area
 
 from .axes import WIDTH_IN, finish_axes, literal, new_axes, show_square
-from .plan import draw_scene
+from .plan import HALO, draw_scene
 
 _COLOURS = {
     "ground": (0.93, 0.92, 0.89),
@@ -64,10 +64,13 @@ def plot_scene_plan(
             near = [place for place in named if np.abs(place - [x, y]) @ [0.4, 1.0] < 0.04 * half]
             if max(abs(x - middle[0]), abs(y - middle[1])) < half and not near:
                 named.append(np.array([x, y]))
+                at_edge = x - middle[0] > 0.7 * half  # or the name would end beyond the frame
                 axes.annotate(
                     literal(site.id),
                     (x, y),
-                    xytext=(3.0, 3.0),
+                    xytext=(-3.0 if at_edge else 3.0, 3.0),
+                    ha="right" if at_edge else "left",
+                    path_effects=[HALO],
                     textcoords="offset points",
                     fontsize=5.5,
                     color="#333333",
