@@ -19,7 +19,9 @@ from ..bodies import read_body
 TURNS = ("left", "straight", "right")
 SUMO_CLASSES = ("passenger", "delivery", "truck", "trailer", "bus", "coach", "motorcycle", "moped")
 _FILE = "demand.toml"
-_MOST_PER_HOUR = 100_000.0
+# No lane carries more: Highway Capacity Manual, capacity of a motorway's lane (1,900 at signals).
+_MOST_PER_LANE = 2_400.0
+_MOST_PER_ARM = 10 * _MOST_PER_LANE
 _SUM_TOLERANCE = 1.0e-6
 _KIND_KEYS = ("sumo_class", "share", "words")
 
@@ -82,7 +84,8 @@ class Demand:
 
 
 _Share = Annotated[float, Meta(ge=0.0, le=1.0)]
-_PerHour = Annotated[float, Meta(ge=0.0, le=_MOST_PER_HOUR)]
+_PerLane = Annotated[float, Meta(ge=0.0, le=_MOST_PER_LANE)]
+_PerArm = Annotated[float, Meta(ge=0.0, le=_MOST_PER_ARM)]
 
 
 class _Turns(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -94,14 +97,14 @@ class _Turns(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 class _DemandFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A file laid out as ``data/demand.toml``, but for the vehicles' bodies."""
 
-    vehicles_per_hour_per_lane: _PerHour
+    vehicles_per_hour_per_lane: _PerLane
     speed_limit_kmh: Annotated[float, Meta(gt=0.0, le=200.0)]
     approach_m: Annotated[float, Meta(ge=0.0, le=2000.0)]
     warm_up_s: Annotated[float, Meta(ge=0.0, le=3600.0)]
     pause_s: tuple[Annotated[float, Meta(ge=0.0)], Annotated[float, Meta(le=600.0)]]
     turns: _Turns
     vehicles: Annotated[list[dict[str, Any]], Meta(min_length=1)]
-    arms: dict[str, _PerHour] = {}
+    arms: dict[str, _PerArm] = {}
 
 
 class _Kind(Struct, frozen=True, kw_only=True):
