@@ -1,6 +1,7 @@
 """A second process that draws while the first goes on: matplotlib knows no threads."""
 
 import multiprocessing
+import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -12,6 +13,7 @@ from ..progress import follow_parent
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
+_NO_WARNING = "ignore:resource_tracker:UserWarning"
 
 
 class Part(Generic[_T]):
@@ -73,6 +75,9 @@ def drawing_beside(is_wanted: bool) -> Iterator[Beside]:
     if not is_wanted:
         yield Beside()
         return
+    # Where this process is ended at once (see `ending_on_signals`), its helper would warn of what
+    # is left for it to clean up.
+    sys.warnoptions.append(_NO_WARNING)
     executor = ProcessPoolExecutor(
         1, mp_context=multiprocessing.get_context("spawn"), initializer=follow_parent
     )
@@ -87,3 +92,4 @@ def drawing_beside(is_wanted: bool) -> Iterator[Beside]:
         raise
     finally:
         executor.shutdown(wait=False, cancel_futures=True)
+        sys.warnoptions.remove(_NO_WARNING)
