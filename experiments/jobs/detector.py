@@ -17,7 +17,7 @@ from msgspec.structs import replace as replace_fields
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
 from geometry.files import check_file, read_table
-from geometry.image_boxes import iou
+from geometry.image_boxes import box_height_px, iou
 from geometry.scene_files import load_scene
 from geometry.sensors import CameraModel
 from placement.compute import Compute
@@ -224,7 +224,9 @@ def _look(
         (perceive_from_vut(surroundings, mount, min_height_px=least_px), source.from_vut(mount))
     )
     rng = np.random.default_rng([compute.seed, len(views)])
-    shares = _share_out(wish.pictures, [int((_heights(one) > 0.0).sum()) for one, _ in views])
+    shares = _share_out(
+        wish.pictures, [int((box_height_px(one.visible_px) > 0.0).sum()) for one, _ in views]
+    )
     n_drawn = 0
     for number, (evidence, picture) in enumerate(views):
         for run, frame, row in _pick_frames(setting, evidence, shares[number], rng):
@@ -252,11 +254,6 @@ def _look(
             )
 
 
-def _heights(evidence: Evidence) -> FloatArray:
-    height: FloatArray = evidence.visible_px[:, 3] - evidence.visible_px[:, 1]
-    return height
-
-
 def _share_out(n_wanted: int, n_there: Sequence[int]) -> list[int]:
     """How many of each; as even as those allow that have few."""
     shares, left = [0] * len(n_there), n_wanted
@@ -277,7 +274,7 @@ def _pick_frames(
 ) -> list[tuple[int, int, int]]:
     """Run, frame and row of blocks of frames that begin where the road user is large enough."""
     chosen: dict[int, tuple[int, int, int]] = {}
-    for row in rng.permutation(np.flatnonzero(_heights(evidence) > 0.0)).tolist():
+    for row in rng.permutation(np.flatnonzero(box_height_px(evidence.visible_px) > 0.0)).tolist():
         if len(chosen) >= n_wanted:
             break
         run = int(np.searchsorted(setting.axis.run_start, row, side="right")) - 1
