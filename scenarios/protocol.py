@@ -13,7 +13,7 @@ from geometry.junction import Arm, Junction, Line, lane_length_m, lane_line
 from geometry.scene import Lane
 
 from .cases import Case
-from .courses import Course, follow_lane, follow_lanes, join_by_turn
+from .courses import Course, follow_connection, follow_lane, join_by_turn
 from .laying import load_way_rules
 from .obstructions import hide
 from .paths import Path, TowedPath, TurnPath, travel_time_s
@@ -55,8 +55,9 @@ def stage_by_protocol(
 
     The run begins when the VRU sets off; turning: also 1 s before the VUT enters the curve. The VUT
     comes along its lane, round its bends, and straight on backwards where the map ends. It drives
-    in the lane at the kerb; before a left turn, in the one at the road's axis. It turns along the
-    junction's connecting lane where there is one, else on the protocol's curve. Pedestrians cross
+    in the lane at the kerb; before a left turn, in the one at the road's axis; where the map has
+    connecting lanes, in the next one from there with which such a lane begins. It turns along that
+    one, or on the protocol's curve where there is none, or it bends too sharply for the speed. Pedestrians cross
     at right angles to the VUT's lane where it meets the arm's crosswalk; a VRU that moves ahead of
     the VUT is reached there. Cyclists ride on the arm's cycleway where it has one.
 
@@ -158,7 +159,7 @@ def _place_behind(
     )
     rules = load_way_rules()
     across = way_across(entry_lane, exit_lane, connection, max_bend_m=rules.max_lane_bend_m)
-    max_swerve_per_m = load_position_rules().across.max_lateral_mps2 / (vut_speed_kmh * kmh) ** 2
+    max_swerve_per_m = _max_bend_per_m(vut_speed_kmh)
     for lane in arm.entry_lanes:  # from the kerb, where some lanes only turn
         if across.swerve_per_m > max_swerve_per_m:
             across = _gentlest(lane, ahead.exit_lanes, across, vut)
@@ -176,6 +177,11 @@ def _place_behind(
         ahead_m=position.ahead_m,
         is_checked=True,
     )
+
+
+def _max_bend_per_m(vut_speed_kmh: float) -> float:
+    """The most that a VUT's way through the junction may bend at a speed."""
+    return load_position_rules().across.max_lateral_mps2 / (vut_speed_kmh * kmh) ** 2
 
 
 def _gentlest(
@@ -288,8 +294,11 @@ def _check_no_junction(junction: Junction, point_m: FloatArray) -> None:
     import shapely
 
     point = shapely.Point(point_m)
+    own = [lane.centreline_m[-1] for arm in junction.arms.values() for lane in arm.lanes_in]
     for lane in junction.connections:
-        if shapely.LineString(lane.centreline_m).distance(point) < _IN_JUNCTION_M:
+        begin = lane.centreline_m[0]
+        is_own = any(np.hypot(*(tip - begin)) < _IN_JUNCTION_M for tip in own)
+        if not is_own and shapely.LineString(lane.centreline_m).distance(point) < _IN_JUNCTION_M:
             raise NoRoadError("another junction lies there: nobody crosses in its middle")
 
 
@@ -363,6 +372,7 @@ class _Turning:
     turn_m: float  # its length
     path_with: Callable[[float], Path]  # some metres before it
     is_straight: bool  # but for the turn
+    bend_per_m: float  # largest curvature of the turn
 
 
 _AFTER_TURN_M = 10.0  # by then the VUT has met the VRU
@@ -386,9 +396,15 @@ def _lay_turning(
     def lay(turning: _Turning) -> Staging:
         return _lay_turn(case, junction, arm, target, turning, vut_speed_kmh, vut)
 
-    connection = junction.connection(entry_lane, exit_lane)
-    if connection is not None:
-        return lay(_along_connection(entry_lane, connection, exit_lane, vut))
+    # Lanes from the axis, or from the kerb: those first that the junction joins.
+    order = -1 if is_far else 1
+    for before in arm.entry_lanes[::order]:
+        for after in target.exit_lanes[::order]:
+            connection = junction.connection(before, after)
+            if connection is not None:
+                turning = _along_connection(before, connection, after, vut)
+                if turning.bend_per_m <= _max_bend_per_m(vut_speed_kmh):
+                    return lay(turning)
     return _straight_or_curved(
         lambda: lay(_on_straights(entry_lane, exit_lane, turn, vut)),
         lambda: lay(_on_lanes(entry_lane, exit_lane, turn, vut)),
@@ -430,6 +446,7 @@ def _on_straights(entry_lane: Lane, exit_lane: Lane, turn: Turn, vut: Actor) -> 
         turn_m=turn.length_m,
         path_with=path_with,
         is_straight=True,
+        bend_per_m=1.0 / turn.radius_m,
     )
 
 
@@ -451,8 +468,11 @@ def _on_lanes(entry_lane: Lane, exit_lane: Lane, turn: Turn, vut: Actor) -> _Tur
 
 def _along_connection(entry_lane: Lane, connection: Lane, exit_lane: Lane, vut: Actor) -> _Turning:
     """Along the junction's own lane between two others."""
-    course = follow_lanes(
-        [entry_lane.centreline_m, connection.centreline_m, exit_lane.centreline_m]
+    course = follow_connection(
+        entry_lane.centreline_m,
+        connection.centreline_m,
+        exit_lane.centreline_m,
+        is_origin_behind=False,
     )
     exit_course = follow_lane(exit_lane.centreline_m, is_in=False)
     return _towed(entry_lane, exit_course, course, lane_length_m(connection), vut)
@@ -476,6 +496,7 @@ def _towed(
         turn_m=turn_m,
         path_with=path_with,
         is_straight=False,
+        bend_per_m=course.between(0.0, turn_m).max_bend_per_m,
     )
 
 

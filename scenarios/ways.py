@@ -12,7 +12,7 @@ from geometry.errors import InputError
 from geometry.junction import Line, curve_between, lane_length_m, lane_line
 from geometry.scene import Lane
 
-from .courses import Course, ease_joint, follow_lane, follow_lanes
+from .courses import Course, ease_joint, follow_connection, follow_lane, follow_lanes
 from .paths import CoursePath, Path, StraightPath, TowedPath
 from .staging import CannotCarryError
 
@@ -241,8 +241,14 @@ def way_across(
         way = StraightWay(line=Line(point_m=line.at(mouth_m), direction=line.direction))
         begin_m = -mouth_m - lane_length_m(entry)
         return WayAcross(way=way, entry=entry, leaving=leaving, begin_m=begin_m)
-    between = _curve_between(entry, leaving) if connection is None else connection.centreline_m
-    course = follow_lanes([np.concatenate([entry.centreline_m, between]), leaving.centreline_m])
+    if connection is None:
+        between = _curve_between(entry, leaving)
+        course = follow_lanes([np.concatenate([entry.centreline_m, between]), leaving.centreline_m])
+    else:
+        between = connection.centreline_m
+        course = follow_connection(
+            entry.centreline_m, between, leaving.centreline_m, is_origin_behind=True
+        )
     across_m = float(np.hypot(*np.diff(between, axis=0).T).sum())
     return WayAcross(
         way=CurvedWay(course=course),

@@ -213,7 +213,10 @@ def _lanes(
     outline_m: FloatArray,
     reach_m: float,
 ) -> tuple[list[Lane], list[Lane]]:
-    """Lanes around a junction, and those through the other junctions around it."""
+    """Lanes around a junction and through it; and those assumed through others around it.
+
+    Through the others lead only those of the map's lanes that lead about straight on.
+    """
     found: list[Lane] = []
     ends: dict[str, list[Lane]] = defaultdict(list)  # by the junction into which they lead
     begins: dict[str, list[Lane]] = defaultdict(list)
@@ -239,11 +242,35 @@ def _lanes(
             for others, at, name in ((ends, -1, lane.to_junction), (begins, 0, lane.from_junction)):
                 if name not in ("", junction.id) and (points[at] == whole[at]).all():
                     others[name].append(found[-1])
+    mapped = {lane.from_junction for lane in roads.connections}
+    for lane in roads.connections:
+        points = frame.take(lane.centreline_m[:, :2], roads)
+        is_own = lane.from_junction == junction.id
+        height = lane.centreline_m[:, 2] - junction.height_m
+        if not is_own and (
+            _is_elsewhere(points, height, outline_m, reach_m)
+            or np.hypot(*points.T).max() > reach_m
+            or not _leads_straight_on(points)
+        ):
+            continue
+        points = _apart(points)
+        if len(points) > 1:
+            found.append(
+                Lane(id=lane.id, kind=CONNECTING, width_m=lane.width_m, centreline_m=points)
+            )
     return found, [
         lane
-        for name in ends.keys() & begins.keys()
+        for name in (ends.keys() & begins.keys()) - mapped
         for lane in _straight_on(ends[name], begins[name])
     ]
+
+
+def _leads_straight_on(points_m: FloatArray) -> bool:
+    """Whether a lane through a junction is about as straight as those that are assumed."""
+    way = points_m[-1] - points_m[0]
+    ends = np.stack([points_m[1] - points_m[0], points_m[-1] - points_m[-2]])
+    length_m = np.hypot(*way) * np.hypot(*ends.T)
+    return bool((ends @ way >= np.cos(np.radians(_STRAIGHT_ON_DEG)) * length_m).all())
 
 
 def _straight_on(ends: Sequence[Lane], begins: Sequence[Lane]) -> Iterator[Lane]:

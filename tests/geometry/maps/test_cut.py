@@ -227,3 +227,28 @@ def test_a_lane_that_only_turns_at_another_junction_is_not_led_on():
     source = crossing_map(goes_on=False)
     _, scene = imported(source)
     assert not [one for one in scene.lanes if one.kind == "connecting"]
+
+
+def test_through_junctions_lead_the_maps_own_lanes_and_through_others_the_straight_ones():
+    def through(name, junction, *points):
+        made = lane(name, points[0], points[-1], start=junction, to=junction, height_m=5.0)
+        return replace(made, centreline_m=np.column_stack([points, np.full(len(points), 5.0)]))
+
+    source = crossing_map()
+    bend = [(28.0, -1.5), (34.0, -0.5), (40.0, -1.5)]
+    source = replace(
+        source,
+        connections=(
+            through("own turn", "j", (1.5, 8.0), (2.0, 3.0), (8.0, -1.5)),
+            through("their way", "k", *bend),
+            through("their turn", "k", (28.0, -1.5), (31.0, 2.0), (32.0, 8.0)),
+            through("far away", "k", (928.0, -1.5), (940.0, -1.5)),
+        ),
+    )
+    surroundings, scene = imported(source)
+    found = {one.id: one.centreline_m for one in scene.lanes if one.kind == "connecting"}
+    assert found.keys() == {"own turn", "their way"}
+    assert found["their way"] == pytest.approx(np.array(bend))
+    assert "other junctions around it" not in {skip.what for skip in surroundings.skipped}
+    (arm,) = build_junction(scene).arms.values()
+    assert len(arm.exit_lanes[0].centreline_m) == 5  # from here, over that way, and beyond
