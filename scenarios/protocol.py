@@ -57,9 +57,10 @@ def stage_by_protocol(
     comes along its lane, round its bends, and straight on backwards where the map ends. It drives
     in the lane at the kerb; before a left turn, in the one at the road's axis; where the map has
     connecting lanes, in the next one from there with which such a lane begins. It turns along that
-    one, or on the protocol's curve where there is none, or it bends too sharply for the speed. Pedestrians cross
-    at right angles to the VUT's lane where it meets the arm's crosswalk; a VRU that moves ahead of
-    the VUT is reached there. Cyclists ride on the arm's cycleway where it has one.
+    one, or on the protocol's curve where there is none, or it bends too sharply for the speed.
+    Pedestrians cross at right angles to the VUT's lane where it meets the arm's crosswalk; a VRU
+    that moves ahead of the VUT is reached there. Cyclists ride on the arm's cycleway where it has
+    one.
 
     At other positions all of this lies so far along the VUT's way, before or behind: on the lane by
     which it comes, or on the one straight ahead by which it leaves. Behind the junction it drives

@@ -33,8 +33,9 @@ def read_opendrive(path: Path) -> SourceMap:
     """Read a file in ASAM OpenDRIVE 1.4 to 1.8.
 
     Roads outside junctions become lanes in driving direction, connecting roads lanes through their
-    junctions, whose outlines are those of these roads' surface; objects and signals become things, poles, crosswalks and
-    parking lanes. Heights are absolute; across, roads have their superelevation and shape.
+    junctions, whose outlines are those of these roads' surface; objects and signals become things,
+    poles, crosswalks and parking lanes. Heights are absolute; across, roads have their
+    superelevation and shape.
 
     Raises InputError if the file cannot be read, is no OpenDRIVE, has no roads, lacks a number or
     has one out of range, or needs too many points.

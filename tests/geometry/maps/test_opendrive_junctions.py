@@ -5,8 +5,8 @@ import pytest
 import shapely
 from opendrive_text import (
     arms_of,
-    cubic,
     crossing,
+    cubic,
     document,
     geometry,
     lane,
