@@ -1,6 +1,6 @@
 """Cases laid on the approaches of any junction, by the rules of the protocol."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,6 +86,7 @@ def stage_by_protocol(
     if case.kind == "turning":
         return _lay_turning(case, junction, arm, vut_speed_kmh, vut)
     lane = arm.entry_lanes[0]
+    followed = junction.followed(lane)
     lay = _lay_crossing if case.kind == "crossing" else _lay_longitudinal
     if position.is_behind:
         place = _place_behind(junction, arm, position, vut_speed_kmh, vut)
@@ -96,6 +97,7 @@ def stage_by_protocol(
             way=way,
             crosswalk=arm.crosswalk,
             entry_lane=lane,
+            followed=followed,
             begin_m=-lane_length_m(lane),
             end_m=np.inf,
             ahead_m=position.ahead_m,
@@ -105,8 +107,8 @@ def stage_by_protocol(
 
     return _straight_or_curved(
         lambda: along(StraightWay(line=straight_line(lane, is_in=True))),
-        lambda: along(CurvedWay(course=follow_lane(lane.centreline_m, is_in=True))),
-        is_bent=_is_bent(lane, is_in=True),
+        lambda: along(CurvedWay(course=follow_lane(followed.centreline_m, is_in=True))),
+        is_bent=_is_bent(followed, is_in=True),
     )
 
 
@@ -117,6 +119,7 @@ class _Place:
     way: Way
     crosswalk: Line
     entry_lane: Lane
+    followed: Lane  # the same, with what is assumed before it
     begin_m: float  # station at which the mapped lanes begin
     end_m: float  # and end
     ahead_m: float  # so far ahead of the crosswalk the VUT meets the VRU
@@ -138,7 +141,7 @@ class _Place:
     def check_straight(self, driven_m: float) -> None:
         """Raise if a straight way leaves the lane within some metres before the meeting point."""
         if not self.is_checked:
-            _check_straight(self.way, self.entry_lane, driven_m - self.ahead_m)
+            _check_straight(self.way, self.followed, driven_m - self.ahead_m)
 
 
 def _place_behind(
@@ -150,20 +153,22 @@ def _place_behind(
     ahead = _arm_ahead(junction, arm, entry)
     if ahead is None or not ahead.exit_lanes:
         raise NoRoadError("no lane leads straight on out of the junction")
-    connections = [(lane, junction.connection(entry_lane, lane)) for lane in ahead.exit_lanes]
-    exit_lane, connection = next(
-        (pair for pair in connections if pair[1] is not None),
-        min(
-            connections,
-            key=lambda pair: abs(float(entry.coordinates(pair[0].centreline_m[0])[1])),
-        ),
+    joined = _joined(junction, arm.entry_lanes, ahead.exit_lanes)
+    exit_lane = min(
+        ahead.exit_lanes,
+        key=lambda lane: abs(float(entry.coordinates(lane.centreline_m[0])[1])),
     )
-    rules = load_way_rules()
-    across = way_across(entry_lane, exit_lane, connection, max_bend_m=rules.max_lane_bend_m)
+    entry_lane, connection, exit_lane = next(joined, (entry_lane, None, exit_lane))
+    across = way_across(
+        junction.followed(entry_lane),
+        exit_lane,
+        connection,
+        max_bend_m=load_way_rules().max_lane_bend_m,
+    )
     max_swerve_per_m = _max_bend_per_m(vut_speed_kmh)
     for lane in arm.entry_lanes:  # from the kerb, where some lanes only turn
         if across.swerve_per_m > max_swerve_per_m:
-            across = _gentlest(lane, ahead.exit_lanes, across, vut)
+            across = _gentlest(junction.followed(lane), ahead.exit_lanes, across, vut)
     if across.swerve_per_m > max_swerve_per_m:
         raise CannotCarryError(
             f"too fast for the change from lane {across.entry.id} into {across.leaving.id}, "
@@ -173,11 +178,23 @@ def _place_behind(
         way=across.way,
         crosswalk=ahead.crosswalk,
         entry_lane=across.entry,
+        followed=across.entry,
         begin_m=across.begin_m,
         end_m=lane_length_m(across.leaving),
         ahead_m=position.ahead_m,
         is_checked=True,
     )
+
+
+def _joined(
+    junction: Junction, entry_lanes: Sequence[Lane], exit_lanes: Sequence[Lane]
+) -> Iterator[tuple[Lane, Lane, Lane]]:
+    """Lanes into the junction, its own lanes that go on from them, and those into which they do."""
+    for before in entry_lanes:
+        for after in exit_lanes:
+            connection = junction.connection(before, after)
+            if connection is not None:
+                yield before, connection, after
 
 
 def _max_bend_per_m(vut_speed_kmh: float) -> float:
@@ -399,13 +416,13 @@ def _lay_turning(
 
     # Lanes from the axis, or from the kerb: those first that the junction joins.
     order = -1 if is_far else 1
-    for before in arm.entry_lanes[::order]:
-        for after in target.exit_lanes[::order]:
-            connection = junction.connection(before, after)
-            if connection is not None:
-                turning = _along_connection(before, connection, after, vut)
-                if turning.bend_per_m <= _max_bend_per_m(vut_speed_kmh):
-                    return lay(turning)
+    for before, connection, after in _joined(
+        junction, arm.entry_lanes[::order], target.exit_lanes[::order]
+    ):
+        turning = _along_connection(junction.followed(before), connection, after, vut)
+        if turning.bend_per_m <= _max_bend_per_m(vut_speed_kmh):
+            return lay(turning)
+    entry_lane = junction.followed(entry_lane)
     return _straight_or_curved(
         lambda: lay(_on_straights(entry_lane, exit_lane, turn, vut)),
         lambda: lay(_on_lanes(entry_lane, exit_lane, turn, vut)),

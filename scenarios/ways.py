@@ -208,7 +208,8 @@ class WayAcross:
     begin_m : float
         Station at which the first lane begins. [m]
     swerve_per_m : float
-        Largest curvature where it changes from lane to lane; 0 on a lane of the map. [1/m]
+        Largest curvature where it changes from lane to lane; 0 on a lane of the map, and where it
+        bends no more than the lanes themselves do at their mouths. [1/m]
     """
 
     way: Way
@@ -276,10 +277,14 @@ def eased_way_across(entry: Lane, leaving: Lane, *, max_aside_m: float) -> WayAc
     before = follow_lane(entry.centreline_m, is_in=True)
     after = follow_lane(leaving.centreline_m, is_in=False)
     lengths_m = lane_length_m(entry), lane_length_m(leaving)
+    lanes_bend_per_m = max(
+        before.between(-_MOUTH_M, 0.0).max_bend_per_m, after.between(0.0, _MOUTH_M).max_bend_per_m
+    )
     best = None
     for smoothing_m in _EASING_M:
         course = ease_joint(before, between, after, lengths_m=lengths_m, smoothing_m=smoothing_m)
-        swerve_per_m = course.between(-across_m - _MOUTH_M, _MOUTH_M).max_bend_per_m
+        bend_per_m = course.between(-across_m - _MOUTH_M, _MOUTH_M).max_bend_per_m
+        swerve_per_m = bend_per_m if bend_per_m > lanes_bend_per_m else 0.0
         aside_m = max(
             _aside_m(course, before.at(np.linspace(-min(lengths_m[0], _LOOKED_AT_M), 0.0, 60))[0]),
             _aside_m(course, after.at(np.linspace(0.0, min(lengths_m[1], _LOOKED_AT_M), 60))[0]),
