@@ -10,7 +10,7 @@ from hypothesis import settings
 
 from geometry.actors import load_actors
 from geometry.catalogue import load_cameras
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from scenarios.aeb import load_aeb_rule
 from scenarios.cases import pick_cases
 from scenarios.published import load_placements

@@ -23,7 +23,7 @@ from oracles import distance_to_chain_m
 from geometry.errors import InputError
 from geometry.junction import build_junction, lane_length_m
 from geometry.scene import Lane
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from scenarios.cases import load_case_sets, load_cases, select_cases
 from scenarios.exposure import default_weights
 from scenarios.paths import StraightPath, TowedPath
