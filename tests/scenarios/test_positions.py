@@ -133,7 +133,6 @@ def test_the_default_question_has_four_to_six_hundred_runs_with_an_id_each(defau
 # Where
 
 
-@settings(max_examples=25)
 @given(
     name=st.sampled_from(FREE),
     metres=st.floats(0.5, 120.0),
@@ -183,7 +182,6 @@ def test_behind_the_vut_crosses_the_junction_to_the_other_arms_crosswalk(vut, ru
         assert distance_to_chain_m(run.vut_position_m[on_map], chain).max() < 0.7
 
 
-@settings(max_examples=12)
 @given(
     name=st.sampled_from(FREE),
     metres=st.sampled_from([0.0, 15.0, 40.0]),
