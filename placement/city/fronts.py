@@ -13,6 +13,9 @@ from ..optimiser.objectives import COST_TOLERANCE_EUR, TOLERANCE
 
 # ---------- one junction
 
+Steps = tuple[tuple[float, float], ...]
+"""From which units or euros on, up to the next step, which APR is not exceeded."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Point:
@@ -72,15 +75,15 @@ class JunctionFront:
     ----------
     points : tuple of Point
         The first takes nothing.
-    by_units : tuple of (int, float)
+    by_units : tuple of (float, float)
         From so many new units on, up to the next step, no layout has a higher APR.
     by_cost : tuple of (float, float)
         From so many euros on, up to the next step, no layout has a higher APR.
     """
 
     points: tuple[Point, ...]
-    by_units: tuple[tuple[int, float], ...]
-    by_cost: tuple[tuple[float, float], ...]
+    by_units: Steps
+    by_cost: Steps
 
     def __post_init__(self) -> None:
         if not self.points or self.points[0].units or self.points[0].cost_eur:
@@ -109,7 +112,7 @@ class JunctionFront:
 def build_junction_front(
     points: Iterable[Point],
     *,
-    by_units: Sequence[tuple[int, float]],
+    by_units: Sequence[tuple[float, float]],
     by_cost: Sequence[tuple[float, float]],
     least_cost_eur: Sequence[float],
 ) -> JunctionFront:
@@ -148,9 +151,7 @@ def build_junction_front(
         end = starts[index + 1] if index + 1 < len(starts) else np.inf
         # Layouts of this step cost less than `end`.
         affordable = int((floors < end - COST_TOLERANCE_EUR).sum()) - 1
-        most = max(
-            bound for units, bound in by_units if units <= max(affordable, 0)
-        )
+        most = max(bound for units, bound in by_units if units <= max(affordable, 0))
         merged.append((start, min(_at(by_cost, start), most)))
     return JunctionFront(points=tuple(kept), by_units=by_units, by_cost=_lowered(merged))
 
@@ -159,12 +160,10 @@ def _at(steps: Sequence[tuple[float, float]], place: float) -> float:
     return next(bound for start, bound in reversed(steps) if start <= place)
 
 
-def _lowered[Start: (int, float)](
-    steps: Sequence[tuple[Start, float]],
-) -> tuple[tuple[Start, float], ...]:
+def _lowered(steps: Sequence[tuple[float, float]]) -> Steps:
     """Steps that rise: what holds for more holds for less; steps that say the same are one."""
     least = np.minimum.accumulate([bound for _, bound in reversed(steps)])[::-1]
-    rising: list[tuple[Start, float]] = []
+    rising: list[tuple[float, float]] = []
     for (start, _), bound in zip(steps, least.tolist(), strict=True):
         if not rising or bound > rising[-1][1] + TOLERANCE:
             rising.append((start, bound))
@@ -250,18 +249,23 @@ def stack_bounds(
     option stands for a step of both. The other values are 0.
     """
     junction: list[int] = []
-    units: list[int] = []
+    units: list[float] = []
     cost: list[float] = []
     apr: list[float] = []
     for index, front in enumerate(fronts):
         by_units = front.by_units if counts_units else ((0, front.by_units[-1][1]),)
         by_cost = front.by_cost if counts_cost else ((0.0, front.by_cost[-1][1]),)
-        for n_units, most in by_units:
-            for eur, bound in by_cost:
+        for row, (n_units, most) in enumerate(by_units):
+            for column, (eur, bound) in enumerate(by_cost):
+                value = min(most, bound)
+                if row and min(by_units[row - 1][1], bound) == value:
+                    continue  # fewer units bound it as well
+                if column and min(most, by_cost[column - 1][1]) == value:
+                    continue
                 junction.append(index)
                 units.append(n_units)
                 cost.append(eur)
-                apr.append(min(most, bound))
+                apr.append(value)
     unknown = np.zeros(len(junction))
     return Options(
         junction=np.array(junction),

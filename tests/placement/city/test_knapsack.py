@@ -1,6 +1,6 @@
 """The multiple-choice knapsack against going through all choices."""
 
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def build(sizes, seed, *, n_rows=1, tightness=0.5):
 def best_of_all(problem):
     """Highest sum of profits, by going through all choices; minus infinity: none is within."""
     starts = [*problem.starts, len(problem.group)]
-    groups = [range(a, b) for a, b in zip(starts[:-1], starts[1:], strict=True)]
+    groups = [range(a, b) for a, b in pairwise(starts)]
     sums = (
         problem.profit[list(choice)].sum()
         for choice in product(*groups)
