@@ -10,6 +10,7 @@ import click
 from click.shell_completion import get_completion_class
 
 from ..progress import Interrupted, StageProgress, StderrLog, ending_on_signals
+from .city import city
 from .compare import compare
 from .dataset import dataset
 from .detector import detector
@@ -78,6 +79,7 @@ def completion(context: click.Context, *, shell: str) -> None:
 
 for _command in (
     *(
+        city,
         compare,
         completion,
         dataset,

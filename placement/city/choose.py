@@ -48,15 +48,12 @@ class CityWishes:
         Each reaches its APR.
     least_apr : (n_junctions,) float, optional
         APR that each junction reaches by itself; by default 0.
-    most_units : int, optional
-        At most so many new units at one junction.
     """
 
     budget_units: int | None = None
     budget_eur: float | None = None
     districts: Sequence[District] = field(default_factory=tuple)
     least_apr: FloatArray | None = None
-    most_units: int | None = None
 
     def __post_init__(self) -> None:
         if self.budget_units is None and self.budget_eur is None:
@@ -202,8 +199,6 @@ def _stage(objective: Objective, value: float, bound: float, seconds: float) -> 
 def _may_be(options: Options, wishes: CityWishes) -> BoolArray:
     """Options that each junction's own wishes allow, whatever the others get."""
     may: BoolArray = np.ones(len(options), dtype=bool)
-    if wishes.most_units is not None:
-        may &= options.units <= wishes.most_units
     if wishes.least_apr is not None:
         may &= options.apr >= wishes.least_apr[options.junction] - TOLERANCE
     return may
@@ -359,11 +354,8 @@ def _check_reach(
     options: Options, share: FloatArray, wishes: CityWishes, names: Sequence[str]
 ) -> None:
     """Refuse what no budget could reach."""
-    within = np.ones(len(options), dtype=bool)
-    if wishes.most_units is not None:
-        within = options.units <= wishes.most_units
     starts = np.flatnonzero(np.diff(options.junction, prepend=-1))
-    most = np.maximum.reduceat(np.where(within, options.apr, -np.inf), starts)
+    most = np.maximum.reduceat(options.apr, starts)
     if wishes.least_apr is not None:
         short = np.flatnonzero(most < wishes.least_apr - TOLERANCE)
         if len(short):
@@ -376,7 +368,7 @@ def _check_reach(
             )
     for district in wishes.districts:
         part, is_in = _part(district, share)
-        reach = float((part * is_in) @ np.maximum(most, 0.0))
+        reach = float((part * is_in) @ most)
         if reach < district.least_apr - TOLERANCE:
             raise InputError(
                 "--min-district-apr",
@@ -392,7 +384,6 @@ def _unmet(options: Options, share: FloatArray, wishes: CityWishes) -> InputErro
         budget_units=None if wishes.budget_eur is not None else 10**9,
         districts=wishes.districts,
         least_apr=wishes.least_apr,
-        most_units=wishes.most_units,
     )
     left = options.taken(np.flatnonzero(_may_be(options, free)))
     in_money = wishes.budget_eur is not None
