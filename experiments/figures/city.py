@@ -108,7 +108,8 @@ def _draw_junctions(
     handles: list[Any] = []
     for index in order:
         axes.scatter(
-            *places[index],
+            places[index, 0],
+            places[index, 1],
             s=size[index],
             color=shades(0.15 + 0.85 * units[index] / most),
             edgecolor="black",

@@ -8,11 +8,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
 
+from geometry.arrays import FloatArray, IntArray
 from geometry.errors import InputError, Unquoted
 from geometry.maps.importing import DEFAULT_RADIUS_M, ImportOptions, ReadingOptions
 from placement.candidates import CandidateGrid
@@ -353,10 +353,10 @@ def _choose(
     records = [done[one.folder] for one in city.junctions]
     solved = [index for index, record in enumerate(records) if not record.reason]
     if not solved:
-        first = records[0]
+        one = records[0]
         raise InputError(
             city.records[0].name,
-            Unquoted(f"no junction with a front; {first.name or first.id}: {first.reason}"),
+            Unquoted(f"no junction with a front; {one.name or one.id}: {one.reason}"),
             "one at which runs can be laid and sites can carry units",
         )
     weight = values.weight[solved]
@@ -390,35 +390,33 @@ def _choose(
     total = values.weight.sum()
     junctions = []
     for index, (one, record) in enumerate(zip(city.junctions, records, strict=True)):
-        point = {}
+        x, y = (float(value) for value in one.surveyed.position)
+        answer = CityJunctionRecord(
+            id=one.surveyed.junction.id,
+            name=one.surveyed.junction.name,
+            map=one.roads.name,
+            folder=f"{JUNCTIONS}/{one.folder}",
+            x=x,
+            y=y,
+            weight=float(values.weight[index] / total),
+            district=values.district_of(index),
+            reason=record.reason,
+        )
         if index in got:
             row, before = int(choice.rows[got[index]]), int(first[got[index]])
             chosen = record.points[row - before]
-            point = {
-                "units": chosen.units,
-                "cost_eur": chosen.cost_eur,
-                "apr_before": record.points[0].apr,
-                "apr": chosen.apr,
-                "apr_one_failed": chosen.apr_one_failed,
-                "layout": chosen.layout,
-                "kept": len(chosen.layout) - chosen.units,
-                "year": 0 if phases is None else int(phases.year[got[index]]),
-            }
-        x, y = (float(value) for value in one.surveyed.position)
-        junctions.append(
-            CityJunctionRecord(
-                id=one.surveyed.junction.id,
-                name=one.surveyed.junction.name,
-                map=one.roads.name,
-                folder=f"{JUNCTIONS}/{one.folder}",
-                x=x,
-                y=y,
-                weight=float(values.weight[index] / total),
-                district=values.district_of(index),
-                reason=record.reason,
-                **point,
+            answer = msgspec.structs.replace(
+                answer,
+                units=chosen.units,
+                cost_eur=chosen.cost_eur,
+                apr_before=record.points[0].apr,
+                apr=chosen.apr,
+                apr_one_failed=chosen.apr_one_failed,
+                layout=chosen.layout,
+                kept=len(chosen.layout) - chosen.units,
+                year=0 if phases is None else int(phases.year[got[index]]),
             )
-        )
+        junctions.append(answer)
     steps = city_front(options, weight, by_cost=by_cost)
     stages = build_stage_records(choice.certificate)
     result = CityResult(
@@ -466,7 +464,7 @@ def _choose(
 
 
 def _phases(
-    options: Options, choice: CityChoice, first: Any, share: Any, wish: CityWish
+    options: Options, choice: CityChoice, first: IntArray, share: FloatArray, wish: CityWish
 ) -> Phases | None:
     if wish.units_per_year is None:
         return None
@@ -480,7 +478,13 @@ def _phases(
 
 
 def _cheapest(
-    city: City, options: Options, solved: Sequence[int], share: Any, first: Any, *, by_cost: bool
+    city: City,
+    options: Options,
+    solved: Sequence[int],
+    share: FloatArray,
+    first: IntArray,
+    *,
+    by_cost: bool,
 ) -> str:
     """What the cheapest useful option costs and buys."""
     gain = share[options.junction] * (options.apr - options.apr[first][options.junction])

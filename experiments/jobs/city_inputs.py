@@ -382,9 +382,9 @@ def load_values(city: City, wish: CityWish) -> CityValues:
     districts: list[tuple[str, tuple[int, ...]]] = []
     if wish.districts is not None:
         areas = read_areas(wish.districts, crs=crs)
-        hits = areas_of(areas, places)
+        inside = areas_of(areas, places)
         for number, area in enumerate(areas):
-            members = tuple(index for index, hit in enumerate(hits) if number in hit)
+            members = tuple(index for index, hit in enumerate(inside) if number in hit)
             if members:
                 districts.append((area.name, members))
             else:

@@ -190,7 +190,8 @@ def snap(
     """Nearest junction of each point, (n,), -1: none so near; and how far it is, (n,) metres."""
     from scipy.spatial import cKDTree
 
-    distance, nearest = cKDTree(junctions_m).query(points_m)
+    found, nearest = cKDTree(junctions_m).query(points_m)
+    distance: FloatArray = np.asarray(found)
     return np.where(distance <= within_m, nearest, -1), distance
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from typing import TypeVar
 
 import numpy as np
@@ -14,6 +15,7 @@ from .source_map import MapJunction, SourceMap
 _T = TypeVar("_T")
 
 _MORE_M = 80.0  # beyond what is cut out: the ground is levelled with what lies around it
+_THINGS_MORE_M = 30.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -38,6 +40,7 @@ class Neighbourhoods:
 
     def __init__(self, maps: Sequence[SourceMap], *, radius_m: float) -> None:
         self._half_m = radius_m + LANES_BEYOND_M + _MORE_M
+        self._share = (radius_m + _THINGS_MORE_M) / self._half_m  # of the square that has things
         self._maps = [
             _Boxes(
                 source=source,
@@ -63,7 +66,9 @@ class Neighbourhoods:
             here = corners
             if source.crs and roads.crs and source.crs != roads.crs:
                 here = transform(corners, roads.crs, source.crs)
-            part = _within(boxes, here.min(axis=0), here.max(axis=0))
+            low, high = here.min(axis=0), here.max(axis=0)
+            less = 0.5 * (1.0 - self._share) * (high - low)
+            part = _within(boxes, (low, high), near=(low + less, high - less))
             if source is roads:
                 parts.append(replace(part, junctions=(junction,)))
             elif part.things or part.poles or len(part.crosswalks_m) or len(part.ground_m):
@@ -80,32 +85,36 @@ def _boxes(lines: Sequence[FloatArray]) -> FloatArray:
     ).reshape(-1, 4)
 
 
-def _within(boxes: _Boxes, low: FloatArray, high: FloatArray) -> SourceMap:
+_Square = tuple[FloatArray, FloatArray]  # lowest and highest x and y
+
+
+def _within(boxes: _Boxes, square: _Square, *, near: _Square) -> SourceMap:
+    """Lanes and ground of a square, and of a smaller one what stands and is painted there."""
     source = boxes.source
     poles = np.array([pole.position_m[:2] for pole in source.poles]).reshape(-1, 2)
     crosswalks = source.crosswalks_m.mean(axis=1)
     return replace(
         source,
-        lanes=_some(source.lanes, _meet(boxes.lanes, low, high)),
+        lanes=_some(source.lanes, _meet(boxes.lanes, *square)),
         junctions=(),
-        things=_some(source.things, _meet(boxes.things, low, high)),
-        poles=_some(source.poles, _inside(poles, low, high)),
-        crosswalks_m=source.crosswalks_m[_inside(crosswalks, low, high)],
-        ground_m=source.ground_m[_inside(source.ground_m[:, :2], low, high)],
+        things=_some(source.things, _meet(boxes.things, *near)),
+        poles=_some(source.poles, _inside(poles, *near)),
+        crosswalks_m=source.crosswalks_m[_inside(crosswalks, *near)],
+        ground_m=source.ground_m[_inside(source.ground_m[:, :2], *square)],
         skipped=(),
     )
 
 
 def _some(items: Sequence[_T], mask: BoolArray) -> tuple[_T, ...]:
-    return tuple(items[index] for index in np.flatnonzero(mask))
+    return tuple(compress(items, mask.tolist()))
 
 
 def _meet(boxes: FloatArray, low: FloatArray, high: FloatArray) -> BoolArray:
     """Which boxes meet a rectangle."""
-    meets: BoolArray = ((boxes[:, :2] <= high) & (boxes[:, 2:] >= low)).all(axis=1)
+    meets: BoolArray = np.all((boxes[:, :2] <= high) & (boxes[:, 2:] >= low), axis=1)
     return meets
 
 
 def _inside(points: FloatArray, low: FloatArray, high: FloatArray) -> BoolArray:
-    inside: BoolArray = ((points >= low) & (points <= high)).all(axis=1)
+    inside: BoolArray = np.all((points >= low) & (points <= high), axis=1)
     return inside

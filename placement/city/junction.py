@@ -210,22 +210,18 @@ def _merge(
     """The points of both fronts that no other one beats, and the poses of each."""
     forced = tuple(np.flatnonzero(problem.limits.is_forced).tolist())
     poses = {_point(base, 0, 0.0): forced}
-    for front in (by_units, by_cost):
-        for found in () if front is None else front.points:
+    for each in (by_units, by_cost):
+        for found in () if each is None else each.points:
             n_new = len(found.pose_index) - n_kept
             if n_new:
                 poses.setdefault(_point(found.value, n_new, found.value.cost_eur), found.pose_index)
     reduced = presolve(problem)
     most = (largest_values(reduced, "first") or {}).get(Objective.APR, 1.0)
+    step = float(reduced.weight[reduced.weight > 0.0].min(initial=1.0))
     front = build_junction_front(
         poses,
         by_units=_bounds_by_units(by_units, base=base.apr, n_kept=n_kept),
-        by_cost=_bounds_by_cost(
-            by_cost,
-            base=base.apr,
-            most=most,
-            step=float(reduced.weight[reduced.weight > 0].min(initial=1.0)),
-        ),
+        by_cost=_bounds_by_cost(by_cost, base=base.apr, most=most, step=step),
         least_cost_eur=_least_costs_eur(problem.limits, n_kept=n_kept),
     )
     return front, [poses[point] for point in front.points]

@@ -235,7 +235,8 @@ def _cut_prices(problem: Knapsack, *, end_s: float) -> FloatArray:
             if (prices < most - 1.0e-9).all() or most > 1.0e9:
                 break
             most *= 100.0  # a limit that is hard to keep
-    return best * scale
+    at_best: FloatArray = best * scale
+    return at_best
 
 
 def _core(short: FloatArray, best: IntArray, size: int) -> tuple[BoolArray, float]:
