@@ -227,8 +227,8 @@ class Adviser:
         best = int(rows[best_joining(problem, standing.tolist(), rows)])
         beside = Advice(
             units=self._named(units, poses.candidates, [best]),
-            before=placement_value(problem, standing),
-            after=placement_value(problem, [*standing.tolist(), best]),
+            before=placement_value(problem, range(len(units))),
+            after=placement_value(problem, [*range(len(units)), best]),
             n_compared=len(rows),
         )
         wishes = replace(self._wishes, budget_units=len(units), forced_sites=(site_id,))
@@ -252,7 +252,7 @@ class Adviser:
         new = [row for row in solution.pose_index if row >= len(units)]
         return Advice(
             units=self._named([units[row] for row in stay], candidates, new, taken=units),
-            before=placement_value(problem, standing) if len(units) else None,
+            before=placement_value(problem, range(len(units))) if units else None,
             after=placement_value(problem, solution.pose_index),
             certificate=solution.certificate,
         )

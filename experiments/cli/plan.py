@@ -14,7 +14,6 @@ from ..progress import Interrupted, StageProgress
 from .options import (
     JUDGED,
     SectionedCommand,
-    cache_folder,
     compute_options,
     fields_in,
     layout_option,

@@ -11,8 +11,10 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
+from geometry.catalogue import Sensor, load_cameras
 from geometry.errors import InputError, Unquoted
-from geometry.files import write_atomically
+from geometry.files import pick, write_atomically
+from geometry.lidar import load_lidars
 from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.layout import Layout, check_layout
@@ -31,10 +33,12 @@ from .numbers import (
     table_numbers,
 )
 from .session import (
+    AddUnit,
     Change,
     ChangeUnit,
     History,
     Redo,
+    Stock,
     Undo,
     Variant,
     add_variant,
@@ -108,6 +112,15 @@ class Proposal:
     fields: dict[str, Any]
 
 
+def _words_of(sensors: str) -> dict[str, str]:
+    """By the name of each model that may be mounted, how ``--sensors`` calls it."""
+    words = {name: name for name in (*load_cameras(), *load_lidars())}
+    for word in filter(None, sensors.split(",")):
+        for model in build_grid(word).sensors:
+            words[model.name] = f"{word}:{model.name}" if word.endswith(".toml") else word
+    return words
+
+
 class Desk:
     """One session: what is planned, who looks at it, and the processes that work for it.
 
@@ -123,6 +136,8 @@ class Desk:
         To begin with.
     save : Path, optional
         File that gets the plan whenever it rests.
+    make_worker : function of Work
+        Makes what runs the tasks.
     """
 
     def __init__(
@@ -132,20 +147,25 @@ class Desk:
         *,
         variants: Sequence[Variant] = (),
         save: Path | None = None,
+        make_worker: Callable[[Work], Worker] = Worker,
     ) -> None:
-        self.work, self.setting = work, setting
+        self.work, self.setting, self._make_worker = work, setting, make_worker
         self.history: History = begin_history(variants)
         self.revision = 0
         self.listeners: set[Listener] = set()
         self._save = save
-        self._exact, self._advice = Worker(work), Worker(work)
+        self._exact, self._advice = make_worker(work), make_worker(work)
         self._live = self._new_table()
         self._known: OrderedDict[tuple[object, ...], dict[str, Any]] = OrderedDict()
         self._failed: dict[tuple[object, ...], str] = {}
         self._by_table: dict[tuple[object, ...], str] = {}
         self._proposals: list[Proposal] = []
         self._numbers_of_proposals = count(1)
-        self._sensors: list[str] = [
+        self._words = _words_of(work.question.sensors)
+        self._models: dict[str, Sensor] = {
+            model.name: model for word in self._words.values() for model in build_grid(word).sensors
+        }
+        self._chosen: list[str] = [
             sensor.name for sensor in build_grid(work.question.sensors).sensors
         ]
         self._shows_coverage = False
@@ -197,7 +217,13 @@ class Desk:
         self.listeners.discard(listener)
 
     def _scene_message(self) -> dict[str, Any]:
-        return {"type": "scene", **scene_record(self.setting, sensors=self._sensors)}
+        return {
+            "type": "scene",
+            **scene_record(self.setting, models=[*self._models.values()], chosen=self._chosen),
+        }
+
+    def _stock(self) -> Stock:
+        return Stock(scene=self.setting.scene, models=self._models)
 
     def _state_message(self) -> dict[str, Any]:
         record = state_record(self.history, self.setting.scene)
@@ -223,7 +249,7 @@ class Desk:
         elif isinstance(message, Ask):
             self._ask(message)
         elif isinstance(message, Cancel):
-            self._advice.stop()
+            self._spawn(asyncio.to_thread(self._advice.stop))
         elif isinstance(message, TakeProposal):
             self._take(message)
         elif isinstance(message, DropProposal):
@@ -233,11 +259,12 @@ class Desk:
             self._shows_coverage = message.is_shown
             self._changed.set()
         elif isinstance(message, ChooseSensors):
-            build_grid(",".join(message.names))
-            self._sensors = message.names
-            self.tell({"type": "sensors", "grid": self._sensors})
+            for name in message.names:  # files are not named by browsers
+                pick(self._models, name, "sensors")
+            self._chosen = message.names
+            self.tell({"type": "sensors", "grid": self._chosen})
         else:
-            state = change_state(self.history.state, message, self.setting.scene)
+            state = change_state(self.history.state, message, self._stock())
             gesture = message.gesture if isinstance(message, ChangeUnit) else ""
             self._go_to(self.history.went_on(state, gesture=gesture))
 
@@ -270,11 +297,16 @@ class Desk:
         while True:
             await self._changed.wait()
             self._changed.clear()
-            revision, state = self.revision, self.history.state
-            units = state.variant.units
+            live = self._live
+            if live.n_mounts == 0:
+                self._do("rays", "prepare the rays")
+                await asyncio.to_thread(self._by_rays, live, self._first_units())
+                self._do("rays", "")
+            revision, units = self.revision, self.history.state.variant.units
             try:
-                known = self._known.get(key_of(units))
-                numbers = known or await asyncio.to_thread(self._by_rays, self._live, units)
+                numbers = self._known.get(key_of(units))
+                if numbers is None:
+                    numbers = await asyncio.to_thread(self._by_rays, live, units)
                 self.tell({"type": "numbers", "revision": revision, **numbers})
                 self._tell_variants()
                 if self._shows_coverage and not self._changed.is_set():
@@ -283,6 +315,16 @@ class Desk:
             except Exception as error:  # the next change may be one that can be counted
                 self.tell({"type": "notice", "text": f"no numbers: {error}"})
             self._rests.set()
+
+    def _first_units(self) -> tuple[CandidatePose, ...]:
+        """A unit that hangs nowhere: with it, all is got ready that the first drag needs."""
+        scene = self.setting.scene
+        free = [site.id for site in scene.sites if site.use != "forbidden"]
+        model = self._chosen[0] if self._chosen else build_grid("").sensors[0].name
+        if not free:
+            return ()
+        empty = begin_history(()).state
+        return change_state(empty, AddUnit(site=free[0], sensor=model), self._stock()).variant.units
 
     def _by_rays(self, live: LiveTable, units: Sequence[CandidatePose]) -> dict[str, Any]:
         if not units:
@@ -314,8 +356,10 @@ class Desk:
     def _unknown(self) -> list[tuple[CandidatePose, ...]]:
         """Layouts that are shown and not evaluated yet, the one that is worked on first."""
         state = self.history.state
-        shown = [state.variant, *state.variants, *self._proposals]
-        found = {key_of(each.units): each.units for each in shown if each.units}
+        shown = [each.units for each in (state.variant, *state.variants)]
+        shown += [each.units for each in self._proposals]
+        shown.append(self._first_units())  # so that the car's own sensors are known
+        found = {key_of(units): units for units in shown if units}
         return [
             units
             for key, units in found.items()
@@ -399,9 +443,10 @@ class Desk:
 
     async def _advise(self, ask: Ask, units: tuple[CandidatePose, ...]) -> None:
         tell = self._stages("optimiser")
+        words = [self._words[name] for name in self._chosen]
         tell("start", 0, 0)
         try:
-            await self._advice.call("choose_sensors", ",".join(self._sensors), on_progress=tell)
+            await self._advice.call("choose_sensors", ",".join(words), on_progress=tell)
             answers = await self._advice.call(
                 "advise", units, ask.request, n_units=ask.units, site=ask.site, on_progress=tell
             )
@@ -464,17 +509,21 @@ class Desk:
         """The layout that is worked on. Raises InputError if nothing hangs."""
         return self.history.state.variant.layout(self.setting.scene)
 
-    async def call(self, method: str, *args: Any) -> Any:
-        """What a task returns, beside the evaluator's work. Raises TaskError, Cancelled."""
+    async def call(self, method: str, *args: Any, is_long: bool = False) -> Any:
+        """What a task returns, by the evaluator's process, or the optimiser's if it takes long.
+
+        Raises TaskError, or Cancelled.
+        """
+        worker, who = (self._advice, "optimiser") if is_long else (self._exact, "evaluator")
         try:
-            return await self._exact.call(method, *args, on_progress=self._stages("evaluator"))
+            return await worker.call(method, *args, on_progress=self._stages(who))
         finally:
-            self._do("evaluator", "")
+            self._do(who, "")
 
     async def open_scene(self, path: str) -> None:
         """Go on in another scene, from nothing. Raises TaskError if it has no runs."""
         work = replace(self.work, question=replace(self.work.question, scene=path, no_look=""))
-        exact = Worker(work)
+        exact = self._make_worker(work)
         try:
             setting: Setting = await exact.call("open_setting", on_progress=self._stages("scene"))
         except BaseException:
@@ -484,7 +533,7 @@ class Desk:
             self._do("scene", "")
         self.stop_processes()
         self.work, self.setting = work, setting
-        self._exact, self._advice = exact, Worker(work)
+        self._exact, self._advice = exact, self._make_worker(work)
         self._live = self._new_table()
         self._known.clear()
         self._failed.clear()

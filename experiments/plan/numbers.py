@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from geometry.catalogue import load_cameras, sensor_kind
-from geometry.lidar import load_lidars
+from geometry.catalogue import Sensor, sensor_kind
 from geometry.scene import Scene
 from geometry.sensors import CameraModel
 from geometry.terrain import ground_height_m
@@ -43,8 +42,10 @@ def key_of(units: Sequence[CandidatePose]) -> tuple[object, ...]:
 # ---------- the junction
 
 
-def scene_record(setting: Setting, *, sensors: Sequence[str]) -> dict[str, Any]:
-    """All that does not change while somebody plans: plan, sites, runs, catalogue."""
+def scene_record(
+    setting: Setting, *, models: Sequence[Sensor], chosen: Sequence[str]
+) -> dict[str, Any]:
+    """All that does not change while somebody plans: plan, sites, runs, models of sensors."""
     scene, axis = setting.scene, setting.axis
     return {
         "name": scene.name,
@@ -63,9 +64,9 @@ def scene_record(setting: Setting, *, sensors: Sequence[str]) -> dict[str, Any]:
         ],
         "sensors": [
             {"name": model.name, "kind": sensor_kind(model), "price": model.price_eur}
-            for model in (*load_cameras().values(), *load_lidars().values())
+            for model in models
         ],
-        "grid": list(sensors),
+        "grid": list(chosen),
         "runs": [
             {
                 "id": run.id,

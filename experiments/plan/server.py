@@ -235,11 +235,13 @@ class Pages:
         return Response(picture, media_type="image/jpeg")
 
     async def _report(self, request: Request) -> Response:
-        content = await self._desk.call("report", self._desk.layout(), "place-rsus plan")
+        content = await self._desk.call(
+            "report", self._desk.layout(), "place-rsus plan", is_long=True
+        )
         return _download(content, "report.zip", "application/zip")
 
     async def _sheet(self, request: Request) -> Response:
-        content = await self._desk.call("sheet", self._desk.layout())
+        content = await self._desk.call("sheet", self._desk.layout(), is_long=True)
         return _download(content, "mounting.pdf", "application/pdf")
 
     # ---------- files in
@@ -252,19 +254,22 @@ class Pages:
             path = await self._received(request, ".json", MAX_LAYOUT_BYTES)
             try:
                 variants = read_plan(path.read_bytes(), name)
-                self._desk.open_variants(variants)
             finally:
-                path.unlink(missing_ok=True)
+                path.unlink()
+            self._desk.open_variants(variants)
             return JSONResponse({"opened": [variant.name for variant in variants]})
         suffix = next((end for end in _MAP_SUFFIXES if lower.endswith(end)), None)
         if suffix is None:
             expected = "a name that ends in .json, " + ", ".join(_MAP_SUFFIXES)
             raise InputError("file", name, expected)
         path = await self._received(request, suffix, MAX_MAP_BYTES)
-        found = await self._desk.call("survey", str(path))
-        if found["isScene"]:
-            await self._desk.open_scene(str(path))
-            return JSONResponse({"scene": found["name"]})
+        try:
+            found = await self._desk.call("survey", str(path), is_long=True)
+            if found["isScene"]:
+                await self._desk.open_scene(str(path))
+                return JSONResponse({"scene": found["name"]})
+        except TaskError as error:
+            raise TaskError(str(error).replace(str(path), name)) from None
         self._map = (path, name)
         return JSONResponse({"map": name, **found})
 
@@ -272,10 +277,15 @@ class Pages:
         """The junction that was chosen of the map that was sent last."""
         if self._map is None:
             raise InputError("map", Unquoted("none"), "one that was dropped on the page before")
+        path, name = self._map
         junction = (await request.body())[:500].decode("utf-8", errors="replace")
         folder = self._desk.work.scratch / f"scene-{next(self._numbers)}"
-        await self._desk.call("import_junction", str(self._map[0]), junction, str(folder))
-        await self._desk.open_scene(str(folder))
+        given = (str(path), junction, str(folder))
+        try:
+            await self._desk.call("import_junction", *given, is_long=True)
+            await self._desk.open_scene(str(folder))
+        except TaskError as error:
+            raise TaskError(str(error).replace(str(path), name)) from None
         return JSONResponse({"scene": self._desk.setting.scene.name})
 
     async def _received(self, request: Request, suffix: str, max_bytes: int) -> Path:

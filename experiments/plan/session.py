@@ -9,8 +9,9 @@ import msgspec
 import numpy as np
 from msgspec import UNSET, Struct, UnsetType
 
-from geometry.catalogue import Sensor, pick_sensor
+from geometry.catalogue import Sensor
 from geometry.errors import InputError, Unquoted
+from geometry.files import pick
 from geometry.poses import Pose, wrap_deg
 from geometry.scene import Scene, Site
 from geometry.sensors import CameraModel, with_fov
@@ -126,7 +127,15 @@ Change = (
 )
 
 
-def change_state(state: PlanState, change: Change, scene: Scene) -> PlanState:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Stock:
+    """Where things may hang, and what there is to hang: sensor models by their names."""
+
+    scene: Scene
+    models: Mapping[str, Sensor]
+
+
+def change_state(state: PlanState, change: Change, stock: Stock) -> PlanState:
     """The state after a change.
 
     Raises
@@ -135,15 +144,15 @@ def change_state(state: PlanState, change: Change, scene: Scene) -> PlanState:
         There is no such unit, site, sensor or variant; a site is full or forbidden; a number is
         not one that can be mounted. The state is then as it was.
     """
-    return _CHANGES[type(change)](state, change, scene)
+    return _CHANGES[type(change)](state, change, stock)
 
 
-def _add_unit(state: PlanState, change: AddUnit, scene: Scene) -> PlanState:
-    units = state.variant.units
+def _add_unit(state: PlanState, change: AddUnit, stock: Stock) -> PlanState:
+    units, scene = state.variant.units, stock.scene
     if len(units) >= MAX_UNITS:
         raise InputError("units", len(units) + 1, f"at most {MAX_UNITS}")
     site = _free_site(change.site, units, scene)
-    sensor = pick_sensor(change.sensor, "sensor")
+    sensor = pick(stock.models, change.sensor, "sensor")
     height_m = float(np.clip(load_candidate_grid().heights_m.max(), *site.height_range_m))
     middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
     east, north = middle - site.position_m[:2]
@@ -162,13 +171,13 @@ def _add_unit(state: PlanState, change: AddUnit, scene: Scene) -> PlanState:
     return state.with_units([*units, unit])
 
 
-def _change_unit(state: PlanState, change: ChangeUnit, scene: Scene) -> PlanState:
-    units = state.variant.units
+def _change_unit(state: PlanState, change: ChangeUnit, stock: Stock) -> PlanState:
+    units, scene = state.variant.units, stock.scene
     index = _find(units, change.unit)
     unit = units[index]
     pose, sensor = unit.pose, unit.sensor
     if change.sensor is not UNSET:
-        sensor = pick_sensor(change.sensor, "sensor")
+        sensor = pick(stock.models, change.sensor, "sensor")
     if change.fov_deg is not UNSET:
         if not isinstance(sensor, CameraModel):
             raise InputError("lens", change.fov_deg, "nothing: only cameras have lenses")
@@ -207,13 +216,13 @@ def _raised(pose: Pose, site_id: str, height_m: float, scene: Scene) -> Pose:
     return replace(pose, position_m=np.array([east, north, foot_m + round(height_m, _DECIMALS)]))
 
 
-def _remove_unit(state: PlanState, change: RemoveUnit, scene: Scene) -> PlanState:
+def _remove_unit(state: PlanState, change: RemoveUnit, stock: Stock) -> PlanState:
     units = state.variant.units
     index = _find(units, change.unit)
     return state.with_units([*units[:index], *units[index + 1 :]])
 
 
-def _add_variant(state: PlanState, change: AddVariant, scene: Scene) -> PlanState:
+def _add_variant(state: PlanState, change: AddVariant, stock: Stock) -> PlanState:
     name = change.name or free_name({variant.name for variant in state.variants}, "Variant ")
     return add_variant(state, Variant(name=name, units=state.variant.units))
 
@@ -233,13 +242,13 @@ def add_variant(state: PlanState, variant: Variant) -> PlanState:
     return PlanState(variants=variants, current=len(variants) - 1)
 
 
-def _select_variant(state: PlanState, change: SelectVariant, scene: Scene) -> PlanState:
+def _select_variant(state: PlanState, change: SelectVariant, stock: Stock) -> PlanState:
     if not 0 <= change.index < len(state.variants):
         raise InputError("variant", change.index, f"0 to {len(state.variants) - 1}")
     return replace(state, current=change.index)
 
 
-def _rename_variant(state: PlanState, change: RenameVariant, scene: Scene) -> PlanState:
+def _rename_variant(state: PlanState, change: RenameVariant, stock: Stock) -> PlanState:
     name = _printable(change.name)
     variants = [*state.variants]
     if any(each.name == name for index, each in enumerate(variants) if index != state.current):
@@ -248,7 +257,7 @@ def _rename_variant(state: PlanState, change: RenameVariant, scene: Scene) -> Pl
     return replace(state, variants=tuple(variants))
 
 
-def _remove_variant(state: PlanState, change: RemoveVariant, scene: Scene) -> PlanState:
+def _remove_variant(state: PlanState, change: RemoveVariant, stock: Stock) -> PlanState:
     if len(state.variants) == 1:
         raise InputError("variant", state.variant.name, "another one: the last one stays")
     variants = [*state.variants]
@@ -256,7 +265,7 @@ def _remove_variant(state: PlanState, change: RemoveVariant, scene: Scene) -> Pl
     return PlanState(variants=tuple(variants), current=min(state.current, len(variants) - 1))
 
 
-_CHANGES: Mapping[type, Callable[[PlanState, Any, Scene], PlanState]] = {
+_CHANGES: Mapping[type, Callable[[PlanState, Any, Stock], PlanState]] = {
     AddUnit: _add_unit,
     ChangeUnit: _change_unit,
     RemoveUnit: _remove_unit,

@@ -13,7 +13,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from msgspec import UNSET
 
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError
 from geometry.scene_files import load_scene
 from placement.advice import LEAST_GAIN, Advice, Adviser
 from placement.candidates import CandidatePose
@@ -117,7 +117,8 @@ class Tasks:
         part = interactive_part(
             self.setting, {layout.name: evaluation}, first_runs=(run_id,), max_runs=_MAX_WATCHED
         )
-        return _watch_template().render(interactive=part, title=run_id)
+        page: str = _watch_template().render(interactive=part, title=run_id)
+        return page
 
     def explain(self, layout: Layout, run_id: str) -> dict[str, Any]:
         """Why units do not detect the road user of a run early enough: who hides whom, when."""

@@ -18,7 +18,7 @@ class TaskError(RuntimeError):
     """A task that could not be done, in a sentence for the page."""
 
 
-class Cancelled(RuntimeError):  # noqa: N818 (no error: somebody asked for it)
+class Cancelled(RuntimeError):
     """The process was ended while it worked."""
 
 

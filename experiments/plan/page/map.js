@@ -3,6 +3,9 @@
 import { addPatterns, drawGround, drawScale, element, MARKS, outline } from "./shared.js";
 
 const THIN = { "vector-effect": "non-scaling-stroke" };
+// What a band of pixel density looks like: the finest first, then those that are coarser or unseen.
+export const bandColour = (band) => (band === 255 ? UNSEEN_COLOUR : BAND_COLOURS[band] || COARSE_COLOUR);
+
 const FARTHEST_AIM_CM = 4500, NEAREST_AIM_CM = 150, SITE_REACH_PX = 26, DRAG_PX = 5;
 const BAND_COLOURS = ["#08306b", "#0b559f", "#2b7bba", "#539ecd", "#89bedc", "#bad6eb"];
 const COARSE_COLOUR = "#e3e3c0", UNSEEN_COLOUR = "#f3a59a";
@@ -69,11 +72,19 @@ export function createMap(holder, on) {
     layOut();
   }
 
+  // The window that holds the junction and every place of an impact.
+  function whole() {
+    middle = [...scene.plan.middle];
+    const away = scene.arms.map((arm) => Math.max(Math.abs(arm.place[0] - middle[0]), Math.abs(arm.place[1] - middle[1])));
+    half = Math.max(scene.plan.half, ...away.map((reach) => Math.min(1.12 * reach, 1.8 * scene.plan.half)));
+    layOut();
+  }
+
   // ---------- what stands still
 
   function showScene(next) {
     scene = next;
-    [middle, half] = [[...scene.plan.middle], scene.plan.half];
+    whole();
     for (const layer of ["still", "coverage", "ways"]) layers[layer].replaceChildren();
     for (const layer of ["arms", "names", "sites"]) marked[layer].replaceChildren();
     placed = [];
@@ -117,7 +128,7 @@ export function createMap(holder, on) {
       const cell = row * columns + column;
       if (!road.charCodeAt(cell)) continue;
       const band = bands.charCodeAt(cell);
-      context.fillStyle = band === 255 ? UNSEEN_COLOUR : BAND_COLOURS[band] || COARSE_COLOUR;
+      context.fillStyle = bandColour(band);
       context.fillRect(column, rows - 1 - row, 1, 1);
     }
     element("image", { href: canvas.toDataURL(), x: 0, y: 0, width: 1, height: 1, opacity: 0.8, preserveAspectRatio: "none", "image-rendering": "pixelated", transform: `matrix(${east - west} 0 0 ${south - north} ${west} ${north})` }, layers.coverage);
@@ -285,7 +296,7 @@ export function createMap(holder, on) {
   return {
     showScene, showShares, showCoverage, showImage, showUnits, showOffered, showSite, zoomBy,
     select(id) { selected = id; showUnits(units); },
-    whole() { [middle, half] = [[...scene.plan.middle], scene.plan.half]; layOut(); },
+    whole,
     pick(then) { pickPoint = then; },
     isDragging: () => Boolean(drag && drag.isMoved),
   };

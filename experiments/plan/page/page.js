@@ -2,7 +2,7 @@
 
 import { openDialogs } from "./dialogs.js";
 import { openLine } from "./line.js";
-import { createMap } from "./map.js";
+import { bandColour, createMap } from "./map.js";
 import { element } from "./shared.js";
 
 const find = (id) => document.getElementById(id);
@@ -287,6 +287,9 @@ function readDoing(message) {
     find("doing").textContent = text;
     find("cancel").hidden = !text;
     document.querySelectorAll("[data-ask]").forEach((button) => { button.disabled = Boolean(text); });
+  } else if (message.who === "rays") {
+    if (text) notice("Rays are being prepared; the first time on a machine that takes a minute.");
+    else notice("");
   } else if (isCurrent() && numbers.source === "table") {
     find("source").textContent = `by the detection table; the evaluator ${text ? "is at work" : "follows"}`;
   }
@@ -356,7 +359,14 @@ function readCoverage(message) {
   coverage = message;
   map.showCoverage(coverage);
   find("coverage-key").hidden = false;
-  find("coverage-key").textContent = `Of the road, by pixels per metre: ${Object.entries(coverage.shares).map(([name, share]) => `${name} ${share}`).join(", ")}.`;
+  const codes = [...scene.bands.keys(), 254, 255];
+  find("coverage-key").replaceChildren("Of the road, by pixels per metre: ", ...Object.entries(coverage.shares).map(([name, share], index) => {
+    const item = element("span", { class: "key" });
+    const swatch = element("svg", { width: 12, height: 12, "aria-hidden": "true" }, item);
+    element("rect", { width: 12, height: 12, fill: bandColour(codes[index]), stroke: "#333" }, swatch);
+    item.append(` ${name} ${share} `);
+    return item;
+  }));
 }
 
 // ---------- the keyboard
