@@ -418,7 +418,7 @@ class RunningServer:
         hosts = allowed_hosts(self._host, self.port)
         config = uvicorn.Config(
             build_app(self.desk, token=self.token, hosts=hosts),
-            log_level="error",
+            log_level="critical",
             access_log=False,
             server_header=False,
             ws="websockets-sansio",
