@@ -1,6 +1,6 @@
 """Cases laid on the approaches of any junction, by the rules of the protocol."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,7 @@ from geometry.junction import Arm, Junction, Line, lane_length_m, lane_line
 from geometry.scene import Lane
 
 from .cases import Case
-from .courses import Course, follow_lane, follow_lanes, join_by_turn
+from .courses import Course, follow_connection, follow_lane, join_by_turn
 from .laying import load_way_rules
 from .obstructions import hide
 from .paths import Path, TowedPath, TurnPath, travel_time_s
@@ -55,10 +55,12 @@ def stage_by_protocol(
 
     The run begins when the VRU sets off; turning: also 1 s before the VUT enters the curve. The VUT
     comes along its lane, round its bends, and straight on backwards where the map ends. It drives
-    in the lane at the kerb; before a left turn, in the one at the road's axis. It turns along the
-    junction's connecting lane where there is one, else on the protocol's curve. Pedestrians cross
-    at right angles to the VUT's lane where it meets the arm's crosswalk; a VRU that moves ahead of
-    the VUT is reached there. Cyclists ride on the arm's cycleway where it has one.
+    in the lane at the kerb; before a left turn, in the one at the road's axis; where the map has
+    connecting lanes, in the next one from there with which such a lane begins. It turns along that
+    one, or on the protocol's curve where there is none, or it bends too sharply for the speed.
+    Pedestrians cross at right angles to the VUT's lane where it meets the arm's crosswalk; a VRU
+    that moves ahead of the VUT is reached there. Cyclists ride on the arm's cycleway where it has
+    one.
 
     At other positions all of this lies so far along the VUT's way, before or behind: on the lane by
     which it comes, or on the one straight ahead by which it leaves. Behind the junction it drives
@@ -84,6 +86,7 @@ def stage_by_protocol(
     if case.kind == "turning":
         return _lay_turning(case, junction, arm, vut_speed_kmh, vut)
     lane = arm.entry_lanes[0]
+    followed = junction.followed(lane)
     lay = _lay_crossing if case.kind == "crossing" else _lay_longitudinal
     if position.is_behind:
         place = _place_behind(junction, arm, position, vut_speed_kmh, vut)
@@ -94,6 +97,7 @@ def stage_by_protocol(
             way=way,
             crosswalk=arm.crosswalk,
             entry_lane=lane,
+            followed=followed,
             begin_m=-lane_length_m(lane),
             end_m=np.inf,
             ahead_m=position.ahead_m,
@@ -103,8 +107,8 @@ def stage_by_protocol(
 
     return _straight_or_curved(
         lambda: along(StraightWay(line=straight_line(lane, is_in=True))),
-        lambda: along(CurvedWay(course=follow_lane(lane.centreline_m, is_in=True))),
-        is_bent=_is_bent(lane, is_in=True),
+        lambda: along(CurvedWay(course=follow_lane(followed.centreline_m, is_in=True))),
+        is_bent=_is_bent(followed, is_in=True),
     )
 
 
@@ -115,6 +119,7 @@ class _Place:
     way: Way
     crosswalk: Line
     entry_lane: Lane
+    followed: Lane  # the same, with what is assumed before it
     begin_m: float  # station at which the mapped lanes begin
     end_m: float  # and end
     ahead_m: float  # so far ahead of the crosswalk the VUT meets the VRU
@@ -136,7 +141,7 @@ class _Place:
     def check_straight(self, driven_m: float) -> None:
         """Raise if a straight way leaves the lane within some metres before the meeting point."""
         if not self.is_checked:
-            _check_straight(self.way, self.entry_lane, driven_m - self.ahead_m)
+            _check_straight(self.way, self.followed, driven_m - self.ahead_m)
 
 
 def _place_behind(
@@ -148,20 +153,22 @@ def _place_behind(
     ahead = _arm_ahead(junction, arm, entry)
     if ahead is None or not ahead.exit_lanes:
         raise NoRoadError("no lane leads straight on out of the junction")
-    connections = [(lane, junction.connection(entry_lane, lane)) for lane in ahead.exit_lanes]
-    exit_lane, connection = next(
-        (pair for pair in connections if pair[1] is not None),
-        min(
-            connections,
-            key=lambda pair: abs(float(entry.coordinates(pair[0].centreline_m[0])[1])),
-        ),
+    joined = _joined(junction, arm.entry_lanes, ahead.exit_lanes)
+    exit_lane = min(
+        ahead.exit_lanes,
+        key=lambda lane: abs(float(entry.coordinates(lane.centreline_m[0])[1])),
     )
-    rules = load_way_rules()
-    across = way_across(entry_lane, exit_lane, connection, max_bend_m=rules.max_lane_bend_m)
-    max_swerve_per_m = load_position_rules().across.max_lateral_mps2 / (vut_speed_kmh * kmh) ** 2
+    entry_lane, connection, exit_lane = next(joined, (entry_lane, None, exit_lane))
+    across = way_across(
+        junction.followed(entry_lane),
+        exit_lane,
+        connection,
+        max_bend_m=load_way_rules().max_lane_bend_m,
+    )
+    max_swerve_per_m = _max_bend_per_m(vut_speed_kmh)
     for lane in arm.entry_lanes:  # from the kerb, where some lanes only turn
         if across.swerve_per_m > max_swerve_per_m:
-            across = _gentlest(lane, ahead.exit_lanes, across, vut)
+            across = _gentlest(junction.followed(lane), ahead.exit_lanes, across, vut)
     if across.swerve_per_m > max_swerve_per_m:
         raise CannotCarryError(
             f"too fast for the change from lane {across.entry.id} into {across.leaving.id}, "
@@ -171,11 +178,28 @@ def _place_behind(
         way=across.way,
         crosswalk=ahead.crosswalk,
         entry_lane=across.entry,
+        followed=across.entry,
         begin_m=across.begin_m,
         end_m=lane_length_m(across.leaving),
         ahead_m=position.ahead_m,
         is_checked=True,
     )
+
+
+def _joined(
+    junction: Junction, entry_lanes: Sequence[Lane], exit_lanes: Sequence[Lane]
+) -> Iterator[tuple[Lane, Lane, Lane]]:
+    """Lanes into the junction, its own lanes that go on from them, and those into which they do."""
+    for before in entry_lanes:
+        for after in exit_lanes:
+            connection = junction.connection(before, after)
+            if connection is not None:
+                yield before, connection, after
+
+
+def _max_bend_per_m(vut_speed_kmh: float) -> float:
+    """The most that a VUT's way through the junction may bend at a speed."""
+    return load_position_rules().across.max_lateral_mps2 / (vut_speed_kmh * kmh) ** 2
 
 
 def _gentlest(
@@ -288,8 +312,11 @@ def _check_no_junction(junction: Junction, point_m: FloatArray) -> None:
     import shapely
 
     point = shapely.Point(point_m)
+    own = [lane.centreline_m[-1] for arm in junction.arms.values() for lane in arm.lanes_in]
     for lane in junction.connections:
-        if shapely.LineString(lane.centreline_m).distance(point) < _IN_JUNCTION_M:
+        begin = lane.centreline_m[0]
+        is_own = any(np.hypot(*(tip - begin)) < _IN_JUNCTION_M for tip in own)
+        if not is_own and shapely.LineString(lane.centreline_m).distance(point) < _IN_JUNCTION_M:
             raise NoRoadError("another junction lies there: nobody crosses in its middle")
 
 
@@ -363,6 +390,7 @@ class _Turning:
     turn_m: float  # its length
     path_with: Callable[[float], Path]  # some metres before it
     is_straight: bool  # but for the turn
+    bend_per_m: float  # largest curvature of the turn
 
 
 _AFTER_TURN_M = 10.0  # by then the VUT has met the VRU
@@ -386,9 +414,15 @@ def _lay_turning(
     def lay(turning: _Turning) -> Staging:
         return _lay_turn(case, junction, arm, target, turning, vut_speed_kmh, vut)
 
-    connection = junction.connection(entry_lane, exit_lane)
-    if connection is not None:
-        return lay(_along_connection(entry_lane, connection, exit_lane, vut))
+    # Lanes from the axis, or from the kerb: those first that the junction joins.
+    order = -1 if is_far else 1
+    for before, connection, after in _joined(
+        junction, arm.entry_lanes[::order], target.exit_lanes[::order]
+    ):
+        turning = _along_connection(junction.followed(before), connection, after, vut)
+        if turning.bend_per_m <= _max_bend_per_m(vut_speed_kmh):
+            return lay(turning)
+    entry_lane = junction.followed(entry_lane)
     return _straight_or_curved(
         lambda: lay(_on_straights(entry_lane, exit_lane, turn, vut)),
         lambda: lay(_on_lanes(entry_lane, exit_lane, turn, vut)),
@@ -430,6 +464,7 @@ def _on_straights(entry_lane: Lane, exit_lane: Lane, turn: Turn, vut: Actor) -> 
         turn_m=turn.length_m,
         path_with=path_with,
         is_straight=True,
+        bend_per_m=1.0 / turn.radius_m,
     )
 
 
@@ -451,8 +486,11 @@ def _on_lanes(entry_lane: Lane, exit_lane: Lane, turn: Turn, vut: Actor) -> _Tur
 
 def _along_connection(entry_lane: Lane, connection: Lane, exit_lane: Lane, vut: Actor) -> _Turning:
     """Along the junction's own lane between two others."""
-    course = follow_lanes(
-        [entry_lane.centreline_m, connection.centreline_m, exit_lane.centreline_m]
+    course = follow_connection(
+        entry_lane.centreline_m,
+        connection.centreline_m,
+        exit_lane.centreline_m,
+        is_origin_behind=False,
     )
     exit_course = follow_lane(exit_lane.centreline_m, is_in=False)
     return _towed(entry_lane, exit_course, course, lane_length_m(connection), vut)
@@ -476,6 +514,7 @@ def _towed(
         turn_m=turn_m,
         path_with=path_with,
         is_straight=False,
+        bend_per_m=course.between(0.0, turn_m).max_bend_per_m,
     )
 
 
