@@ -20,8 +20,8 @@ from ..export.json import to_json_text
 from ..figures.axes import describe_run
 from ..report.bill_of_materials import build_bill
 from ..report.interactive.records import plan_record, to_base64, unit_records
+from ..results.evaluations import build_evaluation_record
 from ..results.numbers import finite_or_none, percent
-from ..results.result import build_evaluation_record
 from .session import SCHEMA, History, PlanState
 
 BY_TABLE, BY_EVALUATOR = "table", "evaluator"
