@@ -13,10 +13,10 @@ from geometry.junction import Arm, Junction, Line, lane_length_m, lane_line
 from geometry.scene import Lane
 
 from .cases import Case
-from .courses import Course, follow_connection, follow_lane, join_by_turn
+from .courses import follow_lane
 from .laying import load_way_rules
 from .obstructions import hide
-from .paths import Path, TowedPath, TurnPath, travel_time_s
+from .paths import travel_time_s
 from .positions import AT_ZERO, Position, is_bound, load_position_rules
 from .staging import (
     CannotCarryError,
@@ -26,16 +26,18 @@ from .staging import (
     impact_offset_m,
     set_off,
 )
-from .turns import Turn, pick_turn
+from .turning_ways import Turning, along_connection, on_lanes, on_straights
+from .turns import pick_turn
 from .ways import (
     CurvedWay,
     StraightWay,
     Way,
     WayAcross,
+    check_straight,
     eased_way_across,
+    is_bent,
     lane_way,
     meeting_m,
-    off_line_m,
     reversed_way,
     straight_line,
     way_across,
@@ -108,7 +110,7 @@ def stage_by_protocol(
     return _straight_or_curved(
         lambda: along(StraightWay(line=straight_line(lane, is_in=True))),
         lambda: along(CurvedWay(course=follow_lane(followed.centreline_m, is_in=True))),
-        is_bent=_is_bent(followed, is_in=True),
+        is_bent=is_bent(followed, is_in=True),
     )
 
 
@@ -141,7 +143,7 @@ class _Place:
     def check_straight(self, driven_m: float) -> None:
         """Raise if a straight way leaves the lane within some metres before the meeting point."""
         if not self.is_checked:
-            _check_straight(self.way, self.followed, driven_m - self.ahead_m)
+            check_straight(self.way, self.followed, driven_m - self.ahead_m)
 
 
 def _place_behind(
@@ -229,18 +231,6 @@ def _straight_or_curved(
         if not is_bent:
             raise
     return curved()
-
-
-def _is_bent(lane: Lane, *, is_in: bool) -> bool:
-    bend_m = off_line_m(lane, is_in=is_in, length_m=lane_length_m(lane))
-    return bend_m > load_way_rules().max_lane_bend_m
-
-
-def _check_straight(way: Way, lane: Lane, driven_m: float, *, is_in: bool = True) -> None:
-    """Raise if a straight way leaves its lane within some metres from the mouth."""
-    bend_m = off_line_m(lane, is_in=is_in, length_m=driven_m)
-    if isinstance(way, StraightWay) and bend_m > load_way_rules().max_lane_bend_m:
-        raise CannotCarryError(f"lane {lane.id} is not straight: {bend_m:.1f} m off its line")
 
 
 # ---------- crossing and longitudinal cases
@@ -380,22 +370,6 @@ def _lay_longitudinal(
 # ---------- turning cases
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Turning:
-    """A VUT's way into another arm."""
-
-    entry_lane: Lane
-    entry: Line  # where the turn begins
-    exit_way: Way
-    turn_m: float  # its length
-    path_with: Callable[[float], Path]  # some metres before it
-    is_straight: bool  # but for the turn
-    bend_per_m: float  # largest curvature of the turn
-
-
-_AFTER_TURN_M = 10.0  # by then the VUT has met the VRU
-
-
 def _lay_turning(
     case: Case, junction: Junction, arm: Arm, vut_speed_kmh: float, vut: Actor
 ) -> Staging:
@@ -411,7 +385,7 @@ def _lay_turning(
     except InputError as error:
         raise CannotCarryError(str(error)) from None
 
-    def lay(turning: _Turning) -> Staging:
+    def lay(turning: Turning) -> Staging:
         return _lay_turn(case, junction, arm, target, turning, vut_speed_kmh, vut)
 
     # Lanes from the axis, or from the kerb: those first that the junction joins.
@@ -419,108 +393,15 @@ def _lay_turning(
     for before, connection, after in _joined(
         junction, arm.entry_lanes[::order], target.exit_lanes[::order]
     ):
-        turning = _along_connection(junction.followed(before), connection, after, vut)
+        turning = along_connection(junction.followed(before), connection, after, vut)
         if turning.bend_per_m <= _max_bend_per_m(vut_speed_kmh):
             return lay(turning)
     entry_lane = junction.followed(entry_lane)
     return _straight_or_curved(
-        lambda: lay(_on_straights(entry_lane, exit_lane, turn, vut)),
-        lambda: lay(_on_lanes(entry_lane, exit_lane, turn, vut)),
-        is_bent=_is_bent(entry_lane, is_in=True) or _is_bent(exit_lane, is_in=False),
+        lambda: lay(on_straights(entry_lane, exit_lane, turn, vut)),
+        lambda: lay(on_lanes(entry_lane, exit_lane, turn, vut)),
+        is_bent=is_bent(entry_lane, is_in=True) or is_bent(exit_lane, is_in=False),
     )
-
-
-def _on_straights(entry_lane: Lane, exit_lane: Lane, turn: Turn, vut: Actor) -> _Turning:
-    """The protocol's curve between the straight lines of two lanes."""
-    entry = straight_line(entry_lane, is_in=True)
-    exit_line = straight_line(exit_lane, is_in=False)
-    angle_deg = abs((exit_line.yaw_deg - entry.yaw_deg + 180.0) % 360.0 - 180.0)
-    try:
-        turn = turn.turned_by(angle_deg)
-        corner = entry.crossing_with(exit_line)
-    except (InputError, np.linalg.LinAlgError):
-        raise CannotCarryError(f"the arms meet at {angle_deg:.0f} degrees") from None
-    before_corner_m = float(entry.coordinates(corner)[0]) - turn.tangent_m
-    after_corner_m = float(exit_line.coordinates(corner)[0]) + turn.tangent_m
-    _check_within(entry_lane, -before_corner_m, "begin")
-    _check_within(exit_lane, after_corner_m, "end")
-    exit_way = StraightWay(line=exit_line)
-    _check_straight(exit_way, exit_lane, after_corner_m + _AFTER_TURN_M, is_in=False)
-
-    def path_with(straight_m: float) -> TurnPath:
-        return TurnPath(
-            start_m=entry.at(before_corner_m - straight_m),
-            yaw_deg=entry.yaw_deg,
-            straight_m=straight_m,
-            turn=turn,
-            wheelbase_m=vut.wheelbase_m,
-            front_axle_ahead_m=vut.front_axle_ahead_m,
-        )
-
-    return _Turning(
-        entry_lane=entry_lane,
-        entry=entry,
-        exit_way=exit_way,
-        turn_m=turn.length_m,
-        path_with=path_with,
-        is_straight=True,
-        bend_per_m=1.0 / turn.radius_m,
-    )
-
-
-def _on_lanes(entry_lane: Lane, exit_lane: Lane, turn: Turn, vut: Actor) -> _Turning:
-    """The protocol's curve between two lanes that bend."""
-    entry = follow_lane(entry_lane.centreline_m, is_in=True)
-    exit_course = follow_lane(exit_lane.centreline_m, is_in=False)
-    try:
-        course, turn = join_by_turn(entry, exit_course, turn)
-    except (InputError, np.linalg.LinAlgError):
-        raise CannotCarryError(
-            f"no turn of {turn.radius_m:g} m leads from lane {entry_lane.id} into {exit_lane.id}"
-        ) from None
-    _check_within(entry_lane, -entry.station_of(course.tangent(0.0).point_m), "begin")
-    end = course.tangent(turn.length_m)
-    _check_within(exit_lane, exit_course.station_of(end.point_m), "end")
-    return _towed(entry_lane, exit_course, course, turn.length_m, vut)
-
-
-def _along_connection(entry_lane: Lane, connection: Lane, exit_lane: Lane, vut: Actor) -> _Turning:
-    """Along the junction's own lane between two others."""
-    course = follow_connection(
-        entry_lane.centreline_m,
-        connection.centreline_m,
-        exit_lane.centreline_m,
-        is_origin_behind=False,
-    )
-    exit_course = follow_lane(exit_lane.centreline_m, is_in=False)
-    return _towed(entry_lane, exit_course, course, lane_length_m(connection), vut)
-
-
-def _towed(
-    entry_lane: Lane, exit_course: Course, course: Course, turn_m: float, vut: Actor
-) -> _Turning:
-    def path_with(straight_m: float) -> TowedPath:
-        return TowedPath(
-            course=course,
-            start_m=-straight_m,
-            wheelbase_m=vut.wheelbase_m,
-            front_axle_ahead_m=vut.front_axle_ahead_m,
-        )
-
-    return _Turning(
-        entry_lane=entry_lane,
-        entry=course.tangent(0.0),
-        exit_way=CurvedWay(course=exit_course),
-        turn_m=turn_m,
-        path_with=path_with,
-        is_straight=False,
-        bend_per_m=course.between(0.0, turn_m).max_bend_per_m,
-    )
-
-
-def _check_within(lane: Lane, in_lane_m: float, what: str) -> None:
-    if in_lane_m > lane_length_m(lane):
-        raise CannotCarryError(f"the turn would {what} beyond the mapped lane {lane.id}")
 
 
 def _lay_turn(
@@ -528,7 +409,7 @@ def _lay_turn(
     junction: Junction,
     arm: Arm,
     target: Arm,
-    turning: _Turning,
+    turning: Turning,
     vut_speed_kmh: float,
     vut: Actor,
 ) -> Staging:
@@ -548,7 +429,7 @@ def _lay_turn(
     )
     straight_m = -begin_s * speed_mps - meeting.vut_distance_m
     if turning.is_straight:
-        _check_straight(StraightWay(line=turning.entry), turning.entry_lane, straight_m)
+        check_straight(StraightWay(line=turning.entry), turning.entry_lane, straight_m)
     encounter = set_off(
         case,
         vut=vut,
@@ -562,7 +443,7 @@ def _lay_turn(
 
 
 def _turning_way(
-    case: Case, junction: Junction, arm: Arm, target: Arm, turning: _Turning
+    case: Case, junction: Junction, arm: Arm, target: Arm, turning: Turning
 ) -> tuple[Way, float]:
     """The VRU's way, and its station where it crosses the lane into which the VUT turns."""
     assert case.vru_line is not None

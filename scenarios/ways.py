@@ -13,6 +13,7 @@ from geometry.junction import Line, curve_between, lane_length_m, lane_line
 from geometry.scene import Lane
 
 from .courses import Course, ease_joint, follow_connection, follow_lane, follow_lanes
+from .laying import load_way_rules
 from .paths import CoursePath, Path, StraightPath, TowedPath
 from .staging import CannotCarryError
 
@@ -183,6 +184,19 @@ def off_line_m(lane: Lane, *, is_in: bool, length_m: float) -> float:
     near: FloatArray = np.concatenate([points[along <= end_m], end[None]])
     line = straight_line(lane, is_in=is_in)
     return float(np.abs(line.coordinates(near)[:, 1]).max())
+
+
+def is_bent(lane: Lane, *, is_in: bool) -> bool:
+    """Whether a lane leaves its straight line."""
+    bend_m = off_line_m(lane, is_in=is_in, length_m=lane_length_m(lane))
+    return bend_m > load_way_rules().max_lane_bend_m
+
+
+def check_straight(way: Way, lane: Lane, driven_m: float, *, is_in: bool = True) -> None:
+    """Raise if a straight way leaves its lane within some metres from the mouth."""
+    bend_m = off_line_m(lane, is_in=is_in, length_m=driven_m)
+    if isinstance(way, StraightWay) and bend_m > load_way_rules().max_lane_bend_m:
+        raise CannotCarryError(f"lane {lane.id} is not straight: {bend_m:.1f} m off its line")
 
 
 def lane_way(lane: Lane, *, is_in: bool, length_m: float, max_bend_m: float) -> Way:
