@@ -224,7 +224,7 @@ def test_what_reaches_into_the_beam_hides_what_rays_find_hidden(corners_m, plate
     """
     pose = Pose(position_m=np.array([0.3, -0.2, up_m]), yaw_deg=yaw_deg, pitch_deg=-20.0)
     window = (20, 10, 50, 40)
-    placed = _place(pose, np.zeros((1, 4)))
+    placed = _place(pose, np.zeros((1, 4)), np.zeros(1))
     depth = np.full((30, 30), plate_m)
     beam = (placed.turn[0], placed.shift[0], window, plate_m, -np.inf, np.inf)
     hide(_image(TINY, up_m), build_tree(corners_m), 0, *beam, depth.reshape(-1))
