@@ -11,7 +11,6 @@ from browser_pages import start_browser
 from plan_desks import few_poses, start_server  # noqa: F401
 
 pytest.importorskip("starlette", reason="place-rsus[plan] is not installed")
-expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
 
 from experiments.export.json import to_json_text
 from experiments.plan.session import Variant
@@ -25,6 +24,11 @@ from placement.evaluator import evaluate_layout
 from placement.layout import load_layout
 
 PATIENCE_MS = 120_000
+
+
+def expect(locator):
+    """What playwright waits for; the tests are skipped where it is not installed."""
+    return pytest.importorskip("playwright.sync_api").expect(locator)
 
 
 @pytest.fixture(scope="module")
