@@ -23,7 +23,7 @@ from oracles import distance_to_chain_m
 from geometry.errors import InputError
 from geometry.junction import build_junction, lane_length_m
 from geometry.scene import Lane
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from scenarios.cases import load_case_sets, load_cases, select_cases
 from scenarios.exposure import default_weights
 from scenarios.paths import StraightPath, TowedPath
@@ -133,7 +133,6 @@ def test_the_default_question_has_four_to_six_hundred_runs_with_an_id_each(defau
 # Where
 
 
-@settings(max_examples=25)
 @given(
     name=st.sampled_from(FREE),
     metres=st.floats(0.5, 120.0),
@@ -183,7 +182,6 @@ def test_behind_the_vut_crosses_the_junction_to_the_other_arms_crosswalk(vut, ru
         assert distance_to_chain_m(run.vut_position_m[on_map], chain).max() < 0.7
 
 
-@settings(max_examples=12)
 @given(
     name=st.sampled_from(FREE),
     metres=st.sampled_from([0.0, 15.0, 40.0]),
@@ -474,6 +472,21 @@ def test_a_change_of_lanes_is_eased_only_where_it_would_be_too_fast(vut, rule):
         return np.abs(before[:, 1] + 0.5 * LANE_M).max()
 
     assert aside_m(slow) < 0.1 < aside_m(fast) < 0.5
+
+
+def test_a_change_that_bends_less_than_the_lane_behind_it_is_driven_as_fast_as_that_lane(vut, rule):
+    position = Position(is_behind=True, distance_m=15.0)
+    for aside_m, corner_deg, is_driven in ((5.0, 0.0, False), (1.2, 0.0, True), (1.2, 35.0, True)):
+        scene, exit_lane = _scene_with_exit(aside_m, 0.0)
+        mouth = exit_lane.centreline_m[0]
+        corner = mouth + [3.0, 0.0]
+        after = corner + turned([[0.0, 0.0], [80.0, 0.0]], corner_deg)
+        bent = dataclasses.replace(exit_lane, centreline_m=np.array([mouth, *after]))
+        lanes = tuple(bent if lane is exit_lane else lane for lane in scene.lanes)
+        scene = dataclasses.replace(scene, lanes=lanes)
+        runs, refusals = laid(scene, "CPFA-50", position, vut, rule, speeds=(60.0,))
+        assert bool(runs) == is_driven
+        assert all("too fast for the change" in one.reason for one in refusals)
 
 
 def test_behind_a_lane_that_only_turns_the_next_one_leads_straight_on(vut, rule):
