@@ -7,7 +7,7 @@ the walk, too; few sets are best in both.
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from geometry.clock import now_s
 from .bitsets import BestSet, SetValues, set_values
 from .cover_tree import SetWalk
 from .failures import least_left, least_left_with_each
-from .limits import fitting, is_allowed
+from .limits import Limits, fitting, is_allowed
 from .objectives import TOLERANCE
 from .pair_walk import MAX_UNITS, PairWalk
 from .presolve import ReducedProblem
@@ -72,14 +72,23 @@ class Tied:
 class SetSearch:
     """What it takes to exchange units of sets, and to walk through all sets."""
 
-    def __init__(self, reduced: ReducedProblem, *, end_s: float = np.inf) -> None:
+    def __init__(
+        self, reduced: ReducedProblem, *, end_s: float = np.inf, links: Links | None = None
+    ) -> None:
         self.reduced, self.end_s = reduced, end_s
-        self.links: Links = build_links(reduced)
+        self.links: Links = build_links(reduced) if links is None else links
         self.n_units = reduced.limits.max_units
         self.survive = reduced.survive
         self._tables = _world_tables(self.links, reduced.measure)
         self._root: Root | None = None
         self._run_weight: FloatArray | None = None
+
+    def with_limits(self, limits: Limits) -> "SetSearch":
+        """The same for sets within other limits, by the same weights of worlds."""
+        reduced = replace(self.reduced, limits=limits)
+        other = SetSearch(reduced, end_s=self.end_s, links=self.links)
+        other._run_weight = self.run_weight
+        return other
 
     # ---------- values
 
@@ -294,6 +303,8 @@ class SetSearch:
         measure, reached = self.reduced.measure, []
         mean = measure.sample_weight
         for _ in range(_WORLD_ROUNDS):
+            if now_s() > self.end_s:
+                break
             of_runs = measure.weight * (mean / measure.sample_weight)[measure.sample_index]
             units = self._exchanged_by(of_runs, self._greedy_by(of_runs))
             row = measure.by_world(
@@ -380,6 +391,7 @@ class SetSearch:
                 need=value if least_apr is None else least_apr,
                 n_failures=n_failures,
                 left=value,
+                end_s=end_s,
             )
 
         def within(block: IntArray) -> IntArray:
@@ -394,6 +406,9 @@ class SetSearch:
         step = (1.0 - 1.0e-6) * self._unit()
         is_near = n_failures > 0 or not self.reduced.measure.is_mean
         ahead = _NEAR * best if is_near else step
+        if now_s() > end_s:
+            limit = self.reduced.measure.limit
+            return Tied(sets=None, value=best, limit=max(limit, best), is_finished=False)
         walk = walk_from(best + ahead)
         limit = self._rounded_down(walk.root_limit)
         is_proven = ahead > 0.0 and not is_near
@@ -409,6 +424,8 @@ class SetSearch:
             if not walk.is_finished:
                 return Tied(sets=None, value=best, limit=max(limit, best), is_finished=False)
             limit = min(limit, self._rounded_down(best + ahead)) if is_near else best
+            if now_s() > end_s:
+                return Tied(sets=None, value=best, limit=limit, is_finished=is_proven)
         walk = walk_from(best)
         tied, has_all = [np.empty((0, self.n_units), dtype=np.int64)], True
         for block in walk.blocks(end_s):
