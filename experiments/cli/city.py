@@ -63,7 +63,6 @@ Examples:
 )
 @option(
     "--budget-eur",
-    "--budget-cost",
     "budget_eur",
     type=click.FloatRange(min=0.0, min_open=True),
     metavar="EUR",
