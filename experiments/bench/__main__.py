@@ -27,6 +27,7 @@ from placement.setting import build_setting
 from placement.visibility.build import build_detection_table
 
 from ..study.layout import load_carlancap_layout
+from .city import measure_city
 from .optimiser import measure_covering, measure_large, measure_optimiser
 from .perception import measure_perception
 from .rays import N_MOUNTS, REPEATS, Figures, measure_casting, measure_table
@@ -39,7 +40,7 @@ _OWN_CASES = "CPNC-50,CBNA,CBLA"  # the study's: rays are measured on their 104 
 @click.option("--budget", default=3, show_default=True, help="Units of the main job.")
 @click.option("--out", type=click.Path(path_type=Path), help="JSON file for the figures.")
 def main(budget: int, out: Path | None) -> None:
-    """Measure rays, optimiser, growth with the runs, perception, and the whole command."""
+    """Measure rays, optimiser, a city, growth with the runs, perception, and the whole command."""
     scene = load_study_scene()
     setting = build_setting(Question(cases=_OWN_CASES, along_arms="0"), scene)
     candidates = build_candidates(
@@ -54,6 +55,7 @@ def main(budget: int, out: Path | None) -> None:
         **measure_table(asked, candidates),
         **measure_optimiser(asked, candidates, budget),
         **measure_covering(),
+        **measure_city(),
         **_measure_growth(candidates),
         **measure_perception(setting),
         **measure_large(),
