@@ -1,6 +1,7 @@
 """A city's choice: made-up fronts, solved here and by a direct call of HiGHS."""
 
 import time
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -63,17 +64,19 @@ def build_made_up_city(n_junctions: int, *, seed: int = 0) -> tuple[Options, Flo
     rng = np.random.default_rng(seed)
     shape = (n_junctions, _POINTS)
     cost = np.cumsum(rng.integers(1_500, 9_000, shape), axis=1).astype(np.float64)
-    apr = 1.0 - np.cumprod(rng.uniform(0.3, 0.95, shape), axis=1)
-    cost, apr = (np.hstack([np.zeros((n_junctions, 1)), values]) for values in (cost, apr))
+    rising = 1.0 - np.cumprod(rng.uniform(0.3, 0.95, shape), axis=1)
+    nothing = np.zeros((n_junctions, 1))
+    cost = np.hstack([nothing, cost])
+    apr: FloatArray = np.hstack([nothing, rising]).ravel()
     rows = np.arange(apr.size)
     options = Options(
         junction=rows // (_POINTS + 1),
         units=rows % (_POINTS + 1),
         cost_eur=cost.ravel(),
-        apr=apr.ravel(),
-        apr_one_failed=0.5 * apr.ravel(),
-        smallest_margin_s=np.where(apr.ravel() > 0.0, 0.1, 0.0),
-        mean_margin_s=np.where(apr.ravel() > 0.0, 1.0, 0.0),
+        apr=apr,
+        apr_one_failed=np.array(0.5 * apr),
+        smallest_margin_s=np.where(apr > 0.0, 0.1, 0.0),
+        mean_margin_s=np.where(apr > 0.0, 1.0, 0.0),
     )
     return options, rng.lognormal(size=n_junctions), _BUDGET_SHARE * float(cost[:, -1].sum())
 
@@ -85,9 +88,9 @@ def solve_directly(
     n = len(options)
     one_each = sp.csr_array((np.ones(n), (options.junction, np.arange(n))))
     profit = (weight / weight.sum())[options.junction] * options.apr
-    solved = milp(
+    solved: Any = milp(
         -profit,
-        integrality=np.ones(n),
+        integrality=np.ones(n, dtype=np.int64),
         bounds=Bounds(0.0, 1.0),
         constraints=[
             LinearConstraint(one_each, lb=1.0, ub=1.0),

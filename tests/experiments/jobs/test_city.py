@@ -266,17 +266,31 @@ def test_a_budget_below_the_cheapest_unit_buys_nothing_and_says_what_it_would(
     assert result.sentences[1].startswith("The cheapest useful choice is 1 unit at ")
 
 
-def test_what_hangs_there_is_kept_and_paid(tiny, city, here, tmp_path):
-    before = run(tiny / "tiny.osm", city, budget_units=1)
-    served = next(one for one in before.junctions if one.units)
-    after = run(tiny / "tiny.osm", tmp_path / "next", budget_units=1, keep=(city,))
-    kept = next(one for one in after.junctions if one.id == served.id)
-    assert kept.kept == 1
-    assert kept.apr_before == pytest.approx(served.apr)
-    assert after.units == 1
-    assert after.apr_before == pytest.approx(before.stages[0].objective)
-    assert after.stages[0].objective > before.stages[0].objective
-    assert sum(one.count for one in after.purchases if one.part == "sensor") == 1
+def test_what_hangs_there_is_kept_and_paid(tiny, here, tmp_path, no_pages):
+    before = json.loads((tiny / "city" / "city.json").read_text())
+    served = next(one for one in before["junctions"] if one["units"])
+    folder = tiny / "city" / served["folder"]
+    after = run(
+        tiny / "tiny.osm",
+        tmp_path / "next",
+        budget_units=1,
+        keep=(folder / "layout.json",),
+        junctions=served["id"],
+    )
+    [kept] = after.junctions
+    assert (kept.kept, kept.units) == (served["units"], after.units)
+    assert kept.apr_before == pytest.approx(served["apr"])
+    assert after.apr_before == pytest.approx(served["apr"])
+    assert after.stages[0].objective >= after.apr_before
+    assert sum(one.count for one in after.purchases if one.part == "sensor") == after.units
+    assert any("hangs there already prevents" in sentence for sentence in after.sentences)
+    with pytest.raises(InputError, match=r"scene: got 'tiny/n\d'; expected a junction that counts"):
+        run(
+            tiny / "tiny.osm",
+            tmp_path / "other",
+            keep=(tiny / "city",),
+            junctions=next(one["id"] for one in before["junctions"] if not one["units"]),
+        )
 
 
 def test_which_junctions_count(tiny, city, never, tmp_path, no_pages):
