@@ -185,7 +185,8 @@ class Junction:
         Lanes through the junction, each from the end of an entry lane to the begin of an exit lane,
         and through others around it.
     beyond : tuple of Lane
-        Lanes that are assumed, from beyond the map to the begin of an entry lane.
+        Lanes that are assumed, from beyond the map to the begin of an entry lane: straight ones of
+        two points, or bent past buildings.
     """
 
     name: str
@@ -196,8 +197,23 @@ class Junction:
 
     def is_led_on(self, entry: Lane) -> bool:
         """Whether a lane is assumed to lead to the begin of an entry lane, where the map ends."""
-        tips = [lane.centreline_m[-1] for lane in self.beyond]
-        return any(np.hypot(*(tip - entry.centreline_m[0])) <= _SAME_POINT_M for tip in tips)
+        return bool(self._before(entry))
+
+    def followed(self, entry: Lane) -> Lane:
+        """An entry lane with the lane that is assumed before it, if that one bends."""
+        bent = [lane for lane in self._before(entry) if len(lane.centreline_m) > 2]
+        if not bent:
+            return entry
+        chain = np.concatenate([bent[0].centreline_m[:-1], entry.centreline_m])
+        return replace(entry, centreline_m=chain)
+
+    def _before(self, entry: Lane) -> list[Lane]:
+        begin = entry.centreline_m[0]
+        return [
+            lane
+            for lane in self.beyond
+            if np.hypot(*(lane.centreline_m[-1] - begin)) <= _SAME_POINT_M
+        ]
 
     def connection(self, entry: Lane, leaving: Lane) -> Lane | None:
         """The lane through the junction from one lane into another; None if the map has none."""

@@ -20,6 +20,7 @@ from .export import export
 from .latency import latency
 from .pareto import pareto
 from .place import cli
+from .plan import plan
 from .render import render
 from .retrofit import retrofit
 from .running import command_line
@@ -89,6 +90,7 @@ for _command in (
         export,
         latency,
         pareto,
+        plan,
         render,
         retrofit,
     ),

@@ -84,7 +84,7 @@ class CitySearch:
 
     is_coarse: bool = False
     max_units: int = 6
-    max_junction_s: float = 120.0
+    max_junction_s: float = 300.0
     radius_m: float = DEFAULT_RADIUS_M
     sites: str = "auto"
     reading: ReadingOptions = field(default_factory=ReadingOptions)

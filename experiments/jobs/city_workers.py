@@ -74,7 +74,9 @@ def run_junction(task: JunctionTask) -> JunctionAnswer:
             compute=Compute(seed=task.seed, workers=1),
         )
     except (InputError, TimeUpError) as error:
-        record = failed_record(task, str(error), notes=notes)
+        # Another time, the machine may be less busy, and what it compiles once is compiled.
+        is_final = isinstance(error, InputError)
+        record = failed_record(task, str(error), is_final=is_final, notes=notes)
         return JunctionAnswer(record=record, files=files)
     record = CityFrontRecord(
         key=task.key,

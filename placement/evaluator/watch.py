@@ -37,7 +37,14 @@ from ..kept import Fingerprints, Kept
 from ..setting import Setting
 from .perceive import perceive_from_roadside, perceive_from_vut
 from .scan import scan_from_roadside, scan_from_vut
-from .surroundings import VutCamera, build_surroundings, draw_index, load_vut_camera, load_vut_lidar
+from .surroundings import (
+    VutCamera,
+    build_surroundings,
+    draw_index,
+    load_vut_camera,
+    load_vut_lidar,
+    vut_pitch_deg,
+)
 
 # ---------- pictures for networks
 
@@ -116,11 +123,14 @@ def vut_camera_pose(mount: VutCamera, run: Run, frame_index: int) -> Pose:
     on_vut = mount.pose_on(run.encounter.vut)
     yaw_deg = float(run.vut_yaw_deg[frame_index])
     position_m = on_ground(run.vut_position_m[frame_index], run.terrain)
-    vut = Pose(position_m=position_m, yaw_deg=yaw_deg)
+    pitch_deg = vut_pitch_deg(
+        run.encounter.vut, run.vut_position_m[frame_index], yaw_deg, run.terrain
+    )
+    vut = Pose(position_m=position_m, yaw_deg=yaw_deg, pitch_deg=float(pitch_deg))
     return Pose(
         position_m=to_world(on_vut.position_m[None], vut)[0],
         yaw_deg=yaw_deg + on_vut.yaw_deg,
-        pitch_deg=on_vut.pitch_deg,
+        pitch_deg=vut.pitch_deg + on_vut.pitch_deg,
     )
 
 
@@ -176,7 +186,7 @@ def watch(
 # ---------- what is kept for the next call
 
 
-_KIND = "place-rsus/views/1"  # raise it whenever the same inputs give other detections
+_KIND = "place-rsus/views/2"  # raise it whenever the same inputs give other detections
 
 
 def _names(setting: Setting, units: Mapping[UnitKey, CandidatePose]) -> dict[UnitKey, str]:

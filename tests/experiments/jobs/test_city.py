@@ -26,7 +26,7 @@ from experiments.results.folders import changed_files
 from geometry.errors import InputError, MissingExtraError
 from placement.layout import load_layout
 
-SEARCH = job.CitySearch(is_coarse=True, max_units=2, max_junction_s=60.0)
+SEARCH = job.CitySearch(is_coarse=True, max_units=2, max_junction_s=3600.0)
 LEAST_S = 1.0e-6
 
 
