@@ -112,46 +112,32 @@ def cover_beside(
     row_place: IntArray,
     none: int,
     poses: IntArray,
-    begin: int,
-    end: int,
     alone: WordArray,
     may: WordArray,
     part: WordArray,
 ) -> None:
     """Runs that a union avoids with each of some poses, and for which each may be of use.
 
-    Poses begin .. end - 1 of `poses`; only `chains` are looked at. Rows of chain g are
+    Only `chains` are looked at. Rows of chain g are
     ``row_start[g]`` .. ``row_start[g + 1] - 1``: they end after ``row_last`` windows, falling, and
     their bits are at ``row_place``. Sets bits, (n_poses, n_row_words): in `alone` where the pose
     and the union avoid the run, in `may` where it sees a piece that is asked for, in `part` where
     it sees one that is missing.
     """
     n_phases = layout.n_phases
-    for number in range(begin, end):
+    for number in range(len(poses)):
         bits = layout.bits[poses[number]]
         alone[number] = 0
         may[number] = 0
         part[number] = 0
         for chain in chains:
             first_word, last_word = layout.start[chain], layout.start[chain + 1]
-            tail, last_tail = layout.tail_start[chain], layout.tail_start[chain + 1]
-            exact = first_live(
-                bits,
-                union,
-                n_phases,
-                first_word,
-                last_word,
-                layout.tail_links,
-                tail,
-                last_tail,
-                none,
-            )
             sees_asked_tail, sees_tail = False, False
             place = asked_tail[chain]
             if place >= 0:
-                sees_asked_tail = (
-                    bits[place >> 6, n_phases] >> np.uint64(place & 63)
-                ) & np.uint64(1) != 0
+                sees_asked_tail = (bits[place >> 6, n_phases] >> np.uint64(place & 63)) & np.uint64(
+                    1
+                ) != 0
                 for word in range(first_word, last_word):
                     sees_tail |= bits[word, n_phases] & ~union[word, n_phases] != 0
             some = 0 if sees_tail and dead_links[chain] > 0 else none
@@ -167,6 +153,21 @@ def cover_beside(
                 if seen != 0:
                     hopeful = 64 * (word - first_word) + lowest_bit(seen)
                     break
+            if some == none:
+                continue
+            exact = none
+            if hopeful < row_last[row_start[chain]]:
+                exact = first_live(
+                    bits,
+                    union,
+                    n_phases,
+                    first_word,
+                    last_word,
+                    layout.tail_links,
+                    layout.tail_start[chain],
+                    layout.tail_start[chain + 1],
+                    none,
+                )
             for row in range(row_start[chain], row_start[chain + 1]):
                 last, place = row_last[row], row_place[row]
                 word, bit = place >> 6, np.uint64(1) << np.uint64(place & 63)
@@ -193,30 +194,28 @@ def find_pairs(
     may_lose: float,
     site: IntArray,
     room: IntArray,
+    copies: IntArray,
     next_pair: IntArray,
-    max_work: int,
     out: IntArray,
 ) -> int:
     """Pairs of poses that may lose so little together, (n, 2); how many were written.
 
     Bits are as in :func:`cover_beside`; `open_rows` counts, in `words` alone, and a row is worth
     what `table`, (n_bytes, 256), says of its byte. `gain`, falling, is what each pose may gain at
-    most, of which a pair has to gain `need`. `room` is left at each site. `next_pair`, (2,), is
-    where to go on: at (n, ..) all pairs were looked at.
+    most, of which a pair has to gain `need`. `room` is left at each site; two of a kind that has
+    `copies` are a pair. `next_pair`, (2,), is where to go on: at (n, ..) all were looked at.
     """
-    n_poses, n_found, work = len(gain), 0, 0
+    n_poses, n_found = len(gain), 0
     one, other = next_pair[0], next_pair[1]
-    while one < n_poses:
+    while one < n_poses and n_found < len(out):
         if other >= n_poses or gain[one] + gain[other] < need:
+            if other == one:  # gains fall: nothing behind is any better
+                one = n_poses
+                break
             one += 1
-            other = one + 1
-            if one + 1 >= n_poses or gain[one] + gain[one + 1] < need:
-                one = n_poses  # gains fall: nothing behind is any better
+            other = one
             continue
-        if n_found == len(out) or work > max_work:
-            break
-        work += 1
-        if site[one] == site[other] and room[site[one]] < 2:
+        if (site[one] == site[other] and room[site[one]] < 2) or (one == other and copies[one] < 2):
             other += 1
             continue
         lost = 0.0
@@ -257,15 +256,16 @@ def keep_sets(
     layout: Layout,
     worth: FloatArray,
     chains: IntArray,
+    before: WordArray,
     sets: IntArray,
     most: float,
     kept: BoolArray,
 ) -> None:
-    """Which sets lose no more than so much, (n_sets,)."""
-    union = np.empty(layout.bits.shape[1:], dtype=np.uint64)
+    """Which sets, beside what is seen `before`, lose no more than so much, (n_sets,)."""
+    union = np.empty_like(before)
     first = np.empty(len(chains), dtype=np.int64)
     for number in range(len(sets)):
-        union[:] = 0
+        union[:] = before
         for pose in sets[number]:
             join(layout.bits, pose, union, union)
         lost = lost_with(

@@ -1,13 +1,15 @@
-"""All sets of two or three units that reach a need: one unit after the other, then pairs.
+"""All sets of two or three units that reach a need: a class of poses, and pairs beside it.
 
 Where detections flicker, that a pose sees the frame which a window is asked for says little: hardly
-any run is out of reach of a pose (:mod:`placement.optimiser.cover_tree`). It says much more when the
-other units are known, since all that they see already is not asked for any more. So
+any run is out of reach of a pose (:mod:`placement.optimiser.cover_tree`). It says much more when
+another unit is known, since what that one sees is not asked for any more. So
 
-* units are gone through in the order of what they promise at the root, each with those behind it;
-* beside each, the poses that may gain enough by the root's rows are laid out by the runs that they
-  avoid with it, and those where they may be of use (:mod:`placement.optimiser.pair_kernels`);
-* pairs of these that lose too little are valued on the windows.
+* poses of a site that avoid much the same runs are a *class*, as good as all of them together;
+* classes are gone through, each with those behind it. Beside each, the other classes are laid out
+  by the runs that they avoid with it, and by those where they may be of use
+  (:mod:`placement.optimiser.pair_kernels`); then the poses of those that pair with any;
+* pairs of poses that lose too little are valued on the windows, beside the class, and then beside
+  each of its poses.
 
 A walk that ends has met every set that reaches the need.
 """
@@ -17,18 +19,20 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 
 import numpy as np
 
-from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.arrays import FloatArray, IntArray
 from geometry.clock import now_s
 
 from .limits import Limits
-from .presolve import WordArray
-from .set_tree import Links, Root
+from .presolve import WordArray, pack_words
+from .set_tree import Links, avoided_runs, first_seen
 from .threads import WORKERS
 
 MAX_UNITS = 3
 _SLACK = 1.0e-9  # relative: rounding of sums
-_WORK = 2_000_000  # pairs that are looked at between two looks at the clock
+_CLASS_POSES = 8  # of a class, on average
+_MAX_TOGETHER = 2000  # poses whose likeness is looked at in one go
 _OUT_PAIRS = 1 << 14
+_MANY_PAIRS = 2000  # to be valued beside a class
 
 
 class PairWalk:
@@ -38,40 +42,28 @@ class PairWalk:
     """
 
     def __init__(
-        self,
-        links: Links,
-        limits: Limits,
-        weight: FloatArray,
-        root: Root,
-        *,
-        n_units: int,
-        need: float,
+        self, links: Links, limits: Limits, weight: FloatArray, *, n_units: int, need: float
     ) -> None:
         if not 2 <= n_units <= MAX_UNITS:
             raise ValueError(f"n_units: got {n_units}; expected 2 .. {MAX_UNITS}")
-        self.links, self.limits, self.n_units, self.root = links, limits, n_units, root
+        self.links, self.limits, self.n_units = links, limits, n_units
         self.total = float(weight.sum())
         self.need = need
         self.is_finished = False  # whether all sets were gone through
-        self._rows = _Rows(links, weight)
-        self._seen_by = _seen_by(links)
-        self._root_table = _byte_table(root.weight, root.covers.shape[1])
-        price = np.minimum(root.price, root.weight)
-        # No set is worth more than this and the gains of its poses.
-        self._base = float((root.weight - price).sum())
-        gain = _weigh(root.covers, _byte_table(price, root.covers.shape[1]))
-        usable = ~limits.is_forbidden & (limits.site_capacity > 0)[limits.site_index]
-        order = np.argsort(-gain, kind="stable")
-        self.order: IntArray = order[usable[order]]
-        self._gain = gain[self.order]
+        usable = np.flatnonzero(
+            ~limits.is_forbidden & (limits.site_capacity > 0)[limits.site_index]
+        )
+        self.rows = _Rows(links, weight, usable)
+        self.classes = _Classes(links, limits, weight, usable if n_units > 2 else usable[:0])
+        self.seen_by = _seen_by(links)
 
     @property
     def root_limit(self) -> float:
-        """No set that reaches what was needed at first is worth more."""
-        return self.root.limit
+        """No set is worth more, as far as this is known without a walk."""
+        return self.total
 
-    def raise_needs(self, need: float) -> None:
-        """Ask for more from here on."""
+    def raise_needs(self, need: float, left: float = 0.0) -> None:
+        """Ask for more from here on; nothing is asked of what is `left` when units fail."""
         self.need = max(self.need, need)
 
     @property
@@ -80,184 +72,237 @@ class PairWalk:
         return self.total - self.need + _SLACK * max(self.total, 1.0)
 
     def blocks(self, end_s: float) -> Iterator[IntArray]:
-        """Sets that may reach the need, many at a time, until `end_s` on the monotonic clock.
+        """Sets that reach the need, many at a time, until `end_s` on the monotonic clock.
 
         An empty block says that nothing was found for a while. The order is left to chance.
         """
-        beginnings = self._beginnings()
-        waiting: set[Future[tuple[_Beside | None, IntArray]]] = set()
+        tasks = iter(range(self.classes.n_promising(self.may_lose))) if self.n_units > 2 else None
+        work = self._beside_class if tasks is not None else self._all_pairs
+        tasks = iter((0,)) if tasks is None else tasks
+        waiting: set[Future[IntArray]] = set()
         with ThreadPoolExecutor(WORKERS) as threads:
             while now_s() < end_s:
-                while len(waiting) < 2 * WORKERS and (task := next(beginnings, None)) is not None:
-                    waiting.add(threads.submit(task.go_on))
+                while len(waiting) < 2 * WORKERS and (task := next(tasks, None)) is not None:
+                    waiting.add(threads.submit(work, task))
                 if not waiting:
                     self.is_finished = True
                     return
                 done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
                 for future in done:
-                    left, found = future.result()
-                    if left is not None:
-                        waiting.add(threads.submit(left.go_on))
-                    yield found
+                    yield future.result()
+            for future in waiting:
+                future.cancel()
 
-    def _beginnings(self) -> "Iterator[_Beside]":
-        """What stands before the last two units, and who may come behind it."""
-        if self.n_units == 2:
-            yield _Beside(self, np.empty(0, dtype=np.int64), 0)
-            return
-        best_two = self._gain[1:-1] + self._gain[2:]
-        for place, rest in enumerate(best_two.tolist()):
-            if self._base + self._gain[place] + rest < self.total - self.may_lose:
-                return
-            yield _Beside(self, self.order[place : place + 1], place + 1)
+    def _all_pairs(self, _: int) -> IntArray:
+        """All pairs that reach the need."""
+        beside = _Beside(self, None, np.zeros(0, dtype=np.int64))
+        poses = np.flatnonzero(~self.limits.is_forbidden)
+        pairs = poses[beside.pairs(self.links, poses, self.limits.site_index[poses])]
+        return self.rows.keep(self.links, pairs, self.may_lose)
+
+    def _beside_class(self, place: int) -> IntArray:
+        """Sets of a class and those behind it that reach the need."""
+        classes, limits = self.classes, self.limits
+        one, behind = classes.order[place], classes.order[place:]
+        beside = _Beside(self, classes.links, np.array([one]))
+        pairs = beside.pairs(classes.links, behind, classes.site[behind], copies=classes.size)
+        hot = behind[np.unique(pairs)]
+        poses = np.flatnonzero(np.isin(classes.class_of, hot))
+        found = poses[beside.pairs(self.links, poses, limits.site_index[poses])]
+        members = np.flatnonzero(classes.class_of == one)
+        if len(found) > _MANY_PAIRS:  # the class promises too much: its poses one by one
+            poses, parts = np.unique(found), []
+            for member in members.tolist():
+                beside = _Beside(self, self.links, np.array([member]))
+                pairs = poses[beside.pairs(self.links, poses, limits.site_index[poses])]
+                parts.append(np.column_stack([np.full(len(pairs), member), pairs]))
+            sets = np.concatenate(parts)
+        else:
+            found = self.rows.keep(self.links, found, self.may_lose, beside.union)
+            sets = np.column_stack(
+                [np.repeat(members, len(found)), np.tile(found, (len(members), 1))]
+            )
+        # Two or three of the class itself: once, in ascending order.
+        is_later = (classes.class_of[sets[:, 1:]] != one) | (sets[:, 1:] > sets[:, :1])
+        sets = sets[is_later.all(axis=1)]
+        sites = limits.site_index[sets]
+        n_beside = (sites[:, :, None] == sites[:, None, :]).sum(axis=2)
+        sets = sets[(n_beside <= limits.site_capacity[sites]).all(axis=1)]
+        return self.rows.keep(self.links, sets, self.may_lose)
 
 
 class _Beside:
-    """The pairs beside the first unit, or none, from some place of the order on."""
+    """What stands before the last two units, and the runs that it leaves open."""
 
-    def __init__(self, owner: PairWalk, before: IntArray, first: int) -> None:
-        self.owner, self.before, self.first = owner, before, first
-        self.poses: IntArray | None = None  # not looked at yet
+    def __init__(self, owner: PairWalk, links: Links | None, before: IntArray) -> None:
+        from .pair_kernels import ask_for_pieces
 
-    def go_on(self) -> "tuple[_Beside | None, IntArray]":
-        """Look for a while; what is left to do, and sets that were found."""
-        from .pair_kernels import find_pairs
-
-        if self.poses is None:
-            self._lay_out()
-        assert self.poses is not None
-        owner, n_units = self.owner, self.owner.n_units
-        may_lose = owner.may_lose
-        pairs = np.empty((_OUT_PAIRS, 2), dtype=np.int64)
-        n_found = find_pairs(
-            *(self.alone, self.may, self.part, self.open_rows, self.words, owner._rows.table),
-            *(self.gain, self.open_weight - may_lose, may_lose),
-            *(owner.limits.site_index[self.poses], self.room, self.next_pair, _WORK, pairs),
-        )
-        found = np.empty((n_found, n_units), dtype=np.int64)
-        found[:, : n_units - 2] = self.before
-        found[:, n_units - 2 :] = self.poses[pairs[:n_found]]
-        found = owner._rows.keep(owner.links, found, owner.may_lose)
-        is_done = int(self.next_pair[0]) >= len(self.poses)
-        return (None if is_done else self), found
-
-    def _lay_out(self) -> None:
-        from .pair_kernels import ask_for_pieces, cover_beside
-
-        owner, links = self.owner, self.owner.links
-        layout, rows, limits = links.layout, owner._rows, owner.limits
-        room = limits.site_capacity.copy()
-        room[limits.site_index[self.before]] -= 1
-        self.room = room
-        poses = self._promising(owner.order[self.first :])
-        union = np.zeros(layout.bits.shape[1:], dtype=np.uint64)
-        if layout.bits.shape[2] > layout.n_phases and not len(self.before):
-            union[:, layout.n_phases] = owner._rows.padding
-        if len(self.before):
-            union = links.union(self.before)
-        n_words = layout.bits.shape[1]
-        asked = np.empty((layout.n_phases + 1, n_words), dtype=np.uint64)
-        missing = np.empty_like(asked)
-        asked_tail, dead_links = (np.empty(len(links.n_links), dtype=np.int64) for _ in range(2))
+        self.owner = owner
+        layout = owner.links.layout
+        self.room = owner.limits.site_capacity.copy()
+        if links is None:
+            self.union = np.zeros(layout.bits.shape[1:], dtype=np.uint64)
+            if layout.bits.shape[2] > layout.n_phases:
+                self.union[:, layout.n_phases] = _padding(owner.links)
+            first = np.full(len(owner.links.n_links), owner.links.longest)
+        else:
+            self.union = links.union(before)
+            first = first_seen(links, before[None, :])[0]
+            site = owner.limits.site_index if links is owner.links else owner.classes.site
+            self.room[site[before]] -= 1
+        self.asked = np.empty((layout.n_phases + 1, layout.bits.shape[1]), dtype=np.uint64)
+        self.missing = np.empty_like(self.asked)
+        n_chains = len(owner.links.n_links)
+        self.asked_tail, self.dead_links = (np.empty(n_chains, dtype=np.int64) for _ in range(2))
         ask_for_pieces(
-            layout, union, links.n_links, owner._seen_by, asked, missing, asked_tail, dead_links
+            *(layout, self.union, owner.links.n_links, owner.seen_by),
+            *(self.asked, self.missing, self.asked_tail, self.dead_links),
         )
-        self.open_rows, chains = rows.open_with(links, self.before)
+        self.open_rows, self.chains = owner.rows.open_after(first)
         self.words = np.flatnonzero(self.open_rows)
-        self.open_weight = float(_weigh(self.open_rows[None, :], rows.table)[0])
+        self.weight = float(_weigh(self.open_rows[None, :], owner.rows.table)[0])
+
+    def pairs(
+        self, links: Links, poses: IntArray, site: IntArray, *, copies: IntArray | None = None
+    ) -> IntArray:
+        """Pairs of some poses, or classes, that may lose little beside: places, (n, 2).
+
+        `copies`, by class, is how many poses it has: two of them are a pair, too.
+        """
+        from .pair_kernels import cover_beside, find_pairs
+
+        owner = self.owner
+        rows, may_lose = owner.rows, owner.may_lose
         shape = (len(poses), len(self.open_rows))
         alone, may, part = (np.empty(shape, dtype=np.uint64) for _ in range(3))
         cover_beside(
-            *(layout, union, asked, missing, asked_tail, dead_links),
-            *(chains, rows.start, rows.last, rows.place, links.longest),
-            *(poses, 0, len(poses), alone, may, part),
+            *(links.layout, self.union, self.asked, self.missing, self.asked_tail),
+            *(self.dead_links, self.chains, rows.start, rows.last, rows.place, links.longest),
+            *(poses, alone, may, part),
         )
         gain = _weigh(may & self.open_rows, rows.table)
-        # Hopeless: not even with the best other one.
-        need = self.open_weight - owner.may_lose
-        kept = np.flatnonzero(gain + gain.max(initial=0.0) >= need)
+        need = self.weight - may_lose
+        has_room = self.room[site] > 0
+        most = float(gain[has_room].max(initial=0.0))
+        kept = np.flatnonzero(has_room & (gain + most >= need))
         kept = kept[np.argsort(-gain[kept], kind="stable")]
-        self.poses, self.gain = poses[kept], gain[kept]
-        self.alone, self.may, self.part = alone[kept], may[kept], part[kept]
-        self.next_pair = np.array([0, 1])
-
-    def _promising(self, poses: IntArray) -> IntArray:
-        """Poses that may gain enough, with another one, by the rows of the root."""
-        owner = self.owner
-        root, limits = owner.root, owner.limits
-        poses = poses[self.room[limits.site_index[poses]] > 0]
-        if not len(self.before):
-            return poses
-        covered = np.bitwise_or.reduce(root.covers[self.before], axis=0)
-        reached = float(_weigh(covered[None, :], owner._root_table)[0])
-        gain = _weigh(root.covers[poses] & ~covered, owner._root_table)
-        need = owner.total - owner.may_lose - reached
-        promising: IntArray = poses[gain + gain.max(initial=0.0) >= need]
-        return promising
+        n_copies = np.ones(len(kept), dtype=np.int64) if copies is None else copies[poses[kept]]
+        found, next_pair = [np.empty((0, 2), dtype=np.int64)], np.zeros(2, dtype=np.int64)
+        while next_pair[0] < len(kept):
+            out = np.empty((_OUT_PAIRS, 2), dtype=np.int64)
+            n_found = find_pairs(
+                *(alone[kept], may[kept], part[kept], self.open_rows, self.words, rows.table),
+                *(gain[kept], need, may_lose, site[kept], self.room, n_copies, next_pair, out),
+            )
+            found.append(kept[out[:n_found]])
+        return np.concatenate(found)
 
 
 class _Rows:
-    """Runs as bits: those that the fewest poses avoid come first."""
+    """Runs that weigh anything, as bits: those that the fewest poses avoid come first."""
 
-    def __init__(self, links: Links, weight: FloatArray) -> None:
+    def __init__(self, links: Links, weight: FloatArray, poses: IntArray) -> None:
         order = np.lexsort((-links.last, links.run_chain))
-        self.run = order
-        self.start = np.searchsorted(links.run_chain[order], np.arange(len(links.n_links) + 1))
-        self.last = links.last[order]
-        self.chain = links.run_chain[order]
-        # Chains whose windows few see stand together: words of them are looked at first.
-        sample = np.arange(0, links.n_poses, max(1, links.n_poses // 256))
-        from .set_tree import first_seen
-
-        first = first_seen(links, sample[:, None])
-        is_avoided = first[:, self.chain] < self.last
+        order = order[weight[order] > 0.0]
+        self.chain, self.last = links.run_chain[order], links.last[order]
+        self.start = np.searchsorted(self.chain, np.arange(len(links.n_links) + 1))
+        some = poses[:: max(1, len(poses) // 256)]
+        is_avoided = first_seen(links, some[:, None])[:, self.chain] < self.last
+        hardest_first = np.argsort(is_avoided.sum(axis=0), kind="stable")
         self.place = np.empty(len(order), dtype=np.int64)
-        self.place[np.argsort(is_avoided.mean(axis=0), kind="stable")] = np.arange(len(order))
-        self.n_words = -(-len(order) // 64)
-        by_place = np.zeros(64 * self.n_words)
-        by_place[self.place] = weight[order]
-        self.table = _byte_table(by_place, self.n_words)
+        self.place[hardest_first] = np.arange(len(order))
+        self.n_words = max(1, -(-len(order) // 64))
+        self.table = _byte_table(weight[order][hardest_first], self.n_words)
         self.worth = links.chain_worth(weight)
-        self.chains = np.argsort(-self.worth[:, 0] * (1.0 - _mean_share(self, first)), kind="stable")
-        n_tails = np.diff(links.layout.tail_start)
-        padding = np.zeros(64 * links.layout.bits.shape[1], dtype=bool)
-        for chain, count in enumerate(n_tails.tolist()):
-            begin, end = 64 * links.layout.start[chain : chain + 2]
-            padding[begin + count : end] = True
-        from .presolve import pack_words
+        self.chains: IntArray = np.unique(self.chain[hardest_first], return_index=True)[1]
+        self.chains = self.chain[hardest_first][np.sort(self.chains)]
 
-        self.padding: WordArray = pack_words(padding)
-
-    def open_with(self, links: Links, units: IntArray) -> tuple[WordArray, IntArray]:
-        """Runs that a set does not avoid, as bits, and the chains that they belong to."""
-        from .presolve import pack_words
-        from .set_tree import first_seen
-
-        if len(units):
-            first = first_seen(links, units[None, :])[0]
-        else:
-            first = np.full(len(links.n_links), links.longest)
+    def open_after(self, first: IntArray) -> tuple[WordArray, IntArray]:
+        """Runs that are not avoided, as bits, and their chains, given the first live windows."""
         is_open = first[self.chain] >= self.last
         bits = np.zeros(64 * self.n_words, dtype=bool)
         bits[self.place[is_open]] = True
         return pack_words(bits), np.unique(self.chain[is_open])
 
-    def keep(self, links: Links, sets: IntArray, may_lose: float) -> IntArray:
-        """Sets that lose no more than so much."""
+    def keep(
+        self, links: Links, sets: IntArray, may_lose: float, union: WordArray | None = None
+    ) -> IntArray:
+        """Sets that lose no more than so much, beside a union if there is one."""
         from .pair_kernels import keep_sets
 
         kept = np.zeros(len(sets), dtype=bool)
-        if len(sets):
-            keep_sets(links.layout, self.worth, self.chains, sets, may_lose, kept)
+        if union is None:
+            union = np.zeros(links.layout.bits.shape[1:], dtype=np.uint64)
+        keep_sets(links.layout, self.worth, self.chains, union, sets, may_lose, kept)
         return sets[kept]
 
 
-def _mean_share(rows: _Rows, first: IntArray) -> FloatArray:
-    """Share of some poses that see a window of each chain in time for its longest run."""
-    longest = np.zeros(first.shape[1], dtype=np.int64)
-    np.maximum.at(longest, rows.chain, rows.last)
-    share: FloatArray = (first < longest).mean(axis=0)
-    return share
+class _Classes:
+    """Poses that are looked at together first; see :class:`PairWalk`."""
+
+    def __init__(self, links: Links, limits: Limits, weight: FloatArray, poses: IntArray) -> None:
+        self.class_of = np.full(links.n_poses, -1)
+        value, n_classes = np.zeros(links.n_poses), 0
+        for site in np.unique(limits.site_index[poses]):
+            here = poses[limits.site_index[poses] == site]
+            for alike in np.array_split(here, -(-len(here) // _MAX_TOGETHER)):
+                avoided = avoided_runs(links, first_seen(links, alike[:, None]))
+                value[alike] = avoided @ weight
+                number = _alike(avoided * np.sqrt(weight))
+                self.class_of[alike] = n_classes + number
+                n_classes += int(number.max()) + 1
+        self.size = np.bincount(self.class_of[poses], minlength=n_classes)
+        self.site = np.zeros(n_classes, dtype=np.int64)
+        self.site[self.class_of[poses]] = limits.site_index[poses]
+        bits = np.zeros((n_classes, *links.layout.bits.shape[1:]), dtype=np.uint64)
+        most = np.zeros(n_classes)
+        for number in range(n_classes):
+            members = np.flatnonzero(self.class_of == number)
+            bits[number] = links.union(members)
+            most[number] = value[members].max()
+        self.links = Links(
+            links.layout._replace(bits=bits), links.last, links.run_chain, links.n_links
+        )
+        self.order: IntArray = np.argsort(-most, kind="stable")
+        self.total = float(weight.sum())
+        # What all from each place of the order on avoid together.
+        self.together = np.zeros(n_classes)
+        union = np.zeros_like(bits[:1])
+        for place in range(n_classes - 1, -1, -1):
+            union |= bits[self.order[place]]
+            alone = Links(
+                links.layout._replace(bits=union), links.last, links.run_chain, links.n_links
+            )
+            first = first_seen(alone, np.zeros((1, 1), dtype=np.int64))
+            self.together[place] = float(avoided_runs(alone, first)[0] @ weight)
+
+    def n_promising(self, may_lose: float) -> int:
+        """Classes that may be the first of a set that loses little."""
+        return int(np.count_nonzero(self.total - self.together <= may_lose))
+
+
+def _alike(avoided: FloatArray) -> IntArray:
+    """Class of each of some poses, by the weighted runs that they avoid (Ward 1963)."""
+    from scipy.cluster.hierarchy import fcluster, linkage
+
+    n_classes = -(-len(avoided) // _CLASS_POSES)
+    if n_classes == 1:
+        return np.zeros(len(avoided), dtype=np.int64)
+    size = (avoided**2).sum(axis=1)
+    apart = np.sqrt(np.maximum(size[:, None] + size - 2.0 * avoided @ avoided.T, 0.0))
+    tree = linkage(apart[np.triu_indices(len(avoided), 1)], "ward")
+    _, number = np.unique(fcluster(tree, n_classes, "maxclust"), return_inverse=True)
+    return number
+
+
+def _padding(links: Links) -> WordArray:
+    """Bits behind the tails of each chain, which are set in every pose, (n_words,)."""
+    layout = links.layout
+    is_padding = np.zeros(64 * layout.bits.shape[1], dtype=bool)
+    for chain, n_tails in enumerate(np.diff(layout.tail_start).tolist()):
+        begin, end = 64 * layout.start[chain : chain + 2]
+        is_padding[begin + n_tails : end] = True
+    return pack_words(is_padding)
 
 
 def _seen_by(links: Links) -> FloatArray:
@@ -265,8 +310,7 @@ def _seen_by(links: Links) -> FloatArray:
     from .root_kernels import add_up
 
     layout = links.layout
-    n_words = layout.bits.shape[1]
-    seen = np.full((layout.n_phases + 1, 64 * n_words), np.inf)
+    seen = np.full((layout.n_phases + 1, 64 * layout.bits.shape[1]), np.inf)
     some = np.arange(0, links.n_poses, max(1, links.n_poses // 1024))
     share = np.full(len(some), 1.0 / len(some))
     for row in range(layout.bits.shape[2]):

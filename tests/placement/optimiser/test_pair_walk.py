@@ -9,12 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from geometry.arrays import IntArray
-from placement.optimiser import PlacementProblem, presolve
+from placement.optimiser import PlacementProblem, pair_walk, presolve
 from placement.optimiser.bitsets import union_apr, unions_of
 from placement.optimiser.limits import are_allowed
 from placement.optimiser.pair_walk import PairWalk
 from placement.optimiser.presolve import ReducedProblem
-from placement.optimiser.set_tree import build_links, find_root
+from placement.optimiser.set_tree import build_links
 
 
 def all_sets(reduced: ReducedProblem, n_units: int) -> IntArray:
@@ -40,9 +40,11 @@ def test_a_walk_meets_every_set_that_reaches_the_need(
     share = union_apr(reduced, unions_of(reduced, sets))
     need = float(np.quantile(share, place, method="nearest"))
     links = build_links(reduced)
-    root = find_root(links, reduced.limits, weight, n_units=n_units)
-    walk = PairWalk(links, reduced.limits, weight, root, n_units=n_units, need=need)
-    met = np.concatenate([np.empty((0, n_units), dtype=np.int64), *walk.blocks(np.inf)])
+    walk = PairWalk(links, reduced.limits, weight, n_units=n_units, need=need)
+    with pytest.MonkeyPatch.context() as patch:
+        if seed % 3 == 0:  # as where a class promises much
+            patch.setattr(pair_walk, "_MANY_PAIRS", 0)
+        met = np.concatenate([np.empty((0, n_units), dtype=np.int64), *walk.blocks(np.inf)])
     assert walk.is_finished
     assert walk.root_limit >= share.max() - 1e-9
     expected = sorted(tuple(sorted(units)) for units in sets[share >= need - 1e-9].tolist())
@@ -50,5 +52,5 @@ def test_a_walk_meets_every_set_that_reaches_the_need(
 
 
 def test_more_units_than_three_are_refused() -> None:
-    with pytest.raises(ValueError, match="n_units: got 4; expected 2 .. 3"):
-        PairWalk(*[None] * 4, n_units=4, need=0.0)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"n_units: got 4; expected 2 \.\. 3"):
+        PairWalk(*[None] * 3, n_units=4, need=0.0)  # type: ignore[arg-type]
