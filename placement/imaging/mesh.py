@@ -5,6 +5,7 @@ Rays are cast in single precision: a frame's mesh has its origin at the camera.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -241,8 +242,7 @@ def _smallest_rectangle(points_m: FloatArray) -> tuple[FloatArray, float, float,
 
 def _body_mesh(name: str, actor: Actor, shape: Shape, pose: Pose) -> Mesh:
     size_m = np.array([actor.length_m, actor.width_m, actor.height_m])
-    shade = _round_normals if actor.class_name in ROUND else _flat_normals
-    normals = shade(shape.vertices_m, shape.triangles)
+    normals = _body_normals(shape, is_round=actor.class_name in ROUND)
     R_world_body = body_rotation(pose.yaw_deg, pose.pitch_deg).astype(np.float32)
     return Mesh(
         vertices_m=to_world(shape.vertices_m, pose),
@@ -253,6 +253,13 @@ def _body_mesh(name: str, actor: Actor, shape: Shape, pose: Pose) -> Mesh:
             Thing(name=name, class_name=actor.class_name, pose=pose, size_m=size_m, actor=actor),
         ),
     )
+
+
+@lru_cache(maxsize=128)  # the steps of a gait come again and again; some 100 kB each
+def _body_normals(shape: Shape, *, is_round: bool) -> FloatRays:
+    """Normals of a body's triangles in its own frame, (m, 3, 3)."""
+    shade = _round_normals if is_round else _flat_normals
+    return shade(shape.vertices_m, shape.triangles)
 
 
 def _join(meshes: Sequence[Mesh]) -> Mesh:
