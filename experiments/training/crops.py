@@ -237,7 +237,7 @@ def _pick_window(box_px: FloatArray, *, is_empty: bool, rng: np.random.Generator
             continue
         middle = 0.5 * (box_px[:2] + box_px[2:])
         left, top = (
-            int(round(at - share * CROP_PX))
+            round(at - share * CROP_PX)
             for at, share in zip(middle.tolist(), rng.uniform(0.15, 0.85, 2), strict=True)
         )
         left, top = (
