@@ -28,7 +28,7 @@ from placement.detectors.onnx_exports import kind_of_name
 from placement.detectors.sightings import LabelledPicture, gather_sightings
 from placement.evaluator import build_surroundings, load_vut_camera
 from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
-from placement.evaluator.watch import PictureSource
+from placement.evaluator.pictures import PictureSource
 from placement.layout import Layout, check_layout
 from placement.question import Question
 from placement.recordings import Recording, load_format, read_recording
@@ -41,7 +41,7 @@ from ..results.drives import versions
 from ..results.folders import check_folder, write_files
 
 if TYPE_CHECKING:
-    from placement.evaluator.watch import PictureOfFrame
+    from placement.evaluator.pictures import PictureOfFrame
 
 LOOK, FIT = "look", "fit"
 TABLE_NAME, JSON_NAME, PNG_NAME = "response.toml", "fit.json", "calibration.png"
@@ -186,7 +186,7 @@ def _from_network(
 ) -> _Source:
     network = load_detector(question.detector, where="--detector")
     if not isinstance(network, NetworkDetector):
-        raise InputError("--detector", question.detector, "an .onnx file, whose table is fitted")
+        raise InputError("--detector", question.detector, "cnn, or an .onnx file, whose table is fitted")
     progress("setting", 0, 0)
     setting = build_setting(question, load_scene(question.scene))
     check_layout(layout, setting.scene)
@@ -232,7 +232,7 @@ def _look(
         for run, frame, row in _pick_frames(setting, evidence, shares[number], rng):
             progress(LOOK, n_drawn, sum(shares))
             n_drawn += 1
-            found = network.model.detect(picture(row))
+            found = network.look(picture(row))
             is_sure = found.confidence >= wish.min_confidence
             boxes = vru_boxes(found)
             kind = int(np.broadcast_to(evidence.vru_class, len(evidence))[row])

@@ -16,11 +16,11 @@ from geometry.sensors import CameraModel, project_points
 from geometry.weather import Weather, pick_weather
 from placement.detectors.evidence import VRU_CLASSES, vru_class
 from placement.evaluator import load_vut_camera
-from placement.evaluator.watch import vut_camera_pose
-from placement.imaging import build_backdrop
+from placement.evaluator.pictures import vut_camera_pose
+from placement.imaging import Backdrop, build_backdrop
 from placement.imaging.crops import Window, draw_crop, silhouette
 from placement.imaging.materials import load_materials, vary_materials
-from placement.imaging.mesh import build_moving_meshes, place_mesh
+from placement.imaging.mesh import FrameMesh, build_moving_meshes, place_mesh
 from placement.imaging.picture import Picture
 from placement.question import Question
 from placement.setting import Setting, build_setting
@@ -30,7 +30,9 @@ CROP_PX = 160
 """Side of a crop."""
 
 _CASES = "all"
-_WEATHERS = ("day", "night", "rain")
+WEATHERS = ("day", "night", "rain")
+"""By number."""
+
 _WEATHER_SHARES = (0.5, 0.25, 0.25)
 _HEIGHT_PX = (11.0, 125.0)  # of whole road users, even on a logarithmic scale
 _FOV_DEG = (18.0, 110.0)
@@ -101,28 +103,28 @@ def load_crops(path: Path) -> Crops:
 
 def _batches(setting: Setting, rng: np.random.Generator) -> Iterator[list[dict[str, Any]]]:
     """Crops by one camera after another, without end."""
-    backdrops: dict[tuple[object, ...], Any] = {}
+    backdrops: dict[tuple[object, ...], tuple[Backdrop, FrameMesh]] = {}
     while True:
         run = setting.runs[int(rng.integers(len(setting.runs)))]
         key = tuple(parked.key for parked in run.obstruction)
         if key not in backdrops:
-            backdrops[key] = build_backdrop(setting.scene, run.obstruction)
-        rows = list(_look(setting.scene, backdrops[key], run, rng))
+            backdrop = build_backdrop(setting.scene, run.obstruction)
+            backdrops[key] = backdrop, place_mesh(backdrop.mesh, np.zeros(3))
+        rows = list(_look(setting.scene, *backdrops[key], run, rng))
         if rows:
             yield rows
 
 
 def _look(
-    scene: Scene, backdrop: Any, run: Run, rng: np.random.Generator
+    scene: Scene, backdrop: Backdrop, still: FrameMesh, run: Run, rng: np.random.Generator
 ) -> Iterator[dict[str, Any]]:
     """Some crops by one camera that looks at a run."""
-    weather_index = int(rng.choice(len(_WEATHERS), p=_WEATHER_SHARES))
-    weather = _varied_weather(pick_weather(_WEATHERS[weather_index], "weather"), rng)
+    weather_index = int(rng.choice(len(WEATHERS), p=_WEATHER_SHARES))
+    weather = _varied_weather(pick_weather(WEATHERS[weather_index], "weather"), rng)
     materials = vary_materials(load_materials(), rng) if rng.random() < 0.7 else None
     on_vut = rng.random() < _VUT_SHARE
     frames = rng.permutation(len(run.time_s))[: 1 if on_vut else _PER_POSE].tolist()
     mount_m = _pick_mount(scene, rng)
-    still = None
     for frame in frames:
         body_m = _body_points(run, frame)
         at_m = mount_m
@@ -137,8 +139,6 @@ def _look(
         window = _pick_window(box_px, is_empty=is_empty, rng=rng)
         if window is None:
             continue
-        if still is None:
-            still = place_mesh(backdrop.mesh, at_m)
         picture = draw_crop(
             *(backdrop, still, run, frame, pose, camera, window),
             weather=weather,

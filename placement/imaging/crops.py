@@ -19,7 +19,7 @@ from scenarios.runs import Run
 
 from .exposure import develop, find_edges, load_imager, white_luminance
 from .materials import Materials
-from .mesh import FrameMesh, add_moving_meshes, build_moving_meshes, place_mesh
+from .mesh import FrameMesh, add_moving_meshes, build_moving_meshes, move_origin, place_mesh
 from .picture import (
     Backdrop,
     Picture,
@@ -69,6 +69,7 @@ def draw_crop(
     weather: Weather,
     with_vut: bool = True,
     materials: Materials | None = None,
+    white_cd_m2: float | None = None,
     seed: int = 0,
 ) -> Picture:
     """Render a part of one frame of a run.
@@ -78,7 +79,7 @@ def draw_crop(
     backdrop : Backdrop
         The scene, with what parks in the run.
     still : FrameMesh
-        Its triangles around the camera: ``place_mesh(backdrop.mesh, pose.position_m)``.
+        Its triangles, ready for rays: ``place_mesh(backdrop.mesh, np.zeros(3))``.
     run, frame_index : Run, int
         What moves.
     pose : Pose
@@ -93,6 +94,8 @@ def draw_crop(
         Whether the VUT is seen; its headlights shine in any case.
     materials : Materials, optional
         Colours; by default those of ``data/materials.toml``.
+    white_cd_m2 : float, optional
+        Luminance that is white; by default what :func:`meter` says of the frame.
     seed : int
         Of noise and drops.
 
@@ -101,6 +104,7 @@ def draw_crop(
     picture : Picture
         Of the window's size.
     """
+    still = move_origin(still, pose.position_m)
     mesh = add_moving_meshes(still, build_moving_meshes(run, frame_index, with_vut=with_vut))
     shot = build_shot(
         *(backdrop, mesh, pose, camera, weather),
@@ -132,7 +136,9 @@ def draw_crop(
         rng=rng,
     )
     return Picture(
-        rgb=develop(radiance, _meter(shot), load_imager(), rng),
+        rgb=develop(
+            radiance, _meter(shot) if white_cd_m2 is None else white_cd_m2, load_imager(), rng
+        ),
         instance=shades.instance.reshape(size),
         depth_m=shades.depth_m.reshape(size),
         names=names_of(mesh),
@@ -154,6 +160,14 @@ def silhouette(
     _, triangle = vru.caster.first_triangle(np.zeros_like(ways), ways)
     covered: BoolArray = (triangle >= 0).reshape(window.height, window.width)
     return covered
+
+
+def meter(
+    backdrop: Backdrop, still: FrameMesh, pose: Pose, camera: CameraModel, weather: Weather
+) -> float:
+    """Luminance that is white in a picture of what stands still. [cd/m^2]"""
+    mesh = move_origin(still, pose.position_m)
+    return _meter(build_shot(backdrop, mesh, pose, camera, weather))
 
 
 def _meter(shot: Shot) -> float:

@@ -4,7 +4,7 @@ Rays are cast in single precision: a frame's mesh has its origin at the camera.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -136,6 +136,17 @@ def place_mesh(mesh: Mesh, origin_m: FloatArray) -> FrameMesh:
     )
 
 
+def move_origin(mesh: FrameMesh, origin_m: FloatArray) -> FrameMesh:
+    """The same triangles, ready for rays already, in a frame with another origin (3,)."""
+    shift = (origin_m - mesh.origin_m).astype(np.float32)
+    return replace(
+        mesh,
+        origin_m=origin_m,
+        corners_m=mesh.corners_m - shift,
+        caster=_MovedCaster(mesh.caster, shift),
+    )
+
+
 def add_moving_meshes(still: FrameMesh, moving: Sequence[Mesh]) -> FrameMesh:
     """What stands still and what moves, for rays; only what moves is prepared anew."""
     bodies = place_mesh(_join(moving), still.origin_m)
@@ -149,6 +160,27 @@ def add_moving_meshes(still: FrameMesh, moving: Sequence[Mesh]) -> FrameMesh:
         things=still.things + bodies.things,
         caster=_TwoCasters(still.caster, bodies.caster, len(still.corners_m)),
     )
+
+
+class _MovedCaster:
+    """Rays whose origins are given from another origin, (3,)."""
+
+    def __init__(self, caster: RayCaster, shift: FloatRays) -> None:
+        self._caster, self._shift = caster, shift
+
+    def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
+        """See :class:`geometry.raycast.RayCaster`."""
+        return self._caster.is_blocked(origins_m + self._shift, vectors_m)
+
+    def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
+        """See :class:`geometry.raycast.RayCaster`."""
+        return self._caster.first_hit(origins_m + self._shift, vectors_m)
+
+    def first_triangle(
+        self, origins_m: FloatRays, vectors_m: FloatRays
+    ) -> tuple[FloatRays, IntArray]:
+        """See :class:`geometry.raycast.RayCaster`."""
+        return self._caster.first_triangle(origins_m + self._shift, vectors_m)
 
 
 class _TwoCasters:
