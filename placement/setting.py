@@ -290,7 +290,7 @@ def _check_every_case(drives: Drives, scene: Scene) -> None:
 
 
 def _planner(detector: Detector) -> PlanningDetector:
-    """The detector of the detection table: nothing foretells a network, another stands in for it."""
+    """The detector of the detection table: another one stands in for a network."""
     if not isinstance(detector, NetworkDetector):
         return cast(PlanningDetector, detector)
     _log.warning(

@@ -186,7 +186,9 @@ def _from_network(
 ) -> _Source:
     network = load_detector(question.detector, where="--detector")
     if not isinstance(network, NetworkDetector):
-        raise InputError("--detector", question.detector, "cnn, or an .onnx file, whose table is fitted")
+        raise InputError(
+            "--detector", question.detector, "cnn, or an .onnx file, whose table is fitted"
+        )
     progress("setting", 0, 0)
     setting = build_setting(question, load_scene(question.scene))
     check_layout(layout, setting.scene)

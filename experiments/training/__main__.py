@@ -8,7 +8,6 @@ import time
 from pathlib import Path
 
 import click
-import numpy as np
 import torch
 
 from geometry.errors import InputError
@@ -17,7 +16,7 @@ from geometry.scene import Scene
 from geometry.scene_files import load_scene
 
 from .card import card_text
-from .crops import Crops, draw_crops, load_crops, save_crops
+from .crops import Crops, draw_crops, join_crops, load_crops, save_crops
 from .network import VruNetwork, export_onnx
 from .train import Recipe, train
 
@@ -59,14 +58,10 @@ def main(
         for drawing in range(drawings)
         for name in maps
     ]
-    tested = {
-        name: _crops(name, folder, n=per_held_out, seed=seed + drawings) for name in held_out
-    }
-    crops = join(learnt)
+    tested = {name: _crops(name, folder, n=per_held_out, seed=seed + drawings) for name in held_out}
+    crops = join_crops(learnt)
     has_gpu = torch.cuda.is_available()
-    recipe = Recipe(
-        steps=steps, seed=seed, bfloat16=bfloat16, device="cuda" if has_gpu else "cpu"
-    )
+    recipe = Recipe(steps=steps, seed=seed, bfloat16=bfloat16, device="cuda" if has_gpu else "cpu")
     click.echo(f"{len(crops)} crops to train on, {sum(map(len, tested.values()))} to test on")
     started = time.monotonic()
 
@@ -77,19 +72,9 @@ def main(
     network = train(crops, recipe, tell=tell, checkpoint=out / "checkpoint.pt")
     export_onnx(network, out / "vru.onnx", side_px=_EXPORT_PX)
     names = [Path(name).stem for name in maps]
-    text = card_text(network, crops, tested, names=names, drawings=drawings, recipe=recipe)
+    text = card_text(network, crops, tested, names=names, recipe=recipe)
     (out / "vru.md").write_text(text, encoding="utf-8")
     click.echo(text)
-
-
-def join(parts: list[Crops]) -> Crops:
-    """Crops of several drawings in one."""
-    return Crops(
-        **{
-            name: np.concatenate([getattr(part, name) for part in parts])
-            for name in Crops.__slots__
-        }
-    )
 
 
 def _crops(name: str, folder: Path, *, n: int, seed: int) -> Crops:

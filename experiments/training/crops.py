@@ -90,6 +90,16 @@ def join_rows(rows: Sequence[dict[str, Any]]) -> Crops:
     return Crops(**{name: np.stack([row[name] for row in rows]) for name in rows[0]})
 
 
+def join_crops(parts: Sequence[Crops]) -> Crops:
+    """Crops of several drawings in one."""
+    return Crops(
+        **{
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in Crops.__slots__
+        }
+    )
+
+
 def save_crops(path: Path, crops: Crops) -> None:
     """Write crops as ``.npz``."""
     np.savez(path, **{name: getattr(crops, name) for name in Crops.__slots__})

@@ -136,9 +136,10 @@ def loss(logits: Tensor, sides: Tensor, boxes: Tensor, classes: Tensor, counts: 
         (down - 0.5 * (y_min + y_max)).abs() <= 0.5 * STRIDE_PX
     )
     positive = ((inside & near) | (holds & has_box)) & counts[:, None, None]
-    target = F.one_hot(classes.clamp(min=0), n_classes).permute(0, 1)[:, :, None, None] * positive[
-        :, None
-    ]
+    target = (
+        F.one_hot(classes.clamp(min=0), n_classes).permute(0, 1)[:, :, None, None]
+        * positive[:, None]
+    )
     unsure = (inside & ~positive)[:, None].expand_as(logits)
     n_positive = positive.sum().clamp(min=1)
     target = target.float()
@@ -154,7 +155,10 @@ def loss(logits: Tensor, sides: Tensor, boxes: Tensor, classes: Tensor, counts: 
 
 
 def _generalised_iou(first: Tensor, second: Tensor) -> Tensor:
-    low, high = torch.maximum(first[:, :2], second[:, :2]), torch.minimum(first[:, 2:], second[:, 2:])
+    low, high = (
+        torch.maximum(first[:, :2], second[:, :2]),
+        torch.minimum(first[:, 2:], second[:, 2:]),
+    )
     common = (high - low).clamp(min=0.0).prod(dim=1)
     area = [(box[:, 2:] - box[:, :2]).prod(dim=1) for box in (first, second)]
     union = area[0] + area[1] - common

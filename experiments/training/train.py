@@ -83,8 +83,11 @@ def train(
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimiser, max_lr=_RATE, total_steps=recipe.steps, pct_start=0.15
     )
-    parts = {"network": network, "mean": mean, "optimiser": optimiser, "schedule": schedule}
-    for number in range(_restore(checkpoint, parts), recipe.rounds):
+    parts = {"network": network, "mean": mean, "optimiser": optimiser}
+    first = _restore(checkpoint, parts)
+    for _ in range(first * recipe.round_steps):
+        schedule.step()
+    for number in range(first, recipe.rounds):
         network.train()
         rng = np.random.default_rng([recipe.seed, number])
         shown = crops() if callable(crops) else crops
@@ -98,7 +101,7 @@ def train(
                 logits, sides = network(images)
             value = loss(logits.float(), sides.float(), *truth)
             optimiser.zero_grad()
-            value.backward()  # type: ignore[no-untyped-call]
+            value.backward()
             torch.nn.utils.clip_grad_norm_(network.parameters(), 10.0)
             optimiser.step()
             schedule.step()
@@ -128,7 +131,8 @@ def _of(mean: AveragedModel) -> VruNetwork:
     """The network with the mean weights."""
     network = VruNetwork()
     network.load_state_dict(mean.module.state_dict())
-    return network.eval()
+    network.eval()
+    return network
 
 
 def _restore(checkpoint: Path | None, parts: dict[str, Any]) -> int:
@@ -247,9 +251,7 @@ def find_boxes(network: VruNetwork, crops: Crops) -> Found:
         logits, sides = network(pixels)
         scores, boxes = logits.sigmoid().flatten(2).numpy(), to_boxes(sides).flatten(2).numpy()
         for row in range(len(part)):
-            found.append(
-                [_kept(boxes[row], scores[row, number]) for number in range(len(CLASSES))]
-            )
+            found.append([_kept(boxes[row], scores[row, number]) for number in range(len(CLASSES))])
     return found
 
 

@@ -185,8 +185,8 @@ def load_detector(name: str = "geometric", *, where: str = "detector") -> Detect
     Parameters
     ----------
     name : str
-        "geometric", "response", "cnn-table", "cnn", a ``.toml`` file with a table ``[response]`` as in
-        ``data/detectors.toml``, or an ``.onnx`` file.
+        "geometric", "response", "cnn-table", "cnn", a ``.toml`` file with a table
+        ``[response]`` as in ``data/detectors.toml``, or an ``.onnx`` file.
     where : str
         What named it, for error messages.
 
@@ -200,7 +200,7 @@ def load_detector(name: str = "geometric", *, where: str = "detector") -> Detect
     InputError
         The name is unknown, or the file cannot be used.
     MissingExtraError
-        An ONNX file without onnxruntime.
+        "cnn" or an ONNX file without onnxruntime.
     """
     if name == "cnn":
         return _load_shipped_network()
@@ -213,7 +213,12 @@ def load_detector(name: str = "geometric", *, where: str = "detector") -> Detect
         from .network import NetworkDetector, load_onnx_model
 
         limits = read_table(_defaults()["onnx"], dict[str, float], f"{_FILE}: onnx")
-        return NetworkDetector(name=path.name, model=load_onnx_model(path), **limits)
+        return NetworkDetector(
+            name=path.name,
+            model=load_onnx_model(path),
+            min_box_height_px=limits["min_box_height_px"],
+            min_confidence=limits["min_confidence"],
+        )
     known = ", ".join(DETECTOR_NAMES)
     raise InputError(where, name, f"{known}, a .toml file with a response table, or an .onnx file")
 
@@ -227,7 +232,12 @@ def _load_shipped_network() -> Detector:
     with as_file(files(__package__) / "data" / _NETWORK_FILE) as path:
         model = load_onnx_model(path)
     return NetworkDetector(
-        name="cnn", model=model, looks_at_crops=True, plans_with="cnn-table", **limits
+        name="cnn",
+        model=model,
+        min_box_height_px=limits["min_box_height_px"],
+        min_confidence=limits["min_confidence"],
+        looks_at_crops=True,
+        plans_with="cnn-table",
     )
 
 

@@ -51,7 +51,8 @@ class Crop(NamedTuple):
     def to_image(self, boxes_px: FloatArray) -> FloatArray:
         """Boxes (n, 4) of the crop in pixels of the image."""
         corner = np.array([self.left_px, self.top_px] * 2)
-        return (boxes_px + corner) * self.scale + np.array(self.middle_px * 2)
+        boxes: FloatArray = (boxes_px + corner) * self.scale + np.array(self.middle_px * 2)
+        return boxes
 
 
 class Crops(Protocol):

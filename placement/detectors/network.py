@@ -1,7 +1,7 @@
 """Exported neural networks (ONNX) as detectors: run on images, and shown rendered pictures."""
 
 import math
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from geometry.files import check_file
 from geometry.image_boxes import clip_boxes, iou
 
 from .box_rule import load_min_iou
-from .evidence import VRU_CLASSES, Crops, Detections, Evidence, Image
+from .evidence import VRU_CLASSES, Detections, Evidence, Image
 from .onnx_exports import Array, Export, onnx_setting, recognise_export
 
 
@@ -331,7 +331,7 @@ class NetworkDetector:
         """When it detects."""
         return (
             f"The network {self.name} looks at rendered pictures"
-            f"{', at what is around the road user' if self.looks_at_crops else ''}; its boxes "
+            f"{', around the road user' if self.looks_at_crops else ''}; its boxes "
             f"count from a confidence of {self.min_confidence:g} on where they overlap the road "
             f"user's visible part by more than {load_min_iou():g} (intersection over union). Poses "
             f"are chosen {_CHOSEN_BY[self.plans_with]}."
@@ -366,7 +366,7 @@ class NetworkDetector:
 
     def detect(self, evidence: Evidence, rng: np.random.Generator) -> Detections:
         """Show each picture in which the VRU is large enough to the network."""
-        if evidence.picture is None or evidence.crops is None:
+        if (evidence.crops if self.looks_at_crops else evidence.picture) is None:
             raise InputError("evidence", Unquoted("no pictures"), "pictures for the network")
         height = evidence.visible_px[:, 3] - evidence.visible_px[:, 1]
         seen: dict[Hashable, ImageBoxes] = {}
@@ -375,7 +375,7 @@ class NetworkDetector:
         confidence: list[np.ndarray] = []
         kinds = np.broadcast_to(evidence.vru_class, len(evidence))
         for row in np.flatnonzero(height >= max(self.min_box_height_px, 1.0e-9)).tolist():
-            found = vru_boxes(self._find(row, evidence.picture, evidence.crops, seen))
+            found = vru_boxes(self._find(row, evidence, seen))
             of_class = found.cyclists if VRU_CLASSES[kinds[row]] == "cyclist" else found.persons
             is_sure = of_class.confidence >= self.min_confidence
             boxes.append(of_class.boxes_px[is_sure])
@@ -387,19 +387,15 @@ class NetworkDetector:
             confidence=np.concatenate([np.empty(0), *confidence]),
         )
 
-    def _find(
-        self,
-        row: int,
-        picture: Callable[[int], Image],
-        crops: Crops,
-        seen: dict[Hashable, ImageBoxes],
-    ) -> ImageBoxes:
+    def _find(self, row: int, evidence: Evidence, seen: dict[Hashable, ImageBoxes]) -> ImageBoxes:
         """Boxes in the image of a row, or around its VRU; what looks the same is seen once."""
         if not self.looks_at_crops:
-            return self.model.detect(picture(row))
-        key = crops.key(row)
+            assert evidence.picture is not None
+            return self.model.detect(evidence.picture(row))
+        assert evidence.crops is not None
+        key = evidence.crops.key(row)
         if key not in seen:
-            crop = crops.draw(row)
+            crop = evidence.crops.draw(row)
             found = self.model.detect(crop.pixels)
             seen[key] = replace(found, boxes_px=crop.to_image(found.boxes_px))
         return seen[key]

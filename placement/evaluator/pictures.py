@@ -143,9 +143,7 @@ class PictureSource:
                 self._backdrops[key] = build_backdrop(self._scene, obstruction)
             return self._backdrops[key]
 
-    def _still_mesh(
-        self, obstruction: tuple[PlacedActor, ...], backdrop: Backdrop
-    ) -> FrameMesh:
+    def _still_mesh(self, obstruction: tuple[PlacedActor, ...], backdrop: Backdrop) -> FrameMesh:
         key = tuple(parked.key for parked in obstruction)
         with self._lock:
             if key not in self._still:
@@ -263,8 +261,11 @@ def _scaled(camera: CameraModel, scale: int) -> CameraModel:
     """The same field of view with fewer pixels."""
     if scale == 1:
         return camera
-    size = {"width_px": camera.width_px, "height_px": camera.height_px}
-    return replace(camera, **{name: round(side / scale) for name, side in size.items()})
+    return replace(
+        camera,
+        width_px=round(camera.width_px / scale),
+        height_px=round(camera.height_px / scale),
+    )
 
 
 def vut_camera_pose(mount: VutCamera, run: Run, frame_index: int) -> Pose:

@@ -30,7 +30,7 @@ from ..setting import Setting
 from .perceive import perceive_from_roadside, perceive_from_vut
 from .pictures import PictureSource
 from .scan import scan_from_roadside, scan_from_vut
-from .surroundings import VutCamera, build_surroundings, draw_index, load_vut_camera, load_vut_lidar
+from .surroundings import build_surroundings, draw_index, load_vut_camera, load_vut_lidar
 
 # ---------- detections
 

@@ -165,7 +165,7 @@ def silhouette(
 def meter(
     backdrop: Backdrop, still: FrameMesh, pose: Pose, camera: CameraModel, weather: Weather
 ) -> float:
-    """Luminance that is white in a picture of what stands still. [cd/m^2]"""
+    """Luminance that is white in a picture of what stands still, in cd/m^2."""
     mesh = move_origin(still, pose.position_m)
     return _meter(build_shot(backdrop, mesh, pose, camera, weather))
 
