@@ -224,6 +224,25 @@ class Lane:
 _SOLID_CLASSES = ("building", "wall", "vegetation", "parked vehicle")
 
 
+# One thing of a scene: instance, vertices (world frame) and triangles.
+Body = tuple[Instance, FloatArray, Any]
+
+
+def join_bodies(bodies: Sequence[Body]) -> dict[str, Any]:
+    """One mesh of several bodies, as the fields of a scene."""
+    first = np.cumsum([0, *(len(vertices) for _, vertices, _ in bodies)])
+    return {
+        "instances": tuple(instance for instance, _, _ in bodies),
+        "vertices_m": np.concatenate([vertices for _, vertices, _ in bodies]),
+        "triangles": np.concatenate(
+            [faces + start for (_, _, faces), start in zip(bodies, first[:-1], strict=True)]
+        ),
+        "triangle_instance": np.repeat(
+            np.arange(len(bodies)), [len(faces) for _, _, faces in bodies]
+        ),
+    }
+
+
 def containing_instance(scene: Scene, position_m: ArrayLike) -> Instance | None:
     """The building, wall, plant or parked vehicle that a point lies in; None in the open air.
 

@@ -3,49 +3,39 @@
 A scene's folder has ``scene.toml`` for people (name, coordinate reference systems, lanes,
 crosswalks, outline, sites, the list of things and what the import left out) and ``things.glb`` for
 every 3-D viewer: glTF 2.0 with one mesh per thing, under its id. The TOML is in the world frame,
-east, north, up in metres; the mesh file in glTF's own, y up. The study's junction is a TOML file
-of boxes, walls, poles and rows of parked cars in CARLA's frame.
+east, north, up in metres; the mesh file in glTF's own, y up.
 """
 
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from functools import cache
-from importlib.resources import files
-from importlib.resources.abc import Traversable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Annotated, Any, Literal
+from typing import IO, Any
 
 import numpy as np
-from msgspec import Meta, Struct
+from msgspec import Struct
 
-from .actors import park_row, pick_actor
-from .arrays import FloatArray, Point2, Points2, Segment2
+from .arrays import FloatArray, Point2, Points2
 from .errors import InputError, Unquoted
 from .files import MAX_TOML_BYTES, Text, check_file, load_toml, read_table, write_atomically
-from .frames import from_carla_points, from_carla_yaw, from_gltf_points, to_gltf_points
+from .frames import from_gltf_points, to_gltf_points
 from .junction import LeadingRoad
-from .poses import Pose, to_world
-from .scene import Instance, Lane, Scene, Site
+from .scene import Instance, Lane, Scene, Site, join_bodies
+from .study_scene import STUDY, CrosswalkEntry, crosswalk_lines, load_study_scene
 from .untrusted_files import check_gltf, refuse_bomb
 
-STUDY = "town05"
 FORMAT, VERSION = "place-rsus scene", 1
 SCENE_FILE, THINGS_FILE = "scene.toml", "things.glb"
 _MAX_BYTES = {SCENE_FILE: MAX_TOML_BYTES, THINGS_FILE: 300_000_000}  # five million triangles
 _MILLIMETRES = 3
-_POLE_SECTIONS = 10
 _HEAD = """\
 # A junction for place-rsus: place-rsus --scene THIS_FOLDER --budget 3
 # East, north and height above the road in metres. Things are meshes in things.glb, under their ids.
 # To change by hand: sites (where sensors may hang), crosswalks, lanes.
 """
-
-# One thing of the scene: instance, vertices (world frame) and triangles.
-_Body = tuple[Instance, FloatArray, Any]
 
 
 def load_scene(
@@ -103,253 +93,6 @@ def _has_scene(path: Path) -> bool:
         return True
 
 
-# ---------- a scene of boxes, walls, poles and rows of parked cars, in CARLA's frame
-
-
-_Positive = Annotated[float, Meta(gt=0.0)]
-
-
-class _Building(Struct, frozen=True, kw_only=True):
-    id: Text
-    position_m: Point2
-    yaw_deg: float
-    length_m: _Positive
-    width_m: _Positive
-    height_m: _Positive
-
-
-class _Wall(Struct, frozen=True, kw_only=True):
-    id: Text
-    from_m: Point2
-    to_m: Point2
-    thickness_m: _Positive
-    height_m: _Positive
-
-
-class _ParkedRow(Struct, frozen=True, kw_only=True):
-    id: Text
-    first_m: Point2
-    yaw_deg: float
-    gap_m: Annotated[float, Meta(ge=0.0)]
-    actors: list[str]
-
-
-class _Mount(Struct, frozen=True, kw_only=True):
-    """What carries sensors."""
-
-    id: Text
-    radius_m: _Positive
-    height_m: _Positive
-    height_range_m: Point2
-    capacity_units: int
-    cost_eur: float = 0.0
-    use: str = "free"
-
-
-class _Pole(_Mount, frozen=True, kw_only=True):
-    kind: Text
-    position_m: Point2
-
-
-class _MastArm(_Mount, frozen=True, kw_only=True):
-    from_m: Point2
-    to_m: Point2
-
-
-class _Crosswalk(Struct, frozen=True, kw_only=True):
-    ends_m: Segment2
-
-
-class _Ground(Struct, frozen=True, kw_only=True):
-    position_m: Point2
-    half_size_m: _Positive
-
-
-class _BoxScene(Struct, frozen=True, kw_only=True):
-    """A file laid out as ``data/town05.toml``."""
-
-    frame: Literal["carla-left-handed"]
-    name: Text
-    crs: Text
-    road_network: str = ""
-    outline_m: Points2
-    ground: _Ground
-    buildings: tuple[_Building, ...] = ()
-    walls: tuple[_Wall, ...] = ()
-    parked_rows: tuple[_ParkedRow, ...] = ()
-    poles: tuple[_Pole, ...] = ()
-    mast_arms: tuple[_MastArm, ...] = ()
-    lanes: tuple[Lane, ...] = ()
-    crosswalks: tuple[_Crosswalk, ...] = ()
-
-
-@cache
-def load_study_scene() -> Scene:
-    """The junction of the CarlaNCAP study, from ``data/town05.toml``."""
-    return load_box_scene(files(__package__) / "data" / f"{STUDY}.toml")
-
-
-def load_box_scene(source: Path | Traversable) -> Scene:
-    """Read a TOML file laid out as ``geometry/data/town05.toml`` and build its mesh."""
-    where = source.name
-    table = read_table(load_toml(source), _BoxScene, where)
-    for index, crosswalk in enumerate(table.crosswalks):
-        if (crosswalk.ends_m[0] == crosswalk.ends_m[1]).all():
-            raise InputError(
-                f"{where}: crosswalks[{index}].ends_m",
-                crosswalk.ends_m.tolist(),
-                "two different points",
-            )
-    return Scene(
-        name=table.name,
-        **_join(
-            [
-                _ground_body(table.ground),
-                *(_building_body(building) for building in table.buildings),
-                *(_wall_body(wall) for wall in table.walls),
-                *(
-                    body
-                    for index, row in enumerate(table.parked_rows)
-                    for body in _row_bodies(row, f"{where}: parked_rows[{index}]")
-                ),
-                *(_pole_body(pole) for pole in table.poles),
-                *(_mast_arm_body(arm) for arm in table.mast_arms),
-            ]
-        ),
-        sites=(
-            *(_site(pole, pole.position_m, pole.kind) for pole in table.poles),
-            *(_site(arm, arm.to_m, "mast arm") for arm in table.mast_arms),
-        ),
-        outline_m=from_carla_points(table.outline_m),
-        lanes=tuple(
-            replace(lane, centreline_m=from_carla_points(lane.centreline_m)) for lane in table.lanes
-        ),
-        crs=table.crs,
-        crosswalks_m=_crosswalks(from_carla_points(line.ends_m) for line in table.crosswalks),
-        road_network=table.road_network,
-    )
-
-
-def _join(bodies: Sequence[_Body]) -> dict[str, Any]:
-    """One mesh of several bodies: the fields of a scene."""
-    first = np.cumsum([0, *(len(vertices) for _, vertices, _ in bodies)])
-    return {
-        "instances": tuple(instance for instance, _, _ in bodies),
-        "vertices_m": np.concatenate([vertices for _, vertices, _ in bodies]),
-        "triangles": np.concatenate(
-            [faces + start for (_, _, faces), start in zip(bodies, first[:-1], strict=True)]
-        ),
-        "triangle_instance": np.repeat(
-            np.arange(len(bodies)), [len(faces) for _, _, faces in bodies]
-        ),
-    }
-
-
-def _crosswalks(lines: Iterable[FloatArray]) -> FloatArray:
-    return np.array(list(lines)).reshape(-1, 2, 2)
-
-
-def _site(mount: _Mount, below_m: FloatArray, kind: str) -> Site:
-    return Site(
-        id=mount.id,
-        position_m=_on_road(below_m),
-        kind=kind,
-        height_range_m=mount.height_range_m,
-        capacity_units=mount.capacity_units,
-        cost_eur=mount.cost_eur,
-        use=mount.use,
-    )
-
-
-def _on_road(point_carla_m: FloatArray, height_m: float = 0.0) -> FloatArray:
-    return np.append(from_carla_points(point_carla_m), height_m)
-
-
-def _ground_body(ground: _Ground) -> _Body:
-    square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    corners = from_carla_points(ground.position_m) + ground.half_size_m * square
-    return (
-        Instance(id="ground", class_name="ground"),
-        np.column_stack([corners, np.zeros(4)]),
-        np.array([[0, 1, 2], [0, 2, 3]]),
-    )
-
-
-def _building_body(building: _Building) -> _Body:
-    return _box(
-        Instance(id=building.id, class_name="building"),
-        middle_m=from_carla_points(building.position_m),
-        yaw_deg=float(from_carla_yaw(building.yaw_deg)),
-        size_m=[building.length_m, building.width_m, building.height_m],
-    )
-
-
-def _wall_body(wall: _Wall) -> _Body:
-    start, end = from_carla_points(wall.from_m), from_carla_points(wall.to_m)
-    east, north = end - start
-    # Half a thickness longer at both ends: walls that meet at a corner close it.
-    length_m = float(np.hypot(east, north)) + wall.thickness_m
-    return _box(
-        Instance(id=wall.id, class_name="wall"),
-        middle_m=0.5 * (start + end),
-        yaw_deg=float(np.degrees(np.arctan2(north, east))),
-        size_m=[length_m, wall.thickness_m, wall.height_m],
-    )
-
-
-def _row_bodies(row: _ParkedRow, where: str) -> Iterator[_Body]:
-    placed = park_row(
-        [pick_actor(name, f"{where}.actors[{index}]") for index, name in enumerate(row.actors)],
-        first_bumper_m=from_carla_points(row.first_m),
-        yaw_deg=float(from_carla_yaw(row.yaw_deg)),
-        gap_m=row.gap_m,
-    )
-    for number, parked in enumerate(placed, start=1):
-        shape = parked.actor.shapes[0]
-        instance = Instance(id=f"{row.id}-{number}", class_name="parked vehicle")
-        yield instance, to_world(shape.vertices_m, parked.pose), shape.triangles
-
-
-def _pole_body(pole: _Pole) -> _Body:
-    return _cylinder(
-        Instance(id=pole.id, class_name=pole.kind),
-        start_m=_on_road(pole.position_m),
-        end_m=_on_road(pole.position_m, pole.height_m),
-        radius_m=pole.radius_m,
-    )
-
-
-def _mast_arm_body(arm: _MastArm) -> _Body:
-    return _cylinder(
-        Instance(id=arm.id, class_name="traffic light"),
-        start_m=_on_road(arm.from_m, arm.height_m),
-        end_m=_on_road(arm.to_m, arm.height_m),
-        radius_m=arm.radius_m,
-    )
-
-
-def _box(instance: Instance, *, middle_m: FloatArray, yaw_deg: float, size_m: list[float]) -> _Body:
-    import trimesh
-
-    box = trimesh.creation.box(extents=size_m)
-    pose = Pose(position_m=np.append(middle_m, 0.5 * size_m[2]), yaw_deg=yaw_deg)
-    return instance, to_world(box.vertices, pose), box.faces
-
-
-def _cylinder(
-    instance: Instance, *, start_m: FloatArray, end_m: FloatArray, radius_m: float
-) -> _Body:
-    import trimesh
-
-    cylinder = trimesh.creation.cylinder(
-        radius=radius_m, segment=[start_m, end_m], sections=_POLE_SECTIONS
-    )
-    return instance, cylinder.vertices, cylinder.faces
-
-
-# ---------- a scene's folder or archive, in the world frame
-
-
 class _Thing(Struct, frozen=True, kw_only=True, rename={"class_name": "class"}):
     id: Text
     class_name: Text
@@ -373,7 +116,7 @@ class _FolderScene(Struct, frozen=True, kw_only=True):
     road_network: str = ""
     outline_m: Points2
     lanes: tuple[Lane, ...]
-    crosswalks: tuple[_Crosswalk, ...]
+    crosswalks: tuple[CrosswalkEntry, ...]
     sites: tuple[Site, ...]
     things: tuple[_Thing, ...]
     skipped: tuple[_Skipped, ...]
@@ -466,12 +209,12 @@ def load_scene_folder(path: Path) -> Scene:
         _check_crs(crs, f"{where}: {key}")
     return Scene(
         name=table.name,
-        **_join(bodies),
+        **join_bodies(bodies),
         sites=table.sites,
         outline_m=table.outline_m,
         lanes=table.lanes,
         crs=table.crs,
-        crosswalks_m=_crosswalks(line.ends_m for line in table.crosswalks),
+        crosswalks_m=crosswalk_lines(line.ends_m for line in table.crosswalks),
         road_network=table.road_network,
         keeps_left=table.keeps_left,
         source_crs=table.source_crs,

@@ -10,17 +10,17 @@ from hypothesis import settings
 
 from geometry.actors import load_actors
 from geometry.catalogue import load_cameras
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from scenarios.aeb import load_aeb_rule
 from scenarios.cases import pick_cases
 from scenarios.published import load_placements
 from scenarios.runs import FrameAxis, build_runs
 
 # How long an example takes is no test. Other examples are drawn each time, fewer where little hangs
-# on geometry and search; for more of them: pytest --hypothesis-profile thorough
-settings.register_profile("place-rsus", deadline=None, max_examples=25)
-settings.register_profile("place-rsus-few", deadline=None, max_examples=15)
-settings.register_profile("thorough", deadline=None, max_examples=200)
+# on geometry and search. Continuous integration draws more: pytest --hypothesis-profile thorough
+settings.register_profile("place-rsus", deadline=None, max_examples=12)
+settings.register_profile("place-rsus-few", deadline=None, max_examples=8)
+settings.register_profile("thorough", deadline=None, max_examples=60)
 settings.load_profile("place-rsus")
 MANY = ("geometry", "scenarios", "optimiser")
 # The first test that compiles is told so, on a new machine: whichever that is, and however quiet.

@@ -8,7 +8,7 @@ from geometry.catalogue import load_cameras
 from geometry.lidar import load_lidars
 from geometry.poses import Pose
 from geometry.scene import Scene
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
 from placement.layout import Layout
 

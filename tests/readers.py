@@ -336,7 +336,7 @@ def _box_scene() -> Mapping[str, tuple[str, Files]]:
 
 
 def _read_box_scene(path: Path) -> Any:
-    from geometry.scene_files import load_box_scene
+    from geometry.study_scene import load_box_scene
 
     return load_box_scene(path)
 
@@ -432,7 +432,7 @@ def _layouts() -> Mapping[str, tuple[str, Files]]:
 @cache
 def _small_runs() -> Any:
     from geometry.actors import load_actors
-    from geometry.scene_files import load_study_scene
+    from geometry.study_scene import load_study_scene
     from scenarios.aeb import load_aeb_rule
     from scenarios.cases import pick_cases
     from scenarios.runs import build_runs
@@ -459,7 +459,7 @@ def _weights() -> Mapping[str, tuple[str, Files]]:
 
 
 def _read_private_ground(path: Path) -> Any:
-    from geometry.scene_files import load_study_scene
+    from geometry.study_scene import load_study_scene
     from placement.private_ground import load_private_ground
 
     return load_private_ground(path, load_study_scene())
@@ -468,7 +468,7 @@ def _read_private_ground(path: Path) -> Any:
 def _private_ground() -> Mapping[str, tuple[str, Files]]:
     from pyproj import Transformer
 
-    from geometry.scene_files import load_study_scene
+    from geometry.study_scene import load_study_scene
 
     crs = load_study_scene().crs
     to_degrees = Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
@@ -607,7 +607,7 @@ def _read_verified(path: Path) -> Any:
 @cache
 def _table() -> tuple[Any, Any]:
     from experiments.study.layout import load_carlancap_layout
-    from geometry.scene_files import load_study_scene
+    from geometry.study_scene import load_study_scene
     from placement.layout import Layout
     from scenarios.exposure import weight_per_run
     from scenarios.runs import build_frame_axis
@@ -799,7 +799,7 @@ READERS: Mapping[str, Reader] = {
         ),
     ),
     "scenes of boxes": Reader(
-        _read_box_scene, _box_scene, ("geometry.scene_files.load_box_scene",)
+        _read_box_scene, _box_scene, ("geometry.study_scene.load_box_scene",)
     ),
     "sensors": Reader(
         _read_sensors,

@@ -12,7 +12,7 @@ from experiments.progress import StageProgress
 from experiments.study.layout import load_carlancap_layout
 from geometry.actors import load_actors
 from geometry.scene import Scene
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement import planning
 from placement.candidates import CandidateGrid, load_candidate_grid
 from placement.compute import Compute

@@ -17,7 +17,7 @@ from pathlib import Path
 import click
 
 from geometry.raycast import caster_name
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose, build_candidates, load_candidate_grid
 from placement.compute import Compute
 from placement.evaluator import evaluate_layout

@@ -14,8 +14,8 @@ from geometry.catalogue import Sensor, load_cameras
 from geometry.lidar import load_lidars
 from geometry.poses import Pose, body_rotation
 from geometry.raycast import FloatRays
-from geometry.scene_files import load_study_scene
 from geometry.sensors import CameraModel, pixel_rays
+from geometry.study_scene import load_study_scene
 from geometry.weather import load_weathers
 from placement.candidates import CandidatePose, build_candidates, load_candidate_grid
 from placement.compute import Compute

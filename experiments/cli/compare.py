@@ -30,7 +30,8 @@ from .terminal import sentences
 
 if TYPE_CHECKING:
     from ..results.baselines import ScoreRecord
-    from ..results.result import PartyAprRecord, Result
+    from ..results.evaluations import PartyAprRecord
+    from ..results.result import Result
 
 
 @click.command(

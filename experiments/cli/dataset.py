@@ -10,7 +10,7 @@ from placement.question import Question
 
 from ..progress import StageProgress
 from .options import (
-    JUDGED,
+    PICTURED,
     SectionedCommand,
     compute_options,
     json_option,
@@ -24,12 +24,6 @@ from .terminal import sentences
 
 if TYPE_CHECKING:
     from ..results.datasets import DatasetSummary
-
-_ASKED = tuple(
-    name
-    for name in JUDGED
-    if name not in ("weights", "vut_sensors", "packet_loss", "vam_rate", "track_memory_s")
-)
 
 
 @click.command(
@@ -89,7 +83,7 @@ Examples:
     help="Draw on the workers of a dask scheduler, which must have this program and see the "
     "folder; default: on this machine.",
 )
-@question_options(*_ASKED)
+@question_options(*PICTURED)
 @json_option
 @quiet_option
 @compute_options()

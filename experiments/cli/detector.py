@@ -11,7 +11,7 @@ from placement.question import Question
 from ..progress import StageProgress
 from ..results.numbers import percent
 from .options import (
-    JUDGED,
+    PICTURED,
     SectionedCommand,
     folder_option,
     job_options,
@@ -24,12 +24,6 @@ from .terminal import sentences, table
 
 if TYPE_CHECKING:
     from ..results.detectors import DetectorFitResult, FalseAlarmsRecord, IntervalRecord
-
-_ASKED = tuple(
-    name
-    for name in JUDGED
-    if name not in ("weights", "vut_sensors", "packet_loss", "vam_rate", "track_memory_s")
-)
 
 
 @click.group()
@@ -85,7 +79,7 @@ Examples:
     help="Detections below do not count.",
 )
 @folder_option("response.toml, fit.json and calibration.png")
-@question_options(*_ASKED)
+@question_options(*PICTURED)
 @job_options()
 @click.pass_obj
 def fit(

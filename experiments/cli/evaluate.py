@@ -26,8 +26,9 @@ from .terminal import driven_lines, sentences, table, wide_table
 
 if TYPE_CHECKING:
     from ..results.baselines import ScoreRecord, StudyCasesRecord
+    from ..results.evaluations import EvaluationRecord, PartyAprRecord
     from ..results.record import UnitRecord
-    from ..results.result import EvaluationRecord, PartyAprRecord, Result
+    from ..results.result import Result
 
 _MAX_ID_WIDTH, _MAX_SITE_WIDTH = 22, 11
 _MAX_UNITS = 24

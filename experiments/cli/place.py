@@ -42,7 +42,8 @@ from .terminal import sentences, table
 
 if TYPE_CHECKING:
     from ..results.baselines import ScoreRecord
-    from ..results.result import DisagreementRecord, PartyAprRecord, Result
+    from ..results.evaluations import PartyAprRecord
+    from ..results.result import DisagreementRecord, Result
 
 _MAX_DISAGREEMENTS = 5
 

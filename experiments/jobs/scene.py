@@ -25,10 +25,10 @@ from geometry.scene_files import (
     ImportNotes,
     load_notes,
     load_scene_folder,
-    load_study_scene,
     pack_scene,
     save_scene,
 )
+from geometry.study_scene import load_study_scene
 
 from ..figures.axes import to_png
 from ..figures.scene import plot_scene_plan, plot_scene_view

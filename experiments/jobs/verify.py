@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 from geometry.errors import InputError, Unquoted
 from geometry.files import MAX_TEXT_BYTES, check_file
 from geometry.scene import Scene
-from geometry.scene_files import STUDY, load_scene, load_study_scene
+from geometry.scene_files import load_scene
+from geometry.study_scene import STUDY, load_study_scene
 from placement.layout import Layout, layout_records, load_layout
 from placement.verification.certificates import CERTIFICATE_FILE, load_certificate
 from placement.verification.instances import INSTANCE_FILE, load_stored_problem

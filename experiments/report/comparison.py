@@ -8,8 +8,9 @@ from msgspec import UnsetType
 from placement.evaluation import Evaluation, apr
 
 from ..results.baselines import StudyCasesRecord
+from ..results.evaluations import DifferenceRecord, build_difference_records
 from ..results.numbers import NOTHING, count_runs, number, or_nan, percent, several
-from ..results.result import DifferenceRecord, Result, build_difference_records
+from ..results.result import Result
 from ..results.sampled_worlds import SampledPairRecord, SampledRecord
 from ..results.tables import margin_s
 from .sampled_worlds import is_open, plot_differences

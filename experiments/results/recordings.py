@@ -18,9 +18,9 @@ from placement.recordings import (
 from scenarios.aeb import AebRule
 
 from .drives import RefusalRecord, versions
+from .evaluations import PartyAprRecord
 from .numbers import finite_or_none
 from .record import Record, StageRecord
-from .result import PartyAprRecord
 
 _T = TypeVar("_T")
 

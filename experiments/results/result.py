@@ -1,13 +1,12 @@
 """The result of a placement, an evaluation or a comparison: what ``summary.json`` holds."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
-from itertools import combinations
 from typing import Annotated, ClassVar, Literal, get_args
 
 import numpy as np
-from msgspec import UNSET, Meta, UnsetType, field
+from msgspec import UNSET, Meta, UnsetType
 from msgspec.structs import asdict as fields_of
 from msgspec.structs import replace
 
@@ -15,23 +14,25 @@ from geometry.arrays import BoolArray
 from placement import optimiser
 from placement.evaluation import (
     Evaluation,
-    Verdict,
-    apr,
-    apr_by_case,
-    apr_by_position,
-    apr_one_failed,
-    apr_one_site_failed,
-    units_by_site,
 )
 from placement.explain.agreement import find_disagreements
 from placement.optimiser import Failing, placement_value, run_margins_s
 from placement.pipeline import Placement
 from placement.setting import Setting
-from scenarios.aeb import AebRule
 
 from .baselines import BaselinesRecord, ExchangeRecord, NextUnitRecord, StudyCasesRecord
 from .dangers import DangersRecord, avoided_runs, build_dangers_record
 from .drives import RefusalRecord, build_drives_record, versions
+from .evaluations import (
+    ComparedRecord,
+    DifferenceRecord,
+    EvaluationRecord,
+    GreedyLayoutRecord,
+    build_compared_record,
+    build_difference_records,
+    build_evaluation_record,
+    price_eur,
+)
 from .explanations import (
     ExplainedRecord,
     PrivateGroundRecord,
@@ -51,72 +52,6 @@ from .record import (
 from .sampled_worlds import SampledRecord
 
 
-class PartyAprRecord(Record, frozen=True, kw_only=True):
-    """Accident prevention ratio of a sensing party."""
-
-    all: Annotated[Share | None, says("APR over all runs, by weight.")]
-    by_case: Annotated[
-        dict[str, Share | None],
-        says("APR of each case, by its name; null where no run of it has weight."),
-    ]
-    by_position: Annotated[
-        dict[str, Share | None],
-        says(
-            "APR of each position along the arms, by its name, such as 0, -15 or +15; null where "
-            "no run there has weight. Nothing in older results, and in those of recordings."
-        ),
-    ] = field(default_factory=dict)
-
-
-class EvaluationRecord(Record, frozen=True, kw_only=True):
-    """A layout by the evaluator: full perception and emergency braking."""
-
-    schema_rules: ClassVar[dict[str, object]] = {
-        "dependentRequired": {"vam": ["all_sources"], "all_sources": ["vam"]}
-    }
-    vut: Annotated[PartyAprRecord, says("The vehicle under test by itself.")]
-    rsu_all: Annotated[
-        PartyAprRecord, says("All units together: in each frame, any of them may detect.")
-    ]
-    vut_and_rsus: Annotated[
-        PartyAprRecord, says("All units and the vehicle's own sensors together.")
-    ]
-    units: Annotated[dict[str, PartyAprRecord], says("Each unit by itself, by its id.")]
-    vam: (
-        Annotated[
-            PartyAprRecord,
-            says("Road users that announce themselves; only where there are such messages."),
-        ]
-        | UnsetType
-    ) = UNSET
-    all_sources: (
-        Annotated[
-            PartyAprRecord,
-            says("Units, vehicle and announcements together; only where there are such messages."),
-        ]
-        | UnsetType
-    ) = UNSET
-    apr_without_worst_unit: Annotated[
-        Share | None, says("APR of all units together if the one that is needed most fails.")
-    ]
-    apr_without_worst_site: (
-        Annotated[
-            Share,
-            says(
-                "APR of all units together if the pole that is needed most fails with all its "
-                "units; only where a pole carries several."
-            ),
-        ]
-        | UnsetType
-    ) = UNSET
-
-
-class GreedyLayoutRecord(EvaluationRecord, frozen=True, kw_only=True):
-    """Units chosen one by one, by the evaluator."""
-
-    layout: Annotated[tuple[UnitRecord, ...], says("The units.", min_length=1)]
-
-
 class DisagreementRecord(Record, frozen=True, kw_only=True):
     """A run that either detection table or evaluator calls avoided."""
 
@@ -127,39 +62,6 @@ class DisagreementRecord(Record, frozen=True, kw_only=True):
     ]
     n_frames: Annotated[int, says("Frames before the last moment in which they differ.", ge=0)]
     cause: Annotated[str, says("What the evaluator sees in the first of them, in words.")]
-
-
-class ComparedRecord(Record, frozen=True, kw_only=True):
-    """Another layout on the same runs."""
-
-    name: Annotated[str, says("Of the layout.")]
-    layout: Annotated[tuple[UnitRecord, ...], says("Its units.", min_length=1)]
-    cost_eur: Annotated[
-        float, says("Price of its units by the catalogue, in EUR, without poles or mounting.", ge=0)
-    ]
-    evaluation: Annotated[EvaluationRecord, says("By the evaluator.")]
-    runs_gained: Annotated[
-        tuple[RunId, ...], says("Runs that the first layout avoids and this one does not.")
-    ]
-    runs_lost: Annotated[
-        tuple[RunId, ...], says("Runs that this one avoids and the first one does not.")
-    ]
-    private_ground: (
-        Annotated[
-            PrivateGroundRecord,
-            says("What its cameras see of private ground; only with --no-look."),
-        ]
-        | UnsetType
-    ) = UNSET
-
-
-class DifferenceRecord(Record, frozen=True, kw_only=True):
-    """Runs that only one of two layouts avoids, all units of each together."""
-
-    first: Annotated[str, says("Name of the one layout.")]
-    second: Annotated[str, says("Name of the other one.")]
-    only_first: Annotated[tuple[RunId, ...], says("Avoided by the first one alone.")]
-    only_second: Annotated[tuple[RunId, ...], says("Avoided by the second one alone.")]
 
 
 class Result(Record, frozen=True, kw_only=True):
@@ -439,32 +341,6 @@ class Result(Record, frozen=True, kw_only=True):
     ) = UNSET
 
 
-def build_evaluation_record(evaluation: Evaluation, rule: AebRule) -> EvaluationRecord:
-    """APR of every sensing party, over all runs and by case."""
-    axis = evaluation.axis
-
-    def ratios(verdict: Verdict) -> PartyAprRecord:
-        return PartyAprRecord(
-            all=apr(verdict, axis),
-            by_case={**apr_by_case(verdict, axis)},
-            by_position={**apr_by_position(verdict, axis)},
-        )
-
-    return EvaluationRecord(
-        vut=ratios(evaluation.vut),
-        rsu_all=ratios(evaluation.rsu_all),
-        vut_and_rsus=ratios(evaluation.vut_and_rsus),
-        units={name: ratios(verdict) for name, verdict in evaluation.units.items()},
-        **{name: ratios(verdict) for name, verdict in evaluation.others.items()},
-        apr_without_worst_unit=apr_one_failed(evaluation, rule),
-        apr_without_worst_site=(
-            apr_one_site_failed(evaluation, rule)
-            if any(len(units) > 1 for units in units_by_site(evaluation.layout).values())
-            else UNSET
-        ),
-    )
-
-
 def build_layout_result(setting: Setting, evaluation: Evaluation) -> Result:
     """One layout by the evaluator: the fields that every result has.
 
@@ -475,7 +351,7 @@ def build_layout_result(setting: Setting, evaluation: Evaluation) -> Result:
         schema="place-rsus/result/1",
         name=evaluation.layout.name,
         layout=build_unit_records(evaluation.layout),
-        cost_eur=_price_eur(evaluation),
+        cost_eur=price_eur(evaluation),
         budget=None,
         fusion="any",
         runs=evaluation.axis.n_runs,
@@ -571,7 +447,7 @@ def build_comparison_result(
     """
     rule = setting.rule
     compared = tuple(
-        _compared(subject, other, rule, private)
+        build_compared_record(subject, other, rule, private)
         for other, private in zip(others, private_ground or [UNSET] * len(others), strict=True)
     )
     first = compared[0]
@@ -589,19 +465,6 @@ def build_comparison_result(
     )
 
 
-def build_difference_records(evaluations: Mapping[str, Evaluation]) -> tuple[DifferenceRecord, ...]:
-    """Which runs only one of two layouts avoids, for any two; evaluations by display name."""
-    return tuple(
-        DifferenceRecord(
-            first=name,
-            second=other_name,
-            only_first=_only_first(one, other),
-            only_second=_only_first(other, one),
-        )
-        for (name, one), (other_name, other) in combinations(evaluations.items(), 2)
-    )
-
-
 def disagreeing_runs(placement: Placement, evaluation: Evaluation) -> BoolArray:
     """Runs on which detection table and evaluator disagree about the layout found: (n_runs,) bool.
 
@@ -610,33 +473,6 @@ def disagreeing_runs(placement: Placement, evaluation: Evaluation) -> BoolArray:
     on_table = np.isfinite(run_margins_s(placement.nominal, placement.nominal_index))
     disagrees: BoolArray = on_table != avoided_runs(evaluation, placement.problem.fusion)
     return disagrees
-
-
-def _compared(
-    subject: Evaluation,
-    other: Evaluation,
-    rule: AebRule,
-    private_ground: PrivateGroundRecord | UnsetType,
-) -> ComparedRecord:
-    return ComparedRecord(
-        name=other.layout.name,
-        layout=build_unit_records(other.layout),
-        cost_eur=_price_eur(other),
-        evaluation=build_evaluation_record(other, rule),
-        runs_gained=_only_first(subject, other),
-        runs_lost=_only_first(other, subject),
-        private_ground=private_ground,
-    )
-
-
-def _only_first(one: Evaluation, other: Evaluation) -> tuple[str, ...]:
-    """Runs that the first of two layouts avoids and the second one does not."""
-    runs = np.array(one.axis.run_ids)
-    return tuple(runs[one.rsu_all.is_avoided & ~other.rsu_all.is_avoided].tolist())
-
-
-def _price_eur(evaluation: Evaluation) -> float:
-    return sum(unit.sensor.price_eur for unit in evaluation.layout.units)
 
 
 def _without_rounding(value: float) -> float:

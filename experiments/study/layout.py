@@ -13,7 +13,7 @@ from geometry.files import (
 )
 from geometry.frames import from_carla_pose
 from geometry.scene import Scene
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement import planning
 from placement.candidates import CandidatePose
 from placement.layout import Layout

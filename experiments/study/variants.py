@@ -10,7 +10,7 @@ from geometry.actors import PlacedActor, pick_actor
 from geometry.catalogue import pick_camera
 from geometry.poses import Pose, body_rotation
 from geometry.scene import Scene
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement.detectors import GeometricDetector, load_planning_detector
 from placement.layout import Layout
 from placement.question import Question

@@ -53,6 +53,7 @@ from .picture import (
 
 _MARGIN_M = 0.15  # added to boxes: more than a pixel's smoothing reaches at 150 m
 _CHUNK = 40_000  # pixels drawn at a time: fit into a cache
+_BLOCK_PX = 12  # sides of the blocks of pixels that are tried as a whole
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -321,6 +322,89 @@ def _meets(
 
 
 @kernel
+def _may_meet(
+    box: FloatArray,
+    px: float,
+    py: float,
+    pz: float,
+    vx: float,
+    vy: float,
+    vz: float,
+    radius: float,
+) -> bool:
+    """Whether the sphere around a box may be met from anywhere within a radius of p, along v.
+
+    All rays are parallel, or all end where p + v is: then they come nearer to one another.
+    """
+    dx, dy, dz = box[0] - px, box[1] - py, box[2] - pz
+    along = dx * vx + dy * vy + dz * vz
+    away = dx * dx + dy * dy + dz * dz - (math.sqrt(box[8]) + radius) ** 2
+    return away <= 0.0 or (along >= 0.0 and away * (vx * vx + vy * vy + vz * vz) <= along * along)
+
+
+@kernel
+def _around(
+    depth_m: FloatRays,
+    right: FloatRays,
+    ahead: FloatRays,
+    rows: tuple[int, int],
+    columns: tuple[int, int],
+    sky_m: float,
+) -> tuple[float, float, float, float]:
+    """Middle and radius of a sphere around what a block of pixels sees; the sky is at `sky_m`."""
+    low_x = low_y = low_z = math.inf
+    high_x = high_y = high_z = -math.inf
+    for row in range(rows[0], rows[1]):
+        for column in range(columns[0], columns[1]):
+            depth = float(depth_m[row, column])
+            if math.isinf(depth):
+                depth = sky_m
+            x = (float(ahead[row, 0]) + right[column, 0]) * depth
+            y = (float(ahead[row, 1]) + right[column, 1]) * depth
+            z = (float(ahead[row, 2]) + right[column, 2]) * depth
+            low_x, high_x = min(low_x, x), max(high_x, x)
+            low_y, high_y = min(low_y, y), max(high_y, y)
+            low_z, high_z = min(low_z, z), max(high_z, z)
+    size = math.sqrt((high_x - low_x) ** 2 + (high_y - low_y) ** 2 + (high_z - low_z) ** 2)
+    middle = 0.5 * (low_x + high_x), 0.5 * (low_y + high_y), 0.5 * (low_z + high_z)
+    return middle[0], middle[1], middle[2], 0.5 * size + 1e-3
+
+
+@kernel
+def _is_changed(
+    vx: float,
+    vy: float,
+    vz: float,
+    depth: float,
+    boxes: FloatArray,
+    to_sun: FloatArray,
+    lamps: FloatArray,
+    possible: BoolArray,
+) -> bool:
+    """Whether a box is seen in a pixel, or throws a shadow there; those are tried that may."""
+    x, y, z = vx * depth, vy * depth, vz * depth
+    for index in range(len(boxes)):
+        if possible[index, 0] and _meets(boxes[index], 0.0, 0.0, 0.0, vx, vy, vz, depth):
+            return True
+    if math.isinf(depth):
+        return False
+    for index in range(len(boxes)):
+        if possible[index, 1] and _meets(
+            boxes[index], x, y, z, to_sun[0], to_sun[1], to_sun[2], math.inf
+        ):
+            return True
+        for lamp in range(len(lamps)):
+            if not possible[index, 2 + lamp]:
+                continue
+            lx, ly, lz = lamps[lamp, 0] - x, lamps[lamp, 1] - y, lamps[lamp, 2] - z
+            if lx * lx + ly * ly + lz * lz <= lamps[lamp, 3] ** 2 and _meets(
+                boxes[index], x, y, z, lx, ly, lz, 1.0
+            ):
+                return True
+    return False
+
+
+@kernel
 def _mark(
     changed: BoolArray,
     depth_m: FloatRays,
@@ -330,34 +414,51 @@ def _mark(
     to_sun: FloatArray,
     lamps: FloatArray,
 ) -> None:
-    """Mark pixels where a box is seen, or throws a shadow of sun or lamp."""
-    n_boxes = len(boxes)
-    has_sun = to_sun[2] > 0.0
-    for row in range(changed.shape[0]):
-        for column in range(changed.shape[1]):
-            vx = float(ahead[row, 0]) + right[column, 0]
-            vy = float(ahead[row, 1]) + right[column, 1]
-            vz = float(ahead[row, 2]) + right[column, 2]
-            depth = float(depth_m[row, column])
-            found = False
+    """Mark pixels where a box is seen, or throws a shadow of sun or lamp.
+
+    Blocks of pixels are tried as a whole first: what moves changes few of them.
+    """
+    n_boxes, n_lamps = len(boxes), len(lamps)
+    sky_m = 1.0  # beyond all boxes
+    for index in range(n_boxes):
+        box = boxes[index]
+        away = math.sqrt(box[0] ** 2 + box[1] ** 2 + box[2] ** 2) + math.sqrt(box[8])
+        sky_m = max(sky_m, 1.01 * away)
+    # Of each box: may it be seen, hide the sun, hide each lamp?
+    possible = np.empty((n_boxes, 2 + n_lamps), dtype=np.bool_)
+    for top in range(0, changed.shape[0], _BLOCK_PX):
+        bottom = min(top + _BLOCK_PX, changed.shape[0])
+        for first in range(0, changed.shape[1], _BLOCK_PX):
+            last = min(first + _BLOCK_PX, changed.shape[1])
+            x, y, z, radius = _around(depth_m, right, ahead, (top, bottom), (first, last), sky_m)
+            n_possible = 0
             for index in range(n_boxes):
-                found = found or _meets(boxes[index], 0.0, 0.0, 0.0, vx, vy, vz, depth)
-            if found or math.isinf(depth):
-                changed[row, column] = found
+                box = boxes[index]
+                possible[index, 0] = _may_meet(box, x, y, z, -x, -y, -z, radius)
+                possible[index, 1] = to_sun[2] > 0.0 and _may_meet(
+                    box, x, y, z, to_sun[0], to_sun[1], to_sun[2], radius
+                )
+                for lamp in range(n_lamps):
+                    lx, ly, lz = lamps[lamp, 0] - x, lamps[lamp, 1] - y, lamps[lamp, 2] - z
+                    possible[index, 2 + lamp] = lx * lx + ly * ly + lz * lz <= (
+                        lamps[lamp, 3] + radius
+                    ) ** 2 and _may_meet(box, x, y, z, lx, ly, lz, radius)
+                for way in range(2 + n_lamps):
+                    n_possible += possible[index, way]
+            if n_possible == 0:
                 continue
-            x, y, z = vx * depth, vy * depth, vz * depth
-            if has_sun:
-                for index in range(n_boxes):
-                    found = found or _meets(
-                        boxes[index], x, y, z, to_sun[0], to_sun[1], to_sun[2], math.inf
+            for row in range(top, bottom):
+                for column in range(first, last):
+                    changed[row, column] = _is_changed(
+                        float(ahead[row, 0]) + right[column, 0],
+                        float(ahead[row, 1]) + right[column, 1],
+                        float(ahead[row, 2]) + right[column, 2],
+                        float(depth_m[row, column]),
+                        boxes,
+                        to_sun,
+                        lamps,
+                        possible,
                     )
-            for lamp in range(len(lamps)):
-                lx, ly, lz = lamps[lamp, 0] - x, lamps[lamp, 1] - y, lamps[lamp, 2] - z
-                if found or lx * lx + ly * ly + lz * lz > lamps[lamp, 3] ** 2:
-                    continue
-                for index in range(n_boxes):
-                    found = found or _meets(boxes[index], x, y, z, lx, ly, lz, 1.0)
-            changed[row, column] = found
 
 
 @kernel

@@ -20,7 +20,7 @@ from geometry.actors import load_actors
 from geometry.errors import InputError
 from geometry.lidar import LidarModel, load_lidars
 from geometry.poses import Pose
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement.layout import (
     RESERVED_IDS,
     SCHEMA,

@@ -19,7 +19,7 @@ from experiments.export.kml import to_kml
 from experiments.export.parquet import to_parquet
 from experiments.export.places import placed_records
 from geometry.errors import InputError
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement.layout import layout_records
 
 LAYOUTS = [awkward_layout, large_layout]

@@ -18,7 +18,7 @@ from experiments.results.reading import load_result
 from experiments.results.schema import SCHEMA_FILE, schema_text
 from experiments.study.layout import load_carlancap_layout
 from geometry.frames import to_geographic
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement.explain.sensitivity import load_assumptions
 from placement.layout import RESULT_SCHEMA, Layout
 from placement.setting import Links

@@ -20,7 +20,8 @@ from experiments.report.interactive.view import view_record
 from experiments.report.units import unit_table
 from geometry.errors import InputError
 from geometry.poses import Pose
-from geometry.scene_files import load_scene, load_study_scene, save_scene
+from geometry.scene_files import load_scene, save_scene
+from geometry.study_scene import load_study_scene
 from geometry.terrain import GROUND, Terrain, terrain_of
 from placement.candidates import above_ground
 from placement.layout import Layout, check_layout, layout_records

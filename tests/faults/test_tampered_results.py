@@ -23,7 +23,8 @@ from experiments.progress import StageProgress
 from experiments.results.folders import MANIFEST, write_manifest
 from experiments.results.solutions import VerificationResult
 from geometry.errors import InputError
-from geometry.scene_files import load_study_scene, save_scene
+from geometry.scene_files import save_scene
+from geometry.study_scene import load_study_scene
 from placement.layout import load_layout
 from placement.verification.certificates import instance_of
 from placement.verification.instances import StoredProblem, load_stored_problem, save_problem

@@ -12,7 +12,7 @@ from geometry.junction import (
     lane_line,
 )
 from geometry.scene import Lane
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 
 
 def test_the_protocols_junction_has_four_arms_with_a_lane_each_way():

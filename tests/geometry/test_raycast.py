@@ -4,7 +4,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from oracles import slab_hits
 
@@ -33,7 +33,6 @@ def _random_rays(rng, n, reach_m):
 
 @pytest.mark.parametrize("library", LIBRARIES)
 @given(seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=20)
 def test_rays_against_a_box_are_those_of_the_slab_formula(library, seed):
     origins, vectors = _random_rays(np.random.default_rng(seed), 500, 8.0)
     caster = build_caster(BOX.vertices, BOX.faces, library=library)
@@ -79,7 +78,6 @@ def test_the_nearest_of_several_triangles_is_hit_at_its_share_of_the_vector(libr
 @pytest.mark.system
 @needs_open3d
 @given(seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=15)
 def test_open3d_and_embreex_agree_on_any_triangles_and_rays(seed):
     rng = np.random.default_rng(seed)
     vertices = rng.uniform(-50.0, 50.0, (90, 3))
@@ -95,7 +93,6 @@ def test_open3d_and_embreex_agree_on_any_triangles_and_rays(seed):
 @pytest.mark.system
 @needs_open3d
 @given(seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=15)
 def test_open3d_and_embreex_name_the_same_first_triangle(seed):
     rng = np.random.default_rng(seed)
     vertices = rng.uniform(-50.0, 50.0, (90, 3))
@@ -113,7 +110,6 @@ def test_open3d_and_embreex_name_the_same_first_triangle(seed):
 
 @pytest.mark.parametrize("library", LIBRARIES)
 @given(seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=15)
 def test_the_first_triangle_is_at_the_first_hit_and_in_the_named_plane(library, seed):
     rng = np.random.default_rng(seed)
     vertices = rng.uniform(-50.0, 50.0, (90, 3))
@@ -136,7 +132,6 @@ def test_the_first_triangle_is_at_the_first_hit_and_in_the_named_plane(library, 
 
 @pytest.mark.parametrize("library", LIBRARIES)
 @given(seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=15)
 def test_blocked_means_that_the_first_hit_comes_before_the_end(library, seed):
     rng = np.random.default_rng(seed)
     caster = build_caster(

@@ -7,7 +7,7 @@ from junctions import protocol_scene
 
 from geometry.scene import Instance, Site, thing_footprint
 from geometry.scene_checks import check_scene
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 
 
 def with_things(*things, sites=True):

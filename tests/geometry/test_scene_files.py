@@ -1,473 +1,188 @@
-import copy
-import json
-import tomllib
-from importlib.resources import files
+import zipfile
 
 import numpy as np
 import pytest
+import trimesh
+from osm_text import LAT_DEG, LON_DEG, OsmText
 
-from geometry.actors import load_actors
 from geometry.errors import InputError
-from geometry.footprints import footprint_corners, footprint_separation
-from geometry.frames import from_carla_points, to_geographic
-from geometry.scene import CLASS_NAMES, containing_instance
-from geometry.scene_files import load_box_scene, load_study_scene
-
-TOWN05 = tomllib.loads((files("geometry") / "data" / "town05.toml").read_text(encoding="utf-8"))
-
-# Town05's road network, as published with CARLA and Scenic. CARLA's frame.
-GOLDEN_LANES = {
-    "-1_0": ("driving", 3.5, [[-61.76, -4.31], [-111.4, -4.18]]),
-    "5_0": ("parking", 3.0, [[-118.26, -25.88], [-117.91, -76.82]]),
-    "-50_1": ("driving", 3.5, [[-131.61, 13.85], [-131.58, 15.83], [-131.48, 27.38]]),
-    "2_1": ("driving", 3.5, [[-177.29, 2.98], [-143.17, 2.89]]),
-}
-GOLDEN_OUTLINE = {0: [-111.41, -5.93], 6: [-116.36, 13.66], 24: [-113.05, -6.12]}
+from geometry.frames import from_gltf_points, to_gltf_points
+from geometry.junction import build_junction
+from geometry.scene_files import (
+    SCENE_FILE,
+    THINGS_FILE,
+    load_notes,
+    load_scene,
+    load_scene_folder,
+    load_study_scene,
+    pack_scene,
+    save_scene,
+)
 
 
 @pytest.fixture(scope="module")
-def scene():
-    return load_study_scene()
-
-
-def _vertices(scene, index):
-    return scene.vertices_m[np.unique(scene.triangles[scene.triangle_instance == index])]
-
-
-def _of_class(scene, *names):
-    return [index for index, instance in enumerate(scene.instances) if instance.class_name in names]
-
-
-# The study's junction
-
-
-def test_the_study_scene_has_28_sites_on_poles_and_mast_arms(scene):
-    kinds = [site.kind for site in scene.sites]
-    assert len(scene.sites) == 28
-    assert {kind: kinds.count(kind) for kind in kinds} == {
-        "lamp post": 20,
-        "traffic light": 4,
-        "mast arm": 4,
-    }
-    assert {site.capacity_units for site in scene.sites} == {2}
-
-
-def test_every_site_is_at_the_thing_it_is_named_after_and_within_its_height(scene):
-    by_id = {instance.id: index for index, instance in enumerate(scene.instances)}
-    for site in scene.sites:
-        vertices = _vertices(scene, by_id[site.id])
-        apart = np.linalg.norm(vertices[:, :2] - site.position_m[:2], axis=1)
-        assert apart.min() < 0.15, site.id
-        assert site.position_m[2] == 0.0
-        assert site.height_range_m[1] <= vertices[:, 2].max(), site.id
-
-
-def test_sites_are_in_the_open_air_at_their_lowest_and_highest(scene):
-    for site in scene.sites:
-        for height_m in site.height_range_m:
-            position = site.position_m + [0.0, 0.0, height_m]
-            assert containing_instance(scene, position) is None, site.id
-
-
-def test_lanes_and_outline_are_the_published_ones_flipped_to_the_north(scene):
-    lanes = {lane.id: lane for lane in scene.lanes}
-    for name, (kind, width_m, points) in GOLDEN_LANES.items():
-        assert (lanes[name].kind, lanes[name].width_m) == (kind, width_m)
-        assert lanes[name].centreline_m.tolist() == (np.array(points) * [1, -1]).tolist()
-    for index, point in GOLDEN_OUTLINE.items():
-        assert scene.outline_m[index].tolist() == [point[0], -point[1]]
-    # All others, from the file.
-    assert len(scene.lanes) == len(TOWN05["lanes"]) == 32
-    for entry in TOWN05["lanes"]:
-        assert np.array_equal(
-            lanes[entry["id"]].centreline_m, np.array(entry["centreline_m"]) * [1.0, -1.0]
-        )
-    assert np.array_equal(scene.outline_m, np.array(TOWN05["outline_m"]) * [1.0, -1.0])
-
-
-def test_the_junction_lies_where_the_maps_reference_says(scene):
-    ((lon_deg, lat_deg),) = to_geographic(scene.outline_m.mean(axis=0)[None], scene.crs)
-    # 126.5 m west of 8 deg E, 1 m south of 49 deg N.
-    assert lon_deg == pytest.approx(8.0 - 126.5 / 73_170.0, abs=1e-5)
-    assert lat_deg == pytest.approx(49.0, abs=2e-5)
-
-
-def test_the_study_scene_is_made_of_closed_bodies_on_the_road(scene):
-    assert {instance.class_name for instance in scene.instances} <= set(CLASS_NAMES)
-    assert set(np.unique(scene.triangle_instance)) == set(range(len(scene.instances)))
-    for index, instance in enumerate(scene.instances):
-        if instance.class_name == "ground":
-            continue
-        triangles = scene.triangles[scene.triangle_instance == index]
-        a, b, c = np.moveaxis(scene.vertices_m[triangles], 1, 0)
-        # Outward normals of a closed mesh: positive volume, and the areas cancel out.
-        assert np.einsum("ij,ij->", a - a.mean(axis=0), np.cross(b - a, c - a)) > 0.0
-        assert np.cross(b - a, c - a).sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-6)
-        assert _vertices(scene, index)[:, 2].min() > -1e-9
-        if instance.class_name != "traffic light":
-            assert _vertices(scene, index)[:, 2].min() < 0.2
-
-
-def test_buildings_have_the_stated_sizes(scene):
-    indices = _of_class(scene, "building")
-    assert len(indices) == len(TOWN05["buildings"])
-    for index, entry in zip(indices, TOWN05["buildings"], strict=True):
-        low, high = _vertices(scene, index).min(axis=0), _vertices(scene, index).max(axis=0)
-        east, north = from_carla_points(entry["position_m"])
-        assert (high - low).tolist() == pytest.approx(
-            [entry["length_m"], entry["width_m"], entry["height_m"]]
-        )
-        assert (0.5 * (low + high)).tolist() == pytest.approx([east, north, 0.5 * high[2]])
-
-
-def test_walls_go_from_end_to_end_and_close_the_corner(scene):
-    for index, entry in zip(_of_class(scene, "wall"), TOWN05["walls"], strict=True):
-        ends = from_carla_points([entry["from_m"], entry["to_m"]])
-        half = 0.5 * entry["thickness_m"]
-        vertices = _vertices(scene, index)
-        assert vertices.min(axis=0) == pytest.approx([*(ends.min(axis=0) - half), 0.0])
-        assert vertices.max(axis=0) == pytest.approx(
-            [*(ends.max(axis=0) + half), entry["height_m"]]
-        )
-
-
-def test_no_solid_body_of_the_study_scene_stands_in_another(scene):
-    solid = _of_class(scene, "building", "wall", "parked vehicle")
-    boxes = {index: _vertices(scene, index) for index in solid}
-    for first in solid:
-        for second in solid:
-            walls = {scene.instances[i].class_name for i in (first, second)} == {"wall"}
-            if first >= second or walls:  # walls meet at corners
-                continue
-            a, b = boxes[first][:, :2], boxes[second][:, :2]
-            apart = np.maximum(a.min(axis=0) - b.max(axis=0), b.min(axis=0) - a.max(axis=0))
-            assert apart.max() > 0.0, (scene.instances[first], scene.instances[second])
-
-
-def test_every_path_of_every_run_is_clear_of_all_that_stands(scene, runs):
-    """Footprints of VUT and VRU in every frame against the boxes of all instances."""
-    nearest_m = np.inf
-    for index, instance in enumerate(scene.instances):
-        vertices = _vertices(scene, index)
-        if instance.class_name == "ground" or vertices[:, 2].min() > 2.0:
-            continue  # mast arms hang above all heads
-        low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
-        length_m, width_m = high - low
-        box = footprint_corners(0.5 * (low + high), 0.0, length_m=length_m, width_m=width_m)
-        for run in runs:
-            for body, position, yaw in (
-                (run.encounter.vut, run.vut_position_m, run.vut_yaw_deg),
-                (run.encounter.vru, run.vru_position_m, run.vru_yaw_deg),
-            ):
-                # All along the way, not only in the frames: from first to last, swept.
-                middle = 0.5 * (position[0] + position[-1])
-                swept = footprint_corners(
-                    middle,
-                    yaw[0],
-                    length_m=body.length_m + np.hypot(*(position[-1] - position[0])),
-                    width_m=body.width_m,
-                )
-                separation_m = float(footprint_separation(swept, box))
-                nearest_m = min(nearest_m, separation_m)
-    assert nearest_m > 0.08
-
-
-# Files
-
-SMALL = {
-    "name": "small",
-    "frame": "carla-left-handed",
-    "crs": "EPSG:25832",
-    "outline_m": [[0.0, 0.0], [10.0, 0.0], [10.0, 5.0]],
-    "ground": {"position_m": [5.0, 2.0], "half_size_m": 20.0},
-    "buildings": [
-        {
-            "id": "house",
-            "position_m": [10.0, 4.0],
-            "yaw_deg": 30.0,
-            "length_m": 6.0,
-            "width_m": 4.0,
-            "height_m": 8.0,
-        }
-    ],
-    "walls": [
-        {
-            "id": "wall",
-            "from_m": [0.0, 0.0],
-            "to_m": [0.0, 5.0],
-            "thickness_m": 0.2,
-            "height_m": 2.0,
-        }
-    ],
-    "parked_rows": [
-        {
-            "id": "row",
-            "first_m": [0.0, -9.0],
-            "yaw_deg": 0.0,
-            "gap_m": 1.0,
-            "actors": ["parked-van", "parked-car-small"],
-        }
-    ],
-    "poles": [
-        {
-            "id": "pole",
-            "kind": "lamp post",
-            "position_m": [3.0, -4.0],
-            "radius_m": 0.1,
-            "height_m": 9.0,
-            "height_range_m": [4.0, 8.0],
-            "capacity_units": 1,
-        }
-    ],
-    "mast_arms": [
-        {
-            "id": "arm",
-            "from_m": [3.0, -4.0],
-            "to_m": [3.0, 0.0],
-            "height_m": 7.0,
-            "radius_m": 0.05,
-            "height_range_m": [6.0, 6.5],
-            "capacity_units": 3,
-        }
-    ],
-    "lanes": [
-        {
-            "id": "lane",
-            "kind": "driving",
-            "width_m": 3.5,
-            "centreline_m": [[0.0, 1.0], [9.0, 2.0]],
-        }
-    ],
-}
-
-
-def _toml(table) -> str:
-    """Numbers, texts, lists and tables as TOML: JSON's values inline."""
-    lines = []
-    for key, value in table.items():
-        text = json.dumps(value).replace("NaN", "nan").replace("Infinity", "inf")
-        lines.append(f"{key} = {_inline(value) if isinstance(value, dict | list) else text}")
-    return "\n".join(lines)
-
-
-def _inline(value) -> str:
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{key} = {_inline(item)}" for key, item in value.items()) + "}"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(_inline, value)) + "]"
-    return json.dumps(value).replace("NaN", "nan").replace("Infinity", "inf")
-
-
-def _load(tmp_path, table):
-    path = tmp_path / "small.toml"
-    path.write_text(_toml(table), encoding="utf-8")
-    return load_box_scene(path)
-
-
-def test_parked_rows_have_the_stated_gaps_and_begin_at_the_first_bumper(tmp_path):
-    scene = _load(tmp_path, SMALL)
-    by_id = {instance.id: index for index, instance in enumerate(scene.instances)}
-    for row in SMALL["parked_rows"]:
-        yaw = np.radians(-row["yaw_deg"])
-        ahead, left = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
-        first = from_carla_points(row["first_m"])
-        bodies = [
-            _vertices(scene, by_id[f"{row['id']}-{number}"])[:, :2] - first
-            for number in range(1, len(row["actors"]) + 1)
-        ]
-        fronts = [(body @ ahead).max() for body in bodies]
-        rears = [(body @ ahead).min() for body in bodies]
-        assert fronts[0] == pytest.approx(0.0, abs=1e-6)
-        for rear, front in zip(rears[:-1], fronts[1:], strict=True):
-            assert rear - front == pytest.approx(row["gap_m"], abs=1e-6)
-        for body, name in zip(bodies, row["actors"], strict=True):
-            actor = load_actors()[name]
-            assert np.ptp(body @ ahead) == pytest.approx(actor.length_m)
-            across = body @ left
-            assert across.max() == pytest.approx(0.5 * actor.width_m)
-            assert across.min() == pytest.approx(-0.5 * actor.width_m)
-    assert len(_of_class(scene, "parked vehicle")) == sum(
-        len(row["actors"]) for row in SMALL["parked_rows"]
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("scene")
+    save_scene(
+        path,
+        load_study_scene(),
+        sources=["a.osm"],
+        skipped=[("way 1", 'too "short"')],
+        assumed_heights=["wall-ne-1"],
     )
+    return path
 
 
-def _changed(key, value):
-    """`key` like "walls.0.height_m"; None leaves it out."""
-    table = copy.deepcopy(SMALL)
-    *path, last = [int(part) if part.isdigit() else part for part in key.split(".")]
-    entry = table
-    for part in path:
-        entry = entry[part]
-    if value is None:
-        del entry[last]
-    else:
-        entry[last] = value
-    return table
+def changed(folder, tmp_path, old, new):
+    """A copy of a scene with some words of its TOML changed."""
+    copy = tmp_path / "copy"
+    copy.mkdir()
+    text = (folder / SCENE_FILE).read_text()
+    assert old in text
+    (copy / SCENE_FILE).write_text(text.replace(old, new, 1))
+    (copy / THINGS_FILE).write_bytes((folder / THINGS_FILE).read_bytes())
+    return copy
 
 
-def test_a_scene_is_built_as_its_file_says(tmp_path):
-    scene = _load(tmp_path, SMALL)
-    assert (scene.name, scene.crs) == ("small", "EPSG:25832")
-    assert [(i.id, i.class_name) for i in scene.instances] == [
-        ("ground", "ground"),
-        ("house", "building"),
-        ("wall", "wall"),
-        ("row-1", "parked vehicle"),
-        ("row-2", "parked vehicle"),
-        ("pole", "lamp post"),
-        ("arm", "traffic light"),
-    ]
-    assert [(s.id, s.kind, s.capacity_units) for s in scene.sites] == [
-        ("pole", "lamp post", 1),
-        ("arm", "mast arm", 3),
-    ]
-    # Sites: the pole's foot, and the road below the free end of the arm.
-    assert scene.sites[0].position_m.tolist() == [3.0, 4.0, 0.0]
-    assert scene.sites[1].position_m.tolist() == [3.0, 0.0, 0.0]
-    assert scene.outline_m.tolist() == [[0.0, 0.0], [10.0, 0.0], [10.0, -5.0]]
-    assert scene.lanes[0].centreline_m.tolist() == [[0.0, -1.0], [9.0, -2.0]]
-
-    house = _vertices(scene, 1) - [10.0, -4.0, 0.0]
-    turn = np.radians(-30.0)  # clockwise in CARLA's frame
-    along = house[:, :2] @ [np.cos(turn), np.sin(turn)]
-    assert (along.min(), along.max()) == pytest.approx((-3.0, 3.0))
-    pole, arm = _vertices(scene, 5), _vertices(scene, 6)
-    assert (pole[:, 2].min(), pole[:, 2].max()) == pytest.approx((0.0, 9.0))
-    assert np.hypot(*(pole[:, :2] - [3.0, 4.0]).T).max() == pytest.approx(0.1)
-    assert (arm[:, 1].min(), arm[:, 1].max()) == pytest.approx((0.0, 4.0))
-    assert arm[:, 2].mean() == pytest.approx(7.0, abs=1e-6)
+def test_a_scene_comes_back_as_it_was(folder, tmp_path):
+    scene = load_study_scene()
+    archive = tmp_path / "scene.zip"
+    pack_scene(folder, archive)
+    for again in (load_scene_folder(folder), load_scene_folder(archive)):
+        assert (again.name, again.crs) == (scene.name, scene.crs)
+        assert again.instances == scene.instances
+        ours, theirs = (one.vertices_m[one.triangles] for one in (again, scene))
+        assert ours == pytest.approx(theirs, abs=2e-5)
+        assert np.array_equal(again.triangle_instance, scene.triangle_instance)
+        for one, other in zip(again.lanes, scene.lanes, strict=True):
+            assert (one.id, one.kind, one.width_m) == (other.id, other.kind, other.width_m)
+            assert one.centreline_m == pytest.approx(other.centreline_m, abs=5e-4)
+        for one, other in zip(again.sites, scene.sites, strict=True):
+            assert (one.id, one.kind, one.use) == (other.id, other.kind, other.use)
+            assert one.position_m == pytest.approx(other.position_m, abs=5e-4)
+        assert again.crosswalks_m == pytest.approx(scene.crosswalks_m, abs=5e-4)
+        assert again.keeps_left is scene.keeps_left
 
 
-def test_a_scene_of_ground_only_is_allowed(tmp_path):
-    table = {key: SMALL[key] for key in ("name", "frame", "crs", "outline_m", "ground")}
-    scene = _load(tmp_path, table)
-    assert len(scene.triangles) == 2
-    assert scene.sites == ()
-    assert scene.lanes == ()
+def test_notes_come_back(folder):
+    notes = load_notes(folder)
+    assert notes.skipped == (("way 1", 'too "short"'),)
+    assert notes.assumed_heights == {"wall-ne-1"}
 
 
-def test_the_study_scene_is_read_once():
-    assert load_study_scene() is load_study_scene()
+def test_other_programs_see_things_upright(folder):
+    meshes = trimesh.load_scene(folder / THINGS_FILE)
+    low, high = meshes.bounds
+    assert high[1] - low[1] < 30.0  # y is up: the highest building, not the street's length
+    assert min(high[0] - low[0], high[2] - low[2]) > 100.0
+
+
+def test_gltfs_frame_and_back():
+    points = np.array([[1.0, 2.0, 3.0]])
+    assert to_gltf_points(points).tolist() == [[1.0, 3.0, -2.0]]
+    assert from_gltf_points(to_gltf_points(points)).tolist() == points.tolist()
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "message"),
+    ("old", "new", "message"),
     [
-        ("name", None, "{}: name: got nothing; expected a value"),
-        ("crs", "", "{}: crs: got ''; expected text"),
-        ("frame", None, "{}: frame: got nothing; expected a value"),
-        ("frame", "enu", "{}: frame: got 'enu'; expected one of carla-left-handed"),
-        ("ground", None, "{}: ground: got nothing; expected a value"),
-        ("ground", 3, "{}: ground: got 3; expected a table"),
-        ("ground.half_size_m", 0.0, "{}: ground.half_size_m: got 0.0; expected a number > 0"),
-        ("outline_m", None, "{}: outline_m: got nothing; expected a value"),
-        (
-            "outline_m",
-            [[1.0, 2.0, 3.0]],
-            "{}: outline_m: got shape (1, 3); expected shape (-1, 2)",
-        ),
-        (
-            "outline_m",
-            [[1.0, 2.0], [3.0]],
-            "{}: outline_m: got [[1.0, 2.0], [3.0]]; expected numbers of shape (-1, 2)",
-        ),
-        ("walls", 3, "{}: walls: got 3; expected a list"),
-        ("walls", [3], "{}: walls[0]: got 3; expected a table"),
-        ("walls.0.id", None, "{}: walls[0].id: got nothing; expected a value"),
-        ("walls.0.height_m", None, "{}: walls[0].height_m: got nothing; expected a value"),
-        ("walls.0.height_m", -2.0, "{}: walls[0].height_m: got -2.0; expected a number > 0"),
-        (
-            "walls.0.thickness_m",
-            float("nan"),
-            "{}: walls[0].thickness_m: got nan; expected a finite number",
-        ),
-        ("walls.0.to_m", [1.0], "{}: walls[0].to_m: got shape (1,); expected shape (2,)"),
-        (
-            "walls.0.to_m",
-            [1.0, float("inf")],
-            "{}: walls[0].to_m: got [1.0, inf]; expected finite numbers",
-        ),
-        ("walls.0.to_m", "there", "{}: walls[0].to_m: got 'there'; expected a list"),
-        (
-            "buildings.0.yaw_deg",
-            "north",
-            "{}: buildings[0].yaw_deg: got 'north'; expected a finite number",
-        ),
-        (
-            "buildings.0.length_m",
-            0.0,
-            "{}: buildings[0].length_m: got 0.0; expected a number > 0",
-        ),
-        (
-            "parked_rows.0.gap_m",
-            -0.5,
-            "{}: parked_rows[0].gap_m: got -0.5; expected a number, at least 0",
-        ),
-        (
-            "parked_rows.0.gap_m",
-            True,
-            "{}: parked_rows[0].gap_m: got True; expected a finite number",
-        ),
-        ("poles.0.radius_m", -1.0, "{}: poles[0].radius_m: got -1.0; expected a number > 0"),
-        ("poles.0.kind", None, "{}: poles[0].kind: got nothing; expected a value"),
-        (
-            "poles.0.kind",
-            "tree",
-            "instance pole.class_name: got 'tree'; expected one of " + ", ".join(CLASS_NAMES),
-        ),
-        (
-            "poles.0.capacity_units",
-            None,
-            "{}: poles[0].capacity_units: got nothing; expected a value",
-        ),
-        (
-            "poles.0.capacity_units",
-            0,
-            "site pole.capacity_units: got 0; expected a whole number, at least 1",
-        ),
-        (
-            "poles.0.height_range_m",
-            [8.0, 5.0],
-            "site pole.height_range_m: got [8.0, 5.0]; "
-            "expected [low, high] in metres, 0 < low <= high",
-        ),
-        (
-            "poles.0.height_range_m",
-            [8.0],
-            "{}: poles[0].height_range_m: got shape (1,); expected shape (2,)",
-        ),
-        (
-            "mast_arms.0.height_m",
-            None,
-            "{}: mast_arms[0].height_m: got nothing; expected a value",
-        ),
-        ("lanes.0.width_m", 0.0, "{}: lanes[0].width_m: got 0.0; expected a number > 0"),
-        (
-            "lanes.0.centreline_m",
-            [1.0, 2.0],
-            "{}: lanes[0].centreline_m: got shape (2,); expected shape (-1, 2)",
-        ),
-        ("walls.0.id", "house", "small: instances: got 'house'; expected every id once"),
-        ("mast_arms.0.id", "pole", "small: sites: got 'pole'; expected every id once"),
+        ('format = "place-rsus scene"', 'format = "x"', "format: got 'x'; expected 'place-rsus"),
+        ("version = 1", "version = 2", "version: got 2; expected 1; import the scene again"),
+        ("keeps_left = false", "keeps_left = 1", "keeps_left: got 1; expected true or false"),
+        ("+proj=tmerc", "+proj=nothing", "crs: got "),
+        ('kind = "driving"', "kind = 3", r"lanes\[0\].kind: got 3"),
+        ("width_m = 3.5", "width_m = nan", r"lanes\[0\].width_m: got nan"),
+        ('class = "ground"', 'class = "sea"', "class_name: got 'sea'; expected one of ground"),
+        ('id = "ground"', 'id = "gone"', r"things\[0\]: got 'gone'; expected the name of a mesh"),
+        ("[[lanes]]", "[[lanes", "expected valid TOML"),
     ],
 )
-def test_a_scene_file_says_what_is_wrong(tmp_path, key, value, message):
-    with pytest.raises(InputError) as caught:
-        _load(tmp_path, _changed(key, value))
-    assert str(caught.value) == message.format("small.toml")
+def test_a_wrong_field_is_named(folder, tmp_path, old, new, message):
+    with pytest.raises(InputError, match=message):
+        load_scene_folder(changed(folder, tmp_path, old, new))
 
 
-def test_an_unknown_body_in_a_row_lists_the_known_ones(tmp_path):
-    with pytest.raises(InputError) as caught:
-        _load(tmp_path, _changed("parked_rows.0.actors", ["parked-van", "bus"]))
-    assert str(caught.value) == (
-        "small.toml: parked_rows[0].actors[1]: got 'bus'; expected one of "
-        + ", ".join(sorted(load_actors()))
-    )
+def test_what_is_no_scene_is_refused(folder, tmp_path):
+    with pytest.raises(InputError, match="got nothing there; expected a scene"):
+        load_scene_folder(tmp_path / "gone")
+    with pytest.raises(InputError, match=r"got no scene\.toml; expected a folder of"):
+        load_scene_folder(tmp_path)
+    file = tmp_path / "a.zip"
+    file.write_bytes(b"PK\x03\x04 nothing")
+    with pytest.raises(InputError, match=r"expected a scene: a folder or \.zip file"):
+        load_scene_folder(file)
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("../scene.toml", "x")
+    with pytest.raises(InputError, match=r"There is no item named 'scene\.toml'"):
+        load_scene_folder(file)
+    broken = changed(folder, tmp_path, "version = 1", "version = 1")
+    data = (broken / THINGS_FILE).read_bytes()
+    for content in (b"", b"glTF", data[: len(data) // 2], b"\x00" * 100):
+        (broken / THINGS_FILE).write_bytes(content)
+        with pytest.raises(InputError, match=r"expected glTF 2\.0"):
+            load_scene_folder(broken)
+    (broken / THINGS_FILE).unlink()
+    with pytest.raises(InputError, match="expected the meshes of the scene"):
+        load_scene_folder(broken)
 
 
-def test_a_file_that_is_not_there_is_named(tmp_path):
-    path = tmp_path / "none.toml"
-    with pytest.raises(InputError) as caught:
-        load_box_scene(path)
-    assert str(caught.value) == f"{path}: got No such file or directory; expected a readable file"
+def test_a_bomb_in_an_archive_is_not_unpacked(tmp_path, monkeypatch):
+    monkeypatch.setattr("geometry.scene_files._MAX_BYTES", {SCENE_FILE: 1000, THINGS_FILE: 1000})
+    file = tmp_path / "bomb.zip"
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(SCENE_FILE, "#" * 2_000_000)
+        archive.writestr(THINGS_FILE, "")
+    with pytest.raises(InputError, match="more than 1,000 bytes"):
+        load_scene_folder(file)
+
+
+# From wherever it is
+
+
+def _two_crossings(folder):
+    """A map: four streets that meet at the origin, three that meet 200 m east of it."""
+    osm = OsmText()
+    west, east = osm.node(0.0, 0.0), osm.node(200.0, 0.0)
+    osm.road([west, east], name="Link")
+    for middle, x_m, ways in (
+        (west, 0.0, ((-1, 0), (0, 1), (0, -1))),
+        (east, 200.0, ((0, 1), (1, 0))),
+    ):
+        for along, up in ways:
+            osm.road([middle, (x_m + 100.0 * along, 100.0 * up)], name=f"{x_m:g} {along} {up}")
+    return osm.write(folder)
+
+
+def test_a_scene_is_loaded_from_wherever_it_is(folder, tmp_path):
+    assert load_scene() is load_scene("town05") is load_study_scene()
+    archive = tmp_path / "scene.zip"
+    pack_scene(folder, archive)
+    for path in (folder, str(folder), archive, str(archive)):
+        assert load_scene(path).instances == load_study_scene().instances
+
+
+def test_a_junction_of_a_map_is_loaded_by_name_by_place_or_as_the_largest(tmp_path):
+    path = _two_crossings(tmp_path)
+    packed = tmp_path / "map.zip"
+    with zipfile.ZipFile(packed, "w") as archive:
+        archive.write(path, "map.osm")
+    largest = load_scene(path)
+    assert len(build_junction(largest).arms) == 4
+    assert largest.sites
+    for other in (
+        load_scene(str(path), junction="2"),
+        load_scene(path, at=(LON_DEG + 0.003, LAT_DEG)),
+    ):
+        assert len(build_junction(other).arms) == 3
+    assert load_scene(packed).lanes[0].id == largest.lanes[0].id
+    with pytest.raises(InputError, match="--at: got it beside --junction"):
+        load_scene(path, junction="2", at=(LON_DEG, LAT_DEG))
+
+
+def test_what_is_neither_a_scene_nor_a_map_is_named(tmp_path):
+    with pytest.raises(InputError, match="got nothing there; expected a scene"):
+        load_scene(tmp_path / "gone.osm")
+    text = tmp_path / "notes.txt"
+    text.write_text("nothing")
+    with pytest.raises(InputError, match=r"notes\.txt: got .*; expected a scene"):
+        load_scene(text)

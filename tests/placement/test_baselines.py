@@ -13,7 +13,7 @@ from experiments.study.layout import load_carlancap_layout
 from geometry.errors import InputError
 from geometry.junction import build_junction, mirrored
 from geometry.poses import Pose
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement.baselines import (
     Proposals,
     RandomLayouts,

@@ -8,7 +8,7 @@ from junctions import build_scene, lanes_of
 
 from experiments.cli.scenarios import list_rows, scenario_table
 from geometry.errors import InputError
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement.detectors import load_planning_detector
 from placement.question import Question
 from placement.setting import (

@@ -7,7 +7,7 @@ import pytest
 
 from geometry.errors import InputError
 from geometry.poses import Pose
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement.candidates import CandidateGrid, CandidatePose, build_candidates
 from placement.compute import Compute
 from placement.detectors import load_detector, load_planning_detector

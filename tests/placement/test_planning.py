@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from geometry.errors import InputError
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement import planning
 from placement.candidates import CandidatePose, load_candidate_grid
 from placement.layout import Layout

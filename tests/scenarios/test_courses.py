@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from oracles import distance_to_chain_m
 
@@ -156,7 +156,6 @@ def test_no_path_leaves_its_lane_or_jumps(lane, is_in, body):
 
 
 @given(lane=lanes(), left_m=st.floats(-4.0, 4.0))
-@settings(max_examples=25)
 def test_the_course_beside_another_keeps_its_distance_and_direction(lane, left_m):
     course = follow_lane(lane, is_in=True)
     beside = course.beside(left_m)

@@ -23,7 +23,7 @@ from oracles import distance_to_chain_m
 from geometry.errors import InputError
 from geometry.junction import build_junction, lane_length_m
 from geometry.scene import Lane
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from scenarios.cases import load_case_sets, load_cases, select_cases
 from scenarios.exposure import default_weights
 from scenarios.paths import StraightPath, TowedPath
@@ -133,7 +133,6 @@ def test_the_default_question_has_four_to_six_hundred_runs_with_an_id_each(defau
 # Where
 
 
-@settings(max_examples=25)
 @given(
     name=st.sampled_from(FREE),
     metres=st.floats(0.5, 120.0),
@@ -183,7 +182,6 @@ def test_behind_the_vut_crosses_the_junction_to_the_other_arms_crosswalk(vut, ru
         assert distance_to_chain_m(run.vut_position_m[on_map], chain).max() < 0.7
 
 
-@settings(max_examples=12)
 @given(
     name=st.sampled_from(FREE),
     metres=st.sampled_from([0.0, 15.0, 40.0]),

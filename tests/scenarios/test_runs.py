@@ -11,7 +11,7 @@ from strategies import frame_axes, numbers
 
 from geometry.errors import InputError
 from geometry.scene import Lane
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from scenarios.aeb import has_contact, is_in_time, live_confirmation_time_s
 from scenarios.cases import load_cases, pick_cases
 from scenarios.exposure import weight_per_run

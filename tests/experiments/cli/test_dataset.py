@@ -95,7 +95,7 @@ def test_pictures_clouds_labels_and_a_manifest_are_written(dataset):
 
 
 def test_a_calibration_projects_the_vru_into_its_label(dataset):
-    from geometry.scene_files import load_study_scene
+    from geometry.study_scene import load_study_scene
     from placement.question import Question
     from placement.setting import build_setting
 

@@ -8,7 +8,7 @@ from PIL import Image
 
 from experiments.jobs.render import find_frame, find_run, instance_colours
 from geometry.errors import InputError
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 
 ASKED = {
     "--layout": "carlancap-12",

@@ -21,7 +21,8 @@ from experiments.figures.scene import plot_scene_plan, plot_scene_view
 from experiments.results.scenes import SceneResult
 from geometry.errors import InputError
 from geometry.junction import build_junction
-from geometry.scene_files import load_scene_folder, load_study_scene
+from geometry.scene_files import load_scene_folder
+from geometry.study_scene import load_study_scene
 from placement import planning
 from placement.candidates import load_candidate_grid
 

@@ -11,8 +11,8 @@ from partial_pages import build_result
 from experiments.cli.compare import comparison_text
 from experiments.cli.evaluate import evaluation_text, failure_lines
 from experiments.cli.place import placement_text
+from experiments.results.evaluations import EvaluationRecord, PartyAprRecord
 from experiments.results.numbers import percent
-from experiments.results.result import EvaluationRecord, PartyAprRecord
 
 OUT = Path("results/latest")
 

@@ -17,7 +17,7 @@ from geometry.errors import InputError
 from geometry.frames import from_carla_pose
 from geometry.lidar import load_lidars
 from geometry.poses import Pose
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
 from placement.layout import Layout, layout_records, load_layout
 

@@ -10,7 +10,7 @@ import pytest
 from experiments.export.openscenario import load_xosc, to_openscenario, validate_openscenario
 from geometry.actors import Shape, load_actors
 from geometry.errors import InputError, MissingExtraError
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from scenarios.aeb import load_aeb_rule
 from scenarios.cases import load_cases
 from scenarios.runs import WEATHERS, build_runs

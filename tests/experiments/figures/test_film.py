@@ -5,7 +5,7 @@ from PIL import Image
 from experiments.figures import film as film_figure
 from experiments.figures.film import plot_film, save_film
 from geometry.errors import InputError
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement.question import Question
 from placement.setting import drive_one
 

@@ -11,8 +11,8 @@ from experiments.figures.plan import ground_footprint, plot_plan
 from experiments.study.layout import load_carlancap_layout
 from geometry.catalogue import load_cameras
 from geometry.poses import Pose
-from geometry.scene_files import load_study_scene
 from geometry.sensors import project_points
+from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
 from placement.layout import Layout
 from placement.question import Question

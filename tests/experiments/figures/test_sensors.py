@@ -24,7 +24,7 @@ from experiments.report.units import unit_table
 from geometry.catalogue import load_cameras
 from geometry.lidar import load_lidars
 from geometry.poses import Pose
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose, is_in_view
 from placement.layout import Layout
 

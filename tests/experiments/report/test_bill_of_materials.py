@@ -15,7 +15,7 @@ from experiments.report.bill_of_materials import (
 )
 from geometry.lidar import load_lidars
 from geometry.poses import Pose
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
 from placement.layout import Layout
 

@@ -16,7 +16,8 @@ from experiments.report.comparison import (
     significance_sentences,
     significance_table,
 )
-from experiments.results.result import build_comparison_result, build_difference_records
+from experiments.results.evaluations import build_difference_records
+from experiments.results.result import build_comparison_result
 from experiments.results.sampled_worlds import build_sampled_record
 from geometry.poses import Pose
 from placement.candidates import CandidatePose

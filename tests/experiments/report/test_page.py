@@ -18,7 +18,7 @@ from experiments.results.record import StageRecord
 from experiments.results.tables import margin_s
 from experiments.study.layout import load_carlancap_layout
 from geometry.errors import InputError
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict, apr
 from placement.layout import Layout, layout_records

@@ -13,7 +13,7 @@ from experiments.results.explanations import build_private_ground_record
 from experiments.study.layout import load_carlancap_layout
 from geometry.errors import InputError
 from geometry.frames import to_geographic
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement.planning import build_plan
 from placement.private_ground import load_private_ground, private_shares, respects_private_ground
 from placement.question import Question

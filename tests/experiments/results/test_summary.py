@@ -7,9 +7,9 @@ import pytest
 
 from experiments.export.json import to_json_text
 from experiments.results.drives import DrivesRecord, build_drives_record, versions
+from experiments.results.evaluations import build_evaluation_record
 from experiments.results.result import (
     build_comparison_result,
-    build_evaluation_record,
     build_layout_result,
     disagreeing_runs,
 )

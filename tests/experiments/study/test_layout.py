@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from experiments.study.layout import load_carlancap_layout
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement.compute import Compute
 from placement.evaluation import apr, apr_by_case, detected_share
 from placement.evaluator import evaluate_layout

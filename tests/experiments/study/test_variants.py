@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from experiments.study.variants import OWN_CASES, build_variants, move_walls
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement.detectors import GeometricDetector
 
 

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from geometry.errors import InputError
@@ -33,7 +33,6 @@ def test_gaps_take_the_nearest_height():
     assert fill_gaps(heights)[0, [0, 1, 3, 4]].tolist() == [1.0, 1.0, 9.0, 9.0]
 
 
-@settings(max_examples=25)
 @given(
     rise=st.floats(-1.0, 1.0),
     size=st.integers(12, 60),

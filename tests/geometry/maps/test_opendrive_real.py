@@ -8,7 +8,7 @@ import shapely
 from opendrive_text import arms_of
 
 from geometry.maps.opendrive import read_opendrive
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 
 
 @pytest.fixture(scope="module")

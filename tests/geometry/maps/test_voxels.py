@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 
@@ -80,7 +80,6 @@ def test_faces_enclose_the_volume_of_the_voxels_and_no_other(block):
     assert area == pytest.approx(exposed)
 
 
-@settings(max_examples=20)
 @given(blocks())
 def test_every_face_looks_into_the_open(block):
     dense, keys = block

@@ -14,8 +14,8 @@ from geometry.actors import (
     pick_actor,
 )
 from geometry.scene import Instance, Scene
-from geometry.scene_files import load_study_scene
 from geometry.sensors import CameraModel
+from geometry.study_scene import load_study_scene
 from placement.detectors import GeometricDetector
 from placement.setting import Setting
 from scenarios.aeb import Encounter, load_aeb_rule

@@ -3,7 +3,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from placement.candidates import CandidatePose
@@ -32,7 +32,6 @@ def _rows(axis, seed, n_rows):
     return rng.random((n_rows, axis.n_frames)) < rng.uniform(0.05, 0.6)
 
 
-@settings(max_examples=25)
 @given(seed=st.integers(0, 2**32 - 1), latency_s=st.floats(0.0, 1.0))
 def test_avoided_is_no_contact_and_agrees_with_the_last_brake_time(
     study_runs, axis, judge, seed, latency_s
@@ -53,7 +52,6 @@ def test_avoided_is_no_contact_and_agrees_with_the_last_brake_time(
     assert (verdict.detected == row).all()
 
 
-@settings(max_examples=25)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_equally_fast_parties_are_one_that_sees_what_any_of_them_sees(axis, judge, seed):
     rows = _rows(axis, seed, 3)
@@ -63,7 +61,6 @@ def test_equally_fast_parties_are_one_that_sees_what_any_of_them_sees(axis, judg
         assert np.array_equal(getattr(fused, field), getattr(one, field))
 
 
-@settings(max_examples=25)
 @given(
     seed=st.integers(0, 2**32 - 1),
     latencies_s=st.lists(st.floats(0.0, 0.5), min_size=3, max_size=3),

@@ -9,8 +9,8 @@ from geometry.catalogue import pick_camera
 from geometry.errors import InputError
 from geometry.poses import Pose, to_world
 from geometry.raycast import open3d_problem
-from geometry.scene_files import load_study_scene
 from geometry.sensors import project_points
+from geometry.study_scene import load_study_scene
 from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
 from placement.evaluator.surroundings import VutCamera, build_surroundings, find_sights
 

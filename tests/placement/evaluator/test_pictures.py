@@ -5,7 +5,7 @@ import pytest
 
 from geometry.image_boxes import iou
 from geometry.poses import Pose
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from geometry.weather import pick_weather
 from placement.candidates import CandidatePose
 from placement.compute import Compute

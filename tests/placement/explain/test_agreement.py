@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from experiments.study.layout import load_carlancap_layout
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement.detection_table import pack_table
 from placement.detectors import load_planning_detector
 from placement.evaluator import evaluate_layout

@@ -6,7 +6,7 @@ from itertools import chain, combinations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from problems import problems, questions
 
@@ -258,7 +258,6 @@ def test_the_whole_is_the_sum_of_its_demands(wish):
 
 
 @given(wish=wishes())
-@settings(max_examples=20)
 def test_nothing_is_claimed_when_time_is_up(wish):
     problem, separation = wish
     demands = Wish(problem, separation).demands

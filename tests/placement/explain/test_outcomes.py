@@ -4,7 +4,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from problems import problems
 
@@ -112,7 +112,6 @@ def test_expected_shares_are_those_of_all_ways_to_lose_messages(
     assert outcome.smallest_margin_s is None
 
 
-@settings(max_examples=20)
 @given(
     seed=st.integers(0, 2**32 - 1),
     n_confirmations=st.integers(1, 3),

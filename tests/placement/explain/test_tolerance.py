@@ -5,7 +5,7 @@ import pytest
 
 from geometry.catalogue import load_cameras
 from geometry.poses import Pose, wrap_deg
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
 from placement.detectors import load_detector, load_planning_detector
 from placement.explain.sensitivity import LIFTS_M, TURNS_DEG, find_tolerances

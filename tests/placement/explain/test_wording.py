@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from experiments.study.layout import load_carlancap_layout
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement.candidates import CandidateGrid, build_candidates, load_candidate_grid
 from placement.detection_table import pack_table
 from placement.explain import build_separation, find_refusal

@@ -9,8 +9,8 @@ import trimesh
 
 from geometry.actors import pick_actor
 from geometry.scene import Instance, Scene, Site
-from geometry.scene_files import load_study_scene
 from geometry.sensors import CameraModel
+from geometry.study_scene import load_study_scene
 from geometry.weather import Weather, load_weathers
 from scenarios.aeb import load_aeb_rule
 from scenarios.cases import select_cases

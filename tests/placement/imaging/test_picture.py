@@ -8,7 +8,7 @@ from geometry.actors import MovingActor, pick_actor
 from geometry.image_boxes import mask_box
 from geometry.poses import Pose
 from geometry.scene import Site
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from geometry.weather import load_weathers
 from placement.compute import Compute
 from placement.evaluator.surroundings import build_surroundings

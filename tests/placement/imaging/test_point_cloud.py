@@ -6,7 +6,7 @@ import pytest
 from geometry.lidar import beam_directions, load_lidars, load_surface_reflectivity
 from geometry.poses import Pose, to_world
 from geometry.scene import CLASS_NAMES
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from geometry.weather import load_weathers
 from placement.imaging import scan_cloud
 

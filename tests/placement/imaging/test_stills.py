@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from geometry.poses import Pose
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from geometry.weather import load_weathers
 from placement.compute import Compute
 from placement.imaging import build_backdrop, draw_picture

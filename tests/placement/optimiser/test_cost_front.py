@@ -2,7 +2,7 @@ from dataclasses import replace
 from itertools import combinations, pairwise
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from problems import questions
 from small_tables import avoiding_problem
@@ -68,7 +68,6 @@ def test_steps_are_those_of_brute_force(problem: PlacementProblem, stages: str) 
 
 
 @given(problem=questions().map(asked_for_nothing_but_the_best))
-@settings(max_examples=25)
 def test_models_find_the_same_steps_without_enumeration(problem: PlacementProblem) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("placement.optimiser.stages.best_of_all", lambda *_, **__: None)

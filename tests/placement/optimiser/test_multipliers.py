@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from coverages import best_value, coverages
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from geometry.clock import now_s
@@ -53,7 +53,6 @@ def test_steps_stop_where_the_bound_is_good_enough() -> None:
 
 
 @given(SEED)
-@settings(max_examples=15)
 def test_column_generation_reaches_the_bound_of_all_poses_at_once(seed: int) -> None:
     coverage = draw_coverage(seed, 80)
     chosen = lazy_greedy(coverage)

@@ -55,7 +55,6 @@ def test_repaired_bound_is_never_below_the_best_however_few_steps(coverage: Cove
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=15)
 def test_bound_is_that_of_the_linear_relaxation(seed: int) -> None:
     coverage = draw_coverage(seed)
     relaxation = Relaxation(coverage)

@@ -5,7 +5,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from problems import questions
 
@@ -123,7 +123,6 @@ def test_the_best_of_the_tied_sets_is_the_best_of_all(problem: PlacementProblem)
 
 
 @given(problem=ANY_PROBLEM)
-@settings(max_examples=20)
 def test_a_walk_without_time_proves_nothing_but_its_limit(problem: PlacementProblem) -> None:
     reduced = presolve(problem)
     if not can_walk(reduced):

@@ -3,7 +3,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 from coverages import coverages, feasible_sets, value_of
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from placement.optimiser.bounds import Coverage, Supply
@@ -31,7 +31,6 @@ def test_all_sets_above_the_need_are_found(coverage: Coverage, share: float) -> 
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.9, 1.0))
-@settings(max_examples=12)
 def test_triples_among_more_poses_than_a_block_are_all_found(seed: int, share: float) -> None:
     random = np.random.default_rng(seed)
     # A few strong poses and many weak ones: the apexes leave blocks of all shapes over.

@@ -88,7 +88,6 @@ def test_wishes_hold_at_every_point_and_refuse_those_that_cannot_meet_them(
 
 
 @given(problem=ANY_PROBLEM, stages=ANY_STAGES)
-@settings(max_examples=25)
 def test_models_find_the_same_points_without_enumeration(
     problem: PlacementProblem, best_value: BestValue, stages: str
 ) -> None:

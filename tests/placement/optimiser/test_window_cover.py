@@ -2,7 +2,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from experiments.bench.optimiser import SyntheticSize, build_synthetic_instance
@@ -23,7 +23,6 @@ SIZE = SyntheticSize(
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 3), st.booleans())
-@settings(max_examples=12)
 def test_cover_is_the_best_on_the_windows_themselves(
     seed: int, max_units: int, counts_runs: bool
 ) -> None:

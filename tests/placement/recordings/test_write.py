@@ -3,7 +3,7 @@ import pytest
 
 from geometry.errors import InputError
 from geometry.image_boxes import box_height_px, iou
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement.evaluator import (
     build_surroundings,
     load_vut_camera,

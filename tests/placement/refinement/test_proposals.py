@@ -94,7 +94,7 @@ def test_a_pose_that_hangs_outside_of_its_sites_range_may_stay_there(meadow, nar
 
 
 def test_nothing_is_moved_into_a_wall(narrow_camera):
-    from geometry.scene_files import load_study_scene
+    from geometry.study_scene import load_study_scene
 
     scene = load_study_scene()
     wall = next(

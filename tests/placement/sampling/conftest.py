@@ -9,7 +9,7 @@ from junctions import ARMS, LANE_M, MOUTH_M, build_scene, lanes_of, turned
 
 from geometry.poses import Pose
 from geometry.scene import Lane
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement.candidates import CandidateGrid, CandidatePose, build_candidates
 from placement.detectors import GeometricDetector, load_detector, load_planning_detector
 from placement.sampling import load_uncertainty

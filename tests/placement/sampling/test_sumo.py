@@ -13,7 +13,7 @@ from junctions import protocol_scene
 
 from geometry.errors import MissingExtraError
 from geometry.scene import Lane
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement.sampling.moving.demand import load_demand
 from placement.sampling.moving.network import build_network, missing_sumo
 from placement.sampling.moving.simulate import simulate_windows

@@ -8,7 +8,7 @@ from junctions import MOUTH_M, build_scene, protocol_scene
 from geometry.actors import load_actors
 from geometry.footprints import footprint_corners, footprint_separation
 from geometry.junction import Line, build_junction
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement.sampling import StandingTraffic, VehicleKind, draw_samples
 from placement.sampling.traffic import (
     build_street,

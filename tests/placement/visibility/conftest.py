@@ -9,8 +9,8 @@ import trimesh
 from geometry.actors import load_actors
 from geometry.poses import Pose
 from geometry.scene import Instance, Scene
-from geometry.scene_files import load_study_scene
 from geometry.sensors import CameraModel
+from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
 from scenarios.aeb import Encounter, load_aeb_rule
 from scenarios.cases import load_cases, select_cases

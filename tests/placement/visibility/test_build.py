@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from strategies import angles_deg, cameras, numbers, pitches_deg
 
 from geometry.poses import Pose, camera_rotation, to_world
-from geometry.scene_files import load_study_scene
 from geometry.sensors import CameraModel, project_points
+from geometry.study_scene import load_study_scene
 from placement.candidates import CandidateGrid, build_candidates
 from placement.compute import Compute
 from placement.detectors import GeometricDetector, load_planning_detector

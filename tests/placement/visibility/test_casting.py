@@ -7,7 +7,7 @@ from geometry import raycast
 from geometry.actors import PlacedActor, load_actors
 from geometry.poses import Pose, to_world
 from geometry.raycast import CASTERS
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement.visibility import casting
 from placement.visibility.casting import build_world, cast_sight
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from geometry.actors import PlacedActor, load_actors
 from geometry.poses import Pose
 from geometry.raycast import build_caster
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement.visibility import casting, own_shadows, shadow_kernels
 from placement.visibility.build import N_POINTS
 from placement.visibility.casting import build_world, cast_sight

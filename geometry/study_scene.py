@@ -1,0 +1,255 @@
+"""The study's junction, and others described like it: boxes, walls, poles and rows of parked cars.
+
+Such a scene is one TOML file in CARLA's frame, laid out as ``data/town05.toml``.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from functools import cache
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from msgspec import Meta, Struct
+
+from .actors import park_row, pick_actor
+from .arrays import FloatArray, Point2, Points2, Segment2
+from .errors import InputError
+from .files import Text, load_toml, read_table
+from .frames import from_carla_points, from_carla_yaw
+from .poses import Pose, to_world
+from .scene import Body, Instance, Lane, Scene, Site, join_bodies
+
+STUDY = "town05"
+_POLE_SECTIONS = 10
+
+
+_Positive = Annotated[float, Meta(gt=0.0)]
+
+
+class _Building(Struct, frozen=True, kw_only=True):
+    id: Text
+    position_m: Point2
+    yaw_deg: float
+    length_m: _Positive
+    width_m: _Positive
+    height_m: _Positive
+
+
+class _Wall(Struct, frozen=True, kw_only=True):
+    id: Text
+    from_m: Point2
+    to_m: Point2
+    thickness_m: _Positive
+    height_m: _Positive
+
+
+class _ParkedRow(Struct, frozen=True, kw_only=True):
+    id: Text
+    first_m: Point2
+    yaw_deg: float
+    gap_m: Annotated[float, Meta(ge=0.0)]
+    actors: list[str]
+
+
+class _Mount(Struct, frozen=True, kw_only=True):
+    """What carries sensors."""
+
+    id: Text
+    radius_m: _Positive
+    height_m: _Positive
+    height_range_m: Point2
+    capacity_units: int
+    cost_eur: float = 0.0
+    use: str = "free"
+
+
+class _Pole(_Mount, frozen=True, kw_only=True):
+    kind: Text
+    position_m: Point2
+
+
+class _MastArm(_Mount, frozen=True, kw_only=True):
+    from_m: Point2
+    to_m: Point2
+
+
+class CrosswalkEntry(Struct, frozen=True, kw_only=True):
+    """A crosswalk in a scene's file: the ends of its middle line."""
+
+    ends_m: Segment2
+
+
+class _Ground(Struct, frozen=True, kw_only=True):
+    position_m: Point2
+    half_size_m: _Positive
+
+
+class _BoxScene(Struct, frozen=True, kw_only=True):
+    """A file laid out as ``data/town05.toml``."""
+
+    frame: Literal["carla-left-handed"]
+    name: Text
+    crs: Text
+    road_network: str = ""
+    outline_m: Points2
+    ground: _Ground
+    buildings: tuple[_Building, ...] = ()
+    walls: tuple[_Wall, ...] = ()
+    parked_rows: tuple[_ParkedRow, ...] = ()
+    poles: tuple[_Pole, ...] = ()
+    mast_arms: tuple[_MastArm, ...] = ()
+    lanes: tuple[Lane, ...] = ()
+    crosswalks: tuple[CrosswalkEntry, ...] = ()
+
+
+@cache
+def load_study_scene() -> Scene:
+    """The junction of the CarlaNCAP study, from ``data/town05.toml``."""
+    return load_box_scene(files(__package__) / "data" / f"{STUDY}.toml")
+
+
+def load_box_scene(source: Path | Traversable) -> Scene:
+    """Read a TOML file laid out as ``geometry/data/town05.toml`` and build its mesh."""
+    where = source.name
+    table = read_table(load_toml(source), _BoxScene, where)
+    for index, crosswalk in enumerate(table.crosswalks):
+        if (crosswalk.ends_m[0] == crosswalk.ends_m[1]).all():
+            raise InputError(
+                f"{where}: crosswalks[{index}].ends_m",
+                crosswalk.ends_m.tolist(),
+                "two different points",
+            )
+    return Scene(
+        name=table.name,
+        **join_bodies(
+            [
+                _ground_body(table.ground),
+                *(_building_body(building) for building in table.buildings),
+                *(_wall_body(wall) for wall in table.walls),
+                *(
+                    body
+                    for index, row in enumerate(table.parked_rows)
+                    for body in _row_bodies(row, f"{where}: parked_rows[{index}]")
+                ),
+                *(_pole_body(pole) for pole in table.poles),
+                *(_mast_arm_body(arm) for arm in table.mast_arms),
+            ]
+        ),
+        sites=(
+            *(_site(pole, pole.position_m, pole.kind) for pole in table.poles),
+            *(_site(arm, arm.to_m, "mast arm") for arm in table.mast_arms),
+        ),
+        outline_m=from_carla_points(table.outline_m),
+        lanes=tuple(
+            replace(lane, centreline_m=from_carla_points(lane.centreline_m)) for lane in table.lanes
+        ),
+        crs=table.crs,
+        crosswalks_m=crosswalk_lines(from_carla_points(line.ends_m) for line in table.crosswalks),
+        road_network=table.road_network,
+    )
+
+
+def crosswalk_lines(lines: Iterable[FloatArray]) -> FloatArray:
+    """Middle lines of crosswalks as an array, (n, 2, 2)."""
+    return np.array(list(lines)).reshape(-1, 2, 2)
+
+
+def _site(mount: _Mount, below_m: FloatArray, kind: str) -> Site:
+    return Site(
+        id=mount.id,
+        position_m=_on_road(below_m),
+        kind=kind,
+        height_range_m=mount.height_range_m,
+        capacity_units=mount.capacity_units,
+        cost_eur=mount.cost_eur,
+        use=mount.use,
+    )
+
+
+def _on_road(point_carla_m: FloatArray, height_m: float = 0.0) -> FloatArray:
+    return np.append(from_carla_points(point_carla_m), height_m)
+
+
+def _ground_body(ground: _Ground) -> Body:
+    square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    corners = from_carla_points(ground.position_m) + ground.half_size_m * square
+    return (
+        Instance(id="ground", class_name="ground"),
+        np.column_stack([corners, np.zeros(4)]),
+        np.array([[0, 1, 2], [0, 2, 3]]),
+    )
+
+
+def _building_body(building: _Building) -> Body:
+    return _box(
+        Instance(id=building.id, class_name="building"),
+        middle_m=from_carla_points(building.position_m),
+        yaw_deg=float(from_carla_yaw(building.yaw_deg)),
+        size_m=[building.length_m, building.width_m, building.height_m],
+    )
+
+
+def _wall_body(wall: _Wall) -> Body:
+    start, end = from_carla_points(wall.from_m), from_carla_points(wall.to_m)
+    east, north = end - start
+    # Half a thickness longer at both ends: walls that meet at a corner close it.
+    length_m = float(np.hypot(east, north)) + wall.thickness_m
+    return _box(
+        Instance(id=wall.id, class_name="wall"),
+        middle_m=0.5 * (start + end),
+        yaw_deg=float(np.degrees(np.arctan2(north, east))),
+        size_m=[length_m, wall.thickness_m, wall.height_m],
+    )
+
+
+def _row_bodies(row: _ParkedRow, where: str) -> Iterator[Body]:
+    placed = park_row(
+        [pick_actor(name, f"{where}.actors[{index}]") for index, name in enumerate(row.actors)],
+        first_bumper_m=from_carla_points(row.first_m),
+        yaw_deg=float(from_carla_yaw(row.yaw_deg)),
+        gap_m=row.gap_m,
+    )
+    for number, parked in enumerate(placed, start=1):
+        shape = parked.actor.shapes[0]
+        instance = Instance(id=f"{row.id}-{number}", class_name="parked vehicle")
+        yield instance, to_world(shape.vertices_m, parked.pose), shape.triangles
+
+
+def _pole_body(pole: _Pole) -> Body:
+    return _cylinder(
+        Instance(id=pole.id, class_name=pole.kind),
+        start_m=_on_road(pole.position_m),
+        end_m=_on_road(pole.position_m, pole.height_m),
+        radius_m=pole.radius_m,
+    )
+
+
+def _mast_arm_body(arm: _MastArm) -> Body:
+    return _cylinder(
+        Instance(id=arm.id, class_name="traffic light"),
+        start_m=_on_road(arm.from_m, arm.height_m),
+        end_m=_on_road(arm.to_m, arm.height_m),
+        radius_m=arm.radius_m,
+    )
+
+
+def _box(instance: Instance, *, middle_m: FloatArray, yaw_deg: float, size_m: list[float]) -> Body:
+    import trimesh
+
+    box = trimesh.creation.box(extents=size_m)
+    pose = Pose(position_m=np.append(middle_m, 0.5 * size_m[2]), yaw_deg=yaw_deg)
+    return instance, to_world(box.vertices, pose), box.faces
+
+
+def _cylinder(
+    instance: Instance, *, start_m: FloatArray, end_m: FloatArray, radius_m: float
+) -> Body:
+    import trimesh
+
+    cylinder = trimesh.creation.cylinder(
+        radius=radius_m, segment=[start_m, end_m], sections=_POLE_SECTIONS
+    )
+    return instance, cylinder.vertices, cylinder.faces
