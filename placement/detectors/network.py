@@ -16,7 +16,7 @@ from geometry.files import check_file
 from geometry.image_boxes import clip_boxes, iou
 
 from .box_rule import load_min_iou
-from .evidence import VRU_CLASSES, Detections, Evidence, Image
+from .evidence import VRU_CLASSES, Crop, Detections, Evidence, Image
 from .onnx_exports import Array, Export, onnx_setting, recognise_export
 
 
@@ -364,6 +364,11 @@ class NetworkDetector:
             kinds=parts[0][0].kinds,
         )
 
+    def look_at(self, crop: Crop) -> ImageBoxes:
+        """Find road users in a part of a picture; boxes are in pixels of the whole one."""
+        found = self.model.detect(crop.pixels)
+        return replace(found, boxes_px=crop.to_image(found.boxes_px))
+
     def detect(self, evidence: Evidence, rng: np.random.Generator) -> Detections:
         """Show each picture in which the VRU is large enough to the network."""
         if (evidence.crops if self.looks_at_crops else evidence.picture) is None:
@@ -395,7 +400,5 @@ class NetworkDetector:
         assert evidence.crops is not None
         key = evidence.crops.key(row)
         if key not in seen:
-            crop = evidence.crops.draw(row)
-            found = self.model.detect(crop.pixels)
-            seen[key] = replace(found, boxes_px=crop.to_image(found.boxes_px))
+            seen[key] = self.look_at(evidence.crops.draw(row))
         return seen[key]
