@@ -356,7 +356,7 @@ class Question:
         Option(
             section=SEEN,
             help="Of cameras: geometric (by boxes), response (misses by size, cover, class, "
-            "weather), cnn (the network that is shipped, on rendered pictures), cnn-table (the table "
+            "weather), cnn (the shipped network, on rendered pictures), cnn-table (the table "
             "fitted to it), a .toml file with a response table, or an .onnx network.",
             metavar="HOW",
             is_common=True,
