@@ -14,11 +14,13 @@ from geometry.errors import InputError
 from geometry.maps.importing import ImportOptions, import_scene
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
+from placement.compute import Compute
 
 from .card import card_text
 from .crops import Crops, draw_crops, join_crops, load_crops, save_crops
 from .network import VruNetwork, export_onnx
-from .train import Recipe, train
+from .table import fit_table
+from .train import Recipe, find_boxes, train
 
 _EXPORT_PX = 160
 
@@ -49,7 +51,7 @@ def main(
     bfloat16: bool,
     out: Path,
 ) -> None:
-    """Train the detector of pedestrians and cyclists, and write vru.onnx and its card."""
+    """Train the detector of pedestrians and cyclists; write vru.onnx, its card and its table."""
     torch.set_num_threads(threads)
     folder.mkdir(parents=True, exist_ok=True)
     out.mkdir(parents=True, exist_ok=True)
@@ -71,9 +73,20 @@ def main(
 
     network = train(crops, recipe, tell=tell, checkpoint=out / "checkpoint.pt")
     export_onnx(network, out / "vru.onnx", side_px=_EXPORT_PX)
+    held = join_crops(list(tested.values()))
+    found = find_boxes(network, held)
     names = [Path(name).stem for name in maps]
-    text = card_text(network, crops, tested, names=names, recipe=recipe)
+    apart = [Path(name).stem for name in held_out]
+    text = card_text(network, crops, held, found, held_out=apart, names=names, recipe=recipe)
     (out / "vru.md").write_text(text, encoding="utf-8")
+    table = fit_table(
+        held,
+        found,
+        source=f"crops of junctions held out ({', '.join(apart)})",
+        command="python -m experiments.training",
+        compute=Compute(seed=seed),
+    )
+    (out / "vru.toml").write_text(table, encoding="utf-8")
     click.echo(text)
 
 

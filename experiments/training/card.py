@@ -1,6 +1,6 @@
 """The model card: how well a network finds what it has not learnt, beside what is assumed."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from importlib.resources import files
 from itertools import pairwise
 
@@ -9,31 +9,32 @@ from numpy.typing import NDArray
 
 from placement.detectors import Evidence, ResponseDetector, load_planning_detector
 
-from .crops import CROP_PX, WEATHERS, Crops, join_crops
+from .crops import CROP_PX, WEATHERS, Crops
 from .metrics import Scored, average_precision, log_average_miss_rate, match_boxes
 from .network import CLASSES, VruNetwork
-from .train import Found, Recipe, class_of, counted, find_boxes
+from .train import Found, Recipe, class_of, counted
 
 _PICTURE_PX = 1920 * 1080
 _HEIGHTS_PX = (10.0, 20.0, 30.0, 50.0, 80.0, 1000.0)
 _SHARES = (0.3, 0.65, 0.9, 1.01)
 _LOOSE = 1.25  # boxes so much lower or higher than a group's still count as its false alarms
-_MIN_CONFIDENCE = 0.5
+MIN_CONFIDENCE = 0.5
+"""From which on boxes count."""
 
 
 def card_text(
     network: VruNetwork,
     learnt: Crops,
-    tested: Mapping[str, Crops],
+    crops: Crops,
+    found: Found,
     *,
+    held_out: Sequence[str],
     names: Sequence[str],
     recipe: Recipe,
 ) -> str:
-    """The card of a network as Markdown, measured on crops of junctions held out (by name)."""
-    crops = join_crops(list(tested.values()))
-    found = find_boxes(network, crops)
+    """The card of a network as Markdown, by what it `found` in crops of junctions held out."""
     everything = _score(crops, found, np.ones(len(crops), dtype=bool))
-    alarms = ~everything.is_true & (everything.confidence >= _MIN_CONFIDENCE)
+    alarms = ~everything.is_true & (everything.confidence >= MIN_CONFIDENCE)
     rows = [
         _row(name, crops, _score(crops, found, keep, heights), keep)
         for name, keep, heights in _groups(crops)
@@ -50,8 +51,8 @@ def card_text(
         batch=recipe.batch,
         seed=recipe.seed,
         n_tested=len(crops),
-        held_out=", ".join(name.rsplit("/", 1)[-1] for name in tested),
-        confidence=_MIN_CONFIDENCE,
+        held_out=", ".join(held_out),
+        confidence=MIN_CONFIDENCE,
         alarms=alarms.sum() / everything.n_pictures,
         rows="\n".join(row for row in rows if row),
     )
@@ -79,7 +80,7 @@ def _groups(
 def _row(name: str, crops: Crops, scored: Scored, keep: NDArray[np.bool_]) -> str:
     if not scored.n_labels:
         return ""
-    share = (scored.is_true & (scored.confidence >= _MIN_CONFIDENCE)).sum() / scored.n_labels
+    share = (scored.is_true & (scored.confidence >= MIN_CONFIDENCE)).sum() / scored.n_labels
     figures = (
         f"{average_precision(scored):.3f}",
         f"{100.0 * log_average_miss_rate(scored):.1f} %",

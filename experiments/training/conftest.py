@@ -2,4 +2,6 @@
 
 from importlib.util import find_spec
 
-collect_ignore = [] if find_spec("torch") else ["__main__.py", "card.py", "network.py", "train.py"]
+collect_ignore = (
+    [] if find_spec("torch") else ["__main__.py", "card.py", "network.py", "table.py", "train.py"]
+)
