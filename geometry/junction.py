@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -185,7 +186,8 @@ class Junction:
         Lanes through the junction, each from the end of an entry lane to the begin of an exit lane,
         and through others around it.
     beyond : tuple of Lane
-        Lanes that are assumed, from beyond the map to the begin of an entry lane.
+        Lanes that are assumed, from beyond the map to the begin of an entry lane: straight ones of
+        two points, or bent past buildings.
     """
 
     name: str
@@ -196,8 +198,20 @@ class Junction:
 
     def is_led_on(self, entry: Lane) -> bool:
         """Whether a lane is assumed to lead to the begin of an entry lane, where the map ends."""
-        tips = [lane.centreline_m[-1] for lane in self.beyond]
-        return any(np.hypot(*(tip - entry.centreline_m[0])) <= _SAME_POINT_M for tip in tips)
+        return bool(self._before(entry))
+
+    def followed(self, entry: Lane) -> Lane:
+        """An entry lane with the lane that is assumed before it, if that one bends."""
+        bent = [lane for lane in self._before(entry) if len(lane.centreline_m) > 2]
+        return _led_on(bent[0], entry) if bent else entry
+
+    def _before(self, entry: Lane) -> list[Lane]:
+        begin = entry.centreline_m[0]
+        return [
+            lane
+            for lane in self.beyond
+            if np.hypot(*(lane.centreline_m[-1] - begin)) <= _SAME_POINT_M
+        ]
 
     def connection(self, entry: Lane, leaving: Lane) -> Lane | None:
         """The lane through the junction from one lane into another; None if the map has none."""
@@ -210,6 +224,12 @@ class Junction:
 
     def __repr__(self) -> str:
         return f"Junction({self.name!r}, arms {', '.join(self.arms)})"
+
+
+@lru_cache(maxsize=64)  # one and the same lane, by which ways along it are known
+def _led_on(before: Lane, entry: Lane) -> Lane:
+    chain = np.concatenate([before.centreline_m[:-1], entry.centreline_m])
+    return replace(entry, centreline_m=chain)
 
 
 def build_junction(scene: Scene) -> Junction:

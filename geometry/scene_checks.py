@@ -99,11 +99,13 @@ def arms_that_end(scene: Scene) -> Iterator[tuple[str, str]]:
     junction = build_junction(scene)
     for name, arm in junction.arms.items():
         ends_m = [lane_length_m(lane) for lane in arm.entry_lanes if junction.is_led_on(lane)]
+        is_bent = any(junction.followed(lane) is not lane for lane in arm.entry_lanes)
+        how = "round a bend, past the buildings there" if is_bent else "straight on"
         if ends_m:
             yield (
                 name,
                 f"the map leads no farther than {min(ends_m):.0f} m from the junction: whoever "
-                "comes from beyond comes straight on, and nothing is known that could hide them",
+                f"comes from beyond comes {how}, and nothing is known that could hide them",
             )
 
 

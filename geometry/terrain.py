@@ -164,6 +164,30 @@ def on_ground(points_m: ArrayLike, terrain: Terrain | None) -> FloatArray:
     return placed
 
 
+def pitch_on_ground_deg(
+    position_m: ArrayLike,
+    yaw_deg: ArrayLike,
+    terrain: Terrain | None,
+    *,
+    front_m: float,
+    wheelbase_m: float,
+) -> FloatArray:
+    """By how much vehicles on two axles look up, (n,), in degrees; zeros on the plane.
+
+    Their middles are at points (n, 2), their front axles `front_m` ahead of them.
+    """
+    position = np.asarray(position_m, dtype=np.float64)
+    if terrain is None:
+        return np.zeros(position.shape[:-1])
+    yaw = np.radians(np.asarray(yaw_deg, dtype=np.float64))
+    ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+    rise_m = terrain.at(position + front_m * ahead) - terrain.at(
+        position + (front_m - wheelbase_m) * ahead
+    )
+    pitch: FloatArray = np.degrees(np.arctan2(rise_m, wheelbase_m))
+    return pitch
+
+
 def set_down(bodies: Sequence[PlacedActor], scene: Scene) -> tuple[PlacedActor, ...]:
     """Bodies that stand on the ground under their middles, upright; the same ones on the plane."""
     terrain = terrain_of(scene)

@@ -209,9 +209,9 @@ def build_candidates(
 
 
 @cache
-def load_candidate_grid() -> CandidateGrid:
-    """The default grid, from ``data/candidates.toml``."""
-    where = "candidates.toml"
+def load_candidate_grid(*, is_coarse: bool = False) -> CandidateGrid:
+    """The default grid, from ``data/candidates.toml``, or one with a ninth of its poses."""
+    where = "coarse_candidates.toml" if is_coarse else "candidates.toml"
     table = load_toml(files(__package__) / "data" / where)
     return CandidateGrid(
         heights_m=float_array(take_list(table, "heights_m", where), (-1,), f"{where}: heights_m"),

@@ -270,24 +270,36 @@ def load_layout(path: Path) -> Layout:
     """
     check_file(path, max_bytes=MAX_TEXT_BYTES)
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
-    except RecursionError:
-        raise InputError(str(path), Unquoted("JSON nested too deep"), "a layout") from None
-    except ValueError as error:  # no JSON, no UTF-8, or a number of thousands of digits
+    except UnicodeDecodeError as error:
         raise InputError(str(path), Unquoted(error), "JSON in UTF-8") from None
+    return read_layout(text, where=str(path), name=path.stem)
+
+
+def read_layout(text: str | bytes, *, where: str, name: str) -> Layout:
+    """Layout from the text of a layout file; see :func:`load_layout`.
+
+    `where` is what is read, for error messages; `name` is for a layout that has none.
+    """
+    try:
+        document = json.loads(text)
+    except RecursionError:
+        raise InputError(where, Unquoted("JSON nested too deep"), "a layout") from None
+    except ValueError as error:  # no JSON, no UTF-8, or a number of thousands of digits
+        raise InputError(where, Unquoted(error), "JSON in UTF-8") from None
     if isinstance(document, dict) and document.get("schema", SCHEMA) not in (SCHEMA, RESULT_SCHEMA):
         raise InputError(
-            f"{path}: schema", document["schema"], f"{SCHEMA} or {RESULT_SCHEMA}, or none of it"
+            f"{where}: schema", document["schema"], f"{SCHEMA} or {RESULT_SCHEMA}, or none of it"
         )
     if not isinstance(document, dict) or not isinstance(document.get("layout"), list):
-        raise InputError(str(path), Unquoted("no list 'layout'"), 'an object {"layout": [units]}')
+        raise InputError(where, Unquoted("no list 'layout'"), 'an object {"layout": [units]}')
     layout = layout_from_records(
-        str(document.get("name", path.stem)),
+        str(document.get("name", name)),
         document["layout"],
-        str(path),
-        sensors=_read_own_sensors(document.get("sensors", {}), f"{path}: sensors"),
+        where,
+        sensors=_read_own_sensors(document.get("sensors", {}), f"{where}: sensors"),
     )
     return replace(layout, scene_name=str(document.get("scene", "")))
 

@@ -153,13 +153,14 @@ def build_effort(question: Question) -> Effort:
     return Effort(solver=question.solver, time_limit_s=question.time_limit_s, gap=question.gap)
 
 
-def build_grid(sensors: str) -> CandidateGrid:
+def build_grid(sensors: str, *, is_coarse: bool = False) -> CandidateGrid:
     """The default grid, with sensors by name or from files, commas between; none: its own."""
     names = _words(sensors)
+    grid = load_candidate_grid(is_coarse=True) if is_coarse else load_candidate_grid()
     if not names:
-        return load_candidate_grid()
+        return grid
     models = {model.name: model for name in names for model in _sensors(name)}
-    return replace(load_candidate_grid(), sensors=tuple(models.values()))
+    return replace(grid, sensors=tuple(models.values()))
 
 
 def _sensors(word: str) -> Sequence[Sensor]:

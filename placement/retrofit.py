@@ -240,7 +240,7 @@ def find_retrofit(
         before=placement_value(problem, standing),
         removals=_best_first(removals),
         re_aims=_best_first(re_aims),
-        addition=_add(problem, poses, budget_eur=budget_eur),
+        addition=find_addition(problem, poses, budget_eur=budget_eur),
         combination=None
         if budget_eur is None
         else _combine(problem, poses, labour=labour, budget_eur=budget_eur, effort=effort),
@@ -284,10 +284,13 @@ def combined_limits(
     )
 
 
-def _add(
+def find_addition(
     problem: PlacementProblem, poses: RetrofitPoses, *, budget_eur: float | None
 ) -> Change | None:
-    """The best new unit beside the existing ones; None if none is allowed or an improvement."""
+    """The best new unit beside the existing ones; None if none is allowed or an improvement.
+
+    All that are allowed are tried; a budget is for the new unit and its site alone.
+    """
     standing = np.arange(poses.n_units)
     new = np.flatnonzero(poses.unit_index < 0)
     sets = np.column_stack([np.tile(standing, (len(new), 1)), new])

@@ -104,14 +104,43 @@ def _find_room(
 
 
 def _are_on_islands(scene: Scene, places_m: FloatArray, aside: FloatArray) -> BoolArray:
-    """Cars, (..., 4, 2), behind which the carriageway begins again, (...,)."""
+    """Cars, (..., 4, 2), behind which a lane lies that leads about the same way, (...,).
+
+    Behind a corner lies the lane of the road that crosses.
+    """
     import shapely
 
-    behind = places_m + load_obstruction_rules().island_m * aside
+    rules = load_obstruction_rules()
+    behind = places_m + rules.island_m * aside
     swept = shapely.convex_hull(shapely.multipoints(np.concatenate([places_m, behind], axis=-2)))
     has_lane = shapely.intersects(_parking(scene), shapely.polygons(places_m))
-    is_island: BoolArray = shapely.intersects(_carriageway(scene), swept) & ~has_lane
+    is_island: BoolArray = np.zeros(swept.shape, dtype=bool)
+    if not swept.size:
+        return is_island
+    axes = (places_m[..., 0, :] - places_m[..., 1, :]).reshape(-1, 2)  # from rear to front
+    tree, directions = _pieces(scene)
+    place, piece = tree.query(swept.ravel(), predicate="intersects")
+    along = np.abs((axes[place] * directions[piece]).sum(axis=1)) / np.hypot(*axes[place].T)
+    is_island.ravel()[place[along >= np.cos(np.radians(rules.max_island_skew_deg))]] = True
+    is_island &= ~has_lane
     return is_island
+
+
+@lru_cache(maxsize=8)
+def _pieces(scene: Scene) -> tuple[Any, FloatArray]:
+    """A tree of the straight pieces of the lanes between junctions, and their directions (n, 2)."""
+    import shapely
+
+    pieces, directions = [], []
+    parking = _parking(scene)
+    for lane in scene.lanes:
+        if lane.kind == "driving":
+            for begin, end in zip(lane.centreline_m[:-1], lane.centreline_m[1:], strict=True):
+                side = 0.5 * lane.width_m - _MAY_OVERLAP_M
+                strip = shapely.LineString([begin, end]).buffer(side, cap_style="flat")
+                pieces.append(shapely.difference(strip, parking))
+                directions.append((end - begin) / np.hypot(*(end - begin)))
+    return shapely.STRtree(pieces), np.array(directions).reshape(-1, 2)
 
 
 @cache

@@ -16,6 +16,9 @@ from .turns import Turn
 
 _SAMPLE_M = 0.5  # between the points of a lane that are smoothed
 _SMOOTHING_M = 2.0  # bends much shorter than six times this are evened out
+_CLOSE_SAMPLE_M = 0.25
+_CLOSE = (_SMOOTHING_M / 0.4) ** 4  # weight of points that are smoothed over 0.4 m
+_CLOSE_BESIDE_M = 6.0  # of the lanes beside one that is followed closely
 _BEYOND_M = 60.0  # straight on beyond both ends of a lane
 _END_CHORD_M = 4.0  # of a lane's end, which tells its direction there
 _MAX_END_BEND_RAD = np.radians(20.0)
@@ -176,16 +179,31 @@ def follow_lane(centreline_m: FloatArray, *, is_in: bool) -> Course:
 
 
 @lru_cache(maxsize=256)  # every case and speed follows the same few lanes
-def _follow(points: tuple[tuple[float, ...], ...], origin_m: tuple[float, ...]) -> Course:
+def _follow(
+    points: tuple[tuple[float, ...], ...],
+    origin_m: tuple[float, ...],
+    close: tuple[int, int] | None = None,
+) -> Course:
+    """The course along points; those from one to another, `close`, are followed closely."""
     chain = np.array(points, dtype=np.float64).reshape(-1, 2)
+    close_m = (
+        None
+        if close is None
+        else (_BEYOND_M + _along_m(chain)[list(close)] + [-_CLOSE_BESIDE_M, _CLOSE_BESIDE_M])
+    )
     if len(chain) > 1:
         chain = chain[np.append(True, np.hypot(*np.diff(chain, axis=0).T) > _SAME_POINT_M)]
     if len(chain) < 2:
         raise InputError("centreline_m", len(chain), "at least two different points")
     chain = _led_on(chain)
     along = _along_m(chain)
-    at = np.linspace(0.0, along[-1], int(along[-1] / _SAMPLE_M) + 2)
-    return _smoothed(_sampled(chain, along, at), at, origin_m, smoothing_m=_SMOOTHING_M)
+    step_m = _SAMPLE_M if close_m is None else _CLOSE_SAMPLE_M
+    at = np.linspace(0.0, along[-1], int(along[-1] / step_m) + 2)
+    weight = None
+    if close_m is not None:
+        weight = np.where((at >= close_m[0]) & (at <= close_m[1]), _CLOSE, 1.0)
+    samples = _sampled(chain, along, at)
+    return _smoothed(samples, at, origin_m, smoothing_m=_SMOOTHING_M, weight=weight)
 
 
 def _led_on(chain_m: FloatArray) -> FloatArray:
@@ -325,6 +343,21 @@ def follow_lanes(chains_m: Sequence[FloatArray]) -> Course:
     """The smooth course along lanes one after the other; its origin is where the first one ends."""
     points = np.concatenate(chains_m)
     return _follow(tuple(map(tuple, points.tolist())), tuple(chains_m[0][-1].tolist()))
+
+
+def follow_connection(
+    before_m: FloatArray, connection_m: FloatArray, after_m: FloatArray, *, is_origin_behind: bool
+) -> Course:
+    """The course along a lane (n, 2), through a junction on its own lane, and along another one.
+
+    The lane through the junction is smoothed over 0.4 m, the others over 2 m, see
+    :func:`follow_lane`: where a straight line becomes a circle of radius R, the course leaves it by
+    0.2 L^2 / R, 5 mm for 6 m. Its origin is where that lane begins, or ends.
+    """
+    chains = before_m, connection_m, after_m
+    points = tuple(map(tuple, np.concatenate(chains).tolist()))
+    close = len(before_m), len(before_m) + len(connection_m) - 1
+    return _follow(points, points[close[is_origin_behind]], close)
 
 
 def ease_joint(

@@ -29,6 +29,7 @@ class ObstructionRules:
     max_back_m: float
     step_m: float
     island_m: float
+    max_island_skew_deg: float
 
 
 @cache

@@ -1,6 +1,6 @@
 """Cases laid on the approaches of any junction, by the rules of the protocol."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,10 +13,10 @@ from geometry.junction import Arm, Junction, Line, lane_length_m, lane_line
 from geometry.scene import Lane
 
 from .cases import Case
-from .courses import Course, follow_lane, follow_lanes, join_by_turn
+from .courses import follow_lane
 from .laying import load_way_rules
 from .obstructions import hide
-from .paths import Path, TowedPath, TurnPath, travel_time_s
+from .paths import travel_time_s
 from .positions import AT_ZERO, Position, is_bound, load_position_rules
 from .staging import (
     CannotCarryError,
@@ -26,16 +26,18 @@ from .staging import (
     impact_offset_m,
     set_off,
 )
-from .turns import Turn, pick_turn
+from .turning_ways import Turning, along_connection, on_lanes, on_straights
+from .turns import pick_turn
 from .ways import (
     CurvedWay,
     StraightWay,
     Way,
     WayAcross,
+    check_straight,
     eased_way_across,
+    is_bent,
     lane_way,
     meeting_m,
-    off_line_m,
     reversed_way,
     straight_line,
     way_across,
@@ -55,10 +57,12 @@ def stage_by_protocol(
 
     The run begins when the VRU sets off; turning: also 1 s before the VUT enters the curve. The VUT
     comes along its lane, round its bends, and straight on backwards where the map ends. It drives
-    in the lane at the kerb; before a left turn, in the one at the road's axis. It turns along the
-    junction's connecting lane where there is one, else on the protocol's curve. Pedestrians cross
-    at right angles to the VUT's lane where it meets the arm's crosswalk; a VRU that moves ahead of
-    the VUT is reached there. Cyclists ride on the arm's cycleway where it has one.
+    in the lane at the kerb; before a left turn, in the one at the road's axis; where the map has
+    connecting lanes, in the next one from there with which such a lane begins. It turns along that
+    one, or on the protocol's curve where there is none, or it bends too sharply for the speed.
+    Pedestrians cross at right angles to the VUT's lane where it meets the arm's crosswalk; a VRU
+    that moves ahead of the VUT is reached there. Cyclists ride on the arm's cycleway where it has
+    one.
 
     At other positions all of this lies so far along the VUT's way, before or behind: on the lane by
     which it comes, or on the one straight ahead by which it leaves. Behind the junction it drives
@@ -84,6 +88,7 @@ def stage_by_protocol(
     if case.kind == "turning":
         return _lay_turning(case, junction, arm, vut_speed_kmh, vut)
     lane = arm.entry_lanes[0]
+    followed = junction.followed(lane)
     lay = _lay_crossing if case.kind == "crossing" else _lay_longitudinal
     if position.is_behind:
         place = _place_behind(junction, arm, position, vut_speed_kmh, vut)
@@ -94,6 +99,7 @@ def stage_by_protocol(
             way=way,
             crosswalk=arm.crosswalk,
             entry_lane=lane,
+            followed=followed,
             begin_m=-lane_length_m(lane),
             end_m=np.inf,
             ahead_m=position.ahead_m,
@@ -103,8 +109,8 @@ def stage_by_protocol(
 
     return _straight_or_curved(
         lambda: along(StraightWay(line=straight_line(lane, is_in=True))),
-        lambda: along(CurvedWay(course=follow_lane(lane.centreline_m, is_in=True))),
-        is_bent=_is_bent(lane, is_in=True),
+        lambda: along(CurvedWay(course=follow_lane(followed.centreline_m, is_in=True))),
+        is_bent=is_bent(followed, is_in=True),
     )
 
 
@@ -115,6 +121,7 @@ class _Place:
     way: Way
     crosswalk: Line
     entry_lane: Lane
+    followed: Lane  # the same, with what is assumed before it
     begin_m: float  # station at which the mapped lanes begin
     end_m: float  # and end
     ahead_m: float  # so far ahead of the crosswalk the VUT meets the VRU
@@ -136,7 +143,7 @@ class _Place:
     def check_straight(self, driven_m: float) -> None:
         """Raise if a straight way leaves the lane within some metres before the meeting point."""
         if not self.is_checked:
-            _check_straight(self.way, self.entry_lane, driven_m - self.ahead_m)
+            check_straight(self.way, self.followed, driven_m - self.ahead_m)
 
 
 def _place_behind(
@@ -148,20 +155,22 @@ def _place_behind(
     ahead = _arm_ahead(junction, arm, entry)
     if ahead is None or not ahead.exit_lanes:
         raise NoRoadError("no lane leads straight on out of the junction")
-    connections = [(lane, junction.connection(entry_lane, lane)) for lane in ahead.exit_lanes]
-    exit_lane, connection = next(
-        (pair for pair in connections if pair[1] is not None),
-        min(
-            connections,
-            key=lambda pair: abs(float(entry.coordinates(pair[0].centreline_m[0])[1])),
-        ),
+    joined = _joined(junction, arm.entry_lanes, ahead.exit_lanes)
+    exit_lane = min(
+        ahead.exit_lanes,
+        key=lambda lane: abs(float(entry.coordinates(lane.centreline_m[0])[1])),
     )
-    rules = load_way_rules()
-    across = way_across(entry_lane, exit_lane, connection, max_bend_m=rules.max_lane_bend_m)
-    max_swerve_per_m = load_position_rules().across.max_lateral_mps2 / (vut_speed_kmh * kmh) ** 2
+    entry_lane, connection, exit_lane = next(joined, (entry_lane, None, exit_lane))
+    across = way_across(
+        junction.followed(entry_lane),
+        exit_lane,
+        connection,
+        max_bend_m=load_way_rules().max_lane_bend_m,
+    )
+    max_swerve_per_m = _max_bend_per_m(vut_speed_kmh)
     for lane in arm.entry_lanes:  # from the kerb, where some lanes only turn
         if across.swerve_per_m > max_swerve_per_m:
-            across = _gentlest(lane, ahead.exit_lanes, across, vut)
+            across = _gentlest(junction.followed(lane), ahead.exit_lanes, across, vut)
     if across.swerve_per_m > max_swerve_per_m:
         raise CannotCarryError(
             f"too fast for the change from lane {across.entry.id} into {across.leaving.id}, "
@@ -171,11 +180,28 @@ def _place_behind(
         way=across.way,
         crosswalk=ahead.crosswalk,
         entry_lane=across.entry,
+        followed=across.entry,
         begin_m=across.begin_m,
         end_m=lane_length_m(across.leaving),
         ahead_m=position.ahead_m,
         is_checked=True,
     )
+
+
+def _joined(
+    junction: Junction, entry_lanes: Sequence[Lane], exit_lanes: Sequence[Lane]
+) -> Iterator[tuple[Lane, Lane, Lane]]:
+    """Lanes into the junction, its own lanes that go on from them, and those into which they do."""
+    for before in entry_lanes:
+        for after in exit_lanes:
+            connection = junction.connection(before, after)
+            if connection is not None:
+                yield before, connection, after
+
+
+def _max_bend_per_m(vut_speed_kmh: float) -> float:
+    """The most that a VUT's way through the junction may bend at a speed."""
+    return load_position_rules().across.max_lateral_mps2 / (vut_speed_kmh * kmh) ** 2
 
 
 def _gentlest(
@@ -205,18 +231,6 @@ def _straight_or_curved(
         if not is_bent:
             raise
     return curved()
-
-
-def _is_bent(lane: Lane, *, is_in: bool) -> bool:
-    bend_m = off_line_m(lane, is_in=is_in, length_m=lane_length_m(lane))
-    return bend_m > load_way_rules().max_lane_bend_m
-
-
-def _check_straight(way: Way, lane: Lane, driven_m: float, *, is_in: bool = True) -> None:
-    """Raise if a straight way leaves its lane within some metres from the mouth."""
-    bend_m = off_line_m(lane, is_in=is_in, length_m=driven_m)
-    if isinstance(way, StraightWay) and bend_m > load_way_rules().max_lane_bend_m:
-        raise CannotCarryError(f"lane {lane.id} is not straight: {bend_m:.1f} m off its line")
 
 
 # ---------- crossing and longitudinal cases
@@ -288,8 +302,11 @@ def _check_no_junction(junction: Junction, point_m: FloatArray) -> None:
     import shapely
 
     point = shapely.Point(point_m)
+    own = [lane.centreline_m[-1] for arm in junction.arms.values() for lane in arm.lanes_in]
     for lane in junction.connections:
-        if shapely.LineString(lane.centreline_m).distance(point) < _IN_JUNCTION_M:
+        begin = lane.centreline_m[0]
+        is_own = any(np.hypot(*(tip - begin)) < _IN_JUNCTION_M for tip in own)
+        if not is_own and shapely.LineString(lane.centreline_m).distance(point) < _IN_JUNCTION_M:
             raise NoRoadError("another junction lies there: nobody crosses in its middle")
 
 
@@ -353,21 +370,6 @@ def _lay_longitudinal(
 # ---------- turning cases
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Turning:
-    """A VUT's way into another arm."""
-
-    entry_lane: Lane
-    entry: Line  # where the turn begins
-    exit_way: Way
-    turn_m: float  # its length
-    path_with: Callable[[float], Path]  # some metres before it
-    is_straight: bool  # but for the turn
-
-
-_AFTER_TURN_M = 10.0  # by then the VUT has met the VRU
-
-
 def _lay_turning(
     case: Case, junction: Junction, arm: Arm, vut_speed_kmh: float, vut: Actor
 ) -> Staging:
@@ -383,105 +385,23 @@ def _lay_turning(
     except InputError as error:
         raise CannotCarryError(str(error)) from None
 
-    def lay(turning: _Turning) -> Staging:
+    def lay(turning: Turning) -> Staging:
         return _lay_turn(case, junction, arm, target, turning, vut_speed_kmh, vut)
 
-    connection = junction.connection(entry_lane, exit_lane)
-    if connection is not None:
-        return lay(_along_connection(entry_lane, connection, exit_lane, vut))
+    # Lanes from the axis, or from the kerb: those first that the junction joins.
+    order = -1 if is_far else 1
+    for before, connection, after in _joined(
+        junction, arm.entry_lanes[::order], target.exit_lanes[::order]
+    ):
+        turning = along_connection(junction.followed(before), connection, after, vut)
+        if turning.bend_per_m <= _max_bend_per_m(vut_speed_kmh):
+            return lay(turning)
+    entry_lane = junction.followed(entry_lane)
     return _straight_or_curved(
-        lambda: lay(_on_straights(entry_lane, exit_lane, turn, vut)),
-        lambda: lay(_on_lanes(entry_lane, exit_lane, turn, vut)),
-        is_bent=_is_bent(entry_lane, is_in=True) or _is_bent(exit_lane, is_in=False),
+        lambda: lay(on_straights(entry_lane, exit_lane, turn, vut)),
+        lambda: lay(on_lanes(entry_lane, exit_lane, turn, vut)),
+        is_bent=is_bent(entry_lane, is_in=True) or is_bent(exit_lane, is_in=False),
     )
-
-
-def _on_straights(entry_lane: Lane, exit_lane: Lane, turn: Turn, vut: Actor) -> _Turning:
-    """The protocol's curve between the straight lines of two lanes."""
-    entry = straight_line(entry_lane, is_in=True)
-    exit_line = straight_line(exit_lane, is_in=False)
-    angle_deg = abs((exit_line.yaw_deg - entry.yaw_deg + 180.0) % 360.0 - 180.0)
-    try:
-        turn = turn.turned_by(angle_deg)
-        corner = entry.crossing_with(exit_line)
-    except (InputError, np.linalg.LinAlgError):
-        raise CannotCarryError(f"the arms meet at {angle_deg:.0f} degrees") from None
-    before_corner_m = float(entry.coordinates(corner)[0]) - turn.tangent_m
-    after_corner_m = float(exit_line.coordinates(corner)[0]) + turn.tangent_m
-    _check_within(entry_lane, -before_corner_m, "begin")
-    _check_within(exit_lane, after_corner_m, "end")
-    exit_way = StraightWay(line=exit_line)
-    _check_straight(exit_way, exit_lane, after_corner_m + _AFTER_TURN_M, is_in=False)
-
-    def path_with(straight_m: float) -> TurnPath:
-        return TurnPath(
-            start_m=entry.at(before_corner_m - straight_m),
-            yaw_deg=entry.yaw_deg,
-            straight_m=straight_m,
-            turn=turn,
-            wheelbase_m=vut.wheelbase_m,
-            front_axle_ahead_m=vut.front_axle_ahead_m,
-        )
-
-    return _Turning(
-        entry_lane=entry_lane,
-        entry=entry,
-        exit_way=exit_way,
-        turn_m=turn.length_m,
-        path_with=path_with,
-        is_straight=True,
-    )
-
-
-def _on_lanes(entry_lane: Lane, exit_lane: Lane, turn: Turn, vut: Actor) -> _Turning:
-    """The protocol's curve between two lanes that bend."""
-    entry = follow_lane(entry_lane.centreline_m, is_in=True)
-    exit_course = follow_lane(exit_lane.centreline_m, is_in=False)
-    try:
-        course, turn = join_by_turn(entry, exit_course, turn)
-    except (InputError, np.linalg.LinAlgError):
-        raise CannotCarryError(
-            f"no turn of {turn.radius_m:g} m leads from lane {entry_lane.id} into {exit_lane.id}"
-        ) from None
-    _check_within(entry_lane, -entry.station_of(course.tangent(0.0).point_m), "begin")
-    end = course.tangent(turn.length_m)
-    _check_within(exit_lane, exit_course.station_of(end.point_m), "end")
-    return _towed(entry_lane, exit_course, course, turn.length_m, vut)
-
-
-def _along_connection(entry_lane: Lane, connection: Lane, exit_lane: Lane, vut: Actor) -> _Turning:
-    """Along the junction's own lane between two others."""
-    course = follow_lanes(
-        [entry_lane.centreline_m, connection.centreline_m, exit_lane.centreline_m]
-    )
-    exit_course = follow_lane(exit_lane.centreline_m, is_in=False)
-    return _towed(entry_lane, exit_course, course, lane_length_m(connection), vut)
-
-
-def _towed(
-    entry_lane: Lane, exit_course: Course, course: Course, turn_m: float, vut: Actor
-) -> _Turning:
-    def path_with(straight_m: float) -> TowedPath:
-        return TowedPath(
-            course=course,
-            start_m=-straight_m,
-            wheelbase_m=vut.wheelbase_m,
-            front_axle_ahead_m=vut.front_axle_ahead_m,
-        )
-
-    return _Turning(
-        entry_lane=entry_lane,
-        entry=course.tangent(0.0),
-        exit_way=CurvedWay(course=exit_course),
-        turn_m=turn_m,
-        path_with=path_with,
-        is_straight=False,
-    )
-
-
-def _check_within(lane: Lane, in_lane_m: float, what: str) -> None:
-    if in_lane_m > lane_length_m(lane):
-        raise CannotCarryError(f"the turn would {what} beyond the mapped lane {lane.id}")
 
 
 def _lay_turn(
@@ -489,7 +409,7 @@ def _lay_turn(
     junction: Junction,
     arm: Arm,
     target: Arm,
-    turning: _Turning,
+    turning: Turning,
     vut_speed_kmh: float,
     vut: Actor,
 ) -> Staging:
@@ -509,7 +429,7 @@ def _lay_turn(
     )
     straight_m = -begin_s * speed_mps - meeting.vut_distance_m
     if turning.is_straight:
-        _check_straight(StraightWay(line=turning.entry), turning.entry_lane, straight_m)
+        check_straight(StraightWay(line=turning.entry), turning.entry_lane, straight_m)
     encounter = set_off(
         case,
         vut=vut,
@@ -523,7 +443,7 @@ def _lay_turn(
 
 
 def _turning_way(
-    case: Case, junction: Junction, arm: Arm, target: Arm, turning: _Turning
+    case: Case, junction: Junction, arm: Arm, target: Arm, turning: Turning
 ) -> tuple[Way, float]:
     """The VRU's way, and its station where it crosses the lane into which the VUT turns."""
     assert case.vru_line is not None

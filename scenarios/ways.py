@@ -12,7 +12,8 @@ from geometry.errors import InputError
 from geometry.junction import Line, curve_between, lane_length_m, lane_line
 from geometry.scene import Lane
 
-from .courses import Course, ease_joint, follow_lane, follow_lanes
+from .courses import Course, ease_joint, follow_connection, follow_lane, follow_lanes
+from .laying import load_way_rules
 from .paths import CoursePath, Path, StraightPath, TowedPath
 from .staging import CannotCarryError
 
@@ -185,6 +186,19 @@ def off_line_m(lane: Lane, *, is_in: bool, length_m: float) -> float:
     return float(np.abs(line.coordinates(near)[:, 1]).max())
 
 
+def is_bent(lane: Lane, *, is_in: bool) -> bool:
+    """Whether a lane leaves its straight line."""
+    bend_m = off_line_m(lane, is_in=is_in, length_m=lane_length_m(lane))
+    return bend_m > load_way_rules().max_lane_bend_m
+
+
+def check_straight(way: Way, lane: Lane, driven_m: float, *, is_in: bool = True) -> None:
+    """Raise if a straight way leaves its lane within some metres from the mouth."""
+    bend_m = off_line_m(lane, is_in=is_in, length_m=driven_m)
+    if isinstance(way, StraightWay) and bend_m > load_way_rules().max_lane_bend_m:
+        raise CannotCarryError(f"lane {lane.id} is not straight: {bend_m:.1f} m off its line")
+
+
 def lane_way(lane: Lane, *, is_in: bool, length_m: float, max_bend_m: float) -> Way:
     """The way along a lane, in its driving direction: straight where the lane is, as far as asked.
 
@@ -208,7 +222,8 @@ class WayAcross:
     begin_m : float
         Station at which the first lane begins. [m]
     swerve_per_m : float
-        Largest curvature where it changes from lane to lane; 0 on a lane of the map. [1/m]
+        Largest curvature where it changes from lane to lane; 0 on a lane of the map, and where it
+        bends no more than the lanes themselves do at their mouths. [1/m]
     """
 
     way: Way
@@ -241,8 +256,14 @@ def way_across(
         way = StraightWay(line=Line(point_m=line.at(mouth_m), direction=line.direction))
         begin_m = -mouth_m - lane_length_m(entry)
         return WayAcross(way=way, entry=entry, leaving=leaving, begin_m=begin_m)
-    between = _curve_between(entry, leaving) if connection is None else connection.centreline_m
-    course = follow_lanes([np.concatenate([entry.centreline_m, between]), leaving.centreline_m])
+    if connection is None:
+        between = _curve_between(entry, leaving)
+        course = follow_lanes([np.concatenate([entry.centreline_m, between]), leaving.centreline_m])
+    else:
+        between = connection.centreline_m
+        course = follow_connection(
+            entry.centreline_m, between, leaving.centreline_m, is_origin_behind=True
+        )
     across_m = float(np.hypot(*np.diff(between, axis=0).T).sum())
     return WayAcross(
         way=CurvedWay(course=course),
@@ -257,8 +278,8 @@ def way_across(
 def eased_way_across(entry: Lane, leaving: Lane, *, max_aside_m: float) -> WayAcross:
     """The gentlest way across where the map has no lane: it leaves the lanes near their mouths.
 
-    It bends least of those that stay within `max_aside_m` of the lanes' middles, and between them
-    within a metre of the curve of :func:`way_across`.
+    It is the gentlest of those that stay within `max_aside_m` of the lanes' middles, and
+    between them within a metre of the curve of :func:`way_across`.
 
     Raises
     ------
@@ -270,27 +291,34 @@ def eased_way_across(entry: Lane, leaving: Lane, *, max_aside_m: float) -> WayAc
     before = follow_lane(entry.centreline_m, is_in=True)
     after = follow_lane(leaving.centreline_m, is_in=False)
     lengths_m = lane_length_m(entry), lane_length_m(leaving)
+    lanes_bend_per_m = max(
+        before.between(-_MOUTH_M, 0.0).max_bend_per_m, after.between(0.0, _MOUTH_M).max_bend_per_m
+    )
     best = None
-    for smoothing_m in _EASING_M:
-        course = ease_joint(before, between, after, lengths_m=lengths_m, smoothing_m=smoothing_m)
-        swerve_per_m = course.between(-across_m - _MOUTH_M, _MOUTH_M).max_bend_per_m
+    tight, gentle = 0, len(_EASING_M)  # the gentler, the farther aside
+    while tight < gentle:
+        middle = (tight + gentle) // 2
+        course = ease_joint(
+            before, between, after, lengths_m=lengths_m, smoothing_m=float(_EASING_M[middle])
+        )
         aside_m = max(
             _aside_m(course, before.at(np.linspace(-min(lengths_m[0], _LOOKED_AT_M), 0.0, 60))[0]),
             _aside_m(course, after.at(np.linspace(0.0, min(lengths_m[1], _LOOKED_AT_M), 60))[0]),
         )
-        is_near = aside_m <= max_aside_m and _aside_m(course, between) <= _CUT_OFF_M
-        if not is_near or (best is not None and swerve_per_m > best.swerve_per_m):
-            continue
-        best = WayAcross(
-            way=CurvedWay(course=course),
-            entry=entry,
-            leaving=leaving,
-            begin_m=-across_m - lengths_m[0],
-            swerve_per_m=swerve_per_m,
-        )
+        if aside_m <= max_aside_m and _aside_m(course, between) <= _CUT_OFF_M:
+            best, tight = course, middle + 1
+        else:
+            gentle = middle
     if best is None:
         raise CannotCarryError(f"no smooth way leads from lane {entry.id} into {leaving.id}")
-    return best
+    bend_per_m = best.between(-across_m - _MOUTH_M, _MOUTH_M).max_bend_per_m
+    return WayAcross(
+        way=CurvedWay(course=best),
+        entry=entry,
+        leaving=leaving,
+        begin_m=-across_m - lengths_m[0],
+        swerve_per_m=bend_per_m if bend_per_m > lanes_bend_per_m else 0.0,
+    )
 
 
 def _aside_m(course: Course, points_m: FloatArray) -> float:

@@ -1,17 +1,21 @@
 """Speed as ratios to named references, measured in one run: ``python -m experiments.bench``.
 
 Absolute times depend on the machine and its load; the ratios depend on them little, because both
-sides are measured in turn, in the same process or as the same kind of process.
+sides are measured in turn, in the same process or as the same kind of process. Each part runs in a
+process of its own, and is ended when its time is up: what it has not measured then is said so.
 """
 
 import json
 import os
 import resource
+import signal
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import click
@@ -23,46 +27,128 @@ from placement.compute import Compute
 from placement.evaluator import evaluate_layout
 from placement.layout import Layout
 from placement.question import Question
-from placement.setting import build_setting
+from placement.setting import Setting, build_setting
 from placement.visibility.build import build_detection_table
 
 from ..study.layout import load_carlancap_layout
-from .optimiser import measure_covering, measure_large, measure_optimiser
+from .dragging import measure_dragging
+from .optimiser import (
+    build_bench_problem,
+    measure_covering,
+    measure_large,
+    measure_optimiser,
+    measure_relaxation,
+    measure_single,
+)
 from .perception import measure_perception
 from .rays import N_MOUNTS, REPEATS, Figures, measure_casting, measure_table
 
 _WORKERS = os.cpu_count() or 1
 _OWN_CASES = "CPNC-50,CBNA,CBLA"  # the study's: rays are measured on their 104 runs
+_LIMIT_S = 240.0
+_INSIDE = "PLACE_RSUS_BENCH_PART"  # set in the processes that measure
+
+
+@cache
+def _own_setting() -> Setting:
+    return build_setting(Question(cases=_OWN_CASES, along_arms="0"), load_study_scene())
+
+
+@cache
+def _default_setting() -> Setting:
+    return build_setting(Question(), load_study_scene())
+
+
+@cache
+def _candidates() -> tuple[CandidatePose, ...]:
+    grid, study = load_candidate_grid(), load_carlancap_layout()
+    return build_candidates(load_study_scene(), grid, extra=study.units)
+
+
+PARTS: dict[str, Callable[[int], Figures]] = {
+    "command": lambda budget: _measure_command(budget),
+    "rays": lambda _: measure_casting(_own_setting(), _candidates()),
+    "table": lambda _: measure_table(_default_setting(), _candidates()),
+    "optimiser": lambda budget: measure_optimiser(
+        build_bench_problem(_default_setting(), _candidates(), budget)
+    ),
+    "relaxation": lambda budget: measure_relaxation(
+        build_bench_problem(_default_setting(), _candidates(), budget + 1)
+    ),
+    "single": lambda budget: measure_single(
+        build_bench_problem(_default_setting(), _candidates(), budget, fusion="single")
+    ),
+    "covering": lambda _: measure_covering(),
+    "dragging": lambda _: measure_dragging(_default_setting()),
+    "growth": lambda _: _measure_growth(_candidates()),
+    "perception": lambda _: measure_perception(_own_setting()),
+    "large": lambda _: measure_large(),
+}
+"""What is measured, by its name: a function of the budget of units."""
 
 
 @click.command()
 @click.option("--budget", default=3, show_default=True, help="Units of the main job.")
+@click.option(
+    "--parts", default=",".join(PARTS), show_default=True, help="What to measure, commas between."
+)
+@click.option(
+    "--limit", default=_LIMIT_S, show_default=True, help="Seconds after which a part is ended."
+)
 @click.option("--out", type=click.Path(path_type=Path), help="JSON file for the figures.")
-def main(budget: int, out: Path | None) -> None:
-    """Measure rays, optimiser, growth with the runs, perception, and the whole command."""
-    scene = load_study_scene()
-    setting = build_setting(Question(cases=_OWN_CASES, along_arms="0"), scene)
-    candidates = build_candidates(
-        setting.scene, load_candidate_grid(), extra=load_carlancap_layout().units
-    )
-    asked = build_setting(Question(), scene)
-    figures = {
-        "processors": os.cpu_count(),
-        "rays by": caster_name(),
-        **_measure_command(budget),  # before anything large: children count the parent's memory
-        **measure_casting(setting, candidates),
-        **measure_table(asked, candidates),
-        **measure_optimiser(asked, candidates, budget),
-        **measure_covering(),
-        **_measure_growth(candidates),
-        **measure_perception(setting),
-        **measure_large(),
-    }
-    for name, value in figures.items():
-        shown = f"{value:.3g}" if isinstance(value, float) else value
-        click.echo(f"{name:<64} {shown}")
-    if out is not None:
-        out.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+def main(budget: int, parts: str, limit: float, out: Path | None) -> None:
+    """Measure rays, optimiser, growth with the runs, perception, and the whole command.
+
+    Figures of parts that are not measured this time stay in the file as they are.
+    """
+    names = [name.strip() for name in parts.split(",") if name.strip()]
+    for name in names:
+        if name not in PARTS:
+            raise click.BadParameter(f"{name}: expected some of {', '.join(PARTS)}")
+    if os.environ.get(_INSIDE):
+        (name,) = names
+        assert out is not None
+        out.write_text(json.dumps(PARTS[name](budget)), encoding="utf-8")
+        return
+    figures: dict[str, Figures] = {}
+    if out is not None and out.exists():
+        before = json.loads(out.read_text(encoding="utf-8"))
+        figures = {name: before[name] for name in PARTS if isinstance(before.get(name), dict)}
+    machine: Figures = {"processors": os.cpu_count(), "rays by": caster_name()}
+    for name in names:
+        click.echo(f"{name} ...", err=True)
+        figures[name] = run_part(name, budget=budget, limit_s=limit)
+        for figure, value in figures[name].items():
+            shown = f"{value:.3g}" if isinstance(value, float) else value
+            click.echo(f"{figure:<72} {shown}")
+        if out is not None:  # after each part: what is measured is kept, whatever comes
+            ordered = {"machine": machine, **{n: figures[n] for n in PARTS if n in figures}}
+            out.write_text(json.dumps(ordered, indent=2) + "\n", encoding="utf-8")
+
+
+def run_part(name: str, *, budget: int, limit_s: float) -> Figures:
+    """Figures of a part, measured in a process of its own, which ends when its time is up."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "figures.json"
+        words = ["--parts", name, "--budget", str(budget), "--out", str(path)]
+        began_s = time.perf_counter()
+        process = subprocess.Popen(
+            [sys.executable, "-m", "experiments.bench", *words],
+            env=os.environ | {_INSIDE: name},
+            start_new_session=True,
+        )
+        try:
+            code = process.wait(limit_s)
+        except subprocess.TimeoutExpired:
+            return {f"{name}: ended after so many seconds, not finished": limit_s}
+        finally:
+            if process.poll() is None:  # with all that it has started
+                os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
+        if code:
+            raise click.ClickException(f"{name}: ended with exit code {code}")
+        figures: Figures = json.loads(path.read_text(encoding="utf-8"))
+    return figures | {f"{name}: seconds to measure": time.perf_counter() - began_s}
 
 
 # ---------- more cases

@@ -35,6 +35,7 @@ from placement.optimiser.covering.instance import build_covering_instance
 from placement.optimiser.covering.solve import solve_lscp, solve_mclp
 from placement.optimiser.front import pareto_front
 from placement.optimiser.greedy import lazy_greedy, swap
+from placement.optimiser.problem import Fusion
 from placement.optimiser.promises import build_coverage, cover_windows
 from placement.optimiser.relaxation import first_multipliers, polish, tighten
 from placement.setting import Setting
@@ -311,6 +312,7 @@ def _is_hidden(pole_m: FloatArray, height_m: float, frames: _Frames) -> BoolArra
 
 _WORKERS = os.cpu_count() or 1
 _FRONT_UNITS = 8
+_FRONT_TIME_S, _BUDGET_TIME_S = 60.0, 20.0
 _SUBGRADIENT_STEPS = 400
 _RELAXATION_TIME_S = 60.0
 _MCLP_POSES, _MCLP_ROWS, _MCLP_UNITS = 1500, 4000, 3
@@ -321,10 +323,14 @@ _BUDGETS = (2, 3, 4, 5)
 _LARGE_UNITS, _LARGE_GAP, _LARGE_TIME_S = 6, 0.01, 300.0
 
 
-def measure_optimiser(
-    setting: Setting, candidates: Sequence[CandidatePose], budget: int
-) -> Figures:
-    """Presolve and all stages, fronts, and maximal covering against HiGHS alone."""
+def build_bench_problem(
+    setting: Setting,
+    candidates: Sequence[CandidatePose],
+    budget: int,
+    *,
+    fusion: Fusion = "any",
+) -> PlacementProblem:
+    """The question of so many units, on a table that is built for it."""
     table = build_detection_table(
         setting.scene,
         candidates,
@@ -334,7 +340,12 @@ def measure_optimiser(
         compute=Compute(workers=_WORKERS),
     )
     wishes = Wishes(budget_units=budget)
-    problem = build_problem(setting, candidates, table, wishes=wishes, fusion="any")
+    return build_problem(setting, candidates, table, wishes=wishes, fusion=fusion)
+
+
+def measure_optimiser(problem: PlacementProblem) -> Figures:
+    """Presolve and all stages, and fronts."""
+    table = problem.table
     began_s = time.perf_counter()
     reduced = presolve(problem)
     presolve_s = time.perf_counter() - began_s
@@ -354,21 +365,20 @@ def measure_optimiser(
             problem,
             max_units=_FRONT_UNITS,
             stages=stages,
-            effort=Effort(time_limit_s=60.0),
+            effort=Effort(time_limit_s=_FRONT_TIME_S),
         )
         what = "APR and one failed" if stages == "first" else "all stages"
         name = f"optimiser: front K = 1..{_FRONT_UNITS}, {what}"
         figures[f"{name}: seconds (under 60)"] = time.perf_counter() - began_s
         figures[f"{name}: proven"] = front.is_proven
-    figures |= measure_budgets(problem)
-    wider = replace(problem, limits=replace(problem.limits, budget_units=budget + 1))
-    figures |= measure_relaxation(wider)
-    single = build_problem(setting, candidates, table, wishes=wishes, fusion="single")
-    return figures | _measure_single(single, table)
+    return figures | measure_budgets(problem)
 
 
 def measure_budgets(
-    problem: PlacementProblem, *, units: Sequence[int] = _BUDGETS, time_limit_s: float = 180.0
+    problem: PlacementProblem,
+    *,
+    units: Sequence[int] = _BUDGETS,
+    time_limit_s: float = _BUDGET_TIME_S,
 ) -> Figures:
     """Presolve and all stages for growing budgets, with tracks that live on and that end."""
     figures: Figures = {}
@@ -416,8 +426,9 @@ def measure_relaxation(problem: PlacementProblem) -> Figures:
     }
 
 
-def _measure_single(single: PlacementProblem, table: DetectionTable) -> Figures:
-    covers = _covers(single, table)
+def measure_single(single: PlacementProblem) -> Figures:
+    """All stages where each unit confirms alone, against maximal covering by HiGHS alone."""
+    covers = _covers(single)
     best: dict[str, float] = {}
 
     def ours() -> None:
@@ -426,15 +437,17 @@ def _measure_single(single: PlacementProblem, table: DetectionTable) -> Figures:
     def direct() -> None:
         best["HiGHS"] = _solve_mclp(covers, single)
 
-    ours_s, direct_s = in_turn(ours, direct)
+    ours_s, direct_s = in_turn(ours, direct, repeats=1)  # HiGHS takes minutes
     if not np.isclose(best["ours"], best["HiGHS"], atol=1e-6):
         raise RuntimeError(f"optima differ: {best}")
     return {"optimiser: all stages, single / bare HiGHS, APR only": ratio(ours_s, direct_s)}
 
 
-def _covers(problem: PlacementProblem, table: DetectionTable) -> BoolArray:
+def _covers(problem: PlacementProblem) -> BoolArray:
     """A[c, r]: whether pose c avoids run r by itself."""
-    return np.stack([np.isfinite(run_margins_s(problem, [pose])) for pose in range(table.n_poses)])
+    return np.stack(
+        [np.isfinite(run_margins_s(problem, [pose])) for pose in range(problem.table.n_poses)]
+    )
 
 
 def _solve_mclp(covers: BoolArray, problem: PlacementProblem) -> float:

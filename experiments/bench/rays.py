@@ -22,23 +22,20 @@ from geometry.raycast import (
 from placement.candidates import CandidatePose
 from placement.setting import Setting
 from placement.visibility.build import N_POINTS, build_detection_table
-from placement.visibility.casting import (
-    World,
-    bodies_mesh,
-    build_world,
-    cast_sight,
-    find_obstructions,
-)
+from placement.visibility.casting import World, build_world, cast_sight
+from placement.visibility.standing import bodies_mesh, find_obstructions
 
 REPEATS = 5
 Figures = dict[str, float | str | None]
 """What is measured, by its name."""
 
 
-def in_turn(ours: Callable[[], object], theirs: Callable[[], object]) -> tuple[list[float], ...]:
+def in_turn(
+    ours: Callable[[], object], theirs: Callable[[], object], *, repeats: int = REPEATS
+) -> tuple[list[float], ...]:
     """Seconds of both, A B A B .., after one run of each that does not count."""
     seconds: tuple[list[float], list[float]] = ([], [])
-    for repeat in range(REPEATS + 1):
+    for repeat in range(repeats + 1):
         for kept, work in zip(seconds, (ours, theirs), strict=True):
             began_s = time.perf_counter()
             work()

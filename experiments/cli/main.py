@@ -10,6 +10,7 @@ import click
 from click.shell_completion import get_completion_class
 
 from ..progress import Interrupted, StageProgress, StderrLog, ending_on_signals
+from .city import city
 from .compare import compare
 from .dataset import dataset
 from .detector import detector
@@ -19,6 +20,7 @@ from .export import export
 from .latency import latency
 from .pareto import pareto
 from .place import cli
+from .plan import plan
 from .render import render
 from .retrofit import retrofit
 from .running import command_line
@@ -78,6 +80,7 @@ def completion(context: click.Context, *, shell: str) -> None:
 
 for _command in (
     *(
+        city,
         compare,
         completion,
         dataset,
@@ -87,6 +90,7 @@ for _command in (
         export,
         latency,
         pareto,
+        plan,
         render,
         retrofit,
     ),

@@ -73,7 +73,7 @@ _READING_OPTIONS = (
 )
 
 
-def _reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
+def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Options that say what files do not; the command gets them as one `reading`."""
 
     @wraps(command)
@@ -159,7 +159,7 @@ Examples:
     metavar="W,S,E,N",
     help="Fetch OpenStreetMap there instead of a file (extra: online).",
 )
-@_reading_options
+@reading_options
 @option("-o", "--out", type=click.Path(path_type=Path), required=True, help="Folder, or .zip file.")
 @json_option
 @quiet_option
@@ -221,7 +221,7 @@ Examples:
   place-rsus scene show city.osm --json --quiet | jq .junctions"""
 )
 @click.argument("paths", nargs=-1, metavar="[SCENE | FILE...]")
-@_reading_options
+@reading_options
 @option(
     "--out", type=click.Path(path_type=Path), help="Folder for plan.png and view.png; else none."
 )

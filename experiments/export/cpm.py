@@ -29,6 +29,7 @@ _MAX_RANGE = 4093  # StandardLength12b, in 0.1 m
 _MAX_OFFSET = 32766  # CartesianCoordinate, in 0.01 m
 _TURN = 3600  # a full turn in 0.1 degrees: a value that is not used
 _SEMI_AXIS_UNKNOWN, _HEADING_UNKNOWN, _ALTITUDE_UNKNOWN = 4095, 3601, 800001
+_ALTITUDES = -100_000, 800_000  # the first and the last stand for all beyond
 _SLACK = 1.0e-6  # of a unit: what rounding may add before it counts as the next one
 
 
@@ -37,18 +38,23 @@ def to_cpm(layout: Layout, scene: Scene) -> str:
 
     JSON: {"standard", "stations": [{"site", "units", "payload"}]}. A payload has the standard's
     names and units and what a layout says: the reference position (WGS 84, 0.1 microdegrees; on the
-    road in the middle of the station's units; no altitude), the RSU's
-    container and that of its sensors. A sensor's id is its place in "units". Its region is a radial
-    shape: reference point east, north, up of the reference position [0.01 m], range [0.1 m],
-    horizontal opening clockwise from north and vertical opening upwards from the horizon [0.1
-    degrees]. What a station adds when it sends (reference time, confidences) is not in it. Raises
-    InputError if the scene has no crs; a site carries more than 128 units, or units too far apart.
+    road in the middle of the station's units; its altitude [0.01 m] where the map counts heights
+    from the ellipsoid), the RSU's container and that of its sensors. A sensor's id is its place
+    in "units". Its region is a radial shape: reference point east, north, up of the reference
+    position [0.01 m], range [0.1 m], horizontal opening clockwise from north and vertical
+    opening upwards from the horizon [0.1 degrees]. What a station adds when it sends (reference
+    time, confidences) is not in it. Raises InputError if the scene has no crs; a site carries
+    more than 128 units, or units too far apart.
 
     Notes
     -----
     A camera has no range of its own: it ends where an adult is as high in the image as the least
     box of the default detector. Angles are those of the middle of the image's edges; shadowing
     (shadowingApplies) is left to the receiver.
+
+    An altitude is a height above the ellipsoid of WGS 84. Most maps count from the sea: their
+    heights would be wrong by up to 100 m, and the grid that turns one into the other is seldom at
+    hand. Then the altitude is unavailable.
 
     Of a LiDAR that scans all round the horizontal opening starts at 0 (north) and ends at 359.9
     degrees. A full turn has no value of its own: 360.0 means "not used", and a start that equals
@@ -85,13 +91,16 @@ def to_cpm(layout: Layout, scene: Scene) -> str:
             raise InputError(where, Unquoted(f"{len(units)} units"), f"at most {_MAX_SENSORS}")
         road_m = on_ground(origin_m, terrain_of(scene))
         shapes = [_radial_shape(unit, road_m, adult_px_m, where) for unit in units]
-        payload = _payload(units, shapes, reference)
+        payload = _payload(units, shapes, reference, _altitude_cm(scene, float(road_m[2])))
         records.append({"site": site, "units": [unit.id for unit in units], "payload": payload})
     return to_json_text({"standard": STANDARD, "stations": records})
 
 
 def _payload(
-    units: list[CandidatePose], shapes: list[dict[str, object]], lon_lat: IntArray
+    units: list[CandidatePose],
+    shapes: list[dict[str, object]],
+    lon_lat: IntArray,
+    altitude_cm: int,
 ) -> dict[str, object]:
     return {
         "managementContainer": {
@@ -104,7 +113,7 @@ def _payload(
                     "semiMajorOrientation": _HEADING_UNKNOWN,
                 },
                 "altitude": {
-                    "altitudeValue": _ALTITUDE_UNKNOWN,
+                    "altitudeValue": altitude_cm,
                     "altitudeConfidence": "unavailable",
                 },
             }
@@ -127,6 +136,19 @@ def _payload(
             },
         ],
     }
+
+
+def _altitude_cm(scene: Scene, height_m: float) -> int:
+    """Height above the ellipsoid of what is some metres above the scene's zero."""
+    from pyproj import CRS
+
+    crs = CRS.from_user_input(scene.source_crs) if scene.source_crs else None
+    is_ellipsoidal = crs is not None and len(crs.axis_info) == 3 and not crs.is_compound
+    if scene.zero_height_m is None or not is_ellipsoidal:
+        return _ALTITUDE_UNKNOWN
+    value = round(100.0 * (scene.zero_height_m + height_m))
+    low, high = _ALTITUDES
+    return min(max(value, low), high)
 
 
 def _radial_shape(

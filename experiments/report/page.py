@@ -201,7 +201,7 @@ def _build_report(
         runs_section(evaluations),
         again_section(result, command),
     ]
-    page = _template().render(
+    page = page_template().render(
         title=title(result, setting, shown),
         answer=answer(result, shown),
         sections=_present(sections),
@@ -216,7 +216,8 @@ def _present(sections: Sequence[Section | None]) -> list[Section]:
 
 
 @cache
-def _template() -> Template:
+def page_template() -> Template:
+    """The template of all pages: title, answer, sections, details; and what can be played."""
     environment = Environment(
         loader=PackageLoader("experiments.report"),
         autoescape=True,

@@ -3,6 +3,7 @@
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from ..junction import (
     distance_to_outline_m,
     lane_line,
 )
-from ..scene import Instance, Lane, Scene, Site
+from ..scene import Instance, Lane, Scene, Site, thing_footprint
 from ..terrain import GROUND, Terrain, on_ground
 from .georeferences import LocalFrame, frame_at
 from .relief import Elevation, find_relief
@@ -29,7 +30,13 @@ LANES_BEYOND_M = 70.0  # cars come from farther away than anything that could hi
 _SAME_LEVEL_M = 3.0
 _AT_OUTLINE_M = 2.0  # other roads that end here would look like an arm
 _CROSSWALK_WITHIN_M = 25.0
-_ASSUMED_M = 60.0  # straight on beyond the map
+_ASSUMED_M = 60.0  # on beyond the map
+_BENDS_PER_M = (
+    0.0,
+    *(sign / radius_m for radius_m in (400.0, 200.0, 100.0, 60.0, 40.0, 25.0) for sign in (1, -1)),
+)
+_BESIDE_HOUSES_M = 0.3  # between such a lane and houses
+_LEAST_ASSUMED_M = 5.0
 _MOUTH_M = 4.0  # of a lane next to a junction, whose direction counts there
 _STRAIGHT_ON_DEG = 25.0  # between the way through a junction and the lanes at its ends
 _DIGITS_M = 0.002
@@ -189,21 +196,77 @@ def build_scene(
 
 
 def _lead_on(scene: Scene, *, reach_m: float) -> Iterator[Lane]:
-    """Lanes straight on to the begins of entry lanes where the map has nothing that leads there."""
-    for arm in build_junction(scene).arms.values():
-        for lane in arm.entry_lanes:
-            begin = lane.centreline_m[0]
-            if np.hypot(*begin) < reach_m - 1.0:  # else the map goes on
-                ahead = lane_line(lane, is_in=False, length_m=_MOUTH_M)[0].direction
-                chain = _reaching(
-                    np.array([begin, begin - _ASSUMED_M * ahead]), reach_m, from_end=False
-                )
+    """Lanes to the begins of entry lanes where the map has nothing that leads there.
+
+    They lead straight on, or where a building stands there round the gentlest bend past it, the
+    same for all lanes of an arm; where none does, straight up to it.
+    """
+    arms = [  # the lanes behind which the map does not go on
+        [lane for lane in arm.entry_lanes if np.hypot(*lane.centreline_m[0]) < reach_m - 1.0]
+        for arm in build_junction(scene).arms.values()
+    ]
+    if not any(arms):
+        return
+    houses = _houses(scene)
+    for lanes in arms:
+        for bend_per_m in _BENDS_PER_M:
+            chains = [_beyond(lane, bend_per_m, reach_m) for lane in lanes]
+            if all(
+                _free_m(chain, lane.width_m, houses) == np.inf
+                for lane, chain in zip(lanes, chains, strict=True)
+            ):
+                break
+        else:
+            chains = [_beyond(lane, 0.0, reach_m) for lane in lanes]
+        for lane, chain in zip(lanes, chains, strict=True):
+            free_m = _free_m(chain, lane.width_m, houses)
+            if free_m < np.inf:
+                step = chain[1] - chain[0]
+                chain = np.array([chain[0], chain[0] + free_m * step / np.hypot(*step)])
+            if free_m > _LEAST_ASSUMED_M:
                 yield Lane(
                     id=f"{lane.id} beyond the map",
                     kind=ASSUMED,
                     width_m=lane.width_m,
                     centreline_m=chain[::-1],
                 )
+
+
+def _beyond(lane: Lane, bend_per_m: float, reach_m: float) -> FloatArray:
+    """Points (n, 2) of a circle away from a lane's begin, to the left of its direction there."""
+    ahead = lane_line(lane, is_in=False, length_m=_MOUTH_M)[0].direction
+    away = -complex(*ahead)
+    along = np.array([0.0, _ASSUMED_M])
+    if bend_per_m == 0.0:
+        places = along * away
+    else:
+        along = np.linspace(0.0, _ASSUMED_M, 31)
+        places = away * np.expm1(1j * bend_per_m * along) / (1j * bend_per_m)
+    points = lane.centreline_m[0] + np.stack([places.real, places.imag], axis=1)
+    return _reaching(points, reach_m, from_end=False)
+
+
+def _houses(scene: Scene) -> Any:
+    import shapely
+
+    return shapely.union_all(
+        [
+            thing_footprint(scene, index)
+            for index, thing in enumerate(scene.instances)
+            if thing.class_name in ("building", "wall")
+        ]
+    )
+
+
+def _free_m(chain_m: FloatArray, width_m: float, houses: Any) -> float:
+    """How far a lane leads before it comes close to houses; infinite: all of it is clear."""
+    import shapely
+
+    line = shapely.LineString(chain_m)
+    strip = line.buffer(0.5 * width_m + _BESIDE_HOUSES_M, cap_style="flat")
+    hits = shapely.get_coordinates(houses.intersection(strip))
+    first_m = min((line.project(shapely.Point(hit)) for hit in hits), default=np.inf)
+    return float(max(first_m - _BESIDE_HOUSES_M, 0.0))
 
 
 def _lanes(
@@ -213,7 +276,10 @@ def _lanes(
     outline_m: FloatArray,
     reach_m: float,
 ) -> tuple[list[Lane], list[Lane]]:
-    """Lanes around a junction, and those through the other junctions around it."""
+    """Lanes around a junction and through it; and those assumed through others around it.
+
+    Through the others lead only those of the map's lanes that lead about straight on.
+    """
     found: list[Lane] = []
     ends: dict[str, list[Lane]] = defaultdict(list)  # by the junction into which they lead
     begins: dict[str, list[Lane]] = defaultdict(list)
@@ -239,11 +305,35 @@ def _lanes(
             for others, at, name in ((ends, -1, lane.to_junction), (begins, 0, lane.from_junction)):
                 if name not in ("", junction.id) and (points[at] == whole[at]).all():
                     others[name].append(found[-1])
+    mapped = {lane.from_junction for lane in roads.connections}
+    for lane in roads.connections:
+        points = frame.take(lane.centreline_m[:, :2], roads)
+        is_own = lane.from_junction == junction.id
+        height = lane.centreline_m[:, 2] - junction.height_m
+        if not is_own and (
+            _is_elsewhere(points, height, outline_m, reach_m)
+            or np.hypot(*points.T).max() > reach_m
+            or not _leads_straight_on(points)
+        ):
+            continue
+        points = _apart(points)
+        if len(points) > 1:
+            found.append(
+                Lane(id=lane.id, kind=CONNECTING, width_m=lane.width_m, centreline_m=points)
+            )
     return found, [
         lane
-        for name in ends.keys() & begins.keys()
+        for name in (ends.keys() & begins.keys()) - mapped
         for lane in _straight_on(ends[name], begins[name])
     ]
+
+
+def _leads_straight_on(points_m: FloatArray) -> bool:
+    """Whether a lane through a junction is about as straight as those that are assumed."""
+    way = points_m[-1] - points_m[0]
+    ends = np.stack([points_m[1] - points_m[0], points_m[-1] - points_m[-2]])
+    length_m = np.hypot(*way) * np.hypot(*ends.T)
+    return bool((ends @ way >= np.cos(np.radians(_STRAIGHT_ON_DEG)) * length_m).all())
 
 
 def _straight_on(ends: Sequence[Lane], begins: Sequence[Lane]) -> Iterator[Lane]:

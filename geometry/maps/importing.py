@@ -328,8 +328,39 @@ def import_scene(paths: Sequence[Path], options: ImportOptions) -> ImportedScene
         place for a sensor.
     """
     maps, junctions = read_maps(paths, options.reading)
+    chosen = choose_junction(maps[0], junctions, name=options.junction, at=options.at)
+    imported = cut_scene(maps, chosen, options)
+    skipped = imported.skipped
+    if len(junctions) > 1 and not options.junction and options.at is None:
+        what = f"{len(junctions) - 1} other junctions of {maps[0].name}"
+        why = "none was named: the one with the most arms and lanes was taken"
+        skipped = (*skipped, (what, why))
+    return replace(imported, junctions=junctions, skipped=skipped)
+
+
+def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOptions) -> ImportedScene:
+    """Make a scene of one junction of maps that are read already.
+
+    Parameters
+    ----------
+    maps : sequence of SourceMap
+        The one with the roads first.
+    chosen : Surveyed
+        A junction of it.
+    options : ImportOptions
+        How far around it, and which sites.
+
+    Returns
+    -------
+    imported : ImportedScene
+        Of the junctions of the map, it knows the chosen one.
+
+    Raises
+    ------
+    InputError
+        No lane leads into the junction, or there is no place for a sensor.
+    """
     roads = maps[0]
-    chosen = choose_junction(roads, junctions, name=options.junction, at=options.at)
     if not chosen.n_driven:
         raise InputError(
             f"{roads.name}: junction {chosen.junction.id}",
@@ -364,16 +395,9 @@ def import_scene(paths: Sequence[Path], options: ImportOptions) -> ImportedScene
     )
     skipped = [(skip.what, skip.why) for skip in (*surroundings.skipped, *settled, *told)]
     skipped += [(f"arm {name}", why) for name, why in arms_that_end(scene)]
-    if len(junctions) > 1 and not options.junction and options.at is None:
-        skipped.append(
-            (
-                f"{len(junctions) - 1} other junctions of {roads.name}",
-                "none was named: the one with the most arms and lanes was taken",
-            )
-        )
     return ImportedScene(
         scene=scene,
-        junctions=junctions,
+        junctions=(chosen,),
         chosen=chosen,
         sources=tuple(source.name for source in maps),
         skipped=tuple(skipped),

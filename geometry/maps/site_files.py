@@ -125,7 +125,11 @@ def _fields(names: list[str], where: str) -> dict[str, str]:
 _Row = tuple[str, dict[str, Any]]
 
 
-def _csv_rows(path: Path) -> Iterator[_Row]:
+def read_csv_rows(path: Path) -> Iterator[_Row]:
+    """Rows of a CSV file with a header: where each is, and its cells by the names of the columns.
+
+    Comma, semicolon or tab; empty lines are left out. Raises InputError for what is no CSV.
+    """
     where = str(path)
     text = read_text(path, "CSV")
     head = text.partition("\n")[0]
@@ -133,7 +137,6 @@ def _csv_rows(path: Path) -> Iterator[_Row]:
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
     try:
         names = next(reader, [])
-        fields = _fields(names, where)
         for cells in reader:
             here = f"{where}: line {reader.line_num}"
             if not any(cell.strip() for cell in cells):
@@ -142,10 +145,25 @@ def _csv_rows(path: Path) -> Iterator[_Row]:
                 raise InputError(here, Unquoted(f"{len(cells)} fields"), f"{len(names)}")
             if reader.line_num > _MAX_SITES:
                 raise InputError(where, Unquoted(f"more than {_MAX_SITES:,} lines"), "fewer")
-            row = zip(names, cells, strict=True)
-            yield here, {fields[name]: cell.strip() for name, cell in row if name in fields}
+            yield here, {name: cell.strip() for name, cell in zip(names, cells, strict=True)}
     except csv.Error as error:
         raise InputError(f"{where}: line {reader.line_num}", Unquoted(error), "CSV") from None
+
+
+def _csv_rows(path: Path) -> Iterator[_Row]:
+    fields: dict[str, str] | None = None
+    for here, cells in read_csv_rows(path):
+        fields = _fields(list(cells), str(path)) if fields is None else fields
+        yield here, {fields[name]: cell for name, cell in cells.items() if name in fields}
+
+
+def read_place(values: Mapping[str, Any], where: str, crs: str) -> FloatArray:
+    """Position (2,) of a row by its columns x and y in `crs`, or lat and lon.
+
+    Raises InputError if there is none, or it lies nowhere.
+    """
+    fields = _fields(list(values), where)
+    return _position({fields[name]: values[name] for name in fields}, where, crs)
 
 
 def _geojson_rows(path: Path, crs: str) -> Iterator[_Row]:

@@ -248,6 +248,9 @@ class SourceMap:
         Zero of the z axis.
     lanes, junctions, things, poles : tuple
         The objects of the map.
+    connections : tuple of MapLane
+        Lanes through junctions, each from the end of a lane to the begin of another; both their
+        junctions are the one through which they lead. None: the map does not have them.
     crosswalks_m : (n, 2, 2) float
         Lines on which pedestrians cross, from end to end. [m]
     ground_m : (n, 3) float
@@ -264,6 +267,7 @@ class SourceMap:
     source_crs: str = ""
     heights: Heights = "above ground"
     lanes: tuple[MapLane, ...] = ()
+    connections: tuple[MapLane, ...] = ()
     junctions: tuple[MapJunction, ...] = ()
     things: tuple[Thing, ...] = ()
     poles: tuple[Pole, ...] = ()

@@ -15,7 +15,13 @@ from geometry.sensors import CameraModel
 
 from ..detectors import Evidence, aspects_deg
 from .sights import Placed, Seen, Sights
-from .surroundings import Surroundings, VutCamera, find_sights, relative_road_poses
+from .surroundings import (
+    Surroundings,
+    VutCamera,
+    find_sights,
+    level_carriers,
+    relative_road_poses,
+)
 
 
 def perceive_from_roadside(
@@ -29,6 +35,7 @@ def perceive_from_roadside(
         surroundings,
         pose,
         camera,
+        tilt_deg=np.zeros(len(surroundings.vru_poses)),
         static_poses=surroundings.static_poses,
         vru_poses=surroundings.vru_poses,
         vehicle_index=np.insert(surroundings.traffic_index, 0, 0, axis=1),
@@ -42,13 +49,15 @@ def perceive_from_vut(
     surroundings: Surroundings, vut_camera: VutCamera, *, min_height_px: float = 0.0
 ) -> Evidence:
     """Evidence of the VUT's own camera; the VUT itself is not drawn."""
-    vut_poses = surroundings.vut_poses
+    mount = vut_camera.pose_on(surroundings.vut_actor)
+    vut_poses = level_carriers(surroundings, mount)
     static_poses = relative_road_poses(surroundings.static_poses, vut_poses)
     vru_poses = relative_road_poses(surroundings.vru_poses, vut_poses)
     return _perceive(
         surroundings,
-        vut_camera.pose_on(surroundings.vut_actor),
+        mount,
         vut_camera.camera,
+        tilt_deg=surroundings.vut_pitch_deg,
         static_poses=static_poses,
         vru_poses=vru_poses,
         vehicle_index=surroundings.traffic_index,
@@ -65,6 +74,7 @@ def _perceive(
     pose: Pose,
     camera: CameraModel,
     *,
+    tilt_deg: FloatArray,
     static_poses: FloatArray,
     vru_poses: FloatArray,
     vehicle_index: IntArray,
@@ -72,7 +82,10 @@ def _perceive(
     sight_of_frame: IntArray,
     min_height_px: float,
 ) -> Evidence:
-    """Evidence from poses relative to the frame in which the camera stands."""
+    """Evidence from poses relative to the frame in which the camera stands.
+
+    It looks up by `tilt_deg`, (n_frames,), more than its pose says.
+    """
     from .pixels import Image, see  # loads the compiler
 
     n_frames = len(vru_poses)
@@ -80,9 +93,11 @@ def _perceive(
     start = np.flatnonzero(np.diff(sight_of_frame[order], prepend=-1))
     first = order[start]  # a frame of each sight
     start = np.append(start, n_frames)
-    vru, static = _place(pose, vru_poses[first]), _place(pose, static_poses[first])
+    vru = _place(pose, vru_poses[first], tilt_deg[first])
+    static = _place(pose, static_poses[first], tilt_deg[first])
     is_there = vehicle_index[order] >= 0
-    vehicles = _place(pose, vehicle_poses[order][is_there])
+    tilts = np.broadcast_to(tilt_deg[order, None], is_there.shape)[is_there]
+    vehicles = _place(pose, vehicle_poses[order][is_there], tilts)
     vehicle_kind = vehicle_index[order][is_there]
     vehicle_start = np.concatenate([[0], np.cumsum(is_there.sum(axis=1))])
     seen = _blank(len(first), n_frames)
@@ -138,13 +153,20 @@ def _perceive(
     )
 
 
-def _place(pose: Pose, road_poses: FloatArray) -> Placed:
-    """Bodies at road poses (n, 4), in the frame of a camera at a pose."""
-    to_camera = camera_rotation(pose.yaw_deg, pose.pitch_deg).T
-    offsets = road_poses[:, [0, 1, 3]]
+def _place(pose: Pose, road_poses: FloatArray, tilt_deg: FloatArray) -> Placed:
+    """Bodies at road poses (n, 4), in the frame of a camera at a pose that is tilted, (n,)."""
+    offsets = road_poses[:, [0, 1, 3]] - pose.position_m
+    if tilt_deg.any():
+        from_camera = camera_rotation(pose.yaw_deg, pose.pitch_deg + tilt_deg)
+        shift = np.einsum("ni,nij->nj", offsets, from_camera)
+    else:
+        from_camera = camera_rotation(pose.yaw_deg, pose.pitch_deg)
+        shift = offsets @ from_camera
     return Placed(
-        turn=np.ascontiguousarray(to_camera @ body_rotation(road_poses[:, 2])),
-        shift=np.ascontiguousarray((offsets - pose.position_m) @ to_camera.T),
+        turn=np.ascontiguousarray(
+            np.swapaxes(from_camera, -1, -2) @ body_rotation(road_poses[:, 2])
+        ),
+        shift=np.ascontiguousarray(shift),
         up_m=np.ascontiguousarray(road_poses[:, 3]),
     )
 

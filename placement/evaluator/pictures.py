@@ -22,7 +22,7 @@ from ..detectors.evidence import Crop, Image
 from ..imaging import Backdrop, build_backdrop, draw_picture
 from ..imaging.crops import draw_crop, meter, window_around
 from ..imaging.mesh import FrameMesh, place_mesh, vut_pose
-from .surroundings import VutCamera
+from .surroundings import VutCamera, vut_pitch_deg
 
 PictureOfFrame = Callable[[int], Image]
 
@@ -273,9 +273,12 @@ def vut_camera_pose(mount: VutCamera, run: Run, frame_index: int) -> Pose:
     on_vut = mount.pose_on(run.encounter.vut)
     yaw_deg = float(run.vut_yaw_deg[frame_index])
     position_m = on_ground(run.vut_position_m[frame_index], run.terrain)
-    vut = Pose(position_m=position_m, yaw_deg=yaw_deg)
+    pitch_deg = vut_pitch_deg(
+        run.encounter.vut, run.vut_position_m[frame_index], yaw_deg, run.terrain
+    )
+    vut = Pose(position_m=position_m, yaw_deg=yaw_deg, pitch_deg=float(pitch_deg))
     return Pose(
         position_m=to_world(on_vut.position_m[None], vut)[0],
         yaw_deg=yaw_deg + on_vut.yaw_deg,
-        pitch_deg=on_vut.pitch_deg,
+        pitch_deg=vut.pitch_deg + on_vut.pitch_deg,
     )

@@ -20,7 +20,7 @@ from geometry.weather import Weather
 from ..detectors import VRU_CLASSES
 from .perceive import distances_m
 from .solids import Solid
-from .surroundings import Surroundings, VutCamera, relative_road_poses
+from .surroundings import Surroundings, VutCamera, level_carriers, relative_road_poses
 
 _POSE_DECIMALS = 6  # poses that agree to a micrometre are the same
 _SIGHTS_AT_ONCE = 256
@@ -38,6 +38,7 @@ def scan_from_roadside(
         surroundings,
         pose,
         lidar,
+        tilt_deg=np.zeros(len(surroundings.vru_poses)),
         static_poses=surroundings.static_poses,
         vru_poses=surroundings.vru_poses,
         vehicle_index=np.insert(surroundings.traffic_index, 0, 0, axis=1),
@@ -50,11 +51,13 @@ def scan_from_vut(
     surroundings: Surroundings, mount: VutCamera, lidar: LidarModel, rng: np.random.Generator
 ) -> BoolArray:
     """Frames in which the VUT's own LiDAR detects the VRU; see :func:`scan_from_roadside`."""
-    vut_poses = surroundings.vut_poses
+    pose = mount.pose_on(surroundings.vut_actor)
+    vut_poses = level_carriers(surroundings, pose)
     return _scan(
         surroundings,
-        mount.pose_on(surroundings.vut_actor),
+        pose,
         lidar,
+        tilt_deg=surroundings.vut_pitch_deg,
         static_poses=relative_road_poses(surroundings.static_poses, vut_poses),
         vru_poses=relative_road_poses(surroundings.vru_poses, vut_poses),
         vehicle_index=surroundings.traffic_index,
@@ -84,6 +87,7 @@ def _scan(
     pose: Pose,
     lidar: LidarModel,
     *,
+    tilt_deg: FloatArray,
     static_poses: FloatArray,
     vru_poses: FloatArray,
     vehicle_index: IntArray,
@@ -92,7 +96,7 @@ def _scan(
 ) -> BoolArray:
     detected = np.zeros(len(vru_poses), dtype=bool)
     luck: dict[int, FloatArray] = {}  # the same in all weathers: what differs is the weather's
-    beams = beam_directions(lidar).reshape(-1, 3) @ body_rotation(pose.yaw_deg, pose.pitch_deg).T
+    beams = beam_directions(lidar).reshape(-1, 3)
     kinds = np.stack([surroundings.static_index, surroundings.vru_index], axis=1)
     for static_index, vru_index in np.unique(kinds, axis=0):
         frames = np.flatnonzero((kinds == [static_index, vru_index]).all(axis=1))
@@ -107,8 +111,10 @@ def _scan(
         vru = surroundings.vrus[vru_index]
         sights = [
             echoes
-            for part in np.array_split(poses[first], -(-len(first) // _SIGHTS_AT_ONCE))
-            for echoes in _look(pose, lidar, beams, static, vru, part)
+            for part in np.array_split(first, -(-len(first) // _SIGHTS_AT_ONCE))
+            for echoes in _look(
+                pose, lidar, beams, static, vru, poses[part], tilt_deg[frames[part]]
+            )
         ]
         for frame, sight in zip(frames.tolist(), sight_of_frame.tolist(), strict=True):
             draw = int(surroundings.draw_index[frame])
@@ -126,10 +132,17 @@ def _scan(
 
 
 def _look(
-    pose: Pose, lidar: LidarModel, beams: FloatArray, static: Solid, vru: Solid, poses: FloatArray
+    pose: Pose,
+    lidar: LidarModel,
+    beams: FloatArray,
+    static: Solid,
+    vru: Solid,
+    poses: FloatArray,
+    tilt_deg: FloatArray,
 ) -> Iterator[_Echoes]:
     """Beams that reach the VRU before anything that stands still, sight by sight."""
     vru_poses = poses[:, 4:]
+    turns = body_rotation(pose.yaw_deg, pose.pitch_deg + tilt_deg)  # from the LiDAR's own frame
     distance = distances_m(pose, vru_poses, vru.hull_m)
     radius_m = float(
         np.linalg.norm(vru.hull_m - [0.0, 0.0, 0.5 * vru.hull_m[:, 2].max()], axis=1).max()
@@ -138,12 +151,14 @@ def _look(
     towards = (middle - pose.position_m) / distance[:, None]
     half_angle = np.arcsin(np.minimum(1.0, radius_m / distance))
     near = np.flatnonzero(distance - radius_m <= lidar.range_m)
-    towards_lidar = towards[near] @ body_rotation(pose.yaw_deg, pose.pitch_deg)
-    windows = list(_beams_around(lidar, towards_lidar, half_angle[near]))
+    towards_lidar = np.einsum("ni,nij->nj", towards, turns)
+    windows = list(_beams_around(lidar, towards_lidar[near], half_angle[near]))
     sight = np.repeat(near, [len(window) for window in windows])
     beam = np.concatenate([*windows, np.empty(0, dtype=np.int64)])
-    is_close = np.einsum("ni,ni->n", towards[sight], beams[beam]) >= np.cos(half_angle[sight])
-    sight, directions = sight[is_close], beams[beam[is_close]]
+    cosine = np.einsum("ni,ni->n", towards_lidar[sight], beams[beam])
+    is_close = cosine >= np.cos(half_angle[sight])
+    sight, beam = sight[is_close], beam[is_close]
+    directions = np.einsum("nij,nj->ni", turns[sight], beams[beam])
     depth, triangle = _cast(pose, lidar, vru, vru_poses[sight], directions)
     hits = np.isfinite(depth)
     sight, directions, depth, triangle = sight[hits], directions[hits], depth[hits], triangle[hits]

@@ -6,6 +6,7 @@ from functools import cache
 from importlib.resources import files
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from geometry.actors import Actor
 from geometry.arrays import FloatArray, IntArray
@@ -16,7 +17,7 @@ from geometry.lidar import LidarModel, load_lidars
 from geometry.poses import Pose, body_rotation, wrap_deg
 from geometry.scene import Scene
 from geometry.sensors import CameraModel
-from geometry.terrain import Terrain, on_ground, terrain_of
+from geometry.terrain import Terrain, on_ground, pitch_on_ground_deg, terrain_of
 from geometry.weather import Weather, pick_weather
 from scenarios.runs import Run
 
@@ -48,6 +49,7 @@ class Surroundings:
     static_poses: FloatArray
     vru_poses: FloatArray
     vut_poses: FloatArray
+    vut_pitch_deg: FloatArray  # (n_frames,): along the road below its axles
     # traffic_index, traffic_poses: (n_frames, n), (n_frames, n, 4): which of the vehicles drive by,
     # -1 for none, and their road poses
     traffic_index: IntArray
@@ -77,6 +79,7 @@ _PER_FRAME = (
     "static_poses",
     "vru_poses",
     "vut_poses",
+    "vut_pitch_deg",
     "traffic_index",
     "traffic_poses",
     "draw_index",
@@ -134,6 +137,9 @@ def build_surroundings(
         vru_poses=vru_poses,
         vut_poses=np.concatenate(
             [_road_poses(run.vut_position_m, run.vut_yaw_deg, terrain) for run in runs]
+        ),
+        vut_pitch_deg=np.concatenate(
+            [vut_pitch_deg(vut_actor, run.vut_position_m, run.vut_yaw_deg, terrain) for run in runs]
         ),
         traffic_index=traffic_index,
         traffic_poses=traffic_poses,
@@ -217,6 +223,33 @@ def _road_poses(position_m: FloatArray, yaw_deg: FloatArray, terrain: Terrain | 
     return np.insert(on_ground(position_m, terrain), 2, yaw_deg, axis=1)
 
 
+def vut_pitch_deg(
+    vut: Actor, position_m: FloatArray, yaw_deg: ArrayLike, terrain: Terrain | None
+) -> FloatArray:
+    """Pitch of a VUT on its way, (n,); see :func:`geometry.terrain.pitch_on_ground_deg`."""
+    return pitch_on_ground_deg(
+        position_m,
+        yaw_deg,
+        terrain,
+        front_m=vut.front_axle_ahead_m,
+        wheelbase_m=vut.wheelbase_m,
+    )
+
+
+def level_carriers(surroundings: Surroundings, mount: Pose) -> FloatArray:
+    """Road poses (n, 4) of carriers that are level, on which the VUT's mount is where it is.
+
+    What tilts with the VUT is then the sensor's direction alone.
+    """
+    tilted = body_rotation(0.0, surroundings.vut_pitch_deg) @ mount.position_m - mount.position_m
+    carriers = surroundings.vut_poses.copy()
+    yaw = np.radians(carriers[:, 2])
+    carriers[:, 0] += tilted[:, 0] * np.cos(yaw)
+    carriers[:, 1] += tilted[:, 0] * np.sin(yaw)
+    carriers[:, 3] += tilted[:, 2]
+    return carriers
+
+
 def _obstruction_key(run: Run) -> tuple[object, ...]:
     return tuple(parked.key for parked in run.obstruction)
 
@@ -226,7 +259,7 @@ def _obstruction_key(run: Run) -> tuple[object, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VutCamera:
-    """A camera on the VUT, level and facing ahead."""
+    """A camera on the VUT, facing ahead: level where the road is, else along its grade."""
 
     camera: CameraModel  # what is mounted
     # distance ahead of the VUT's middle, as a share of half its length

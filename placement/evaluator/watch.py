@@ -84,7 +84,7 @@ def watch(
 # ---------- what is kept for the next call
 
 
-_KIND = "place-rsus/views/1"  # raise it whenever the same inputs give other detections
+_KIND = "place-rsus/views/2"  # raise it whenever the same inputs give other detections
 
 
 def _names(setting: Setting, units: Mapping[UnitKey, CandidatePose]) -> dict[UnitKey, str]:

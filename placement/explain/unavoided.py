@@ -24,8 +24,9 @@ from ..optimiser import PlacementProblem, run_margins_s
 from ..optimiser.limits import fitting
 from ..setting import Setting
 from ..visibility.build import N_POINTS
-from ..visibility.casting import Sight, World, build_world, cast_sight, find_obstructions
+from ..visibility.casting import Sight, World, build_world, cast_sight
 from ..visibility.sensing import build_sensing
+from ..visibility.standing import find_obstructions
 
 Cause = Literal["hidden", "out of view", "cut off", "too dark", "too far", "otherwise"]
 

@@ -339,7 +339,9 @@ def _may_meet(
     dx, dy, dz = box[0] - px, box[1] - py, box[2] - pz
     along = dx * vx + dy * vy + dz * vz
     away = dx * dx + dy * dy + dz * dz - (math.sqrt(box[8]) + radius) ** 2
-    return away <= 0.0 or (along >= 0.0 and away * (vx * vx + vy * vy + vz * vz) <= along * along)
+    if away <= 0.0:
+        return True
+    return bool(along >= 0.0 and away * (vx * vx + vy * vy + vz * vz) <= along * along)
 
 
 @kernel

@@ -169,7 +169,7 @@ def cost_front(
             point = climb.point(safer, least_eur, is_best=is_best)
         if point.value.apr > last.value.apr + TOLERANCE:
             higher = _UNKNOWN
-        points = [*_not_beaten(points, point), point]
+        points = _with_point(points, point)
     largest = largest_values(reduced, stages)
     is_final = stages == "first" or reaches(points[-1].value, largest)
     return Front(
@@ -332,8 +332,19 @@ def _within(limits: Limits, cost_eur: float) -> Limits:
     return replace(limits, budget_eur=cost_eur)
 
 
-def _not_beaten(points: Sequence[FrontPoint], new: FrontPoint) -> list[FrontPoint]:
-    """Points that cost less than a new one, which is better than all of them."""
-    return [
+def _with_point(points: Sequence[FrontPoint], new: FrontPoint) -> list[FrontPoint]:
+    """Points that cost less than a new one, which is better than all of them, and the new one.
+
+    What is better than the last of those that stay may be worse than one that goes: it costs at
+    least the least of what was proven of these.
+    """
+    stay = [
         point for point in points if point.value.cost_eur < new.value.cost_eur - COST_TOLERANCE_EUR
     ]
+    cost, *others = new.certificate.stages
+    least_eur = min(
+        cost.bound, *(p.certificate.stages[0].bound for p in points[len(stay) :]), np.inf
+    )
+    if least_eur < cost.bound:
+        cost = build_stage(Objective.COST, cost.objective, least_eur, cost.seconds)
+    return [*stay, replace(new, certificate=replace(new.certificate, stages=(cost, *others)))]

@@ -46,6 +46,7 @@ class SetWalk:
 
     With failures, `left` is what must remain of any `n_failures` of them; sets are checked exactly
     for one failure, and for more only by bounds. Sites' capacities hold; other limits do not count.
+    Prices that bound sets at the root are looked for until `end_s` on the monotonic clock.
     """
 
     def __init__(
@@ -59,12 +60,15 @@ class SetWalk:
         need: float,
         n_failures: int = 0,
         left: float = 0.0,
+        end_s: float = np.inf,
     ) -> None:
         from .cover_kernels import Covers
 
         self.links, self.n_units, self.n_failures = links, n_units, n_failures
         self.total = float(weight.sum())
-        self._find_limit = partial(failure_limit, root, limits, n_units, n_failures, need)
+        self._find_limit = partial(
+            failure_limit, root, limits, n_units, n_failures, need, end_s=end_s
+        )
         self.worth = links.chain_worth(weight)
         self.chains = chains_hardest_first(links, self.worth, root)
         usable = ~limits.is_forbidden & (limits.site_capacity > 0)[limits.site_index]

@@ -48,12 +48,16 @@ class Measure:
         if self.is_mean:
             share: FloatArray = is_avoided @ self.weight
             return share
+        return self.of_worlds(self.by_world(is_avoided))
+
+    def by_world(self, is_avoided: BoolArray) -> FloatArray:
+        """Weight of avoided runs in each world: (..., n_runs) -> (..., n_samples)."""
         n_samples = len(self.sample_weight)
         by_sample = np.zeros((*is_avoided.shape[:-1], n_samples))
         for sample in range(n_samples):
             mine = self.sample_index == sample
             by_sample[..., sample] = is_avoided[..., mine] @ self.weight[mine]
-        return self.of_worlds(by_sample)
+        return by_sample
 
     def of_worlds(self, by_sample: FloatArray) -> FloatArray:
         """Ratio from the weight of avoided runs by world, (..., n_samples) or of all, (..., 1)."""
@@ -65,16 +69,6 @@ class Measure:
         worst_first = np.take_along_axis(ratio, order, axis=-1)
         result: FloatArray = (parts * worst_first).sum(axis=-1) / self.tail
         return result
-
-    def worst_worlds(self, is_avoided: BoolArray) -> FloatArray:
-        """By how much each world counts for a set of avoided runs, (n_samples,); they sum to 1."""
-        by_sample = np.bincount(
-            self.sample_index, weights=self.weight * is_avoided, minlength=len(self.sample_weight)
-        )
-        parts, order = self._counted(by_sample / self.sample_weight)
-        share = np.zeros(len(by_sample))
-        share[order] = parts / self.tail
-        return share
 
     def _counted(self, ratio: FloatArray) -> tuple[FloatArray, IntArray]:
         """Weights of the worst worlds up to the tail, worst first, and that order."""

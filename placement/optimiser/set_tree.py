@@ -332,12 +332,23 @@ def _share_left(n_covering: int, n_units: int, n_failures: int) -> float:
     return 1.0 - n_lost / comb(n_units, n_failures)
 
 
-def failure_limit(root: Root, limits: Limits, n_units: int, n_failures: int, least: float) -> float:
-    """No set of so many units that is worth `least` keeps more when units fail."""
-    if not n_failures:
-        return root.limit
-    limit = np.inf
-    for amount in _PRICES_OF_APR:
+def failure_limit(
+    root: Root,
+    limits: Limits,
+    n_units: int,
+    n_failures: int,
+    least: float,
+    *,
+    end_s: float = np.inf,
+) -> float:
+    """No set of so many units that is worth `least` keeps more when units fail.
+
+    At `end_s` on the monotonic clock it ends with the best limit so far.
+    """
+    limit = root.limit
+    for amount in _PRICES_OF_APR if n_failures else ():
+        if now_s() > end_s:
+            break
         reward = _reward(n_units, n_failures) + amount * _reward(n_units, 0)
         trial = _tighten(root.covers, root.weight, root.price, limits, reward, n_units)
         limit = min(limit, trial.limit - amount * least)

@@ -22,6 +22,7 @@ from .search import Search, settle
 
 _COVER_SHARE = 0.5  # of the time left
 _WALK_SHARE = 0.6  # of the time left
+_PAIRS_SHARE = 0.9
 _SETS_PER_SECOND = 30_000  # enumeration; measured: two to three times as many
 _MAX_FEW_SETS = 60_000  # of all sizes, when every one is valued in full
 _SETS_KEPT_PER_SECOND = 200_000  # that lose too much; measured: twice as many
@@ -299,6 +300,8 @@ class Stages:
         )
         if can_cover(self.problem, fewer) and search.left_s() > 0.0:
             limit = settle(self._left(n_failures), self._covered(fewer, Objective.APR), limit)
+        elif search.sets is not None and search.sets.goes_by_pairs and n_left > 1:
+            limit = settle(self._left(n_failures), self._best_of_fewer(fewer, n_failures), limit)
         if not self._is_settled(self._left(n_failures), limit):
             bound = search.look_for(Objective.APR, (), fewer)
             limit = settle(self._left(n_failures), bound, limit)
@@ -318,6 +321,24 @@ class Stages:
             if self._left(n_failures) <= before + TOLERANCE:
                 return limit  # time is up
         return limit
+
+    def _best_of_fewer(self, fewer: ReducedProblem, n_failures: int) -> float:
+        """No set of as many units as are left when some fail has a higher APR."""
+        search = self.search
+        assert search.sets is not None
+        if not search.uses_models or search.left_s() <= 0.0:
+            return np.inf
+        sets = search.sets.with_limits(fewer.limits)
+        left = self._units()[:-n_failures]
+        tied = sets.tied(
+            sets.climb(sets.fill(left), end_s=search.end_s),
+            n_failures=0,
+            least_apr=None,
+            end_s=now_s() + _WALK_SHARE * search.left_s(),
+            on_better=lambda units: units,
+        )
+        search.proofs["branch and bound"] = None
+        return tied.limit
 
     def _left(self, n_failures: int) -> float:
         search = self.search
@@ -407,11 +428,15 @@ class Stages:
             search.keep(sets.climb(units, end_s=search.end_s))
             return self._units()
 
+        # Nothing else bounds drawn detections; the APR that is left is bounded by fewer units.
+        if sets.goes_by_pairs and n_failures and not search.reduced.can_unpack:
+            return False
+        share = _PAIRS_SHARE if sets.goes_by_pairs else _WALK_SHARE
         tied = sets.tied(
             self._units(),
             n_failures=n_failures,
             least_apr=search.value.apr if holds_apr else None,
-            end_s=now_s() + _WALK_SHARE * search.left_s(),
+            end_s=now_s() + share * search.left_s(),
             on_better=better,
         )
         search.proofs["branch and bound"] = None

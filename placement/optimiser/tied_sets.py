@@ -7,7 +7,7 @@ the walk, too; few sets are best in both.
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,8 +17,9 @@ from geometry.clock import now_s
 from .bitsets import BestSet, SetValues, set_values
 from .cover_tree import SetWalk
 from .failures import least_left, least_left_with_each
-from .limits import fitting, is_allowed
+from .limits import Limits, fitting, is_allowed
 from .objectives import TOLERANCE
+from .pair_walk import MAX_UNITS, PairWalk
 from .presolve import ReducedProblem
 from .problem import Measure
 from .set_tree import (
@@ -41,7 +42,7 @@ _N_RESTARTS = 40
 _SEED = 1
 _WORLD_ROUNDS = 12
 _STEP_UP = 2.0 * TOLERANCE
-_NEAR = 0.01  # of what is left when units fail
+_NEAR = 0.009  # relative: what is proven at least, before ties are met
 
 
 def can_walk(reduced: ReducedProblem) -> bool:
@@ -71,13 +72,23 @@ class Tied:
 class SetSearch:
     """What it takes to exchange units of sets, and to walk through all sets."""
 
-    def __init__(self, reduced: ReducedProblem, *, end_s: float = np.inf) -> None:
+    def __init__(
+        self, reduced: ReducedProblem, *, end_s: float = np.inf, links: Links | None = None
+    ) -> None:
         self.reduced, self.end_s = reduced, end_s
-        self.links: Links = build_links(reduced)
+        self.links: Links = build_links(reduced) if links is None else links
         self.n_units = reduced.limits.max_units
         self.survive = reduced.survive
         self._tables = _world_tables(self.links, reduced.measure)
-        self._root: tuple[FloatArray, Root] | None = None
+        self._root: Root | None = None
+        self._run_weight: FloatArray | None = None
+
+    def with_limits(self, limits: Limits) -> "SetSearch":
+        """The same for sets within other limits, by the same weights of worlds."""
+        reduced = replace(self.reduced, limits=limits)
+        other = SetSearch(reduced, end_s=self.end_s, links=self.links)
+        other._run_weight = self.run_weight
+        return other
 
     # ---------- values
 
@@ -205,7 +216,7 @@ class SetSearch:
         best = BestSet()
         none = np.empty(0, dtype=np.int64)
         begin = [*starts, none]
-        chance, idle = self.root.share + 1.0e-9, 0
+        chance, idle = self._chance() + 1.0e-9, 0
         for number in range(len(begin) + _N_RESTARTS):
             if best.units is not None and (idle > self.n_units or now_s() > end_s):
                 break
@@ -229,6 +240,14 @@ class SetSearch:
                 break
         return best.units
 
+    def _chance(self) -> FloatArray:
+        """How promising poses are, (n_poses,)."""
+        if not self.goes_by_pairs:
+            return self.root.share
+        alone = self.shares_with_each(np.empty(0, dtype=np.int64))
+        share: FloatArray = alone**2 / max(float((alone**2).sum()), 1.0e-300)
+        return share
+
     def _drawn(
         self, rng: np.random.Generator, units: IntArray, chance: FloatArray, n_more: int
     ) -> IntArray:
@@ -245,45 +264,72 @@ class SetSearch:
     @property
     def root(self) -> Root:
         """Prices on runs for sets of as many units as allowed."""
-        return self._find_root()[1]
+        if self._root is None:
+            self._root = find_root(
+                self.links,
+                self.reduced.limits,
+                self.run_weight,
+                n_units=self.n_units,
+                end_s=self.end_s,
+            )
+        return self._root
+
+    @property
+    def run_weight(self) -> FloatArray:
+        """Weights of runs whose sum bounds the APR of every set, and best of all such weights."""
+        if self._run_weight is None:
+            measure = self.reduced.measure
+            self._run_weight = measure.weight if measure.is_mean else self._worst_weights()
+        return self._run_weight
+
+    @property
+    def goes_by_pairs(self) -> bool:
+        """Whether sets are gone through pair by pair: prices say little of drawn detections."""
+        return not self.reduced.measure.is_mean and self.n_units <= MAX_UNITS
 
     @property
     def apr_limit(self) -> float:
         """No set has a higher APR."""
         return self._rounded_down(self.root.limit)
 
-    def _find_root(self) -> tuple[FloatArray, Root]:
-        """The weights of runs that bound the APR best, and their prices."""
-        if self._root is None:
-            reduced = self.reduced
-            weight = reduced.weight
-            if not reduced.measure.is_mean:
-                weight = self._worst_weights()
-            root = find_root(
-                self.links, reduced.limits, weight, n_units=self.n_units, end_s=self.end_s
-            )
-            self._root = weight, root
-        return self._root
-
     def _worst_weights(self) -> FloatArray:
         """Weights of runs whose sum is no less than the mean over the worst worlds, of any set.
 
         That mean is the least of all sums in which worlds weigh up to 1 / tail times what they
-        weigh. Which sum bounds all sets best is played out: the worlds answer the poses that are
-        picked, the poses the average of the worlds' answers (Brown 1951).
+        weigh. Which sum bounds all sets best is played out: worlds answer all sets so far as well
+        as they can, by a linear program, and the best set of their answer joins the others
+        (column generation, Gilmore, Gomory 1961).
         """
-        measure = self.reduced.measure
-        answers = measure.sample_weight.copy()
-        mean = answers
-        for number in range(1, _WORLD_ROUNDS):
-            weight = measure.weight * (mean / measure.sample_weight)[measure.sample_index]
-            units = self._greedy_by(weight)
-            first = first_seen(self.links, units[None, :])
-            worst = measure.worst_worlds(avoided_runs(self.links, first)[0])
-            answers = answers + worst
-            mean = answers / (number + 1)
+        measure, reached = self.reduced.measure, []
+        mean = measure.sample_weight
+        for _ in range(_WORLD_ROUNDS):
+            if now_s() > self.end_s:
+                break
+            of_runs = measure.weight * (mean / measure.sample_weight)[measure.sample_index]
+            units = self._exchanged_by(of_runs, self._greedy_by(of_runs))
+            row = measure.by_world(
+                avoided_runs(self.links, first_seen(self.links, units[None, :]))
+            )[0]
+            if any(np.array_equal(row, other) for other in reached):
+                break
+            reached.append(row)
+            mean = _least_favourable(measure, np.array(reached))
         result: FloatArray = measure.weight * (mean / measure.sample_weight)[measure.sample_index]
         return result
+
+    def _exchanged_by(self, weight: FloatArray, units: IntArray) -> IntArray:
+        """Exchange one unit for another while the weight of avoided runs grows."""
+        table = self.links.chain_worth(weight)[None, :, :]
+        value, idle, place = -np.inf, 0, 0
+        while idle < len(units) and now_s() < self.end_s:
+            rest = np.delete(units, place)
+            fits = fitting(self.reduced.limits, rest)
+            total = np.where(fits, self._totals(table, rest)[:, 0], -np.inf)
+            best, idle = int(total.argmax()), idle + 1
+            if total[best] > value + TOLERANCE:
+                units, value, idle = np.insert(rest, place, best), float(total[best]), 1
+            place = (place + 1) % len(units)
+        return units
 
     def _greedy_by(self, weight: FloatArray) -> IntArray:
         table = self.links.chain_worth(weight)[None, :, :]
@@ -327,21 +373,25 @@ class SetSearch:
         what must be left. `on_better` takes better sets and returns what they were improved to.
         The walk ends at `end_s` on the monotonic clock.
         """
-        weight, root = self._find_root()
+        weight = self.run_weight
 
         def value_of(sets: IntArray) -> FloatArray:
             return self.left(sets, n_failures) if n_failures else self.shares(sets)
 
-        def walk_from(value: float) -> SetWalk:
+        def walk_from(value: float) -> SetWalk | PairWalk:
+            if self.goes_by_pairs and not n_failures:
+                limits = self.reduced.limits
+                return PairWalk(self.links, limits, weight, n_units=self.n_units, need=value)
             return SetWalk(
                 self.links,
                 self.reduced.limits,
                 weight,
-                root,
+                self.root,
                 n_units=self.n_units,
                 need=value if least_apr is None else least_apr,
                 n_failures=n_failures,
                 left=value,
+                end_s=end_s,
             )
 
         def within(block: IntArray) -> IntArray:
@@ -352,12 +402,17 @@ class SetSearch:
         best = float(value_of(np.sort(units)[None, :])[0])
         # It takes much less to prove that nothing is better by a step, where values are so far
         # apart, or that little more would be left when units fail, than to meet all ties.
+        # And where the worst worlds count, all that can be said is a limit a little above.
         step = (1.0 - 1.0e-6) * self._unit()
-        ahead = _NEAR * best if n_failures else step
+        is_near = n_failures > 0 or not self.reduced.measure.is_mean
+        ahead = _NEAR * best if is_near else step
+        if now_s() > end_s:
+            limit = self.reduced.measure.limit
+            return Tied(sets=None, value=best, limit=max(limit, best), is_finished=False)
         walk = walk_from(best + ahead)
         limit = self._rounded_down(walk.root_limit)
-        is_proven = ahead > 0.0 and n_failures == 0
-        if is_proven or (n_failures and limit >= best + ahead):
+        is_proven = ahead > 0.0 and not is_near
+        if is_proven or (is_near and limit >= best + ahead):
             for block in walk.blocks(end_s):
                 block = within(block)
                 value = value_of(block)
@@ -368,7 +423,9 @@ class SetSearch:
                     walk.raise_needs(need if least_apr is None else least_apr, need)
             if not walk.is_finished:
                 return Tied(sets=None, value=best, limit=max(limit, best), is_finished=False)
-            limit = min(limit, self._rounded_down(best + ahead)) if n_failures else best
+            limit = min(limit, self._rounded_down(best + ahead)) if is_near else best
+            if now_s() > end_s:
+                return Tied(sets=None, value=best, limit=limit, is_finished=is_proven)
         walk = walk_from(best)
         tied, has_all = [np.empty((0, self.n_units), dtype=np.int64)], True
         for block in walk.blocks(end_s):
@@ -415,6 +472,35 @@ class SetSearch:
             left = self.left(smaller, n_failures) if n_failures else self.shares(smaller)
             sets = smaller[left >= value - TOLERANCE]
         return best.units
+
+
+def _least_favourable(measure: Measure, reached: FloatArray) -> FloatArray:
+    """Weights of worlds, (n_worlds,), that make the best of some sets worth the least.
+
+    `reached`, (n_sets, n_worlds), is the weight of what each avoids by world. Worlds weigh up to
+    1 / tail times what they weigh.
+    """
+    from scipy.optimize import linprog
+
+    n_sets, n_worlds = reached.shape
+    answer = linprog(
+        np.append(np.zeros(n_worlds), 1.0),  # the best set's worth
+        A_ub=np.column_stack([reached / measure.sample_weight, -np.ones(n_sets)]),
+        b_ub=np.zeros(n_sets),
+        A_eq=np.append(np.ones(n_worlds), 0.0)[None, :],
+        b_eq=[1.0],
+        bounds=[*((0.0, weight / measure.tail) for weight in measure.sample_weight), (None, None)],
+    )
+    if answer.x is None:
+        return measure.sample_weight
+    most = measure.sample_weight / measure.tail
+    weight = np.clip(answer.x[:-1], 0.0, most)
+    # Whatever the solver rounds, they sum to 1, and none is too large: the bound holds.
+    room = most - weight
+    short = 1.0 - weight.sum()
+    weight = weight + short * room / room.sum() if short > 0.0 else weight / weight.sum()
+    result: FloatArray = weight
+    return result
 
 
 def _world_tables(links: Links, measure: Measure) -> FloatArray:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geometry.actors import Actor, PlacedActor
-from geometry.arrays import BoolArray, FloatArray
+from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.footprints import footprint_corners, footprint_separation
 from geometry.junction import Arm, build_junction, lane_length_m, lane_line
 from geometry.poses import Pose
@@ -40,10 +40,29 @@ class Ways:
 
     def blocks(self, corners_m: FloatArray, *, clearance_m: float) -> bool:
         """Whether a footprint, (4, 2), is nearer than this to a way, or in an obstruction."""
-        apart_m = footprint_separation(self.corners_m, corners_m)
-        if (apart_m <= clearance_m + self.reach_m).any():
+        limit_m = clearance_m + self.reach_m
+        near = _may_be_near(self.corners_m, corners_m, limit_m)
+        if (footprint_separation(self.corners_m[near], corners_m) <= limit_m[near]).any():
             return True
-        return bool((footprint_separation(self.parked_m, corners_m) <= _TOGETHER_M).any())
+        near = _may_be_near(self.parked_m, corners_m, _TOGETHER_M)
+        return bool((footprint_separation(self.parked_m[near], corners_m) <= _TOGETHER_M).any())
+
+
+def _may_be_near(
+    some_m: FloatArray, corners_m: FloatArray, limit_m: FloatArray | float
+) -> IntArray:
+    """Which of some rectangles, (n, 4, 2), may be no more than so far apart from another, (4, 2).
+
+    The gap along one of the normals of two sides is the distance of the middles over the root of 2
+    at least, less half of both diagonals.
+    """
+    middle = 0.5 * (corners_m[0] + corners_m[2])
+    half = some_m[:, 0] - some_m[:, 2]
+    east = 0.5 * (some_m[:, 0, 0] + some_m[:, 2, 0]) - middle[0]
+    north = 0.5 * (some_m[:, 0, 1] + some_m[:, 2, 1]) - middle[1]
+    diagonals = np.hypot(half[:, 0], half[:, 1]) + np.hypot(*(corners_m[0] - corners_m[2]))
+    apart_m = np.hypot(east, north) * np.sqrt(0.5) - 0.5 * diagonals
+    return np.flatnonzero(apart_m <= limit_m + _TOGETHER_M)
 
 
 def group_key(run: Run) -> GroupKey:

@@ -11,28 +11,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.actors import Actor, MovingActor, PlacedActor, Shape
+from geometry.actors import Actor, MovingActor, PlacedActor
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.poses import body_rotation, to_world
+from geometry.poses import body_rotation
 from geometry.raycast import FloatRays, RayCaster, build_caster
 from geometry.scene import Scene
 from geometry.terrain import Terrain, on_ground, terrain_of
 from geometry.weather import Weather, pick_weather
 from scenarios.runs import Run
 
+from .standing import (
+    AROUND_BODY_M,
+    Obstruction,
+    bodies_mesh,
+    build_obstruction,
+    find_obstructions,
+    obstruction_key,
+    shape_caster,
+)
 from .surfaces import Surface, build_surface
-
-# ---------- obstructions
-
-
-def obstruction_key(run: Run) -> tuple[object, ...]:
-    """Equal for runs with the same bodies at the same places."""
-    return tuple(parked.key for parked in run.obstruction)
-
-
-def find_obstructions(runs: Sequence[Run]) -> dict[tuple[object, ...], tuple[PlacedActor, ...]]:
-    """Distinct obstructions in the order of `World.obstructions`, by their content."""
-    return {obstruction_key(run): run.obstruction for run in runs}
 
 
 def build_static_mesh(
@@ -44,47 +41,6 @@ def build_static_mesh(
         np.concatenate([scene.vertices_m - origin_m, vertices]),
         np.concatenate([scene.triangles, triangles + np.int32(len(scene.vertices_m))]),
     )
-
-
-def bodies_mesh(
-    bodies: tuple[PlacedActor, ...], origin_m: FloatArray
-) -> tuple[FloatArray, NDArray[np.int32]]:
-    """Vertices (n, 3) from an origin, and triangles (m, 3), of placed bodies."""
-    vertices, triangles = [np.empty((0, 3))], [np.empty((0, 3), dtype=np.int32)]
-    for body in bodies:
-        shape = body.actor.shapes[0]
-        triangles.append((shape.triangles + sum(map(len, vertices))).astype(np.int32))
-        vertices.append(to_world(shape.vertices_m, body.pose) - origin_m)
-    return np.concatenate(vertices), np.concatenate(triangles)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Obstruction:
-    """Bodies that stand in the scene in some of the runs, and the box of each in its own frame."""
-
-    caster: RayCaster  # of all of them, relative to the origin of `World`
-    position_m: FloatArray  # (n, 3): relative to the origin of `World`. [m]
-    rotation: FloatArray  # (n, 3, 3): from the frame of each into the world's
-    low_m: FloatArray  # (n, 3): where the box begins. [m]
-    high_m: FloatArray  # (n, 3): where it ends. [m]
-
-
-def _build_obstruction(
-    bodies: tuple[PlacedActor, ...], origin_m: FloatArray, rays: str
-) -> Obstruction:
-    vertices = [body.actor.shapes[0].vertices_m for body in bodies]
-    return Obstruction(
-        caster=build_caster(*bodies_mesh(bodies, origin_m), library=rays),
-        position_m=np.array([body.pose.position_m - origin_m for body in bodies]).reshape(-1, 3),
-        rotation=np.array(
-            [body_rotation(body.pose.yaw_deg, body.pose.pitch_deg) for body in bodies]
-        ).reshape(-1, 3, 3),
-        low_m=np.array([own.min(axis=0) for own in vertices]).reshape(-1, 3) - _AROUND_BODY_M,
-        high_m=np.array([own.max(axis=0) for own in vertices]).reshape(-1, 3) + _AROUND_BODY_M,
-    )
-
-
-_AROUND_BODY_M = 2.0e-3  # rays that pass a body this near are cast
 
 
 def _corners(vertices_m: FloatArray, triangles: NDArray[np.int32]) -> FloatArray:
@@ -200,10 +156,10 @@ def build_world(
         scene=build_caster(scene.vertices_m - origin, scene.triangles, library=rays),
         scene_m=_corners(scene.vertices_m - origin, scene.triangles),
         obstructions=tuple(
-            _build_obstruction(parked, origin, rays) for parked in obstructions.values()
+            build_obstruction(parked, origin, rays) for parked in obstructions.values()
         ),
         surfaces=surfaces,
-        bodies=tuple(_shape_caster(actor.shapes[index], rays) for actor, index in shapes),
+        bodies=tuple(shape_caster(actor.shapes[index], rays) for actor, index in shapes),
         vehicles=_build_vehicles(runs, origin, rays, terrain),
         views=_build_views(runs, surfaces, list(obstructions), origin, terrain),
     )
@@ -228,7 +184,7 @@ def _build_vehicles(
         first += len(run.time_s)
     return Vehicles(
         actors=tuple(actors),
-        casters=tuple(_shape_caster(actor.shapes[0], rays) for actor in actors),
+        casters=tuple(shape_caster(actor.shapes[0], rays) for actor in actors),
         actor_index=np.concatenate(index),
         frame=np.concatenate(frame),
         position_m=np.concatenate(position),
@@ -240,10 +196,6 @@ def _find_shapes(runs: Sequence[Run]) -> list[tuple[Actor, int]]:
     """Every shape in which a VRU is seen."""
     found = {(run.encounter.vru, index): None for run in runs for index in np.unique(run.vru_shape)}
     return [(actor, int(index)) for actor, index in found]
-
-
-def _shape_caster(shape: Shape, rays: str) -> RayCaster:
-    return build_caster(shape.vertices_m, shape.triangles, library=rays)
 
 
 def _build_views(
@@ -431,15 +383,13 @@ def _is_blocked_by_static(
     blocked |= unclear
     for index, obstruction in enumerate(world.obstructions):
         rows = np.flatnonzero(views.obstruction_index[view_index] == index)
-        if len(rows) == 0 or len(obstruction.position_m) == 0:
+        boxes = obstruction.boxes
+        if len(rows) == 0 or len(boxes.position_m) == 0:
             continue
         here = view_index[rows]
         behind = np.zeros((len(rows), blocked.shape[1]), dtype=bool)
         find_points_behind(
-            obstruction.position_m,
-            obstruction.rotation,
-            obstruction.low_m,
-            obstruction.high_m,
+            *(boxes.position_m, boxes.rotation, boxes.low_m, boxes.high_m),
             *(*bodies, here, blocked[rows], behind),
         )
         _cast_to_points(obstruction.caster, world, eye_m, here, behind, near_m=near_m)
@@ -547,8 +497,8 @@ def _hidden_by_vehicles(
                 vehicles.position_m[own],
                 np.cos(yaw),
                 np.sin(yaw),
-                vertices.min(axis=0) - _AROUND_BODY_M,
-                vertices.max(axis=0) + _AROUND_BODY_M,
+                vertices.min(axis=0) - AROUND_BODY_M,
+                vertices.max(axis=0) + AROUND_BODY_M,
                 near_m,
                 _OFF_SURFACE_M,
                 starts,

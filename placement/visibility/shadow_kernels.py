@@ -562,6 +562,49 @@ def fill_rays(
 
 
 @kernel
+def find_rays_at_boxes(
+    starts: Array,
+    vectors: Array,
+    position: Array,
+    rotation: Array,
+    low: Array,
+    high: Array,
+    end: float,
+    pairs: Array,
+) -> int:
+    """Pairs (ray, box) of rays that meet one of some boxes, in the order of rays; their number.
+
+    Boxes are as for :func:`find_points_behind`. Rays, (n, 3) each, end at `end` times their vector.
+    """
+    n_pairs = 0
+    for ray in range(len(starts)):
+        for box in range(len(position)):
+            px, py, pz = position[box]
+            r = rotation[box]
+            wx, wy, wz = starts[ray, 0] - px, starts[ray, 1] - py, starts[ray, 2] - pz
+            vx = np.float64(vectors[ray, 0])
+            vy = np.float64(vectors[ray, 1])
+            vz = np.float64(vectors[ray, 2])
+            first, last = 0.0, end
+            for axis in range(3):
+                origin = r[0, axis] * wx + r[1, axis] * wy + r[2, axis] * wz
+                way = r[0, axis] * vx + r[1, axis] * vy + r[2, axis] * vz
+                if abs(way) < 1.0e-9:
+                    if origin < low[box, axis] or origin > high[box, axis]:
+                        last = -1.0
+                        break
+                    continue
+                enter, leave = (low[box, axis] - origin) / way, (high[box, axis] - origin) / way
+                first, last = max(first, min(enter, leave)), min(last, max(enter, leave))
+                if first > last:
+                    break
+            if first <= last:
+                pairs[n_pairs, 0], pairs[n_pairs, 1] = ray, box
+                n_pairs += 1
+    return n_pairs
+
+
+@kernel
 def find_rays_at_body(
     points: Array,
     views: Array,

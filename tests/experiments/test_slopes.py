@@ -125,6 +125,39 @@ def test_messages_count_from_the_ground_below_the_station(hill, layout):
         assert offset["zCoordinate"] == pytest.approx(600, abs=1)
 
 
+ON_ELLIPSOID = "+proj=utm +zone=32 +datum=WGS84 +units=m +vunits=m +no_defs"
+
+
+def test_messages_have_an_altitude_where_the_map_counts_from_the_ellipsoid(hill, layout):
+    """The ground rises by 8 % to the east and by 3 % to the north of 371.25 m."""
+    measured = replace(hill, source_crs=ON_ELLIPSOID)
+    stations = json.loads(to_cpm(layout, measured))["stations"]
+    feet_m = {unit.id: unit.pose.position_m[:2] for unit in layout.units}
+    for station in stations:
+        east_m, north_m = np.mean([feet_m[name] for name in station["units"]], axis=0)
+        altitude = station["payload"]["managementContainer"]["referencePosition"]["altitude"]
+        expected_m = ZERO_M + 0.08 * (east_m + 127.0) + 0.03 * north_m
+        assert altitude["altitudeValue"] == pytest.approx(100.0 * expected_m, abs=1.0)
+        assert altitude["altitudeConfidence"] == "unavailable"
+
+
+@pytest.mark.parametrize(
+    ("changes", "value"),
+    [
+        ({"source_crs": "EPSG:25832"}, 800_001),  # no heights of its own
+        ({"source_crs": "EPSG:5555"}, 800_001),  # above the sea
+        ({"source_crs": ""}, 800_001),
+        ({"source_crs": ON_ELLIPSOID, "zero_height_m": None}, 800_001),
+        ({"source_crs": ON_ELLIPSOID, "zero_height_m": 9_000.0}, 800_000),
+        ({"source_crs": ON_ELLIPSOID, "zero_height_m": -2_000.0}, -100_000),
+    ],
+)
+def test_messages_without_a_known_altitude_say_so(hill, layout, changes, value):
+    (station, *_) = json.loads(to_cpm(layout, replace(hill, **changes)))["stations"]
+    place = station["payload"]["managementContainer"]["referencePosition"]
+    assert place["altitude"]["altitudeValue"] == value
+
+
 def test_scenarios_drive_on_the_ground(small_setting, hill):
     terrain = terrain_of(hill)
     run = replace(small_setting.runs[0], terrain=terrain)

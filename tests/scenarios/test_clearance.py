@@ -57,6 +57,26 @@ def test_nobody_parks_on_an_island_between_two_carriageways(parked):
     ]
 
 
+@pytest.mark.parametrize(("skew_deg", "is_island"), [(0.0, True), (50.0, True), (80.0, False)])
+def test_behind_a_corner_lies_the_road_that_crosses_and_no_island(parked, skew_deg, is_island):
+    scene = protocol_scene()
+    bodies, _ = parked(scene)
+    foremost = max(body.pose.position_m[0] + 0.5 * body.actor.length_m for body in bodies)
+    corner = np.array([foremost - 3.0, flank_m(bodies) - 1.0])
+    # A lane whose nearer edge begins behind the cars and leads away, to the south and west.
+    away = np.radians(180.0 + skew_deg)
+    ahead = np.array([np.cos(away), np.sin(away)])
+    begin = corner + 0.5 * LANE_M * np.array([-ahead[1], ahead[0]])
+    beside = Lane(
+        id="beside",
+        kind="driving",
+        width_m=LANE_M,
+        centreline_m=np.array([begin, begin + 40.0 * ahead]),
+    )
+    _, refusals = parked(replace(scene, lanes=(*scene.lanes, beside)))
+    assert [reason.endswith("on a traffic island") for reason in refusals] == [True] * is_island
+
+
 def test_where_the_map_has_a_parking_lane_people_park_whatever_is_behind(parked):
     scene = protocol_scene()
     beyond_m = flank_m(parked(scene)[0])

@@ -474,6 +474,21 @@ def test_a_change_of_lanes_is_eased_only_where_it_would_be_too_fast(vut, rule):
     assert aside_m(slow) < 0.1 < aside_m(fast) < 0.5
 
 
+def test_a_change_that_bends_less_than_the_lane_behind_it_is_driven_as_fast_as_that_lane(vut, rule):
+    position = Position(is_behind=True, distance_m=15.0)
+    for aside_m, corner_deg, is_driven in ((5.0, 0.0, False), (1.2, 0.0, True), (1.2, 35.0, True)):
+        scene, exit_lane = _scene_with_exit(aside_m, 0.0)
+        mouth = exit_lane.centreline_m[0]
+        corner = mouth + [3.0, 0.0]
+        after = corner + turned([[0.0, 0.0], [80.0, 0.0]], corner_deg)
+        bent = dataclasses.replace(exit_lane, centreline_m=np.array([mouth, *after]))
+        lanes = tuple(bent if lane is exit_lane else lane for lane in scene.lanes)
+        scene = dataclasses.replace(scene, lanes=lanes)
+        runs, refusals = laid(scene, "CPFA-50", position, vut, rule, speeds=(60.0,))
+        assert bool(runs) == is_driven
+        assert all("too fast for the change" in one.reason for one in refusals)
+
+
 def test_behind_a_lane_that_only_turns_the_next_one_leads_straight_on(vut, rule):
     lanes = [lane for arm, at in ARMS.items() for lane in lanes_of(arm, at, n_lanes=3, arm_m=70.0)]
     lanes = [lane for lane in lanes if lane.id not in ("east-out-0", "east-out-1")]

@@ -15,6 +15,7 @@ from placement.setting import build_rule
 from scenarios.cases import load_cases
 from scenarios.courses import follow_lane
 from scenarios.paths import CoursePath, StraightPath, TowedPath
+from scenarios.positions import Position
 from scenarios.protocol import stage_by_protocol
 from scenarios.runs import build_runs
 from scenarios.staging import CannotCarryError, MirroredPath, NoRoadError
@@ -178,6 +179,87 @@ def test_a_turn_follows_the_junctions_own_lane_where_there_is_one(vut):
     assert distance_to_chain_m(front, arc).max() < 0.15
     other = staged("CPTAns-50", vut, scene=scene).encounter.vut_motion.path
     assert not isinstance(other, TowedPath)
+
+
+def quarter_circle(radius_m, *, before, after, n_points=60):
+    """A lane to the left: straight on from a lane, a quarter of a circle, straight into another."""
+    (x, y), (end_x, end_y) = before.centreline_m[-1], after.centreline_m[0]
+    angle = np.linspace(-0.5 * np.pi, 0.0, n_points)
+    middle = np.array([end_x - radius_m, y + radius_m])
+    arc = middle + radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    line = np.concatenate([[[x, y]], arc, [[end_x, end_y]]])
+    is_new = np.append(True, np.hypot(*np.diff(line, axis=0).T) > 1.0e-6)
+    lane = Lane(id="turn", kind="connecting", width_m=LANE_M, centreline_m=line[is_new])
+    return lane, middle
+
+
+def two_lanes():
+    return [lane for arm in ARMS for lane in lanes_of(arm, ARMS[arm], n_lanes=2)]
+
+
+@pytest.mark.parametrize("radius_m", [5.5, 8.0, 13.0])
+def test_a_turning_car_stays_within_a_centimetre_of_a_connecting_lane(vut, radius_m):
+    plain = protocol_scene()
+    named = {lane.id: lane for lane in plain.lanes}
+    turn, middle = quarter_circle(radius_m, before=named["west-in-0"], after=named["north-out-0"])
+    scene = dataclasses.replace(plain, lanes=(*plain.lanes, turn))
+    path = staged("CPTAfs-50", vut, scene=scene).encounter.vut_motion.path
+    front, _ = path.course.at(np.arange(-20.0, 50.0, 0.05))
+    x, y = (front - middle).T
+    off_m = np.where(x < 0.0, np.abs(y + radius_m), np.where(y > 0.0, np.abs(x - radius_m), np.inf))
+    off_m = np.where((x >= 0.0) & (y <= 0.0), np.abs(np.hypot(x, y) - radius_m), off_m)
+    assert off_m.max() < 0.01
+    position, yaw_deg = path.at(np.arange(0.0, 40.0, 0.5))
+    ahead = np.stack([np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))], axis=-1)
+    axle = position + vut.front_axle_ahead_m * ahead
+    assert distance_to_chain_m(axle, path.course.points_m[::5]).max() < 0.001
+
+
+def test_a_turning_car_takes_the_lane_from_which_the_junction_leads(vut):
+    lanes = two_lanes()
+    named = {lane.id: lane for lane in lanes}
+    for begins, ends in (("west-in-0", "north-out-1"), ("west-in-1", "north-out-0")):
+        turn, _ = quarter_circle(9.0, before=named[begins], after=named[ends])
+        path = staged("CPTAfs-50", vut, scene=build_scene([*lanes, turn])).encounter.vut_motion.path
+        front, _ = path.course.at(np.linspace(-10.0, 30.0, 80))
+        lanes_driven = (named[begins], turn, named[ends])
+        chain = np.concatenate([lane.centreline_m for lane in lanes_driven])
+        chain = chain[np.append(True, np.hypot(*np.diff(chain, axis=0).T) > 1.0e-6)]
+        assert distance_to_chain_m(front, chain).max() < 0.01
+    assert not isinstance(
+        staged("CPTAfs-50", vut, scene=build_scene(lanes)).encounter.vut_motion.path, TowedPath
+    )
+
+
+def test_a_connecting_lane_too_sharp_for_the_speed_is_left_for_the_protocols_curve(vut):
+    plain = protocol_scene()
+    named = {lane.id: lane for lane in plain.lanes}
+    turn, _ = quarter_circle(5.0, before=named["west-in-0"], after=named["north-out-0"])
+    scene = dataclasses.replace(plain, lanes=(*plain.lanes, turn))
+    for speed_kmh, follows in ((15.0, True), (20.0, False)):  # 3.5 and 6.2 m/s^2 to the side
+        encounter = staged("CPTAfs-50", vut, scene=scene, speed_kmh=speed_kmh).encounter
+        assert isinstance(encounter.vut_motion.path, TowedPath) == follows
+
+
+def test_nobody_takes_the_junctions_own_lanes_for_another_junction(vut):
+    plain = protocol_scene()
+    named = {lane.id: lane for lane in plain.lanes}
+    mouth = named["west-in-0"].centreline_m[-1]
+    inside = build_junction(plain).arms["west"].crosswalk
+    through = Lane(
+        id="through",
+        kind="connecting",
+        width_m=LANE_M,
+        centreline_m=np.array([mouth, named["east-out-0"].centreline_m[0]]),
+    )
+    # The crosswalk lies so deep in the junction that 5 m before it is still inside.
+    deep = np.array([inside.at(-9.0), inside.at(9.0)]) + [8.0, 0.0]
+    scene = dataclasses.replace(plain, lanes=(*plain.lanes, through), crosswalks_m=deep[None])
+    runs, refusals = runs_on(
+        scene, ["CPNA-25"], vut, approaches=["west"], positions=[Position(distance_m=5.0)]
+    )
+    assert runs
+    assert not refusals
 
 
 def test_cyclists_ride_on_the_arms_cycleway(vut):

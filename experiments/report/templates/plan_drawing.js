@@ -34,19 +34,35 @@ function addPatterns(svg) {
   element("circle", { cx: 30, cy: 30, r: 9, fill: "#777" }, dotted);
 }
 
+// The streets and what stands on them, in a group whose units are centimetres.
+function drawGround(ground, plan) {
+  const thin = { "vector-effect": "non-scaling-stroke" };
+  element("rect", { x: -1e6, y: -1e6, width: 2e6, height: 2e6, fill: "#f4f2ee" }, ground);
+  plan.classes.forEach((part) => {
+    const isLane = part.name.includes("lane");
+    const path = element("path", { d: part.path, fill: part.colour, "fill-rule": "evenodd", stroke: isLane ? "#fff" : "#8d887f", "stroke-width": part.name === "junction" ? 0 : 0.8, ...thin }, ground);
+    element("title", { text: part.name }, path);
+  });
+  plan.crosswalks.forEach((ends) => element("line", { x1: ends[0][0], y1: ends[0][1], x2: ends[1][0], y2: ends[1][1], stroke: "#fff", "stroke-width": 4, "stroke-dasharray": "3 3", ...thin }, ground));
+}
+
+// A bar of whole metres, and an arrow to the north.
+function drawScale(scale, width, height, perCm) {
+  const bar = [50, 20, 10, 5, 2, 1].find((metres) => metres * 100 * perCm < 0.3 * width) || 1;
+  scale.replaceChildren();
+  element("path", { d: `M12 ${height - 12}h${bar * 100 * perCm}`, stroke: "#000", "stroke-width": 4 }, scale);
+  element("text", { text: `${bar} m`, x: 12, y: height - 18 }, scale);
+  element("path", { d: `M${width - 18} 34V12l-4 8h8l-4 -8`, stroke: "#000", "stroke-width": 1.6, fill: "#000" }, scale);
+  element("text", { text: "N", x: width - 22, y: 47, "font-weight": 700 }, scale);
+}
+
 function createPlan(holder, data) {
   const svg = element("svg", { role: "img", "aria-label": "Plan of the junction with the run" }, holder);
   addPatterns(svg);
   const ground = element("g", { "stroke-linejoin": "round" }, svg);
   const marks = element("g", {}, svg);
   const thin = { "vector-effect": "non-scaling-stroke" };
-  element("rect", { x: -1e6, y: -1e6, width: 2e6, height: 2e6, fill: "#f4f2ee" }, ground);
-  data.plan.classes.forEach((part) => {
-    const isLane = part.name.includes("lane");
-    const path = element("path", { d: part.path, fill: part.colour, "fill-rule": "evenodd", stroke: isLane ? "#fff" : "#8d887f", "stroke-width": part.name === "junction" ? 0 : 0.8, ...thin }, ground);
-    element("title", { text: part.name }, path);
-  });
-  data.plan.crosswalks.forEach((ends) => element("line", { x1: ends[0][0], y1: ends[0][1], x2: ends[1][0], y2: ends[1][1], stroke: "#fff", "stroke-width": 4, "stroke-dasharray": "3 3", ...thin }, ground));
+  drawGround(ground, data.plan);
   const views = data.units.map((unit) => element("path", { d: outline(unit.sees) + outline(unit.blind), "fill-rule": "evenodd", fill: unit.colour, stroke: unit.colour, "stroke-dasharray": unit.dash, ...thin }, ground));
   const parked = element("g", {}, ground);
   const carWay = element("path", { fill: "none", stroke: "#000", "stroke-width": 1.2, ...thin }, ground);
@@ -102,12 +118,7 @@ function createPlan(holder, data) {
     units.forEach(({ mark, unit }) => put(mark, unit.place));
     lastMark.style.display = run.lastPlace ? "" : "none";
     if (run.lastPlace) put(lastMark, run.lastPlace);
-    const bar = [50, 20, 10, 5, 2, 1].find((metres) => metres * 100 * perCm < 0.3 * width) || 1;
-    scale.replaceChildren();
-    element("path", { d: `M12 ${height - 12}h${bar * 100 * perCm}`, stroke: "#000", "stroke-width": 4 }, scale);
-    element("text", { text: `${bar} m`, x: 12, y: height - 18 }, scale);
-    element("path", { d: `M${width - 18} 34V12l-4 8h8l-4 -8`, stroke: "#000", "stroke-width": 1.6, fill: "#000" }, scale);
-    element("text", { text: "N", x: width - 22, y: 47, "font-weight": 700 }, scale);
+    drawScale(scale, width, height, perCm);
     showFrame(frame);
   }
 

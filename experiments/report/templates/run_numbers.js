@@ -3,7 +3,7 @@
 const MINUS = "\u2212";
 
 function element(tag, attributes, parent) {
-  const isDrawn = ["svg", "g", "path", "rect", "line", "circle", "text", "title", "polygon", "pattern", "defs"].includes(tag);
+  const isDrawn = ["svg", "g", "path", "rect", "line", "circle", "text", "title", "polygon", "pattern", "defs", "image"].includes(tag);
   const made = isDrawn ? document.createElementNS("http://www.w3.org/2000/svg", tag) : document.createElement(tag);
   for (const [name, value] of Object.entries(attributes || {})) {
     if (name === "text") made.textContent = value;

@@ -16,6 +16,7 @@ from .roads import LaneRecord, LaneSection, Road
 
 MAX_POINTS = 5_000_000  # of a file
 _CHORD_ERROR_M = 0.02  # below the 3 cm that are asked for: bounds of bends are sampled
+_TURN_CHORD_ERROR_M = 0.002  # cars turn on these lines
 _MAX_STEP_M = 5.0
 _MAX_PIECE_POINTS = 100_000  # the longest road that is straight takes 20 000
 _MAX_EDGE_M = 10_000.0
@@ -66,17 +67,19 @@ class SampledSection:
         return np.concatenate([self.beside(t_m) for t_m in sides])
 
 
-def sample_road(road: Road) -> tuple[SampledSection, ...]:
+def sample_road(road: Road, *, chord_error_m: float = _CHORD_ERROR_M) -> tuple[SampledSection, ...]:
     """Sample all lane sections of a road.
 
-    Stations are at most 5 m apart along any lane, and chords at most 3 cm from the curve. Raises
-    InputError if that needs too many points.
+    Stations are at most 5 m apart along any lane, and chords by default at most 3 cm from the
+    curve. Raises InputError if that needs too many points.
     """
     bends = road.line.bends()
-    return tuple(_sample_section(road, section, bends) for section in road.sections)
+    return tuple(_sample_section(road, section, bends, chord_error_m) for section in road.sections)
 
 
-def _sample_section(road: Road, section: LaneSection, bends: FloatArray) -> SampledSection:
+def _sample_section(
+    road: Road, section: LaneSection, bends: FloatArray, chord_error_m: float
+) -> SampledSection:
     starts, lengths = _intervals(road, section)
     inside = starts + 0.5 * lengths
     n_edges = 1 + len(section.left) + len(section.right)
@@ -94,7 +97,8 @@ def _sample_section(road: Road, section: LaneSection, bends: FloatArray) -> Samp
             edges[lane.number] = inner
     elevation = road.elevation.rebased(starts, inside)
 
-    n_steps = _count_steps(road, lengths, inside, np.stack([*edges.values()]), elevation, bends)
+    sides = np.stack([*edges.values()])
+    n_steps = _count_steps(road, lengths, inside, sides, elevation, bends, chord_error_m)
     _check_count(road, float(n_steps.sum()) * n_edges)
     first = np.cumsum(n_steps) - n_steps
     interval = np.repeat(np.arange(len(starts)), n_steps)
@@ -171,6 +175,7 @@ def _count_steps(
     edges: FloatArray,
     elevation: FloatArray,
     bends: FloatArray,
+    chord_error_m: float,
 ) -> NDArray[np.int64]:
     """Steps per interval, (n,) int.
 
@@ -203,7 +208,7 @@ def _count_steps(
         )
     widening = 1.0 + curvature * t
     bend = stride * (stride * curvature * widening + 2.0 * curvature * slope + change * t)
-    by_chord = lengths * np.sqrt((bend + second + rise) / (8.0 * _CHORD_ERROR_M))
+    by_chord = lengths * np.sqrt((bend + second + rise) / (8.0 * chord_error_m))
     by_step = lengths * (stride * widening + slope) / _MAX_STEP_M
     n_steps = np.ceil(np.maximum(np.maximum(by_chord, by_step), 1.0) - 1.0e-9)
     if n_steps.max() > _MAX_PIECE_POINTS:
@@ -269,6 +274,19 @@ def build_lanes(road: Road, sections: Sequence[SampledSection], ends: RoadEnds) 
                 )
             )
     return lanes
+
+
+def connecting_lanes(road: Road) -> list[MapLane]:
+    """Driving lanes of a connecting road that lead through its junction from end to end."""
+    return [
+        lane
+        for lane in build_lanes(
+            road,
+            sample_road(road, chord_error_m=_TURN_CHORD_ERROR_M),
+            RoadEnds(start=road.junction, end=road.junction),
+        )
+        if lane.kind == "driving" and lane.from_junction and lane.to_junction
+    ]
 
 
 def _chains(sections: Sequence[SampledSection]) -> Iterator[dict[int, int]]:

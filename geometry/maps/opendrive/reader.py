@@ -4,7 +4,7 @@ The reader is our own: the Python libraries for OpenDRIVE write files, or read p
 simulator or version, while this needs lanes, outlines and objects of all versions.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
@@ -13,10 +13,17 @@ import numpy as np
 
 from ...errors import InputError, Unquoted
 from ...untrusted_files import local_name, read_xml
-from ..source_map import Omissions, SourceMap
+from ..source_map import MapJunction, MapLane, Omissions, SourceMap
 from .attributes import Offset, numbered, read_crs, read_offset, take_id, take_number
 from .junctions import build_junctions, find_road_ends, leading_roads, read_junction_records
-from .lanes import MAX_POINTS, SampledSection, build_lanes, join_stubs, sample_road
+from .lanes import (
+    MAX_POINTS,
+    SampledSection,
+    build_lanes,
+    connecting_lanes,
+    join_stubs,
+    sample_road,
+)
 from .objects import build_rows, cross_paths, read_objects
 from .roads import NO_JUNCTION, Road, RoadLink, read_links, read_road
 from .signals import merge_poles, read_signals
@@ -25,9 +32,10 @@ from .signals import merge_poles, read_signals
 def read_opendrive(path: Path) -> SourceMap:
     """Read a file in ASAM OpenDRIVE 1.4 to 1.8.
 
-    Roads outside junctions become lanes in driving direction; the surface of a junction's
-    connecting roads becomes its outline; objects and signals become things, poles, crosswalks and
-    parking lanes. Heights are absolute; across, roads have their superelevation and shape.
+    Roads outside junctions become lanes in driving direction, connecting roads lanes through their
+    junctions, whose outlines are those of these roads' surface; objects and signals become things,
+    poles, crosswalks and parking lanes. Heights are absolute; across, roads have their
+    superelevation and shape.
 
     Raises InputError if the file cannot be read, is no OpenDRIVE, has no roads, lacks a number or
     has one out of range, or needs too many points.
@@ -73,6 +81,7 @@ def read_opendrive(path: Path) -> SourceMap:
         source_crs=source_crs,
         heights="absolute",
         lanes=tuple(lanes),
+        connections=_connections(roads, junctions, where),
         junctions=tuple(junctions),
         things=tuple(found.things),
         poles=tuple(merge_poles([*found.poles, *poles])),
@@ -136,6 +145,23 @@ def _sample(roads: Mapping[str, Road], where: str) -> dict[str, tuple[SampledSec
                 "a smaller file: cut it out first",
             )
     return sampled
+
+
+def _connections(
+    roads: Mapping[str, Road], junctions: Sequence[MapJunction], where: str
+) -> tuple[MapLane, ...]:
+    there = {junction.id for junction in junctions}
+    found: list[MapLane] = []
+    n_points = 0
+    for road in roads.values():
+        if road.junction in there:
+            here = connecting_lanes(road)
+            n_points += sum(len(lane.centreline_m) for lane in here)
+            if n_points > MAX_POINTS:
+                got = Unquoted(f"more than {n_points:,} points of lanes through junctions")
+                raise InputError(where, got, f"at most {MAX_POINTS:,}")
+            found += here
+    return tuple(found)
 
 
 def _keeps_left(roads: Mapping[str, Road], omissions: Omissions) -> bool:

@@ -2,11 +2,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
 from geometry.errors import InputError
-from geometry.junction import build_junction
+from geometry.junction import Line, build_junction
 from geometry.maps.cut import build_scene, cut_out
 from geometry.maps.georeferences import frame_at, transform
 from geometry.maps.solids import extrude
@@ -17,6 +18,7 @@ from geometry.maps.source_map import (
     SourceMap,
     Thing,
 )
+from geometry.scene import thing_footprint
 from geometry.scene_checks import arms_that_end, check_scene
 
 SQUARE_M = 8.0 * np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
@@ -227,3 +229,81 @@ def test_a_lane_that_only_turns_at_another_junction_is_not_led_on():
     source = crossing_map(goes_on=False)
     _, scene = imported(source)
     assert not [one for one in scene.lanes if one.kind == "connecting"]
+
+
+def test_through_junctions_lead_the_maps_own_lanes_and_through_others_the_straight_ones():
+    def through(name, junction, *points):
+        made = lane(name, points[0], points[-1], start=junction, to=junction, height_m=5.0)
+        return replace(
+            made, centreline_m=np.column_stack([points + AT_M, np.full(len(points), 5.0)])
+        )
+
+    source = crossing_map()
+    bend = [(28.0, -1.5), (34.0, -0.5), (40.0, -1.5)]
+    source = replace(
+        source,
+        connections=(
+            through("own turn", "j", (1.5, 8.0), (2.0, 3.0), (8.0, -1.5)),
+            through("their way", "k", *bend),
+            through("their turn", "k", (28.0, -1.5), (33.0, -1.5), (34.0, -0.5), (34.0, 8.0)),
+            through("far away", "k", (928.0, -1.5), (940.0, -1.5)),
+        ),
+    )
+    surroundings, scene = imported(source)
+    found = {one.id: one.centreline_m for one in scene.lanes if one.kind == "connecting"}
+    assert found.keys() == {"own turn", "their way"}
+    assert len(found["their way"]) == len(bend)
+    assert "other junctions around it" not in {skip.what for skip in surroundings.skipped}
+    (arm,) = build_junction(scene).arms.values()
+    assert len(arm.exit_lanes[0].centreline_m) == 5  # from here, over that way, and beyond
+
+
+def with_houses(*middles):
+    """The lane from the east ends 20 m from the middle; houses of 4 m stand there."""
+    source = crossing_map(goes_on=False)
+    houses = [thing(f"house {x} {y}", (x, y), bottom_m=5.0, top_m=11.0) for x, y in middles]
+    scene = imported(replace(source, things=tuple(houses)))[1]
+    road = [one for one in scene.lanes if one.kind == "assumed"]
+    strips = [
+        shapely.LineString(one.centreline_m).buffer(0.5 * one.width_m, cap_style="flat")
+        for one in road
+    ]
+    footprints = [
+        thing_footprint(scene, index)
+        for index, one in enumerate(scene.instances)
+        if one.class_name == "building"
+    ]
+    assert len(footprints) == len(middles)
+    assert not shapely.intersects(shapely.union_all(footprints), strips).any()
+    return scene, road
+
+
+@pytest.mark.parametrize(("side", "radius_m"), [(1.0, 100.0), (-1.0, 100.0)])
+def test_an_assumed_road_bends_past_a_house(side, radius_m):
+    scene, (road,) = with_houses((50.0, 1.5 + side * 2.5))
+    junction = build_junction(scene)
+    (entry,) = junction.arms["east"].entry_lanes
+    # On a circle that touches the lane at its begin, about a point away from the house.
+    line = Line(
+        point_m=entry.centreline_m[0], direction=entry.centreline_m[0] - entry.centreline_m[-1]
+    )
+    ahead, left = line.coordinates(road.centreline_m[:-1]).T
+    assert (ahead**2 + left**2) / (2.0 * left) == pytest.approx(-side * radius_m)
+    assert junction.is_led_on(entry)
+    followed = junction.followed(entry)
+    assert followed.centreline_m[0] == pytest.approx(road.centreline_m[0])
+    assert followed.centreline_m[-len(entry.centreline_m) :] == pytest.approx(entry.centreline_m)
+    ((_, why),) = arms_that_end(scene)
+    assert "comes round a bend, past the buildings there" in why
+
+
+def test_an_assumed_road_ends_where_no_bend_leads_past_houses():
+    row = [(50.0, float(north)) for north in range(-60, 61, 3)]
+    _, (road,) = with_houses(*row)  # their fronts are at 48 m
+    assert np.hypot(*(road.centreline_m[0] - road.centreline_m[1])) == pytest.approx(19.7, abs=0.02)
+    assert len(road.centreline_m) == 2
+    close = [(31.0, float(north)) for north in range(-60, 61, 3)]
+    scene, roads = with_houses(*close)
+    assert not roads
+    (entry,) = build_junction(scene).arms["east"].entry_lanes
+    assert not build_junction(scene).is_led_on(entry)

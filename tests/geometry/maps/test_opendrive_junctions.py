@@ -6,6 +6,7 @@ import shapely
 from opendrive_text import (
     arms_of,
     crossing,
+    cubic,
     document,
     geometry,
     lane,
@@ -31,6 +32,39 @@ def _off_outline_m(source: SourceMap) -> float:
         )
         if junction
     )
+
+
+def test_a_curved_connecting_road_is_a_lane_on_its_circle(tmp_path):
+    radius_m, length_m = 9.0, 4.5 * np.pi
+    curve = geometry(f'<arc curvature="{1.0 / radius_m}"/>', length=length_m)
+    turn = road(
+        "20",
+        plan=curve,
+        length=length_m,
+        junction="9",
+        sections=section(right=[lane(-1, width=3.0), lane(-2, "sidewalk")]),
+    )
+    widens = road(
+        "21",
+        plan=geometry(y=40.0, length=20.0),
+        length=20.0,
+        junction="9",
+        sections=section(right=[lane(-1, width=cubic("width", 0.0, 0.0, 0.2))]),
+    )
+    source = read_text(tmp_path, document(crossing(), turn, widens))
+    assert [one.id for one in source.connections] == ["11/1", "11/-1", "12/1", "12/-1", "20/-1"]
+    # The lane 21/-1 begins without a width: it does not lead from end to end.
+    assert not {one.id for one in source.connections} & {one.id for one in source.lanes}
+    found = source.connections[-1]
+    assert (found.from_junction, found.to_junction) == ("9", "9")
+    assert found.width_m == pytest.approx(3.0)
+    points = found.centreline_m[:, :2]
+    middles = 0.5 * (points[1:] + points[:-1])
+    for places, most_m in ((points, 1.0e-9), (middles, 0.003)):
+        off_m = np.abs(np.hypot(*(places - [0.0, radius_m]).T) - (radius_m + 1.5))
+        assert off_m.max() <= most_m
+    assert points[0] == pytest.approx([0.0, -1.5])
+    assert points[-1] == pytest.approx([radius_m + 1.5, radius_m])
 
 
 @pytest.mark.parametrize("rule", ["RHT", "LHT"])

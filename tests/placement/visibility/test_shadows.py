@@ -51,13 +51,21 @@ def _sight_and_rays(world, eye, **options):
     return sight, scene.n_rays + sum(each.caster.n_rays for each in parked), vut.n_rays
 
 
+def _every_pair(starts, vectors, position, *others):
+    """Pairs of every ray and every box."""
+    pairs = others[-1]
+    pairs[:] = np.indices((len(starts), len(position))).reshape(2, -1).T
+    return len(pairs)
+
+
 def _assert_nothing_is_missed(world, eye, monkeypatch, **options):
     """The same is seen where every ray is cast; returns the shares of the rays that are needed."""
     sight, n_static, n_vut = _sight_and_rays(world, eye, **options)
     with monkeypatch.context() as patch:
         for sieve in ("find_unclear_points", "find_points_behind"):
             patch.setattr(shadow_kernels, sieve, lambda *given: given[-1].fill(True))
-        patch.setattr(casting, "_AROUND_BODY_M", 1.0e6)
+        patch.setattr(shadow_kernels, "find_rays_at_boxes", _every_pair)
+        patch.setattr(casting, "AROUND_BODY_M", 1.0e6)
         nothing = np.zeros((N_POINTS, 1, 3))
         patch.setattr(own_shadows, "planes_around", lambda surface: nothing)
         every, n_every_static, n_every_vut = _sight_and_rays(world, eye, **options)

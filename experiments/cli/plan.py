@@ -1,0 +1,158 @@
+"""``place-rsus plan``: a page in the browser on which sensors are hung, turned and judged."""
+
+import signal
+import tempfile
+import webbrowser
+from pathlib import Path
+
+import click
+
+from placement.compute import Compute
+from placement.question import MOUNTED, Question
+
+from ..progress import Interrupted, StageProgress
+from .options import (
+    JUDGED,
+    SectionedCommand,
+    compute_options,
+    fields_in,
+    layout_option,
+    option,
+    question_options,
+    quiet_option,
+)
+from .running import begin
+
+_ASKED = (
+    *fields_in(MOUNTED, but=("keep", "within", "force_site")),
+    *("solver", "time_limit_s", "gap"),
+    *JUDGED,
+)
+_LOCAL = "127.0.0.1"
+
+
+@click.command(
+    cls=SectionedCommand,
+    epilog="""\b
+Examples:
+  place-rsus plan
+  place-rsus plan --layout carlancap-12 --cases study
+  place-rsus plan --scene scene --layout mine.json --save plan.json
+  place-rsus plan --scene city.osm --sensors carla-ncap-rgb --port 8042 --no-open""",
+)
+@layout_option
+@option(
+    "--port",
+    type=click.IntRange(0, 65535),
+    default=0,
+    metavar="N",
+    expected="a port, 0 to 65535",
+    help="Of the page; default: one that is free.",
+)
+@option(
+    "--open/--no-open",
+    "opens",
+    default=True,
+    show_default=True,
+    help="Open the page in the browser.",
+)
+@option(
+    "--save",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="Keep the plan in this file, whenever it rests; opened again if it is there.",
+)
+@option(
+    "--host",
+    default=_LOCAL,
+    show_default=True,
+    is_common=False,
+    help="Address to listen at; another one lets others in, see --i-know.",
+)
+@option(
+    "--i-know",
+    is_flag=True,
+    is_common=False,
+    help="With --host: whoever has the page's address can change the plan and send files.",
+)
+@question_options(*_ASKED)
+@quiet_option
+@compute_options(has_cache=True)
+@click.pass_obj
+def plan(
+    progress: StageProgress,
+    *,
+    layout_names: tuple[str, ...],
+    port: int,
+    opens: bool,
+    save: Path | None,
+    host: str,
+    i_know: bool,
+    question: Question,
+    quiet: bool,
+    compute: Compute,
+) -> None:
+    """Plan by hand in the browser: hang sensors, drag them, see at once who is saved.
+
+    The page is served from this computer, to this computer alone, and loads nothing from elsewhere.
+    Numbers of a drag are by the detection table; the evaluator's follow, the same as `evaluate`
+    gives. The optimiser proposes what to do next. Ctrl-C ends it.
+    """
+    if host != _LOCAL and not i_know:
+        raise click.UsageError(
+            f"--host: got {host}; expected --i-know beside it: others could change the plan"
+        )
+    begin(progress, quiet=quiet)
+    progress.kept = "nothing was written" if save is None else f"the plan is in {save}"
+    from geometry.scene_files import load_scene
+    from placement.layout import check_layout
+    from placement.setting import build_setting
+
+    from ..plan.desk import Desk
+    from ..plan.server import RunningServer
+    from ..plan.session import Variant, read_plan
+    from ..plan.tasks import Work
+    from ..study.layout import find_layout
+
+    scene = load_scene(question.scene)
+    variants = []
+    for name in layout_names:
+        layout = find_layout(name, "--layout")
+        check_layout(layout, scene)
+        variants.append(Variant(name=layout.name, units=layout.units))
+    if save is not None and save.exists() and not variants:
+        variants = read_plan(save.read_bytes(), str(save))
+        for variant in variants:
+            if variant.units:
+                check_layout(variant.layout(scene), scene)
+    progress("setting", 0, 0)
+    setting = build_setting(question, scene)
+    with tempfile.TemporaryDirectory(prefix="place-rsus-plan-") as folder:
+        work = Work(
+            question=question,
+            scratch=Path(folder),
+            cache=compute.cache_folder,
+            seed=compute.seed,
+            workers=compute.workers,
+            rays=compute.rays,
+        )
+        server = RunningServer(
+            lambda: Desk(work, setting, variants=variants, save=save), host=host, port=port
+        )
+        server.start()
+        progress.stop()
+        try:
+            click.echo(f"The page is at {server.address}\nCtrl-C ends it.")
+            if host != _LOCAL:
+                click.echo(
+                    f"--host {host}: whoever has this address can change the plan.", err=True
+                )
+            if opens:
+                webbrowser.open(server.address)
+            server.wait()
+        except Interrupted as interrupted:
+            if interrupted.signum != signal.SIGINT:
+                raise
+            click.echo("Ended." if save is None else f"Ended; the plan is in {save}.")
+        finally:
+            server.stop()

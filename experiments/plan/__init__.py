@@ -1,0 +1,6 @@
+"""The planner's page: a session that several browsers look at, and the server in front of it.
+
+``session`` is what is planned, and every way to change it; ``numbers`` says what it achieves;
+``worker`` runs what takes long in processes of its own, ``tasks`` is what runs there; ``server``
+talks to browsers, and ``page/`` is what it gives them.
+"""

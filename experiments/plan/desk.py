@@ -1,0 +1,546 @@
+"""The desk that several browsers look at: one session, its numbers, and what is worked on."""
+
+import asyncio
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from msgspec import Struct
+
+from geometry.catalogue import Sensor, load_cameras
+from geometry.errors import InputError, Unquoted
+from geometry.files import pick, write_atomically
+from geometry.lidar import load_lidars
+from placement.candidates import CandidatePose
+from placement.compute import Compute
+from placement.layout import Layout, check_layout
+from placement.live import LiveTable, table_verdict
+from placement.planning import build_grid
+from placement.setting import Setting
+
+from ..report.interactive.records import unit_records
+from .numbers import (
+    cost_record,
+    coverage_record,
+    key_of,
+    plan_text,
+    scene_record,
+    state_record,
+    table_numbers,
+)
+from .session import (
+    AddUnit,
+    Change,
+    ChangeUnit,
+    History,
+    Redo,
+    Stock,
+    Undo,
+    Variant,
+    add_variant,
+    begin_history,
+    change_state,
+)
+from .tasks import Work
+from .worker import Cancelled, TaskError, Worker
+
+Listener = Callable[[dict[str, Any]], None]
+
+_REST_S = 0.3  # without a change, before pixels are asked
+_MAX_KNOWN = 300  # of layouts by the evaluator
+_MAX_PROPOSALS = 12
+_MAX_ALONE = 60  # units of which each one's own APR is told while something is dragged
+
+
+# ---------- what browsers ask for beside changes
+
+
+class Ask(Struct, tag_field="do", tag="ask", forbid_unknown_fields=True):
+    """Ask the optimiser: "next", "complete" to `units`, "re-aim", "cheapest", "why-not" `site`."""
+
+    request: str
+    units: int = 0
+    site: str = ""
+
+
+class Cancel(Struct, tag_field="do", tag="cancel", forbid_unknown_fields=True):
+    """Let the optimiser stop."""
+
+
+class TakeProposal(Struct, tag_field="do", tag="take", forbid_unknown_fields=True):
+    """Take a proposal over, in place of what is worked on or as a further variant."""
+
+    number: int
+    as_variant: bool = False
+
+
+class DropProposal(Struct, tag_field="do", tag="drop", forbid_unknown_fields=True):
+    """Drop a proposal."""
+
+    number: int
+
+
+class ShowCoverage(Struct, tag_field="do", tag="coverage", forbid_unknown_fields=True):
+    """Whether pixel density and blind spots on the road are wanted."""
+
+    is_shown: bool
+
+
+class ChooseSensors(Struct, tag_field="do", tag="sensors", forbid_unknown_fields=True):
+    """Models that the optimiser may mount; none: the default grid's."""
+
+    names: list[str]
+
+
+Message = Change | Undo | Redo | Ask | Cancel | TakeProposal | DropProposal | ShowCoverage
+Message |= ChooseSensors
+_DECODER = msgspec.json.Decoder(Message)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Proposal:
+    """An answer of the optimiser, beside one's own plan."""
+
+    number: int
+    title: str
+    words: str
+    units: tuple[CandidatePose, ...]
+    fields: dict[str, Any]
+
+
+def _words_of(sensors: str) -> dict[str, str]:
+    """By the name of each model that may be mounted, how ``--sensors`` calls it."""
+    words = {name: name for name in (*load_cameras(), *load_lidars())}
+    for word in filter(None, sensors.split(",")):
+        for model in build_grid(word).sensors:
+            words[model.name] = f"{word}:{model.name}" if word.endswith(".toml") else word
+    return words
+
+
+class Desk:
+    """One session: what is planned, who looks at it, and the processes that work for it.
+
+    All methods but :meth:`stop_processes` are called from the server's event loop.
+
+    Parameters
+    ----------
+    work : Work
+        What is asked, and where files of the session are.
+    setting : Setting
+        As :func:`placement.setting.build_setting` builds it for the same question.
+    variants : sequence of Variant
+        To begin with.
+    save : Path, optional
+        File that gets the plan whenever it rests.
+    make_worker : function of Work
+        Makes what runs the tasks.
+    """
+
+    def __init__(
+        self,
+        work: Work,
+        setting: Setting,
+        *,
+        variants: Sequence[Variant] = (),
+        save: Path | None = None,
+        make_worker: Callable[[Work], Worker] = Worker,
+    ) -> None:
+        self.work, self.setting, self._make_worker = work, setting, make_worker
+        self.history: History = begin_history(variants)
+        self.revision = 0
+        self.listeners: set[Listener] = set()
+        self._save = save
+        self._exact, self._advice = make_worker(work), make_worker(work)
+        self._live = self._new_table()
+        self._known: OrderedDict[tuple[object, ...], dict[str, Any]] = OrderedDict()
+        self._failed: dict[tuple[object, ...], str] = {}
+        self._by_table: dict[tuple[object, ...], str] = {}
+        self._proposals: list[Proposal] = []
+        self._numbers_of_proposals = count(1)
+        self._words = _words_of(work.question.sensors)
+        self._models: dict[str, Sensor] = {
+            model.name: model for word in self._words.values() for model in build_grid(word).sensors
+        }
+        self._chosen: list[str] = [
+            sensor.name for sensor in build_grid(work.question.sensors).sensors
+        ]
+        self._shows_coverage = False
+        self._changed, self._rests = asyncio.Event(), asyncio.Event()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._doing: dict[str, Any] = {}
+
+    def _new_table(self) -> LiveTable:
+        compute = Compute(seed=self.work.seed, workers=self.work.workers, rays=self.work.rays)
+        return LiveTable(self.setting, compute=compute)
+
+    # ---------- life
+
+    def start(self) -> None:
+        """Begin to count and to judge."""
+        for loop in (self._count(), self._judge()):
+            self._spawn(loop)
+        self._changed.set()
+
+    def stop_processes(self) -> None:
+        """End everything that works in other processes; from any thread."""
+        for worker in (self._exact, self._advice):
+            worker.stop()
+
+    def _spawn(self, work: Any) -> None:
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    # ---------- talk
+
+    def tell(self, message: dict[str, Any]) -> None:
+        """Tell every browser."""
+        for listener in [*self.listeners]:
+            listener(message)
+
+    def join(self, listener: Listener) -> None:
+        """A browser comes: it is told all that there is."""
+        self.listeners.add(listener)
+        listener(self._scene_message())
+        listener(self._state_message())
+        listener(self._proposals_message())
+        if self._doing:
+            listener(self._doing)
+        self._changed.set()
+
+    def leave(self, listener: Listener) -> None:
+        """A browser goes."""
+        self.listeners.discard(listener)
+
+    def _scene_message(self) -> dict[str, Any]:
+        return {
+            "type": "scene",
+            **scene_record(self.setting, models=[*self._models.values()], chosen=self._chosen),
+        }
+
+    def _stock(self) -> Stock:
+        return Stock(scene=self.setting.scene, models=self._models)
+
+    def _state_message(self) -> dict[str, Any]:
+        record = state_record(self.history, self.setting.scene)
+        return {"type": "state", "revision": self.revision, **record}
+
+    def _do(self, who: str, stage: str, done: int = 0, total: int = 0) -> None:
+        """Tell what is worked on; an empty stage: nothing more."""
+        self._doing = {"type": "doing", "who": who, "stage": stage, "done": done, "total": total}
+        self.tell(self._doing)
+
+    # ---------- changes
+
+    def handle(self, text: bytes) -> None:
+        """Do what a browser asks for. Raises InputError if it cannot be done."""
+        try:
+            message = _DECODER.decode(text)
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+            raise InputError("message", Unquoted(error), "one that the page sends") from None
+        if isinstance(message, Undo):
+            self._go_to(self.history.undone())
+        elif isinstance(message, Redo):
+            self._go_to(self.history.redone())
+        elif isinstance(message, Ask):
+            self._ask(message)
+        elif isinstance(message, Cancel):
+            self._spawn(asyncio.to_thread(self._advice.stop))
+        elif isinstance(message, TakeProposal):
+            self._take(message)
+        elif isinstance(message, DropProposal):
+            self._proposals = [each for each in self._proposals if each.number != message.number]
+            self.tell(self._proposals_message())
+        elif isinstance(message, ShowCoverage):
+            self._shows_coverage = message.is_shown
+            self._changed.set()
+        elif isinstance(message, ChooseSensors):
+            for name in message.names:  # files are not named by browsers
+                pick(self._models, name, "sensors")
+            self._chosen = message.names
+            self.tell({"type": "sensors", "grid": self._chosen})
+        else:
+            state = change_state(self.history.state, message, self._stock())
+            gesture = message.gesture if isinstance(message, ChangeUnit) else ""
+            self._go_to(self.history.went_on(state, gesture=gesture))
+
+    def open_variants(self, variants: Sequence[Variant]) -> None:
+        """Add variants from a file; an only one that is empty gives way to them.
+
+        Raises InputError if a unit cannot hang in this scene, or there are too many.
+        """
+        for variant in variants:
+            if variant.units:
+                check_layout(variant.layout(self.setting.scene), self.setting.scene)
+        state = self.history.state
+        if len(state.variants) == 1 and not state.variant.units:
+            self._go_to(self.history.went_on(begin_history(variants).state))
+            return
+        for variant in variants:
+            state = add_variant(state, variant)
+        self._go_to(self.history.went_on(state))
+
+    def _go_to(self, history: History) -> None:
+        self.history = history
+        self.revision += 1
+        self.tell(self._state_message())
+        self._changed.set()
+
+    # ---------- numbers
+
+    async def _count(self) -> None:
+        """Numbers of the newest state, at once: by the table unless the evaluator's are known."""
+        while True:
+            await self._changed.wait()
+            self._changed.clear()
+            live = self._live
+            if live.n_mounts == 0:
+                self._do("rays", "prepare the rays")
+                await asyncio.to_thread(self._by_rays, live, self._first_units())
+                self._do("rays", "")
+            revision, units = self.revision, self.history.state.variant.units
+            try:
+                numbers = self._known.get(key_of(units))
+                if numbers is None:
+                    numbers = await asyncio.to_thread(self._by_rays, live, units)
+                self.tell({"type": "numbers", "revision": revision, **numbers})
+                self._tell_variants()
+                if self._shows_coverage and not self._changed.is_set():
+                    found = await asyncio.to_thread(coverage_record, self.setting.scene, units)
+                    self.tell({"type": "coverage", "revision": revision, **found})
+            except Exception as error:  # the next change may be one that can be counted
+                self.tell({"type": "notice", "text": f"no numbers: {error}"})
+            self._rests.set()
+
+    def _first_units(self) -> tuple[CandidatePose, ...]:
+        """A unit that hangs nowhere: with it, all is got ready that the first drag needs."""
+        scene = self.setting.scene
+        free = [site.id for site in scene.sites if site.use != "forbidden"]
+        model = self._chosen[0] if self._chosen else build_grid("").sensors[0].name
+        if not free:
+            return ()
+        empty = begin_history(()).state
+        return change_state(empty, AddUnit(site=free[0], sensor=model), self._stock()).variant.units
+
+    def _by_rays(self, live: LiveTable, units: Sequence[CandidatePose]) -> dict[str, Any]:
+        if not units:
+            return {"source": "none"}
+        detected = live.detected(units)
+        together = table_verdict(units, detected, self.setting)
+        alone = {
+            unit.id: table_verdict([unit], detected[index : index + 1], self.setting)
+            for index, unit in enumerate(units[:_MAX_ALONE])
+        }
+        numbers = table_numbers(units[:_MAX_ALONE], together, alone, self.setting)
+        self._by_table[key_of(units)] = numbers["apr"]
+        return numbers
+
+    async def _judge(self) -> None:
+        """Numbers by the evaluator, of whatever is shown and rests: the newest first."""
+        while True:
+            await self._rests.wait()
+            self._rests.clear()
+            await asyncio.sleep(_REST_S)
+            if self._rests.is_set() or self._changed.is_set():
+                continue
+            self._write_plan()
+            for units in self._unknown():
+                await self._evaluate(units)
+                if self._rests.is_set():
+                    break
+
+    def _unknown(self) -> list[tuple[CandidatePose, ...]]:
+        """Layouts that are shown and not evaluated yet, the one that is worked on first."""
+        state = self.history.state
+        shown = [each.units for each in (state.variant, *state.variants)]
+        shown += [each.units for each in self._proposals]
+        shown.append(self._first_units())  # so that the car's own sensors are known
+        found = {key_of(units): units for units in shown if units}
+        return [
+            units
+            for key, units in found.items()
+            if key not in self._known and key not in self._failed
+        ]
+
+    async def _evaluate(self, units: tuple[CandidatePose, ...]) -> None:
+        key, setting = key_of(units), self.setting
+        layout = Layout(name="plan", units=units, scene_name=setting.scene.name)
+        self._do("evaluator", "evaluate")
+        try:
+            numbers = await self._exact.call(
+                "evaluate", layout, on_progress=self._stages("evaluator")
+            )
+            if self.work.question.no_look:
+                numbers["private"] = await self._exact.call(
+                    "private", units, on_progress=self._stages("evaluator")
+                )
+        except Cancelled:
+            return
+        except TaskError as error:
+            self._failed[key] = str(error)
+            self.tell({"type": "notice", "text": f"not evaluated: {error}"})
+            return
+        finally:
+            self._do("evaluator", "")
+        if setting is not self.setting:  # another scene was opened meanwhile
+            return
+        self._known[key] = numbers
+        while len(self._known) > _MAX_KNOWN:
+            self._known.popitem(last=False)
+        if key == key_of(self.history.state.variant.units):
+            self.tell({"type": "numbers", "revision": self.revision, **numbers})
+        self._tell_variants()
+        self.tell(self._proposals_message())
+
+    def _stages(self, who: str) -> Callable[[str, int, int], None]:
+        return lambda stage, done, total: self._do(who, stage, done, total)
+
+    def _tell_variants(self) -> None:
+        """What all variants achieve, as far as that is known."""
+        self.tell(
+            {
+                "type": "variants",
+                "variants": [
+                    {"name": variant.name, **self._summary(variant.units)}
+                    for variant in self.history.state.variants
+                ],
+            }
+        )
+
+    def _summary(self, units: Sequence[CandidatePose]) -> dict[str, Any]:
+        key = key_of(units)
+        numbers = self._known.get(key)
+        cost = cost_record(units, self.setting.scene)
+        return {
+            "units": len(units),
+            "cost": cost["all"] if cost else "",
+            "apr": numbers["apr"] if numbers else self._by_table.get(key, ""),
+            "source": "evaluator" if numbers else "table" if key in self._by_table else "none",
+            "byCase": numbers["byCase"] if numbers else {},
+            "oneFails": numbers["oneFails"] if numbers else "",
+            "problem": self._failed.get(key, ""),
+        }
+
+    def _write_plan(self) -> None:
+        if self._save is None:
+            return
+        text = plan_text(self.history.state, self.setting.scene).encode()
+        try:
+            write_atomically(self._save, lambda file: file.write(text))
+        except OSError as error:
+            self.tell({"type": "notice", "text": f"not saved: {error.strerror or error}"})
+
+    # ---------- the optimiser
+
+    def _ask(self, ask: Ask) -> None:
+        if self._advice.is_busy:
+            raise InputError("the optimiser", Unquoted("another request"), "one at a time")
+        self._spawn(self._advise(ask, self.history.state.variant.units))
+
+    async def _advise(self, ask: Ask, units: tuple[CandidatePose, ...]) -> None:
+        tell = self._stages("optimiser")
+        words = [self._words[name] for name in self._chosen]
+        tell("start", 0, 0)
+        try:
+            await self._advice.call("choose_sensors", ",".join(words), on_progress=tell)
+            answers = await self._advice.call(
+                "advise", units, ask.request, n_units=ask.units, site=ask.site, on_progress=tell
+            )
+        except Cancelled:
+            self.tell({"type": "notice", "text": "The optimiser was stopped."})
+            return
+        except TaskError as error:
+            self.tell({"type": "notice", "text": str(error)})
+            return
+        finally:
+            self._do("optimiser", "")
+        for answer in answers:
+            proposal = Proposal(
+                number=next(self._numbers_of_proposals),
+                title=answer["title"],
+                words=answer["words"],
+                units=answer["units"],
+                fields={name: answer[name] for name in ("apr", "bound", "isProven")},
+            )
+            self._proposals = [*self._proposals, proposal][-_MAX_PROPOSALS:]
+        self.tell(self._proposals_message())
+        self._rests.set()
+
+    def _proposals_message(self) -> dict[str, Any]:
+        scene = self.setting.scene
+        return {
+            "type": "proposals",
+            "proposals": [
+                {
+                    "number": each.number,
+                    "title": each.title,
+                    "words": each.words,
+                    **each.fields,
+                    **self._summary(each.units),
+                    "onTable": each.fields["apr"],
+                    "drawn": unit_records(
+                        Layout(name=each.title, units=each.units, scene_name=scene.name), scene
+                    ),
+                }
+                for each in self._proposals
+            ],
+        }
+
+    def _take(self, message: TakeProposal) -> None:
+        proposal = next((each for each in self._proposals if each.number == message.number), None)
+        if proposal is None:
+            raise InputError("proposal", message.number, "one that is shown")
+        state = self.history.state
+        if message.as_variant:
+            state = add_variant(state, Variant(name=proposal.title, units=proposal.units))
+        else:
+            state = state.with_units(proposal.units)
+        self._proposals = [each for each in self._proposals if each is not proposal]
+        self._go_to(self.history.went_on(state))
+        self.tell(self._proposals_message())
+
+    # ---------- what is asked for by address
+
+    def layout(self) -> Layout:
+        """The layout that is worked on. Raises InputError if nothing hangs."""
+        return self.history.state.variant.layout(self.setting.scene)
+
+    async def call(self, method: str, *args: Any, is_long: bool = False) -> Any:
+        """What a task returns, by the evaluator's process, or the optimiser's if it takes long.
+
+        Raises TaskError, or Cancelled.
+        """
+        worker, who = (self._advice, "optimiser") if is_long else (self._exact, "evaluator")
+        try:
+            return await worker.call(method, *args, on_progress=self._stages(who))
+        finally:
+            self._do(who, "")
+
+    async def open_scene(self, path: str) -> None:
+        """Go on in another scene, from nothing. Raises TaskError if it has no runs."""
+        work = replace(self.work, question=replace(self.work.question, scene=path, no_look=""))
+        exact = self._make_worker(work)
+        try:
+            setting: Setting = await exact.call("open_setting", on_progress=self._stages("scene"))
+        except BaseException:
+            exact.stop()
+            raise
+        finally:
+            self._do("scene", "")
+        self.stop_processes()
+        self.work, self.setting = work, setting
+        self._exact, self._advice = exact, self._make_worker(work)
+        self._live = self._new_table()
+        self._known.clear()
+        self._failed.clear()
+        self._by_table.clear()
+        self._proposals = []
+        self.history = begin_history(())
+        self.revision += 1
+        for message in (self._scene_message(), self._state_message(), self._proposals_message()):
+            self.tell(message)
+        self._changed.set()

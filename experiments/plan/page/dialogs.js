@@ -1,0 +1,210 @@
+// What opens above the plan: a run that is lost, junctions of a map, the background image, files.
+
+import { ask, give } from "./line.js";
+import { element } from "./shared.js";
+
+const find = (id) => document.getElementById(id);
+const PLANS = [".json"];
+
+export function openDialogs({ map, notice, state, scene }) {
+  document.querySelectorAll("dialog [data-close]").forEach((button) => button.addEventListener("click", () => button.closest("dialog").close()));
+
+  // ---------- a run
+
+  let run = null, shown = "";
+  async function showRun(next, outcome) {
+    run = next;
+    for (const id of ["picture", "player"]) find(id).hidden = true;
+    find("player").removeAttribute("src");
+    find("play").hidden = false;
+    find("picture-text").textContent = "";
+    find("run-title").textContent = `${run.title}: ${outcome}`;
+    find("run-why").textContent = "Why: computing \u2026";
+    fill(find("picture-unit"), [...state().units.map((unit) => unit.id), "VUT"]);
+    fill(find("picture-frame"), Array.from({ length: run.frames }, (_, frame) => [frame - run.frames, frame === run.frames - 1 ? "at the impact" : `${run.frames - 1 - frame} before the impact`]));
+    find("picture-frame").value = Math.max(-run.frames, -15);
+    if (!find("run-dialog").open) find("run-dialog").showModal();
+    const asked = run;
+    try {
+      const told = await ask("explain", { run: run.id });
+      if (run === asked) explain(told);
+    } catch (error) {
+      if (run === asked) find("run-why").textContent = `Why: ${error.message}`;
+    }
+  }
+
+  function fill(select, values) {
+    select.replaceChildren(...values.map((value) => element("option", Array.isArray(value) ? { value: value[0], text: value[1] } : { value, text: value })));
+  }
+
+  function explain(told) {
+    const holder = find("run-why");
+    holder.replaceChildren();
+    element("p", { text: told.inTime ? `${told.inTime} frames come early enough to brake for. In these:` : "No frame comes early enough: no sensor could help." }, holder);
+    const list = element("ul", {}, holder);
+    if (told.inTime) told.units.forEach((unit) => element("li", { text: `${unit.unit} detects the road user in ${unit.detected}; in the others: ${unit.reasons.map((reason) => `${reason.words} (${reason.frames})`).join(", ")}.` }, list));
+    // A frame that matters most, of those in time: the last one.
+    const times = told.frames;
+    [...find("picture-frame").options].forEach((option, index) => { option.textContent = `${times[index].time}${index < told.inTime ? ", in time" : ""}`; });
+    if (told.inTime) find("picture-frame").value = told.inTime - 1 - run.frames;
+  }
+
+  find("picture-show").addEventListener("click", async () => {
+    const asked = run;
+    find("picture-text").textContent = "It is being rendered \u2026";
+    try {
+      const values = { run: run.id, unit: find("picture-unit").value, frame: find("picture-frame").value };
+      const picture = await ask("picture", values);
+      if (run !== asked) return;
+      if (shown) URL.revokeObjectURL(shown);
+      shown = URL.createObjectURL(picture);
+      const when = find("picture-frame").selectedOptions[0].textContent;
+      Object.assign(find("picture"), { src: shown, hidden: false, alt: `What ${values.unit} sees, ${when}` });
+      find("picture-text").textContent = `What ${values.unit} sees, ${when}; rendered.`;
+    } catch (error) {
+      find("picture-text").textContent = error.message;
+    }
+  });
+
+  find("play").addEventListener("click", () => {
+    const player = find("player");
+    player.src = `watch?${new URLSearchParams({ run: run.id })}`;
+    player.hidden = false;
+    find("play").hidden = true;
+  });
+
+  // ---------- files
+
+  async function open(file) {
+    notice(`${file.name} is being read \u2026`);
+    try {
+      const told = await give("open", file, { "X-File-Name": encodeURIComponent(file.name) });
+      if (told.map) chooseJunction(told);
+      notice(told.opened ? `Opened: ${told.opened.join(", ")}.` : told.scene ? `The scene is ${told.scene}.` : "");
+    } catch (error) {
+      notice(`${file.name}: ${error.message}`);
+    }
+  }
+  find("open").addEventListener("click", () => find("open-file").click());
+  find("open-file").addEventListener("change", (event) => { const [file] = event.target.files; if (file) open(file); event.target.value = ""; });
+  document.addEventListener("dragover", (event) => { event.preventDefault(); document.body.classList.add("dropping"); });
+  document.addEventListener("dragleave", (event) => { if (!event.relatedTarget) document.body.classList.remove("dropping"); });
+  document.addEventListener("drop", (event) => {
+    event.preventDefault();
+    document.body.classList.remove("dropping");
+    const [file] = event.dataTransfer.files;
+    if (!file) return;
+    if (file.type.startsWith("image/") && !PLANS.some((end) => file.name.endsWith(end))) showImage(file);
+    else open(file);
+  });
+
+  for (const [id, path, name] of [["make-report", "report.zip", "report"], ["make-sheet", "sheet.pdf", "mounting sheet"]]) {
+    find(id).addEventListener("click", async () => {
+      find(id).disabled = true;
+      notice(`The ${name} is being made \u2026`);
+      try {
+        const address = URL.createObjectURL(await ask(path));
+        const link = element("a", { href: address, download: path });
+        link.click();
+        setTimeout(() => URL.revokeObjectURL(address), 60000);
+        notice(`The ${name} is in your downloads: ${path}.`);
+      } catch (error) {
+        notice(`The ${name}: ${error.message}`);
+      } finally {
+        find(id).disabled = false;
+      }
+    });
+  }
+  for (const id of ["save-layout", "save-plan"]) {
+    find(id).addEventListener("click", (event) => {
+      if (id === "save-layout" && !state()?.units.length) { event.preventDefault(); notice("Nothing hangs yet: there is no layout to save."); }
+    });
+  }
+
+  // ---------- a map
+
+  function chooseJunction(told) {
+    find("map-text").textContent = `${told.map} has ${told.junctions.length + (told.left || 0)} junctions${told.left ? `; here are ${told.junctions.length}` : ""}.`;
+    const select = find("map-junction");
+    fill(select, told.junctions.map((one) => [one.id, `${one.name || one.id}: ${one.arms} arms, ${one.lanes} lanes`]));
+    select.selectedIndex = 0;
+    const svg = find("map-plan");
+    svg.replaceChildren();
+    const [xs, ys] = ["x", "y"].map((axis) => told.junctions.map((one) => one[axis]));
+    const [west, south] = [Math.min(...xs), Math.min(...ys)];
+    // Degrees of longitude are shorter than those of latitude.
+    const squeeze = Math.max(...ys.map(Math.abs)) <= 90 && Math.max(...xs.map(Math.abs)) <= 180 ? Math.cos(south * Math.PI / 180) : 1;
+    const size = Math.max((Math.max(...xs) - west) * squeeze, Math.max(...ys) - south) || 1;
+    svg.setAttribute("viewBox", "-8 -8 116 116");
+    const dots = told.junctions.map((one) => {
+      const dot = element("circle", { cx: 100 * (one.x - west) * squeeze / size, cy: 100 - 100 * (one.y - south) / size, r: 1.6, stroke: "#000", "stroke-width": 0.3 }, svg);
+      element("title", { text: one.name || one.id }, dot);
+      dot.addEventListener("click", () => { select.value = one.id; mark(); });
+      return dot;
+    });
+    const mark = () => dots.forEach((dot, index) => dot.setAttribute("fill", index === select.selectedIndex ? "#D55E00" : "#0072B2"));
+    select.onchange = mark;
+    mark();
+    find("map-dialog").showModal();
+  }
+  find("map-take").addEventListener("click", async () => {
+    const take = find("map-take");
+    take.disabled = true;
+    find("map-text").textContent = "The junction is being imported \u2026";
+    try {
+      const told = await give("import", find("map-junction").value);
+      notice(`The scene is ${told.scene}.`);
+      find("map-dialog").close();
+    } catch (error) {
+      find("map-text").textContent = error.message;
+    } finally {
+      take.disabled = false;
+    }
+  });
+
+  // ---------- the background image
+
+  let image = "", size = [0, 0], turn = 1;
+  function showImage(file) {
+    if (image) URL.revokeObjectURL(image);
+    image = URL.createObjectURL(file);
+    const shownImage = find("image-shown");
+    shownImage.onload = () => { size = [shownImage.naturalWidth, shownImage.naturalHeight]; };
+    shownImage.onerror = () => { find("image-text").textContent = `${file.name} is no image that this browser shows.`; shownImage.hidden = true; };
+    Object.assign(shownImage, { src: image, hidden: false });
+    if (!find("image-dialog").open) find("image-dialog").showModal();
+  }
+  find("background").addEventListener("click", () => find("image-dialog").showModal());
+  find("image-file").addEventListener("change", (event) => { const [file] = event.target.files; if (file) showImage(file); });
+  find("image-shown").addEventListener("click", (event) => {
+    const target = event.target, box = target.getBoundingClientRect();
+    find(`x${turn}`).value = ((event.clientX - box.left) / box.width * target.naturalWidth).toFixed(1);
+    find(`y${turn}`).value = ((event.clientY - box.top) / box.height * target.naturalHeight).toFixed(1);
+    find("image-text").textContent = `Point ${turn} of the image is chosen.`;
+    turn = 3 - turn;
+  });
+  document.querySelectorAll("[data-pick]").forEach((button) => button.addEventListener("click", () => {
+    const which = button.dataset.pick;
+    find("image-dialog").close();
+    notice("Click the same place on the plan.");
+    map.pick(([x, y]) => {
+      find(`east${which}`).value = (x / 100).toFixed(2);
+      find(`north${which}`).value = (y / 100).toFixed(2);
+      notice("");
+      find("image-dialog").showModal();
+    });
+  }));
+  find("image-lay").addEventListener("click", () => {
+    const value = (id) => find(id).valueAsNumber;
+    const pairs = [1, 2].map((n) => [[value(`x${n}`), value(`y${n}`)], [100 * value(`east${n}`), 100 * value(`north${n}`)]]);
+    const isWhole = image && size[0] && pairs.flat(2).every(Number.isFinite);
+    const isApart = isWhole && Math.hypot(pairs[1][0][0] - pairs[0][0][0], pairs[1][0][1] - pairs[0][0][1]) >= 2 && Math.hypot(pairs[1][1][0] - pairs[0][1][0], pairs[1][1][1] - pairs[0][1][1]) >= 50;
+    if (!isApart) { find("image-text").textContent = isWhole ? "The two points are too near to each other." : "An image, and all eight numbers, are needed."; return; }
+    map.showImage(image, size, pairs);
+    find("image-dialog").close();
+  });
+  find("image-drop").addEventListener("click", () => { map.showImage(""); find("image-dialog").close(); });
+
+  find("show-help").addEventListener("click", () => find("help-dialog").showModal());
+  return { showRun, showHelp: () => find("help-dialog").showModal(), scene };
+}

@@ -1,0 +1,56 @@
+// The line to the desk: messages both ways, and what to do when it breaks.
+
+const FIRST_WAIT_MS = 400, LONGEST_WAIT_MS = 5000, PATIENCE_MS = 1500;
+
+export function openLine({ onMessage, onState }) {
+  let socket = null, wait = FIRST_WAIT_MS, sentAt = 0, waiting = null;
+  const address = new URL("live", location.href);
+  address.protocol = "ws:";
+
+  function connect() {
+    socket = new WebSocket(address);
+    socket.addEventListener("open", () => { wait = FIRST_WAIT_MS; sentAt = 0; waiting = null; onState(true); });
+    socket.addEventListener("message", (event) => {
+      const message = JSON.parse(event.data);
+      if (message.type === "state" || message.type === "problem") flush();
+      onMessage(message);
+    });
+    socket.addEventListener("close", () => {
+      onState(false);
+      setTimeout(connect, wait);
+      wait = Math.min(2 * wait, LONGEST_WAIT_MS);
+    });
+  }
+
+  // Of a gesture's steps only the newest waits: the next one goes when the last was answered.
+  function flush() {
+    sentAt = 0;
+    if (waiting) { const next = waiting; waiting = null; put(next, true); }
+  }
+
+  function put(message, isStep) {
+    if (socket.readyState !== WebSocket.OPEN) return;
+    if (isStep) sentAt = performance.now();
+    socket.send(JSON.stringify(message));
+  }
+
+  connect();
+  return {
+    send(message) { flush(); put(message, false); },
+    step(message) {
+      if (sentAt && performance.now() - sentAt < PATIENCE_MS) waiting = message;
+      else put(message, true);
+    },
+  };
+}
+
+async function answerOf(response) {
+  const kind = response.headers.get("content-type") || "";
+  if (response.ok) return kind.startsWith("application/json") ? response.json() : response.blob();
+  const said = kind.startsWith("application/json") ? (await response.json()).problem : `it answers ${response.status}`;
+  throw new Error(said);
+}
+
+export const ask = async (path, values = {}) => answerOf(await fetch(`${path}?${new URLSearchParams(values)}`));
+
+export const give = async (path, body, headers = {}) => answerOf(await fetch(path, { method: "POST", body, headers }));

@@ -1,0 +1,303 @@
+// The junction from above: poles, sensors and their views, arms by the share that is avoided.
+
+import { addPatterns, drawGround, drawScale, element, MARKS, outline } from "./shared.js";
+
+const THIN = { "vector-effect": "non-scaling-stroke" };
+// What a band of pixel density looks like: the finest first, then those that are coarser or unseen.
+export const bandColour = (band) => (band === 255 ? UNSEEN_COLOUR : BAND_COLOURS[band] || COARSE_COLOUR);
+
+const FARTHEST_AIM_CM = 4500, NEAREST_AIM_CM = 150, SITE_REACH_PX = 26, DRAG_PX = 5;
+const BAND_COLOURS = ["#08306b", "#0b559f", "#2b7bba", "#539ecd", "#89bedc", "#bad6eb"];
+const COARSE_COLOUR = "#e3e3c0", UNSEEN_COLOUR = "#f3a59a";
+const AVOIDED_COLOUR = "#0072B2", LOST_COLOUR = "#D55E00";
+
+const degrees = (radians) => radians * 180 / Math.PI;
+const radians = (deg) => deg * Math.PI / 180;
+
+// Where the optical axis meets the road, or a place in its direction where it meets none.
+function aimOf(unit) {
+  const height = 100 * unit.heightM;
+  const reach = unit.isRing ? 700 : unit.pitchDeg < -0.5 ? height / Math.tan(radians(-unit.pitchDeg)) : FARTHEST_AIM_CM;
+  const distance = Math.min(Math.max(reach, NEAREST_AIM_CM), FARTHEST_AIM_CM);
+  const yaw = radians(unit.yawDeg);
+  return [unit.place[0] + distance * Math.cos(yaw), unit.place[1] + distance * Math.sin(yaw)];
+}
+
+// The direction and tilt that look from a place and height to a point of the road.
+export function aimAt(place, heightM, point) {
+  const [dx, dy] = [point[0] - place[0], point[1] - place[1]];
+  return { yaw: degrees(Math.atan2(dy, dx)), pitch: -degrees(Math.atan2(100 * heightM, Math.hypot(dx, dy))) };
+}
+
+function pie(share, radius) {
+  if (share >= 0.9999) return `M${radius} 0A${radius} ${radius} 0 1 1 ${-radius} 0A${radius} ${radius} 0 1 1 ${radius} 0Z`;
+  const angle = 2 * Math.PI * share;
+  const [x, y] = [radius * Math.sin(angle), -radius * Math.cos(angle)];
+  return `M0 0V${-radius}A${radius} ${radius} 0 ${share > 0.5 ? 1 : 0} 1 ${x.toFixed(2)} ${y.toFixed(2)}Z`;
+}
+
+export function createMap(holder, on) {
+  const svg = element("svg", { role: "group", "aria-label": "Plan: poles and sensors" }, holder);
+  addPatterns(svg);
+  const ground = element("g", { "stroke-linejoin": "round" }, svg);
+  const layers = Object.fromEntries(["still", "image", "coverage", "ways", "views", "offered"].map((name) => [name, element("g", {}, ground)]));
+  const marks = element("g", {}, svg);
+  const marked = Object.fromEntries(["arms", "names", "sites", "units", "drag", "scale"].map((name) => [name, element("g", {}, marks)]));
+  marked.scale.setAttribute("font-size", 11);
+  let scene = null, units = [], selected = null, chosenSite = null;
+  let middle = [0, 0], half = 5000, width = 600, height = 400, perCm = 0.05, origin = [0, 0];
+  let drawn = [], placed = [], pickPoint = null;
+  const at = ([x, y]) => [origin[0] + x * perCm, origin[1] - y * perCm];
+  const put = (mark, place) => { const [x, y] = at(place); mark.setAttribute("transform", `translate(${x.toFixed(1)} ${y.toFixed(1)})`); };
+  const groundOf = (event) => {
+    const box = svg.getBoundingClientRect();
+    return [(event.clientX - box.left - origin[0]) / perCm, (origin[1] - (event.clientY - box.top)) / perCm];
+  };
+
+  function layOut() {
+    [width, height] = [Math.max(holder.clientWidth, 200), Math.max(holder.clientHeight, 200)];
+    for (const [name, value] of Object.entries({ width, height, viewBox: `0 0 ${width} ${height}` })) svg.setAttribute(name, value);
+    perCm = 0.5 * Math.min(width, height) / half;
+    origin = [0.5 * width - middle[0] * perCm, 0.5 * height + middle[1] * perCm];
+    ground.setAttribute("transform", `matrix(${perCm} 0 0 ${-perCm} ${origin[0]} ${origin[1]})`);
+    [...placed, ...drawn].forEach(({ mark, place }) => put(mark, place));
+    drawScale(marked.scale, width, height, perCm);
+  }
+
+  function zoomBy(factor, point = middle) {
+    const next = Math.min(Math.max(half / factor, 200), 60000);
+    const share = next / half;
+    middle = middle.map((value, axis) => point[axis] + (value - point[axis]) * share);
+    half = next;
+    layOut();
+  }
+
+  // The window that holds the junction and every place of an impact.
+  function whole() {
+    middle = [...scene.plan.middle];
+    const away = scene.arms.map((arm) => Math.max(Math.abs(arm.place[0] - middle[0]), Math.abs(arm.place[1] - middle[1])));
+    half = Math.max(scene.plan.half, ...away.map((reach) => Math.min(1.12 * reach, 1.8 * scene.plan.half)));
+    layOut();
+  }
+
+  // ---------- what stands still
+
+  function showScene(next) {
+    scene = next;
+    whole();
+    for (const layer of ["still", "coverage", "ways"]) layers[layer].replaceChildren();
+    for (const layer of ["arms", "names", "sites"]) marked[layer].replaceChildren();
+    placed = [];
+    drawGround(layers.still, scene.plan);
+    scene.arms.forEach((arm) => element("path", { d: "M" + arm.way.map((place) => place.join(" ")).join("L"), fill: "none", stroke: "#6b6b6b", "stroke-width": 1, "stroke-dasharray": "5 4", ...THIN }, layers.ways));
+    scene.plan.arms.forEach((arm) => placed.push({ place: arm.place, mark: element("text", { text: arm.name, "font-size": 13, "text-anchor": "middle", "paint-order": "stroke", stroke: "#fff", "stroke-width": 3, fill: "#333" }, marked.names) }));
+    scene.arms.forEach((arm) => placed.push({ place: arm.place, arm, mark: element("g", { class: "arm" }, marked.arms) }));
+    scene.sites.forEach((site) => {
+      const mark = element("g", { class: "site", tabindex: 0, role: "button", "data-site": site.id }, marked.sites);
+      element("circle", { r: 14, fill: "transparent" }, mark);
+      element("circle", { r: 5, fill: site.isForbidden ? "#bbb" : "#fff", stroke: "#222", "stroke-width": 1.6, class: "dot" }, mark);
+      element("title", { text: `${site.id}: ${site.kind}${site.isForbidden ? ", forbidden" : `, carries ${site.capacity}`}` }, mark);
+      mark.addEventListener("keydown", (event) => { if (event.key === "Enter" || event.key === " ") { event.preventDefault(); on.site(site.id); } });
+      placed.push({ place: site.place, site, mark });
+    });
+    layOut();
+    showSite(null);
+  }
+
+  function showShares(shares) {
+    placed.filter((item) => item.arm).forEach((item, index) => {
+      item.mark.replaceChildren();
+      const share = shares ? shares[index] : null;
+      element("circle", { r: 7, fill: share === null || share === undefined ? "#ddd" : LOST_COLOUR, stroke: "#222", "stroke-width": 1 }, item.mark);
+      if (share) element("path", { d: pie(share, 7), fill: AVOIDED_COLOUR }, item.mark);
+      const said = share === null || share === undefined ? "not known yet" : `${(100 * share).toFixed(0)} % avoided`;
+      element("title", { text: `from the ${item.arm.approach}, at ${item.arm.position} m: ${said}` }, item.mark);
+    });
+  }
+
+  function showCoverage(found) {
+    layers.coverage.replaceChildren();
+    if (!found) return;
+    const [bands, road] = [atob(found.band), atob(found.road)];
+    const [west, south, east, north] = found.box;
+    const columns = found.columns, rows = bands.length / columns;
+    const canvas = document.createElement("canvas");
+    [canvas.width, canvas.height] = [columns, rows];
+    const context = canvas.getContext("2d");
+    for (let row = 0; row < rows; row += 1) for (let column = 0; column < columns; column += 1) {
+      const cell = row * columns + column;
+      if (!road.charCodeAt(cell)) continue;
+      const band = bands.charCodeAt(cell);
+      context.fillStyle = bandColour(band);
+      context.fillRect(column, rows - 1 - row, 1, 1);
+    }
+    element("image", { href: canvas.toDataURL(), x: 0, y: 0, width: 1, height: 1, opacity: 0.8, preserveAspectRatio: "none", "image-rendering": "pixelated", transform: `matrix(${east - west} 0 0 ${south - north} ${west} ${north})` }, layers.coverage);
+  }
+
+  function showImage(address, size, pairs) {
+    layers.image.replaceChildren();
+    if (!address) return;
+    // A turn, a scale and a shift take (x, -y) of the image to the plan.
+    const [[p, a], [q, b]] = pairs;
+    const [ux, uy] = [q[0] - p[0], p[1] - q[1]];
+    const [vx, vy] = [b[0] - a[0], b[1] - a[1]];
+    const square = ux * ux + uy * uy;
+    const [cos, sin] = [(ux * vx + uy * vy) / square, (ux * vy - uy * vx) / square];
+    const [x, y] = [p[0], -p[1]];
+    const shift = [a[0] - (cos * x - sin * y), a[1] - (sin * x + cos * y)];
+    element("image", { href: address, width: size[0], height: size[1], opacity: 0.75, transform: `matrix(${cos} ${sin} ${sin} ${-cos} ${shift[0]} ${shift[1]})` }, layers.image);
+  }
+
+  // ---------- what hangs
+
+  function showUnits(next) {
+    const focused = document.activeElement?.closest?.("[data-unit]")?.dataset.unit;
+    units = next;
+    layers.views.replaceChildren();
+    marked.units.replaceChildren();
+    drawn = [];
+    const faint = Math.min(0.14, 1.2 / Math.max(units.length, 1));
+    units.forEach((unit) => {
+      const isSelected = unit.id === selected;
+      element("path", { d: outline(unit.sees) + outline(unit.blind), "fill-rule": "evenodd", fill: unit.colour, "fill-opacity": isSelected ? 0.3 : faint, stroke: unit.colour, "stroke-width": isSelected ? 2.2 : 0.9, "stroke-dasharray": unit.dash, ...THIN }, layers.views);
+      const mark = element("g", { class: "unit", tabindex: 0, role: "button", "aria-pressed": isSelected, "aria-label": unit.title, "data-unit": unit.id }, marked.units);
+      element("circle", { r: 13, fill: "transparent" }, mark);
+      element("title", { text: unit.title }, mark);
+      element("path", { d: MARKS[unit.kind], transform: `rotate(${-unit.yawDeg})`, fill: isSelected ? unit.colour : "#fff", stroke: "#000", "stroke-width": isSelected ? 2 : 1.2 }, mark);
+      const yaw = radians(unit.yawDeg);
+      if (units.length <= 40) element("text", { text: unit.name, x: -16 * Math.cos(yaw), y: 16 * Math.sin(yaw) + 4, "font-size": 12, "font-weight": 700, "text-anchor": Math.cos(yaw) > 0.3 ? "end" : Math.cos(yaw) < -0.3 ? "start" : "middle", "paint-order": "stroke", stroke: "#fff", "stroke-width": 3 }, mark);
+      mark.addEventListener("keydown", (event) => { if (event.key === "Enter" || event.key === " ") { event.preventDefault(); on.unit(unit.id); } });
+      drawn.push({ place: unit.place, mark });
+      if (!isSelected) return;
+      const aim = aimOf(unit);
+      const handle = element("g", { class: "unit aim", "data-aim": unit.id }, marked.units);
+      element("circle", { r: 16, fill: "transparent" }, handle);
+      element("circle", { r: 9, fill: "#fff", "fill-opacity": 0.8, stroke: "#000", "stroke-width": 2 }, handle);
+      element("circle", { r: 2.5, fill: "#000" }, handle);
+      element("title", { text: "drag to turn and tilt; with Shift to turn alone" }, handle);
+      drawn.push({ place: aim, mark: handle });
+      element("path", { d: `M${unit.place.join(" ")}L${aim.join(" ")}`, stroke: "#000", "stroke-width": 1.4, "stroke-dasharray": "2 3", ...THIN }, layers.views);
+    });
+    drawn.forEach(({ mark, place }) => put(mark, place));
+    placed.filter((item) => item.site).forEach(({ site, mark }) => {
+      const n = units.filter((unit) => unit.site === site.id).length;
+      mark.setAttribute("aria-label", `Pole ${site.id}, ${site.kind}, ${n} of ${site.capacity} units`);
+    });
+    if (focused) marked.units.querySelector(`[data-unit="${CSS.escape(focused)}"]`)?.focus({ preventScroll: true });
+  }
+
+  function showOffered(proposed) {
+    layers.offered.replaceChildren();
+    (proposed || []).forEach((unit) => {
+      element("path", { d: outline(unit.sees) + outline(unit.blind), "fill-rule": "evenodd", fill: "#CC79A7", "fill-opacity": 0.25, stroke: "#8c3b6b", "stroke-width": 2, "stroke-dasharray": "6 3", ...THIN }, layers.offered);
+      element("circle", { cx: unit.place[0], cy: unit.place[1], r: 8 / perCm, fill: "#CC79A7", stroke: "#000", "stroke-width": 1, ...THIN }, layers.offered);
+    });
+  }
+
+  function showSite(id) {
+    chosenSite = id;
+    placed.filter((item) => item.site).forEach(({ site, mark }) => mark.querySelector(".dot").setAttribute("stroke-width", site.id === id ? 4 : 1.6));
+  }
+
+  // ---------- the pointer
+
+  let drag = null;
+  const pointers = new Map();
+
+  function nearestSite(event) {
+    const box = svg.getBoundingClientRect();
+    const here = [event.clientX - box.left, event.clientY - box.top];
+    const near = scene.sites.map((site) => { const [x, y] = at(site.place); return { site, away: Math.hypot(x - here[0], y - here[1]) }; }).sort((a, b) => a.away - b.away)[0];
+    return near && near.away <= SITE_REACH_PX ? near.site : null;
+  }
+
+  function begin(event) {
+    if (!scene || (event.pointerType === "mouse" && event.button !== 0)) return;
+    pointers.set(event.pointerId, [event.clientX, event.clientY]);
+    if (pointers.size === 2) { drag = { kind: "pinch", spread: spread() }; return; }
+    const [aim, unit, site] = ["aim", "unit", "site"].map((name) => event.target.closest(`[data-${name}]`)?.dataset[name]);
+    drag = { from: [event.clientX, event.clientY], start: groundOf(event), middle: [...middle], isMoved: false, gesture: `${Date.now()}-${Math.random()}` };
+    if (pickPoint) drag.kind = "pick";
+    else if (aim) Object.assign(drag, { kind: "aim", unit: aim });
+    else if (unit) { Object.assign(drag, { kind: "unit", unit }); on.unit(unit); }
+    else if (site) Object.assign(drag, { kind: "site", site: scene.sites.find((item) => item.id === site) });
+    else drag.kind = "pan";
+    svg.setPointerCapture(event.pointerId);
+  }
+
+  const spread = () => { const [a, b] = [...pointers.values()]; return Math.hypot(a[0] - b[0], a[1] - b[1]); };
+
+  function line(from, to) {
+    marked.drag.replaceChildren();
+    const [[x1, y1], [x2, y2]] = [at(from), at(to)];
+    element("line", { x1, y1, x2, y2, stroke: "#000", "stroke-width": 2, "stroke-dasharray": "4 3" }, marked.drag);
+    element("circle", { cx: x2, cy: y2, r: 9, fill: "none", stroke: "#000", "stroke-width": 2 }, marked.drag);
+  }
+
+  function aimed(event) {
+    const unit = units.find((item) => item.id === drag.unit);
+    if (!unit) return null;
+    const aim = aimAt(unit.place, unit.heightM, groundOf(event));
+    return event.shiftKey || unit.isRing ? { yaw: aim.yaw } : aim;
+  }
+
+  function move(event) {
+    if (!drag || !pointers.has(event.pointerId)) return;
+    pointers.set(event.pointerId, [event.clientX, event.clientY]);
+    if (drag.kind === "pinch") {
+      const now = spread();
+      zoomBy(now / drag.spread);
+      drag.spread = now;
+      return;
+    }
+    const [dx, dy] = [event.clientX - drag.from[0], event.clientY - drag.from[1]];
+    if (!drag.isMoved && Math.hypot(dx, dy) < DRAG_PX) return;
+    drag.isMoved = true;
+    if (drag.kind === "pan") {
+      middle = [drag.middle[0] - dx / perCm, drag.middle[1] + dy / perCm];
+      layOut();
+    } else if (drag.kind === "aim") {
+      const aim = aimed(event);
+      if (aim) on.aim(drag.unit, aim, drag.gesture);
+    } else if (drag.kind === "site" && !drag.site.isForbidden) line(drag.site.place, groundOf(event));
+    else if (drag.kind === "unit") {
+      const unit = units.find((item) => item.id === drag.unit);
+      const site = nearestSite(event);
+      if (unit) line(unit.place, site ? site.place : groundOf(event));
+    }
+  }
+
+  function end(event) {
+    pointers.delete(event.pointerId);
+    const done = drag;
+    drag = null;
+    marked.drag.replaceChildren();
+    if (!done || done.kind === "pinch" || event.type === "pointercancel") return;
+    if (done.kind === "pick") { const pick = pickPoint; pickPoint = null; pick(groundOf(event)); return; }
+    if (done.kind === "site") {
+      if (done.isMoved) {
+        const height = on.heightOf(done.site);
+        const aim = aimAt(done.site.place, height, groundOf(event));
+        on.hang(done.site.id, aim);
+      } else on.site(done.site.id);
+    } else if (done.kind === "unit" && done.isMoved) {
+      const site = nearestSite(event);
+      if (site) on.move(done.unit, site.id);
+    }
+  }
+
+  svg.addEventListener("pointerdown", begin);
+  svg.addEventListener("pointermove", move);
+  svg.addEventListener("pointerup", end);
+  svg.addEventListener("pointercancel", end);
+  svg.addEventListener("wheel", (event) => { event.preventDefault(); zoomBy(event.deltaY < 0 ? 1.2 : 1 / 1.2, groundOf(event)); }, { passive: false });
+  new ResizeObserver(layOut).observe(holder);
+
+  return {
+    showScene, showShares, showCoverage, showImage, showUnits, showOffered, showSite, zoomBy,
+    select(id) { selected = id; showUnits(units); },
+    whole,
+    pick(then) { pickPoint = then; },
+    isDragging: () => Boolean(drag && drag.isMoved),
+  };
+}

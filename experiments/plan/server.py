@@ -1,0 +1,430 @@
+"""The planner's page over HTTP: who may ask, what is answered, how it all ends."""
+
+import asyncio
+import json
+import secrets
+import socket
+import threading
+from collections.abc import Awaitable, Callable, Mapping
+from contextlib import asynccontextmanager, suppress
+from functools import cache
+from importlib.resources import files
+from itertools import count
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+from geometry.errors import InputError, MissingExtraError, Unquoted
+
+from .desk import Desk
+from .numbers import layout_text, plan_text
+from .session import read_plan
+from .worker import Cancelled, TaskError
+
+try:
+    import uvicorn
+    from starlette.applications import Starlette
+    from starlette.requests import Request
+    from starlette.responses import JSONResponse, Response
+    from starlette.routing import Mount, Route, WebSocketRoute
+    from starlette.types import ASGIApp, Receive, Scope, Send
+    from starlette.websockets import WebSocket, WebSocketDisconnect
+except ModuleNotFoundError as error:
+    raise MissingExtraError(
+        f"place-rsus plan needs the package {error.name}: install place-rsus[plan]"
+    ) from None
+
+MAX_LAYOUT_BYTES = 16_000_000
+MAX_MAP_BYTES = 300_000_000
+_MAX_MESSAGE_BYTES = 64_000
+_MAX_WAITING = 2000  # messages for a browser that does not read
+_MAP_SUFFIXES = (".osm", ".osm.pbf", ".pbf", ".osm.gz", ".osm.bz2", ".xodr", ".zip")
+_IMAGES = "img-src 'self' data: blob:"
+_STRICT = (
+    f"default-src 'none'; script-src 'self'; style-src 'self'; {_IMAGES}; connect-src 'self'; "
+    "frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
+)
+# The player's page is one file, as the report is: its own scripts and styles stand in it.
+_INLINE = (
+    f"default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; {_IMAGES}; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
+)
+
+# ---------- who may ask
+
+
+def allowed_hosts(host: str, port: int) -> frozenset[str] | None:
+    """Values of the header Host that are answered; None: any, where all interfaces listen."""
+    if host in ("0.0.0.0", "::"):
+        return None
+    names = {host, "127.0.0.1", "localhost"} if host == "127.0.0.1" else {host}
+    return frozenset(f"{name}:{port}" for name in names)
+
+
+class Guard:
+    """Answers only who has the token, by this very address, from a page of this very server."""
+
+    def __init__(self, app: ASGIApp, *, token: str, hosts: frozenset[str] | None) -> None:
+        self._app, self._token, self._hosts = app, token, hosts
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on, or refuse it."""
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+            return
+        problem = self._problem(scope)
+        if not problem:
+            await self._app(scope, receive, send)
+        elif scope["type"] == "websocket":
+            await send({"type": "websocket.close", "code": 1008, "reason": problem})
+        else:
+            await Response(f"{problem}\n", 403, media_type="text/plain")(scope, receive, send)
+
+    def _problem(self, scope: Scope) -> str:
+        names: Mapping[bytes, bytes] = dict(scope["headers"])
+        host = names.get(b"host", b"").decode("latin-1")
+        if self._hosts is not None and host not in self._hosts:
+            return "another host"
+        origin = names.get(b"origin", b"").decode("latin-1")
+        is_read = scope["type"] == "http" and scope["method"] in ("GET", "HEAD")
+        if (origin or not is_read) and origin != f"http://{host}":
+            return "another origin"
+        token = scope["path"].split("/")[1] if scope["path"].startswith("/") else ""
+        if not secrets.compare_digest(token.encode(), self._token.encode()):
+            return "no such page; the address is the one that place-rsus plan has printed"
+        return ""
+
+
+# ---------- what is answered
+
+
+@cache
+def page_files() -> dict[str, tuple[bytes, str]]:
+    """Everything that the page is made of, by name: content and media type.
+
+    ``shared.js`` is made of the report's own scripts.
+    """
+    page = files("experiments.plan") / "page"
+    kinds = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
+    found = {
+        item.name: (item.read_bytes(), kinds[Path(item.name).suffix])
+        for item in page.iterdir()
+        if Path(item.name).suffix in kinds
+    }
+    report = files("experiments.report") / "templates"
+    shared = [
+        (report / name).read_text(encoding="utf-8")
+        for name in ("run_numbers.js", "plan_drawing.js")
+    ]
+    names = ("element", "drawGround", "drawScale", "outline", "addPatterns", "MARKS")
+    exported = f"export {{ {', '.join(names)} }};\n"
+    found["shared.js"] = ("\n".join([*shared, exported]).encode(), "text/javascript")
+    return found
+
+
+class Pages:
+    """Answers to addresses below the token."""
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk = desk
+        self._numbers = count(1)
+        self._map: tuple[Path, str] | None = None  # a map that was sent, and its name
+
+    def routes(self) -> list[Route | WebSocketRoute]:
+        """All of them."""
+        return [
+            Route("/", self._index),
+            Route("/files/{name}", self._file),
+            WebSocketRoute("/live", self._live),
+            Route("/layout.json", self._answer(self._layout)),
+            Route("/plan.json", self._answer(self._plan)),
+            Route("/watch", self._answer(self._watch)),
+            Route("/explain", self._answer(self._explain)),
+            Route("/picture", self._answer(self._picture)),
+            Route("/report.zip", self._answer(self._report)),
+            Route("/sheet.pdf", self._answer(self._sheet)),
+            Route("/open", self._answer(self._open), methods=["POST"]),
+            Route("/import", self._answer(self._import), methods=["POST"]),
+        ]
+
+    def _answer(
+        self, make: Callable[[Request], Awaitable[Response]]
+    ) -> Callable[[Request], Awaitable[Response]]:
+        """An answer, or the sentence that says why there is none."""
+
+        async def answer(request: Request) -> Response:
+            try:
+                return _guarded(await make(request))
+            except (InputError, TaskError) as error:
+                return _guarded(JSONResponse({"problem": str(error)}, 400))
+            except Cancelled:
+                return _guarded(JSONResponse({"problem": "it was stopped"}, 409))
+
+        return answer
+
+    async def _index(self, request: Request) -> Response:
+        content, kind = page_files()["index.html"]
+        return _guarded(Response(content, media_type=kind))
+
+    async def _file(self, request: Request) -> Response:
+        found = page_files().get(request.path_params["name"])
+        if found is None:
+            return _guarded(Response("no such file\n", 404, media_type="text/plain"))
+        return _guarded(Response(found[0], media_type=found[1]))
+
+    # ---------- the line on which browsers and desk talk
+
+    async def _live(self, socket: WebSocket) -> None:
+        await socket.accept()
+        waiting: asyncio.Queue[dict[str, Any]] = asyncio.Queue(_MAX_WAITING)
+        is_lost = asyncio.Event()
+
+        def listen(message: dict[str, Any]) -> None:
+            try:
+                waiting.put_nowait(message)
+            except asyncio.QueueFull:  # it joins again and is told everything
+                is_lost.set()
+
+        sender = asyncio.create_task(_send_all(socket, waiting, is_lost))
+        self._desk.join(listen)
+        try:
+            while True:
+                text = await socket.receive_text()
+                try:
+                    if len(text) > _MAX_MESSAGE_BYTES:
+                        raise InputError("message", Unquoted(f"{len(text)} bytes"), "fewer")
+                    self._desk.handle(text.encode())
+                except InputError as error:
+                    listen({"type": "problem", "text": str(error)})
+        except (WebSocketDisconnect, RuntimeError):
+            pass
+        finally:
+            self._desk.leave(listen)
+            sender.cancel()
+
+    # ---------- files out
+
+    async def _layout(self, request: Request) -> Response:
+        text = layout_text(self._desk.history.state, self._desk.setting.scene)
+        return _download(text.encode(), "layout.json", "application/json")
+
+    async def _plan(self, request: Request) -> Response:
+        text = plan_text(self._desk.history.state, self._desk.setting.scene)
+        return _download(text.encode(), "plan.json", "application/json")
+
+    async def _watch(self, request: Request) -> Response:
+        run_id = request.query_params.get("run", "")
+        page = await self._desk.call("watch", self._desk.layout(), run_id)
+        response = Response(page, media_type="text/html")
+        response.headers["content-security-policy"] = _INLINE
+        return response
+
+    async def _explain(self, request: Request) -> Response:
+        run_id = request.query_params.get("run", "")
+        return JSONResponse(await self._desk.call("explain", self._desk.layout(), run_id))
+
+    async def _picture(self, request: Request) -> Response:
+        values = request.query_params
+        try:
+            frame = int(values.get("frame", "-1")[:9])
+        except ValueError:
+            raise InputError("frame", values["frame"], "a whole number") from None
+        picture = await self._desk.call(
+            "picture", self._desk.layout(), values.get("unit", ""), values.get("run", ""), frame
+        )
+        return Response(picture, media_type="image/jpeg")
+
+    async def _report(self, request: Request) -> Response:
+        content = await self._desk.call(
+            "report", self._desk.layout(), "place-rsus plan", is_long=True
+        )
+        return _download(content, "report.zip", "application/zip")
+
+    async def _sheet(self, request: Request) -> Response:
+        content = await self._desk.call("sheet", self._desk.layout(), is_long=True)
+        return _download(content, "mounting.pdf", "application/pdf")
+
+    # ---------- files in
+
+    async def _open(self, request: Request) -> Response:
+        """A layout, a plan, a scene or a map: what it is, is told by its name."""
+        name = unquote(request.headers.get("x-file-name", ""))[:200]
+        lower = name.lower()
+        if lower.endswith(".json"):
+            path = await self._received(request, ".json", MAX_LAYOUT_BYTES)
+            try:
+                variants = read_plan(path.read_bytes(), name)
+            finally:
+                path.unlink()
+            self._desk.open_variants(variants)
+            return JSONResponse({"opened": [variant.name for variant in variants]})
+        suffix = next((end for end in _MAP_SUFFIXES if lower.endswith(end)), None)
+        if suffix is None:
+            expected = "a name that ends in .json, " + ", ".join(_MAP_SUFFIXES)
+            raise InputError("file", name, expected)
+        path = await self._received(request, suffix, MAX_MAP_BYTES)
+        try:
+            found = await self._desk.call("survey", str(path), is_long=True)
+            if found["isScene"]:
+                await self._desk.open_scene(str(path))
+                return JSONResponse({"scene": found["name"]})
+        except TaskError as error:
+            raise TaskError(str(error).replace(str(path), name)) from None
+        self._map = (path, name)
+        return JSONResponse({"map": name, **found})
+
+    async def _import(self, request: Request) -> Response:
+        """The junction that was chosen of the map that was sent last."""
+        if self._map is None:
+            raise InputError("map", Unquoted("none"), "one that was dropped on the page before")
+        path, name = self._map
+        junction = (await request.body())[:500].decode("utf-8", errors="replace")
+        folder = self._desk.work.scratch / f"scene-{next(self._numbers)}"
+        given = (str(path), junction, str(folder))
+        try:
+            await self._desk.call("import_junction", *given, is_long=True)
+            await self._desk.open_scene(str(folder))
+        except TaskError as error:
+            raise TaskError(str(error).replace(str(path), name)) from None
+        return JSONResponse({"scene": self._desk.setting.scene.name})
+
+    async def _received(self, request: Request, suffix: str, max_bytes: int) -> Path:
+        """A file of the session with what is sent; its name is ours."""
+        path = self._desk.work.scratch / f"received-{next(self._numbers)}{suffix}"
+        n_bytes = 0
+        try:
+            with path.open("wb") as file:
+                async for chunk in request.stream():
+                    n_bytes += len(chunk)
+                    if n_bytes > max_bytes:
+                        raise InputError(
+                            "file", Unquoted(f"more than {max_bytes:,} bytes"), "a smaller one"
+                        )
+                    file.write(chunk)
+        except BaseException:
+            path.unlink(missing_ok=True)
+            raise
+        return path
+
+
+async def _send_all(
+    socket: WebSocket, waiting: asyncio.Queue[dict[str, Any]], is_lost: asyncio.Event
+) -> None:
+    """Send what waits; of several numbers or states that wait only the newest."""
+    while True:
+        messages = [await waiting.get()]
+        while not waiting.empty():
+            messages.append(waiting.get_nowait())
+        newest = {message["type"]: index for index, message in enumerate(messages)}
+        for index, message in enumerate(messages):
+            if message["type"] in ("problem", "notice") or newest[message["type"]] == index:
+                await socket.send_text(json.dumps(message, separators=(",", ":"), allow_nan=False))
+        if is_lost.is_set():
+            await socket.close(1013)
+            return
+
+
+def _download(content: bytes, name: str, kind: str) -> Response:
+    response = Response(content, media_type=kind)
+    response.headers["content-disposition"] = f'attachment; filename="{name}"'
+    return response
+
+
+def _guarded(response: Response) -> Response:
+    headers = response.headers
+    headers.setdefault("content-security-policy", _STRICT)
+    headers["x-content-type-options"] = "nosniff"
+    headers["referrer-policy"] = "no-referrer"
+    headers["cross-origin-resource-policy"] = "same-origin"
+    headers["cache-control"] = "no-store"
+    return response
+
+
+def build_app(desk: Desk, *, token: str, hosts: frozenset[str] | None) -> ASGIApp:
+    """The application of a desk; every address begins with the token."""
+
+    @asynccontextmanager
+    async def life(app: Starlette) -> Any:
+        desk.start()
+        yield
+        desk.stop_processes()
+
+    inner = Starlette(routes=[Mount(f"/{token}", routes=Pages(desk).routes())], lifespan=life)
+    return Guard(inner, token=token, hosts=hosts)
+
+
+# ---------- a server that runs beside the main thread
+
+
+class RunningServer:
+    """A server in a thread of its own: the main thread waits, and is free to be interrupted.
+
+    Attributes
+    ----------
+    address : str
+        Of the page, with its token.
+    """
+
+    def __init__(self, make_desk: Callable[[], Desk], *, host: str, port: int) -> None:
+        try:
+            self._socket = socket.create_server((host, port))
+        except (OSError, OverflowError) as error:
+            where = getattr(error, "strerror", None) or error
+            raise InputError("--port", Unquoted(f"{host}:{port}: {where}"), "a free port") from None
+        self.port: int = self._socket.getsockname()[1]
+        self._host = host
+        self.token = secrets.token_urlsafe(24)
+        shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
+        self.address = f"http://{shown}:{self.port}/{self.token}/"
+        self._make_desk = make_desk
+        self.desk: Desk | None = None
+        self._server: uvicorn.Server | None = None
+        self._thread = threading.Thread(target=self._run, name="plan", daemon=True)
+        self._is_up = threading.Event()
+        self._error: BaseException | None = None
+
+    def start(self) -> None:
+        """Serve from here on."""
+        self._thread.start()
+        self._is_up.wait()
+        if self._error is not None:
+            raise self._error
+
+    def wait(self) -> None:
+        """Wait until it has ended."""
+        while self._thread.is_alive():
+            self._thread.join(0.5)
+
+    def stop(self) -> None:
+        """End it and every process that it has started."""
+        if self._server is not None:
+            self._server.should_exit = self._server.force_exit = True
+        if self.desk is not None:
+            self.desk.stop_processes()
+        self._thread.join(2.0)
+        with suppress(OSError):
+            self._socket.close()
+
+    def _run(self) -> None:
+        try:
+            asyncio.run(self._serve())
+        except BaseException as error:
+            self._error = error
+        finally:
+            self._is_up.set()
+
+    async def _serve(self) -> None:
+        self.desk = self._make_desk()
+        hosts = allowed_hosts(self._host, self.port)
+        config = uvicorn.Config(
+            build_app(self.desk, token=self.token, hosts=hosts),
+            log_level="critical",
+            access_log=False,
+            server_header=False,
+            ws="websockets-sansio",
+            ws_max_size=2 * _MAX_MESSAGE_BYTES,
+            timeout_graceful_shutdown=1,
+        )
+        self._server = uvicorn.Server(config)
+        self._is_up.set()  # the socket takes connections already
+        await self._server.serve(sockets=[self._socket])

@@ -1,0 +1,405 @@
+"""What is planned: variants of layouts, every way to change them, undo and redo. Pure values."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import msgspec
+import numpy as np
+from msgspec import UNSET, Struct, UnsetType
+
+from geometry.catalogue import Sensor
+from geometry.errors import InputError, Unquoted
+from geometry.files import pick
+from geometry.poses import Pose, wrap_deg
+from geometry.scene import Scene, Site
+from geometry.sensors import CameraModel, with_fov
+from geometry.terrain import ground_height_m
+from placement.advice import free_name
+from placement.candidates import CandidatePose, is_ring, load_candidate_grid
+from placement.layout import Layout, read_layout
+
+MAX_UNITS = 1000
+MAX_VARIANTS = 12
+MAX_STEPS = 500
+"""Steps that can be undone."""
+
+_DEFAULT_PITCH_DEG = -15.0
+_DECIMALS = 6  # of degrees and metres: finer than anybody mounts
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Variant:
+    """A layout that is being planned; unlike a :class:`placement.layout.Layout` it may be empty."""
+
+    name: str
+    units: tuple[CandidatePose, ...] = ()
+
+    def layout(self, scene: Scene) -> Layout:
+        """It as a layout of a scene. Raises InputError if nothing hangs."""
+        return Layout(name=self.name, units=self.units, scene_name=scene.name)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlanState:
+    """All variants, and which of them is worked on."""
+
+    variants: tuple[Variant, ...]
+    current: int = 0
+
+    @property
+    def variant(self) -> Variant:
+        """The one that is worked on."""
+        return self.variants[self.current]
+
+    def with_units(self, units: Sequence[CandidatePose]) -> "PlanState":
+        """The same with other units in the variant that is worked on."""
+        changed = replace(self.variant, units=tuple(units))
+        variants = [*self.variants]
+        variants[self.current] = changed
+        return replace(self, variants=tuple(variants))
+
+
+# ---------- changes, as browsers ask for them
+
+
+class AddUnit(Struct, tag_field="do", tag="add", forbid_unknown_fields=True):
+    """Hang a sensor of the catalogue at a site; by default it looks at the junction's middle."""
+
+    site: str
+    sensor: str
+    yaw_deg: float | None = None
+    pitch_deg: float | None = None
+
+
+class ChangeUnit(Struct, tag_field="do", tag="change", forbid_unknown_fields=True):
+    """Turn, tilt, raise, zoom, move or exchange a unit; steps of one gesture are undone at once."""
+
+    unit: str
+    yaw_deg: float | UnsetType = UNSET
+    pitch_deg: float | UnsetType = UNSET
+    height_m: float | UnsetType = UNSET
+    fov_deg: float | UnsetType = UNSET
+    site: str | UnsetType = UNSET
+    sensor: str | UnsetType = UNSET
+    gesture: str = ""
+
+
+class RemoveUnit(Struct, tag_field="do", tag="remove", forbid_unknown_fields=True):
+    """Take a unit down."""
+
+    unit: str
+
+
+class AddVariant(Struct, tag_field="do", tag="add-variant", forbid_unknown_fields=True):
+    """Copy the variant that is worked on, and go on with the copy."""
+
+    name: str = ""
+
+
+class SelectVariant(Struct, tag_field="do", tag="select-variant", forbid_unknown_fields=True):
+    """Go on with another variant."""
+
+    index: int
+
+
+class RenameVariant(Struct, tag_field="do", tag="rename-variant", forbid_unknown_fields=True):
+    """Name the variant that is worked on."""
+
+    name: str
+
+
+class RemoveVariant(Struct, tag_field="do", tag="remove-variant", forbid_unknown_fields=True):
+    """Drop the variant that is worked on."""
+
+
+class Undo(Struct, tag_field="do", tag="undo", forbid_unknown_fields=True):
+    """Take the last change back."""
+
+
+class Redo(Struct, tag_field="do", tag="redo", forbid_unknown_fields=True):
+    """Make the change again that was taken back."""
+
+
+Change = (
+    AddUnit | ChangeUnit | RemoveUnit | AddVariant | SelectVariant | RenameVariant | RemoveVariant
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Stock:
+    """Where things may hang, and what there is to hang: sensor models by their names."""
+
+    scene: Scene
+    models: Mapping[str, Sensor]
+
+
+def change_state(state: PlanState, change: Change, stock: Stock) -> PlanState:
+    """The state after a change.
+
+    Raises
+    ------
+    InputError
+        There is no such unit, site, sensor or variant; a site is full or forbidden; a number is
+        not one that can be mounted. The state is then as it was.
+    """
+    return _CHANGES[type(change)](state, change, stock)
+
+
+def _add_unit(state: PlanState, change: AddUnit, stock: Stock) -> PlanState:
+    units, scene = state.variant.units, stock.scene
+    if len(units) >= MAX_UNITS:
+        raise InputError("units", len(units) + 1, f"at most {MAX_UNITS}")
+    site = _free_site(change.site, units, scene)
+    sensor = pick(stock.models, change.sensor, "sensor")
+    height_m = float(np.clip(load_candidate_grid().heights_m.max(), *site.height_range_m))
+    middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
+    east, north = middle - site.position_m[:2]
+    towards_deg = math.degrees(math.atan2(north, east)) if east or north else 0.0
+    pitch_deg = 0.0 if is_ring(sensor) else _DEFAULT_PITCH_DEG
+    unit = CandidatePose(
+        id=free_name({unit.id for unit in units}),
+        site_id=site.id,
+        pose=Pose(
+            position_m=site.position_m + [0.0, 0.0, height_m],
+            yaw_deg=_yaw(towards_deg if change.yaw_deg is None else change.yaw_deg),
+            pitch_deg=_pitch(pitch_deg if change.pitch_deg is None else change.pitch_deg),
+        ),
+        sensor=sensor,
+    )
+    return state.with_units([*units, unit])
+
+
+def _change_unit(state: PlanState, change: ChangeUnit, stock: Stock) -> PlanState:
+    units, scene = state.variant.units, stock.scene
+    index = _find(units, change.unit)
+    unit = units[index]
+    pose, sensor = unit.pose, unit.sensor
+    if change.sensor is not UNSET:
+        sensor = pick(stock.models, change.sensor, "sensor")
+    if change.fov_deg is not UNSET:
+        if not isinstance(sensor, CameraModel):
+            raise InputError("lens", change.fov_deg, "nothing: only cameras have lenses")
+        sensor = with_fov(sensor, _finite("lens", change.fov_deg), "lens")
+    others = [other for other in units if other is not unit]
+    site_id = unit.site_id
+    if change.site is not UNSET and change.site != site_id:
+        site = _free_site(change.site, others, scene)
+        ground_m = float(ground_height_m(scene, pose.position_m[:2]))
+        above_m = float(np.clip(pose.position_m[2] - ground_m, *site.height_range_m))
+        pose = replace(pose, position_m=site.position_m + [0.0, 0.0, above_m])
+        site_id = site.id
+    if change.height_m is not UNSET:
+        pose = _raised(pose, site_id, _finite("height", change.height_m), scene)
+    if change.yaw_deg is not UNSET:
+        pose = replace(pose, yaw_deg=_yaw(change.yaw_deg))
+    if change.pitch_deg is not UNSET:
+        pose = replace(pose, pitch_deg=_pitch(change.pitch_deg))
+    changed = replace(unit, site_id=site_id, pose=pose, sensor=sensor)
+    return state.with_units([*units[:index], changed, *units[index + 1 :]])
+
+
+def _raised(pose: Pose, site_id: str, height_m: float, scene: Scene) -> Pose:
+    """A pose at another height above the foot of its site, or above the ground below it."""
+    site = next((site for site in scene.sites if site.id == site_id), None)
+    if site is None:
+        foot_m = float(ground_height_m(scene, pose.position_m[:2]))
+        low_m, high_m = 0.5, 50.0
+    else:
+        foot_m = float(site.position_m[2])
+        low_m, high_m = site.height_range_m.tolist()
+    if not low_m - 1.0e-9 <= height_m <= high_m + 1.0e-9:
+        at = f"the range of {site_id}" if site_id else "above the ground"
+        raise InputError("height", height_m, f"{low_m:g} .. {high_m:g} m, {at}")
+    east, north = pose.position_m[:2]
+    return replace(pose, position_m=np.array([east, north, foot_m + round(height_m, _DECIMALS)]))
+
+
+def _remove_unit(state: PlanState, change: RemoveUnit, stock: Stock) -> PlanState:
+    units = state.variant.units
+    index = _find(units, change.unit)
+    return state.with_units([*units[:index], *units[index + 1 :]])
+
+
+def _add_variant(state: PlanState, change: AddVariant, stock: Stock) -> PlanState:
+    name = change.name or free_name({variant.name for variant in state.variants}, "Variant ")
+    return add_variant(state, Variant(name=name, units=state.variant.units))
+
+
+def add_variant(state: PlanState, variant: Variant) -> PlanState:
+    """The state with a further variant, which is worked on from here; its name is made unique.
+
+    Raises InputError if there are too many, or the name cannot be printed.
+    """
+    if len(state.variants) >= MAX_VARIANTS:
+        raise InputError("variants", len(state.variants) + 1, f"at most {MAX_VARIANTS}")
+    names = {each.name for each in state.variants}
+    name, number = _printable(variant.name), 2
+    while name in names:
+        name, number = f"{variant.name} ({number})", number + 1
+    variants = (*state.variants, replace(variant, name=name))
+    return PlanState(variants=variants, current=len(variants) - 1)
+
+
+def _select_variant(state: PlanState, change: SelectVariant, stock: Stock) -> PlanState:
+    if not 0 <= change.index < len(state.variants):
+        raise InputError("variant", change.index, f"0 to {len(state.variants) - 1}")
+    return replace(state, current=change.index)
+
+
+def _rename_variant(state: PlanState, change: RenameVariant, stock: Stock) -> PlanState:
+    name = _printable(change.name)
+    variants = [*state.variants]
+    if any(each.name == name for index, each in enumerate(variants) if index != state.current):
+        raise InputError("name", name, "a name that no other variant has")
+    variants[state.current] = replace(state.variant, name=name)
+    return replace(state, variants=tuple(variants))
+
+
+def _remove_variant(state: PlanState, change: RemoveVariant, stock: Stock) -> PlanState:
+    if len(state.variants) == 1:
+        raise InputError("variant", state.variant.name, "another one: the last one stays")
+    variants = [*state.variants]
+    del variants[state.current]
+    return PlanState(variants=tuple(variants), current=min(state.current, len(variants) - 1))
+
+
+_CHANGES: Mapping[type, Callable[[PlanState, Any, Stock], PlanState]] = {
+    AddUnit: _add_unit,
+    ChangeUnit: _change_unit,
+    RemoveUnit: _remove_unit,
+    AddVariant: _add_variant,
+    SelectVariant: _select_variant,
+    RenameVariant: _rename_variant,
+    RemoveVariant: _remove_variant,
+}
+
+
+def _find(units: Sequence[CandidatePose], unit_id: str) -> int:
+    for index, unit in enumerate(units):
+        if unit.id == unit_id:
+            return index
+    raise InputError("unit", unit_id, "one that hangs there")
+
+
+def _free_site(site_id: str, units: Sequence[CandidatePose], scene: Scene) -> Site:
+    """A site that may carry one more unit."""
+    site = next((site for site in scene.sites if site.id == site_id), None)
+    if site is None:
+        raise InputError("site", site_id, f"a site of {scene.name}")
+    if site.use == "forbidden":
+        raise InputError("site", site_id, "a site that may carry units: the scene forbids this one")
+    n_there = sum(unit.site_id == site_id for unit in units)
+    if n_there >= site.capacity_units:
+        raise InputError(
+            f"site {site_id}",
+            Unquoted(f"a unit more than the {n_there} there"),
+            f"at most {site.capacity_units}",
+        )
+    return site
+
+
+def _finite(where: str, value: float) -> float:
+    if not math.isfinite(value):
+        raise InputError(where, value, "a finite number")
+    return value
+
+
+def _yaw(yaw_deg: float) -> float:
+    return round(float(wrap_deg(_finite("direction", yaw_deg))), _DECIMALS)
+
+
+def _pitch(pitch_deg: float) -> float:
+    if not -90.0 <= pitch_deg <= 90.0:
+        raise InputError("tilt", pitch_deg, "-90 .. 90 degrees")
+    return round(float(pitch_deg), _DECIMALS)
+
+
+def _printable(name: str) -> str:
+    name = " ".join(name.split())
+    if not name or len(name) > 80 or not name.isprintable():
+        raise InputError("name", name, "1 to 80 letters")
+    return name
+
+
+# ---------- undo and redo
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class History:
+    """States in the order in which they came about, and which of them is now."""
+
+    states: tuple[PlanState, ...]
+    now: int = 0
+    gesture: str = ""  # that the newest step belongs to; empty: none
+
+    @property
+    def state(self) -> PlanState:
+        """The state that is shown."""
+        return self.states[self.now]
+
+    @property
+    def can_undo(self) -> bool:
+        """Whether there is an earlier state."""
+        return self.now > 0
+
+    @property
+    def can_redo(self) -> bool:
+        """Whether there is a later one."""
+        return self.now + 1 < len(self.states)
+
+    def went_on(self, state: PlanState, *, gesture: str = "") -> "History":
+        """One state further; a step of the same gesture as the last one takes its place."""
+        is_same = bool(gesture) and gesture == self.gesture and not self.can_redo
+        before = self.states[: self.now + (0 if is_same else 1)]
+        states = (*before, state)[-MAX_STEPS:]
+        return History(states=states, now=len(states) - 1, gesture=gesture)
+
+    def undone(self) -> "History":
+        """One state back, where there is one."""
+        return replace(self, now=max(self.now - 1, 0), gesture="")
+
+    def redone(self) -> "History":
+        """One state on, where there is one."""
+        return replace(self, now=min(self.now + 1, len(self.states) - 1), gesture="")
+
+
+def begin_history(variants: Sequence[Variant]) -> History:
+    """A history of one state with these variants, or with an empty one."""
+    return History(states=(PlanState(variants=tuple(variants) or (Variant(name="Variant 1"),)),))
+
+
+# ---------- plans as files
+
+SCHEMA = "place-rsus/plan/1"
+
+
+def read_plan(text: bytes, where: str) -> list[Variant]:
+    """Variants from the text of a plan's or a layout's file, each as ``--layout`` reads it.
+
+    `where` is the file's name, for error messages. Raises InputError if it is neither.
+    """
+    try:
+        document = msgspec.json.decode(text)
+    except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
+        raise InputError(where, Unquoted(error), "a layout or a plan as JSON") from None
+    if not (isinstance(document, dict) and document.get("schema") == SCHEMA):
+        layout = read_layout(text, where=where, name="layout")
+        return [Variant(name=layout.name, units=layout.units)]
+    records = document.get("variants")
+    if not isinstance(records, list) or not 1 <= len(records) <= MAX_VARIANTS:
+        raise InputError(f"{where}: variants", Unquoted("none"), f"a list of 1 to {MAX_VARIANTS}")
+    variants = []
+    for index, record in enumerate(records):
+        if not isinstance(record, dict):
+            raise InputError(f"{where}: variants[{index}]", record, "a layout")
+        name = record.get("name")
+        if record.get("layout") == [] and isinstance(name, str):
+            variants.append(Variant(name=_printable(name)))
+            continue
+        layout = read_layout(
+            msgspec.json.encode(record), where=f"{where}: variants[{index}]", name=f"{index + 1}"
+        )
+        variants.append(Variant(name=layout.name, units=layout.units))
+    return variants

@@ -1,0 +1,322 @@
+"""Answers to somebody who plans by hand: what to do next from the units that hang, with a bound.
+
+Every question is one of the optimiser's: on the detection table of the candidate grid, with the
+units as they hang - wherever that is - as further rows.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geometry.arrays import IntArray
+from geometry.errors import InputError, Unquoted
+
+from .candidates import CandidateGrid, CandidatePose
+from .compute import DEFAULT_COMPUTE, Compute
+from .detection_table import DetectionTable
+from .layout import Certificate, Layout
+from .live import LiveTable
+from .optimiser import PlacementProblem, PlacementValue, apr, placement_value, solve_placement
+from .optimiser.limits import fitting
+from .pipeline import obtain_table
+from .planning import Plan
+from .prices import load_prices
+from .retrofit import (
+    RetrofitPoses,
+    best_joining,
+    build_retrofit_poses,
+    combined_limits,
+    find_addition,
+)
+from .setting import Setting
+from .wishes import Wishes, build_problem
+
+LEAST_GAIN = 1.0e-9
+"""An APR that is higher by less is the same."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Advice:
+    """A layout that answers a question, and how good it is proven to be.
+
+    Attributes
+    ----------
+    units : tuple of CandidatePose
+        All that would hang then; those that stay keep their ids.
+    before, after : PlacementValue
+        What hangs, and what would hang, on the detection table; `before` is None where nothing
+        hangs. Costs are of the same kind: of what is new, or of everything, see the question.
+    certificate : Certificate, optional
+        Of a search; None where all alternatives were tried one by one.
+    n_compared : int
+        How many were tried so; 0 of a search.
+    """
+
+    units: tuple[CandidatePose, ...]
+    before: PlacementValue | None
+    after: PlacementValue
+    certificate: Certificate | None = None
+    n_compared: int = 0
+
+    @property
+    def is_proven(self) -> bool:
+        """Whether nothing of its kind is better."""
+        return self.n_compared > 0 or (self.certificate is not None and self.certificate.is_proven)
+
+    @property
+    def bound(self) -> float:
+        """The APR that no answer of its kind exceeds, 0..1."""
+        if self.certificate is None:
+            return self.after.apr
+        stages = {stage.name: stage for stage in self.certificate.stages}
+        return stages["apr"].bound if "apr" in stages else 1.0
+
+
+class Adviser:
+    """Answers questions about layouts in one setting; the grid's table is built when first asked.
+
+    Parameters
+    ----------
+    setting : Setting
+        Scene, runs, rule.
+    plan : Plan
+        Candidates to choose from, the wishes that always hold (forbidden sites, capacities), the
+        optimiser's effort. Its budget does not matter.
+    grid : CandidateGrid
+        Directions in which units are re-aimed.
+    assumes_prices : bool
+        Whether sites that tell no price cost what is assumed of their kind.
+    compute : Compute
+        Seed, threads, cache of the table; is told the progress.
+    """
+
+    def __init__(
+        self,
+        setting: Setting,
+        plan: Plan,
+        grid: CandidateGrid,
+        *,
+        assumes_prices: bool = True,
+        compute: Compute = DEFAULT_COMPUTE,
+    ) -> None:
+        self._setting, self._plan, self._grid, self._compute = setting, plan, grid, compute
+        self._wishes = replace(plan.wishes, prices=load_prices() if assumes_prices else None)
+        self._live = LiveTable(setting, compute=compute)
+        self._table: DetectionTable | None = None
+
+    def best_next(self, units: Sequence[CandidatePose]) -> Advice:
+        """The unit that gains most beside those that hang; costs are the new unit's and its site's.
+
+        Raises InputError if none is allowed, or none is an improvement.
+        """
+        if not units:
+            return self.complete(units, n_units=1)
+        problem, poses = self._beside(units)
+        change = find_addition(problem, poses, budget_eur=None)
+        if change is None:
+            raise InputError(
+                "the best next unit", Unquoted("no candidate that is an improvement"), "one"
+            )
+        return Advice(
+            units=self._named(units, poses.candidates, change.added),
+            before=placement_value(problem, range(len(units))),
+            after=change.value,
+            n_compared=change.n_compared,
+        )
+
+    def complete(self, units: Sequence[CandidatePose], *, n_units: int) -> Advice:
+        """The best layout of `n_units` that has the units that hang; costs are of what is new.
+
+        Raises InputError if so many hang already, or the sites cannot carry them.
+        """
+        if n_units <= len(units):
+            raise InputError(
+                "units in all", n_units, f"more than the {len(units)} that hang already"
+            )
+        wishes = replace(
+            self._wishes,
+            budget_units=n_units - len(units),
+            kept=tuple(unit.id for unit in units),
+        )
+        return self._search(units, wishes)
+
+    def re_aim(self, units: Sequence[CandidatePose]) -> Advice:
+        """The best directions of all units, each at its place with its sensor; nothing is bought.
+
+        Raises InputError if nothing hangs, or no unit can look elsewhere.
+        """
+        if not units:
+            raise InputError("re-aim", Unquoted("no unit"), "at least one unit")
+        layout = Layout(name="now", units=tuple(units))
+        poses = build_retrofit_poses(layout, self._grid, ())
+        may_look = self._plan.may_look
+        if may_look is not None:
+            n = len(units)
+            aims = np.flatnonzero(may_look(poses.candidates[n:])) + n
+            kept = [*range(n), *aims.tolist()]
+            poses = RetrofitPoses(
+                candidates=tuple(poses.candidates[row] for row in kept),
+                unit_index=poses.unit_index[kept],
+            )
+        if len(poses.candidates) == len(units):
+            raise InputError("re-aim", Unquoted("units that see all round"), "one that can turn")
+        self._compute.progress("look from the units", 0, 0)
+        table = self._rows(poses.candidates)
+        wishes = replace(
+            self._wishes, budget_units=1, kept=tuple(unit.id for unit in units), forced_sites=()
+        )
+        wishes = replace(wishes, site_capacity=len(units) + 1)
+        problem = build_problem(self._setting, poses.candidates, table, wishes=wishes)
+        limits = combined_limits(problem.limits, poses, re_aim_eur=0.0, budget_eur=0.0)
+        problem = replace(problem, limits=limits)
+        solution = solve_placement(
+            problem,
+            effort=self._plan.effort,
+            starts=[np.arange(len(units))],
+            on_stage=self._tell,
+        )
+        aimed = {int(poses.unit_index[row]): poses.candidates[row] for row in solution.pose_index}
+        return Advice(
+            units=tuple(
+                replace(aimed[index], id=unit.id, site_id=unit.site_id)
+                for index, unit in enumerate(units)
+            ),
+            before=placement_value(problem, range(len(units))),
+            after=placement_value(problem, solution.pose_index),
+            certificate=solution.certificate,
+        )
+
+    def cheapest(self, units: Sequence[CandidatePose]) -> Advice:
+        """The layout of least cost that is as good as what hangs by APR; costs are of everything.
+
+        Raises InputError if nothing hangs, or it avoids nothing.
+        """
+        if not units:
+            raise InputError("the cheapest that keeps this", Unquoted("no unit"), "a unit")
+        share = apr(self._problem(units, replace(self._wishes, budget_units=1)), range(len(units)))
+        if share <= 0.0:
+            raise InputError("the cheapest that keeps this", Unquoted("an APR of 0"), "more")
+        wishes = replace(
+            self._wishes, budget_units=None, target=share, saves="cost", forced_sites=()
+        )
+        return self._search(units, wishes)
+
+    def why_not(self, units: Sequence[CandidatePose], site_id: str) -> tuple[Advice, Advice]:
+        """What a site can do: beside the units that hang, and in a layout of as many units.
+
+        The first has the best unit there beside all others; the second is the best layout of as
+        many units as hang that uses the site, costs of everything. Raises InputError if nothing
+        hangs, or nothing may hang at the site.
+        """
+        where = f"why not {site_id}"
+        if not units:
+            raise InputError(where, Unquoted("no unit"), "a layout to compare it with")
+        problem, poses = self._beside(units)
+        standing = np.arange(len(units))
+        free = fitting(replace(problem.limits, budget_units=None), standing)
+        here = np.array([candidate.site_id == site_id for candidate in poses.candidates])
+        rows: IntArray = np.flatnonzero(free & here)
+        rows = rows[rows >= len(units)]
+        if not len(rows):
+            raise InputError(
+                where,
+                Unquoted("no pose of the grid that is allowed there"),
+                "a site with room, that is not forbidden",
+            )
+        best = int(rows[best_joining(problem, standing.tolist(), rows)])
+        beside = Advice(
+            units=self._named(units, poses.candidates, [best]),
+            before=placement_value(problem, range(len(units))),
+            after=placement_value(problem, [*range(len(units)), best]),
+            n_compared=len(rows),
+        )
+        wishes = replace(self._wishes, budget_units=len(units), forced_sites=(site_id,))
+        return beside, self._search(units, wishes)
+
+    # ---------- problems
+
+    def _search(self, units: Sequence[CandidatePose], wishes: Wishes) -> Advice:
+        """The optimiser's answer, from what hangs on where that is allowed."""
+        problem = self._problem(units, wishes)
+        standing = np.arange(len(units))
+        has_start = bool(len(units)) and wishes.budget_units is None
+        solution = solve_placement(
+            problem,
+            effort=self._plan.effort,
+            starts=[standing] if has_start else (),
+            on_stage=self._tell,
+        )
+        candidates = (*units, *self._plan.candidates)
+        stay = [row for row in solution.pose_index if row < len(units)]
+        new = [row for row in solution.pose_index if row >= len(units)]
+        return Advice(
+            units=self._named([units[row] for row in stay], candidates, new, taken=units),
+            before=placement_value(problem, range(len(units))) if units else None,
+            after=placement_value(problem, solution.pose_index),
+            certificate=solution.certificate,
+        )
+
+    def _beside(self, units: Sequence[CandidatePose]) -> tuple[PlacementProblem, RetrofitPoses]:
+        """The problem of one more unit beside those that hang."""
+        wishes = replace(
+            self._wishes, budget_units=1, kept=tuple(unit.id for unit in units), forced_sites=()
+        )
+        candidates = (*units, *self._plan.candidates)
+        unit_index = np.full(len(candidates), -1)
+        unit_index[: len(units)] = np.arange(len(units))
+        poses = RetrofitPoses(candidates=candidates, unit_index=unit_index)
+        return self._problem(units, wishes), poses
+
+    def _problem(self, units: Sequence[CandidatePose], wishes: Wishes) -> PlacementProblem:
+        """The problem on the rows of the units, then those of the grid."""
+        if self._table is None:
+            self._table = obtain_table(self._setting, self._plan.candidates, compute=self._compute)
+        own = self._rows(units)
+        table = DetectionTable(
+            pose_ids=(*own.pose_ids, *self._table.pose_ids),
+            axis=self._setting.axis,
+            packed=np.concatenate([own.packed, self._table.packed]),
+        )
+        candidates = (*units, *self._plan.candidates)
+        return build_problem(self._setting, candidates, table, wishes=wishes)
+
+    def _rows(self, units: Sequence[CandidatePose]) -> DetectionTable:
+        packed = np.packbits(self._live.detected(units), axis=1, bitorder="little")
+        return DetectionTable(
+            pose_ids=tuple(unit.id for unit in units), axis=self._setting.axis, packed=packed
+        )
+
+    def _tell(self, stage: str) -> None:
+        self._compute.progress(f"optimise: {stage}", 0, 0)
+
+    @staticmethod
+    def _named(
+        stay: Sequence[CandidatePose],
+        candidates: Sequence[CandidatePose],
+        new: Sequence[int],
+        *,
+        taken: Sequence[CandidatePose] = (),
+    ) -> tuple[CandidatePose, ...]:
+        """Units that stay, then new ones under names that are free."""
+        names = {unit.id for unit in (*stay, *taken)}
+        named = list(stay)
+        for row in new:
+            name = free_name(names)
+            names.add(name)
+            named.append(replace(candidates[row], id=name))
+        return tuple(named)
+
+
+def free_name(taken: set[str], word: str = "U") -> str:
+    """The first of U1, U2, ... that is not taken.
+
+    Examples
+    --------
+    >>> free_name({"U1", "U3"})
+    'U2'
+    """
+    number = 1
+    while f"{word}{number}" in taken:
+        number += 1
+    return f"{word}{number}"

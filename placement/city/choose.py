@@ -1,0 +1,471 @@
+"""Which junction gets what: the best sum over all junctions, objective by objective, with bounds.
+
+The objectives are those of one junction: accidents prevented, by the weights of the junctions;
+those still prevented if at each junction the unit that is needed most fails; the smallest time to
+spare of all; its mean over the accidents prevented; cost. Each stage holds those before it.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.errors import InputError, Unquoted
+
+from ..layout import Certificate, Stage, relative_gap
+from ..optimiser.model import solver_text
+from ..optimiser.objectives import COST_TOLERANCE_EUR, TOLERANCE, Objective
+from .fronts import Options
+from .knapsack import Knapsack, best_prices, priced_choice, solve_knapsack
+
+_HELD = 1.0e5  # scale of rows that hold an earlier stage: the solver's tolerance is 1e-6
+_STAGES_SHARE = 0.5  # of the time, for the first stage and its bound
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class District:
+    """Junctions that shall reach an APR together."""
+
+    name: str
+    junctions: IntArray
+    least_apr: float  # of their accidents together, by weight
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CityWishes:
+    """What a city asks of all junctions together.
+
+    Attributes
+    ----------
+    budget_units : int, optional
+        At most so many new units.
+    budget_eur : float, optional
+        At most so much money. [EUR]
+    districts : sequence of District
+        Each reaches its APR.
+    least_apr : (n_junctions,) float, optional
+        APR that each junction reaches by itself; by default 0.
+    """
+
+    budget_units: int | None = None
+    budget_eur: float | None = None
+    districts: Sequence[District] = field(default_factory=tuple)
+    least_apr: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        if self.budget_units is None and self.budget_eur is None:
+            raise InputError("--budget", Unquoted("nothing"), "--budget or --budget-eur")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CityChoice:
+    """What each junction gets.
+
+    Attributes
+    ----------
+    rows : (n_junctions,) int
+        Row of the options, for each junction.
+    certificate : Certificate
+        A stage for each objective. The bound of the first holds for all layouts of all junctions,
+        those of the others for the points of the fronts.
+    bound_of_points : float
+        What no choice among the points exceeds in the first stage: what is between this and the
+        first stage's bound is what the fronts leave open.
+    """
+
+    rows: IntArray
+    certificate: Certificate
+    bound_of_points: float
+
+
+def choose(
+    options: Options,
+    weight: FloatArray,
+    wishes: CityWishes,
+    *,
+    bounds: Options | None = None,
+    names: Sequence[str] = (),
+    gap: float = 0.0,
+    time_limit_s: float = 60.0,
+) -> CityChoice:
+    """The best choice of one option for each junction.
+
+    Parameters
+    ----------
+    options : Options
+        Points of the junctions' fronts.
+    weight : (n_junctions,) float
+        Of each junction's accidents; their sum is not 0.
+    wishes : CityWishes
+        Budgets, and what has to be reached.
+    bounds : Options, optional
+        See :func:`placement.city.fronts.stack_bounds`; by default the points, which are then taken
+        for all that there is.
+    names : sequence of str
+        Of the junctions, for messages.
+    gap : float
+        Relative gap at which the first stage counts as settled.
+    time_limit_s : float
+        For all stages. [s]
+
+    Returns
+    -------
+    choice : CityChoice
+        With its certificate.
+
+    Raises
+    ------
+    InputError
+        A least APR cannot be reached, or not within the budgets; the message says what it takes.
+    """
+    end_s = time.monotonic() + time_limit_s
+    share = weight / weight.sum()
+    _check_reach(options, share, wishes, names)
+    began_s = time.monotonic()
+    rows = np.flatnonzero(_may_be(options, wishes))
+    left = options.taken(rows)
+    problem = _problem(left, share, wishes, profit=share[left.junction] * left.apr)
+    found = solve_knapsack(problem, gap=gap, time_limit_s=_STAGES_SHARE * time_limit_s)
+    if found.chosen is None:
+        raise _unmet(options, share, wishes)
+    highest = found.bound
+    if bounds is not None:
+        beside = bounds.taken(np.flatnonzero(_may_be(bounds, wishes)))
+        most = solve_knapsack(
+            _problem(beside, share, wishes, profit=share[beside.junction] * beside.apr),
+            gap=gap,
+            time_limit_s=max(0.5 * (end_s - time.monotonic()), 1.0),
+        )
+        highest = max(most.bound, found.objective)
+    stages = [_stage(Objective.APR, found.objective, highest, time.monotonic() - began_s)]
+    keep = _may_be_best(problem, found.objective, highest=found.bound)
+    later = _Later(
+        options=left.taken(np.flatnonzero(keep)),
+        rows=rows[keep],
+        share=share,
+        wishes=wishes,
+        end_s=end_s,
+        held=[],
+        chosen=(np.cumsum(keep) - 1)[found.chosen],
+    )
+    stages += later.solve(found.objective)
+    return CityChoice(
+        rows=later.rows[later.chosen],
+        certificate=Certificate(stages=tuple(stages), solver=solver_text()),
+        bound_of_points=found.bound,
+    )
+
+
+def city_values(options: Options, rows: IntArray, weight: FloatArray) -> dict[Objective, float]:
+    """What a choice is worth, objective by objective; 0 where nothing is prevented."""
+    taken = options.taken(rows)
+    share = weight / weight.sum()
+    return _values(taken, share)
+
+
+def _values(taken: Options, share: FloatArray) -> dict[Objective, float]:
+    prevented = share * taken.apr
+    counts = taken.apr > TOLERANCE
+    total = float(prevented.sum())
+    return {
+        Objective.APR: total,
+        Objective.APR_ONE_FAILED: float(share @ taken.apr_one_failed),
+        Objective.SMALLEST_MARGIN: float(taken.smallest_margin_s[counts].min(initial=np.inf))
+        if counts.any()
+        else 0.0,
+        Objective.MEAN_MARGIN: float(prevented @ taken.mean_margin_s) / total if total else 0.0,
+        Objective.COST: float(taken.cost_eur.sum()),
+    }
+
+
+def _stage(objective: Objective, value: float, bound: float, seconds: float) -> Stage:
+    if abs(bound - value) <= objective.tolerance:
+        bound = value
+    return Stage(
+        name=str(objective),
+        objective=value,
+        bound=bound,
+        gap=relative_gap(value, bound),
+        seconds=seconds,
+    )
+
+
+# ---------- the problem
+
+
+def _may_be(options: Options, wishes: CityWishes) -> BoolArray:
+    """Options that each junction's own wishes allow, whatever the others get."""
+    may: BoolArray = np.ones(len(options), dtype=bool)
+    if wishes.least_apr is not None:
+        may &= options.apr >= wishes.least_apr[options.junction] - TOLERANCE
+    return may
+
+
+def _problem(
+    options: Options, share: FloatArray, wishes: CityWishes, *, profit: FloatArray
+) -> Knapsack:
+    rows: list[FloatArray] = []
+    limits: list[float] = []
+    if wishes.budget_units is not None:
+        rows.append(options.units.astype(np.float64))
+        limits.append(float(wishes.budget_units))
+    if wishes.budget_eur is not None:
+        rows.append(options.cost_eur)
+        limits.append(wishes.budget_eur + COST_TOLERANCE_EUR)
+    for district in wishes.districts:
+        part, is_in = _part(district, share)
+        rows.append(-_HELD * (part * is_in)[options.junction] * options.apr)
+        limits.append(-_HELD * (district.least_apr - TOLERANCE))
+    return Knapsack(
+        group=options.junction,
+        profit=profit,
+        rows=np.array(rows).reshape(len(rows), len(options)),
+        limits=np.array(limits),
+    )
+
+
+def _part(district: District, share: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Share of each junction in a district's accidents, and which belong to it."""
+    is_in = np.zeros(len(share))
+    is_in[district.junctions] = 1.0
+    total = float(share @ is_in)
+    return share / total if total > 0.0 else is_in / max(is_in.sum(), 1.0), is_in
+
+
+def _may_be_best(problem: Knapsack, objective: float, *, highest: float) -> BoolArray:
+    """Options that can be in a choice with at least this objective, by their prices."""
+    prices = best_prices(problem)
+    best, relaxed = priced_choice(problem, prices)
+    worth = problem.profit - prices @ problem.rows
+    short = worth[best][problem.group] - worth
+    return short <= max(relaxed, highest) - objective + 1.0e-7 * max(1.0, abs(relaxed))
+
+
+# ---------- the stages after the first
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class _Later:
+    """The stages after the first, and what they hold."""
+
+    options: Options
+    rows: IntArray  # of all options, those of these
+    share: FloatArray
+    wishes: CityWishes
+    end_s: float
+    held: list[tuple[FloatArray, float]]  # rows of at least so much, in shares
+    chosen: IntArray
+
+    def solve(self, apr: float) -> list[Stage]:
+        by_weight = self.share[self.options.junction]
+        self.held.append((by_weight * self.options.apr, apr))
+        stages = [self._most(Objective.APR_ONE_FAILED, by_weight * self.options.apr_one_failed)]
+        stages.append(self._smallest_margin())
+        by_weight = self.share[self.options.junction]  # fewer than before
+        # At a given APR, the sum of prevented accidents by their time to spare says the same.
+        stages.append(
+            self._most(
+                Objective.MEAN_MARGIN,
+                by_weight * self.options.apr * self.options.mean_margin_s,
+                unit=apr,
+            )
+        )
+        stages.append(self._most(Objective.COST, -self.options.cost_eur, unit=-1.0))
+        return stages
+
+    def _value(self, objective: Objective) -> float:
+        return _values(self.options.taken(self.chosen), self.share)[objective]
+
+    def _knapsack(self, profit: FloatArray, rows: IntArray | None = None) -> Knapsack:
+        whole = _problem(self.options, self.share, self.wishes, profit=profit)
+        held = [-_HELD * row for row, _ in self.held]
+        least = [-_HELD * (value - TOLERANCE) for _, value in self.held]
+        every = np.vstack([whole.rows, *held])
+        rows = np.arange(len(profit)) if rows is None else rows
+        return Knapsack(
+            group=whole.group[rows],
+            profit=profit[rows],
+            rows=every[:, rows],
+            limits=np.append(whole.limits, least),
+        )
+
+    def _left_s(self) -> float:
+        return max(0.5 * (self.end_s - time.monotonic()), 1.0)
+
+    def _most(self, objective: Objective, profit: FloatArray, *, unit: float = 1.0) -> Stage:
+        began_s = time.monotonic()
+        found = solve_knapsack(self._knapsack(profit), time_limit_s=self._left_s())
+        if found.chosen is not None and found.objective > profit[self.chosen].sum():
+            self.chosen = found.chosen
+        value = float(profit[self.chosen].sum())
+        if objective is not Objective.COST:
+            self.held.append((profit, value))
+        bound = max(found.bound, value)
+        if unit == 0.0:  # nothing is prevented: there is no time to spare
+            return _stage(objective, 0.0, 0.0, time.monotonic() - began_s)
+        return _stage(objective, value / unit, bound / unit, time.monotonic() - began_s)
+
+    def _smallest_margin(self) -> Stage:
+        """The largest smallest margin: options with less are left out, as many as can be."""
+        began_s = time.monotonic()
+        margin_s = self.options.smallest_margin_s
+        counts = self.options.apr > TOLERANCE
+        value = self._value(Objective.SMALLEST_MARGIN)
+        levels = np.unique(margin_s[counts & (margin_s > value + TOLERANCE)])
+        profit = np.zeros(len(self.options))
+        low, high = 0, len(levels)  # levels below low can be kept, those from high on cannot
+        bound = float(levels[-1]) if len(levels) else value
+        while low < high and time.monotonic() < self.end_s:
+            middle = (low + high) // 2
+            rows = np.flatnonzero(~counts | (margin_s >= levels[middle] - TOLERANCE))
+            has_all = len(np.unique(self.options.junction[rows])) == self.options.n_junctions
+            found = None
+            if has_all:
+                answer = solve_knapsack(self._knapsack(profit, rows), time_limit_s=self._left_s())
+                found = answer.chosen
+                if found is None and answer.bound > -np.inf:
+                    break  # the time was up
+            if found is None:
+                high = middle
+                bound = float(levels[middle - 1]) if middle else value
+            else:
+                self.chosen = rows[found]
+                low = middle + 1
+        value = self._value(Objective.SMALLEST_MARGIN)
+        keep = np.flatnonzero(~counts | (margin_s >= value - TOLERANCE))
+        self._leave_out(keep)
+        seconds = time.monotonic() - began_s
+        return _stage(Objective.SMALLEST_MARGIN, value, max(bound, value), seconds)
+
+    def _leave_out(self, keep: IntArray) -> None:
+        """Go on with some of the options alone."""
+        self.chosen = np.searchsorted(keep, self.chosen)
+        self.options, self.rows = self.options.taken(keep), self.rows[keep]
+        self.held = [(row[keep], value) for row, value in self.held]
+
+
+# ---------- what cannot be met
+
+
+def _check_reach(
+    options: Options, share: FloatArray, wishes: CityWishes, names: Sequence[str]
+) -> None:
+    """Refuse what no budget could reach."""
+    starts = np.flatnonzero(np.diff(options.junction, prepend=-1))
+    most = np.maximum.reduceat(options.apr, starts)
+    if wishes.least_apr is not None:
+        short = np.flatnonzero(most < wishes.least_apr - TOLERANCE)
+        if len(short):
+            first = int(short[0])
+            name = names[first] if names else str(first)
+            raise InputError(
+                "--areas: min_apr",
+                float(wishes.least_apr[first]),
+                f"at most {_floor(most[first])}, what the best layout found reaches at {name}",
+            )
+    for district in wishes.districts:
+        part, is_in = _part(district, share)
+        reach = float((part * is_in) @ most)
+        if reach < district.least_apr - TOLERANCE:
+            raise InputError(
+                "--min-district-apr",
+                district.least_apr,
+                f"at most {_floor(reach)}, what can be reached in {district.name}",
+            )
+
+
+def _unmet(options: Options, share: FloatArray, wishes: CityWishes) -> InputError:
+    """The error of wishes that the budgets do not allow: what they take at least."""
+    free = CityWishes(
+        budget_eur=np.inf if wishes.budget_eur is not None else None,
+        budget_units=None if wishes.budget_eur is not None else 10**9,
+        districts=wishes.districts,
+        least_apr=wishes.least_apr,
+    )
+    left = options.taken(np.flatnonzero(_may_be(options, free)))
+    in_money = wishes.budget_eur is not None
+    taken = left.cost_eur if in_money else left.units.astype(np.float64)
+    problem = _problem(left, share, free, profit=-taken)
+    finite = np.isfinite(problem.limits)
+    found = solve_knapsack(
+        Knapsack(
+            group=problem.group,
+            profit=problem.profit,
+            rows=problem.rows[finite],
+            limits=problem.limits[finite],
+        )
+    )
+    option = "--budget-eur" if in_money else "--budget"
+    got = wishes.budget_eur if in_money else wishes.budget_units
+    if found.chosen is None:
+        return InputError(option, got, "least APRs that can be met together")
+    least = -found.objective
+    amount = f"{least:,.0f} EUR" if in_money else f"{least:.0f} units"
+    also = " and more units" if in_money and wishes.budget_units is not None else ""
+    return InputError(option, got, f"at least {amount}{also}, to reach the APRs asked for")
+
+
+def _floor(share: float) -> str:
+    return f"{np.floor(share * 10_000.0 + 1.0e-6) / 10_000.0:g}"
+
+
+# ---------- the city's own front
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Step:
+    """A junction gets more: with the steps before it, the most for the money that they take."""
+
+    junction: int
+    row: int  # of the options: what it has from here on
+    taken: float  # by all junctions together: euros or units
+    apr: float  # of all junctions together
+
+
+def city_front(options: Options, weight: FloatArray, *, by_cost: bool) -> list[Step]:
+    """The city's front by money or units: who joins, or gets more, at each step.
+
+    Each step's choice is the best one of all for what it takes, as every choice is that is best at
+    some price [1]_; between two steps there are other choices, which the knapsack finds.
+
+    Parameters
+    ----------
+    options : Options
+        Points of the junctions' fronts; the first of each takes nothing.
+    weight : (n_junctions,) float
+        Of each junction's accidents.
+    by_cost : bool
+        Whether euros are counted; else units.
+
+    References
+    ----------
+    .. [1] H. Everett, "Generalized Lagrange multiplier method", 1963.
+    """
+    share = weight / weight.sum()
+    taken = options.cost_eur if by_cost else options.units.astype(np.float64)
+    starts = [*np.flatnonzero(np.diff(options.junction, prepend=-1)).tolist(), len(options)]
+    rises: list[tuple[float, int, int, int]] = []
+    for junction, (begin, end) in enumerate(pairwise(starts)):
+        at = begin
+        while True:
+            more = np.arange(begin, end)
+            more = more[(taken[more] > taken[at]) & (options.apr[more] > options.apr[at])]
+            if not len(more):
+                break
+            slope = (options.apr[more] - options.apr[at]) / (taken[more] - taken[at])
+            steepest = np.flatnonzero(slope >= slope.max() * (1.0 - 1.0e-12))
+            best = int(more[steepest[np.argmax(taken[more[steepest]])]])
+            rises.append((-float(slope.max()) * float(share[junction]), junction, at, best))
+            at = best
+    steps = []
+    base = starts[:-1]
+    spent = float(taken[base].sum())
+    apr = float(share @ options.apr[base])
+    for _, junction, before, row in sorted(rises):
+        spent += float(taken[row] - taken[before])
+        apr += float(share[junction] * (options.apr[row] - options.apr[before]))
+        steps.append(Step(junction=junction, row=row, taken=spent, apr=apr))
+    return steps

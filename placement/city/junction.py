@@ -1,0 +1,348 @@
+"""The front of one junction of a city: what units and money buy there, with bounds for all sums."""
+
+import logging
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geometry.errors import InputError, Unquoted
+from geometry.scene import Scene
+
+from ..candidates import CandidateGrid, CandidatePose, build_candidates
+from ..compute import Compute
+from ..layout import Layout, check_layout
+from ..optimiser import Effort, PlacementProblem, UnmetError, presolve
+from ..optimiser.cost_front import cost_front
+from ..optimiser.front import Front, FrontPoint, largest_values, pareto_front
+from ..optimiser.limits import Limits
+from ..optimiser.objectives import Objective
+from ..optimiser.problem import PlacementValue, placement_value
+from ..pipeline import obtain_table, pick_layout
+from ..prices import load_prices
+from ..question import Question
+from ..setting import build_setting
+from ..wishes import Wishes, build_problem, check_wishes
+from .fronts import JunctionFront, Point, build_junction_front
+
+_log = logging.getLogger(__name__)
+
+_UNITS_SHARE = 0.5
+"""Of the optimiser's time: for the front by units; the front by money has the rest."""
+_LEAST_OPTIMISER_S = 2.0
+
+
+class TimeUpError(RuntimeError):
+    """A junction takes more time than it was given."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JunctionWishes:
+    """How a junction's front is looked for.
+
+    Attributes
+    ----------
+    grid : CandidateGrid
+        Poses at each site.
+    max_units : int
+        Most new units.
+    time_limit_s : float
+        For all of it: what is left after the detection table is the optimiser's. [s]
+    kept : Layout, optional
+        What hangs there already.
+    """
+
+    grid: CandidateGrid
+    max_units: int
+    time_limit_s: float
+    kept: Layout | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SolvedJunction:
+    """A junction's front with its layouts.
+
+    Attributes
+    ----------
+    front : JunctionFront
+        Points and bounds.
+    layouts : tuple of Layout or None
+        Of each point, with what hangs there already; None where nothing hangs.
+    n_sites, n_poses, n_runs, n_frames : int
+        Sizes of the question.
+    seconds : dict of str to float
+        Processor time of the thread that solved it, by stage. [s]
+    """
+
+    front: JunctionFront
+    layouts: tuple[Layout | None, ...]
+    n_sites: int
+    n_poses: int
+    n_runs: int
+    n_frames: int
+    seconds: dict[str, float]
+
+
+def solve_junction(
+    scene: Scene, question: Question, wishes: JunctionWishes, *, compute: Compute
+) -> SolvedJunction:
+    """Find the front of a junction.
+
+    Parameters
+    ----------
+    scene : Scene
+        The junction.
+    question : Question
+        What is driven, and what sites cost.
+    wishes : JunctionWishes
+        How it is looked for.
+    compute : Compute
+        Seed, threads, cache.
+
+    Returns
+    -------
+    solved : SolvedJunction
+        The first point takes nothing.
+
+    Raises
+    ------
+    InputError
+        Nothing can be driven there, or no site can carry a unit.
+    TimeUpError
+        The time was up before there was a front.
+    """
+    watch = _Watch(wishes.time_limit_s, compute)
+    compute = replace(compute, progress=watch)
+    kept = wishes.kept
+    if kept is not None:
+        check_layout(kept, scene)
+    watch.begin("lay runs")
+    setting = build_setting(question, scene)
+    watch.begin("detection table")
+    candidates = build_candidates(scene, wishes.grid, extra=() if kept is None else kept.units)
+    table = obtain_table(setting, candidates, compute=compute)
+    watch.begin("front by units")
+    asked = Wishes(
+        budget_units=_most_units(scene, question, wishes),
+        kept=() if kept is None else tuple(unit.id for unit in kept.units),
+        site_capacity=question.site_capacity,
+        site_cost_eur=question.site_cost_eur,
+        prices=load_prices() if question.site_cost_eur is None else None,
+        separation_m=question.separation_m,
+    )
+    check_wishes(asked, scene)
+    problem = build_problem(setting, candidates, table, wishes=asked, fusion=question.fusion)
+    left_s = max(watch.left_s(), _LEAST_OPTIMISER_S)
+    effort = Effort(solver=question.solver, gap=question.gap, time_limit_s=_UNITS_SHARE * left_s)
+    n_kept = int(problem.limits.is_forced.sum())
+    assert problem.limits.budget_units is not None
+    try:
+        by_units = pareto_front(
+            problem,
+            max_units=problem.limits.budget_units,
+            min_units=max(n_kept, 1),
+            effort=effort,
+        )
+        watch.begin("front by money")
+        left_s = max(watch.left_s(), _LEAST_OPTIMISER_S)
+        by_cost = _cost_front(problem, replace(effort, time_limit_s=left_s))
+    except UnmetError as error:
+        raise InputError(error.where, error.got, error.expected) from None
+    base = PlacementValue(0.0, 0.0, 0.0, 0.0, 0.0)
+    if n_kept:
+        base = placement_value(problem, np.flatnonzero(problem.limits.is_forced).tolist())
+    front, chosen = _merge(problem, by_units, by_cost, base=base, n_kept=n_kept)
+    return SolvedJunction(
+        front=front,
+        layouts=tuple(_layout(candidates, index, kept) for index in chosen),
+        n_sites=len(scene.sites),
+        n_poses=len(candidates),
+        n_runs=len(setting.runs),
+        n_frames=setting.axis.n_frames,
+        seconds=watch.finish(),
+    )
+
+
+def _most_units(scene: Scene, question: Question, wishes: JunctionWishes) -> int:
+    """As many new units as are asked for, or as the sites can carry beside those that are kept."""
+    room = {
+        site.id: site.capacity_units if question.site_capacity is None else question.site_capacity
+        for site in scene.sites
+        if site.use != "forbidden"
+    }
+    for unit in () if wishes.kept is None else wishes.kept.units:
+        if unit.site_id in room:
+            room[unit.site_id] = max(room[unit.site_id] - 1, 0)
+    most = min(wishes.max_units, sum(room.values()))
+    if most < 1:
+        raise InputError(f"{scene.name}: sites", Unquoted("none with room"), "one that is free")
+    return most
+
+
+def _cost_front(problem: PlacementProblem, effort: Effort) -> Front | None:
+    """The front by money; None where the poses avoid nothing."""
+    try:
+        return cost_front(problem, effort=effort)
+    except InputError as error:
+        if error.where != "candidates":
+            raise
+        return None
+
+
+def _layout(
+    candidates: Sequence[CandidatePose], index: tuple[int, ...], kept: Layout | None
+) -> Layout | None:
+    return pick_layout(candidates, index, f"front-{len(index)}") if index else kept
+
+
+# ---------- one front of two
+
+
+def _merge(
+    problem: PlacementProblem,
+    by_units: Front,
+    by_cost: Front | None,
+    *,
+    base: PlacementValue,
+    n_kept: int,
+) -> tuple[JunctionFront, list[tuple[int, ...]]]:
+    """The points of both fronts that no other one beats, and the poses of each."""
+    forced = tuple(np.flatnonzero(problem.limits.is_forced).tolist())
+    poses = {_point(base, 0, 0.0): forced}
+    for each in (by_units, by_cost):
+        for found in () if each is None else each.points:
+            n_new = len(found.pose_index) - n_kept
+            if n_new:
+                poses.setdefault(_point(found.value, n_new, found.value.cost_eur), found.pose_index)
+    reduced = presolve(problem)
+    most = (largest_values(reduced, "first") or {}).get(Objective.APR, 1.0)
+    step = float(reduced.weight[reduced.weight > 0.0].min(initial=1.0))
+    front = build_junction_front(
+        poses,
+        by_units=_bounds_by_units(by_units, base=base.apr, n_kept=n_kept),
+        by_cost=_bounds_by_cost(by_cost, base=base.apr, most=most, step=step),
+        least_cost_eur=_least_costs_eur(problem.limits, n_kept=n_kept),
+    )
+    return front, [poses[point] for point in front.points]
+
+
+def _point(value: PlacementValue, units: int, cost_eur: float) -> Point:
+    return Point(
+        units=units,
+        cost_eur=cost_eur,
+        apr=value.apr,
+        apr_one_failed=value.apr_one_failed,
+        smallest_margin_s=value.smallest_margin_s,
+        mean_margin_s=value.mean_margin_s,
+    )
+
+
+def _apr_bound(point: FrontPoint) -> float:
+    stage = point.stage(Objective.APR)
+    assert stage is not None  # the first of all fronts
+    return stage.bound
+
+
+def _bounds_by_units(front: Front, *, base: float, n_kept: int) -> list[tuple[float, float]]:
+    steps = [(0.0, base)]
+    steps += [
+        (float(point.units - n_kept), max(_apr_bound(point), base))
+        for point in front.points
+        if point.units > n_kept
+    ]
+    return steps
+
+
+def _bounds_by_cost(
+    front: Front | None, *, base: float, most: float, step: float
+) -> list[tuple[float, float]]:
+    """What no layout for so much money exceeds.
+
+    The first stage of a point says what is better than the point before it costs at least: better
+    by the step of the front, so that up to a step more is not ruled out for less money.
+    """
+    if front is None:
+        return [(0.0, base)]
+    steps: list[tuple[float, float]] = [(0.0, base)]
+    points = front.points
+    for index, point in enumerate(points):
+        cost = point.certificate.stages[0]
+        last = index + 1 == len(points)
+        beyond = most if last else _apr_bound(points[index + 1])
+        here = max(_apr_bound(point), min(point.value.apr + step, beyond))
+        before, bound = steps[-1]
+        if cost.bound > before:
+            steps.append((cost.bound, max(here, bound)))
+        else:
+            steps[-1] = (before, max(here, bound))
+    if front.settled is None:
+        end = points[-1].value.cost_eur
+        if end > steps[-1][0]:
+            steps.append((end, max(most, steps[-1][1])))
+        else:
+            steps[-1] = (steps[-1][0], max(most, steps[-1][1]))
+    return steps
+
+
+def _least_costs_eur(limits: Limits, *, n_kept: int) -> list[float]:
+    """What 0, 1, 2 .. new units cost at least: the cheapest ones, at the cheapest sites."""
+    free = np.flatnonzero(~limits.is_forbidden & ~limits.is_forced)
+    assert limits.budget_units is not None
+    n_new = limits.budget_units - n_kept
+    units = np.sort(limits.unit_cost_eur[free])
+    sites = np.unique(limits.site_index[free])
+    # Each place of a site as if the site was paid in equal parts by all places on it.
+    places = np.sort(
+        np.repeat(
+            limits.site_cost_eur[sites] / np.maximum(limits.site_capacity[sites], 1),
+            limits.site_capacity[sites],
+        )
+    )
+    count = min(n_new, len(units), len(places))
+    return [0.0, *(np.cumsum(units[:count]) + np.cumsum(places[:count])).tolist()]
+
+
+# ---------- time
+
+
+class _Watch:
+    """Takes the time of each stage, and ends what takes too long."""
+
+    def __init__(self, limit_s: float, compute: Compute) -> None:
+        self._end_s = time.monotonic() + limit_s
+        self._limit_s = limit_s
+        self._progress = compute.progress
+        self._clock: Callable[[], float] = time.process_time
+        self._began_s = self._clock()
+        self._stage = "begin"
+        self._seconds: dict[str, float] = {}
+
+    def __call__(self, stage: str, done: int, total: int, /) -> None:
+        self._progress(stage, done, total)
+        self._check()
+
+    def begin(self, stage: str) -> None:
+        self._note()
+        self._stage = stage
+        self._progress(stage, 0, 0)
+        self._check()
+
+    def finish(self) -> dict[str, float]:
+        self._note()
+        self._seconds.pop("begin", None)
+        return {name: round(value, 2) for name, value in self._seconds.items()}
+
+    def left_s(self) -> float:
+        return self._end_s - time.monotonic()
+
+    def _note(self) -> None:
+        now_s = self._clock()
+        self._seconds[self._stage] = self._seconds.get(self._stage, 0.0) + now_s - self._began_s
+        self._began_s = now_s
+
+    def _check(self) -> None:
+        if self.left_s() < 0.0 and not self._stage.startswith("front"):
+            raise TimeUpError(
+                f"{self._limit_s:g} s were up in the stage '{self._stage}': --max-junction-seconds"
+            )

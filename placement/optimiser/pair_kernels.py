@@ -1,0 +1,284 @@
+"""Machine code for the last two units of a set: what each of them, and both, add to the others.
+
+Of the units that are chosen, the *union* is known. A run that they do not avoid needs, in a live
+window that ends in time, all *pieces* that the union lacks: frames of the window, and tails behind
+it. Of the two units to come
+
+* one at least sees the piece that each such window is *asked* for, whichever that is;
+* one sees all missing pieces of a window, or both see some.
+
+Both hold for bits by runs, so that most pairs are found out by some words.
+"""
+
+import numpy as np
+
+from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.kernels import kernel
+
+from .chain_kernels import Layout, join, lost_with, lowest_bit
+from .presolve import WordArray
+
+
+@kernel
+def first_live(
+    seen: WordArray,
+    union: WordArray,
+    n_phases: int,
+    begin: int,
+    end: int,
+    tail_links: IntArray,
+    tail: int,
+    last_tail: int,
+    none: int,
+) -> int:
+    """First live window of a chain, whose words are begin .. end - 1, of two unions together."""
+    lowest = 0
+    if tail < last_tail:
+        for word in range(begin, end):
+            unseen = ~(seen[word, n_phases] | union[word, n_phases])
+            if unseen != 0:
+                lowest = tail_links[tail + 64 * (word - begin) + lowest_bit(unseen)]
+                break
+    mask = ~np.uint64(0) << np.uint64(lowest & 63)
+    for word in range(begin + (lowest >> 6), end):
+        live = mask
+        for phase in range(n_phases):
+            live &= seen[word, phase] | union[word, phase]
+        if live != 0:
+            return 64 * (word - begin) + lowest_bit(live)
+        mask = ~np.uint64(0)
+    return none
+
+
+@kernel
+def ask_for_pieces(
+    layout: Layout,
+    union: WordArray,
+    n_links: IntArray,
+    seen_by: FloatArray,
+    asked: WordArray,
+    missing: WordArray,
+    asked_tail: IntArray,
+    dead_links: IntArray,
+) -> None:
+    """Ask each window for the piece that fewest see of those that a union lacks.
+
+    `seen_by`, (n_phases + 1, 64 n_words), says how many see each frame of each window, and in the
+    last row each tail. `asked` and `missing`, (n_phases + 1, n_words), take the windows that are
+    asked for, and that lack, each phase, or in the last row of `asked` a tail: that of their chain
+    whose bit is at ``asked_tail[chain]``, which the first ``dead_links[chain]`` windows lack; -1
+    and 0: the union has all tails of the chain.
+    """
+    n_phases = layout.n_phases
+    asked[:] = 0
+    missing[:] = 0
+    for chain in range(len(layout.start) - 1):
+        begin, end = layout.start[chain], layout.start[chain + 1]
+        tail, last_tail = layout.tail_start[chain], layout.tail_start[chain + 1]
+        asked_tail[chain], dead_links[chain] = -1, 0
+        if tail < last_tail:
+            for word in range(begin, end):
+                unseen = ~union[word, n_phases]
+                if unseen != 0:
+                    place = 64 * (word - begin) + lowest_bit(unseen)
+                    asked_tail[chain] = 64 * begin + place
+                    dead_links[chain] = layout.tail_links[tail + place]
+                    break
+        for link in range(n_links[chain]):
+            word, bit = begin + (link >> 6), np.uint64(1) << np.uint64(link & 63)
+            least, choice = np.inf, -1
+            for phase in range(n_phases):
+                if union[word, phase] & bit == 0:
+                    missing[phase, word] |= bit
+                    if seen_by[phase, 64 * begin + link] < least:
+                        least, choice = seen_by[phase, 64 * begin + link], phase
+            if link < dead_links[chain] and seen_by[n_phases, asked_tail[chain]] < least:
+                choice = n_phases
+            if choice >= 0:
+                asked[choice, word] |= bit
+
+
+@kernel
+def cover_beside(
+    layout: Layout,
+    union: WordArray,
+    asked: WordArray,
+    missing: WordArray,
+    asked_tail: IntArray,
+    dead_links: IntArray,
+    chains: IntArray,
+    row_start: IntArray,
+    row_last: IntArray,
+    row_place: IntArray,
+    none: int,
+    poses: IntArray,
+    alone: WordArray,
+    may: WordArray,
+    part: WordArray,
+) -> None:
+    """Runs that a union avoids with each of some poses, and for which each may be of use.
+
+    Only `chains` are looked at. Rows of chain g are
+    ``row_start[g]`` .. ``row_start[g + 1] - 1``: they end after ``row_last`` windows, falling, and
+    their bits are at ``row_place``. Sets bits, (n_poses, n_row_words): in `alone` where the pose
+    and the union avoid the run, in `may` where it sees a piece that is asked for, in `part` where
+    it sees one that is missing.
+    """
+    n_phases = layout.n_phases
+    for number in range(len(poses)):
+        bits = layout.bits[poses[number]]
+        alone[number] = 0
+        may[number] = 0
+        part[number] = 0
+        for chain in chains:
+            first_word, last_word = layout.start[chain], layout.start[chain + 1]
+            sees_asked_tail, sees_tail = False, False
+            place = asked_tail[chain]
+            if place >= 0:
+                sees_asked_tail = (bits[place >> 6, n_phases] >> np.uint64(place & 63)) & np.uint64(
+                    1
+                ) != 0
+                for word in range(first_word, last_word):
+                    sees_tail |= bits[word, n_phases] & ~union[word, n_phases] != 0
+            some = 0 if sees_tail and dead_links[chain] > 0 else none
+            hopeful = none
+            for word in range(first_word, last_word):
+                seen = asked[n_phases, word] if sees_asked_tail else np.uint64(0)
+                any_seen = np.uint64(0)
+                for phase in range(n_phases):
+                    seen |= bits[word, phase] & asked[phase, word]
+                    any_seen |= bits[word, phase] & missing[phase, word]
+                if any_seen != 0 and some == none:
+                    some = 64 * (word - first_word) + lowest_bit(any_seen)
+                if seen != 0:
+                    hopeful = 64 * (word - first_word) + lowest_bit(seen)
+                    break
+            if some == none:
+                continue
+            exact = none
+            if hopeful < row_last[row_start[chain]]:
+                exact = first_live(
+                    bits,
+                    union,
+                    n_phases,
+                    first_word,
+                    last_word,
+                    layout.tail_links,
+                    layout.tail_start[chain],
+                    layout.tail_start[chain + 1],
+                    none,
+                )
+            for row in range(row_start[chain], row_start[chain + 1]):
+                last, place = row_last[row], row_place[row]
+                word, bit = place >> 6, np.uint64(1) << np.uint64(place & 63)
+                if some >= last and hopeful >= last:
+                    break
+                if exact < last:
+                    alone[number, word] |= bit
+                if hopeful < last:
+                    may[number, word] |= bit
+                if some < last:
+                    part[number, word] |= bit
+
+
+@kernel
+def find_pairs(
+    alone: WordArray,
+    may: WordArray,
+    part: WordArray,
+    open_rows: WordArray,
+    words: IntArray,
+    table: FloatArray,
+    gain: FloatArray,
+    need: float,
+    may_lose: float,
+    site: IntArray,
+    room: IntArray,
+    copies: IntArray,
+    next_pair: IntArray,
+    out: IntArray,
+) -> int:
+    """Pairs of poses that may lose so little together, (n, 2); how many were written.
+
+    Bits are as in :func:`cover_beside`; `open_rows` counts, in `words` alone, and a row is worth
+    what `table`, (n_bytes, 256), says of its byte. `gain`, falling, is what each pose may gain at
+    most, of which a pair has to gain `need`. `room` is left at each site; two of a kind that has
+    `copies` are a pair. `next_pair`, (2,), is where to go on: at (n, ..) all were looked at.
+    """
+    n_poses, n_found = len(gain), 0
+    one, other = next_pair[0], next_pair[1]
+    while one < n_poses and n_found < len(out):
+        if other >= n_poses or gain[one] + gain[other] < need:
+            if other == one:  # gains fall: nothing behind is any better
+                one = n_poses
+                break
+            one += 1
+            other = one
+            continue
+        if (site[one] == site[other] and room[site[one]] < 2) or (one == other and copies[one] < 2):
+            other += 1
+            continue
+        lost = 0.0
+        for number in range(len(words)):
+            word = words[number]
+            covered = alone[one, word] | alone[other, word] | (part[one, word] & part[other, word])
+            left = open_rows[word] & ~(covered & (may[one, word] | may[other, word]))
+            place = 8 * word
+            while left:
+                lost += table[place, left & np.uint64(0xFF)]
+                left >>= np.uint64(8)
+                place += 1
+            if lost > may_lose:
+                break
+        if lost <= may_lose:
+            out[n_found, 0], out[n_found, 1] = one, other
+            n_found += 1
+        other += 1
+    next_pair[0], next_pair[1] = one, other
+    return n_found
+
+
+@kernel
+def weights_of(bits: WordArray, table: FloatArray, total: FloatArray) -> None:
+    """What the bits of each row weigh, by a table of bytes, (n,)."""
+    for number in range(len(bits)):
+        total[number] = 0.0
+        for word in range(bits.shape[1]):
+            left, place = bits[number, word], 8 * word
+            while left:
+                total[number] += table[place, left & np.uint64(0xFF)]
+                left >>= np.uint64(8)
+                place += 1
+
+
+@kernel
+def keep_sets(
+    layout: Layout,
+    worth: FloatArray,
+    chains: IntArray,
+    before: WordArray,
+    sets: IntArray,
+    most: float,
+    kept: BoolArray,
+) -> None:
+    """Which sets, beside what is seen `before`, lose no more than so much, (n_sets,)."""
+    union = np.empty_like(before)
+    first = np.empty(len(chains), dtype=np.int64)
+    for number in range(len(sets)):
+        union[:] = before
+        for pose in sets[number]:
+            join(layout.bits, pose, union, union)
+        lost = lost_with(
+            union,
+            union,
+            layout.n_phases,
+            layout.start,
+            layout.tail_links,
+            layout.tail_start,
+            worth,
+            chains,
+            len(chains),
+            most,
+            first,
+        )
+        kept[number] = lost <= most

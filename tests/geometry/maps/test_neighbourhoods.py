@@ -1,0 +1,48 @@
+"""Scenes out of maps that are read once are those out of whole maps."""
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from city_maps import write_city
+
+from geometry.maps.importing import (
+    ImportOptions,
+    ReadingOptions,
+    cut_scene,
+    import_scene,
+    read_maps,
+)
+from geometry.maps.neighbourhoods import Neighbourhoods
+
+
+@pytest.fixture(scope="module")
+def city(tmp_path_factory):
+    return write_city(tmp_path_factory.mktemp("city"))
+
+
+def same(one, other):
+    """Whether two values hold the same, whatever arrays they hold."""
+    if isinstance(one, np.ndarray):
+        return np.array_equal(one, other)
+    if isinstance(one, tuple):
+        return len(one) == len(other) and all(map(same, one, other))
+    if hasattr(one, "__dataclass_fields__"):
+        return all(same(getattr(one, f.name), getattr(other, f.name)) for f in fields(one))
+    return one == other
+
+
+def test_a_junctions_surroundings_make_the_scene_of_the_whole_map(city):
+    maps, junctions = read_maps([city], ReadingOptions())
+    around = Neighbourhoods(maps, radius_m=80.0)
+    assert len(junctions) == 3
+    for one in junctions:
+        options = ImportOptions(junction=one.junction.id)
+        part = around.around(one.junction)
+        assert len(part[0].lanes) < len(maps[0].lanes)
+        assert len(part[0].things) < len(maps[0].things)
+        whole = import_scene([city], options)
+        cut = cut_scene(part, one, options)
+        assert same(cut.scene, whole.scene)
+        assert cut.roads
+        assert same(cut.roads, whole.roads)

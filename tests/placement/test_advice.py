@@ -1,0 +1,168 @@
+"""Advice against brute force on a table that is made up: every pose tried, every set priced."""
+
+from itertools import combinations
+
+import pytest
+from small_results import build_small_grid, build_small_setting
+
+from geometry.catalogue import load_cameras
+from geometry.errors import InputError
+from geometry.poses import Pose
+from placement import planning
+from placement.advice import Adviser, free_name
+from placement.candidates import CandidatePose
+from placement.compute import Compute
+from placement.layout import Layout
+from placement.live import LiveTable, table_verdict
+from placement.planning import build_plan
+from placement.question import Question
+
+
+@pytest.fixture(scope="module")
+def setting():
+    return build_small_setting()
+
+
+@pytest.fixture(scope="module")
+def adviser(setting, tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(planning, "load_candidate_grid", build_small_grid)
+        plan = build_plan(Question(budget=1), setting.scene)
+    compute = Compute(cache_folder=tmp_path_factory.mktemp("tables"))
+    return Adviser(setting, plan, build_small_grid(), compute=compute)
+
+
+@pytest.fixture(scope="module")
+def weak(setting):
+    """Two cameras that look away from the junction."""
+    camera = load_cameras()["carla-ncap-rgb"]
+
+    def unit(name, site, yaw_deg):
+        return CandidatePose(
+            id=name,
+            site_id=site.id,
+            pose=Pose(position_m=site.position_m + [0.0, 0.0, 5.3], yaw_deg=yaw_deg, pitch_deg=-18),
+            sensor=camera,
+        )
+
+    return (unit("U1", setting.scene.sites[0], 20.0), unit("mine", setting.scene.sites[2], 235.0))
+
+
+@pytest.fixture(scope="module")
+def apr_of(setting):
+    live = LiveTable(setting)
+
+    def apr(units):
+        verdict = table_verdict(units, live.detected(units), setting)
+        return float(verdict.is_avoided @ setting.axis.weight)
+
+    return apr
+
+
+def test_the_best_next_unit_is_the_best_of_all_that_can_be_added(adviser, weak, apr_of, setting):
+    found = adviser.best_next(weak)
+    assert [unit.id for unit in found.units[:2]] == ["U1", "mine"]
+    assert found.units[2].id == "U2"
+    assert found.is_proven
+    candidates = adviser._plan.candidates
+    capacity = {site.id: site.capacity_units for site in setting.scene.sites}
+    taken = [unit.site_id for unit in weak]
+    free = [one for one in candidates if taken.count(one.site_id) < capacity.get(one.site_id, 1)]
+    assert found.after.apr == pytest.approx(max(apr_of([*weak, one]) for one in free))
+    assert found.before.apr == pytest.approx(apr_of(weak))
+    assert found.bound == found.after.apr
+
+
+def test_from_nothing_the_next_unit_is_the_best_one(adviser, apr_of):
+    found = adviser.best_next(())
+    assert len(found.units) == 1
+    assert found.before is None
+    best = max(apr_of([one]) for one in adviser._plan.candidates)
+    assert found.after.apr == pytest.approx(best)
+    assert found.is_proven
+
+
+def test_to_complete_keeps_what_hangs_and_reaches_its_bound(adviser, weak, apr_of):
+    found = adviser.complete(weak, n_units=3)
+    assert {unit.id for unit in weak} <= {unit.id for unit in found.units}
+    assert len(found.units) == 3
+    assert found.after.apr == pytest.approx(apr_of(found.units))
+    assert found.after.apr == pytest.approx(adviser.best_next(weak).after.apr)
+    with pytest.raises(InputError, match="units in all: got 2; expected more than the 2"):
+        adviser.complete(weak, n_units=2)
+
+
+def test_re_aiming_keeps_every_place_and_is_the_best_of_all_directions(adviser, weak, apr_of):
+    found = adviser.re_aim(weak)
+    for before, after in zip(weak, found.units, strict=True):
+        assert (before.id, before.site_id) == (after.id, after.site_id)
+        assert (before.pose.position_m == after.pose.position_m).all()
+    grid = build_small_grid()
+
+    def aims(unit):
+        return [
+            CandidatePose(
+                id=unit.id,
+                site_id=unit.site_id,
+                pose=Pose(position_m=unit.pose.position_m, yaw_deg=yaw, pitch_deg=pitch),
+                sensor=unit.sensor,
+            )
+            for yaw, pitch in grid.directions_deg(unit.sensor)
+        ] + [unit]
+
+    best = max(apr_of([a, b]) for a in aims(weak[0]) for b in aims(weak[1]))
+    assert found.after.apr == pytest.approx(best)
+    assert found.after.apr > found.before.apr
+    assert found.is_proven
+
+
+def test_the_cheapest_is_as_good_and_no_dearer(adviser, setting, apr_of):
+    study = planning.find_layout("carlancap-12", "", study=_study())
+    units = study.units[:3]
+    found = adviser.cheapest(units)
+    assert apr_of(found.units) >= apr_of(units) - 1e-9
+    assert found.after.cost_eur <= found.before.cost_eur
+    assert found.is_proven
+    cheaper = [one for one in adviser._plan.candidates if apr_of([one]) >= apr_of(units) - 1e-9]
+    assert bool(cheaper) == (len(found.units) == 1)
+
+
+def test_why_not_a_pole_says_what_it_can_do_beside_and_instead(adviser, weak, apr_of):
+    site = "corner-sw"
+    beside, instead = adviser.why_not(weak[:1], site)
+    assert beside.units[-1].site_id == site
+    at_site = [one for one in adviser._plan.candidates if one.site_id == site]
+    assert beside.after.apr == pytest.approx(max(apr_of([weak[0], one]) for one in at_site))
+    assert [unit.site_id for unit in instead.units] == [site]
+    assert instead.after.apr == pytest.approx(max(apr_of([one]) for one in at_site))
+
+
+def test_where_nothing_hangs_there_is_nothing_to_turn_or_to_keep(adviser):
+    with pytest.raises(InputError, match="re-aim: got no unit"):
+        adviser.re_aim(())
+    with pytest.raises(InputError, match="the cheapest that keeps this: got no unit"):
+        adviser.cheapest(())
+    with pytest.raises(InputError, match="why not corner-ne: got no unit"):
+        adviser.why_not((), "corner-ne")
+
+
+def test_a_site_that_is_full_has_no_place_for_another(adviser, setting, weak):
+    full = tuple(
+        CandidatePose(id=f"F{n}", site_id="corner-ne", pose=weak[0].pose, sensor=weak[0].sensor)
+        for n in range(setting.scene.sites[0].capacity_units)
+    )
+    assert setting.scene.sites[0].id == "corner-ne"
+    with pytest.raises(InputError, match="why not corner-ne: got no pose of the grid"):
+        adviser.why_not(full, "corner-ne")
+
+
+def test_names_are_free():
+    assert free_name(set()) == "U1"
+    for taken in combinations(("U1", "U2", "U3"), 2):
+        assert free_name(set(taken)) not in taken
+
+
+def _study() -> Layout:
+    from experiments.study.layout import load_carlancap_layout
+
+    return load_carlancap_layout()
