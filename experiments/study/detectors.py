@@ -25,9 +25,9 @@ from placement.layout import Layout
 from placement.question import Question
 from placement.setting import Setting, build_setting
 
-from ..cli.running import load_one_layout
 from ..progress import StageProgress
 from ..results.numbers import percent
+from .layout import find_layout
 
 CASES = ("CPNC-50", "CBNA", "CBLA")
 DETECTORS = {
@@ -146,7 +146,9 @@ def main(
     progress.start(quiet=False)
     try:
         text = compare_detectors(
-            question, load_one_layout((layout_name,)), Compute(workers=workers, progress=progress)
+            question,
+            find_layout(layout_name, "--layout"),
+            Compute(workers=workers, progress=progress),
         )
     finally:
         progress.stop()
