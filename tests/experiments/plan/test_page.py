@@ -215,6 +215,10 @@ def test_a_lost_run_is_told_and_played(browser, serve):
         frame.locator("#player-frame").focus()
         page.keyboard.press("ArrowLeft")
         assert frame.locator("#player-status").inner_text() != before
+        frame.locator("#view-show").click()
+        frame.locator("#view-buttons").wait_for()
+        assert frame.locator("#view-message").inner_text() == ""
+        assert frame.locator("#view-3d canvas").count() > 0
         page.keyboard.press("Escape")
 
 
