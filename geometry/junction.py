@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -202,10 +203,7 @@ class Junction:
     def followed(self, entry: Lane) -> Lane:
         """An entry lane with the lane that is assumed before it, if that one bends."""
         bent = [lane for lane in self._before(entry) if len(lane.centreline_m) > 2]
-        if not bent:
-            return entry
-        chain = np.concatenate([bent[0].centreline_m[:-1], entry.centreline_m])
-        return replace(entry, centreline_m=chain)
+        return _led_on(bent[0], entry) if bent else entry
 
     def _before(self, entry: Lane) -> list[Lane]:
         begin = entry.centreline_m[0]
@@ -226,6 +224,12 @@ class Junction:
 
     def __repr__(self) -> str:
         return f"Junction({self.name!r}, arms {', '.join(self.arms)})"
+
+
+@lru_cache(maxsize=64)  # one and the same lane, by which ways along it are known
+def _led_on(before: Lane, entry: Lane) -> Lane:
+    chain = np.concatenate([before.centreline_m[:-1], entry.centreline_m])
+    return replace(entry, centreline_m=chain)
 
 
 def build_junction(scene: Scene) -> Junction:

@@ -278,8 +278,8 @@ def way_across(
 def eased_way_across(entry: Lane, leaving: Lane, *, max_aside_m: float) -> WayAcross:
     """The gentlest way across where the map has no lane: it leaves the lanes near their mouths.
 
-    It bends least of those that stay within `max_aside_m` of the lanes' middles, and between them
-    within a metre of the curve of :func:`way_across`.
+    It is the gentlest of those that stay within `max_aside_m` of the lanes' middles, and
+    between them within a metre of the curve of :func:`way_across`.
 
     Raises
     ------
@@ -295,27 +295,30 @@ def eased_way_across(entry: Lane, leaving: Lane, *, max_aside_m: float) -> WayAc
         before.between(-_MOUTH_M, 0.0).max_bend_per_m, after.between(0.0, _MOUTH_M).max_bend_per_m
     )
     best = None
-    for smoothing_m in _EASING_M:
-        course = ease_joint(before, between, after, lengths_m=lengths_m, smoothing_m=smoothing_m)
-        bend_per_m = course.between(-across_m - _MOUTH_M, _MOUTH_M).max_bend_per_m
-        swerve_per_m = bend_per_m if bend_per_m > lanes_bend_per_m else 0.0
+    tight, gentle = 0, len(_EASING_M)  # the gentler, the farther aside
+    while tight < gentle:
+        middle = (tight + gentle) // 2
+        course = ease_joint(
+            before, between, after, lengths_m=lengths_m, smoothing_m=float(_EASING_M[middle])
+        )
         aside_m = max(
             _aside_m(course, before.at(np.linspace(-min(lengths_m[0], _LOOKED_AT_M), 0.0, 60))[0]),
             _aside_m(course, after.at(np.linspace(0.0, min(lengths_m[1], _LOOKED_AT_M), 60))[0]),
         )
-        is_near = aside_m <= max_aside_m and _aside_m(course, between) <= _CUT_OFF_M
-        if not is_near or (best is not None and swerve_per_m > best.swerve_per_m):
-            continue
-        best = WayAcross(
-            way=CurvedWay(course=course),
-            entry=entry,
-            leaving=leaving,
-            begin_m=-across_m - lengths_m[0],
-            swerve_per_m=swerve_per_m,
-        )
+        if aside_m <= max_aside_m and _aside_m(course, between) <= _CUT_OFF_M:
+            best, tight = course, middle + 1
+        else:
+            gentle = middle
     if best is None:
         raise CannotCarryError(f"no smooth way leads from lane {entry.id} into {leaving.id}")
-    return best
+    bend_per_m = best.between(-across_m - _MOUTH_M, _MOUTH_M).max_bend_per_m
+    return WayAcross(
+        way=CurvedWay(course=best),
+        entry=entry,
+        leaving=leaving,
+        begin_m=-across_m - lengths_m[0],
+        swerve_per_m=bend_per_m if bend_per_m > lanes_bend_per_m else 0.0,
+    )
 
 
 def _aside_m(course: Course, points_m: FloatArray) -> float:

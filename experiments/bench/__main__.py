@@ -31,6 +31,7 @@ from placement.setting import Setting, build_setting
 from placement.visibility.build import build_detection_table
 
 from ..study.layout import load_carlancap_layout
+from .dragging import measure_dragging
 from .optimiser import (
     build_bench_problem,
     measure_covering,
@@ -78,6 +79,7 @@ PARTS: dict[str, Callable[[int], Figures]] = {
         build_bench_problem(_default_setting(), _candidates(), budget, fusion="single")
     ),
     "covering": lambda _: measure_covering(),
+    "dragging": lambda _: measure_dragging(_default_setting()),
     "growth": lambda _: _measure_growth(_candidates()),
     "perception": lambda _: measure_perception(_own_setting()),
     "large": lambda _: measure_large(),

@@ -24,7 +24,7 @@ from experiments.study.layout import load_carlancap_layout
 from geometry.catalogue import load_cameras
 from geometry.errors import InputError
 from geometry.lidar import load_lidars
-from geometry.scene_files import load_study_scene
+from geometry.study_scene import load_study_scene
 from placement.layout import layout_records, load_layout
 
 SCENE = load_study_scene()
