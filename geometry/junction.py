@@ -38,6 +38,7 @@ ASSUMED = "assumed"  # kind of a lane that leads on where the map ends
 _ROAD_KINDS = ("driving", "parking")
 _CYCLE_KINDS = ("cycling",)
 _AT_OUTLINE_M = 1.5  # lanes end at the junction's outline but for the rounding of the map
+_CYCLES_AT_OUTLINE_M = 6.0  # cycleways run beside it, behind a shoulder or a strip of grass
 _SAME_POINT_M = 0.5  # between one piece of a lane and the next
 _ARM_SPREAD_DEG = 40.0  # a crosswalk leads across the arm within this
 _SAME_ARM_DEG = 25.0  # between a lane and the next one of the same arm
@@ -252,7 +253,9 @@ def build_junction(scene: Scene) -> Junction:
             f"{scene.name}: lanes", len(scene.lanes), "lanes that begin or end at the outline"
         )
     groups = _group_by_arm(ends, keeps_left=scene.keeps_left)
-    cycleways = _beside_arms(_ends_at_outline(scene, _CYCLE_KINDS), groups)
+    cycleways = _beside_arms(
+        _ends_at_outline(scene, _CYCLE_KINDS, within_m=_CYCLES_AT_OUTLINE_M), groups
+    )
     bearings = [
         _mean_bearing_deg([_outward_bearing_deg(lane, is_in=is_in) for is_in, lane in group])
         for group in groups
@@ -349,7 +352,9 @@ def curve_between(before: Line, after: Line) -> FloatArray:
     return curve
 
 
-def _ends_at_outline(scene: Scene, kinds: Sequence[str]) -> list[tuple[bool, Lane]]:
+def _ends_at_outline(
+    scene: Scene, kinds: Sequence[str], *, within_m: float = _AT_OUTLINE_M
+) -> list[tuple[bool, Lane]]:
     """Lanes of some kinds that lead into the junction (True) or out of it.
 
     Of a piece so short that both its ends are at the outline the nearer end counts; stubs that end
@@ -363,8 +368,8 @@ def _ends_at_outline(scene: Scene, kinds: Sequence[str]) -> list[tuple[bool, Lan
             is_in: distance_to_outline_m(lane.centreline_m[-1 if is_in else 0], scene.outline_m)
             for is_in in (True, False)
         }
-        near = [is_in for is_in, off in off_m.items() if off <= _AT_OUTLINE_M]
-        if len(near) == 2 and lane_length_m(lane) <= 2.0 * _AT_OUTLINE_M:
+        near = [is_in for is_in, off in off_m.items() if off <= within_m]
+        if len(near) == 2 and lane_length_m(lane) <= 2.0 * within_m:
             near = [min(near, key=lambda is_in: off_m[is_in])]
         ends += [
             (is_in, lane)

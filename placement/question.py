@@ -356,8 +356,8 @@ class Question:
         Option(
             section=SEEN,
             help="Of cameras: geometric (by boxes), response (misses by size, cover, class, "
-            "weather), a .toml file with a response table, or an .onnx network that looks at "
-            "rendered pictures.",
+            "weather), cnn (the shipped network, on rendered pictures), cnn-table (the table "
+            "fitted to it), a .toml file with a response table, or an .onnx network.",
             metavar="HOW",
             is_common=True,
         ),

@@ -25,6 +25,7 @@ from scenarios.positions import (
 from scenarios.runs import WEATHERS, FrameAxis, Refusal, Run, build_frame_axis, build_runs
 
 from .detectors import Detector, PlanningDetector, load_detector, load_planning_detector
+from .detectors.network import NetworkDetector
 from .latency import load_latency_budget
 from .question import Question
 
@@ -289,15 +290,17 @@ def _check_every_case(drives: Drives, scene: Scene) -> None:
 
 
 def _planner(detector: Detector) -> PlanningDetector:
-    """The detector of the detection table: a network cannot be predicted, boxes stand in for it."""
-    if not detector.needs_pictures:
+    """The detector of the detection table: another one stands in for a network."""
+    if not isinstance(detector, NetworkDetector):
         return cast(PlanningDetector, detector)
     _log.warning(
-        "--detector %s: judged on rendered pictures, about a second each; poses are chosen by the "
-        "geometric detector",
+        "--detector %s: judged on rendered pictures, about %s each; poses are chosen by the %s "
+        "detector",
         detector.name,
+        "a tenth of a second" if detector.looks_at_crops else "a second",
+        detector.plans_with,
     )
-    return load_planning_detector()
+    return load_planning_detector(detector.plans_with)
 
 
 def _words(text: str, where: str, known: tuple[str, ...]) -> tuple[str, ...]:

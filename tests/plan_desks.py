@@ -7,7 +7,6 @@ import pytest
 from small_results import build_small_grid
 
 from experiments.plan.desk import Desk
-from experiments.plan.server import RunningServer
 from experiments.plan.tasks import Tasks, Work
 from experiments.plan.worker import Cancelled, TaskError
 from geometry.errors import InputError
@@ -58,7 +57,7 @@ def small_work(folder, **asked):
 
 
 def small_desk(folder, setting, **given):
-    work = small_work(folder)
+    work = small_work(folder, cases="CPNC-50", along_arms="0", speeds="50")
     return Desk(work, setting, make_worker=lambda work: InThread(work, setting), **given)
 
 
@@ -69,6 +68,8 @@ def few_poses(monkeypatch):
 
 
 def start_server(folder, setting, **given):
+    from experiments.plan.server import RunningServer  # only the extra plan has what it needs
+
     server = RunningServer(lambda: small_desk(folder, setting, **given), host="127.0.0.1", port=0)
     server.start()
     return server

@@ -31,6 +31,7 @@ from placement.setting import Setting, build_setting
 from placement.visibility.build import build_detection_table
 
 from ..study.layout import load_carlancap_layout
+from .city import measure_city
 from .dragging import measure_dragging
 from .optimiser import (
     build_bench_problem,
@@ -80,6 +81,7 @@ PARTS: dict[str, Callable[[int], Figures]] = {
     ),
     "covering": lambda _: measure_covering(),
     "dragging": lambda _: measure_dragging(_default_setting()),
+    "city": lambda _: measure_city(),
     "growth": lambda _: _measure_growth(_candidates()),
     "perception": lambda _: measure_perception(_own_setting()),
     "large": lambda _: measure_large(),
@@ -97,7 +99,7 @@ PARTS: dict[str, Callable[[int], Figures]] = {
 )
 @click.option("--out", type=click.Path(path_type=Path), help="JSON file for the figures.")
 def main(budget: int, parts: str, limit: float, out: Path | None) -> None:
-    """Measure rays, optimiser, growth with the runs, perception, and the whole command.
+    """Measure rays, optimiser, a city, growth with the runs, perception, and the whole command.
 
     Figures of parts that are not measured this time stay in the file as they are.
     """

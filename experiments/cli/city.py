@@ -63,7 +63,6 @@ Examples:
 )
 @option(
     "--budget-eur",
-    "--budget-cost",
     "budget_eur",
     type=click.FloatRange(min=0.0, min_open=True),
     metavar="EUR",
@@ -196,7 +195,7 @@ Examples:
     "--max-junction-seconds",
     "max_junction_s",
     type=click.FloatRange(min=0.0, min_open=True),
-    default=120.0,
+    default=300.0,
     show_default=True,
     metavar="SECONDS",
     expected="seconds, more than 0",

@@ -35,6 +35,7 @@ def detector() -> None:
     cls=SectionedCommand,
     epilog="""\b
 Examples:
+  place-rsus detector fit --detector cnn --layout carlancap-12 --out cnn
   place-rsus detector fit --detector net.onnx --layout carlancap-12 \\
       --weather day,night,rain --out mine
   place-rsus detector fit --recording ncap_data --out mine
@@ -147,7 +148,7 @@ def _check_one_source(
     if len(names) != 1:
         got = " and ".join(names) or "no source"
         raise click.UsageError(
-            f"detector fit: got {got}; expected one of --layout with --detector FILE.onnx, "
+            f"detector fit: got {got}; expected one of --layout with --detector cnn or FILE.onnx, "
             "--recording, or --labels with --results"
         )
 

@@ -16,7 +16,7 @@ _EXIT_FAILED = 1
 _EXTRAS = (
     ("requests", "online", "scene import --bbox: fetching OpenStreetMap"),
     ("scenariogeneration", "openscenario", "scenarios export: OpenSCENARIO files"),
-    ("onnxruntime", "perception", "--detector FILE.onnx: detectors on rendered pictures"),
+    ("onnxruntime", "perception", "--detector cnn, FILE.onnx: networks on rendered pictures"),
     ("euroncap-rating-2026", "rating", "--weights euroncap-rating-2026: Euro NCAP's points"),
     ("libsumo", "traffic", "--traffic sumo: vehicles that drive by in sampled worlds"),
 )

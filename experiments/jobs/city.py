@@ -84,7 +84,7 @@ class CitySearch:
 
     is_coarse: bool = False
     max_units: int = 6
-    max_junction_s: float = 120.0
+    max_junction_s: float = 300.0
     radius_m: float = DEFAULT_RADIUS_M
     sites: str = "auto"
     reading: ReadingOptions = field(default_factory=ReadingOptions)
@@ -192,7 +192,10 @@ def run_city(
                 _keep(out, one, answer)
                 done[one.folder] = answer.record
                 progress(SOLVE, len(done), len(city.junctions))
-    manifest = msgspec.structs.replace(manifest, junctions=_entries(out, city, done))
+    entries = _entries(out, city, done)
+    new = {entry.folder for entry in entries}
+    others = [entry for entry in manifest.junctions if entry.folder not in new]
+    manifest = msgspec.structs.replace(manifest, junctions=(*entries, *others))
     _write_manifest(out, manifest)
     progress("choose", 0, 0)
     result = _choose(city, values, done, question=question, wish=wish, search=search, kept=kept)
@@ -222,8 +225,7 @@ def run_city(
 
 def _begin(out: Path, city: City) -> CityManifest:
     """The folder's list, new or as it is; InputError if the folder is of something else."""
-    crs, bounds = city.bounds
-    new = CityManifest(maps=city.records, crs=crs, bounds=bounds)
+    new = CityManifest(maps=city.records, crs=city.crs, bounds=city.bounds)
     path = out / MANIFEST
     if not path.exists():
         if out.is_dir() and any(out.iterdir()):
@@ -235,8 +237,8 @@ def _begin(out: Path, city: City) -> CityManifest:
     found = load_manifest(path)
     old = {one.name for one in found.maps if one.has_roads}
     names = {one.name for one in city.records if one.has_roads}
-    west, south, east, north = bounds
-    is_apart = found.crs != crs or not (
+    west, south, east, north = city.bounds
+    is_apart = found.crs != city.crs or not (
         found.bounds[0] <= east
         and west <= found.bounds[2]
         and found.bounds[1] <= north
@@ -353,10 +355,11 @@ def _choose(
     records = [done[one.folder] for one in city.junctions]
     solved = [index for index, record in enumerate(records) if not record.reason]
     if not solved:
-        one = records[0]
+        failed = records[0]
+        told = f"no junction with a front; {failed.name or failed.id}: {failed.reason}"
         raise InputError(
             city.records[0].name,
-            Unquoted(f"no junction with a front; {one.name or one.id}: {one.reason}"),
+            Unquoted(told),
             "one at which runs can be laid and sites can carry units",
         )
     weight = values.weight[solved]

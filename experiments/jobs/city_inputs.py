@@ -139,6 +139,8 @@ class City:
         Those that count, the largest first.
     n_all : int
         Junctions of the maps.
+    bounds : tuple of float
+        West, south, east and north of all junctions, in the coordinates of the first map's file.
     notes : tuple of str
         What was left out.
     """
@@ -148,6 +150,7 @@ class City:
     records: tuple[CityMapRecord, ...]
     junctions: tuple[CityJunction, ...]
     n_all: int
+    bounds: tuple[float, float, float, float]
     notes: tuple[str, ...]
 
     def neighbourhoods(self, *, radius_m: float) -> dict[str, Neighbourhoods]:
@@ -158,12 +161,9 @@ class City:
         }
 
     @property
-    def bounds(self) -> tuple[str, tuple[float, float, float, float]]:
-        """Reference system, and west, south, east, north of all junctions of the maps."""
-        points = np.array([one.surveyed.position for one in self.junctions])
-        low, high = points.min(axis=0), points.max(axis=0)
-        crs = self.roads[0].source_crs or self.roads[0].crs
-        return crs, (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+    def crs(self) -> str:
+        """Coordinate reference system of the first map's file."""
+        return self.roads[0].source_crs or self.roads[0].crs
 
 
 # ---------- maps and junctions
@@ -218,8 +218,15 @@ def load_city(paths: Sequence[Path], reading: ReadingOptions, wish: CityWish) ->
         records=records,
         junctions=tuple(chosen),
         n_all=len(found),
+        bounds=_bounds([one.surveyed for one in found if one.roads.crs == roads[0].crs]),
         notes=tuple(notes),
     )
+
+
+def _bounds(found: Sequence[Surveyed]) -> tuple[float, float, float, float]:
+    points = np.array([one.position for one in found])
+    (west, south), (east, north) = points.min(axis=0), points.max(axis=0)
+    return float(west), float(south), float(east), float(north)
 
 
 def _folder_name(map_name: str, junction_id: str) -> str:

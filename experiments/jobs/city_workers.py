@@ -2,6 +2,7 @@
 
 import logging
 import resource
+import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -23,6 +24,7 @@ from ..results.city import CityFrontRecord, build_points
 TRIES = 3
 """Of a junction whose worker dies, or that fails for no reason of its own."""
 
+_NO_WARNING = "ignore:resource_tracker:UserWarning"
 _ANSWER_S = 10.0  # of a scheduler, at most
 _AHEAD = 2  # tasks per worker that are handed over before their turn
 
@@ -72,7 +74,9 @@ def run_junction(task: JunctionTask) -> JunctionAnswer:
             compute=Compute(seed=task.seed, workers=1),
         )
     except (InputError, TimeUpError) as error:
-        record = failed_record(task, str(error), notes=notes)
+        # Another time, the machine may be less busy, and what it compiles once is compiled.
+        is_final = isinstance(error, InputError)
+        record = failed_record(task, str(error), is_final=is_final, notes=notes)
         return JunctionAnswer(record=record, files=files)
     record = CityFrontRecord(
         key=task.key,
@@ -154,6 +158,9 @@ def start_workers(
             yield client
         return
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # deaths are told by us
+    # Where this process is ended at once (see `ending_on_signals`), its helper would warn of what
+    # is left for it to clean up.
+    sys.warnoptions.append(_NO_WARNING)
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": TRIES - 1}),
         LocalCluster(
@@ -171,6 +178,7 @@ def start_workers(
             f"dashboard: {client.dashboard_link}"
         )
         yield client
+    sys.warnoptions.remove(_NO_WARNING)
 
 
 def _memory(text: str) -> int:

@@ -24,6 +24,7 @@ from ..report.bill_of_materials import build_bill
 from ..report.city import render_city_report, render_junction_page
 from ..results.city import (
     FRONTS,
+    JUNCTIONS,
     SUMMARY,
     CityFrontRecord,
     CityJunctionRecord,
@@ -109,10 +110,11 @@ def write_city(
     """Write all that is known of a city; the hashes of all files come last."""
     units: list[dict[str, Any]] = []
     poles: list[dict[str, Any]] = []
+    for name in (LAYOUT_FILE, REPORT):  # of an earlier choice, maybe among other junctions
+        for path in (out / JUNCTIONS).glob(f"*/{name}"):
+            path.unlink()
     for one, record in zip(result.junctions, records, strict=True):
         folder = out / one.folder
-        (folder / LAYOUT_FILE).unlink(missing_ok=True)
-        (folder / REPORT).unlink(missing_ok=True)
         if record.reason:
             continue
         scene = load_scene_folder(folder)
@@ -131,10 +133,9 @@ def write_city(
         FRONTS: fronts_table(records),
         SUMMARY: to_json_text(result).encode(),
     }
-    crs = city.roads[0].source_crs or city.roads[0].crs
     (out / GEOPACKAGE).unlink(missing_ok=True)
     if city.roads[0].crs:
-        tables[GEOPACKAGE] = to_city_geopackage(units, result.junctions, crs=crs)
+        tables[GEOPACKAGE] = to_city_geopackage(units, result.junctions, crs=city.crs)
     places = {one.folder: one.position_m for one in city.junctions}
     position = [places[one.folder.split("/", 1)[1]] for one in result.junctions]
     drawn = plot_city_map([*city.roads, *city.beside], position, result)

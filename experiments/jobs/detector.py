@@ -28,7 +28,7 @@ from placement.detectors.onnx_exports import kind_of_name
 from placement.detectors.sightings import LabelledPicture, gather_sightings
 from placement.evaluator import build_surroundings, load_vut_camera
 from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
-from placement.evaluator.watch import PictureSource
+from placement.evaluator.pictures import PictureSource
 from placement.layout import Layout, check_layout
 from placement.question import Question
 from placement.recordings import Recording, load_format, read_recording
@@ -41,12 +41,13 @@ from ..results.drives import versions
 from ..results.folders import check_folder, write_files
 
 if TYPE_CHECKING:
-    from placement.evaluator.watch import PictureOfFrame
+    from placement.evaluator.pictures import Crops, PictureOfFrame
 
 LOOK, FIT = "look", "fit"
 TABLE_NAME, JSON_NAME, PNG_NAME = "response.toml", "fit.json", "calibration.png"
 
 _BLOCK = 5  # consecutive frames: enough to see what carries over, and false tracks
+_WHOLE = 5  # of a network that looks at crops, every so many blocks are whole pictures, too
 _MAX_BYTES = 2**30
 _PEDESTRIAN, _CYCLIST = VRU_CLASSES.index("pedestrian"), VRU_CLASSES.index("cyclist")
 _FROM_THE_SIDE_DEG = 90.0
@@ -186,7 +187,9 @@ def _from_network(
 ) -> _Source:
     network = load_detector(question.detector, where="--detector")
     if not isinstance(network, NetworkDetector):
-        raise InputError("--detector", question.detector, "an .onnx file, whose table is fitted")
+        raise InputError(
+            "--detector", question.detector, "cnn, or an .onnx file, whose table is fitted"
+        )
     progress("setting", 0, 0)
     setting = build_setting(question, load_scene(question.scene))
     check_layout(layout, setting.scene)
@@ -208,8 +211,8 @@ def _look(
     """Pictures of blocks of consecutive frames, drawn at random, as many by each camera."""
     surroundings = build_surroundings(setting.scene, setting.runs)
     source = PictureSource(setting.scene, setting.runs, seed=compute.seed)
-    least_px = network.min_box_height_px
-    views: list[tuple[Evidence, PictureOfFrame]] = []
+    least_px, by_crops = network.min_box_height_px, network.looks_at_crops
+    views: list[tuple[Evidence, PictureOfFrame, Crops | None]] = []
     cameras = [unit for unit in layout.units if isinstance(unit.sensor, CameraModel)]
     for number, unit in enumerate(cameras):
         progress("label", number, len(cameras) + 1)
@@ -217,24 +220,33 @@ def _look(
         evidence = perceive_from_roadside(
             surroundings, unit.pose, unit.sensor, min_height_px=least_px
         )
-        views.append((evidence, source.from_roadside(unit.pose, unit.sensor)))
+        views.append(
+            (
+                evidence,
+                source.from_roadside(unit.pose, unit.sensor),
+                source.crops((unit.pose, unit.sensor), evidence.amodal_px) if by_crops else None,
+            )
+        )
     progress("label", len(cameras), len(cameras) + 1)
     mount = load_vut_camera()
-    views.append(
-        (perceive_from_vut(surroundings, mount, min_height_px=least_px), source.from_vut(mount))
-    )
+    evidence = perceive_from_vut(surroundings, mount, min_height_px=least_px)
+    crops = source.crops(mount, evidence.amodal_px) if by_crops else None
+    views.append((evidence, source.from_vut(mount), crops))
     rng = np.random.default_rng([compute.seed, len(views)])
     shares = _share_out(
-        wish.pictures, [int((box_height_px(one.visible_px) > 0.0).sum()) for one, _ in views]
+        wish.pictures, [int((box_height_px(one.visible_px) > 0.0).sum()) for one, *_ in views]
     )
     n_drawn = 0
-    for number, (evidence, picture) in enumerate(views):
+    for number, (evidence, picture, crops) in enumerate(views):
         for run, frame, row in _pick_frames(setting, evidence, shares[number], rng):
             progress(LOOK, n_drawn, sum(shares))
             n_drawn += 1
-            found = network.model.detect(picture(row))
+            # What counts in an evaluation is what is found in the crop.
+            in_crop = None if crops is None else network.look_at(crops.draw(row))
+            is_whole = in_crop is None or n_drawn // _BLOCK % _WHOLE == 0
+            found = network.look(picture(row)) if in_crop is None or is_whole else in_crop
             is_sure = found.confidence >= wish.min_confidence
-            boxes = vru_boxes(found)
+            boxes = vru_boxes(in_crop or found)
             kind = int(np.broadcast_to(evidence.vru_class, len(evidence))[row])
             of_class = boxes.cyclists if kind == _CYCLIST else boxes.persons
             box = evidence.visible_px[row]
@@ -251,6 +263,7 @@ def _look(
                 aspect_deg=_row(evidence.aspect_deg, row, n_labels),
                 found_px=of_class.boxes_px[of_class.confidence >= wish.min_confidence],
                 alone_px=found.boxes_px[is_sure & is_alone],
+                is_whole=is_whole,
             )
 
 

@@ -24,7 +24,8 @@ from geometry.sensors import CameraModel
 from geometry.weather import pick_weather
 from placement.compute import Compute
 from placement.evaluator import load_vut_camera
-from placement.evaluator.watch import UnitKey, vut_camera_pose
+from placement.evaluator.pictures import vut_camera_pose
+from placement.evaluator.watch import UnitKey
 from placement.imaging import Picture, PointCloud, build_backdrop, draw_picture
 from placement.imaging.mesh import build_frame_mesh, scan_mesh
 from scenarios.runs import Run

@@ -18,8 +18,8 @@ from geometry.poses import Pose
 from geometry.scene import Scene
 from geometry.weather import pick_weather
 from placement.compute import Compute
+from placement.evaluator.pictures import vut_camera_pose
 from placement.evaluator.surroundings import load_vut_camera, load_vut_lidar
-from placement.evaluator.watch import vut_camera_pose
 from placement.imaging import (
     Picture,
     PointCloud,

@@ -56,7 +56,8 @@ class CityFrontRecord(Record, frozen=True, kw_only=True):
     scene: Annotated[str, says("Name of its scene.")]
     reason: Annotated[str, says("Why there is no front; empty: there is one.")]
     is_final: Annotated[
-        bool, says("Whether another try would say the same: false where a worker died.")
+        bool,
+        says("Whether another try would say the same; not where a worker died, or time was up."),
     ] = True
     points: Annotated[tuple[CityPointRecord, ...], says("The first takes nothing.")]
     by_units: Annotated[

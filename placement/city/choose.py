@@ -107,7 +107,7 @@ def choose(
     names : sequence of str
         Of the junctions, for messages.
     gap : float
-        Relative gap at which the first stage counts as settled.
+        Relative gap at which a stage counts as settled.
     time_limit_s : float
         For all stages. [s]
 
@@ -147,6 +147,7 @@ def choose(
         rows=rows[keep],
         share=share,
         wishes=wishes,
+        gap=gap,
         end_s=end_s,
         held=[],
         chosen=(np.cumsum(keep) - 1)[found.chosen],
@@ -255,6 +256,7 @@ class _Later:
     rows: IntArray  # of all options, those of these
     share: FloatArray
     wishes: CityWishes
+    gap: float
     end_s: float
     held: list[tuple[FloatArray, float]]  # rows of at least so much, in shares
     chosen: IntArray
@@ -297,7 +299,7 @@ class _Later:
 
     def _most(self, objective: Objective, profit: FloatArray, *, unit: float = 1.0) -> Stage:
         began_s = time.monotonic()
-        found = solve_knapsack(self._knapsack(profit), time_limit_s=self._left_s())
+        found = solve_knapsack(self._knapsack(profit), gap=self.gap, time_limit_s=self._left_s())
         if found.chosen is not None and found.objective > profit[self.chosen].sum():
             self.chosen = found.chosen
         value = float(profit[self.chosen].sum())

@@ -3,7 +3,7 @@
 import re
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
+from importlib.resources import as_file, files
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
@@ -175,8 +175,8 @@ def _linked_noise(draws: IntArray, correlation: float, rng: np.random.Generator)
     return linked
 
 
-DETECTOR_NAMES = ("geometric", "response")
-_FILE = "detectors.toml"
+DETECTOR_NAMES = ("geometric", "response", "cnn-table", "cnn")
+_FILE, _NETWORK_FILE, _TABLE_FILE = "detectors.toml", "vru.onnx", "vru.toml"
 
 
 def load_detector(name: str = "geometric", *, where: str = "detector") -> Detector:
@@ -185,8 +185,8 @@ def load_detector(name: str = "geometric", *, where: str = "detector") -> Detect
     Parameters
     ----------
     name : str
-        "geometric", "response", a ``.toml`` file with a table ``[response]`` as in
-        ``data/detectors.toml``, or an ``.onnx`` file.
+        "geometric", "response", "cnn-table", "cnn", a ``.toml`` file with a table
+        ``[response]`` as in ``data/detectors.toml``, or an ``.onnx`` file.
     where : str
         What named it, for error messages.
 
@@ -200,8 +200,10 @@ def load_detector(name: str = "geometric", *, where: str = "detector") -> Detect
     InputError
         The name is unknown, or the file cannot be used.
     MissingExtraError
-        An ONNX file without onnxruntime.
+        "cnn" or an ONNX file without onnxruntime.
     """
+    if name == "cnn":
+        return _load_shipped_network()
     if name in DETECTOR_NAMES:
         return load_planning_detector(name)
     path = Path(name)
@@ -211,14 +213,40 @@ def load_detector(name: str = "geometric", *, where: str = "detector") -> Detect
         from .network import NetworkDetector, load_onnx_model
 
         limits = read_table(_defaults()["onnx"], dict[str, float], f"{_FILE}: onnx")
-        return NetworkDetector(name=path.name, model=load_onnx_model(path), **limits)
+        return NetworkDetector(
+            name=path.name,
+            model=load_onnx_model(path),
+            min_box_height_px=limits["min_box_height_px"],
+            min_confidence=limits["min_confidence"],
+        )
     known = ", ".join(DETECTOR_NAMES)
     raise InputError(where, name, f"{known}, a .toml file with a response table, or an .onnx file")
 
 
 @cache
+def _load_shipped_network() -> Detector:
+    """The network that is shipped."""
+    from .network import NetworkDetector, load_onnx_model
+
+    limits = read_table(_defaults()["cnn"], dict[str, float], f"{_FILE}: cnn")
+    with as_file(files(__package__) / "data" / _NETWORK_FILE) as path:
+        model = load_onnx_model(path)
+    return NetworkDetector(
+        name="cnn",
+        model=model,
+        min_box_height_px=limits["min_box_height_px"],
+        min_confidence=limits["min_confidence"],
+        looks_at_crops=True,
+        plans_with="cnn-table",
+    )
+
+
+@cache
 def load_planning_detector(name: str = "geometric") -> PlanningDetector:
-    """One of the built-in detectors, "geometric" or "response", from ``data/detectors.toml``."""
+    """One of the built-in detectors, "geometric", "response" or "cnn-table"."""
+    if name == "cnn-table":
+        source = files(__package__) / "data" / _TABLE_FILE
+        return _read_response(source, load_toml(source), name=name)
     table = take(_defaults(), name, _FILE)
     if name == "response":
         return _read_response(_source(), _defaults(), name=name)

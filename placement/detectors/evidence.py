@@ -1,8 +1,8 @@
 """Types of image evidence and detections, the interface of detectors, and the matching of boxes."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,33 @@ def aspects_deg(sightline_m: FloatArray, yaw_deg: FloatArray) -> FloatArray:
     return aspect
 
 
+class Crop(NamedTuple):
+    """A part of an image, perhaps at a lower resolution."""
+
+    pixels: Image  # (h, w, 3)
+    # left_px, top_px: its corner from the middle of the image, in pixels of the crop
+    left_px: float
+    top_px: float
+    scale: float  # pixels of the image per pixel of the crop
+    middle_px: tuple[float, float]  # of the image
+
+    def to_image(self, boxes_px: FloatArray) -> FloatArray:
+        """Boxes (n, 4) of the crop in pixels of the image."""
+        corner = np.array([self.left_px, self.top_px] * 2)
+        boxes: FloatArray = (boxes_px + corner) * self.scale + np.array(self.middle_px * 2)
+        return boxes
+
+
+class Crops(Protocol):
+    """Crops around road users, by row of the evidence."""
+
+    def key(self, row: int) -> Hashable:
+        """Equal for rows whose crops look the same."""
+
+    def draw(self, row: int) -> Crop:
+        """The crop of a row."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Evidence:
     """Image evidence: a row for each VRU in a unit's image in a frame."""
@@ -59,6 +86,7 @@ class Evidence:
     # different weathers. Consecutive numbers are consecutive frames.
     draw_index: IntArray
     picture: Callable[[int], Image] | None = None  # from a row to its image, (h, w, 3) uint8, RGB
+    crops: Crops | None = None
 
     def __len__(self) -> int:
         return len(self.visible_px)

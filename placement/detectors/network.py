@@ -1,14 +1,14 @@
 """Exported neural networks (ONNX) as detectors: run on images, and shown rendered pictures."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image as PilImage
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError, MissingExtraError, Unquoted
@@ -16,7 +16,7 @@ from geometry.files import check_file
 from geometry.image_boxes import clip_boxes, iou
 
 from .box_rule import load_min_iou
-from .evidence import VRU_CLASSES, Detections, Evidence
+from .evidence import VRU_CLASSES, Crop, Detections, Evidence, Image
 from .onnx_exports import Array, Export, onnx_setting, recognise_export
 
 
@@ -44,7 +44,7 @@ def letterbox(
     height, width = image.shape[:2]
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     if size != (width, height):
-        image = np.asarray(Image.fromarray(image).resize(size, Image.Resampling.BILINEAR))
+        image = np.asarray(PilImage.fromarray(image).resize(size, PilImage.Resampling.BILINEAR))
     left, top = (width_px - size[0]) // 2, (height_px - size[1]) // 2
     pixels = np.full((height_px, width_px, 3), onnx_setting("fill"), dtype=np.uint8)
     pixels[top : top + size[1], left : left + size[0]] = image
@@ -304,15 +304,24 @@ def _first_line(error: Exception) -> Unquoted:
 
 # ---------- the detector
 
+_SCALES = (1, 2, 4, 8)
+_CHOSEN_BY = {"geometric": "by boxes alone", "cnn-table": "by the response table fitted to it"}
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NetworkDetector:
-    """Detects by a network; pictures in which the VRU is too small are not shown to it."""
+    """Detects by a network; pictures in which the VRU is too small are not shown to it.
 
-    name: str  # name of the file
+    A network that looks at crops is shown the surroundings of the VRU only. Whole pictures it sees
+    at several scales.
+    """
+
+    name: str  # name of the file, or "cnn"
     model: OnnxModel
     min_box_height_px: float  # of the visible box. [px]
     min_confidence: float  # boxes below it do not count
+    looks_at_crops: bool = False
+    plans_with: str = "geometric"  # the built-in detector by which poses are chosen
 
     needs_shares = False
     needs_pictures = True
@@ -321,23 +330,57 @@ class NetworkDetector:
     def description(self) -> str:
         """When it detects."""
         return (
-            f"The network {self.name} looks at rendered pictures; its boxes count from a "
-            f"confidence of {self.min_confidence:g} on where they overlap the road user's visible "
-            f"part by more than {load_min_iou():g} (intersection over union). Poses are chosen by "
-            "boxes alone."
+            f"The network {self.name} looks at rendered pictures"
+            f"{', around the road user' if self.looks_at_crops else ''}; its boxes "
+            f"count from a confidence of {self.min_confidence:g} on where they overlap the road "
+            f"user's visible part by more than {load_min_iou():g} (intersection over union). Poses "
+            f"are chosen {_CHOSEN_BY[self.plans_with]}."
         )
+
+    def look(self, image: Image) -> ImageBoxes:
+        """Find road users in a whole picture, (h, w, 3) uint8.
+
+        A network for crops is shown it at full size, a half, a quarter and an eighth, for it knows
+        road users of few sizes only.
+        """
+        if not self.looks_at_crops:
+            return self.model.detect(image)
+        parts = []
+        for scale in _SCALES:
+            size = (image.shape[1] // scale, image.shape[0] // scale)
+            small = PilImage.fromarray(image).resize(size, PilImage.Resampling.BOX)
+            found = self.model.detect(np.asarray(small))
+            ratio = np.array([image.shape[1] / size[0], image.shape[0] / size[1]] * 2)
+            parts.append((found, found.boxes_px * ratio))
+        boxes = np.concatenate([scaled for _, scaled in parts])
+        class_ids = np.concatenate([found.class_ids for found, _ in parts])
+        confidence = np.concatenate([found.confidence for found, _ in parts])
+        order = np.argsort(-confidence, kind="stable")
+        kept = order[suppress(boxes[order], class_ids[order], max_iou=onnx_setting("max_iou"))]
+        return ImageBoxes(
+            boxes_px=boxes[kept],
+            class_ids=class_ids[kept],
+            confidence=confidence[kept],
+            kinds=parts[0][0].kinds,
+        )
+
+    def look_at(self, crop: Crop) -> ImageBoxes:
+        """Find road users in a part of a picture; boxes are in pixels of the whole one."""
+        found = self.model.detect(crop.pixels)
+        return replace(found, boxes_px=crop.to_image(found.boxes_px))
 
     def detect(self, evidence: Evidence, rng: np.random.Generator) -> Detections:
         """Show each picture in which the VRU is large enough to the network."""
-        if evidence.picture is None:
+        if (evidence.crops if self.looks_at_crops else evidence.picture) is None:
             raise InputError("evidence", Unquoted("no pictures"), "pictures for the network")
         height = evidence.visible_px[:, 3] - evidence.visible_px[:, 1]
+        seen: dict[Hashable, ImageBoxes] = {}
         rows: list[int] = []
         boxes: list[np.ndarray] = []
         confidence: list[np.ndarray] = []
         kinds = np.broadcast_to(evidence.vru_class, len(evidence))
         for row in np.flatnonzero(height >= max(self.min_box_height_px, 1.0e-9)).tolist():
-            found = vru_boxes(self.model.detect(evidence.picture(row)))
+            found = vru_boxes(self._find(row, evidence, seen))
             of_class = found.cyclists if VRU_CLASSES[kinds[row]] == "cyclist" else found.persons
             is_sure = of_class.confidence >= self.min_confidence
             boxes.append(of_class.boxes_px[is_sure])
@@ -348,3 +391,14 @@ class NetworkDetector:
             boxes_px=np.concatenate([np.empty((0, 4)), *boxes]),
             confidence=np.concatenate([np.empty(0), *confidence]),
         )
+
+    def _find(self, row: int, evidence: Evidence, seen: dict[Hashable, ImageBoxes]) -> ImageBoxes:
+        """Boxes in the image of a row, or around its VRU; what looks the same is seen once."""
+        if not self.looks_at_crops:
+            assert evidence.picture is not None
+            return self.model.detect(evidence.picture(row))
+        assert evidence.crops is not None
+        key = evidence.crops.key(row)
+        if key not in seen:
+            seen[key] = self.look_at(evidence.crops.draw(row))
+        return seen[key]

@@ -120,6 +120,8 @@ class LabelledPicture:
     alone_px : (k, 4) float, optional
         The boxes that are false alarms where they overlap no label; by default all. A box around a
         person and a bicycle, say, is none beside these two.
+    is_whole : bool
+        Whether all of the picture was looked at: otherwise its false alarms are not counted.
     """
 
     track: int
@@ -132,6 +134,7 @@ class LabelledPicture:
     found_px: FloatArray
     finds: BoolArray | None = None
     alone_px: FloatArray | None = None
+    is_whole: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -199,7 +202,6 @@ def gather_sightings(
     in_a_row: dict[int, tuple[int, int]] = {}  # by track: last frame, and frames in a row
     open_: dict[int, _Open] = {}
     for one in pictures:
-        n_pictures += 1
         overlap = iou(one.label_px[:, None], one.found_px[None])
         n_labels = len(one.label_px)
         rows.append(
@@ -212,6 +214,9 @@ def gather_sightings(
                 ]
             )
         )
+        if not one.is_whole:
+            continue
+        n_pictures += 1
         alone = one.found_px if one.alone_px is None else one.alone_px
         alarms = alone[~(iou(one.label_px[:, None], alone[None]) > 0.0).any(axis=0)]
         n_alarms += len(alarms)

@@ -1,10 +1,9 @@
 """Frames in which the VRU is detected, by every unit and by the VUT itself."""
 
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
-    CancelledError,
     Future,
     ThreadPoolExecutor,
     as_completed,
@@ -12,127 +11,26 @@ from concurrent.futures import (
 )
 from contextlib import closing, contextmanager
 from dataclasses import fields, replace
-from threading import Lock
 from typing import Any
 
 import numpy as np
 
-from geometry.actors import PlacedActor
 from geometry.arrays import BoolArray, IntArray
 from geometry.image_boxes import box_height_px
 from geometry.lidar import LidarModel, load_lidar_detection
-from geometry.poses import Pose, to_world
-from geometry.scene import Scene
+from geometry.poses import Pose
 from geometry.sensors import CameraModel
-from geometry.terrain import on_ground
 from geometry.weather import pick_weather
-from scenarios.runs import Run
 
 from ..candidates import CandidatePose
 from ..compute import Compute
 from ..detectors import Evidence, is_matched, load_min_iou
-from ..detectors.evidence import Image
-from ..imaging import Backdrop, build_backdrop, draw_picture
 from ..kept import Fingerprints, Kept
 from ..setting import Setting
 from .perceive import perceive_from_roadside, perceive_from_vut
+from .pictures import PictureSource
 from .scan import scan_from_roadside, scan_from_vut
-from .surroundings import (
-    VutCamera,
-    build_surroundings,
-    draw_index,
-    load_vut_camera,
-    load_vut_lidar,
-    vut_pitch_deg,
-)
-
-# ---------- pictures for networks
-
-
-PictureOfFrame = Callable[[int], Image]
-
-
-class PictureSource:
-    """Draws a frame when it is asked for; what stands still is prepared once per obstruction.
-
-    Attributes
-    ----------
-    n_drawn : int
-        Pictures so far.
-    """
-
-    def __init__(self, scene: Scene, runs: Sequence[Run], *, seed: int) -> None:
-        self._scene, self._runs = scene, runs
-        self._compute = Compute(seed=seed, workers=1)  # frames are drawn side by side
-        self._start = np.concatenate([[0], np.cumsum([len(run.time_s) for run in runs])])
-        self._backdrops: dict[tuple[object, ...], Backdrop] = {}
-        self._lock = Lock()
-        self._is_closed = False
-        self.n_drawn = 0
-
-    def close(self) -> None:
-        """Draw no more: whoever asks for another picture is stopped."""
-        self._is_closed = True
-
-    def from_roadside(self, pose: Pose, camera: CameraModel) -> PictureOfFrame:
-        """Pictures of a fixed camera: from a frame of all runs, end to end, to its image."""
-        return lambda frame: self._draw(frame, pose, camera, with_vut=True)
-
-    def from_vut(self, mount: VutCamera) -> PictureOfFrame:
-        """Pictures of the VUT's own camera; see :meth:`from_roadside`."""
-
-        def picture(frame: int) -> Image:
-            run, index = self._find(frame)
-            pose = vut_camera_pose(mount, run, index)
-            return self._draw(frame, pose, mount.camera, with_vut=False)
-
-        return picture
-
-    def _find(self, frame: int) -> tuple[Run, int]:
-        run_index = int(np.searchsorted(self._start, frame, side="right")) - 1
-        return self._runs[run_index], frame - int(self._start[run_index])
-
-    def _draw(self, frame: int, pose: Pose, camera: CameraModel, *, with_vut: bool) -> Image:
-        if self._is_closed:
-            raise CancelledError
-        run, index = self._find(frame)
-        picture = draw_picture(
-            self._backdrop(run.obstruction),
-            run,
-            index,
-            pose,
-            camera,
-            weather=pick_weather(run.weather, "run: weather"),
-            with_vut=with_vut,
-            compute=self._compute,
-        )
-        with self._lock:
-            self.n_drawn += 1
-        return picture.rgb
-
-    def _backdrop(self, obstruction: tuple[PlacedActor, ...]) -> Backdrop:
-        key = tuple(parked.key for parked in obstruction)
-        with self._lock:
-            if key not in self._backdrops:
-                self._backdrops[key] = build_backdrop(self._scene, obstruction)
-            return self._backdrops[key]
-
-
-def vut_camera_pose(mount: VutCamera, run: Run, frame_index: int) -> Pose:
-    """Where the VUT's camera is and looks in a frame of a run, world frame."""
-    on_vut = mount.pose_on(run.encounter.vut)
-    yaw_deg = float(run.vut_yaw_deg[frame_index])
-    position_m = on_ground(run.vut_position_m[frame_index], run.terrain)
-    pitch_deg = vut_pitch_deg(
-        run.encounter.vut, run.vut_position_m[frame_index], yaw_deg, run.terrain
-    )
-    vut = Pose(position_m=position_m, yaw_deg=yaw_deg, pitch_deg=float(pitch_deg))
-    return Pose(
-        position_m=to_world(on_vut.position_m[None], vut)[0],
-        yaw_deg=yaw_deg + on_vut.yaw_deg,
-        pitch_deg=vut.pitch_deg + on_vut.pitch_deg,
-    )
-
+from .surroundings import build_surroundings, draw_index, load_vut_camera, load_vut_lidar
 
 # ---------- detections
 
@@ -283,7 +181,7 @@ class _Watcher:
                 key: pool.submit(
                     self._detect,
                     key,
-                    replace(evidence, picture=self._pictures_of(source, units.get(key))),
+                    self._with_pictures(evidence, source, units.get(key)),
                 )
                 for key, evidence in looks.items()
             }
@@ -299,11 +197,17 @@ class _Watcher:
         found = self._setting.detector.detect(evidence, build_rng(self._seed, key))
         return is_matched(found, evidence.visible_px, min_iou=load_min_iou())
 
-    def _pictures_of(self, source: PictureSource, unit: CandidatePose | None) -> PictureOfFrame:
+    def _with_pictures(
+        self, evidence: Evidence, source: PictureSource, unit: CandidatePose | None
+    ) -> Evidence:
+        """What is shown to the detector: whole pictures, or crops around the road user."""
         if unit is None:
-            return source.from_vut(self._mount)
+            crops = source.crops(self._mount, evidence.amodal_px)
+            return replace(evidence, picture=source.from_vut(self._mount), crops=crops)
         assert isinstance(unit.sensor, CameraModel)
-        return source.from_roadside(unit.pose, unit.sensor)
+        crops = source.crops((unit.pose, unit.sensor), evidence.amodal_px)
+        picture = source.from_roadside(unit.pose, unit.sensor)
+        return replace(evidence, picture=picture, crops=crops)
 
     def _look(self, pose: Pose, camera: CameraModel) -> Evidence:
         detector = self._setting.detector
@@ -342,7 +246,7 @@ def _pool(workers: int) -> Iterator[ThreadPoolExecutor]:
 
 def _join(parts: Sequence[Evidence]) -> Evidence:
     """Evidence of consecutive frames in one."""
-    names = [field.name for field in fields(Evidence) if field.name != "picture"]
+    names = [field.name for field in fields(Evidence) if field.name not in ("picture", "crops")]
     joined: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in parts]) for name in names
     }

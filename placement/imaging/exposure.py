@@ -25,7 +25,7 @@ def find_edges(radiance: FloatRays) -> BoolArray:
     return is_edge
 
 
-_SAMPLE = 4  # every so many pixels are looked at for the exposure
+_SAMPLE = 4
 _STEPS = 8192  # of the curve from linear light to sRGB, over 0 .. _BRIGHTEST
 _BRIGHTEST = 4.0
 
@@ -38,8 +38,12 @@ def load_imager() -> Mapping[str, float]:
     )
 
 
-def white_luminance(radiance: FloatRays, imager: Mapping[str, float]) -> float:
+def white_luminance(
+    radiance: FloatRays, imager: Mapping[str, float], *, every: int = _SAMPLE
+) -> float:
     """Luminance that the exposure of an image (h, w, 3) makes white, in cd/m^2.
+
+    Of the image every so many pixels along each side are looked at.
 
     The mean of logarithms over the key, but no less than the longest exposure allows.
 
@@ -47,7 +51,7 @@ def white_luminance(radiance: FloatRays, imager: Mapping[str, float]) -> float:
     ----------
     .. [1] E. Reinhard et al., "Photographic tone reproduction for digital images", 2002: the key.
     """
-    luminance = radiance[::_SAMPLE, ::_SAMPLE] @ LUMINANCE.astype(np.float32)
+    luminance = radiance[::every, ::every] @ LUMINANCE.astype(np.float32)
     mean = float(np.exp(np.log(np.maximum(luminance, np.float32(1e-4))).mean()))
     return max(mean / imager["key"], imager["white_cdpm2_least"])
 

@@ -1,7 +1,7 @@
 """Look of surfaces: albedo, gloss and patterns of ground, houses, vehicles and people."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 from statistics import NormalDist
@@ -153,6 +153,39 @@ def load_materials() -> Materials:
         gloss=read_table(table["gloss"], dict[str, float], f"{_WHERE}: gloss"),
         lit_window_colour=_albedo(colour, (3,), "pattern.lit_window_colour"),
     )
+
+
+def vary_materials(materials: Materials, rng: np.random.Generator) -> Materials:
+    """Other clothes, skins, paints and facades, drawn at random.
+
+    Clothes and paints have any hue, little colour as often as much, and a lightness from black to
+    white; hair and skin run from the darkest to the lightest that people have; all other surfaces
+    keep their hue and are up to a half lighter or darker.
+    """
+    lights = {name: rng.uniform(0.6, 1.5) for name in materials.albedo}
+    albedo = {name: value * np.float32(lights[name]) for name, value in materials.albedo.items()}
+    skin, hair = materials.albedo["skin"], materials.albedo["hair"]
+    albedo["skin"] = skin * np.float32(rng.uniform(0.2, 1.4))
+    albedo["hair"] = hair * np.float32(np.exp(rng.uniform(-0.7, 2.2)))
+    albedo["facade"] = _any_colours(1, rng)[0] * np.float32(0.6) + np.float32(0.1)
+    for name in ("bicycle", "helmet", "shoes"):
+        albedo[name] = _any_colours(1, rng)[0]
+    return replace(
+        materials,
+        albedo={name: np.clip(value, 0.01, 0.9) for name, value in albedo.items()},
+        clothes={name: _any_colours(2, rng) for name in materials.clothes},
+        vut_paint=_any_colours(1, rng)[0],
+        parked_paints=_any_colours(len(materials.parked_paints), rng),
+    )
+
+
+def _any_colours(n_colours: int, rng: np.random.Generator) -> FloatRays:
+    """Albedos (n, 3) of cloth and paint: from black to white, from grey to bright."""
+    hue = rng.uniform(0.0, 2.0 * np.pi, (n_colours, 1)) + np.array([0.0, 2.1, 4.2])
+    colour = 1.0 + rng.beta(0.7, 1.0, (n_colours, 1)) * np.cos(hue)
+    light = np.exp(rng.uniform(np.log(0.02), np.log(0.7), (n_colours, 1)))
+    albedos: FloatRays = np.clip(light * colour, 0.01, 0.85).astype(np.float32)
+    return albedos
 
 
 def _albedo(values: Any, shape: tuple[int, ...], name: str) -> FloatRays:

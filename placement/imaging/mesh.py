@@ -4,7 +4,8 @@ Rays are cast in single precision: a frame's mesh has its origin at the camera.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,6 +136,17 @@ def place_mesh(mesh: Mesh, origin_m: FloatArray) -> FrameMesh:
     )
 
 
+def move_origin(mesh: FrameMesh, origin_m: FloatArray) -> FrameMesh:
+    """The same triangles, ready for rays already, in a frame with another origin (3,)."""
+    shift = (origin_m - mesh.origin_m).astype(np.float32)
+    return replace(
+        mesh,
+        origin_m=origin_m,
+        corners_m=mesh.corners_m - shift,
+        caster=_MovedCaster(mesh.caster, shift),
+    )
+
+
 def add_moving_meshes(still: FrameMesh, moving: Sequence[Mesh]) -> FrameMesh:
     """What stands still and what moves, for rays; only what moves is prepared anew."""
     bodies = place_mesh(_join(moving), still.origin_m)
@@ -148,6 +160,27 @@ def add_moving_meshes(still: FrameMesh, moving: Sequence[Mesh]) -> FrameMesh:
         things=still.things + bodies.things,
         caster=_TwoCasters(still.caster, bodies.caster, len(still.corners_m)),
     )
+
+
+class _MovedCaster:
+    """Rays whose origins are given from another origin, (3,)."""
+
+    def __init__(self, caster: RayCaster, shift: FloatRays) -> None:
+        self._caster, self._shift = caster, shift
+
+    def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
+        """See :class:`geometry.raycast.RayCaster`."""
+        return self._caster.is_blocked(origins_m + self._shift, vectors_m)
+
+    def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
+        """See :class:`geometry.raycast.RayCaster`."""
+        return self._caster.first_hit(origins_m + self._shift, vectors_m)
+
+    def first_triangle(
+        self, origins_m: FloatRays, vectors_m: FloatRays
+    ) -> tuple[FloatRays, IntArray]:
+        """See :class:`geometry.raycast.RayCaster`."""
+        return self._caster.first_triangle(origins_m + self._shift, vectors_m)
 
 
 class _TwoCasters:
@@ -241,8 +274,7 @@ def _smallest_rectangle(points_m: FloatArray) -> tuple[FloatArray, float, float,
 
 def _body_mesh(name: str, actor: Actor, shape: Shape, pose: Pose) -> Mesh:
     size_m = np.array([actor.length_m, actor.width_m, actor.height_m])
-    shade = _round_normals if actor.class_name in ROUND else _flat_normals
-    normals = shade(shape.vertices_m, shape.triangles)
+    normals = _body_normals(shape, is_round=actor.class_name in ROUND)
     R_world_body = body_rotation(pose.yaw_deg, pose.pitch_deg).astype(np.float32)
     return Mesh(
         vertices_m=to_world(shape.vertices_m, pose),
@@ -253,6 +285,13 @@ def _body_mesh(name: str, actor: Actor, shape: Shape, pose: Pose) -> Mesh:
             Thing(name=name, class_name=actor.class_name, pose=pose, size_m=size_m, actor=actor),
         ),
     )
+
+
+@lru_cache(maxsize=128)  # the steps of a gait come again and again; some 100 kB each
+def _body_normals(shape: Shape, *, is_round: bool) -> FloatRays:
+    """Normals of a body's triangles in its own frame, (m, 3, 3)."""
+    shade = _round_normals if is_round else _flat_normals
+    return shade(shape.vertices_m, shape.triangles)
 
 
 def _join(meshes: Sequence[Mesh]) -> Mesh:

@@ -403,6 +403,7 @@ def build_shot(
     *,
     run: Run | None = None,
     frame_index: int = 0,
+    materials: Materials | None = None,
 ) -> Shot:
     """What a picture of a mesh is made from; with the VUT's headlights in a frame of a run."""
     lamps: tuple[Lamp, ...] = ()
@@ -410,7 +411,7 @@ def build_shot(
         lamps = backdrop.street_lamps
         if run is not None:
             lamps += build_headlights(run.encounter.vut, vut_pose(run, frame_index))
-    materials = load_materials()
+    materials = materials or load_materials()
     return Shot(
         R_world_camera=camera_rotation(pose.yaw_deg, pose.pitch_deg),
         camera=camera,

@@ -23,11 +23,18 @@ _MARSHALL_PALMER_PER_M4 = 8.0e6
 
 
 def add_glare(
-    radiance: FloatRays, pose: Pose, camera: CameraModel, lamps: Sequence[Lamp], caster: RayCaster
+    radiance: FloatRays,
+    pose: Pose,
+    camera: CameraModel,
+    lamps: Sequence[Lamp],
+    caster: RayCaster,
+    *,
+    corner_px: tuple[int, int] = (0, 0),
 ) -> None:
     """Draw lamps that shine into the camera, and the light that scatters around them, in place.
 
-    `radiance` is the image (h, w, 3) in cd/m^2; the caster has its origin at the camera.
+    `radiance` is the image (h, w, 3) in cd/m^2, or a part of it that begins at the column and row
+    `corner_px`; the caster has its origin at the camera.
     """
     if not lamps:
         return
@@ -46,7 +53,7 @@ def add_glare(
         distance = float(np.linalg.norm(way))
         intensity = float(lamp.intensity_cd(-way[:, None] / np.float32(distance))[0])
         reach = radius_deg * per_deg
-        window = _window(radiance, column, row, reach)
+        window = _window(radiance, column - corner_px[0], row - corner_px[1], reach)
         if window is None or intensity == 0.0:
             continue
         part, square = window

@@ -163,7 +163,7 @@ def test_forced_speeds_are_warned_about(caplog):
         ({"along_arms": ","}, "--along-arms: got ''; expected metres along the arm"),
         (
             {"detector": "best"},
-            "--detector: got 'best'; expected geometric, response, a .toml file",
+            "--detector: got 'best'; expected geometric, response, cnn-table, cnn, a ",
         ),
         ({"vut_sensors": "radar"}, "--vut-sensors: got 'radar'; expected one or more of camera"),
         ({"vut_sensors": ""}, "vut_sensors: got ''; expected one or more of camera, lidar"),

@@ -276,6 +276,24 @@ def test_cyclists_ride_on_the_arms_cycleway(vut):
     assert rides.start_m[0] == pytest.approx(cycleway.centreline_m[0, 0])
 
 
+@pytest.mark.parametrize(("off_m", "is_found"), [(0.0, True), (4.0, True), (8.0, False)])
+def test_a_cycleway_may_end_a_little_beside_the_junctions_outline(off_m, is_found):
+    south = lanes_of("south", 270.0)[0]
+    cycleway = dataclasses.replace(
+        south,
+        id="track",
+        kind="cycling",
+        width_m=2.0,
+        centreline_m=south.centreline_m + [4.5, 0.0] - [0.0, off_m],
+    )
+    plain = protocol_scene()
+    arms = build_junction(dataclasses.replace(plain, lanes=(*plain.lanes, cycleway))).arms
+    assert {name: len(arm.cycleways_in) for name, arm in arms.items()} == {
+        name: int(is_found and name == "south") for name in ARMS
+    }
+    assert not any(arm.cycleways_out for arm in arms.values())
+
+
 def test_cyclists_do_not_ride_between_the_lanes_of_one_direction_and_the_other(vut):
     lanes = [
         lane

@@ -220,7 +220,7 @@ export function createMap(holder, on) {
     if (pickPoint) drag.kind = "pick";
     else if (aim) Object.assign(drag, { kind: "aim", unit: aim });
     else if (unit) { Object.assign(drag, { kind: "unit", unit }); on.unit(unit); }
-    else if (site) Object.assign(drag, { kind: "site", site: scene.sites.find((item) => item.id === site) });
+    else if (site) Object.assign(drag, { kind: "site", site: nearestSite(event) }); // marks overlap: not the upper one
     else drag.kind = "pan";
     svg.setPointerCapture(event.pointerId);
   }

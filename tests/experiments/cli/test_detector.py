@@ -177,7 +177,7 @@ def test_results_that_are_wrong_are_refused(run, coco, content):
         (["--labels", "b"], "--labels: got it without --results"),
         (["--results", "b"], "--results: got it without --labels"),
         (["--recording", "nowhere"], "nowhere"),
-        (["--layout", "carlancap-12"], "--detector: got 'geometric'; expected an .onnx file"),
+        (["--layout", "carlancap-12"], "--detector: got 'geometric'; expected cnn, or an .onnx"),
         (
             ["--recording", "a", "--pictures", "3"],
             "--pictures: got '3'; expected a number of pictures",

@@ -26,7 +26,7 @@ from experiments.results.folders import changed_files
 from geometry.errors import InputError, MissingExtraError
 from placement.layout import load_layout
 
-SEARCH = job.CitySearch(is_coarse=True, max_units=2, max_junction_s=60.0)
+SEARCH = job.CitySearch(is_coarse=True, max_units=2, max_junction_s=3600.0)
 LEAST_S = 1.0e-6
 
 
@@ -249,9 +249,9 @@ def test_districts_areas_and_years(tiny, city, never, tmp_path, no_pages):
     served = run(tiny / "tiny.osm", city, budget_units=1, districts=middle, min_district_apr=0.3)
     assert [one.units for one in served.junctions if one.district == "middle"] == [1]
     with pytest.raises(
-        InputError, match=r"--min-district-apr: got 1.0; expected at most 0\.\d+, what"
+        InputError, match=r"--budget-eur: got 10.0; expected at least [\d,]+ EUR, to"
     ):
-        run(tiny / "tiny.osm", city, districts=middle, min_district_apr=1.0)
+        run(tiny / "tiny.osm", city, budget_eur=10.0, districts=middle, min_district_apr=0.3)
     years = run(tiny / "tiny.osm", city, budget_units=3, units_per_year=1)
     assert sorted(one.year for one in years.junctions if one.units)[-1] == years.units
     few = run(tiny / "tiny.osm", city, budget_units=3, units_per_year=1, years=2)
@@ -266,17 +266,31 @@ def test_a_budget_below_the_cheapest_unit_buys_nothing_and_says_what_it_would(
     assert result.sentences[1].startswith("The cheapest useful choice is 1 unit at ")
 
 
-def test_what_hangs_there_is_kept_and_paid(tiny, city, here, tmp_path):
-    before = run(tiny / "tiny.osm", city, budget_units=1)
-    served = next(one for one in before.junctions if one.units)
-    after = run(tiny / "tiny.osm", tmp_path / "next", budget_units=1, keep=(city,))
-    kept = next(one for one in after.junctions if one.id == served.id)
-    assert kept.kept == 1
-    assert kept.apr_before == pytest.approx(served.apr)
-    assert after.units == 1
-    assert after.apr_before == pytest.approx(before.stages[0].objective)
-    assert after.stages[0].objective > before.stages[0].objective
-    assert sum(one.count for one in after.purchases if one.part == "sensor") == 1
+def test_what_hangs_there_is_kept_and_paid(tiny, here, tmp_path, no_pages):
+    before = json.loads((tiny / "city" / "city.json").read_text())
+    served = next(one for one in before["junctions"] if one["units"])
+    folder = tiny / "city" / served["folder"]
+    after = run(
+        tiny / "tiny.osm",
+        tmp_path / "next",
+        budget_units=1,
+        keep=(folder / "layout.json",),
+        junctions=served["id"],
+    )
+    [kept] = after.junctions
+    assert (kept.kept, kept.units) == (served["units"], after.units)
+    assert kept.apr_before == pytest.approx(served["apr"])
+    assert after.apr_before == pytest.approx(served["apr"])
+    assert after.stages[0].objective >= after.apr_before
+    assert sum(one.count for one in after.purchases if one.part == "sensor") == after.units
+    assert any("hangs there already prevents" in sentence for sentence in after.sentences)
+    with pytest.raises(InputError, match=r"scene: got 'tiny/n\d'; expected a junction that counts"):
+        run(
+            tiny / "tiny.osm",
+            tmp_path / "other",
+            keep=(tiny / "city",),
+            junctions=next(one["id"] for one in before["junctions"] if not one["units"]),
+        )
 
 
 def test_which_junctions_count(tiny, city, never, tmp_path, no_pages):

@@ -50,19 +50,19 @@ def _message(name, **options):
 
 
 def test_detectors_are_found_by_name():
-    assert DETECTOR_NAMES == ("geometric", "response")
+    assert DETECTOR_NAMES == ("geometric", "response", "cnn-table", "cnn")
     assert isinstance(load_detector("geometric"), GeometricDetector)
     assert isinstance(load_detector("response"), ResponseDetector)
     assert load_detector() is load_detector("geometric")
-    for name in DETECTOR_NAMES:
+    for name in DETECTOR_NAMES[:-1]:
         assert load_detector(name).name == name
         assert load_detector(name) is load_planning_detector(name)
 
 
 def test_an_unknown_name_lists_the_known_ones():
     assert _message("best", where="--detector") == (
-        "--detector: got 'best'; expected geometric, response, a .toml file with a response "
-        "table, or an .onnx file"
+        "--detector: got 'best'; expected geometric, response, cnn-table, cnn, a .toml file with "
+        "a response table, or an .onnx file"
     )
 
 
@@ -70,8 +70,8 @@ def test_an_unknown_name_lists_the_known_ones():
 def test_a_file_of_another_kind_is_refused_even_if_it_is_there(write, name):
     path = write(TABLE, name)
     assert _message(path) == (
-        f"detector: got {str(path)!r}; expected geometric, response, a .toml file with a response "
-        "table, or an .onnx file"
+        f"detector: got {str(path)!r}; expected geometric, response, cnn-table, cnn, a .toml "
+        "file with a response table, or an .onnx file"
     )
 
 

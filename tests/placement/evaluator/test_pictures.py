@@ -12,8 +12,8 @@ from placement.compute import Compute
 from placement.detectors import load_detector
 from placement.evaluator.evaluate import evaluate_layout
 from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
+from placement.evaluator.pictures import PictureSource, vut_camera_pose
 from placement.evaluator.surroundings import build_surroundings, load_vut_camera
-from placement.evaluator.watch import PictureSource, vut_camera_pose
 from placement.imaging import render_picture
 from placement.layout import Layout
 

@@ -224,7 +224,7 @@ def test_what_reaches_into_the_beam_hides_what_rays_find_hidden(corners_m, plate
     """
     pose = Pose(position_m=np.array([0.3, -0.2, up_m]), yaw_deg=yaw_deg, pitch_deg=-20.0)
     window = (20, 10, 50, 40)
-    placed = _place(pose, np.zeros((1, 4)))
+    placed = _place(pose, np.zeros((1, 4)), np.zeros(1))
     depth = np.full((30, 30), plate_m)
     beam = (placed.turn[0], placed.shift[0], window, plate_m, -np.inf, np.inf)
     hide(_image(TINY, up_m), build_tree(corners_m), 0, *beam, depth.reshape(-1))
@@ -263,7 +263,7 @@ def test_tree_of_centres_that_halve_again_and_again_stays_shallow_enough():
 
 def test_tree_of_nothing_hides_nothing():
     empty = Mesh(vertices_m=np.empty((0, 3)), triangles=np.empty((0, 3), dtype=np.int64)).tree
-    placed = _place(LEVEL, np.zeros((1, 4)))
+    placed = _place(LEVEL, np.zeros((1, 4)), np.zeros(1))
     args = (placed.turn[0], placed.shift[0], (0, 0, 9, 9), 5.0, 0.0, 2.0, np.ones(81))
     assert not hide(_image(TINY), empty, 0, *args)
     assert not hide(_image(TINY), empty, 0, *args[:-1], np.empty(0))
@@ -301,7 +301,7 @@ def test_crop_holds_every_pixel_of_the_body(ahead_m, left_m, up_m, yaw_deg, pitc
 
 
 def _in_camera(points_m, pose, road_pose):
-    placed = _place(pose, np.array([road_pose]))
+    placed = _place(pose, np.array([road_pose]), np.zeros(1))
     return np.ascontiguousarray(points_m @ placed.turn[0].T + placed.shift[0])
 
 

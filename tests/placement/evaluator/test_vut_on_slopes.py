@@ -11,6 +11,7 @@ from ray_renderer import render_frame
 from geometry.scene import Instance
 from geometry.terrain import GROUND, Terrain, pitch_on_ground_deg, terrain_of
 from placement.evaluator.perceive import perceive_from_vut
+from placement.evaluator.pictures import vut_camera_pose
 from placement.evaluator.scan import scan_from_vut
 from placement.evaluator.surroundings import (
     VutCamera,
@@ -18,7 +19,6 @@ from placement.evaluator.surroundings import (
     load_vut_camera,
     load_vut_lidar,
 )
-from placement.evaluator.watch import vut_camera_pose
 
 LINE = np.linspace(-120.0, 120.0, 25)
 

@@ -1,0 +1,162 @@
+"""The study's cases by four detectors: ``python -m experiments.study.detectors``.
+
+The same layout and runs are judged by the box rule, the response model, the network that is
+shipped, and the response table fitted to it; and by what the detection table counts on, which is
+how well plans foretell the network's verdicts.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import click
+import numpy as np
+
+from geometry.arrays import BoolArray
+from geometry.scene_files import load_scene
+from geometry.sensors import CameraModel
+from placement.compute import Compute
+from placement.detectors import load_planning_detector
+from placement.evaluation import Evaluation, Verdict, apr, detected_share
+from placement.evaluator import build_surroundings, evaluate_layout, load_vut_camera
+from placement.evaluator.evaluate import Judge
+from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
+from placement.layout import Layout
+from placement.question import Question
+from placement.setting import Setting, build_setting
+
+from ..progress import StageProgress
+from ..results.numbers import percent
+from .layout import find_layout
+
+CASES = ("CPNC-50", "CBNA", "CBLA")
+DETECTORS = {
+    "geometric": "box rule",
+    "response": "response model",
+    "cnn-table": "table fitted to the network",
+    "cnn": "network",
+}
+_UNITS = ("VUT", "all units")
+
+
+def compare_detectors(question: Question, layout: Layout, compute: Compute) -> str:
+    """Frames detected and APR by case and detector, and how far plans foretell the network.
+
+    Parameters
+    ----------
+    question : Question
+        Cases and runs; its detector is not asked.
+    layout : Layout
+        Cameras.
+    compute : Compute
+        Threads, seed and progress.
+
+    Returns
+    -------
+    text : str
+        Markdown.
+    """
+    scene = load_scene(question.scene)
+    settings = {name: build_setting(replace(question, detector=name), scene) for name in DETECTORS}
+    found = {
+        name: evaluate_layout(layout, setting, compute=compute)
+        for name, setting in settings.items()
+    }
+    setting = settings["cnn"]
+    lines = [
+        f"{layout.name}, {len(setting.runs)} runs, {len(layout.units)} cameras.",
+        "",
+        "| case | runs | detector | "
+        + " | ".join(f"{unit}: {what}" for what in ("frames detected", "APR") for unit in _UNITS)
+        + " |",
+        "| --- " * 7 + "|",
+        *_rows(setting, found),
+        "",
+        *_agreement(setting, layout, found["cnn"]),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _rows(setting: Setting, found: Mapping[str, Evaluation]) -> Iterator[str]:
+    axis = setting.axis
+    for case in dict.fromkeys(axis.cases):
+        mask = np.array(axis.cases) == case
+        for name, words in DETECTORS.items():
+            verdicts = (found[name].vut, found[name].rsu_all)
+            seen = [percent(detected_share(one, axis, mask)) for one in verdicts]
+            avoided = [percent(apr(one, axis, mask)) for one in verdicts]
+            yield f"| {case} | {mask.sum()} | {words} | {' | '.join([*seen, *avoided])} |"
+
+
+def _agreement(setting: Setting, layout: Layout, by_network: Evaluation) -> Iterator[str]:
+    """In how many runs what a plan counts on gives the network's verdict, unit by unit."""
+    surroundings = build_surroundings(setting.scene, setting.runs)
+    judge = Judge(setting.runs, setting.axis, setting.rule)
+    mount = load_vut_camera()
+    evidence = {"VUT": perceive_from_vut(surroundings, mount)}
+    for unit in layout.units:
+        if isinstance(unit.sensor, CameraModel):
+            evidence[unit.id] = perceive_from_roadside(surroundings, unit.pose, unit.sensor)
+    verdicts: dict[str, Verdict] = {"VUT": by_network.vut, **by_network.units}
+    yield "Runs in which what a plan counts on gives the verdict of the network:"
+    yield ""
+    yield "| planned with | " + " | ".join([*evidence, "all units"]) + " |"
+    yield "| --- " * (len(evidence) + 2) + "|"
+    for name in ("geometric", "response", "cnn-table"):
+        planner = load_planning_detector(name)
+        expected: dict[str, BoolArray] = {
+            unit: planner.is_expected(one) for unit, one in evidence.items()
+        }
+        latency_s = setting.rule.latency_s
+        shares = []
+        for unit, frames in expected.items():
+            plan = judge.verdict([(frames, latency_s)])
+            shares.append(float((plan.is_avoided == verdicts[unit].is_avoided).mean()))
+        units = [(frames, latency_s) for unit, frames in expected.items() if unit != "VUT"]
+        fused = judge.verdict(units)
+        shares.append(float((fused.is_avoided == by_network.rsu_all.is_avoided).mean()))
+        yield f"| {DETECTORS[name]} | {' | '.join(percent(share) for share in shares)} |"
+
+
+@click.command()
+@click.option("--layout", "layout_name", default="carlancap-12", show_default=True)
+@click.option("--cases", default=",".join(CASES), show_default=True)
+@click.option("--along-arms", default="0", show_default=True)
+@click.option("--speeds", default="", help="km/h with commas between; default: all of a case.")
+@click.option("--approaches", default="", help="Default: all.")
+@click.option("--weather", default="day", show_default=True)
+@click.option("--workers", type=int, default=2, show_default=True, help="Threads.")
+@click.option("--out", type=click.Path(path_type=Path), help="File; default: the terminal.")
+def main(
+    *,
+    layout_name: str,
+    cases: str,
+    along_arms: str,
+    speeds: str,
+    approaches: str,
+    weather: str,
+    workers: int,
+    out: Path | None,
+) -> None:
+    """Judge a layout by the box rule, the response model, the network, and its table."""
+    question = Question(
+        cases=cases, along_arms=along_arms, speeds=speeds, approaches=approaches, weather=weather
+    )
+    progress = StageProgress()
+    progress.start(quiet=False)
+    try:
+        text = compare_detectors(
+            question,
+            find_layout(layout_name, "--layout"),
+            Compute(workers=workers, progress=progress),
+        )
+    finally:
+        progress.stop()
+    if out is None:
+        click.echo(text)
+    else:
+        out.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

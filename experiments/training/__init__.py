@@ -1,0 +1,1 @@
+"""The detector that is shipped: crops drawn at many junctions, training, and its metrics."""

@@ -1,0 +1,153 @@
+"""The model card: how well a network finds what it has not learnt, beside what is assumed."""
+
+from collections.abc import Iterator, Sequence
+from importlib.resources import files
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from placement.detectors import Evidence, ResponseDetector, load_planning_detector
+
+from .crops import CROP_PX, WEATHERS, Crops
+from .metrics import Scored, average_precision, log_average_miss_rate, match_boxes
+from .network import CLASSES, VruNetwork
+from .train import Found, Recipe, class_of, counted
+
+_PICTURE_PX = 1920 * 1080
+_HEIGHTS_PX = (10.0, 20.0, 30.0, 50.0, 80.0, 1000.0)
+_SHARES = (0.3, 0.65, 0.9, 1.01)
+_LOOSE = 1.25  # boxes so much lower or higher than a group's still count as its false alarms
+MIN_CONFIDENCE = 0.5
+"""From which on boxes count."""
+
+
+def card_text(
+    network: VruNetwork,
+    learnt: Crops,
+    crops: Crops,
+    found: Found,
+    *,
+    held_out: Sequence[str],
+    names: Sequence[str],
+    recipe: Recipe,
+) -> str:
+    """The card of a network as Markdown, by what it `found` in crops of junctions held out."""
+    everything = _score(crops, found, np.ones(len(crops), dtype=bool))
+    alarms = ~everything.is_true & (everything.confidence >= MIN_CONFIDENCE)
+    rows = [
+        _row(name, crops, _score(crops, found, keep, heights), keep)
+        for name, keep, heights in _groups(crops)
+    ]
+    template = (files(__package__) / "card.md").read_text(encoding="utf-8")
+    return template.format(
+        n_weights=sum(weights.numel() for weights in network.parameters()),
+        n_crops=len(learnt),
+        crop_px=CROP_PX,
+        n_labels=int((learnt.vru_class >= 0).sum()),
+        n_maps=len(names),
+        maps=", ".join(names),
+        steps=recipe.steps,
+        batch=recipe.batch,
+        seed=recipe.seed,
+        n_tested=len(crops),
+        held_out=", ".join(held_out),
+        confidence=MIN_CONFIDENCE,
+        alarms=alarms.sum() / everything.n_pictures,
+        rows="\n".join(row for row in rows if row),
+    )
+
+
+def _groups(
+    crops: Crops,
+) -> Iterator[tuple[str, NDArray[np.bool_], tuple[float, float]]]:
+    """Name, crops (n,), and heights of each group."""
+    anything = (0.0, np.inf)
+    height = crops.box_px[:, 3] - crops.box_px[:, 1]
+    yield "all", np.ones(len(crops), dtype=bool), anything
+    for number, name in enumerate(("adults", "children", "cyclists")):
+        yield name, crops.vru_class == number, anything
+    for low, high in pairwise(_HEIGHTS_PX):
+        name = f"{low:g} to {high:g} px" if high < _HEIGHTS_PX[-1] else f"{low:g} px and more"
+        yield name, (height >= low) & (height < high), (low, high)
+    for low, high in pairwise(_SHARES):
+        seen = (crops.visible_share >= low) & (crops.visible_share < high)
+        yield f"{low:g} to {min(high, 1.0):g} seen", seen, anything
+    for number, name in enumerate(WEATHERS):
+        yield name, crops.weather == number, anything
+
+
+def _row(name: str, crops: Crops, scored: Scored, keep: NDArray[np.bool_]) -> str:
+    if not scored.n_labels:
+        return ""
+    share = (scored.is_true & (scored.confidence >= MIN_CONFIDENCE)).sum() / scored.n_labels
+    figures = (
+        f"{average_precision(scored):.3f}",
+        f"{100.0 * log_average_miss_rate(scored):.1f} %",
+        f"{100.0 * share:.1f} %",
+        f"{100.0 * _assumed(crops, keep & counted(crops)):.1f} %",
+    )
+    return f"| {name} | {scored.n_labels} | {' | '.join(figures)} |"
+
+
+def _assumed(crops: Crops, keep: NDArray[np.bool_]) -> float:
+    """Mean probability of the response model at full contrast, from the side."""
+    response = load_planning_detector("response")
+    assert isinstance(response, ResponseDetector)
+    n = int(keep.sum())
+    evidence = Evidence(
+        visible_px=crops.box_px[keep],
+        amodal_px=crops.box_px[keep],
+        contrast=np.ones(n),
+        visible_share=np.minimum(crops.visible_share[keep], 1.0),
+        inside_share=np.ones(n),
+        aspect_deg=np.full(n, 90.0),
+        vru_class=crops.vru_class[keep],
+        draw_index=np.arange(n),
+    )
+    return float(response.probability(evidence).mean())
+
+
+def _score(
+    crops: Crops,
+    found: Found,
+    keep: NDArray[np.bool_],
+    heights_px: tuple[float, float] = (0.0, np.inf),
+) -> Scored:
+    """How boxes match the labels of crops in `keep` (n,), both classes together."""
+    low, high = heights_px[0] / _LOOSE, heights_px[1] * _LOOSE
+    nothing, counts = np.zeros((0, 4)), keep & counted(crops)
+    parts = []
+    for number in range(len(CLASSES)):
+        own = class_of(crops) == number
+        boxes, sure = [], []
+        for by_class in found:
+            height = by_class[number][0][:, 3] - by_class[number][0][:, 1]
+            in_range = (height >= low) & (height <= high)
+            boxes.append(by_class[number][0][in_range])
+            sure.append(by_class[number][1][in_range])
+        parts.append(
+            match_boxes(
+                boxes,
+                sure,
+                [
+                    box[None] if is_own else nothing
+                    for box, is_own in zip(crops.box_px, own, strict=True)
+                ],
+                [
+                    counts[[row]] if is_own else np.zeros(0, dtype=bool)
+                    for row, is_own in enumerate(own)
+                ],
+                min_iou=0.5,
+                n_pictures=len(crops) * CROP_PX**2 / _PICTURE_PX,
+            )
+        )
+    confidence = np.concatenate([part.confidence for part in parts])
+    order = np.argsort(-confidence, kind="stable")
+    return Scored(
+        confidence=confidence[order],
+        is_true=np.concatenate([part.is_true for part in parts])[order],
+        label=np.concatenate([part.label for part in parts])[order],
+        n_labels=sum(part.n_labels for part in parts),
+        n_pictures=parts[0].n_pictures,
+    )

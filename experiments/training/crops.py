@@ -1,0 +1,279 @@
+"""Labelled crops of pictures, drawn at the junctions of many maps, to train and test a detector."""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.poses import Pose
+from geometry.scene import Scene
+from geometry.sensors import CameraModel, project_points
+from geometry.weather import Weather, pick_weather
+from placement.detectors.evidence import VRU_CLASSES, vru_class
+from placement.evaluator import load_vut_camera
+from placement.evaluator.pictures import vut_camera_pose
+from placement.imaging import Backdrop, build_backdrop
+from placement.imaging.crops import Window, draw_crop, silhouette
+from placement.imaging.materials import load_materials, vary_materials
+from placement.imaging.mesh import FrameMesh, build_moving_meshes, place_mesh
+from placement.imaging.picture import Picture
+from placement.question import Question
+from placement.setting import Setting, build_setting
+from scenarios.runs import Run
+
+CROP_PX = 160
+"""Side of a crop."""
+
+_CASES = "all"
+WEATHERS = ("day", "night", "rain")
+"""By number."""
+
+_WEATHER_SHARES = (0.5, 0.25, 0.25)
+_HEIGHT_PX = (11.0, 125.0)  # of whole road users, even on a logarithmic scale
+_FOV_DEG = (18.0, 110.0)
+_MOUNT_M = (3.5, 8.0)  # above the ground of a site
+_EMPTY_SHARE = 0.12  # crops that are not around the road user; in others it may be hidden
+_HIDDEN_KEPT = 0.3  # of crops in which it is hidden
+_VUT_SHARE = 0.2  # crops from the VUT's camera
+_PER_POSE = 6  # crops by a camera before another one looks
+_SIZE_PX = (1920, 1080)
+_TRIES = 30
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Crops:
+    """Crops with at most one road user each, arrays with a row for each."""
+
+    rgb: NDArray[np.uint8]  # (n, CROP_PX, CROP_PX, 3)
+    box_px: FloatArray  # (n, 4): of the visible part, inside the crop; zeros where there is none
+    height_px: FloatArray  # (n,): of the whole road user, hidden parts too; 0 where there is none
+    visible_share: FloatArray  # (n,): of the pixels that the whole road user covers in the crop
+    vru_class: IntArray  # (n,), into ``VRU_CLASSES``; -1 where there is none
+    weather: IntArray  # (n,), 0 day, 1 night, 2 rain
+
+    def __len__(self) -> int:
+        return len(self.rgb)
+
+
+def draw_crops(scene: Scene, n_crops: int, *, seed: int, tell: Callable[[int], None]) -> Crops:
+    """Draw crops at a junction; half of them with varied colours, a fourth of them empty.
+
+    Parameters
+    ----------
+    scene : Scene
+        A junction.
+    n_crops : int
+        How many.
+    seed : int
+        Of all that is drawn at random.
+    tell : callable
+        Is told how many are done.
+    """
+    rng = np.random.default_rng(seed)
+    setting = build_setting(Question(cases=_CASES), scene)
+    found: list[dict[str, Any]] = []
+    for rows in _batches(setting, rng):
+        found += rows
+        tell(min(len(found), n_crops))
+        if len(found) >= n_crops:
+            break
+    return join_rows(found[:n_crops])
+
+
+def join_rows(rows: Sequence[dict[str, Any]]) -> Crops:
+    """Crops of rows with the fields' names."""
+    return Crops(**{name: np.stack([row[name] for row in rows]) for name in rows[0]})
+
+
+def join_crops(parts: Sequence[Crops]) -> Crops:
+    """Crops of several drawings in one."""
+    return Crops(
+        **{
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in Crops.__slots__
+        }
+    )
+
+
+def save_crops(path: Path, crops: Crops) -> None:
+    """Write crops as ``.npz``."""
+    np.savez(path, **{name: getattr(crops, name) for name in Crops.__slots__})
+
+
+def load_crops(path: Path) -> Crops:
+    """Read crops written by :func:`save_crops`."""
+    with np.load(path) as stored:
+        return Crops(**{name: stored[name] for name in Crops.__slots__})
+
+
+def _batches(setting: Setting, rng: np.random.Generator) -> Iterator[list[dict[str, Any]]]:
+    """Crops by one camera after another, without end."""
+    backdrops: dict[tuple[object, ...], tuple[Backdrop, FrameMesh]] = {}
+    while True:
+        run = setting.runs[int(rng.integers(len(setting.runs)))]
+        key = tuple(parked.key for parked in run.obstruction)
+        if key not in backdrops:
+            backdrop = build_backdrop(setting.scene, run.obstruction)
+            backdrops[key] = backdrop, place_mesh(backdrop.mesh, np.zeros(3))
+        rows = list(_look(setting.scene, *backdrops[key], run, rng))
+        if rows:
+            yield rows
+
+
+def _look(
+    scene: Scene, backdrop: Backdrop, still: FrameMesh, run: Run, rng: np.random.Generator
+) -> Iterator[dict[str, Any]]:
+    """Some crops by one camera that looks at a run."""
+    weather_index = int(rng.choice(len(WEATHERS), p=_WEATHER_SHARES))
+    weather = _varied_weather(pick_weather(WEATHERS[weather_index], "weather"), rng)
+    materials = vary_materials(load_materials(), rng) if rng.random() < 0.7 else None
+    on_vut = rng.random() < _VUT_SHARE
+    frames = rng.permutation(len(run.time_s))[: 1 if on_vut else _PER_POSE].tolist()
+    mount_m = _pick_mount(scene, rng)
+    for frame in frames:
+        body_m = _body_points(run, frame)
+        at_m = mount_m
+        if on_vut:
+            at_m = vut_camera_pose(load_vut_camera(), run, frame).position_m
+        view = _aim(body_m, at_m, rng)
+        if view is None:
+            continue
+        pose, camera = view
+        box_px = _whole_box(body_m, pose, camera)
+        is_empty = rng.random() < _EMPTY_SHARE
+        window = _pick_window(box_px, is_empty=is_empty, rng=rng)
+        if window is None:
+            continue
+        picture = draw_crop(
+            *(backdrop, still, run, frame, pose, camera, window),
+            weather=weather,
+            with_vut=not on_vut,
+            materials=materials,
+            seed=int(rng.integers(2**31)),
+        )
+        whole = silhouette(run, frame, pose, camera, window)
+        row = _label(picture, run, int(whole.sum()), float(box_px[3] - box_px[1]))
+        if row["vru_class"] < 0 and not is_empty and rng.random() > _HIDDEN_KEPT:
+            continue
+        row["weather"] = weather_index
+        yield row
+
+
+def _varied_weather(weather: Weather, rng: np.random.Generator) -> Weather:
+    light = rng.uniform(0.5, 1.4)
+    return replace(
+        weather,
+        sun_yaw_deg=float(rng.uniform(-180.0, 180.0)),
+        sun_elevation_deg=float(rng.uniform(15.0, 65.0))
+        if weather.sun_lux > 0.0
+        else weather.sun_elevation_deg,
+        sun_lux=weather.sun_lux * light,
+        sky_lux=weather.sky_lux * light,
+    )
+
+
+def _pick_mount(scene: Scene, rng: np.random.Generator) -> FloatArray:
+    site = scene.sites[int(rng.integers(len(scene.sites)))]
+    up = np.array([0.0, 0.0, rng.uniform(*_MOUNT_M)])
+    return np.asarray(site.position_m + up, dtype=np.float64)
+
+
+def _body_points(run: Run, frame: int) -> FloatArray:
+    """Corners of the road user's triangles, world frame, (n, 3)."""
+    return build_moving_meshes(run, frame, with_vut=False)[-1].vertices_m
+
+
+def _aim(
+    body_m: FloatArray, at_m: FloatArray, rng: np.random.Generator
+) -> tuple[Pose, CameraModel] | None:
+    """A camera that shows a road user at a height drawn at random, anywhere in its image."""
+    middle = body_m.mean(axis=0)
+    away = middle - at_m
+    distance = float(np.linalg.norm(away))
+    if not 3.0 < distance < 90.0:
+        return None
+    height_m = float(np.ptp(body_m[:, 2]))
+    wanted_px = math.exp(rng.uniform(*np.log(_HEIGHT_PX)))
+    tilt = math.atan2(-away[2], math.hypot(away[0], away[1]))
+    focal = wanted_px * distance / max(height_m * math.cos(tilt), 0.3)
+    fov_deg = 2.0 * math.degrees(math.atan(0.5 * _SIZE_PX[0] / focal))
+    if not _FOV_DEG[0] <= fov_deg <= _FOV_DEG[1]:
+        return None
+    camera = CameraModel(
+        name="training",
+        width_px=_SIZE_PX[0],
+        height_px=_SIZE_PX[1],
+        horizontal_fov_deg=fov_deg,
+        frame_rate_hz=10.0,
+        near_m=0.3,
+        price_eur=0.0,
+    )
+    yaw = math.degrees(math.atan2(away[1], away[0]))
+    pitch = -math.degrees(tilt)
+    pose = Pose(
+        position_m=at_m,
+        yaw_deg=yaw + rng.uniform(-0.4, 0.4) * fov_deg,
+        pitch_deg=float(np.clip(pitch + rng.uniform(-0.3, 0.3) * camera.vertical_fov_deg, -60, 10)),
+    )
+    return pose, camera
+
+
+def _whole_box(body_m: FloatArray, pose: Pose, camera: CameraModel) -> FloatArray:
+    points = project_points(body_m, pose, camera)
+    if not np.isfinite(points).all():
+        return np.zeros(4)
+    return np.concatenate([points[:, :2].min(axis=0), points[:, :2].max(axis=0)])
+
+
+def _pick_window(box_px: FloatArray, *, is_empty: bool, rng: np.random.Generator) -> Window | None:
+    """A crop with the road user's middle anywhere in it, or without the road user."""
+    wide, high = _SIZE_PX
+    for _ in range(_TRIES):
+        if is_empty:
+            left, top = (int(rng.integers(side - CROP_PX)) for side in (wide, high))
+            apart = (
+                box_px[2] < left
+                or box_px[0] > left + CROP_PX
+                or box_px[3] < top
+                or box_px[1] > top + CROP_PX
+            )
+            if apart:
+                return Window(left, top, CROP_PX, CROP_PX)
+            continue
+        middle = 0.5 * (box_px[:2] + box_px[2:])
+        left, top = (
+            round(at - share * CROP_PX)
+            for at, share in zip(middle.tolist(), rng.uniform(0.15, 0.85, 2), strict=True)
+        )
+        left, top = (
+            min(max(at, 0), side - CROP_PX)
+            for at, side in zip((left, top), (wide, high), strict=True)
+        )
+        if left < middle[0] < left + CROP_PX and top < middle[1] < top + CROP_PX:
+            return Window(left, top, CROP_PX, CROP_PX)
+    return None
+
+
+def _shows_vru(picture: Picture) -> BoolArray:
+    shows: BoolArray = picture.instance == len(picture.names) - 1
+    return shows
+
+
+def _label(picture: Picture, run: Run, n_whole: int, height_px: float) -> dict[str, Any]:
+    """What is known of a crop in which the whole road user would cover so many pixels."""
+    rows, columns = np.nonzero(_shows_vru(picture))
+    is_seen = len(rows) > 0
+    box = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1] if is_seen else [0] * 4
+    kind = VRU_CLASSES.index(vru_class(run.encounter.vru)) if is_seen else -1
+    return {
+        "rgb": picture.rgb,
+        "box_px": np.array(box, dtype=np.float64),
+        "height_px": height_px if is_seen else 0.0,
+        "visible_share": len(rows) / n_whole if n_whole else 0.0,
+        "vru_class": kind,
+    }

@@ -1,0 +1,284 @@
+"""Pictures for networks: whole ones, and crops around the road user."""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import CancelledError
+from dataclasses import replace
+from threading import Lock
+from typing import NamedTuple
+
+import numpy as np
+
+from geometry.actors import PlacedActor
+from geometry.arrays import FloatArray
+from geometry.poses import Pose, to_world
+from geometry.scene import Scene
+from geometry.sensors import CameraModel, project_points
+from geometry.terrain import on_ground
+from geometry.weather import Weather, pick_weather
+from scenarios.runs import Run
+
+from ..compute import Compute
+from ..detectors.evidence import Crop, Image
+from ..imaging import Backdrop, build_backdrop, draw_picture
+from ..imaging.crops import draw_crop, meter, window_around
+from ..imaging.mesh import FrameMesh, place_mesh, vut_pose
+from .surroundings import VutCamera, vut_pitch_deg
+
+PictureOfFrame = Callable[[int], Image]
+
+_CROP_SIDES_PX = (64, 96, 128, 160)
+_ROOM = 0.625  # share of a crop that a road user may take up; for larger ones the scale is less
+_BESIDE_PX = 4.0  # by which blur and glare reach beyond a body
+
+
+class PictureSource:
+    """Draws a frame when it is asked for; what stands still is prepared once per obstruction.
+
+    Attributes
+    ----------
+    n_drawn : int
+        Pictures so far, and crops, those included that look like an earlier one.
+    """
+
+    def __init__(self, scene: Scene, runs: Sequence[Run], *, seed: int) -> None:
+        self._scene, self._runs = scene, runs
+        self._compute = Compute(seed=seed, workers=1)  # frames are drawn side by side
+        self._start = np.concatenate([[0], np.cumsum([len(run.time_s) for run in runs])])
+        self._backdrops: dict[tuple[object, ...], Backdrop] = {}
+        self._still: dict[tuple[object, ...], FrameMesh] = {}
+        self._whites: dict[tuple[object, ...], float] = {}
+        self._lock = Lock()
+        self._is_closed = False
+        self.n_drawn = 0
+
+    def close(self) -> None:
+        """Draw no more: whoever asks for another picture is stopped."""
+        self._is_closed = True
+
+    def from_roadside(self, pose: Pose, camera: CameraModel) -> PictureOfFrame:
+        """Pictures of a fixed camera: from a frame of all runs, end to end, to its image."""
+        return lambda frame: self._draw(frame, pose, camera, with_vut=True)
+
+    def from_vut(self, mount: VutCamera) -> PictureOfFrame:
+        """Pictures of the VUT's own camera; see :meth:`from_roadside`."""
+
+        def picture(frame: int) -> Image:
+            run, index = self._find(frame)
+            pose = vut_camera_pose(mount, run, index)
+            return self._draw(frame, pose, mount.camera, with_vut=False)
+
+        return picture
+
+    def crops(self, camera: VutCamera | tuple[Pose, CameraModel], boxes_px: FloatArray) -> "Crops":
+        """Crops by the VUT's camera, or by a fixed one, around the road user's boxes (n, 4)."""
+        return Crops(self, camera, boxes_px)
+
+    def _find(self, frame: int) -> tuple[Run, int]:
+        run_index = int(np.searchsorted(self._start, frame, side="right")) - 1
+        return self._runs[run_index], frame - int(self._start[run_index])
+
+    def _draw(self, frame: int, pose: Pose, camera: CameraModel, *, with_vut: bool) -> Image:
+        if self._is_closed:
+            raise CancelledError
+        run, index = self._find(frame)
+        picture = draw_picture(
+            self._backdrop(run.obstruction),
+            run,
+            index,
+            pose,
+            camera,
+            weather=pick_weather(run.weather, "run: weather"),
+            with_vut=with_vut,
+            compute=self._compute,
+        )
+        self._count()
+        return picture.rgb
+
+    def _draw_crop(self, frame: int, view: "_View") -> Crop:
+        if self._is_closed:
+            raise CancelledError
+        run, index = self._find(frame)
+        backdrop = self._backdrop(run.obstruction)
+        small = _scaled(view.camera, view.scale)
+        window = window_around(view.box_px / view.scale, small, side_px=view.side_px)
+        still = self._still_mesh(run.obstruction, backdrop)
+        weather = pick_weather(run.weather, "run: weather")
+        picture = draw_crop(
+            *(backdrop, still, run, index, view.pose, small, window),
+            weather=weather,
+            with_vut=view.shows_vut,
+            white_cd_m2=self._white(run, backdrop, still, view) if view.is_fixed else None,
+            seed=self._compute.seed,
+        )
+        return Crop(
+            pixels=picture.rgb,
+            left_px=window.left - 0.5 * small.width_px,
+            top_px=window.top - 0.5 * small.height_px,
+            scale=view.camera.width_px / small.width_px,
+            middle_px=(0.5 * view.camera.width_px, 0.5 * view.camera.height_px),
+        )
+
+    def _white(self, run: Run, backdrop: Backdrop, still: FrameMesh, view: "_View") -> float | None:
+        """Exposure of a fixed camera by daylight, when what moves changes little."""
+        weather = pick_weather(run.weather, "run: weather")
+        if weather.has_lamps:
+            return None
+        pose = view.pose
+        key = (
+            *(pose.position_m.tobytes(), pose.yaw_deg, pose.pitch_deg, view.camera),
+            *(weather, tuple(parked.key for parked in run.obstruction)),
+        )
+        if key not in self._whites:
+            self._whites[key] = meter(backdrop, still, pose, view.camera, weather)
+        return self._whites[key]
+
+    def _count(self) -> None:
+        with self._lock:
+            self.n_drawn += 1
+
+    def _backdrop(self, obstruction: tuple[PlacedActor, ...]) -> Backdrop:
+        key = tuple(parked.key for parked in obstruction)
+        with self._lock:
+            if key not in self._backdrops:
+                self._backdrops[key] = build_backdrop(self._scene, obstruction)
+            return self._backdrops[key]
+
+    def _still_mesh(self, obstruction: tuple[PlacedActor, ...], backdrop: Backdrop) -> FrameMesh:
+        key = tuple(parked.key for parked in obstruction)
+        with self._lock:
+            if key not in self._still:
+                self._still[key] = place_mesh(backdrop.mesh, np.zeros(3))
+            return self._still[key]
+
+
+class _View(NamedTuple):
+    """How a frame is shown."""
+
+    pose: Pose
+    camera: CameraModel
+    box_px: FloatArray  # (4,): of the whole road user in the whole image
+    side_px: int  # of the crop
+    scale: int  # pixels of the whole image per pixel of the crop
+    shows_vut: bool
+    is_fixed: bool
+
+
+class Crops:
+    """Crops of a camera's pictures around the road user; see :class:`~..detectors.evidence.Crops`.
+
+    A road user that would fill a crop is drawn at a half, a third and so on of the camera's
+    resolution. Where the VUT, its shadow and its mirror image lie outside a crop by daylight, the
+    VUT is left out: then all frames with the same road user look the same.
+    """
+
+    def __init__(
+        self,
+        source: PictureSource,
+        camera: VutCamera | tuple[Pose, CameraModel],
+        boxes_px: FloatArray,
+    ) -> None:
+        self._source, self._camera, self._boxes_px = source, camera, boxes_px
+
+    def key(self, frame: int) -> tuple[object, ...]:
+        """Equal for frames whose crops look the same."""
+        self._source._count()
+        run, index = self._source._find(frame)
+        view = self._view(run, index, frame)
+        where = (
+            *(run.weather, id(run.encounter.vru), int(run.vru_shape[index])),
+            *(tuple(parked.key for parked in run.obstruction), view.side_px, view.scale),
+            *(run.vru_position_m[index].tobytes(), float(run.vru_yaw_deg[index])),
+        )
+        if view.shows_vut or run.traffic or isinstance(self._camera, VutCamera):
+            return (*where, frame)
+        return where
+
+    def draw(self, frame: int) -> Crop:
+        """The crop of a frame."""
+        run, index = self._source._find(frame)
+        return self._source._draw_crop(frame, self._view(run, index, frame))
+
+    def _view(self, run: Run, index: int, frame: int) -> _View:
+        if isinstance(self._camera, VutCamera):
+            pose, camera = vut_camera_pose(self._camera, run, index), self._camera.camera
+        else:
+            pose, camera = self._camera
+        box_px = self._boxes_px[frame]
+        size_px = float((box_px[2:] - box_px[:2]).max())
+        scale = max(1, int(np.ceil(size_px / (_ROOM * _CROP_SIDES_PX[-1]))))
+        side_px = next(
+            (side for side in _CROP_SIDES_PX if size_px / scale <= _ROOM * side), _CROP_SIDES_PX[-1]
+        )
+        is_fixed = not isinstance(self._camera, VutCamera)
+        shows_vut = is_fixed and _may_show_vut(
+            run, index, pose, camera, box_px, 0.5 * side_px * scale
+        )
+        return _View(pose, camera, box_px, side_px, scale, shows_vut, is_fixed)
+
+
+def _may_show_vut(
+    run: Run, index: int, pose: Pose, camera: CameraModel, box_px: FloatArray, reach_px: float
+) -> bool:
+    """Whether the VUT changes what is seen in a crop that reaches so far from a box's middle.
+
+    What its body, its shadow on level ground and its mirror image in wet ground can cover lies
+    inside the bounding box of their corners.
+    """
+    weather = pick_weather(run.weather, "run: weather")
+    if weather.has_lamps or run.terrain is not None:
+        return True
+    points = project_points(_cast_corners(run, index, weather), pose, camera)[:, :2]
+    if not np.isfinite(points).all():
+        return not np.isnan(points).all()
+    # At the image's edge a crop is moved inwards.
+    reach = reach_px + _BESIDE_PX
+    size = np.array([camera.width_px, camera.height_px])
+    middle = np.clip(0.5 * (box_px[:2] + box_px[2:]), reach_px, np.maximum(size - reach_px, 0.0))
+    return bool(
+        (points.max(axis=0) > middle - reach).all() and (points.min(axis=0) < middle + reach).all()
+    )
+
+
+def _cast_corners(run: Run, index: int, weather: Weather) -> FloatArray:
+    """Corners of the VUT, of its shadow and of its mirror image below the road, (n, 3)."""
+    vut = run.encounter.vut
+    half = np.array([0.5 * vut.length_m, 0.5 * vut.width_m])
+    signs = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
+    flat = np.concatenate([signs * half, np.zeros((4, 1))], axis=1)
+    top = flat + [0.0, 0.0, vut.height_m]
+    body = to_world(np.concatenate([flat, top]), vut_pose(run, index))
+    corners = [body]
+    if weather.wetness > 0.0:
+        corners.append(body * [1.0, 1.0, -1.0])
+    if weather.sun_lux > 0.0 and weather.sun_elevation_deg > 0.0:
+        yaw, elevation = np.radians([weather.sun_yaw_deg, weather.sun_elevation_deg])
+        away = body[:, 2:] / np.tan(elevation) * np.array([np.cos(yaw), np.sin(yaw)])
+        corners.append(np.concatenate([body[:, :2] - away, np.zeros((8, 1))], axis=1))
+    return np.concatenate(corners)
+
+
+def _scaled(camera: CameraModel, scale: int) -> CameraModel:
+    """The same field of view with fewer pixels."""
+    if scale == 1:
+        return camera
+    return replace(
+        camera,
+        width_px=round(camera.width_px / scale),
+        height_px=round(camera.height_px / scale),
+    )
+
+
+def vut_camera_pose(mount: VutCamera, run: Run, frame_index: int) -> Pose:
+    """Where the VUT's camera is and looks in a frame of a run, world frame."""
+    on_vut = mount.pose_on(run.encounter.vut)
+    yaw_deg = float(run.vut_yaw_deg[frame_index])
+    position_m = on_ground(run.vut_position_m[frame_index], run.terrain)
+    pitch_deg = vut_pitch_deg(
+        run.encounter.vut, run.vut_position_m[frame_index], yaw_deg, run.terrain
+    )
+    vut = Pose(position_m=position_m, yaw_deg=yaw_deg, pitch_deg=float(pitch_deg))
+    return Pose(
+        position_m=to_world(on_vut.position_m[None], vut)[0],
+        yaw_deg=yaw_deg + on_vut.yaw_deg,
+        pitch_deg=vut.pitch_deg + on_vut.pitch_deg,
+    )

@@ -1,0 +1,192 @@
+"""Parts of pictures around what matters: to train networks with, and to show to them.
+
+A crop is what :func:`placement.imaging.draw_picture` draws there, but for its sensor noise, its
+raindrops, and an exposure that is set by fewer pixels of the whole image.
+"""
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from geometry.arrays import BoolArray, FloatArray
+from geometry.poses import Pose, camera_rotation
+from geometry.raycast import FloatRays
+from geometry.sensors import CameraModel
+from geometry.weather import Weather
+from scenarios.runs import Run
+
+from .exposure import develop, find_edges, load_imager, white_luminance
+from .materials import Materials
+from .mesh import FrameMesh, add_moving_meshes, build_moving_meshes, move_origin, place_mesh
+from .picture import (
+    Backdrop,
+    Picture,
+    Shot,
+    build_shot,
+    names_of,
+    pixel_rays,
+    shade_rays,
+    smooth_pixels,
+    tile_rays,
+)
+from .rain_and_glare import add_glare, add_rain
+
+_METERED_PX = (48, 27)  # columns and rows of the whole image that set the exposure
+
+
+class Window(NamedTuple):
+    """A part of an image, in whole pixels."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+
+def window_around(box_px: FloatArray, camera: CameraModel, *, side_px: int) -> Window:
+    """The square with a box (4,) in its middle, as far as it lies in the image.
+
+    Where the image ends it is moved inwards, so that it keeps its side.
+    """
+    width, height = min(side_px, camera.width_px), min(side_px, camera.height_px)
+    middle = 0.5 * (box_px[:2] + box_px[2:])
+    left = int(np.clip(middle[0] - 0.5 * width, 0, camera.width_px - width))
+    top = int(np.clip(middle[1] - 0.5 * height, 0, camera.height_px - height))
+    return Window(left, top, width, height)
+
+
+def draw_crop(
+    backdrop: Backdrop,
+    still: FrameMesh,
+    run: Run,
+    frame_index: int,
+    pose: Pose,
+    camera: CameraModel,
+    window: Window,
+    *,
+    weather: Weather,
+    with_vut: bool = True,
+    materials: Materials | None = None,
+    white_cd_m2: float | None = None,
+    seed: int = 0,
+) -> Picture:
+    """Render a part of one frame of a run.
+
+    Parameters
+    ----------
+    backdrop : Backdrop
+        The scene, with what parks in the run.
+    still : FrameMesh
+        Its triangles, ready for rays: ``place_mesh(backdrop.mesh, np.zeros(3))``.
+    run, frame_index : Run, int
+        What moves.
+    pose : Pose
+        The camera's.
+    camera : CameraModel
+        Its lens and the size of its whole image.
+    window : Window
+        What is drawn of the image.
+    weather : Weather
+        Light, air and drops.
+    with_vut : bool
+        Whether the VUT is seen; its headlights shine in any case.
+    materials : Materials, optional
+        Colours; by default those of ``data/materials.toml``.
+    white_cd_m2 : float, optional
+        Luminance that is white; by default what :func:`meter` says of the frame.
+    seed : int
+        Of noise and drops.
+
+    Returns
+    -------
+    picture : Picture
+        Of the window's size.
+    """
+    still = move_origin(still, pose.position_m)
+    mesh = add_moving_meshes(still, build_moving_meshes(run, frame_index, with_vut=with_vut))
+    shot = build_shot(
+        *(backdrop, mesh, pose, camera, weather),
+        run=run,
+        frame_index=frame_index,
+        materials=materials,
+    )
+    size = (window.height, window.width)
+    rows = slice(window.top, window.top + window.height)
+    columns = slice(window.left, window.left + window.width)
+    shades, _ = shade_rays(shot, tile_rays(shot, rows, columns))
+    radiance = shades.radiance.reshape(*size, 3)
+    edges = np.flatnonzero(find_edges(radiance))
+    if len(edges):
+        down, across = np.divmod(edges, window.width)
+        whole = (down + window.top) * camera.width_px + across + window.left
+        flat = radiance.reshape(-1, 3)
+        flat[edges] = smooth_pixels(shot, whole, flat[edges])
+    corner = (window.left, window.top)
+    rng = np.random.default_rng([seed, frame_index, *window])
+    add_glare(radiance, pose, camera, shot.lamps, mesh.caster, corner_px=corner)
+    add_rain(
+        radiance,
+        _window_camera(camera, window),
+        weather,
+        shot.sky,
+        pitch_deg=pose.pitch_deg,
+        exposure_s=load_imager()["rain_exposure_s"],
+        rng=rng,
+    )
+    return Picture(
+        rgb=develop(
+            radiance, _meter(shot) if white_cd_m2 is None else white_cd_m2, load_imager(), rng
+        ),
+        instance=shades.instance.reshape(size),
+        depth_m=shades.depth_m.reshape(size),
+        names=names_of(mesh),
+    )
+
+
+def silhouette(
+    run: Run, frame_index: int, pose: Pose, camera: CameraModel, window: Window
+) -> BoolArray:
+    """Pixels (h, w) of a window that the VRU covers where nothing hides it."""
+    vru = place_mesh(build_moving_meshes(run, frame_index, with_vut=False)[-1], pose.position_m)
+    right, down, ahead = camera_rotation(pose.yaw_deg, pose.pitch_deg).T.astype(np.float32)
+    focal = camera.focal_length_px
+    across = np.arange(window.width) + (window.left + 0.5 - 0.5 * camera.width_px)
+    below = np.arange(window.height) + (window.top + 0.5 - 0.5 * camera.height_px)
+    columns = (across / focal).astype(np.float32)[None, :, None] * right
+    rows = (below / focal).astype(np.float32)[:, None, None] * down
+    ways = np.ascontiguousarray((ahead + rows + columns).reshape(-1, 3))
+    _, triangle = vru.caster.first_triangle(np.zeros_like(ways), ways)
+    covered: BoolArray = (triangle >= 0).reshape(window.height, window.width)
+    return covered
+
+
+def meter(
+    backdrop: Backdrop, still: FrameMesh, pose: Pose, camera: CameraModel, weather: Weather
+) -> float:
+    """Luminance that is white in a picture of what stands still, in cd/m^2."""
+    mesh = move_origin(still, pose.position_m)
+    return _meter(build_shot(backdrop, mesh, pose, camera, weather))
+
+
+def _meter(shot: Shot) -> float:
+    """Luminance that is white, from a coarse grid over the whole image."""
+    camera, (n_columns, n_rows) = shot.camera, _METERED_PX
+    across = (np.arange(n_columns, dtype=np.float32) + 0.5) * (camera.width_px / n_columns)
+    down = (np.arange(n_rows, dtype=np.float32) + 0.5) * (camera.height_px / n_rows)
+    grid = np.stack(np.meshgrid(across, down), axis=-1).astype(np.float32).reshape(-1, 2)
+    seen: FloatRays = shade_rays(shot, pixel_rays(shot, grid[:, 0], grid[:, 1]))[0].radiance
+    return white_luminance(seen.reshape(n_rows, n_columns, 3), load_imager(), every=1)
+
+
+def _window_camera(camera: CameraModel, window: Window) -> CameraModel:
+    """A camera with the same focal length whose whole image has the window's size."""
+    half = math.atan(0.5 * window.width / camera.focal_length_px)
+    return replace(
+        camera,
+        width_px=window.width,
+        height_px=window.height,
+        horizontal_fov_deg=math.degrees(2.0 * half),
+        fov_range_deg=None,
+    )

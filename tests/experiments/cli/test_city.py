@@ -1,0 +1,128 @@
+"""``place-rsus city`` on the command line: help, what it prints, errors of one line."""
+
+import json
+
+import pytest
+from city_maps import FEW_RUNS_OPTIONS, write_city
+from msgspec.structs import replace as replace_fields
+
+from experiments.cli.city import city as command
+from experiments.cli.city import city_text
+from experiments.jobs import city as job
+from experiments.jobs import city_workers
+from experiments.results.city import CityResult, load_manifest
+
+
+@pytest.fixture
+def solved_here(monkeypatch):
+    """Solves junctions in this process, and draws nothing."""
+    from contextlib import contextmanager
+
+    @contextmanager
+    def no_workers(scheduler, **settings):
+        yield None
+
+    def run_here(client, tasks):
+        for task in tasks:
+            yield task, city_workers.run_junction(task)
+
+    monkeypatch.setattr(job, "start_workers", no_workers)
+    monkeypatch.setattr(job, "run_junctions", run_here)
+    monkeypatch.setattr(job, "write_city", lambda *args, **settings: None)
+
+
+def test_the_first_line_says_what_matters_and_json_says_all(run, solved_here, tmp_path):
+    path, out = write_city(tmp_path), tmp_path / "city"
+    few = ("--coarse", "--max-units", 1, "--junctions", "n1;n3", *FEW_RUNS_OPTIONS)
+    code, text, err = run("city", path, "--budget", 1, "--out", out, *few)
+    assert code == 0
+    assert text.startswith("1 unit at 1 of 2 junctions for ")
+    assert "2 junctions of 3; 0 are done already. every junction counts the same." in err
+    code, text, err = run("city", path, "--budget", 1, "--out", out, *few, "--json", "--quiet")
+    assert (code, err) == (0, "")
+    result = json.loads(text)
+    assert (result["units"], result["computed"], result["not_done"]) == (1, 0, 0)
+    assert [stage["name"] for stage in result["stages"]][:2] == ["apr", "apr_one_failed"]
+    manifest = load_manifest(out / "manifest.json")
+    assert [entry.folder for entry in manifest.junctions] == ["n1", "n3"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            (),
+            "--budget: got nothing; expected a whole number of units, at least 1, or --budget-eur",
+        ),
+        (("--budget", "0"), "--budget: got '0'; expected a whole number of units, at least 1"),
+        (("--budget", "-3"), "--budget: got '-3'; expected a whole number of units, at least 1"),
+        (("--budget-eur", "0"), "--budget-eur: got '0'; expected euros, more than 0"),
+        (("--budget-eur", "-1"), "--budget-eur: got '-1'; expected euros, more than 0"),
+        (("--budget", "1", "--max-units", "0"), "--max-units: got '0'; expected a number of units"),
+        (
+            ("--budget", "1", "--worker-memory", "much"),
+            "--worker-memory: got 'much'; expected an amount such as 1.5GiB",
+        ),
+    ],
+)
+def test_what_cannot_be_asked_is_one_line(run, tmp_path, arguments, message):
+    code, out, err = run(
+        "city", write_city(tmp_path), "--out", tmp_path / "c", "--quiet", *arguments
+    )
+    assert (code, out) == (2, "")
+    assert err.startswith(f"place-rsus: {message}")
+    assert err.count("\n") == 1
+
+
+def test_the_help_has_examples(run):
+    code, out, _ = run("city", "--help")
+    assert code == 0
+    assert "place-rsus city town.osm.pbf --budget-eur 400000 --coarse --out city" in out
+    assert command.name == "city"
+
+
+def test_what_was_not_done_stands_in_the_text():
+    from experiments.results.city import CityJunctionRecord, CitySearchRecord
+
+    failed = CityJunctionRecord(
+        id="n1",
+        name="A / B",
+        map="m.osm",
+        folder="junctions/n1",
+        x=0.0,
+        y=0.0,
+        weight=1.0,
+        reason="no lane leads in",
+    )
+    result = CityResult(
+        command="",
+        maps=(),
+        budget_units=1,
+        budget_eur=None,
+        weights="equal",
+        units=0,
+        cost_eur=0.0,
+        apr_before=0.0,
+        stages=(),
+        bound_of_fronts=0.0,
+        solver="",
+        is_proven=True,
+        junctions=(failed,),
+        not_done=1,
+        computed=1,
+        by="units",
+        front=(),
+        purchases=(),
+        search=CitySearchRecord(
+            poses="fine", max_units=1, max_junction_seconds=1.0, radius_m=80.0, sites="auto"
+        ),
+        sentences=("First.",),
+        notes=("a note",),
+        seconds={},
+        versions={},
+    )
+    lines = city_text(result, "city").splitlines()
+    assert lines[0] == "First."
+    assert "  A / B: no lane leads in" in lines
+    many = replace_fields(result, junctions=(failed,) * 20)
+    assert "  and 8 more: junctions.csv" in city_text(many, "city")

@@ -1,0 +1,106 @@
+"""Processes that work for the page: they answer, are stopped, and none is left."""
+
+import asyncio
+import os
+import signal
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from pathlib import Path
+
+import pytest
+from plan_desks import small_work
+
+from experiments.plan.worker import Cancelled, TaskError, Worker
+from placement.compute import silent
+
+ROOT = Path(__file__).parents[3]
+MAP = str(ROOT / "docs" / "maps" / "crossing.osm")
+
+
+def test_a_task_is_done_elsewhere_and_what_it_refuses_is_told(tmp_path):
+    async def work():
+        worker = Worker(small_work(tmp_path))
+        try:
+            told = []
+            found = await worker.call(
+                "survey", MAP, on_progress=lambda stage, done, total: told.append(stage)
+            )
+            assert found["junctions"]
+            assert "read" in told
+            with pytest.raises(TaskError, match=r"nowhere\.osm: got .*; expected"):
+                await worker.call("survey", "nowhere.osm", on_progress=silent)
+            with pytest.raises(TaskError, match="AttributeError"):
+                await worker.call("fly", on_progress=silent)
+            process = worker._process
+        finally:
+            worker.stop()
+        assert not process.is_alive()
+
+    asyncio.run(work())
+
+
+def test_work_that_is_stopped_is_cancelled_and_the_next_task_is_done(tmp_path):
+    async def work():
+        worker = Worker(small_work(tmp_path))
+        begun = asyncio.Event()
+        task = asyncio.create_task(
+            worker.call("open_setting", on_progress=lambda *stage: begun.set())
+        )
+        await begun.wait()
+        process = worker._process
+        worker.stop()
+        with pytest.raises(Cancelled):
+            await task
+        assert not process.is_alive()
+        assert not worker.is_busy
+        found = await worker.call("survey", MAP, on_progress=silent)
+        assert found["junctions"]
+        worker.stop()
+
+    asyncio.run(work())
+
+
+def test_the_command_serves_until_ctrl_c_and_leaves_nothing_behind(tmp_path):
+    pytest.importorskip("starlette", reason="place-rsus[plan] is not installed")
+    words = ["plan", "--no-open", "--cases", "CPNC-50", "--along-arms", "0", "--speeds", "50"]
+    environment = os.environ | {"TMPDIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(
+        [sys.executable, "-m", "experiments.cli.main", *words, "--layout", "carlancap-12"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        cwd=ROOT,
+        env=environment,
+        start_new_session=True,
+    ) as process:
+        line = process.stdout.readline()
+        address = line.removeprefix("The page is at ").strip()
+        assert address.startswith("http://127.0.0.1:")
+        with urllib.request.urlopen(address) as answer:
+            assert b"<title>Plan" in answer.read()
+        with pytest.raises(urllib.error.HTTPError, match="403"):
+            urllib.request.urlopen(address.rsplit("/", 2)[0] + "/")
+        process.send_signal(signal.SIGINT)
+        assert "Ended." in process.stdout.read()
+        assert process.wait(timeout=60) == 0
+    for _ in range(100):  # whatever it had started ends with it
+        try:
+            os.killpg(process.pid, 0)
+        except ProcessLookupError:
+            break
+        time.sleep(0.1)
+    else:
+        raise AssertionError("a process is left")
+    assert not list(tmp_path.glob("place-rsus-plan-*"))
+
+
+def test_others_are_let_in_only_by_who_says_so(run):
+    code, out, err = run("plan", "--host", "0.0.0.0")
+    assert (code, out) == (2, "")
+    assert err == (
+        "place-rsus: --host: got 0.0.0.0; expected --i-know beside it: others could change the "
+        "plan\n"
+    )

@@ -1,0 +1,137 @@
+"""Crops around road users: what is shown to networks that look at crops."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geometry.image_boxes import box_height_px
+from geometry.poses import Pose
+from geometry.scene_files import load_study_scene
+from geometry.weather import pick_weather
+from placement.evaluator import build_surroundings, load_vut_camera
+from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
+from placement.evaluator.pictures import PictureSource
+from placement.imaging.crops import Window, window_around
+
+POSE = Pose(position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=44.5, pitch_deg=-34.3)
+PER_FRAME = (
+    *("time_s", "vut_position_m", "vut_yaw_deg"),
+    *("vru_position_m", "vru_yaw_deg", "vru_shape"),
+)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return load_study_scene()
+
+
+@pytest.fixture(scope="module")
+def last_frames(runs):
+    """A run by name, cut to what happens right before the impact."""
+    by_name = {run.id: run for run in runs}
+
+    def cut(name, n_frames=3):
+        run = by_name[name]
+        return replace(run, **{key: getattr(run, key)[-n_frames:] for key in PER_FRAME})
+
+    return cut
+
+
+@pytest.fixture(scope="module")
+def seen(scene, camera):
+    """Crops, pictures and evidence of frames from the roadside or from the VUT."""
+
+    def look(runs, *, from_vut=False, camera=camera):
+        source = PictureSource(scene, runs, seed=3)
+        surroundings = build_surroundings(scene, runs)
+        if from_vut:
+            mount = replace(load_vut_camera(), camera=camera)
+            evidence = perceive_from_vut(surroundings, mount)
+            return source.crops(mount, evidence.amodal_px), source.from_vut(mount), evidence
+        evidence = perceive_from_roadside(surroundings, POSE, camera)
+        crops = source.crops((POSE, camera), evidence.amodal_px)
+        return crops, source.from_roadside(POSE, camera), evidence
+
+    return look
+
+
+@pytest.fixture(scope="module")
+def larger(camera):
+    return replace(camera, width_px=4 * camera.width_px, height_px=4 * camera.height_px)
+
+
+def test_a_window_has_the_box_in_its_middle_but_stays_in_the_image(larger):
+    inside = window_around(np.array([500.0, 400.0, 520.0, 450.0]), larger, side_px=96)
+    assert inside == Window(462, 377, 96, 96)
+    corner = np.array([larger.width_px - 9.0, 0.0, larger.width_px, 30.0])
+    assert window_around(corner, larger, side_px=96) == Window(larger.width_px - 96, 0, 96, 96)
+
+
+@pytest.mark.parametrize("weather", ["day", "night"])
+def test_a_crop_is_that_part_of_the_whole_picture(last_frames, seen, larger, weather):
+    run = replace(last_frames("CPNC-50/west/30", 1), weather=weather)
+    crops, picture, evidence = seen([run], camera=larger)
+    crop = crops.draw(0)
+    assert crop.scale == 1.0
+    side = len(crop.pixels)
+    left, top, right, bottom = crop.to_image(np.array([[0.0, 0.0, side, side]]))[0].astype(int)
+    box = evidence.amodal_px[0]
+    assert left <= box[0] < box[2] <= right
+    assert top <= box[1] < box[3] <= bottom
+    part = picture(0)[top:bottom, left:right].astype(float)
+    difference = crop.pixels.astype(float) - part
+    # Noise is drawn anew, and the exposure is set by fewer pixels.
+    assert np.abs(difference).mean() < 6.0
+    assert np.corrcoef(crop.pixels.ravel(), part.ravel())[0, 1] > 0.97
+
+
+def test_a_road_user_that_would_fill_a_crop_is_drawn_smaller(last_frames, seen, larger):
+    run = last_frames("CBLA/west/25", 1)
+    crops, _, evidence = seen([run], from_vut=True, camera=larger)
+    box = evidence.amodal_px[0]
+    crop = crops.draw(0)
+    assert max(crop.pixels.shape) == 160
+    assert crop.scale >= box_height_px(box[None])[0] / 160.0 > 1.0
+    height, width = crop.pixels.shape[:2]
+    whole = crop.to_image(np.array([[0.0, 0.0, width, height]]))[0]
+    assert (whole[:2] <= box[:2] + 1.0e-6).all()
+    assert (whole[2:] >= box[2:] - 1.0e-6).all()
+
+
+def test_frames_look_the_same_where_only_a_vut_out_of_sight_has_moved(last_frames, seen):
+    run = last_frames("CPNC-50/west/30", 2)
+    still = {
+        name: np.repeat(getattr(run, name)[:1], 2, axis=0)
+        for name in ("vru_position_m", "vru_yaw_deg", "vru_shape")
+    }
+    far = (
+        np.repeat(run.vut_position_m[:1], 2, axis=0)
+        + np.array([[-400.0, 0, 0], [-390.0, 0, 0]])[:, : run.vut_position_m.shape[1]]
+    )
+    away = replace(run, **still, vut_position_m=far)
+    crops, _, _ = seen([away])
+    assert crops.key(0) == crops.key(1)
+    # At night headlights reach far, and nearby the car itself is seen.
+    by_night, _, _ = seen([replace(away, weather="night")])
+    assert by_night.key(0) != by_night.key(1)
+    at_hand = replace(run, **still, vut_position_m=run.vru_position_m.copy())
+    beside, _, _ = seen([at_hand])
+    assert beside.key(0) != beside.key(1)
+
+
+def test_crops_of_the_vuts_camera_are_never_taken_for_one_another(last_frames, seen):
+    crops, _, _ = seen([last_frames("CBLA/west/25", 2)], from_vut=True)
+    assert crops.key(0) != crops.key(1)
+
+
+def test_the_shadow_of_the_vut_belongs_to_it(last_frames, seen):
+    # A car beside the crop whose shadow falls into it must be drawn.
+    run = last_frames("CPNC-50/west/30", 1)
+    weather = pick_weather("day", "test")
+    yaw = np.radians(weather.sun_yaw_deg)
+    shadow_m = 1.2 / np.tan(np.radians(weather.sun_elevation_deg))
+    beside = run.vru_position_m.copy()
+    beside[:, :2] += (2.5 + 0.5 * shadow_m) * np.array([np.cos(yaw), np.sin(yaw)])
+    near, _, _ = seen([replace(run, vut_position_m=beside)])
+    assert near.key(0)[-1] == 0  # a frame of its own
