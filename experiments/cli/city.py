@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from ..results.city import CityResult
 
 _MOUNTED = ("site_capacity", "site_cost_eur", "separation_m", "sensors")
-_SOUGHT = ("solver", "gap", "fusion")
+_SOUGHT = ("solver", "time_limit_s", "gap", "fusion")
+_TIME_LIMIT_S = 30.0  # for the optimiser at each junction
 _DRIVEN = tuple(
     name
     for name in JUDGED
@@ -199,7 +200,7 @@ Examples:
     show_default=True,
     metavar="SECONDS",
     expected="seconds, more than 0",
-    help="For each junction; what the optimiser has not proven by then is in the gap.",
+    help="For each junction, all in all; --time-limit is the optimiser's part of it.",
 )
 @option(
     "--radius",
@@ -235,7 +236,7 @@ Examples:
     "again.",
 )
 @reading_options
-@question_options(*_MOUNTED, *_SOUGHT, *_DRIVEN)
+@question_options(*_MOUNTED, *_SOUGHT, *_DRIVEN, defaults={"time_limit_s": _TIME_LIMIT_S})
 @json_option
 @quiet_option
 @compute_options()

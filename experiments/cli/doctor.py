@@ -17,6 +17,7 @@ _EXTRAS = (
     ("requests", "online", "scene import --bbox: fetching OpenStreetMap"),
     ("scenariogeneration", "openscenario", "scenarios export: OpenSCENARIO files"),
     ("onnxruntime", "perception", "--detector cnn, FILE.onnx: networks on rendered pictures"),
+    ("starlette", "plan", "plan: the planner's page in the browser"),
     ("euroncap-rating-2026", "rating", "--weights euroncap-rating-2026: Euro NCAP's points"),
     ("libsumo", "traffic", "--traffic sumo: vehicles that drive by in sampled worlds"),
 )

@@ -541,7 +541,10 @@ def _sentences(result: CityResult, wish: CityWish, phases: Phases | None) -> tup
 
 def _proof(apr: StageRecord, of_fronts: float) -> str:
     if apr.gap == 0.0:
-        return "Proven: no other units for the same budget, at these sites, prevent more."
+        return (
+            "Proven: no other units for the same budget, at these sites and in these poses, "
+            "prevent more."
+        )
     bound = percent(apr.bound)
     if of_fronts <= apr.objective + TOLERANCE:
         return (

@@ -115,18 +115,16 @@ def write_city(
             path.unlink()
     for one, record in zip(result.junctions, records, strict=True):
         folder = out / one.folder
-        if record.reason:
+        if record.reason or not one.layout:
             continue
         scene = load_scene_folder(folder)
-        layout = junction_layout(one, scene, sensors) if one.layout else None
-        files = {REPORT: render_junction_page(one, record, scene, layout, question).encode()}
-        if layout is not None:
-            files[LAYOUT_FILE] = to_json(layout).encode()
-            head = {"junction": one.id, "name": one.name, "year": one.year}
-            placed = [head | unit for unit in placed_records(layout, scene)]
-            units += placed
-            poles += _poles(one, scene, placed)
-        write_files(folder, files)
+        layout = junction_layout(one, scene, sensors)
+        page = render_junction_page(one, record, scene, layout, question)
+        write_files(folder, {REPORT: page.encode(), LAYOUT_FILE: to_json(layout).encode()})
+        head = {"junction": one.id, "name": one.name, "year": one.year}
+        placed = [head | unit for unit in placed_records(layout, scene)]
+        units += placed
+        poles += _poles(one, scene, placed)
     tables = {
         JUNCTION_TABLE: csv_text(_junction_table(result)).encode(),
         POLE_TABLE: csv_text(_frame(poles, _POLE_COLUMNS)).encode(),

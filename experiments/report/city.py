@@ -121,7 +121,12 @@ def _junction_section(result: CityResult) -> Section:
                 summary=f"{len(rest)} junctions get nothing",
                 columns=["junction", "weight", "APR"],
                 rows=[
-                    [_link(one), percent(one.weight), percent(one.apr)] for one in rest[:_MAX_ROWS]
+                    [
+                        _link(one) if one.layout else one.label,
+                        percent(one.weight),
+                        percent(one.apr),
+                    ]
+                    for one in rest[:_MAX_ROWS]
                 ],
                 numeric=(1, 2),
             )
@@ -263,13 +268,12 @@ def render_junction_page(
     one: CityJunctionRecord,
     record: CityFrontRecord,
     scene: Scene,
-    layout: Layout | None,
+    layout: Layout,
     question: Question,
 ) -> str:
     """The page of a junction: its units, its front, and how to look closer."""
     plan = plot_scene_plan(scene)
-    if layout is not None:
-        _draw_units(plan, layout)
+    _draw_units(plan, layout)
     picture = build_picture(
         plan,
         title="Plan",
@@ -326,8 +330,6 @@ def render_junction_page(
     again = (
         f"place-rsus evaluate --scene . --layout layout.json --cases {question.cases} --out report"
     )
-    if layout is None:
-        again = f"place-rsus --scene . --budget 1 --cases {question.cases} --out report"
     answer = [
         f"{one.units} new units for {one.cost_eur:,.0f} EUR: APR {percent(one.apr)}"
         + (f", before {percent(one.apr_before)}." if one.kept else ".")
@@ -336,7 +338,7 @@ def render_junction_page(
         f"{record.runs} runs, {record.sites} sites, {record.poses} poses.",
     ]
     sections = [
-        Section("plan", "Plan", [picture, *([units] if one.layout else [])]),
+        Section("plan", "Plan", [picture, units]),
         Section("front", "What money buys here", [front, points]),
         Section(
             "closer",

@@ -105,14 +105,14 @@ def _agreement(setting: Setting, layout: Layout, by_network: Evaluation) -> Iter
     for name in ("geometric", "response", "cnn-table"):
         planner = load_planning_detector(name)
         expected: dict[str, BoolArray] = {
-            unit: planner.is_expected(one) for unit, one in evidence.items()
+            party: planner.is_expected(one) for party, one in evidence.items()
         }
         latency_s = setting.rule.latency_s
         shares = []
-        for unit, frames in expected.items():
+        for party, frames in expected.items():
             plan = judge.verdict([(frames, latency_s)])
-            shares.append(float((plan.is_avoided == verdicts[unit].is_avoided).mean()))
-        units = [(frames, latency_s) for unit, frames in expected.items() if unit != "VUT"]
+            shares.append(float((plan.is_avoided == verdicts[party].is_avoided).mean()))
+        units = [(frames, latency_s) for party, frames in expected.items() if party != "VUT"]
         fused = judge.verdict(units)
         shares.append(float((fused.is_avoided == by_network.rsu_all.is_avoided).mean()))
         yield f"| {DETECTORS[name]} | {' | '.join(percent(share) for share in shares)} |"

@@ -8,7 +8,12 @@ from geometry.weather import pick_weather
 from placement.compute import Compute
 from placement.detectors import ResponseDetector, load_planning_detector
 from placement.detectors.fitting import fit_response
-from placement.detectors.sightings import FalseAlarms, LabelledPicture, gather_sightings
+from placement.detectors.sightings import (
+    FalseAlarms,
+    Interval,
+    LabelledPicture,
+    gather_sightings,
+)
 
 from ..jobs.detector import table_text
 from ..results.detectors import DetectorFitResult, build_alarms_record, build_fit_records
@@ -45,7 +50,9 @@ def fit_table(crops: Crops, found: Found, *, source: str, command: str, compute:
         cyclist_end_on=builtin.cyclist_end_on,
         frame_correlation=builtin.frame_correlation,
     )
-    fit = replace(fit, detector=detector)
+    kept = {key: getattr(builtin, key) for key in ("cyclist_end_on", "frame_correlation")}
+    intervals = {key: Interval(value, value, value) for key, value in kept.items()}
+    fit = replace(fit, detector=detector, intervals={**fit.intervals, **intervals})
     table, groups, calibration = build_fit_records(fit)
     nothing = FalseAlarms(pictures=1, alarms=0, chances=0, confirmed=0)
     result = DetectorFitResult(

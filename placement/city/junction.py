@@ -48,7 +48,8 @@ class JunctionWishes:
     max_units : int
         Most new units.
     time_limit_s : float
-        For all of it: what is left after the detection table is the optimiser's. [s]
+        For all of it; of what is left after the detection table, the optimiser takes what the
+        question allows it. [s]
     kept : Layout, optional
         What hangs there already.
     """
@@ -133,8 +134,12 @@ def solve_junction(
     )
     check_wishes(asked, scene)
     problem = build_problem(setting, candidates, table, wishes=asked, fusion=question.fusion)
-    left_s = max(watch.left_s(), _LEAST_OPTIMISER_S)
-    effort = Effort(solver=question.solver, gap=question.gap, time_limit_s=_UNITS_SHARE * left_s)
+    end_s = time.monotonic() + min(watch.left_s(), question.time_limit_s)
+
+    def effort(share: float) -> Effort:
+        left_s = max(end_s - time.monotonic(), _LEAST_OPTIMISER_S)
+        return Effort(solver=question.solver, gap=question.gap, time_limit_s=share * left_s)
+
     n_kept = int(problem.limits.is_forced.sum())
     assert problem.limits.budget_units is not None
     try:
@@ -142,11 +147,10 @@ def solve_junction(
             problem,
             max_units=problem.limits.budget_units,
             min_units=max(n_kept, 1),
-            effort=effort,
+            effort=effort(_UNITS_SHARE),
         )
         watch.begin("front by money")
-        left_s = max(watch.left_s(), _LEAST_OPTIMISER_S)
-        by_cost = _cost_front(problem, replace(effort, time_limit_s=left_s))
+        by_cost = _cost_front(problem, effort(1.0))
     except UnmetError as error:
         raise InputError(error.where, error.got, error.expected) from None
     base = PlacementValue(0.0, 0.0, 0.0, 0.0, 0.0)

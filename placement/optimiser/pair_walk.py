@@ -155,8 +155,14 @@ class _Beside:
         n_chains = len(owner.links.n_links)
         self.asked_tail, self.dead_links = (np.empty(n_chains, dtype=np.int64) for _ in range(2))
         ask_for_pieces(
-            *(layout, self.union, owner.links.n_links, owner.seen_by),
-            *(self.asked, self.missing, self.asked_tail, self.dead_links),
+            layout,
+            self.union,
+            owner.links.n_links,
+            owner.seen_by,
+            self.asked,
+            self.missing,
+            self.asked_tail,
+            self.dead_links,
         )
         self.open_rows, self.chains = owner.rows.open_after(first)
         self.words = np.flatnonzero(self.open_rows)
@@ -176,9 +182,21 @@ class _Beside:
         shape = (len(poses), len(self.open_rows))
         alone, may, part = (np.empty(shape, dtype=np.uint64) for _ in range(3))
         cover_beside(
-            *(links.layout, self.union, self.asked, self.missing, self.asked_tail),
-            *(self.dead_links, self.chains, rows.start, rows.last, rows.place, links.longest),
-            *(poses, alone, may, part),
+            links.layout,
+            self.union,
+            self.asked,
+            self.missing,
+            self.asked_tail,
+            self.dead_links,
+            self.chains,
+            rows.start,
+            rows.last,
+            rows.place,
+            links.longest,
+            poses,
+            alone,
+            may,
+            part,
         )
         gain = _weigh(may & self.open_rows, rows.table)
         need = self.weight - may_lose
@@ -191,8 +209,20 @@ class _Beside:
         while next_pair[0] < len(kept):
             out = np.empty((_OUT_PAIRS, 2), dtype=np.int64)
             n_found = find_pairs(
-                *(alone[kept], may[kept], part[kept], self.open_rows, self.words, rows.table),
-                *(gain[kept], need, may_lose, site[kept], self.room, n_copies, next_pair, out),
+                alone[kept],
+                may[kept],
+                part[kept],
+                self.open_rows,
+                self.words,
+                rows.table,
+                gain[kept],
+                need,
+                may_lose,
+                site[kept],
+                self.room,
+                n_copies,
+                next_pair,
+                out,
             )
             found.append(kept[out[:n_found]])
         return np.concatenate(found)
@@ -248,7 +278,7 @@ class _Classes:
             for alike in np.array_split(here, -(-len(here) // _MAX_TOGETHER)):
                 avoided = avoided_runs(links, first_seen(links, alike[:, None]))
                 value[alike] = avoided @ weight
-                number = _alike(avoided * np.sqrt(weight))
+                number = _alike(avoided.astype(np.float64) * np.sqrt(weight))
                 self.class_of[alike] = n_classes + number
                 n_classes += int(number.max()) + 1
         self.size = np.bincount(self.class_of[poses], minlength=n_classes)
@@ -256,10 +286,10 @@ class _Classes:
         self.site[self.class_of[poses]] = limits.site_index[poses]
         bits = np.zeros((n_classes, *links.layout.bits.shape[1:]), dtype=np.uint64)
         most = np.zeros(n_classes)
-        for number in range(n_classes):
-            members = np.flatnonzero(self.class_of == number)
-            bits[number] = links.union(members)
-            most[number] = value[members].max()
+        for which in range(n_classes):
+            members = np.flatnonzero(self.class_of == which)
+            bits[which] = links.union(members)
+            most[which] = value[members].max()
         self.links = Links(
             links.layout._replace(bits=bits), links.last, links.run_chain, links.n_links
         )

@@ -300,7 +300,8 @@ class SetSearch:
         as they can, by a linear program, and the best set of their answer joins the others
         (column generation, Gilmore, Gomory 1961).
         """
-        measure, reached = self.reduced.measure, []
+        measure = self.reduced.measure
+        reached: list[FloatArray] = []
         mean = measure.sample_weight
         for _ in range(_WORLD_ROUNDS):
             if now_s() > self.end_s:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geometry.actors import Actor, PlacedActor
-from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.arrays import BoolArray, FloatArray
 from geometry.footprints import footprint_corners, footprint_separation
 from geometry.junction import Arm, build_junction, lane_length_m, lane_line
 from geometry.poses import Pose
@@ -29,40 +29,57 @@ GroupKey = tuple[str, str, str]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Footprints:
+    """Rectangles on the road, and circles around them."""
+
+    corners_m: FloatArray  # (n, 4, 2): world frame. [m]
+    middle_m: FloatArray  # (2, n). [m]
+    radius_m: FloatArray  # (n,). [m]
+
+    def are_any_within(self, corners_m: FloatArray, limit_m: FloatArray) -> bool:
+        """Whether the gap between any of them and another one, (4, 2), is within its limit, (n,).
+
+        The gap along one of the normals of two sides is at least the distance of the middles over
+        the root of 2, less both radii.
+        """
+        if not len(self.corners_m):
+            return False
+        east, north = 0.5 * (corners_m[0] + corners_m[2])
+        radius_m = 0.5 * float(np.hypot(*(corners_m[0] - corners_m[2])))
+        apart_m = np.hypot(self.middle_m[0] - east, self.middle_m[1] - north) * np.sqrt(0.5)
+        near = np.flatnonzero(apart_m <= limit_m + (self.radius_m + radius_m + _TOGETHER_M))
+        if not len(near):
+            return False
+        gap_m = footprint_separation(self.corners_m[near], corners_m)
+        return bool((gap_m <= limit_m[near]).any())
+
+
+def _footprints(corners_m: FloatArray) -> Footprints:
+    diagonal = corners_m[:, 0] - corners_m[:, 2]
+    return Footprints(
+        corners_m=corners_m,
+        middle_m=np.ascontiguousarray(0.5 * (corners_m[:, 0] + corners_m[:, 2]).T),
+        radius_m=0.5 * np.hypot(diagonal[:, 0], diagonal[:, 1]),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ways:
     """The ground that runs of a case, an approach and a position sweep over, at any speed."""
 
-    # (n, 4, 2): footprints of VUT and VRU, close to one another along their ways. World frame. [m]
-    corners_m: FloatArray
+    # footprints of VUT and VRU, close to one another along their ways
+    swept: Footprints
     # (n,): nothing of a body between two footprints is farther than this from the nearer one. [m]
     reach_m: FloatArray
-    parked_m: FloatArray  # (m, 4, 2): footprints of the case's own obstructions. [m]
+    parked: Footprints  # of the case's own obstructions
 
     def blocks(self, corners_m: FloatArray, *, clearance_m: float) -> bool:
         """Whether a footprint, (4, 2), is nearer than this to a way, or in an obstruction."""
-        limit_m = clearance_m + self.reach_m
-        near = _may_be_near(self.corners_m, corners_m, limit_m)
-        if (footprint_separation(self.corners_m[near], corners_m) <= limit_m[near]).any():
+        if self.swept.are_any_within(corners_m, clearance_m + self.reach_m):
             return True
-        near = _may_be_near(self.parked_m, corners_m, _TOGETHER_M)
-        return bool((footprint_separation(self.parked_m[near], corners_m) <= _TOGETHER_M).any())
-
-
-def _may_be_near(
-    some_m: FloatArray, corners_m: FloatArray, limit_m: FloatArray | float
-) -> IntArray:
-    """Which of some rectangles, (n, 4, 2), may be no more than so far apart from another, (4, 2).
-
-    The gap along one of the normals of two sides is the distance of the middles over the root of 2
-    at least, less half of both diagonals.
-    """
-    middle = 0.5 * (corners_m[0] + corners_m[2])
-    half = some_m[:, 0] - some_m[:, 2]
-    east = 0.5 * (some_m[:, 0, 0] + some_m[:, 2, 0]) - middle[0]
-    north = 0.5 * (some_m[:, 0, 1] + some_m[:, 2, 1]) - middle[1]
-    diagonals = np.hypot(half[:, 0], half[:, 1]) + np.hypot(*(corners_m[0] - corners_m[2]))
-    apart_m = np.hypot(east, north) * np.sqrt(0.5) - 0.5 * diagonals
-    return np.flatnonzero(apart_m <= limit_m + _TOGETHER_M)
+        return self.parked.are_any_within(
+            corners_m, np.full(len(self.parked.corners_m), _TOGETHER_M)
+        )
 
 
 def group_key(run: Run) -> GroupKey:
@@ -118,9 +135,11 @@ def _build(runs: Sequence[Run], rule: AebRule) -> Ways:
             reach.append(np.full(len(corners), 0.5 * _STEP_M * turns))
     parked = {placed.key: placed for run in runs for placed in run.obstruction}
     return Ways(
-        corners_m=np.concatenate(swept),
+        swept=_footprints(np.concatenate(swept)),
         reach_m=np.concatenate(reach),
-        parked_m=np.array([footprint_of(placed) for placed in parked.values()]).reshape(-1, 4, 2),
+        parked=_footprints(
+            np.array([footprint_of(placed) for placed in parked.values()]).reshape(-1, 4, 2)
+        ),
     )
 
 

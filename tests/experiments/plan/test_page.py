@@ -3,6 +3,7 @@
 import json
 import re
 from contextlib import contextmanager
+from pathlib import Path
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -215,7 +216,34 @@ def test_a_lost_run_is_told_and_played(browser, serve):
         frame.locator("#player-frame").focus()
         page.keyboard.press("ArrowLeft")
         assert frame.locator("#player-status").inner_text() != before
+        frame.locator("#view-show").click()
+        frame.locator("#view-buttons").wait_for()
+        assert frame.locator("#view-message").inner_text() == ""
+        assert frame.locator("#view-3d canvas").count() > 0
         page.keyboard.press("Escape")
+
+
+def test_a_map_is_dropped_and_a_junction_of_it_chosen(browser, serve):
+    text = (Path(__file__).parents[3] / "docs" / "maps" / "crossing.osm").read_text()
+    with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
+        dropped = page.evaluate_handle(
+            """text => { const data = new DataTransfer();
+            data.items.add(new File([text], "crossing.osm")); return data; }""",
+            text,
+        )
+        page.dispatch_event("#plan", "drop", {"dataTransfer": dropped})
+        page.locator("#map-dialog").wait_for()
+        assert "crossing.osm has" in page.locator("#map-text").inner_text()
+        assert (
+            page.locator("#map-plan circle").count() == page.locator("#map-junction option").count()
+        )
+        page.locator("#map-take").click()
+        page.locator("#map-dialog").wait_for(state="hidden")
+        assert "town05" not in page.locator("#scene-name").inner_text()
+        assert page.locator("#units button").count() == 0
+        page.locator("#hang").click()
+        page.locator('[data-unit="U1"]').wait_for()
+        assert "%" in told(page, "table", "evaluator")
 
 
 def test_a_lost_connection_is_told_and_mended(browser, serve):

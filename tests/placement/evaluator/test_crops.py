@@ -9,6 +9,7 @@ from geometry.image_boxes import box_height_px
 from geometry.poses import Pose
 from geometry.scene_files import load_study_scene
 from geometry.weather import pick_weather
+from placement.detectors import is_matched, load_detector, load_min_iou
 from placement.evaluator import build_surroundings, load_vut_camera
 from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
 from placement.evaluator.pictures import PictureSource
@@ -135,3 +136,19 @@ def test_the_shadow_of_the_vut_belongs_to_it(last_frames, seen):
     beside[:, :2] += (2.5 + 0.5 * shadow_m) * np.array([np.cos(yaw), np.sin(yaw)])
     near, _, _ = seen([replace(run, vut_position_m=beside)])
     assert near.key(0)[-1] == 0  # a frame of its own
+
+
+def test_the_shipped_network_finds_most_cyclists_that_are_50_px_high(runs, seen, larger):
+    pytest.importorskip("onnxruntime")
+    by_name = {run.id: run for run in runs}
+    run = by_name["CBLA/west/25"]
+    last = slice(-14, None)
+    some = replace(run, **{key: getattr(run, key)[last] for key in PER_FRAME})
+    full = replace(larger, width_px=1920, height_px=1080)
+    crops, _, evidence = seen([some], camera=full)
+    is_high = box_height_px(evidence.visible_px) >= 50.0
+    assert is_high.sum() >= 3
+    detector = load_detector("cnn")
+    found = detector.detect(replace(evidence, crops=crops), np.random.default_rng(0))
+    matched = is_matched(found, evidence.visible_px, min_iou=load_min_iou())
+    assert matched[is_high].mean() > 0.6
