@@ -111,10 +111,13 @@ Examples:
     help="Accidents or traffic: points (CSV with lat and lon, or x and y; GeoJSON, GeoPackage), or "
     "a CSV with a column junction. Default: every junction counts the same.",
 )
-@option("--weight-column", default="", metavar="NAME", help="Of --junction-weights.")
+@option(
+    "--weight-column", is_common=False, default="", metavar="NAME", help="Of --junction-weights."
+)
 @option(
     "--snap",
     "snap_m",
+    is_common=False,
     type=click.FloatRange(min=0.0, min_open=True),
     default=50.0,
     show_default=True,
@@ -124,6 +127,7 @@ Examples:
 )
 @option(
     "--districts",
+    is_common=False,
     type=click.Path(path_type=Path),
     metavar="FILE",
     is_path=True,
@@ -131,6 +135,7 @@ Examples:
 )
 @option(
     "--min-district-apr",
+    is_common=False,
     type=click.FloatRange(min=0.0, max=1.0),
     default=0.0,
     metavar="SHARE",
@@ -139,6 +144,7 @@ Examples:
 )
 @option(
     "--areas",
+    is_common=False,
     type=click.Path(path_type=Path),
     metavar="FILE",
     is_path=True,
@@ -148,6 +154,7 @@ Examples:
 @option(
     "--near",
     "near_m",
+    is_common=False,
     type=click.FloatRange(min=0.0),
     default=0.0,
     metavar="METRES",
@@ -156,6 +163,7 @@ Examples:
 )
 @option(
     "--units-per-year",
+    is_common=False,
     type=click.IntRange(min=1),
     metavar="N",
     expected="a number of units, at least 1",
@@ -163,6 +171,7 @@ Examples:
 )
 @option(
     "--years",
+    is_common=False,
     type=click.IntRange(min=1),
     metavar="N",
     expected="a number of years, at least 1",
@@ -185,6 +194,7 @@ Examples:
 )
 @option(
     "--max-units",
+    is_common=False,
     type=click.IntRange(min=1),
     default=6,
     show_default=True,
@@ -195,6 +205,7 @@ Examples:
 @option(
     "--max-junction-seconds",
     "max_junction_s",
+    is_common=False,
     type=click.FloatRange(min=0.0, min_open=True),
     default=300.0,
     show_default=True,
@@ -205,6 +216,7 @@ Examples:
 @option(
     "--radius",
     "radius_m",
+    is_common=False,
     type=click.FloatRange(min=0.0, min_open=True),
     default=80.0,
     show_default=True,
@@ -222,6 +234,7 @@ Examples:
 )
 @option(
     "--scheduler",
+    is_common=False,
     default="",
     metavar="ADDRESS",
     help="Solve junctions on the workers of a dask scheduler, which must have this program; "
@@ -229,6 +242,7 @@ Examples:
 )
 @option(
     "--worker-memory",
+    is_common=False,
     default="1.5GiB",
     show_default=True,
     metavar="SIZE",

@@ -38,7 +38,7 @@ Examples:
   place-rsus plan
   place-rsus plan --layout carlancap-12 --cases study
   place-rsus plan --scene scene --layout mine.json --save plan.json
-  place-rsus plan --scene city.osm --sensors carla-ncap-rgb --port 8042 --no-open""",
+  place-rsus plan --scene city.osm --port 8042 --no-open""",
 )
 @layout_option
 @option(

@@ -30,20 +30,24 @@ def _point(text: str) -> tuple[float, float]:
     return x, y
 
 
+# Where a command lists its options in sections, --help-all alone shows these.
 _READING_OPTIONS = (
     option(
         "--unit",
+        is_common=False,
         type=click.Choice(("m", "km", "cm", "mm", "ft", "in")),
         help="Of meshes whose format does not say (OBJ, PLY, STL).",
     ),
     option(
         "--up",
+        is_common=False,
         type=click.Choice(("x", "y", "z", "-x", "-y", "-z")),
         help="Axis of meshes that points up, where the format does not say.",
     ),
     option(
         "--class",
         "class_name",
+        is_common=False,
         type=click.Choice(("building", "wall", "vegetation")),
         default="building",
         show_default=True,
@@ -51,19 +55,22 @@ _READING_OPTIONS = (
     ),
     option(
         "--traffic",
+        is_common=False,
         type=click.Choice(("left", "right")),
         help="Side on which it keeps; default: what the map says or shows.",
     ),
     option(
         "--crs",
+        is_common=False,
         default="",
         metavar="CRS",
         help="Of files that do not say where they lie: EPSG:25832.",
     ),
-    option("--layer", default="", metavar="NAME", help="Of a GeoPackage."),
+    option("--layer", is_common=False, default="", metavar="NAME", help="Of a GeoPackage."),
     option(
         "--offset",
         "offset_m",
+        is_common=False,
         type=_point,
         metavar="X,Y",
         expected="two numbers: X,Y",

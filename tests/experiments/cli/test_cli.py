@@ -137,7 +137,7 @@ def test_a_budget_beyond_what_the_sites_can_carry_is_refused(run, value):
             "--vam-rate: got 'nan'; expected a share of equipped road users, 0 to 1",
         ),
         ("--budget 1 --xyzzy 2", "No such option '--xyzzy'."),
-        ("place", "No such command 'place'."),
+        ("place", "No such command 'place'. Did you mean 'plan'?"),
         (
             "--budget 1 evaluate --layout carlancap-12",
             "--budget: options of evaluate go behind its name",
