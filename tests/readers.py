@@ -305,6 +305,89 @@ def _read_sites(path: Path) -> Any:
     return read_sites(path, crs="EPSG:25833")
 
 
+def _places() -> Mapping[str, tuple[str, Files]]:
+    square = [[13.37, 52.5], [13.39, 52.5], [13.39, 52.52], [13.37, 52.52], [13.37, 52.5]]
+    shapes = {
+        "point": {"type": "Point", "coordinates": [13.38, 52.51]},
+        "area": {"type": "Polygon", "coordinates": [square]},
+    }
+    return {
+        "degrees": _one("a.csv", "lat,lon,count\n52.51,13.38,3\n"),
+        "junctions": _one("a.csv", "junction,weight\nA Street / B Street,2.5\n"),
+    } | {
+        kind: _one(
+            "a.geojson",
+            json.dumps(
+                {
+                    "type": "FeatureCollection",
+                    "features": [
+                        {"type": "Feature", "geometry": shape, "properties": {"min_apr": 0.5}}
+                    ],
+                }
+            ),
+        )
+        for kind, shape in shapes.items()
+    }
+
+
+def _read_places(path: Path) -> Any:
+    from geometry.maps.city_layers import read_areas, read_counts
+
+    if b"Polygon" in path.read_bytes():
+        return read_areas(path, crs="EPSG:25833")
+    return read_counts(path, crs="EPSG:25833")
+
+
+def _city_folder() -> Mapping[str, tuple[str, Files]]:
+    import msgspec
+
+    from experiments.results.city import (
+        CityEntry,
+        CityFrontRecord,
+        CityManifest,
+        CityMapRecord,
+        CityPointRecord,
+    )
+
+    manifest = CityManifest(
+        maps=(CityMapRecord(name="a.osm", sha256="0", has_roads=True),),
+        crs="EPSG:25833",
+        bounds=(0.0, 0.0, 1.0, 1.0),
+        junctions=(CityEntry(id="1", map="a.osm", folder="1", key="0", sha256="0"),),
+    )
+    front = CityFrontRecord(
+        **dict.fromkeys(("key", "id", "name", "map", "scene", "reason"), "1"),
+        **dict.fromkeys(("sites", "poses", "runs", "frames"), 1),
+        points=(
+            CityPointRecord(
+                units=0,
+                cost_eur=0.0,
+                apr=0.5,
+                apr_one_failed=0.5,
+                smallest_margin_s=0.0,
+                mean_margin_s=0.0,
+                layout=(),
+            ),
+        ),
+        by_units=((0.0, 0.5),),
+        by_cost=((0.0, 0.5),),
+        seconds={"table": 1.0},
+        peak_memory_mib=1.0,
+    )
+    return {
+        name: _one(f"{name}.json", msgspec.json.encode(record))
+        for name, record in (("manifest", manifest), ("front", front))
+    }
+
+
+def _read_city_folder(path: Path) -> Any:
+    from experiments.results.city import load_front, load_manifest
+
+    if path.name == "manifest.json":
+        return load_manifest(path)
+    return load_front(path)  # None where it is damaged: it is made anew
+
+
 # ---------- scenes
 
 
@@ -788,7 +871,21 @@ READERS: Mapping[str, Reader] = {
         ),
         share=8,
     ),
-    "sites": Reader(_read_sites, _sites, ("geometry.maps.site_files.read_sites",)),
+    "sites": Reader(
+        _read_sites,
+        _sites,
+        ("geometry.maps.site_files.read_sites", "geometry.maps.site_files.read_csv_rows"),
+    ),
+    "places of a city": Reader(
+        _read_places,
+        _places,
+        ("geometry.maps.city_layers.read_counts", "geometry.maps.city_layers.read_areas"),
+    ),
+    "folder of a city": Reader(
+        _read_city_folder,
+        _city_folder,
+        ("experiments.results.city.load_manifest", "experiments.results.city.load_front"),
+    ),
     "scenes": Reader(
         read=_read_scene,
         seeds=_scenes,

@@ -123,7 +123,7 @@ def build_certificate(
             {
                 **asdict(stage),
                 "gap": stage.gap if math.isfinite(stage.gap) else None,  # JSON has no infinity
-                "is_proven": stage.gap == 0.0,
+                "is_proven": bool(stage.gap == 0.0),
             }
             for stage in certificate.stages
         ],

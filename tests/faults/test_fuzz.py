@@ -107,6 +107,9 @@ def test_hypothesis_finds_no_text_that_is_neither_read_nor_refused(
 # ---------- the next reader
 
 NO_USERS_FILES = {
+    "experiments.jobs.city_inputs.load_city": "maps, by read_map",
+    "experiments.jobs.city_inputs.load_kept": "layouts, by load_layout",
+    "experiments.training.crops.load_crops": "written by the training itself",
     "geometry.actors.read_actors": "facts of the package",
     "geometry.scene_files.pack_scene": "writes",
     "placement.detectors.network.load_onnx_model": "a network is a program: SECURITY.md",
