@@ -191,13 +191,14 @@ def plot_city_front(result: CityResult, *, axes: Axes | None = None) -> Axes:
     """Prevented accidents against money or units: who joins, and where the budget ends.
 
     Each dot is a step at which a junction gets more, and its choice is the best for what it takes.
-    The diamond is the choice for the budget; above it, the bound where that is higher.
+    Between two dots other choices are best; made of the layouts found, none is above the line. The
+    diamond is the choice for the budget; above it, the bound where that is higher.
     """
     axes = axes or new_axes(WIDTH_IN, 3.2)
     by_cost = result.by == "cost"
     x = [0.0, *(step.taken for step in result.front)]
     y = [100.0 * result.apr_before, *(100.0 * step.apr for step in result.front)]
-    axes.plot(x, y, drawstyle="steps-post", color=BLUE, lw=1.5, zorder=2)
+    axes.plot(x, y, color=BLUE, lw=1.0, zorder=2)
     axes.plot(x, y, linestyle="none", marker="o", ms=3.5, color=BLUE, zorder=3, gid="steps")
     taken = result.cost_eur if by_cost else float(result.units)
     stage = result.stages[0]

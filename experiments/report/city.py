@@ -147,7 +147,8 @@ def _front_section(result: CityResult, front: Axes) -> Section:
         front,
         title=f"What more {counted} buy",
         caption="Each dot is a step at which a junction joins or gets more, and the best choice "
-        "for what it takes; wishes for districts and areas are not counted here.",
+        "for what it takes. Between two dots other choices are best; made of the layouts found, "
+        "none is above the line. Wishes for districts and areas are not counted here.",
         alt=f"Accidents prevented against {counted}, rising from {percent(result.apr_before)}.",
     )
     rows = [
