@@ -20,7 +20,7 @@ from scenarios.runs import FrameAxis, build_runs
 # on geometry and search. Continuous integration draws more: pytest --hypothesis-profile thorough
 settings.register_profile("place-rsus", deadline=None, max_examples=12)
 settings.register_profile("place-rsus-few", deadline=None, max_examples=8)
-settings.register_profile("thorough", deadline=None, max_examples=60)
+settings.register_profile("thorough", deadline=None, max_examples=30)
 settings.load_profile("place-rsus")
 MANY = ("geometry", "scenarios", "optimiser")
 # The first test that compiles is told so, on a new machine: whichever that is, and however quiet.
