@@ -104,8 +104,14 @@ def test_open3d_and_embreex_name_the_same_first_triangle(seed):
     )
     np.testing.assert_allclose(one_share, other_share, rtol=1e-5)
     assert (one >= 0).any()
-    # Where two triangles cross or share an edge, either may come first.
-    assert (one == other).mean() > 0.999
+    # Where two triangles cross or share an edge, either may come first: both are met there.
+    where = np.flatnonzero(one != other)
+    for named in (one[where], other[where]):
+        corner, second, third = vertices[triangles[named]].transpose(1, 0, 2)
+        normal = np.cross(second - corner, third - corner)
+        ahead = np.einsum("ij,ij->i", corner - origins[where], normal)
+        speed = np.einsum("ij,ij->i", vectors[where], normal)
+        np.testing.assert_allclose(ahead, one_share[where] * speed, rtol=1e-3, atol=1e-1)
 
 
 @pytest.mark.parametrize("library", LIBRARIES)
