@@ -5,7 +5,6 @@ those still prevented if at each junction the unit that is needed most fails; th
 spare of all; its mean over the accidents prevented; cost. Each stage holds those before it.
 """
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -13,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.clock import now_s
 from geometry.errors import InputError, Unquoted
 
 from ..layout import Certificate, Stage, relative_gap
@@ -121,10 +121,10 @@ def choose(
     InputError
         A least APR cannot be reached, or not within the budgets; the message says what it takes.
     """
-    end_s = time.monotonic() + time_limit_s
+    end_s = now_s() + time_limit_s
     share = weight / weight.sum()
     _check_reach(options, share, wishes, names)
-    began_s = time.monotonic()
+    began_s = now_s()
     rows = np.flatnonzero(_may_be(options, wishes))
     left = options.taken(rows)
     problem = _problem(left, share, wishes, profit=share[left.junction] * left.apr)
@@ -137,10 +137,10 @@ def choose(
         most = solve_knapsack(
             _problem(beside, share, wishes, profit=share[beside.junction] * beside.apr),
             gap=gap,
-            time_limit_s=max(0.5 * (end_s - time.monotonic()), 1.0),
+            time_limit_s=max(0.5 * (end_s - now_s()), 1.0),
         )
         highest = max(most.bound, found.objective)
-    stages = [_stage(Objective.APR, found.objective, highest, time.monotonic() - began_s)]
+    stages = [_stage(Objective.APR, found.objective, highest, now_s() - began_s)]
     keep = _may_be_best(problem, found.objective, highest=found.bound)
     later = _Later(
         options=left.taken(np.flatnonzero(keep)),
@@ -295,10 +295,10 @@ class _Later:
         )
 
     def _left_s(self) -> float:
-        return max(0.5 * (self.end_s - time.monotonic()), 1.0)
+        return max(0.5 * (self.end_s - now_s()), 1.0)
 
     def _most(self, objective: Objective, profit: FloatArray, *, unit: float = 1.0) -> Stage:
-        began_s = time.monotonic()
+        began_s = now_s()
         found = solve_knapsack(self._knapsack(profit), gap=self.gap, time_limit_s=self._left_s())
         if found.chosen is not None and found.objective > profit[self.chosen].sum():
             self.chosen = found.chosen
@@ -307,12 +307,12 @@ class _Later:
             self.held.append((profit, value))
         bound = max(found.bound, value)
         if unit == 0.0:  # nothing is prevented: there is no time to spare
-            return _stage(objective, 0.0, 0.0, time.monotonic() - began_s)
-        return _stage(objective, value / unit, bound / unit, time.monotonic() - began_s)
+            return _stage(objective, 0.0, 0.0, now_s() - began_s)
+        return _stage(objective, value / unit, bound / unit, now_s() - began_s)
 
     def _smallest_margin(self) -> Stage:
         """The largest smallest margin: options with less are left out, as many as can be."""
-        began_s = time.monotonic()
+        began_s = now_s()
         margin_s = self.options.smallest_margin_s
         counts = self.options.apr > TOLERANCE
         value = self._value(Objective.SMALLEST_MARGIN)
@@ -320,7 +320,7 @@ class _Later:
         profit = np.zeros(len(self.options))
         low, high = 0, len(levels)  # levels below low can be kept, those from high on cannot
         bound = float(levels[-1]) if len(levels) else value
-        while low < high and time.monotonic() < self.end_s:
+        while low < high and now_s() < self.end_s:
             middle = (low + high) // 2
             rows = np.flatnonzero(~counts | (margin_s >= levels[middle] - TOLERANCE))
             has_all = len(np.unique(self.options.junction[rows])) == self.options.n_junctions
@@ -339,7 +339,7 @@ class _Later:
         value = self._value(Objective.SMALLEST_MARGIN)
         keep = np.flatnonzero(~counts | (margin_s >= value - TOLERANCE))
         self._leave_out(keep)
-        seconds = time.monotonic() - began_s
+        seconds = now_s() - began_s
         return _stage(Objective.SMALLEST_MARGIN, value, max(bound, value), seconds)
 
     def _leave_out(self, keep: IntArray) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from geometry.clock import now_s
 from geometry.errors import InputError, Unquoted
 from geometry.scene import Scene
 
@@ -134,10 +135,10 @@ def solve_junction(
     )
     check_wishes(asked, scene)
     problem = build_problem(setting, candidates, table, wishes=asked, fusion=question.fusion)
-    end_s = time.monotonic() + min(watch.left_s(), question.time_limit_s)
+    end_s = now_s() + min(watch.left_s(), question.time_limit_s)
 
     def effort(share: float) -> Effort:
-        left_s = max(end_s - time.monotonic(), _LEAST_OPTIMISER_S)
+        left_s = max(end_s - now_s(), _LEAST_OPTIMISER_S)
         return Effort(solver=question.solver, gap=question.gap, time_limit_s=share * left_s)
 
     n_kept = int(problem.limits.is_forced.sum())
@@ -314,7 +315,7 @@ class _Watch:
     """Takes the time of each stage, and ends what takes too long."""
 
     def __init__(self, limit_s: float, compute: Compute) -> None:
-        self._end_s = time.monotonic() + limit_s
+        self._end_s = now_s() + limit_s
         self._limit_s = limit_s
         self._progress = compute.progress
         self._clock: Callable[[], float] = time.process_time
@@ -338,7 +339,7 @@ class _Watch:
         return {name: round(value, 2) for name, value in self._seconds.items()}
 
     def left_s(self) -> float:
-        return self._end_s - time.monotonic()
+        return self._end_s - now_s()
 
     def _note(self) -> None:
         now_s = self._clock()

@@ -12,13 +12,13 @@ References
    for the money that it takes.
 """
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.clock import now_s
 
 from ..optimiser.model import run_solver
 
@@ -110,13 +110,13 @@ def solve_knapsack(
     choice : Choice
         Bounds hold for all choices, whatever the core.
     """
-    end_s = time.monotonic() + time_limit_s
+    end_s = now_s() + time_limit_s
     if len(problem.group) <= core_options:
         chosen, bound = _solve_core(
             problem, np.ones(len(problem.group), dtype=bool), gap=gap, end_s=end_s
         )
         return _choice(problem, chosen, bound, len(problem.group))
-    prices = best_prices(problem, end_s=time.monotonic() + 0.5 * time_limit_s)
+    prices = best_prices(problem, end_s=now_s() + 0.5 * time_limit_s)
     best, relaxed = priced_choice(problem, prices)
     at_prices = problem.profit - prices @ problem.rows
     short = at_prices[best][problem.group] - at_prices  # at least 0
@@ -125,7 +125,7 @@ def solve_knapsack(
     bound, size = relaxed, core_options
     while True:
         is_core, least_outside = _core(short, best, size)
-        left_s = end_s - time.monotonic()
+        left_s = end_s - now_s()
         if objective >= bound - gap * abs(objective) - _tiny(bound) or left_s <= 0.0:
             break
         found, core_bound = _solve_core(problem, is_core, gap=gap, end_s=end_s)
@@ -228,7 +228,7 @@ def _cut_prices(problem: Knapsack, *, end_s: float) -> FloatArray:
             bounds=[(0.0, most)] * n_rows + [(None, None)],
             method="highs",
         )
-        if solved.x is None or time.monotonic() > end_s:
+        if solved.x is None or now_s() > end_s:
             break
         prices = solved.x[:-1]
         if lowest - solved.x[-1] <= 1.0e-9 * max(1.0, abs(lowest)):
@@ -296,7 +296,7 @@ def _solve_core(
         part = max(abs(total - fixed), 1.0e-9 * total)
         answer = run_solver(
             stated,
-            time_limit_s=max(end_s - time.monotonic(), 0.1),
+            time_limit_s=max(end_s - now_s(), 0.1),
             gap=min(gap * total / part, 1.0),
         )
         bound = fixed + answer.bound * unit

@@ -46,7 +46,7 @@ class SetWalk:
 
     With failures, `left` is what must remain of any `n_failures` of them; sets are checked exactly
     for one failure, and for more only by bounds. Sites' capacities hold; other limits do not count.
-    Prices that bound sets at the root are looked for until `end_s` on the monotonic clock.
+    Prices that bound sets at the root are looked for until `end_s` of `geometry.clock`.
     """
 
     def __init__(
@@ -111,7 +111,7 @@ class SetWalk:
         self.may_lose += _SLACK * scale
 
     def blocks(self, end_s: float) -> Iterator[IntArray]:
-        """Sets that meet the needs, many at a time, until `end_s` on the monotonic clock.
+        """Sets that meet the needs, many at a time, until `end_s` of `geometry.clock`.
 
         An empty block says that nothing was found for a while. All processors walk, each behind
         some node near the root at a time: the order of the sets is left to chance.

@@ -46,7 +46,7 @@ def best_of_few(
 ) -> tuple[IntArray | None, bool]:
     """Best of all allowed sets, of any size, where they are few.
 
-    Gives up if there are more than `max_sets`, or at `end_s` on the monotonic clock. The units are
+    Gives up if there are more than `max_sets`, or at `end_s` of `geometry.clock`. The units are
     None if it gave up or no set is allowed; the flag tells whether all sets were gone through.
     """
     n_poses, most = reduced.n_poses, reduced.limits.max_units

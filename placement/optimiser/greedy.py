@@ -67,8 +67,8 @@ def improve(
 ) -> IntArray:
     """Exchange one unit for another, or leave one out, as long as that makes the set better.
 
-    No set is better than `limit`: the search ends at a set that is as good, or at `end_s` on the
-    monotonic clock. The result is at least as good as `units`.
+    No set is better than `limit`: the search ends at a set that is as good, or at `end_s` of
+    `geometry.clock`. The result is at least as good as `units`.
     """
     value = set_values(reduced, units[None, :])[0]
     while limit.exceeds(value) and now_s() < end_s:
@@ -98,9 +98,9 @@ def solve_heuristically(
 ) -> IntArray | None:
     """Best of several local optima: of `starts`, of the greedy set, and of random first units.
 
-    It ends when a set is as good as `limit`, which none exceeds, or at `end_s` on the monotonic
-    clock, but completes the first start. The result is within the limits and lacks as little to the
-    floors as was found; None if no set within the limits was found.
+    It ends when a set is as good as `limit`, which none exceeds, or at `end_s` of
+    `geometry.clock`, but completes the first start. The result is within the limits and lacks as
+    little to the floors as was found; None if no set within the limits was found.
     """
     rng = np.random.default_rng(_SEED)
     forced = forced_units(reduced)

@@ -15,7 +15,8 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
 
-from .chain_kernels import Layout, join, lost_with, lowest_bit
+from .chain_kernels import Layout, join, lowest_bit
+from .cover_kernels import loses_more
 from .presolve import WordArray
 
 
@@ -268,17 +269,4 @@ def keep_sets(
         union[:] = before
         for pose in sets[number]:
             join(layout.bits, pose, union, union)
-        lost = lost_with(
-            union,
-            union,
-            layout.n_phases,
-            layout.start,
-            layout.tail_links,
-            layout.tail_start,
-            worth,
-            chains,
-            len(chains),
-            most,
-            first,
-        )
-        kept[number] = lost <= most
+        kept[number] = not loses_more(layout, union, worth, chains, most, first)

@@ -72,7 +72,7 @@ class PairWalk:
         return self.total - self.need + _SLACK * max(self.total, 1.0)
 
     def blocks(self, end_s: float) -> Iterator[IntArray]:
-        """Sets that reach the need, many at a time, until `end_s` on the monotonic clock.
+        """Sets that reach the need, many at a time, until `end_s` of `geometry.clock`.
 
         An empty block says that nothing was found for a while. The order is left to chance.
         """

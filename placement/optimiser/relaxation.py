@@ -147,7 +147,7 @@ def generate_columns(
 
     `improve` is called with the pool and its multipliers once few poses are left to join. The
     rounds end when one brings less than the relative `tolerance` and no pose outside the pool is
-    too good, or at `end_s` on the monotonic clock. Few steps are made while many poses still join,
+    too good, or at `end_s` of `geometry.clock`. Few steps are made while many poses still join,
     since multipliers that suit a poor pool too well are worth nothing outside it. Where new ones
     are no better for all poses than the best so far, points between the two are tried (in-out
     separation, Ben-Ameur, Neto 2007).

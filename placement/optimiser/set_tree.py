@@ -343,7 +343,7 @@ def failure_limit(
 ) -> float:
     """No set of so many units that is worth `least` keeps more when units fail.
 
-    At `end_s` on the monotonic clock it ends with the best limit so far.
+    At `end_s` of `geometry.clock` it ends with the best limit so far.
     """
     limit = root.limit
     for amount in _PRICES_OF_APR if n_failures else ():

@@ -209,8 +209,8 @@ class SetSearch:
     ) -> IntArray | None:
         """Best of local optima: of some starts, of the greedy set, of sets near the relaxed one.
 
-        It ends at a set as good as `limit`, which none exceeds, or at `end_s` on the monotonic
-        clock, but completes the first start. None if no set is within the limits.
+        It ends at a set as good as `limit`, which none exceeds, or at `end_s` of
+        `geometry.clock`, but completes the first start. None if no set is within the limits.
         """
         rng = np.random.default_rng(_SEED)
         best = BestSet()
@@ -372,7 +372,7 @@ class SetSearch:
 
         `units` is the best set so far; `least_apr` is what the whole set must reach, by default
         what must be left. `on_better` takes better sets and returns what they were improved to.
-        The walk ends at `end_s` on the monotonic clock.
+        The walk ends at `end_s` of `geometry.clock`.
         """
         weight = self.run_weight
 

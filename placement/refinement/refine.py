@@ -99,7 +99,7 @@ def turn(
 ) -> tuple[Bench, tuple[int, ...]]:
     """Compass search over yaw, pitch and field of view, one unit after the other.
 
-    It begins with the set `rows` of the bench and stops at `end_s` on the monotonic clock. Returns
+    It begins with the set `rows` of the bench and stops at `end_s` of `geometry.clock`. Returns
     the bench with all poses that were tried behind, and the best set in it. In the end no step of
     any unit alone improves the set, unless time was up; it is never worse than before in the order
     of the stages.
