@@ -163,10 +163,7 @@ class Adviser:
             raise InputError("re-aim", Unquoted("units that see all round"), "one that can turn")
         self._compute.progress("look from the units", 0, 0)
         table = self._rows(poses.candidates)
-        wishes = replace(
-            self._wishes, budget_units=1, kept=tuple(unit.id for unit in units), forced_sites=()
-        )
-        wishes = replace(wishes, site_capacity=len(units) + 1)
+        wishes = replace(self._one_more(units), site_capacity=len(units) + 1)
         problem = build_problem(self._setting, poses.candidates, table, wishes=wishes)
         limits = combined_limits(problem.limits, poses, re_aim_eur=0.0, budget_eur=0.0)
         problem = replace(problem, limits=limits)
@@ -259,14 +256,17 @@ class Adviser:
 
     def _beside(self, units: Sequence[CandidatePose]) -> tuple[PlacementProblem, RetrofitPoses]:
         """The problem of one more unit beside those that hang."""
-        wishes = replace(
-            self._wishes, budget_units=1, kept=tuple(unit.id for unit in units), forced_sites=()
-        )
         candidates = (*units, *self._plan.candidates)
         unit_index = np.full(len(candidates), -1)
         unit_index[: len(units)] = np.arange(len(units))
         poses = RetrofitPoses(candidates=candidates, unit_index=unit_index)
-        return self._problem(units, wishes), poses
+        return self._problem(units, self._one_more(units)), poses
+
+    def _one_more(self, units: Sequence[CandidatePose]) -> Wishes:
+        """One more row than those that hang: a further unit, or another direction of one."""
+        return replace(
+            self._wishes, budget_units=1, kept=tuple(unit.id for unit in units), forced_sites=()
+        )
 
     def _problem(self, units: Sequence[CandidatePose], wishes: Wishes) -> PlacementProblem:
         """The problem on the rows of the units, then those of the grid."""

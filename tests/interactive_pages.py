@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from experiments.report.page import page_environment
 from geometry.catalogue import load_cameras
 from geometry.lidar import load_lidars
 from geometry.poses import Pose
@@ -90,14 +90,7 @@ TABLE = """<table id="sorted"><thead><tr><th scope="col">name</th><th scope="col
 
 def page_around(part):
     """A small page with the interactive part and one more table behind it."""
-    environment = Environment(
-        loader=PackageLoader("experiments.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    template = environment.from_string(
+    template = page_environment().from_string(
         '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>page</title>'
         '<link rel="icon" href="data:,">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'

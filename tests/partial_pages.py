@@ -7,7 +7,6 @@ from zlib import crc32
 
 import msgspec
 import pytest
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -17,6 +16,7 @@ from PIL import Image
 
 from experiments.figures.axes import root_figure
 from experiments.report import section
+from experiments.report.page import page_environment
 from experiments.report.section import Bullets, Picture, Section, Table
 from experiments.results.result import Result
 
@@ -55,15 +55,8 @@ def render_section(section: Section | None) -> str:
     """A section as the report has it: escaped; empty where there is none."""
     if section is None:
         return ""
-    environment = Environment(
-        loader=PackageLoader("experiments.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     source = '{% from "blocks.html.j2" import show_section %}{{ show_section(section) }}'
-    return environment.from_string(source).render(section=section)
+    return page_environment().from_string(source).render(section=section)
 
 
 def tables_of(section: Section) -> list[Table]:

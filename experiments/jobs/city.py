@@ -44,7 +44,7 @@ from ..results.city import (
 )
 from ..results.drives import versions
 from ..results.folders import check_folder, sha256, write_files
-from ..results.numbers import percent, several
+from ..results.numbers import euros, percent, several
 from ..results.record import StageRecord, build_stage_records
 from .city_inputs import City, CityJunction, CityValues, CityWish, load_city, load_kept, load_values
 from .city_workers import JunctionAnswer, JunctionTask, run_junctions, start_workers
@@ -500,7 +500,7 @@ def _cheapest(
     one = city.junctions[solved[int(options.junction[best])]]
     return (
         f"The cheapest useful choice is {several(int(options.units[best]), 'unit', 'units')} at "
-        f"{one.label} for {options.cost_eur[best]:,.0f} EUR: it would prevent "
+        f"{one.label} for {euros(options.cost_eur[best])}: it would prevent "
         f"{percent(float(gain[best]))} of the city's accidents."
     )
 
@@ -512,7 +512,7 @@ def _sentences(result: CityResult, wish: CityWish, phases: Phases | None) -> tup
     n_fronts = len(result.junctions) - result.not_done
     head = (
         f"{several(result.units, 'unit', 'units')} at {served} of {n_fronts} junctions for "
-        f"{result.cost_eur:,.0f} EUR: {percent(apr.objective)} of the accidents there are prevented"
+        f"{euros(result.cost_eur)}: {percent(apr.objective)} of the accidents there are prevented"
     )
     if result.not_done:
         head += f"; {several(result.not_done, 'junction', 'junctions')} not done"

@@ -20,12 +20,12 @@ from placement.compute import Compute
 from placement.question import Question
 
 from ..results.city import CityFrontRecord, build_points
+from .schedulers import ANSWER_S, connect_to_scheduler
 
 TRIES = 3
 """Of a junction whose worker dies, or that fails for no reason of its own."""
 
 _NO_WARNING = "ignore:resource_tracker:UserWarning"
-_ANSWER_S = 10.0  # of a scheduler, at most
 _AHEAD = 2  # tasks per worker that are handed over before their turn
 
 
@@ -152,7 +152,7 @@ def start_workers(
             "place-rsus city needs dask: pip install 'place-rsus[city]'"
         ) from None
     if scheduler:
-        with _client(Client, scheduler) as client:
+        with connect_to_scheduler(scheduler) as client:
             _check_workers(client, scheduler)
             tell(f"Dashboard of the workers: {client.dashboard_link}")
             yield client
@@ -193,23 +193,11 @@ def _memory(text: str) -> int:
     return size
 
 
-def _client(kind: Any, address: str) -> Any:
-    try:
-        return kind(address, timeout=_ANSWER_S, set_as_default=False)
-    except (OSError, ValueError, TypeError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(
-            "--scheduler",
-            Unquoted(f"{address}: {reason}"),
-            "the address of a running dask scheduler, such as tcp://10.0.0.1:8786",
-        ) from None
-
-
 def _check_workers(client: Any, address: str) -> None:
     from distributed import TimeoutError as DaskTimeoutError
 
     try:
-        client.wait_for_workers(1, timeout=_ANSWER_S)
+        client.wait_for_workers(1, timeout=ANSWER_S)
     except DaskTimeoutError:
         raise InputError(
             "--scheduler", Unquoted(f"{address} without workers"), "a scheduler with workers"

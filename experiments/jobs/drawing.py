@@ -32,6 +32,7 @@ from scenarios.runs import Run
 
 from ..progress import StageProgress, follow_parent
 from .render import cloud_bytes, depth_image, instance_image
+from .schedulers import connect_to_scheduler
 
 DRAW = "draw"
 """The stage in which pictures are drawn."""
@@ -40,7 +41,6 @@ MASKS, DEPTHS = "instances", "depth"
 """Folders of the pictures beside those in colour."""
 
 _TRIES = 3  # of a task whose worker dies
-_ANSWER_S = 10.0  # of a scheduler, at most
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -167,7 +167,13 @@ NewExecutor = Callable[[], Executor]
 def start_executors(scheduler: str, workers: int) -> Iterator[NewExecutor | None]:
     """What makes executors, anew if one breaks; None: all is drawn in this process."""
     if scheduler:
-        with _dask_client(scheduler) as client:
+        try:
+            connected = connect_to_scheduler(scheduler)
+        except ImportError:
+            raise InputError(
+                "--scheduler", scheduler, "dask installed: pip install 'place-rsus[cluster]'"
+            ) from None
+        with connected as client:
             yield lambda: client.get_executor(retries=_TRIES - 1, pure=False)
     elif workers == 1:
         yield None
@@ -177,24 +183,6 @@ def start_executors(scheduler: str, workers: int) -> Iterator[NewExecutor | None
             mp_context=multiprocessing.get_context("spawn"),
             initializer=follow_parent,
         )
-
-
-def _dask_client(address: str) -> Any:
-    try:
-        from distributed import Client
-    except ImportError:
-        raise InputError(
-            "--scheduler", address, "dask installed: pip install 'place-rsus[cluster]'"
-        ) from None
-    try:
-        return Client(address, timeout=_ANSWER_S, set_as_default=False)
-    except (OSError, ValueError, TypeError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(
-            "--scheduler",
-            Unquoted(f"{address}: {reason}"),
-            "the address of a running dask scheduler, such as tcp://10.0.0.1:8786",
-        ) from None
 
 
 def draw_all(

@@ -33,7 +33,7 @@ from ..progress import WRITING, StageProgress
 from ..results.csv_text import csv_text
 from ..results.drives import build_drives_record, versions
 from ..results.folders import check_folder, write_files
-from ..results.numbers import percent
+from ..results.numbers import euros, percent
 from ..results.record import build_stage_records, build_unit_records
 from ..results.retrofits import (
     ActionRecord,
@@ -89,27 +89,26 @@ def _re_aim(best: ChangeRecord) -> str:
             f"one would be to {what}."
         )
     return (
-        f"The best of {best.compared} re-aims, for {_euros(best.price_eur)}: {what}. "
-        f"{_effect(best)}"
+        f"The best of {best.compared} re-aims, for {euros(best.price_eur)}: {what}. {_effect(best)}"
     )
 
 
 def _addition(best: ChangeRecord | None, budget_eur: float | None) -> str:
-    limit = "" if budget_eur is None else f" within {_euros(budget_eur)}"
+    limit = "" if budget_eur is None else f" within {euros(budget_eur)}"
     if best is None:
         return f"No unit that can be added{limit} is better than none."
     return (
-        f"The best new unit{limit} costs {_euros(best.price_eur)}: {_all_words(best)}. "
+        f"The best new unit{limit} costs {euros(best.price_eur)}: {_all_words(best)}. "
         f"{_effect(best)}{_proof(best)}"
     )
 
 
 def _combination(best: ChangeRecord | None, budget_eur: float) -> str:
     if best is None:
-        return f"Within {_euros(budget_eur)} nothing is better than to leave all as it is."
+        return f"Within {euros(budget_eur)} nothing is better than to leave all as it is."
     return (
-        f"The best re-aims and additions together within {_euros(budget_eur)} cost "
-        f"{_euros(best.price_eur)}: {_all_words(best)}. {_effect(best)}{_proof(best)}"
+        f"The best re-aims and additions together within {euros(budget_eur)} cost "
+        f"{euros(best.price_eur)}: {_all_words(best)}. {_effect(best)}{_proof(best)}"
     )
 
 
@@ -145,10 +144,6 @@ def _runs(runs: Sequence[str]) -> str:
 def _ids(runs: Sequence[str]) -> str:
     shown = ", ".join(runs[:_MAX_RUNS])
     return shown if len(runs) <= _MAX_RUNS else f"{shown} and {len(runs) - _MAX_RUNS} more"
-
-
-def _euros(amount: float) -> str:
-    return f"{amount:,.0f} EUR"
 
 
 # ---------- what ``place-rsus retrofit`` does: the best change of every kind, priced

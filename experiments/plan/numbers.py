@@ -21,7 +21,7 @@ from ..figures.axes import describe_run
 from ..report.bill_of_materials import build_bill
 from ..report.interactive.records import plan_record, to_base64, unit_records
 from ..results.evaluations import build_evaluation_record
-from ..results.numbers import finite_or_none, percent
+from ..results.numbers import euros, finite_or_none, percent
 from .session import SCHEMA, History, PlanState
 
 BY_TABLE, BY_EVALUATOR = "table", "evaluator"
@@ -169,11 +169,6 @@ def cost_record(units: Sequence[CandidatePose], scene: Scene) -> dict[str, Any] 
 def _sum(amounts: Sequence[float | None]) -> float | None:
     known = [amount for amount in amounts if amount is not None]
     return sum(known) if len(known) == len(amounts) else None
-
-
-def euros(amount: float | None) -> str:
-    """An amount in words."""
-    return "unknown" if amount is None else f"{amount:,.0f} EUR"
 
 
 def layout_text(state: PlanState, scene: Scene) -> str:

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from msgspec import UNSET
 
 from geometry.errors import InputError
@@ -31,8 +30,9 @@ from scenarios.aeb import is_in_time
 
 from ..progress import StageProgress
 from ..report.interactive.part import interactive_part
-from ..results.numbers import percent
-from .numbers import euros, evaluated_numbers, key_of
+from ..report.page import page_environment
+from ..results.numbers import euros, percent
+from .numbers import evaluated_numbers, key_of
 
 _MAX_EVALUATIONS = 40
 _MAX_WATCHED = 60
@@ -346,15 +346,8 @@ class _Forwarding(StageProgress):
 
 @cache
 def _watch_template() -> Any:
-    environment = Environment(
-        loader=PackageLoader("experiments.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     source = (Path(__file__).parent / "page" / "watch.html.j2").read_text(encoding="utf-8")
-    return environment.from_string(source)
+    return page_environment().from_string(source)
 
 
 def _answer(title: str, advice: Advice, *, costs: str) -> dict[str, Any]:

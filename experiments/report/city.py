@@ -15,7 +15,7 @@ from ..figures.axes import VERMILION
 from ..figures.city import plot_junction_front
 from ..figures.scene import plot_scene_plan
 from ..results.city import CityFrontRecord, CityJunctionRecord, CityResult
-from ..results.numbers import number, percent
+from ..results.numbers import euros, number, percent
 from .page import page_template
 from .section import Block, Bullets, Code, Section, Table, build_picture
 
@@ -332,7 +332,7 @@ def render_junction_page(
         f"place-rsus evaluate --scene . --layout layout.json --cases {question.cases} --out report"
     )
     answer = [
-        f"{one.units} new units for {one.cost_eur:,.0f} EUR: APR {percent(one.apr)}"
+        f"{one.units} new units for {euros(one.cost_eur)}: APR {percent(one.apr)}"
         + (f", before {percent(one.apr_before)}." if one.kept else ".")
         if one.units
         else "This junction gets no new unit.",

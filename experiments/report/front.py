@@ -13,7 +13,7 @@ from placement.optimiser.objectives import COST_TOLERANCE_EUR, TOLERANCE
 
 from ..figures.front import plot_front
 from ..results.fronts import FrontPointRecord, FrontRecord
-from ..results.numbers import NOTHING, number, percent
+from ..results.numbers import NOTHING, euros, number, percent
 from .section import Block, Bullets, Section, Table, build_picture
 
 _VALUES = PlacementValue._fields
@@ -222,18 +222,18 @@ def describe_money(front: Front) -> list[str]:
     """What more money buys: a sentence for every point, and one for what follows."""
     first = front.points[0]
     sentences = [
-        f"{_euros(first.value.cost_eur)} buy an APR of {percent(first.value.apr)}"
+        f"{euros(first.value.cost_eur)} buy an APR of {percent(first.value.apr)}"
         f"{_left(first)}{_doubt(first, front)}."
     ]
     for before, point in pairwise(front.points):
         more = point.value.cost_eur - before.value.cost_eur
         verbs = _bought(before, point, front, many=True)
         sentences.append(
-            f"{_euros(more)} more ({_euros(point.value.cost_eur)} in all) {verbs}"
+            f"{euros(more)} more ({euros(point.value.cost_eur)} in all) {verbs}"
             f"{_doubt(point, front)}."
         )
     if front.settled is not None:
-        sentences.append(_nothing_grows(front, f"Beyond {_euros(front.settled)} nothing grows"))
+        sentences.append(_nothing_grows(front, f"Beyond {euros(front.settled)} nothing grows"))
     return sentences
 
 
@@ -301,7 +301,7 @@ def _time_bought(before: FrontPoint, point: FrontPoint, s: str) -> list[str]:
         return [f"buy{s} " + " and ".join(parts)]
     saved = old.cost_eur - new.cost_eur
     is_same = all(abs(a - b) <= TOLERANCE for a, b in zip(old[:-1], new[:-1], strict=True))
-    return [f"save{s} {_euros(saved)}"] if is_same and saved > COST_TOLERANCE_EUR else []
+    return [f"save{s} {euros(saved)}"] if is_same and saved > COST_TOLERANCE_EUR else []
 
 
 def _doubt(point: FrontPoint, front: Front) -> str:
@@ -311,7 +311,7 @@ def _doubt(point: FrontPoint, front: Front) -> str:
             continue
         if stage.name == "cost_eur":
             if front.by == "cost":
-                return f" (proven is only: not for less than {_euros(stage.bound)})"
+                return f" (proven is only: not for less than {euros(stage.bound)})"
             return " (not proven: as good for less)"
         what = {"apr": "the APR", "apr_one_failed": "what is left when one fails"}.get(stage.name)
         if what is not None:
@@ -351,10 +351,6 @@ def _ordinal(number: int) -> str:
     if number % 100 in (11, 12, 13):
         return f"{number}th"
     return f"{number}{ {1: 'st', 2: 'nd', 3: 'rd'}.get(number % 10, 'th') }"
-
-
-def _euros(amount: float) -> str:
-    return f"{amount:,.0f} EUR"
 
 
 def _seconds(time_s: float) -> str:

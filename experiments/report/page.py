@@ -216,13 +216,18 @@ def _present(sections: Sequence[Section | None]) -> list[Section]:
 
 
 @cache
-def page_template() -> Template:
-    """The template of all pages: title, answer, sections, details; and what can be played."""
-    environment = Environment(
+def page_environment() -> Environment:
+    """How all pages are made from templates: text of others is shown as text."""
+    return Environment(
         loader=PackageLoader("experiments.report"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.get_template("report.html.j2")
+
+
+@cache
+def page_template() -> Template:
+    """The template of all pages: title, answer, sections, details; and what can be played."""
+    return page_environment().get_template("report.html.j2")

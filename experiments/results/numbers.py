@@ -34,6 +34,17 @@ def number(value: float | None, digits: int = 2) -> str:
     return f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "\N{MINUS SIGN}")
 
 
+def euros(amount: float | None) -> str:
+    """An amount of money to the euro; None: nobody knows it.
+
+    Examples
+    --------
+    >>> euros(4500.0), euros(None)
+    ('4,500 EUR', 'unknown')
+    """
+    return "unknown" if amount is None else f"{amount:,.0f} EUR"
+
+
 def finite_or_none(value: float) -> float | None:
     """A number as records have it: None in place of an infinity."""
     return value if math.isfinite(value) else None

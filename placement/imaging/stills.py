@@ -266,18 +266,41 @@ def _find_lit(
 
 
 def _box(mesh: Mesh, origin_m: FloatArray) -> FloatArray:
-    """The box around a body, (9,): middle, cosine and sine of its yaw, half sizes, radius ** 2."""
+    """The box around a body, (9,): middle, cosine and sine of its yaw, half sizes, radius."""
     yaw = math.radians(mesh.things[0].pose.yaw_deg)
     cos, sin = math.cos(yaw), math.sin(yaw)
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     local = (mesh.vertices_m - origin_m) @ turn
     low, high = local.min(axis=0) - _MARGIN_M, local.max(axis=0) + _MARGIN_M
     middle, half = turn @ (0.5 * (low + high)), 0.5 * (high - low)
-    box: FloatArray = np.concatenate([middle, turn[:2, 0], half, [half @ half]])
+    box: FloatArray = np.concatenate([middle, turn[:2, 0], half, [math.sqrt(half @ half)]])
     return box
 
 
 # ---------- kernels
+
+
+@kernel
+def _may_meet(
+    box: FloatArray,
+    px: float,
+    py: float,
+    pz: float,
+    vx: float,
+    vy: float,
+    vz: float,
+    radius: float,
+) -> bool:
+    """Whether the sphere around a box may be met from anywhere within a radius of p, along v.
+
+    All rays are parallel, or all end where p + v is: then they come nearer to one another.
+    """
+    dx, dy, dz = box[0] - px, box[1] - py, box[2] - pz
+    along = dx * vx + dy * vy + dz * vz
+    away = dx * dx + dy * dy + dz * dz - (box[8] + radius) ** 2
+    if away <= 0.0:
+        return True
+    return bool(along >= 0.0 and away * (vx * vx + vy * vy + vz * vz) <= along * along)
 
 
 @kernel
@@ -292,12 +315,9 @@ def _meets(
     most: float,
 ) -> bool:
     """Whether a ray from p along v meets a box before `most` times v."""
-    dx, dy, dz = box[0] - px, box[1] - py, box[2] - pz
-    # First the sphere around the box.
-    along = dx * vx + dy * vy + dz * vz
-    away = dx * dx + dy * dy + dz * dz - box[8]
-    if away > 0.0 and (along < 0.0 or away * (vx * vx + vy * vy + vz * vz) > along * along):
+    if not _may_meet(box, px, py, pz, vx, vy, vz, 0.0):
         return False
+    dx, dy, dz = box[0] - px, box[1] - py, box[2] - pz
     cos, sin = box[3], box[4]
     near, far = 0.0, most
     for axis in range(3):
@@ -319,29 +339,6 @@ def _meets(
         if near > far:
             return False
     return True
-
-
-@kernel
-def _may_meet(
-    box: FloatArray,
-    px: float,
-    py: float,
-    pz: float,
-    vx: float,
-    vy: float,
-    vz: float,
-    radius: float,
-) -> bool:
-    """Whether the sphere around a box may be met from anywhere within a radius of p, along v.
-
-    All rays are parallel, or all end where p + v is: then they come nearer to one another.
-    """
-    dx, dy, dz = box[0] - px, box[1] - py, box[2] - pz
-    along = dx * vx + dy * vy + dz * vz
-    away = dx * dx + dy * dy + dz * dz - (math.sqrt(box[8]) + radius) ** 2
-    if away <= 0.0:
-        return True
-    return bool(along >= 0.0 and away * (vx * vx + vy * vy + vz * vz) <= along * along)
 
 
 @kernel
@@ -424,7 +421,7 @@ def _mark(
     sky_m = 1.0  # beyond all boxes
     for index in range(n_boxes):
         box = boxes[index]
-        away = math.sqrt(box[0] ** 2 + box[1] ** 2 + box[2] ** 2) + math.sqrt(box[8])
+        away = math.sqrt(box[0] ** 2 + box[1] ** 2 + box[2] ** 2) + box[8]
         sky_m = max(sky_m, 1.01 * away)
     # Of each box: may it be seen, hide the sun, hide each lamp?
     possible = np.empty((n_boxes, 2 + n_lamps), dtype=np.bool_)

@@ -3,31 +3,19 @@
 import json
 
 import pytest
-from city_maps import FEW_RUNS_OPTIONS, write_city
+from city_maps import FEW_RUNS_OPTIONS, solve_here, write_city
 from msgspec.structs import replace as replace_fields
 
 from experiments.cli.city import city as command
 from experiments.cli.city import city_text
 from experiments.jobs import city as job
-from experiments.jobs import city_workers
 from experiments.results.city import CityResult, load_manifest
 
 
 @pytest.fixture
 def solved_here(monkeypatch):
     """Solves junctions in this process, and draws nothing."""
-    from contextlib import contextmanager
-
-    @contextmanager
-    def no_workers(scheduler, **settings):
-        yield None
-
-    def run_here(client, tasks):
-        for task in tasks:
-            yield task, city_workers.run_junction(task)
-
-    monkeypatch.setattr(job, "start_workers", no_workers)
-    monkeypatch.setattr(job, "run_junctions", run_here)
+    solve_here(monkeypatch)
     monkeypatch.setattr(job, "write_city", lambda *args, **settings: None)
 
 

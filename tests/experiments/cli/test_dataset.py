@@ -16,6 +16,7 @@ from PIL import Image
 
 from experiments.export.json import to_json
 from experiments.jobs import drawing as job
+from experiments.jobs import schedulers
 from experiments.study.layout import load_carlancap_layout
 from geometry.sensors import CameraModel
 
@@ -279,7 +280,7 @@ def test_a_folder_of_another_dataset_or_of_something_else_is_left_alone(dataset)
 
 def test_a_scheduler_that_does_not_answer_is_named(dataset, monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr(job, "_ANSWER_S", 0.5)
+    monkeypatch.setattr(schedulers, "ANSWER_S", 0.5)
     code, _, err = dataset("--lidar", "none", "--scheduler", "nowhere:1")
     assert code == 2
     assert "--scheduler: got nowhere:1" in err.splitlines()[-1]

@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import threading
-from contextlib import contextmanager
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -14,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from city_maps import FEW_RUNS, write_city
+from city_maps import FEW_RUNS, solve_here, write_city
 from once import make_once
 
 from experiments.jobs import city as job
-from experiments.jobs import city_workers
+from experiments.jobs import city_workers, schedulers
 from experiments.jobs.city_inputs import CityWish
 from experiments.progress import StageProgress
 from experiments.results.city import load_front
@@ -46,17 +45,6 @@ def run(maps, out, *, question=FEW_RUNS, search=SEARCH, workers=None, told=None,
     )
 
 
-@contextmanager
-def no_workers(scheduler, **settings):
-    yield None
-
-
-def run_here(client, tasks):
-    """In place of workers."""
-    for task in tasks:
-        yield task, city_workers.run_junction(task)
-
-
 @pytest.fixture(scope="session")
 def tiny(tmp_path_factory):
     """The map, and the folder of a city for two units."""
@@ -64,8 +52,7 @@ def tiny(tmp_path_factory):
     def make(folder):
         path = write_city(folder)
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(job, "start_workers", no_workers)
-            patch.setattr(job, "run_junctions", run_here)
+            solve_here(patch)
             run(path, folder / "city")
 
     return make_once(tmp_path_factory, "tiny-city", make)
@@ -80,8 +67,7 @@ def no_pages(monkeypatch):
 @pytest.fixture
 def here(monkeypatch):
     """Solves junctions in this process."""
-    monkeypatch.setattr(job, "start_workers", no_workers)
-    monkeypatch.setattr(job, "run_junctions", run_here)
+    solve_here(monkeypatch)
 
 
 @pytest.fixture
@@ -91,7 +77,7 @@ def never(monkeypatch):
     def fail(client, tasks):
         pytest.fail(f"{len(list(tasks))} junctions are solved")
 
-    monkeypatch.setattr(job, "start_workers", no_workers)
+    solve_here(monkeypatch)
     monkeypatch.setattr(job, "run_junctions", fail)
 
 
@@ -336,7 +322,7 @@ def test_dask_that_is_missing_is_one_line(tiny, tmp_path, monkeypatch):
 
 
 def test_a_scheduler_that_is_not_there_is_one_line(tiny, tmp_path, monkeypatch):
-    monkeypatch.setattr(city_workers, "_ANSWER_S", 0.3)
+    monkeypatch.setattr(schedulers, "ANSWER_S", 0.3)
     with pytest.raises(InputError, match=r"--scheduler: got tcp://127.0.0.1:9: .*; expected the"):
         run(
             tiny / "tiny.osm",
