@@ -120,7 +120,7 @@ def solve_junction(
     if kept is not None:
         check_layout(kept, scene)
     watch.begin("lay runs")
-    setting = build_setting(question, scene)
+    setting = build_setting(question, scene, compute=compute)
     watch.begin("detection table")
     candidates = build_candidates(scene, wishes.grid, extra=() if kept is None else kept.units)
     table = obtain_table(setting, candidates, compute=compute)
