@@ -133,7 +133,7 @@ def plan(
             if variant.units:
                 check_layout(variant.layout(scene), scene)
     progress("setting", 0, 0)
-    setting = build_setting(question, scene)
+    setting = build_setting(question, scene, compute=compute)
     with tempfile.TemporaryDirectory(prefix="place-rsus-plan-") as folder:
         work = Work(
             question=question,

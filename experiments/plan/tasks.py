@@ -86,8 +86,11 @@ class Tasks:
         """Scene and runs, as ``evaluate`` builds them."""
         if self._setting is None:
             self._progress("setting", 0, 0)
+            question = self._work.question
             self._setting = build_setting(
-                self._work.question, load_scene(self._work.question.scene)
+                question,
+                load_scene(question.scene),
+                compute=replace(self._compute, cache_folder=self._work.cache),
             )
         return self._setting
 
