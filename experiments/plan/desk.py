@@ -162,6 +162,8 @@ class Desk:
         self.listeners: set[Listener] = set()
         self.left_at_s: float | None = None  # since when nobody looks, who looked before
         self.is_lost = False
+        self._ground: PrivateGround | None
+        self._sight: PrivateSight | None
         self._ground, self._sight = self._private_ground(work, setting)
         self._sight_turn = asyncio.Lock()
         self._save = save
