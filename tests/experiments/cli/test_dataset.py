@@ -303,13 +303,17 @@ def cluster():
     with ExitStack() as stack:
         yield lambda **settings: stack.enter_context(
             distributed.LocalCluster(
-                n_workers=2, threads_per_worker=1, dashboard_address=None, protocol="tcp", **settings
+                n_workers=2,
+                threads_per_worker=1,
+                dashboard_address=None,
+                protocol="tcp",
+                **settings,
             )
         )
 
 
 def test_workers_of_a_dask_cluster_draw_the_same(dataset, drawn, cluster):
-    address = cluster(processes=False).scheduler_address
+    address = cluster(processes=False, protocol="tcp").scheduler_address
     code, _, err = dataset("--lidar", "none", "--scheduler", address, out="other")
     assert code == 0, err
     assert _files("other") == _files(drawn)
@@ -317,7 +321,7 @@ def test_workers_of_a_dask_cluster_draw_the_same(dataset, drawn, cluster):
 
 @pytest.mark.long
 def test_of_the_workers_of_a_dask_cluster_one_may_die(dataset, cluster):
-    processes = cluster(processes=True)
+    processes = cluster(processes=True, protocol="tcp")
     first = next(iter(processes.workers.values()))
     first.auto_restart = False
     os.kill(first.pid, signal.SIGKILL)
