@@ -125,7 +125,9 @@ def test_the_rear_axle_never_slips_sideways_and_rolls_by_the_cosine_of_the_lag(p
     assert rolled @ _unit(yaw_deg) == pytest.approx(np.cos(lag), abs=2e-4)
 
 
-@pytest.mark.parametrize("name", ["far_10", "far_20", "near_10"])
+@pytest.mark.parametrize(
+    "name", ["far_10", "near_10", pytest.param("far_20", marks=pytest.mark.long)]
+)
 def test_the_body_matches_one_dragged_in_small_steps(name):
     path = build_turn_path(load_turns()[name].turn)
     distance = np.linspace(0.0, 60.0, 60_001)
