@@ -1,6 +1,6 @@
 """Types of image evidence and detections, the interface of detectors, and the matching of boxes."""
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
@@ -61,8 +61,8 @@ class Crops(Protocol):
     def key(self, row: int) -> Hashable:
         """Equal for rows whose crops look the same."""
 
-    def draw(self, row: int) -> Crop:
-        """The crop of a row."""
+    def draw_all(self, rows: Sequence[int]) -> Iterable[tuple[int, Crop]]:
+        """Rows and their crops, in the order in which they are drawn fastest."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -1,7 +1,7 @@
 """Exported neural networks (ONNX) as detectors: run on images, and shown rendered pictures."""
 
 import math
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -374,14 +374,14 @@ class NetworkDetector:
         if (evidence.crops if self.looks_at_crops else evidence.picture) is None:
             raise InputError("evidence", Unquoted("no pictures"), "pictures for the network")
         height = evidence.visible_px[:, 3] - evidence.visible_px[:, 1]
-        seen: dict[Hashable, ImageBoxes] = {}
+        large = np.flatnonzero(height >= max(self.min_box_height_px, 1.0e-9)).tolist()
         rows: list[int] = []
         boxes: list[np.ndarray] = []
         confidence: list[np.ndarray] = []
         kinds = np.broadcast_to(evidence.vru_class, len(evidence))
-        for row in np.flatnonzero(height >= max(self.min_box_height_px, 1.0e-9)).tolist():
-            found = vru_boxes(self._find(row, evidence, seen))
-            of_class = found.cyclists if VRU_CLASSES[kinds[row]] == "cyclist" else found.persons
+        for row, found in self._find(large, evidence):
+            vrus = vru_boxes(found)
+            of_class = vrus.cyclists if VRU_CLASSES[kinds[row]] == "cyclist" else vrus.persons
             is_sure = of_class.confidence >= self.min_confidence
             boxes.append(of_class.boxes_px[is_sure])
             confidence.append(of_class.confidence[is_sure])
@@ -392,13 +392,19 @@ class NetworkDetector:
             confidence=np.concatenate([np.empty(0), *confidence]),
         )
 
-    def _find(self, row: int, evidence: Evidence, seen: dict[Hashable, ImageBoxes]) -> ImageBoxes:
-        """Boxes in the image of a row, or around its VRU; what looks the same is seen once."""
+    def _find(self, rows: list[int], evidence: Evidence) -> Iterator[tuple[int, ImageBoxes]]:
+        """Boxes in the images of rows, or around their VRUs; what looks the same is seen once."""
         if not self.looks_at_crops:
             assert evidence.picture is not None
-            return self.model.detect(evidence.picture(row))
+            for row in rows:
+                yield row, self.model.detect(evidence.picture(row))
+            return
         assert evidence.crops is not None
-        key = evidence.crops.key(row)
-        if key not in seen:
-            seen[key] = self.look_at(evidence.crops.draw(row))
-        return seen[key]
+        alike: dict[Hashable, list[int]] = {}
+        for row in rows:
+            alike.setdefault(evidence.crops.key(row), []).append(row)
+        same = {group[0]: group for group in alike.values()}
+        for first, crop in evidence.crops.draw_all(list(same)):
+            found = self.look_at(crop)
+            for row in same[first]:
+                yield row, found

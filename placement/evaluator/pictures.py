@@ -1,6 +1,6 @@
 """Pictures for networks: whole ones, and crops around the road user."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from dataclasses import replace
 from threading import Lock
@@ -20,8 +20,10 @@ from scenarios.runs import Run
 from ..compute import Compute
 from ..detectors.evidence import Crop, Image
 from ..imaging import Backdrop, build_backdrop, draw_picture
-from ..imaging.crops import draw_crop, meter, window_around
-from ..imaging.mesh import FrameMesh, place_mesh, vut_pose
+from ..imaging.crops import crop_onto, draw_crop, meter, window_around
+from ..imaging.mesh import FrameMesh, move_origin, place_mesh, vut_pose
+from ..imaging.picture import Picture, Window
+from ..imaging.stills import Still, draw_still
 from .surroundings import VutCamera, vut_pitch_deg
 
 PictureOfFrame = Callable[[int], Image]
@@ -94,28 +96,52 @@ class PictureSource:
         self._count()
         return picture.rgb
 
-    def _draw_crop(self, frame: int, view: "_View") -> Crop:
+    def _draw_crop(self, frame: int, view: "_View", still: Still | None) -> Crop:
+        """Drawn anew, or onto a still that holds it."""
         if self._is_closed:
             raise CancelledError
         run, index = self._find(frame)
         backdrop = self._backdrop(run.obstruction)
-        small = _scaled(view.camera, view.scale)
-        window = window_around(view.box_px / view.scale, small, side_px=view.side_px)
-        still = self._still_mesh(run.obstruction, backdrop)
-        weather = pick_weather(run.weather, "run: weather")
-        picture = draw_crop(
-            *(backdrop, still, run, index, view.pose, small, window),
-            weather=weather,
-            with_vut=view.shows_vut,
-            white_cd_m2=self._white(run, backdrop, still, view) if view.is_fixed else None,
-            seed=self._compute.seed,
-        )
+        mesh = self._still_mesh(run.obstruction, backdrop)
+        white = self._white(run, backdrop, mesh, view) if view.is_fixed else None
+        small, window = view.small, view.window
+        picture: Picture
+        if still is None:
+            picture = draw_crop(
+                *(backdrop, mesh, run, index, view.pose, small, window),
+                weather=pick_weather(run.weather, "run: weather"),
+                with_vut=view.shows_vut,
+                white_cd_m2=white,
+                seed=self._compute.seed,
+            )
+        else:
+            picture = crop_onto(
+                *(still.cut(window), run, index),
+                with_vut=view.shows_vut,
+                white_cd_m2=white,
+                seed=self._compute.seed,
+            )
         return Crop(
             pixels=picture.rgb,
             left_px=window.left - 0.5 * small.width_px,
             top_px=window.top - 0.5 * small.height_px,
             scale=view.camera.width_px / small.width_px,
             middle_px=(0.5 * view.camera.width_px, 0.5 * view.camera.height_px),
+        )
+
+    def _draw_still(self, frame: int, view: "_View", window: Window) -> Still:
+        """What stands still in a window, as the camera of a view sees it in the frame's run."""
+        if self._is_closed:
+            raise CancelledError
+        run, _ = self._find(frame)
+        backdrop = self._backdrop(run.obstruction)
+        mesh = self._still_mesh(run.obstruction, backdrop)
+        return draw_still(
+            *(backdrop, view.pose, view.small),
+            weather=pick_weather(run.weather, "run: weather"),
+            window=window,
+            mesh=move_origin(mesh, view.pose.position_m),
+            compute=self._compute,
         )
 
     def _white(self, run: Run, backdrop: Backdrop, still: FrameMesh, view: "_View") -> float | None:
@@ -162,6 +188,16 @@ class _View(NamedTuple):
     shows_vut: bool
     is_fixed: bool
 
+    @property
+    def small(self) -> CameraModel:
+        """The camera at the crop's resolution."""
+        return _scaled(self.camera, self.scale)
+
+    @property
+    def window(self) -> Window:
+        """The crop, in the image of `small`."""
+        return window_around(self.box_px / self.scale, self.small, side_px=self.side_px)
+
 
 class Crops:
     """Crops of a camera's pictures around the road user; see :class:`~..detectors.evidence.Crops`.
@@ -194,9 +230,30 @@ class Crops:
         return where
 
     def draw(self, frame: int) -> Crop:
-        """The crop of a frame."""
-        run, index = self._source._find(frame)
-        return self._source._draw_crop(frame, self._view(run, index, frame))
+        """The crop of a frame, drawn by itself."""
+        return self._source._draw_crop(frame, self._view(*self._source._find(frame), frame), None)
+
+    def draw_all(self, frames: Sequence[int]) -> Iterator[tuple[int, Crop]]:
+        """Frames and their crops, in another order than given.
+
+        What stands still is drawn once for the crops of a fixed camera at one scale, if that is
+        less than all of them together.
+        """
+        views = {frame: self._view(*self._source._find(frame), frame) for frame in frames}
+        groups: dict[tuple[object, ...], list[int]] = {}
+        for frame, view in views.items():
+            run, _ = self._source._find(frame)
+            key = (run.weather, tuple(parked.key for parked in run.obstruction), view.scale)
+            groups.setdefault(key, []).append(frame)
+        for group in groups.values():
+            windows = [views[frame].window for frame in group]
+            around, first = _around(windows), views[group[0]]
+            n_pixels = sum(window.width * window.height for window in windows)
+            still = None
+            if first.is_fixed and around.width * around.height < n_pixels:
+                still = self._source._draw_still(group[0], first, around)
+            for frame in group:
+                yield frame, self._source._draw_crop(frame, views[frame], still)
 
     def _view(self, run: Run, index: int, frame: int) -> _View:
         if isinstance(self._camera, VutCamera):
@@ -214,6 +271,14 @@ class Crops:
             run, index, pose, camera, box_px, 0.5 * side_px * scale
         )
         return _View(pose, camera, box_px, side_px, scale, shows_vut, is_fixed)
+
+
+def _around(windows: Sequence[Window]) -> Window:
+    """The smallest window that holds all of them."""
+    left, top = min(one.left for one in windows), min(one.top for one in windows)
+    right = max(one.left + one.width for one in windows)
+    bottom = max(one.top + one.height for one in windows)
+    return Window(left, top, right - left, bottom - top)
 
 
 def _may_show_vut(

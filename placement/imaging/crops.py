@@ -6,7 +6,6 @@ raindrops, and an exposure that is set by fewer pixels of the whole image.
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -23,26 +22,20 @@ from .mesh import FrameMesh, add_moving_meshes, build_moving_meshes, move_origin
 from .picture import (
     Backdrop,
     Picture,
+    Shades,
     Shot,
+    Window,
     build_shot,
     names_of,
     pixel_rays,
     shade_rays,
-    smooth_pixels,
+    smooth_image,
     tile_rays,
 )
 from .rain_and_glare import add_glare, add_rain
+from .stills import Still, add_moving
 
 _METERED_PX = (48, 27)  # columns and rows of the whole image that set the exposure
-
-
-class Window(NamedTuple):
-    """A part of an image, in whole pixels."""
-
-    left: int
-    top: int
-    width: int
-    height: int
 
 
 def window_around(box_px: FloatArray, camera: CameraModel, *, side_px: int) -> Window:
@@ -113,35 +106,63 @@ def draw_crop(
         materials=materials,
     )
     size = (window.height, window.width)
-    rows = slice(window.top, window.top + window.height)
-    columns = slice(window.left, window.left + window.width)
-    shades, _ = shade_rays(shot, tile_rays(shot, rows, columns))
-    radiance = shades.radiance.reshape(*size, 3)
-    edges = np.flatnonzero(find_edges(radiance))
-    if len(edges):
-        down, across = np.divmod(edges, window.width)
-        whole = (down + window.top) * camera.width_px + across + window.left
-        flat = radiance.reshape(-1, 3)
-        flat[edges] = smooth_pixels(shot, whole, flat[edges])
+    shades, _ = shade_rays(shot, tile_rays(shot, window.rows, window.columns))
+    image = Shades(
+        shades.radiance.reshape(*size, 3),
+        shades.instance.reshape(size),
+        shades.depth_m.reshape(size),
+    )
+    edges = np.flatnonzero(find_edges(image.radiance))
+    smooth_image(shot, window, image.radiance, edges, map)
+    return _expose(shot, image, image.radiance, pose, window, white_cd_m2, [seed, frame_index])
+
+
+def crop_onto(
+    still: Still,
+    run: Run,
+    frame_index: int,
+    *,
+    with_vut: bool = True,
+    white_cd_m2: float | None = None,
+    seed: int = 0,
+) -> Picture:
+    """Draw what :func:`draw_crop` draws in a still's window, for many frames of one camera.
+
+    Only what moves changes is drawn anew; see :func:`placement.imaging.stills.draw_onto`.
+    """
+    shot, image, smooth = add_moving(still, run, frame_index, with_vut=with_vut)
+    seeds = [seed, frame_index]
+    return _expose(shot, image, smooth, still.pose, still.window, white_cd_m2, seeds)
+
+
+def _expose(
+    shot: Shot,
+    image: Shades,
+    radiance: FloatRays,
+    pose: Pose,
+    window: Window,
+    white_cd_m2: float | None,
+    seeds: list[int],
+) -> Picture:
+    """A picture of radiances (h, w, 3) that are written over: glare, rain, exposure and noise."""
+    rng = np.random.default_rng([*seeds, *window])
     corner = (window.left, window.top)
-    rng = np.random.default_rng([seed, frame_index, *window])
-    add_glare(radiance, pose, camera, shot.lamps, mesh.caster, corner_px=corner)
+    add_glare(radiance, pose, shot.camera, shot.lamps, shot.mesh.caster, corner_px=corner)
     add_rain(
         radiance,
-        _window_camera(camera, window),
-        weather,
+        _window_camera(shot.camera, window),
+        shot.weather,
         shot.sky,
         pitch_deg=pose.pitch_deg,
         exposure_s=load_imager()["rain_exposure_s"],
         rng=rng,
     )
+    white = _meter(shot) if white_cd_m2 is None else white_cd_m2
     return Picture(
-        rgb=develop(
-            radiance, _meter(shot) if white_cd_m2 is None else white_cd_m2, load_imager(), rng
-        ),
-        instance=shades.instance.reshape(size),
-        depth_m=shades.depth_m.reshape(size),
-        names=names_of(mesh),
+        rgb=develop(radiance, white, load_imager(), rng),
+        instance=image.instance,
+        depth_m=image.depth_m,
+        names=names_of(shot.mesh),
     )
 
 

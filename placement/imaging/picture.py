@@ -1,6 +1,6 @@
 """Pictures of a frame: colours, instances and depths, one ray per pixel."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -83,6 +83,40 @@ class Shot:
     sky: Sky
     lamps: tuple[Lamp, ...]  # those that are on
     weather: Weather
+
+
+Each = Callable[[Callable[[IntArray], None], Sequence[IntArray]], Iterable[None]]
+"""Does something with each part: ``map``, or a pool's."""
+
+
+class Window(NamedTuple):
+    """A part of an image, in whole pixels."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+    @property
+    def rows(self) -> slice:
+        """Of the whole image."""
+        return slice(self.top, self.top + self.height)
+
+    @property
+    def columns(self) -> slice:
+        """Of the whole image."""
+        return slice(self.left, self.left + self.width)
+
+    def in_whole(self, pixels: IntArray, camera: CameraModel) -> IntArray:
+        """Pixels of the window, row * width + column, as pixels of the camera's whole image."""
+        down, across = np.divmod(pixels, self.width)
+        whole: IntArray = (down + self.top) * camera.width_px + across + self.left
+        return whole
+
+
+def whole_image(camera: CameraModel) -> Window:
+    """The window that holds all of a camera's image."""
+    return Window(0, 0, camera.width_px, camera.height_px)
 
 
 class Shades(NamedTuple):
@@ -384,7 +418,8 @@ def draw_picture(
 
     with start_pool(compute) as pool:
         image = shade_image(shot, pool)
-        smooth_image(shot, image.radiance, np.flatnonzero(find_edges(image.radiance)), pool)
+        edges = np.flatnonzero(find_edges(image.radiance))
+        smooth_image(shot, whole_image(camera), image.radiance, edges, pool.map)
         rgb = expose_image(shot, image.radiance, pose, [compute.seed, frame_index], pool)
     return Picture(rgb=rgb, instance=image.instance, depth_m=image.depth_m, names=names_of(mesh))
 
@@ -434,18 +469,20 @@ def start_pool(compute: Compute) -> Iterator[ThreadPoolExecutor]:
 
 def shade_image(shot: Shot, pool: ThreadPoolExecutor) -> Shades:
     """What a camera sees through the middles of its pixels, before lens and noise, (h, w)."""
-    return _shade_tiles(shot, pool, None)
+    return _shade_tiles(shot, whole_image(shot.camera), pool, None)
 
 
-def shade_surfaces(shot: Shot, pool: ThreadPoolExecutor) -> tuple[Shades, Surfaces]:
-    """As :func:`shade_image`, and what is met there, (h, w, 3)."""
-    size = (shot.camera.height_px, shot.camera.width_px)
+def shade_surfaces(shot: Shot, window: Window, pool: ThreadPoolExecutor) -> tuple[Shades, Surfaces]:
+    """As :func:`shade_image` in a window, and what is met there, (h, w, 3)."""
+    size = (window.height, window.width)
     surfaces = Surfaces(*(np.empty((*size, 3), dtype=np.float32) for _ in Surfaces._fields))
-    return _shade_tiles(shot, pool, surfaces), surfaces
+    return _shade_tiles(shot, window, pool, surfaces), surfaces
 
 
-def _shade_tiles(shot: Shot, pool: ThreadPoolExecutor, surfaces: Surfaces | None) -> Shades:
-    size = (shot.camera.height_px, shot.camera.width_px)
+def _shade_tiles(
+    shot: Shot, window: Window, pool: ThreadPoolExecutor, surfaces: Surfaces | None
+) -> Shades:
+    size = (window.height, window.width)
     image = Shades(
         np.empty((*size, 3), dtype=np.float32),
         np.empty(size, dtype=np.int32),
@@ -453,7 +490,15 @@ def _shade_tiles(shot: Shot, pool: ThreadPoolExecutor, surfaces: Surfaces | None
     )
 
     def shade(tile: tuple[slice, slice]) -> None:
-        shades, met = shade_rays(shot, tile_rays(shot, *tile))
+        rows, columns = tile
+        shades, met = shade_rays(
+            shot,
+            tile_rays(
+                shot,
+                slice(rows.start + window.top, rows.stop + window.top),
+                slice(columns.start + window.left, columns.stop + window.left),
+            ),
+        )
         wholes, parts = (image, shades) if surfaces is None else (image + surfaces, shades + met)
         for whole, part in zip(wholes, parts, strict=True):
             whole[tile] = part.reshape(whole[tile].shape)
@@ -463,15 +508,16 @@ def _shade_tiles(shot: Shot, pool: ThreadPoolExecutor, surfaces: Surfaces | None
 
 
 def smooth_image(
-    shot: Shot, radiance: FloatRays, pixels: IntArray, pool: ThreadPoolExecutor
+    shot: Shot, window: Window, radiance: FloatRays, pixels: IntArray, each: Each
 ) -> None:
-    """Replace pixels (n,), row * w + column, by means over several rays, in place."""
+    """Replace pixels (n,) of a window, row * w + column, by means over several rays, in place."""
     flat = radiance.reshape(-1, 3)
 
     def smooth(part: IntArray) -> None:
-        flat[part] = smooth_pixels(shot, part, flat[part])
+        flat[part] = smooth_pixels(shot, window.in_whole(part, shot.camera), flat[part])
 
-    list(pool.map(smooth, np.array_split(pixels, 1 + len(pixels) // _EDGES)))
+    if len(pixels):
+        list(each(smooth, np.array_split(pixels, 1 + len(pixels) // _EDGES)))
 
 
 def expose_image(

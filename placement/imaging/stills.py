@@ -8,8 +8,7 @@ boxes around the bodies, which hold more than the bodies do; the picture is the 
 
 import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from .exposure import find_edges
 from .light import HeadLamp, add_headlights
 from .materials import Hits
 from .mesh import (
+    FrameMesh,
     Mesh,
     PointCloud,
     add_moving_meshes,
@@ -36,10 +36,12 @@ from .mesh import (
 )
 from .picture import (
     Backdrop,
+    Each,
     Picture,
     Shades,
     Shot,
     Surfaces,
+    Window,
     build_shot,
     expose_image,
     ground_albedo,
@@ -49,6 +51,7 @@ from .picture import (
     shade_surfaces,
     smooth_image,
     start_pool,
+    whole_image,
 )
 
 _MARGIN_M = 0.15  # added to boxes: more than a pixel's smoothing reaches at 150 m
@@ -63,12 +66,35 @@ class Still:
     backdrop: Backdrop
     pose: Pose
     shot: Shot
+    window: Window  # what is drawn of the image: (h, w) is its size
     raw: Shades  # (h, w): through the middles of the pixels
     surfaces: Surfaces | None  # (h, w, 3), where headlights may shine
     is_edge: BoolArray  # (h, w): pixels that are smoothed
     smooth: FloatRays  # (h, w, 3): radiance with smooth edges, cd/m^2
-    mirrors: IntArray  # (n,): pixels with a mirrored ray, row * w + column
+    mirrors: IntArray  # (n,): pixels with a mirrored ray, row * w + column, ascending
     mirrored: FloatRays  # (n, 3): where it goes
+
+    def cut(self, window: Window) -> "Still":
+        """A part of it, which must lie inside its own window."""
+        top, left = window.top - self.window.top, window.left - self.window.left
+        part = np.s_[top : top + window.height, left : left + window.width]
+        first, last = np.searchsorted(
+            self.mirrors, np.array([top, top + window.height]) * self.window.width
+        )
+        down, across = np.divmod(self.mirrors[first:last], self.window.width)
+        inside = np.flatnonzero((across >= left) & (across < left + window.width))
+        surfaces = self.surfaces
+        return replace(
+            self,
+            window=window,
+            raw=Shades(*(np.ascontiguousarray(array[part]) for array in self.raw)),
+            surfaces=surfaces
+            and Surfaces(*(np.ascontiguousarray(array[part]) for array in surfaces)),
+            is_edge=np.ascontiguousarray(self.is_edge[part]),
+            smooth=np.ascontiguousarray(self.smooth[part]),
+            mirrors=(down[inside] - top) * window.width + across[inside] - left,
+            mirrored=self.mirrored[first:last][inside],
+        )
 
 
 def draw_still(
@@ -77,22 +103,30 @@ def draw_still(
     camera: CameraModel,
     *,
     weather: Weather,
+    window: Window | None = None,
+    mesh: FrameMesh | None = None,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> Still:
-    """Draw what stands still, for many frames by :func:`draw_onto`."""
-    mesh = place_mesh(backdrop.mesh, pose.position_m)
+    """Draw what stands still, for many frames by :func:`draw_onto`.
+
+    Of the image a window is drawn, by default all of it; `mesh` is the backdrop's, where it is
+    ready for rays already, with its origin at the camera.
+    """
+    window = window or whole_image(camera)
+    mesh = mesh or place_mesh(backdrop.mesh, pose.position_m)
     shot = build_shot(backdrop, mesh, pose, camera, weather)
     with start_pool(compute) as pool:
-        raw, surfaces = shade_surfaces(shot, pool)
+        raw, surfaces = shade_surfaces(shot, window, pool)
         is_edge = find_edges(raw.radiance)
         smooth = raw.radiance.copy()
-        smooth_image(shot, smooth, np.flatnonzero(is_edge), pool)
+        smooth_image(shot, window, smooth, np.flatnonzero(is_edge), pool.map)
     mirrored = surfaces.mirrored.reshape(-1, 3)
     mirrors = np.flatnonzero(mirrored.any(axis=1))
     return Still(
         backdrop=backdrop,
         pose=pose,
         shot=shot,
+        window=window,
         raw=raw,
         surfaces=surfaces if weather.has_lamps else None,
         is_edge=is_edge,
@@ -125,8 +159,30 @@ def draw_onto(
     Where headlights shine on an edge of what stands still, their light is that on the pixel's
     middle; all else is as in :func:`placement.imaging.draw_picture`.
     """
-    base = still.shot
-    moving = build_moving_meshes(run, frame_index, with_vut=True)
+    with start_pool(compute) as pool:
+        shot, image, smooth = add_moving(still, run, frame_index, each=pool.map)
+        rgb = expose_image(shot, smooth, still.pose, [compute.seed, frame_index], pool)
+    return Picture(
+        rgb=rgb, instance=image.instance, depth_m=image.depth_m, names=names_of(shot.mesh)
+    )
+
+
+def add_moving(
+    still: Still, run: Run, frame_index: int, *, with_vut: bool = True, each: Each = map
+) -> tuple[Shot, Shades, FloatRays]:
+    """What is seen in a frame, before lens and noise, with what moves.
+
+    Returns
+    -------
+    shot : Shot
+        Of the frame.
+    image : Shades
+        Through the middles of the pixels, (h, w).
+    smooth : (h, w, 3) float32
+        Radiance with smooth edges. [cd/m^2]
+    """
+    base, window = still.shot, still.window
+    moving = build_moving_meshes(run, frame_index, with_vut=with_vut)
     shot = build_shot(
         still.backdrop,
         add_moving_meshes(base.mesh, moving),
@@ -135,15 +191,16 @@ def draw_onto(
         base.weather,
         run=run,
         frame_index=frame_index,
+        materials=base.materials,
     )
-    right, ahead = ray_parts(shot, slice(0, base.camera.height_px), slice(0, base.camera.width_px))
+    right, ahead = ray_parts(shot, window.rows, window.columns)
     changed = _find_changed(still, shot, moving, right, ahead)
     raw = still.raw
     image = Shades(raw.radiance.copy(), raw.instance.copy(), raw.depth_m.copy())
     radiance, smooth = image.radiance.reshape(-1, 3), still.smooth.copy()
 
     def rays(part: IntArray) -> FloatRays:
-        rows, columns = np.divmod(part, base.camera.width_px)
+        rows, columns = np.divmod(part, window.width)
         ways: FloatRays = ahead[rows] + right[columns]
         return ways
 
@@ -157,23 +214,20 @@ def draw_onto(
         radiance[part] += more
         smooth.reshape(-1, 3)[part] += more
 
-    with start_pool(compute) as pool:
-        _in_parts(pool, shade, np.flatnonzero(changed))
-        lit = _find_lit(still, shot, changed, right, ahead)
-        _in_parts(pool, shine, np.flatnonzero(lit))
-        around = _grown(changed)
-        smooth[around] = image.radiance[around]
-        unlike = around | (lit & ~still.is_edge)  # what the still says nothing of
-        smooth_image(shot, smooth, np.flatnonzero(unlike & find_edges(image.radiance)), pool)
-        rgb = expose_image(shot, smooth, still.pose, [compute.seed, frame_index], pool)
-    return Picture(
-        rgb=rgb, instance=image.instance, depth_m=image.depth_m, names=names_of(shot.mesh)
-    )
+    _in_parts(each, shade, np.flatnonzero(changed))
+    lit = _find_lit(still, shot, changed, right, ahead)
+    _in_parts(each, shine, np.flatnonzero(lit))
+    around = _grown(changed)
+    smooth[around] = image.radiance[around]
+    unlike = around | (lit & ~still.is_edge)  # what the still says nothing of
+    edges = np.flatnonzero(unlike & find_edges(image.radiance))
+    smooth_image(shot, window, smooth, edges, each)
+    return shot, image, smooth
 
 
-def _in_parts(pool: ThreadPoolExecutor, work: Callable[[IntArray], None], pixels: IntArray) -> None:
+def _in_parts(each: Each, work: Callable[[IntArray], None], pixels: IntArray) -> None:
     if len(pixels):
-        list(pool.map(work, np.array_split(pixels, 1 + len(pixels) // _CHUNK)))
+        list(each(work, np.array_split(pixels, 1 + len(pixels) // _CHUNK)))
 
 
 def _headlights(shot: Shot) -> list[HeadLamp]:

@@ -50,10 +50,13 @@ class _Crops:
     def key(self, row):
         return self.numbers[row]
 
-    def draw(self, row):
-        self.drawn.append(row)
-        pixels = np.full((64, 64, 3), 120, dtype=np.uint8)
-        return Crop(pixels=pixels, left_px=0.0, top_px=0.0, scale=1.0, middle_px=(0.0, 0.0))
+    def draw_all(self, rows):
+        for row in rows:
+            self.drawn.append(row)
+            pixels = np.full((64, 64, 3), 120, dtype=np.uint8)
+            yield row, Crop(
+                pixels=pixels, left_px=0.0, top_px=0.0, scale=1.0, middle_px=(0.0, 0.0)
+            )
 
 
 def _evidence(heights, crops):

@@ -13,7 +13,8 @@ from placement.detectors import is_matched, load_detector, load_min_iou
 from placement.evaluator import build_surroundings, load_vut_camera
 from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
 from placement.evaluator.pictures import PictureSource
-from placement.imaging.crops import Window, window_around
+from placement.imaging.crops import window_around
+from placement.imaging.picture import Window
 
 POSE = Pose(position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=44.5, pitch_deg=-34.3)
 PER_FRAME = (
@@ -119,6 +120,76 @@ def test_frames_look_the_same_where_only_a_vut_out_of_sight_has_moved(last_frame
     at_hand = replace(run, **still, vut_position_m=run.vru_position_m.copy())
     beside, _, _ = seen([at_hand])
     assert beside.key(0) != beside.key(1)
+
+
+@pytest.mark.parametrize("weather", ["day", "night", "rain"])
+def test_crops_drawn_onto_what_stands_still_are_those_drawn_by_themselves(
+    last_frames, seen, larger, weather
+):
+    run = replace(last_frames("CPNC-50/west/30", 8), weather=weather)
+    crops, _, _ = seen([run], camera=larger)
+    drawn = dict(crops.draw_all(range(8)))
+    assert sorted(drawn) == list(range(8))
+    for frame, crop in drawn.items():
+        alone = crops.draw(frame)
+        assert crop[1:] == alone[1:]
+        levels = np.abs(crop.pixels.astype(int) - alone.pixels.astype(int)).max(axis=2)
+        # At night headlights on edges are those on the pixels' middles.
+        assert (levels > 1).mean() < (0.05 if weather == "night" else 0.01)
+
+
+def test_what_stands_still_is_drawn_once_for_many_crops_and_never_for_a_few(
+    last_frames, seen, larger, monkeypatch
+):
+    from placement.evaluator import pictures
+
+    drawn = []
+    draw_still = pictures.draw_still
+
+    def counted(*args, **kwargs):
+        drawn.append(kwargs["window"])
+        return draw_still(*args, **kwargs)
+
+    monkeypatch.setattr(pictures, "draw_still", counted)
+    run = last_frames("CPNC-50/west/30", 8)
+    crops, _, evidence = seen([run], camera=larger)
+    list(crops.draw_all(range(8)))
+    assert len(drawn) == 1
+    assert drawn[0].width < larger.width_px
+    list(crops.draw_all([0]))
+    assert len(drawn) == 1
+    # Nothing stands still before a camera that drives.
+    from_vut, _, _ = seen([run], from_vut=True, camera=larger)
+    list(from_vut.draw_all(range(8)))
+    assert len(drawn) == 1
+
+
+def test_the_shipped_network_gives_the_same_verdicts_on_both_kinds_of_crops(
+    last_frames, seen, larger
+):
+    pytest.importorskip("onnxruntime")
+    detector = load_detector("cnn")
+    full = replace(larger, width_px=1920, height_px=1080)
+    runs = [last_frames("CPNC-50/west/30", 12), last_frames("CBLA/west/25", 12)]
+    crops, _, evidence = seen(runs, camera=full)
+
+    class Alone:
+        key = staticmethod(crops.key)
+
+        @staticmethod
+        def draw_all(rows):
+            return [(row, crops.draw(row)) for row in rows]
+
+    detected = [
+        is_matched(
+            detector.detect(replace(evidence, crops=kind), np.random.default_rng(0)),
+            evidence.visible_px,
+            min_iou=load_min_iou(),
+        )
+        for kind in (crops, Alone())
+    ]
+    assert np.array_equal(*detected)
+    assert 0 < detected[0].sum() < len(evidence)
 
 
 def test_crops_of_the_vuts_camera_are_never_taken_for_one_another(last_frames, seen):
