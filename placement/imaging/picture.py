@@ -472,7 +472,9 @@ def shade_image(shot: Shot, pool: ThreadPoolExecutor) -> Shades:
     return _shade_tiles(shot, whole_image(shot.camera), pool, None)
 
 
-def shade_surfaces(shot: Shot, window: Window, pool: ThreadPoolExecutor) -> tuple[Shades, Surfaces]:
+def shade_surfaces(
+    shot: Shot, window: Window, pool: ThreadPoolExecutor
+) -> tuple[Shades, Surfaces]:
     """As :func:`shade_image` in a window, and what is met there, (h, w, 3)."""
     size = (window.height, window.width)
     surfaces = Surfaces(*(np.empty((*size, 3), dtype=np.float32) for _ in Surfaces._fields))

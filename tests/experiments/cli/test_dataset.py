@@ -303,11 +303,7 @@ def cluster():
     with ExitStack() as stack:
         yield lambda **settings: stack.enter_context(
             distributed.LocalCluster(
-                n_workers=2,
-                threads_per_worker=1,
-                dashboard_address=None,
-                protocol="tcp",
-                **settings,
+                n_workers=2, threads_per_worker=1, dashboard_address=None, protocol="tcp", **settings
             )
         )
 
