@@ -18,6 +18,29 @@ _COMPASS_16 = (  # counter-clockwise
     *("south", "south-south-east", "south-east", "east-south-east"),
 )
 COMPASS = _COMPASS_16[::2]
+COMPASS = (
+    "east",
+    "north-east",
+    "north",
+    "north-west",
+    "west",
+    "south-west",
+    "south",
+    "south-east",
+)
+ARM_NAMES = tuple(
+    name
+    for point, between in zip(
+        COMPASS,
+        (
+            *("east-north-east", "north-north-east", "north-north-west", "west-north-west"),
+            *("west-south-west", "south-south-west", "south-south-east", "east-south-east"),
+        ),
+        strict=True,
+    )
+    for name in (point, between)
+)
+"""Names of arms: points of the compass."""
 CONNECTING = "connecting"  # kind of a lane through the junction
 ASSUMED = "assumed"  # kind of a lane that leads on where the map ends
 _ROAD_KINDS = ("driving", "parking")
@@ -570,7 +593,7 @@ def _mean_bearing_deg(bearings_deg: Sequence[float]) -> float:
 def _arm_names(bearings_deg: Sequence[float]) -> list[str]:
     for n_points in (4, 8, 16):
         index = np.round(np.array(bearings_deg) * n_points / 360.0).astype(int) % n_points
-        names = [_COMPASS_16[one * (16 // n_points)] for one in index]
+        names = [ARM_NAMES[one * (16 // n_points)] for one in index]
         if len(set(names)) == len(names):
             return names
     return [
