@@ -1,7 +1,8 @@
 """The options of a computation in one value: seed, threads, cache and progress."""
 
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -70,6 +71,11 @@ class Compute:
             from geometry.errors import InputError
 
             raise InputError("--rays", self.rays, "one of " + ", ".join(RAYS))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Other processes tell nobody: whoever waits for them does."""
+        known = {one.name: getattr(self, one.name) for one in fields(self)} | {"progress": silent}
+        return partial(Compute, **known), ()
 
     def within(self, stage: str) -> "Compute":
         """The same, for a part of a larger stage: all progress is reported under its name."""

@@ -1,12 +1,17 @@
-"""Arrays that are kept on disk for the next call, under a hash of all that they were made from."""
+"""What is kept on disk for the next call, under a hash of all that it was made from."""
 
 import hashlib
+import io
 import logging
-from collections.abc import Mapping
+import pickle
+import sys
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache
+from importlib.metadata import version
+from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +21,7 @@ from geometry.files import writable_by_others, write_atomically
 _log = logging.getLogger(__name__)
 
 Arrays = dict[str, NDArray[Any]]
+_T = TypeVar("_T")
 
 # ---------- hashes
 
@@ -171,7 +177,7 @@ class Kept:
             fingerprint=self._fingerprint,
             is_compressed=True,
         )
-        _prune(self._path)
+        _prune(self._path, most=MAX_FILES)
 
     def _load(self) -> Arrays:
         if self._path is None:
@@ -189,11 +195,107 @@ MAX_FILES = 100
 """Files of a name; the oldest are removed."""
 
 
-def _prune(path: Path) -> None:
-    name = path.name.split("-")[0]
+MAX_VALUES = 20
+"""Files of a name of values of any kind, which may have some 20 MB each."""
+
+
+def _prune(path: Path, *, most: int) -> None:
+    pattern = f"{path.name.split('-')[0]}-*{path.suffix}"
     try:
-        files = sorted(path.parent.glob(f"{name}-*.npz"), key=lambda file: file.stat().st_mtime)
-        for file in files[:-MAX_FILES]:
+        kept = sorted(path.parent.glob(pattern), key=lambda file: file.stat().st_mtime)
+        for file in kept[:-most]:
             file.unlink(missing_ok=True)
     except OSError as error:  # somebody else tidies up, or nothing may be removed
         _log.info("%s: %s", path.parent, error)
+
+
+# ---------- values of any kind
+
+
+def keep_value(
+    folder: Path | None,
+    name: str,
+    make: Callable[[], _T],
+    *,
+    made_from: Sequence[object],
+    packages: Sequence[str],
+) -> _T:
+    """What `make` gives, from the last call that asked for the same.
+
+    Parameters
+    ----------
+    folder : Path, optional
+        Where it is kept; None: nowhere. Nothing is believed or kept in a folder into which other
+        users may write, for reading it back runs what it says.
+    name : str
+        Of the value, in messages and in the file's name.
+    make : function
+        Makes it, from nothing but `made_from` and what the packages hold.
+    made_from : sequence of object
+        See :class:`Fingerprints`.
+    packages : sequence of str
+        Whose code and data make it: any change of their files makes it anew.
+
+    Returns
+    -------
+    value : object
+        Equal to what `make` gives, and arrays that are read-only there are so here.
+    """
+    if folder is None or writable_by_others(folder):
+        return make()
+    code = (sys.version, *map(version, ("numpy", "scipy")), *map(_hash_of_files, packages))
+    fingerprint = Fingerprints().of(code, *made_from)
+    path = folder / f"{name}-{fingerprint}.pickle"
+    try:
+        stored = path.read_bytes()
+        key, content = stored[:_HASH_SIZE], stored[_HASH_SIZE:]
+        if hashlib.blake2b(content, digest_size=_HASH_SIZE).digest() != key:
+            raise ValueError("its content is not what was written")
+        return cast(_T, pickle.loads(content))
+    except FileNotFoundError:
+        pass
+    except Exception as error:  # damaged pickles raise anything
+        tell_unused(path, error, what=name)
+    value = make()
+    buffer = io.BytesIO()
+    _Pickler(buffer, pickle.HIGHEST_PROTOCOL).dump(value)
+    content = buffer.getvalue()
+    key = hashlib.blake2b(content, digest_size=_HASH_SIZE).digest()
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        write_atomically(path, lambda file: file.write(key + content))
+    except OSError as error:
+        _log.warning("%s not cached: %s: %s", name, path, error.strerror or error)
+    else:
+        _prune(path, most=MAX_VALUES)
+    return value
+
+
+_HASH_SIZE = 32
+
+
+class _Pickler(pickle.Pickler):
+    """Keeps arrays read-only, which pickles otherwise forget."""
+
+    def reducer_override(self, value: object) -> Any:
+        """How an object is made anew; arrays that may be written to, and all else, as always."""
+        if type(value) is np.ndarray and not value.flags.writeable:
+            return _read_only, (value.copy(),)
+        return NotImplemented
+
+
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+    array.setflags(write=False)
+    return array
+
+
+@cache
+def _hash_of_files(package: str) -> bytes:
+    """Hash of a package's code and data."""
+    digest = hashlib.blake2b(digest_size=16)
+    folder = Path(str(files(package)))
+    for path in sorted(folder.rglob("*")):
+        if path.is_file() and "__pycache__" not in path.parts:
+            digest.update(f"{path.relative_to(folder)}\0{path.stat().st_size}\0".encode())
+            digest.update(path.read_bytes())
+    return digest.digest()

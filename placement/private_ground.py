@@ -1,5 +1,6 @@
 """Private ground - gardens, terraces, window fronts - and how much of it cameras have in view."""
 
+from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,7 @@ from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
 from geometry.maps.georeferences import transform
 from geometry.maps.gis_files import read_features
-from geometry.raycast import build_caster
+from geometry.raycast import RayCaster, build_caster
 from geometry.scene import Scene
 from geometry.sensors import CameraModel, project_points
 from geometry.terrain import ground_height_m
@@ -25,6 +26,7 @@ EYE_HEIGHT_M = 1.5  # of people who are there; the ground itself may be hidden b
 _POINT_SPACING_M = 1.0
 _MAX_POINTS = 20_000
 _MAX_COORDINATE_M = 1.0e8  # of the world frame: more than twice around the earth
+_MAX_PLACES = 64  # of sensors, from which is known what lies open
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -36,6 +38,7 @@ class PrivateGround:
     points_m: FloatArray
     area_index: IntArray  # (n,): area of each point
     area_m2: FloatArray  # (n_areas,): how large they are. [m^2]
+    shapes: tuple[Any, ...]  # the areas: shapely polygons, world frame, metres
 
 
 def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
@@ -110,7 +113,60 @@ def build_private_ground(areas: Sequence[tuple[str, Any]]) -> PrivateGround:
         points_m=freeze(np.column_stack([flat, np.full(len(flat), EYE_HEIGHT_M)])),
         area_index=freeze(np.concatenate(index)),
         area_m2=freeze(np.array([float(shape.area) for _, shape in areas])),
+        shapes=tuple(shape for _, shape in areas),
     )
+
+
+class PrivateSight:
+    """What poses have of private ground in their pictures; not for several threads at once.
+
+    What lies open to a place is looked up once, so that a camera there is turned and zoomed fast.
+    What parks or drives hides nothing for long, and is left out. LiDARs take no pictures: they see
+    none.
+
+    Parameters
+    ----------
+    scene : Scene
+        What stands in front of private ground.
+    ground : PrivateGround
+        The areas.
+    """
+
+    def __init__(self, scene: Scene, ground: PrivateGround) -> None:
+        self._ground = ground
+        self._origin = np.append(scene.outline_m.mean(axis=0), 0.0)
+        self._caster: RayCaster = build_caster(scene.vertices_m - self._origin, scene.triangles)
+        self._points_m = ground.points_m.copy()
+        self._points_m[:, 2] += ground_height_m(scene, self._points_m[:, :2])
+        self._open: OrderedDict[tuple[float, ...], BoolArray] = OrderedDict()
+
+    def seen(self, candidate: CandidatePose) -> BoolArray:
+        """Which of the ground's points a pose has in its picture, not hidden, (n_points,) bool.
+
+        However small they are there.
+        """
+        place = _place(candidate)
+        if place not in self._open:
+            self._open[place] = is_in_sight(
+                self._caster,
+                candidate.pose.position_m - self._origin,
+                self._points_m - self._origin,
+                near_m=candidate.sensor.near_m,
+            )
+            if len(self._open) > _MAX_PLACES:
+                self._open.popitem(last=False)
+        self._open.move_to_end(place)
+        return self._open[place] & _in_picture(self._points_m, candidate)
+
+    def shares(self, candidates: Sequence[CandidatePose]) -> FloatArray:
+        """Share of each area's points that each pose sees, (n_candidates, n_areas)."""
+        n_areas = len(self._ground.names)
+        counts = np.bincount(self._ground.area_index, minlength=n_areas)
+        share = np.zeros((len(candidates), n_areas))
+        for row in sorted(range(len(candidates)), key=lambda row: _place(candidates[row])):
+            index = self._ground.area_index[self.seen(candidates[row])]
+            share[row] = np.bincount(index, minlength=n_areas) / counts
+        return share
 
 
 def private_shares(
@@ -118,30 +174,9 @@ def private_shares(
 ) -> FloatArray:
     """How much of each private area each pose has in its picture, (n_candidates, n_areas).
 
-    The share of an area's points that are in the picture and not hidden, however small they are
-    there. What parks or drives hides nothing for long. LiDARs take no pictures: they see none.
+    As :class:`PrivateSight` has it.
     """
-    origin = np.append(scene.outline_m.mean(axis=0), 0.0)
-    caster = build_caster(scene.vertices_m - origin, scene.triangles)
-    mounts: dict[tuple[float, ...], list[int]] = {}
-    for index, candidate in enumerate(candidates):
-        mounts.setdefault(tuple(candidate.pose.position_m.tolist()), []).append(index)
-    n_areas = len(ground.names)
-    counts = np.bincount(ground.area_index, minlength=n_areas)
-    share = np.zeros((len(candidates), n_areas))
-    points_m = ground.points_m.copy()
-    points_m[:, 2] += ground_height_m(scene, points_m[:, :2])
-    for position, indices in mounts.items():
-        is_open = is_in_sight(
-            caster,
-            np.array(position) - origin,
-            points_m - origin,
-            near_m=candidates[indices[0]].sensor.near_m,
-        )
-        for index in indices:
-            seen = is_open & _in_picture(points_m, candidates[index])
-            share[index] = np.bincount(ground.area_index[seen], minlength=n_areas) / counts
-    return share
+    return PrivateSight(scene, ground).shares(candidates)
 
 
 def respects_private_ground(shares: FloatArray, *, max_share: float) -> BoolArray:
@@ -159,6 +194,10 @@ def respects_private_ground(shares: FloatArray, *, max_share: float) -> BoolArra
             f"at least {least:g}, the share that the pose with the least in its picture sees",
         )
     return kept
+
+
+def _place(candidate: CandidatePose) -> tuple[float, ...]:
+    return (*candidate.pose.position_m.tolist(), candidate.sensor.near_m)
 
 
 def _in_picture(points_m: FloatArray, candidate: CandidatePose) -> BoolArray:

@@ -3,7 +3,9 @@
 import logging
 import math
 from dataclasses import dataclass, field, replace
-from typing import cast
+from functools import partial
+from pathlib import Path
+from typing import Any, cast
 
 from geometry.actors import pick_actor
 from geometry.errors import InputError, Unquoted
@@ -24,8 +26,10 @@ from scenarios.positions import (
 )
 from scenarios.runs import WEATHERS, FrameAxis, Refusal, Run, build_frame_axis, build_runs
 
+from .compute import DEFAULT_COMPUTE, Compute
 from .detectors import Detector, PlanningDetector, load_detector, load_planning_detector
 from .detectors.network import NetworkDetector
+from .kept import keep_value
 from .latency import load_latency_budget
 from .question import Question
 
@@ -160,10 +164,17 @@ class Drives:
     left_out: tuple[Refusal, ...]  # cases none of whose speeds were asked for
 
 
-def drive(question: Question, scene: Scene, *, position: Position | None = None) -> Drives:
+def drive(
+    question: Question,
+    scene: Scene,
+    *,
+    position: Position | None = None,
+    cache_folder: Path | None = None,
+) -> Drives:
     """Lay the cases of a question on a scene's junction; there may be no runs.
 
-    With a `position`, every speed is driven at this one alone.
+    With a `position`, every speed is driven at this one alone. In a `cache_folder` the runs are
+    kept for the next call.
 
     Raises InputError where a word of the question is unknown, or the protocol does not drive a
     speed.
@@ -177,15 +188,20 @@ def drive(question: Question, scene: Scene, *, position: Position | None = None)
     weathers = _words(question.weather, "--weather", WEATHERS)
     if not weathers:
         raise InputError("--weather", question.weather, "one or more of " + ", ".join(WEATHERS))
-    runs, refused = build_runs(
-        scene,
-        selection.cases,
-        vut=pick_actor("vut", "vut"),
-        rule=build_rule(question),
-        approaches=approaches,
-        weathers=weathers,
-        positions=positions,
-        is_spread=position is None,
+    laid: dict[str, Any] = {
+        "vut": pick_actor("vut", "vut"),
+        "rule": build_rule(question),
+        "approaches": approaches,
+        "weathers": weathers,
+        "positions": positions,
+        "is_spread": position is None,
+    }
+    runs, refused = keep_value(
+        cache_folder,
+        "runs",
+        partial(build_runs, scene, selection.cases, **laid),
+        made_from=(scene, selection.cases, laid),
+        packages=("geometry", "scenarios"),
     )
     left_out = tuple(
         Refusal(
@@ -225,7 +241,12 @@ def drive_one(question: Question, scene: Scene, *, position: str = "0") -> Run:
     return drives.runs[0]
 
 
-def build_setting(question: Question | None = None, scene: Scene | None = None) -> Setting:
+def build_setting(
+    question: Question | None = None,
+    scene: Scene | None = None,
+    *,
+    compute: Compute = DEFAULT_COMPUTE,
+) -> Setting:
     """All that a layout is placed in and judged by.
 
     Parameters
@@ -235,6 +256,8 @@ def build_setting(question: Question | None = None, scene: Scene | None = None) 
         case alike.
     scene : Scene, optional
         The junction, in place of the one that the question names.
+    compute : Compute
+        Where the runs are kept for the next call.
 
     Returns
     -------
@@ -249,7 +272,7 @@ def build_setting(question: Question | None = None, scene: Scene | None = None) 
     """
     question = question or Question()
     scene = scene or load_scene(question.scene)
-    drives = drive(question, scene)
+    drives = drive(question, scene, cache_folder=compute.cache_folder)
     runs = drives.runs
     if question.strict or not runs:
         _check_every_case(drives, scene)

@@ -6,7 +6,6 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import make_smoothing_spline
 
 from geometry.arrays import FloatArray, freeze
 from geometry.errors import InputError
@@ -233,6 +232,8 @@ def _smoothed(
     weight: FloatArray | None = None,
 ) -> Course:
     """The smoothing spline of points at even stations; its origin is nearest to a point."""
+    from scipy.interpolate import make_smoothing_spline  # takes a third of a second to import
+
     origin = samples_m.mean(axis=0)
     # The sum over samples stands for an integral over the length.
     stiffness = smoothing_m**4 / (at_m[1] - at_m[0])

@@ -1,7 +1,11 @@
 """Pages in a browser, where there is one: they must neither complain nor ask for anything."""
 
+import shlex
 import shutil
+import stat
+import sys
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
@@ -15,18 +19,42 @@ ARGUMENTS = [
 ]
 
 
+ENGINES = ["chromium", "firefox"]
+
+
 @contextmanager
-def start_browser():
-    """A browser of playwright's; the test is skipped where there is none."""
+def start_browser(engine="chromium", *, folder=None):
+    """A browser that playwright drives; the test is skipped where there is none.
+
+    Firefox is Debian's; `folder` gets the program that starts it.
+    """
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     with playwright.sync_playwright() as library:
-        found = shutil.which("chromium")
         try:
-            opened = library.chromium.launch(executable_path=found, args=ARGUMENTS)
+            if engine == "firefox":
+                program = _firefox(folder)
+                opened = library.firefox.launch(channel="moz-firefox", executable_path=program)
+            else:
+                found = shutil.which("chromium")
+                opened = library.chromium.launch(executable_path=found, args=ARGUMENTS)
         except playwright.Error as error:
             pytest.skip(f"no browser can be started: {str(error).splitlines()[0]}")
         yield opened
         opened.close()
+
+
+def _firefox(folder):
+    """A program that starts Firefox behind its relay."""
+    found = shutil.which("firefox-esr") or shutil.which("firefox")
+    if found is None:
+        pytest.skip("no Firefox: apt-get install firefox-esr")
+    pytest.importorskip("websockets", reason="websockets is not installed")
+    relay = Path(__file__).with_name("firefox_relay.py")
+    program = folder / "firefox"
+    words = shlex.join([sys.executable, str(relay), found])
+    program.write_text(f'#!/bin/sh\nexec {words} "$@"\n')
+    program.chmod(program.stat().st_mode | stat.S_IXUSR)
+    return program
 
 
 @contextmanager

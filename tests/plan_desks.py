@@ -7,6 +7,7 @@ import pytest
 from small_results import build_small_grid
 
 from experiments.plan.desk import Desk
+from experiments.plan.session import Plan
 from experiments.plan.tasks import Tasks, Work
 from experiments.plan.worker import Cancelled, TaskError
 from geometry.errors import InputError
@@ -56,9 +57,10 @@ def small_work(folder, **asked):
     )
 
 
-def small_desk(folder, setting, **given):
-    work = small_work(folder, cases="CPNC-50", along_arms="0", speeds="50")
-    return Desk(work, setting, make_worker=lambda work: InThread(work, setting), **given)
+def small_desk(folder, setting, *, variants=(), asked=None, **given):
+    work = small_work(folder, cases="CPNC-50", along_arms="0", speeds="50", **(asked or {}))
+    plan = Plan(variants=tuple(variants)) if variants else None
+    return Desk(work, setting, plan=plan, make_worker=lambda work: InThread(work, setting), **given)
 
 
 @pytest.fixture
@@ -67,9 +69,14 @@ def few_poses(monkeypatch):
     monkeypatch.setattr(planning, "load_candidate_grid", build_small_grid)
 
 
-def start_server(folder, setting, **given):
+def start_server(folder, setting, *, keeps_open=True, **given):
     from experiments.plan.server import RunningServer  # only the extra plan has what it needs
 
-    server = RunningServer(lambda: small_desk(folder, setting, **given), host="127.0.0.1", port=0)
+    server = RunningServer(
+        lambda: small_desk(folder, setting, **given),
+        host="127.0.0.1",
+        port=0,
+        keeps_open=keeps_open,
+    )
     server.start()
     return server

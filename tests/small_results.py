@@ -82,7 +82,7 @@ def write_small_results(folder: Path, setting: Setting, question: Question | Non
         (folder / "report.html").write_text("<p>no figures</p>")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(placement, "build_setting", lambda question, scene: setting)
+        patch.setattr(placement, "build_setting", lambda question, scene, **options: setting)
         patch.setattr(planning, "load_candidate_grid", build_small_grid)
         patch.setattr(placement, "find_baseline", build_small_baseline)
         patch.setattr(writing, "write_report", write_blank_report)

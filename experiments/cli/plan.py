@@ -57,6 +57,11 @@ Examples:
     help="Open the page in the browser.",
 )
 @option(
+    "--keep-open",
+    is_flag=True,
+    help="Go on after the page is closed; else all ends some seconds later.",
+)
+@option(
     "--save",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
@@ -85,6 +90,7 @@ def plan(
     layout_names: tuple[str, ...],
     port: int,
     opens: bool,
+    keep_open: bool,
     save: Path | None,
     host: str,
     i_know: bool,
@@ -96,7 +102,7 @@ def plan(
 
     The page is served from this computer, to this computer alone, and loads nothing from elsewhere.
     Numbers of a drag are by the detection table; the evaluator's follow, the same as `evaluate`
-    gives. The optimiser proposes what to do next. Ctrl-C ends it.
+    gives. The optimiser proposes what to do next. It ends when the page is closed, or by Ctrl-C.
     """
     if host != _LOCAL and not i_know:
         raise click.UsageError(
@@ -110,7 +116,7 @@ def plan(
 
     from ..plan.desk import Desk
     from ..plan.server import RunningServer
-    from ..plan.session import Variant, read_plan
+    from ..plan.session import Plan, Variant, read_plan
     from ..plan.tasks import Work
     from ..study.layout import find_layout
 
@@ -120,13 +126,14 @@ def plan(
         layout = find_layout(name, "--layout")
         check_layout(layout, scene)
         variants.append(Variant(name=layout.name, units=layout.units))
+    begun = Plan(variants=tuple(variants))
     if save is not None and save.exists() and not variants:
-        variants = read_plan(save.read_bytes(), str(save))
-        for variant in variants:
+        begun = read_plan(save.read_bytes(), str(save))
+        for variant in begun.variants:
             if variant.units:
                 check_layout(variant.layout(scene), scene)
     progress("setting", 0, 0)
-    setting = build_setting(question, scene)
+    setting = build_setting(question, scene, compute=compute)
     with tempfile.TemporaryDirectory(prefix="place-rsus-plan-") as folder:
         work = Work(
             question=question,
@@ -137,12 +144,16 @@ def plan(
             rays=compute.rays,
         )
         server = RunningServer(
-            lambda: Desk(work, setting, variants=variants, save=save), host=host, port=port
+            lambda: Desk(work, setting, plan=begun, save=save),
+            host=host,
+            port=port,
+            keeps_open=keep_open,
         )
         server.start()
         progress.stop()
         try:
-            click.echo(f"The page is at {server.address}\nCtrl-C ends it.")
+            ends = "Ctrl-C ends it." if keep_open else "It ends when the page is closed, or Ctrl-C."
+            click.echo(f"The page is at {server.address}\n{ends}")
             if host != _LOCAL:
                 click.echo(
                     f"--host {host}: whoever has this address can change the plan.", err=True
@@ -150,9 +161,11 @@ def plan(
             if opens:
                 webbrowser.open(server.address)
             server.wait()
+            ended = "The page was closed: ended"
         except Interrupted as interrupted:
             if interrupted.signum != signal.SIGINT:
                 raise
-            click.echo("Ended." if save is None else f"Ended; the plan is in {save}.")
+            ended = "Ended"
         finally:
             server.stop()
+        click.echo(f"{ended}." if save is None else f"{ended}; the plan is in {save}.")

@@ -50,7 +50,7 @@ from .city_inputs import City, CityJunction, CityValues, CityWish, load_city, lo
 from .city_workers import JunctionAnswer, JunctionTask, run_junctions, start_workers
 from .city_writing import complete_result, write_city
 
-CITY_VERSION = 1
+CITY_VERSION = 2
 """Counts up when the same inputs give another front: older ones in a folder are made anew."""
 
 SOLVE = "junctions"

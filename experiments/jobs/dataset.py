@@ -141,7 +141,7 @@ def run_dataset(
     viewers = _pick_viewers(layout, wish.units)
     with start_executors(wish.scheduler, compute.workers) as new_executor:
         progress("lay the runs", 0, 0)
-        setting = build_setting(question)
+        setting = build_setting(question, compute=compute)
         record = _build_record(setting, layout, viewers, wish, compute.seed)
         if not _is_begun(out, record):
             _write_texts(out, setting, viewers, record, compute, progress)

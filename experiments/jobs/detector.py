@@ -191,7 +191,7 @@ def _from_network(
             "--detector", question.detector, "cnn, or an .onnx file, whose table is fitted"
         )
     progress("setting", 0, 0)
-    setting = build_setting(question, load_scene(question.scene))
+    setting = build_setting(question, load_scene(question.scene), compute=compute)
     check_layout(layout, setting.scene)
     words = (
         f"{network.name} on up to {wish.pictures} rendered pictures by the cameras of "

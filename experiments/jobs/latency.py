@@ -90,7 +90,7 @@ def run_latency(
         check_folder(out)
         progress.kept = f"nothing was written to {out}"
     progress("setting", 0, 0)
-    setting = build_setting(question, load_scene(question.scene))
+    setting = build_setting(question, load_scene(question.scene), compute=compute)
     check_layout(layout, setting.scene)
     evaluation = evaluate_layout(layout, setting, compute=compute)
     curves = apr_by_latency(evaluation, setting.rule, vut_latency_s=vut_latency_s)

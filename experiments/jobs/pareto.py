@@ -88,7 +88,7 @@ def run_pareto(
     prices = load_prices() if by == "cost" and question.site_cost_eur is None else None
     wishes = replace(plan.wishes, budget_units=max_units, prices=prices)
     progress("setting", 0, 0)
-    setting = build_setting(question, scene)
+    setting = build_setting(question, scene, compute=compute)
     table = obtain_table(
         setting,
         plan.candidates,

@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import chain, count
 from pathlib import Path
 
@@ -16,7 +17,9 @@ from geometry.scene_files import load_scene
 from placement.compute import Compute
 from placement.evaluation import Evaluation, apr
 from placement.evaluator import evaluate_layouts
-from placement.explain import find_other_sensors
+from placement.explain.other_sensors import STAGE as OTHER_SENSORS
+from placement.explain.other_sensors import find_other_sensors
+from placement.explain.sensitivity import STAGE as WHAT_IF
 from placement.explain.sensitivity import find_sensitivity
 from placement.layout import Layout, check_layout
 from placement.optimiser.front import Front, front_below
@@ -37,7 +40,6 @@ from ..report.coverage import coverage_section
 from ..report.sampled_worlds import plot_sampled_apr
 from ..report.units import build_plans
 from ..results.baselines import (
-    ExchangeRecord,
     StudyCasesRecord,
     build_exchange_records,
     build_next_unit_record,
@@ -89,7 +91,7 @@ def run_placement(
     plan = build_plan(question, scene, study=load_carlancap_layout())
     progress.kept = left_as_it_was(out)
     progress("setting", 0, 0)
-    setting = build_setting(question, scene)
+    setting = build_setting(question, scene, compute=compute)
     with drawing_beside(_is_large(setting, compute)) as beside:
         study = find_baseline(scene)
         uncertainty = load_drawn(question, scene, n_samples=question.samples)
@@ -122,6 +124,26 @@ def run_placement(
                 compute=replace(compute, progress=report),
             )
             placement = refinement.placement
+        what_if = beside.begin(
+            WHAT_IF,
+            find_sensitivity,
+            setting,
+            placement.layout,
+            fusion=question.fusion,
+            compute=compute,
+        )
+        asked = {unit.sensor.name: unit.sensor for unit in plan.candidates}
+        other_sensors = beside.begin(
+            OTHER_SENSORS,
+            find_other_sensors,
+            setting,
+            placement.layout.units,
+            models=[*{**load_cameras(), **asked}.values()],
+            kept=plan.wishes.kept,
+            fusion=question.fusion,
+            may_look=plan.may_look,
+            compute=compute,
+        )
         progress("explain", 0, 0)
         poses = plan.candidates if refinement is None else refinement.candidates
         explained = build_explained_record(
@@ -149,6 +171,9 @@ def run_placement(
         found, greedy = evaluations[placement.layout.name], evaluations[GREEDY]
         baseline = None if study is None else evaluations[study.name]
         next_unit = build_next_unit_record(placement, poses)
+        study_cases = _on_study_cases(question, scene, setting, evaluations, compute)
+        exchanged = other_sensors.result(partial(progress, OTHER_SENSORS, 0, 0))
+        sensitivity = what_if.result(partial(progress, WHAT_IF, 0, 0))
         result = build_placement_result(
             placement, setting, found=found, greedy=greedy, baseline=baseline
         )
@@ -162,16 +187,16 @@ def run_placement(
             ),
             baselines=build_baselines_record(compared, evaluations.get(EXPERT), setting),
             next_unit=UNSET if next_unit is None else next_unit,
-            other_sensors=_other_sensors(placement, plan, setting, question, compute),
-            study_cases=_on_study_cases(question, scene, setting, evaluations, compute),
+            other_sensors=(
+                UNSET if exchanged is None else build_exchange_records(placement.layout, exchanged)
+            ),
+            study_cases=study_cases,
             front=(
                 UNSET
                 if front is None
                 else describe_front(front, placement.problem, poses, n_kept=len(plan.wishes.kept))
             ),
-            sensitivity=build_sensitivity_record(
-                find_sensitivity(setting, placement.layout, fusion=question.fusion, compute=compute)
-            ),
+            sensitivity=build_sensitivity_record(sensitivity),
             private_ground=(
                 UNSET
                 if plan.private_ground is None
@@ -228,23 +253,6 @@ def _is_large(setting: Setting, compute: Compute) -> bool:
     return compute.workers > 1 and len(setting.runs) >= _LARGE_RUNS
 
 
-def _other_sensors(
-    placement: Placement, plan: Plan, setting: Setting, question: Question, compute: Compute
-) -> tuple[ExchangeRecord, ...] | UnsetType:
-    """Other cameras at the same mounts, and LiDARs where the question has some; UNSET: none."""
-    asked = {unit.sensor.name: unit.sensor for unit in plan.candidates}
-    found = find_other_sensors(
-        setting,
-        placement.layout.units,
-        models=[*{**load_cameras(), **asked}.values()],
-        kept=plan.wishes.kept,
-        fusion=question.fusion,
-        may_look=plan.may_look,
-        compute=compute,
-    )
-    return UNSET if found is None else build_exchange_records(placement.layout, found)
-
-
 def _front_below(placement: Placement, plan: Plan, progress: StageProgress) -> Front | None:
     """The best layout of each smaller size, too; None where the best was not what was asked."""
     problem = placement.problem
@@ -274,7 +282,7 @@ def _on_study_cases(
             question,
             setting,
             evaluations,
-            build=lambda other: build_setting(other, scene),
+            build=lambda other: build_setting(other, scene, compute=compute),
             compute=compute,
         )
     except InputError as error:  # the words of the question are known to be right
@@ -339,11 +347,12 @@ def run_comparison(
         check_result_folder(out)
         progress.kept = left_as_it_was(out)
     progress("setting", 0, 0)
-    setting = build_setting(question, scene)
+    setting = build_setting(question, scene, compute=compute)
     layouts = _with_distinct_names(layouts)
     for layout in layouts:
         check_layout(layout, setting.scene)
     with drawing_beside(out is not None and _is_large(setting, compute)) as beside:
+        what_if = beside.begin(WHAT_IF, find_sensitivity, setting, layouts[0], compute=compute)
         private = load_private_ground(Path(no_look), setting.scene) if no_look else None
         is_comparison = len(layouts) > 1
         compared = compare_layout(layouts[0], setting, compute=compute) if is_comparison else None
@@ -394,10 +403,8 @@ def run_comparison(
             sampled_figure = plot_sampled_apr(judged)
         if out is None:
             return replace_fields(result, seconds=progress.finish())
-        sensitivity = build_sensitivity_record(
-            find_sensitivity(setting, layouts[0], compute=compute)
-        )
-        result = replace_fields(result, sensitivity=sensitivity)
+        sensitivity = what_if.result(partial(progress, WHAT_IF, 0, 0))
+        result = replace_fields(result, sensitivity=build_sensitivity_record(sensitivity))
         return write_results(
             out,
             result,

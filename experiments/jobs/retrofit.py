@@ -198,7 +198,7 @@ def run_retrofit(
     prices = load_prices() if question.site_cost_eur is None else None
     wishes = replace(plan.wishes, kept=tuple(unit.id for unit in layout.units), prices=prices)
     progress("setting", 0, 0)
-    setting = build_setting(question, scene)
+    setting = build_setting(question, scene, compute=compute)
     table = obtain_table(
         setting,
         poses.candidates,

@@ -341,7 +341,7 @@ def run_sheet(
     check_folder(out.parent)
     progress.kept = f"nothing was written to {out}"
     progress("setting", 0, 0)
-    setting = build_setting(question, load_scene(question.scene))
+    setting = build_setting(question, load_scene(question.scene), compute=compute)
     check_layout(layout, setting.scene)
     progress("tolerances", 0, 0)
     tolerances = find_tolerances(setting, layout.units, compute=compute)

@@ -1,6 +1,7 @@
 """The desk that several browsers look at: one session, its numbers, and what is worked on."""
 
 import asyncio
+import time
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 from msgspec import Struct
 
 from geometry.catalogue import Sensor, load_cameras
@@ -20,14 +22,17 @@ from placement.compute import Compute
 from placement.layout import Layout, check_layout
 from placement.live import LiveTable, table_verdict
 from placement.planning import build_grid
+from placement.private_ground import PrivateGround, PrivateSight, load_private_ground
 from placement.setting import Setting
 
 from ..report.interactive.records import unit_records
+from .background import Background
 from .numbers import (
     cost_record,
     coverage_record,
     key_of,
     plan_text,
+    private_record,
     scene_record,
     state_record,
     table_numbers,
@@ -37,6 +42,7 @@ from .session import (
     Change,
     ChangeUnit,
     History,
+    Plan,
     Redo,
     Stock,
     Undo,
@@ -46,7 +52,7 @@ from .session import (
     change_state,
 )
 from .tasks import Work
-from .worker import Cancelled, TaskError, Worker
+from .worker import Cancelled, DiedError, TaskError, Worker
 
 Listener = Callable[[dict[str, Any]], None]
 
@@ -132,7 +138,7 @@ class Desk:
         What is asked, and where files of the session are.
     setting : Setting
         As :func:`placement.setting.build_setting` builds it for the same question.
-    variants : sequence of Variant
+    plan : Plan, optional
         To begin with.
     save : Path, optional
         File that gets the plan whenever it rests.
@@ -145,19 +151,25 @@ class Desk:
         work: Work,
         setting: Setting,
         *,
-        variants: Sequence[Variant] = (),
+        plan: Plan | None = None,
         save: Path | None = None,
         make_worker: Callable[[Work], Worker] = Worker,
     ) -> None:
         self.work, self.setting, self._make_worker = work, setting, make_worker
-        self.history: History = begin_history(variants)
+        self.history: History = begin_history(plan.variants if plan else ())
+        self.background: Background | None = plan.background if plan else None
         self.revision = 0
         self.listeners: set[Listener] = set()
+        self.left_at_s: float | None = None  # since when nobody looks, who looked before
+        self.is_lost = False
+        self._ground, self._sight = self._private_ground(work, setting)
+        self._sight_turn = asyncio.Lock()
         self._save = save
         self._exact, self._advice = make_worker(work), make_worker(work)
         self._live = self._new_table()
         self._known: OrderedDict[tuple[object, ...], dict[str, Any]] = OrderedDict()
         self._failed: dict[tuple[object, ...], str] = {}
+        self._died: set[tuple[object, ...]] = set()
         self._by_table: dict[tuple[object, ...], str] = {}
         self._proposals: list[Proposal] = []
         self._numbers_of_proposals = count(1)
@@ -172,6 +184,16 @@ class Desk:
         self._changed, self._rests = asyncio.Event(), asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
         self._doing: dict[str, Any] = {}
+
+    @staticmethod
+    def _private_ground(
+        work: Work, setting: Setting
+    ) -> tuple[PrivateGround, PrivateSight] | tuple[None, None]:
+        """Areas of ``--no-look`` in a scene. Raises InputError if they cannot lie there."""
+        if not work.question.no_look:
+            return None, None
+        ground = load_private_ground(Path(work.question.no_look), setting.scene)
+        return ground, PrivateSight(setting.scene, ground)
 
     def _new_table(self) -> LiveTable:
         compute = Compute(seed=self.work.seed, workers=self.work.workers, rays=self.work.rays)
@@ -205,21 +227,31 @@ class Desk:
     def join(self, listener: Listener) -> None:
         """A browser comes: it is told all that there is."""
         self.listeners.add(listener)
+        self.left_at_s = None
         listener(self._scene_message())
         listener(self._state_message())
         listener(self._proposals_message())
+        listener(self._background_message())
         if self._doing:
             listener(self._doing)
         self._changed.set()
 
-    def leave(self, listener: Listener) -> None:
-        """A browser goes."""
+    def leave(self, listener: Listener, *, is_lost: bool = False) -> None:
+        """A browser goes: its page was closed, or the connection to it is lost."""
         self.listeners.discard(listener)
+        if not self.listeners:
+            self.left_at_s, self.is_lost = time.monotonic(), is_lost
 
     def _scene_message(self) -> dict[str, Any]:
         return {
             "type": "scene",
-            **scene_record(self.setting, models=[*self._models.values()], chosen=self._chosen),
+            **scene_record(
+                self.setting,
+                models=[*self._models.values()],
+                chosen=self._chosen,
+                ground=self._ground,
+            ),
+            "isKept": self._save is not None,
         }
 
     def _stock(self) -> Stock:
@@ -228,6 +260,18 @@ class Desk:
     def _state_message(self) -> dict[str, Any]:
         record = state_record(self.history, self.setting.scene)
         return {"type": "state", "revision": self.revision, **record}
+
+    def _background_message(self) -> dict[str, Any]:
+        background = self.background
+        if background is None:
+            return {"type": "background", "address": ""}
+        lie = background.lie
+        return {
+            "type": "background",
+            "address": f"background?{id(background)}",  # another one is not taken from a cache
+            "size": [lie.width_px, lie.height_px],
+            "points": [[p.x_px, p.y_px, p.east_m, p.north_m] for p in lie.points],
+        }
 
     def _do(self, who: str, stage: str, done: int = 0, total: int = 0) -> None:
         """Tell what is worked on; an empty stage: nothing more."""
@@ -268,20 +312,29 @@ class Desk:
             gesture = message.gesture if isinstance(message, ChangeUnit) else ""
             self._go_to(self.history.went_on(state, gesture=gesture))
 
-    def open_variants(self, variants: Sequence[Variant]) -> None:
+    def lay_background(self, background: Background | None) -> None:
+        """Show another image below the plan, or none."""
+        self.background = background
+        self.tell(self._background_message())
+        self._changed.set()  # it is kept when the plan rests
+
+    def open_plan(self, plan: Plan) -> None:
         """Add variants from a file; an only one that is empty gives way to them.
 
         Raises InputError if a unit cannot hang in this scene, or there are too many.
         """
+        variants = plan.variants
         for variant in variants:
             if variant.units:
                 check_layout(variant.layout(self.setting.scene), self.setting.scene)
         state = self.history.state
         if len(state.variants) == 1 and not state.variant.units:
-            self._go_to(self.history.went_on(begin_history(variants).state))
-            return
-        for variant in variants:
-            state = add_variant(state, variant)
+            state = begin_history(variants).state
+        else:
+            for variant in variants:
+                state = add_variant(state, variant)
+        if plan.background is not None:
+            self.lay_background(plan.background)
         self._go_to(self.history.went_on(state))
 
     def _go_to(self, history: History) -> None:
@@ -307,7 +360,8 @@ class Desk:
                 numbers = self._known.get(key_of(units))
                 if numbers is None:
                     numbers = await asyncio.to_thread(self._by_rays, live, units)
-                self.tell({"type": "numbers", "revision": revision, **numbers})
+                private = await self._private(units)
+                self.tell({"type": "numbers", "revision": revision, **numbers, **private})
                 self._tell_variants()
                 if self._shows_coverage and not self._changed.is_set():
                     found = await asyncio.to_thread(coverage_record, self.setting.scene, units)
@@ -338,6 +392,33 @@ class Desk:
         numbers = table_numbers(units[:_MAX_ALONE], together, alone, self.setting)
         self._by_table[key_of(units)] = numbers["apr"]
         return numbers
+
+    async def _private(self, units: Sequence[CandidatePose]) -> dict[str, Any]:
+        """Private areas in view, as a part of the numbers; nothing without any area."""
+        ground, sight = self._ground, self._sight
+        if ground is None or sight is None:
+            return {}
+        allowed = self.work.question.no_look_share or 0.0
+        async with self._sight_turn:
+            found = await asyncio.to_thread(private_record, units, ground, sight, max_share=allowed)
+        return {"private": found}
+
+    async def private_view(self, unit_id: str) -> list[list[int]]:
+        """Places of private ground that a unit has in its picture, a metre apart, centimetres.
+
+        Raises InputError if there is no such unit.
+        """
+        unit = next((u for u in self.history.state.variant.units if u.id == unit_id), None)
+        if unit is None:
+            raise InputError("unit", unit_id, "one that hangs there")
+        if self._ground is None or self._sight is None:
+            return []
+        async with self._sight_turn:
+            seen = await asyncio.to_thread(self._sight.seen, unit)
+        places: list[list[int]] = (
+            np.rint(100.0 * self._ground.points_m[seen, :2]).astype(int).tolist()
+        )
+        return places
 
     async def _judge(self) -> None:
         """Numbers by the evaluator, of whatever is shown and rests: the newest first."""
@@ -374,13 +455,14 @@ class Desk:
             numbers = await self._exact.call(
                 "evaluate", layout, on_progress=self._stages("evaluator")
             )
-            if self.work.question.no_look:
-                numbers["private"] = await self._exact.call(
-                    "private", units, on_progress=self._stages("evaluator")
-                )
         except Cancelled:
             return
         except TaskError as error:
+            if isinstance(error, DiedError) and key not in self._died:
+                self._died.add(key)  # once more, by a new process
+                self.tell({"type": "notice", "text": f"{error}; it is tried again"})
+                self._rests.set()
+                return
             self._failed[key] = str(error)
             self.tell({"type": "notice", "text": f"not evaluated: {error}"})
             return
@@ -392,7 +474,8 @@ class Desk:
         while len(self._known) > _MAX_KNOWN:
             self._known.popitem(last=False)
         if key == key_of(self.history.state.variant.units):
-            self.tell({"type": "numbers", "revision": self.revision, **numbers})
+            revision, private = self.revision, await self._private(units)
+            self.tell({"type": "numbers", "revision": revision, **numbers, **private})
         self._tell_variants()
         self.tell(self._proposals_message())
 
@@ -428,7 +511,7 @@ class Desk:
     def _write_plan(self) -> None:
         if self._save is None:
             return
-        text = plan_text(self.history.state, self.setting.scene).encode()
+        text = self.plan_text()
         try:
             write_atomically(self._save, lambda file: file.write(text))
         except OSError as error:
@@ -505,6 +588,10 @@ class Desk:
 
     # ---------- what is asked for by address
 
+    def plan_text(self) -> bytes:
+        """The plan as a file has it."""
+        return plan_text(self.history.state, self.setting.scene, self.background).encode()
+
     def layout(self) -> Layout:
         """The layout that is worked on. Raises InputError if nothing hangs."""
         return self.history.state.variant.layout(self.setting.scene)
@@ -522,10 +609,19 @@ class Desk:
 
     async def open_scene(self, path: str) -> None:
         """Go on in another scene, from nothing. Raises TaskError if it has no runs."""
-        work = replace(self.work, question=replace(self.work.question, scene=path, no_look=""))
+        work = replace(self.work, question=replace(self.work.question, scene=path))
         exact = self._make_worker(work)
         try:
             setting: Setting = await exact.call("open_setting", on_progress=self._stages("scene"))
+            ground, sight = None, None
+            try:
+                ground, sight = await asyncio.to_thread(self._private_ground, work, setting)
+            except InputError as error:  # of another place: the scene can be planned without them
+                question = replace(work.question, no_look="", no_look_share=None)
+                work = replace(work, question=question)
+                exact.stop()
+                exact = self._make_worker(work)
+                self.tell({"type": "notice", "text": f"without private areas: {error}"})
         except BaseException:
             exact.stop()
             raise
@@ -533,14 +629,21 @@ class Desk:
             self._do("scene", "")
         self.stop_processes()
         self.work, self.setting = work, setting
+        self._ground, self._sight = ground, sight
         self._exact, self._advice = exact, self._make_worker(work)
         self._live = self._new_table()
         self._known.clear()
         self._failed.clear()
         self._by_table.clear()
+        self._died.clear()
         self._proposals = []
-        self.history = begin_history(())
+        self.history, self.background = begin_history(()), None
         self.revision += 1
-        for message in (self._scene_message(), self._state_message(), self._proposals_message()):
+        for message in (
+            self._scene_message(),
+            self._state_message(),
+            self._proposals_message(),
+            self._background_message(),
+        ):
             self.tell(message)
         self._changed.set()

@@ -14,14 +14,16 @@ from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, run_outc
 from placement.ground_coverage import BANDS, find_ground_coverage
 from placement.layout import Layout
 from placement.prices import load_prices
+from placement.private_ground import PrivateGround, PrivateSight
 from placement.setting import Setting
 
 from ..export.json import to_json_text
 from ..figures.axes import describe_run
 from ..report.bill_of_materials import build_bill
-from ..report.interactive.records import plan_record, to_base64, unit_records
+from ..report.interactive.records import plan_record, svg_path, to_base64, unit_records
 from ..results.evaluations import build_evaluation_record
 from ..results.numbers import euros, finite_or_none, percent
+from .background import Background
 from .session import SCHEMA, History, PlanState
 
 BY_TABLE, BY_EVALUATOR = "table", "evaluator"
@@ -43,7 +45,11 @@ def key_of(units: Sequence[CandidatePose]) -> tuple[object, ...]:
 
 
 def scene_record(
-    setting: Setting, *, models: Sequence[Sensor], chosen: Sequence[str]
+    setting: Setting,
+    *,
+    models: Sequence[Sensor],
+    chosen: Sequence[str],
+    ground: PrivateGround | None = None,
 ) -> dict[str, Any]:
     """All that does not change while somebody plans: plan, sites, runs, models of sensors."""
     scene, axis = setting.scene, setting.axis
@@ -77,6 +83,12 @@ def scene_record(
         ],
         "arms": _arm_records(setting),
         "bands": [name for name, _ in BANDS],
+        "private": [
+            {"name": name, "path": svg_path(shape)}
+            for name, shape in zip(ground.names, ground.shapes, strict=True)
+        ]
+        if ground is not None
+        else [],
     }
 
 
@@ -181,8 +193,8 @@ def layout_text(state: PlanState, scene: Scene) -> str:
     return to_json(state.variant.layout(scene))
 
 
-def plan_text(state: PlanState, scene: Scene) -> str:
-    """All variants in one file, each as a layout file has it."""
+def plan_text(state: PlanState, scene: Scene, background: Background | None = None) -> str:
+    """All variants in one file, each as a layout file has it, and the image below them."""
     import json
 
     from ..export.json import to_json
@@ -193,7 +205,10 @@ def plan_text(state: PlanState, scene: Scene) -> str:
         else {"name": variant.name, "layout": []}
         for variant in state.variants
     ]
-    return to_json_text({"schema": SCHEMA, "scene": scene.name, "variants": variants})
+    record = {"schema": SCHEMA, "scene": scene.name, "variants": variants}
+    if background is not None:
+        record["background"] = background.record()
+    return to_json_text(record)
 
 
 # ---------- what it achieves
@@ -266,6 +281,41 @@ def _shares(verdict: Verdict, setting: Setting) -> dict[str, Any]:
         ],
         "lost": lost,
     }
+
+
+_MAX_AREAS = 200  # that are told, those that are seen the most
+
+
+def private_record(
+    units: Sequence[CandidatePose],
+    ground: PrivateGround,
+    sight: PrivateSight,
+    *,
+    max_share: float,
+) -> list[dict[str, Any]]:
+    """Private areas that units have in their pictures, those that are seen the most first.
+
+    For each its name and who sees how much of it, as `evaluate` tells; "isTooMuch" where that is
+    more than ``--no-look-share`` allows.
+    """
+    shares = sight.shares(units)
+    most = shares.max(axis=0, initial=0.0)
+    order = [int(column) for column in np.argsort(-most, kind="stable") if most[column] > 0.0]
+    return [
+        {
+            "area": ground.names[column],
+            "seen": [
+                {
+                    "unit": units[row].id,
+                    "share": percent(float(shares[row, column])),
+                    "isTooMuch": bool(shares[row, column] > max_share),
+                }
+                for row in np.argsort(-shares[:, column], kind="stable").tolist()
+                if shares[row, column] > 0.0
+            ],
+        }
+        for column in order[:_MAX_AREAS]
+    ]
 
 
 def coverage_record(scene: Scene, units: Sequence[CandidatePose]) -> dict[str, Any]:

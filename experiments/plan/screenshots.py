@@ -15,7 +15,7 @@ from ..report.section import with_palette
 from ..study.layout import load_carlancap_layout
 from .desk import Desk
 from .server import RunningServer
-from .session import Variant
+from .session import Plan, Variant
 from .tasks import Work
 
 _SIZES_PX = {"desktop": (1440, 900), "tablet": (820, 1180)}
@@ -45,10 +45,8 @@ def main(out: Path) -> None:
             workers=Compute().workers,
             rays="auto",
         )
-        variants = [Variant(name="two cameras", units=units)]
-        server = RunningServer(
-            lambda: Desk(work, setting, variants=variants), host="127.0.0.1", port=0
-        )
+        plan = Plan(variants=(Variant(name="two cameras", units=units),))
+        server = RunningServer(lambda: Desk(work, setting, plan=plan), host="127.0.0.1", port=0)
         server.start()
         browser = library.chromium.launch(executable_path=shutil.which("chromium"), args=_ARGUMENTS)
         try:

@@ -5,6 +5,7 @@ import json
 import secrets
 import socket
 import threading
+import time
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
 from functools import cache
@@ -16,9 +17,12 @@ from urllib.parse import unquote
 
 from geometry.errors import InputError, MissingExtraError, Unquoted
 
+from .background import MAX_BYTES as MAX_IMAGE_BYTES
+from .background import build_background
 from .desk import Desk
-from .numbers import layout_text, plan_text
+from .numbers import layout_text
 from .session import read_plan
+from .tasks import turn_page
 from .worker import Cancelled, TaskError
 
 try:
@@ -38,6 +42,11 @@ MAX_LAYOUT_BYTES = 16_000_000
 MAX_MAP_BYTES = 300_000_000
 _MAX_MESSAGE_BYTES = 64_000
 _MAX_WAITING = 2000  # messages for a browser that does not read
+_CLOSED_CODES = (1000, 1001, 1005)  # the page was closed or is loaded again; others: it was lost
+LINGER_S = 8.0
+"""After the last page was closed: it may be loaded again."""
+LINGER_LOST_S = 180.0
+"""After the connection to the last page was lost: the page tries again as long as it is open."""
 _MAP_SUFFIXES = (".osm", ".osm.pbf", ".pbf", ".osm.gz", ".osm.bz2", ".xodr", ".zip")
 _IMAGES = "img-src 'self' data: blob:"
 _STRICT = (
@@ -139,7 +148,10 @@ class Pages:
             Route("/layout.json", self._answer(self._layout)),
             Route("/plan.json", self._answer(self._plan)),
             Route("/watch", self._answer(self._watch)),
+            Route("/turn", self._answer(self._turn)),
             Route("/explain", self._answer(self._explain)),
+            Route("/private", self._answer(self._private)),
+            Route("/background", self._answer(self._background), methods=["GET", "POST"]),
             Route("/picture", self._answer(self._picture)),
             Route("/report.zip", self._answer(self._report)),
             Route("/sheet.pdf", self._answer(self._sheet)),
@@ -187,6 +199,7 @@ class Pages:
 
         sender = asyncio.create_task(_send_all(socket, waiting, is_lost))
         self._desk.join(listen)
+        code = 1006
         try:
             while True:
                 text = await socket.receive_text()
@@ -196,10 +209,12 @@ class Pages:
                     self._desk.handle(text.encode())
                 except InputError as error:
                     listen({"type": "problem", "text": str(error)})
-        except (WebSocketDisconnect, RuntimeError):
+        except WebSocketDisconnect as ended:
+            code = ended.code
+        except RuntimeError:
             pass
         finally:
-            self._desk.leave(listen)
+            self._desk.leave(listen, is_lost=code not in _CLOSED_CODES)
             sender.cancel()
 
     # ---------- files out
@@ -209,15 +224,33 @@ class Pages:
         return _download(text.encode(), "layout.json", "application/json")
 
     async def _plan(self, request: Request) -> Response:
-        text = plan_text(self._desk.history.state, self._desk.setting.scene)
-        return _download(text.encode(), "plan.json", "application/json")
+        return _download(self._desk.plan_text(), "plan.json", "application/json")
 
     async def _watch(self, request: Request) -> Response:
         run_id = request.query_params.get("run", "")
         page = await self._desk.call("watch", self._desk.layout(), run_id)
-        response = Response(page, media_type="text/html")
-        response.headers["content-security-policy"] = _INLINE
-        return response
+        return _inline(page)
+
+    async def _turn(self, request: Request) -> Response:
+        units = self._desk.history.state.variant.units
+        return _inline(await asyncio.to_thread(turn_page, self._desk.setting.scene, units))
+
+    async def _private(self, request: Request) -> Response:
+        return JSONResponse(await self._desk.private_view(request.query_params.get("unit", "")))
+
+    async def _background(self, request: Request) -> Response:
+        """The image below the plan; or another one, or with an empty body none any more."""
+        desk = self._desk
+        if request.method == "POST":
+            path = await self._received(request, ".image", MAX_IMAGE_BYTES)
+            content = path.read_bytes()
+            path.unlink()
+            points = request.headers.get("x-points", "")[:2000].encode("latin-1", "replace")
+            desk.lay_background(build_background(content, points, "image") if content else None)
+            return JSONResponse({})
+        if desk.background is None:
+            return Response("no image\n", 404, media_type="text/plain")
+        return Response(desk.background.content, media_type=desk.background.media_type)
 
     async def _explain(self, request: Request) -> Response:
         run_id = request.query_params.get("run", "")
@@ -253,11 +286,11 @@ class Pages:
         if lower.endswith(".json"):
             path = await self._received(request, ".json", MAX_LAYOUT_BYTES)
             try:
-                variants = read_plan(path.read_bytes(), name)
+                plan = read_plan(path.read_bytes(), name)
             finally:
                 path.unlink()
-            self._desk.open_variants(variants)
-            return JSONResponse({"opened": [variant.name for variant in variants]})
+            self._desk.open_plan(plan)
+            return JSONResponse({"opened": [variant.name for variant in plan.variants]})
         suffix = next((end for end in _MAP_SUFFIXES if lower.endswith(end)), None)
         if suffix is None:
             expected = "a name that ends in .json, " + ", ".join(_MAP_SUFFIXES)
@@ -324,6 +357,13 @@ async def _send_all(
             return
 
 
+def _inline(page: str) -> Response:
+    """A page that is one file, scripts and styles in it."""
+    response = Response(page, media_type="text/html")
+    response.headers["content-security-policy"] = _INLINE
+    return response
+
+
 def _download(content: bytes, name: str, kind: str) -> Response:
     response = Response(content, media_type=kind)
     response.headers["content-disposition"] = f'attachment; filename="{name}"'
@@ -359,13 +399,18 @@ def build_app(desk: Desk, *, token: str, hosts: frozenset[str] | None) -> ASGIAp
 class RunningServer:
     """A server in a thread of its own: the main thread waits, and is free to be interrupted.
 
+    Unless it `keeps_open`, it ends by itself some seconds after the last page was closed.
+
     Attributes
     ----------
     address : str
         Of the page, with its token.
     """
 
-    def __init__(self, make_desk: Callable[[], Desk], *, host: str, port: int) -> None:
+    def __init__(
+        self, make_desk: Callable[[], Desk], *, host: str, port: int, keeps_open: bool = True
+    ) -> None:
+        self._keeps_open = keeps_open
         try:
             self._socket = socket.create_server((host, port))
         except (OSError, OverflowError) as error:
@@ -388,7 +433,13 @@ class RunningServer:
         self._thread.start()
         self._is_up.wait()
         if self._error is not None:
+            self._socket.close()
             raise self._error
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether it serves."""
+        return self._thread.is_alive()
 
     def wait(self) -> None:
         """Wait until it has ended."""
@@ -427,4 +478,16 @@ class RunningServer:
         )
         self._server = uvicorn.Server(config)
         self._is_up.set()  # the socket takes connections already
+        watching = asyncio.create_task(self._end_when_alone(self.desk, self._server))
         await self._server.serve(sockets=[self._socket])
+        watching.cancel()
+
+    async def _end_when_alone(self, desk: Desk, server: uvicorn.Server) -> None:
+        while not self._keeps_open:
+            await asyncio.sleep(0.5)
+            if desk.left_at_s is None:  # nobody came yet, or somebody is here
+                continue
+            waits_s = LINGER_LOST_S if desk.is_lost else LINGER_S
+            if time.monotonic() - desk.left_at_s > waits_s:
+                server.should_exit = True
+                return

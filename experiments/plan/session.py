@@ -20,6 +20,8 @@ from placement.advice import free_name
 from placement.candidates import CandidatePose, is_ring, load_candidate_grid
 from placement.layout import Layout, read_layout
 
+from .background import Background, read_background
+
 MAX_UNITS = 1000
 MAX_VARIANTS = 12
 MAX_STEPS = 500
@@ -375,8 +377,16 @@ def begin_history(variants: Sequence[Variant]) -> History:
 SCHEMA = "place-rsus/plan/1"
 
 
-def read_plan(text: bytes, where: str) -> list[Variant]:
-    """Variants from the text of a plan's or a layout's file, each as ``--layout`` reads it.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Plan:
+    """What a plan's file has."""
+
+    variants: tuple[Variant, ...]
+    background: Background | None = None
+
+
+def read_plan(text: bytes, where: str) -> Plan:
+    """A plan from the text of a plan's or a layout's file, layouts as ``--layout`` reads them.
 
     `where` is the file's name, for error messages. Raises InputError if it is neither.
     """
@@ -386,7 +396,7 @@ def read_plan(text: bytes, where: str) -> list[Variant]:
         raise InputError(where, Unquoted(error), "a layout or a plan as JSON") from None
     if not (isinstance(document, dict) and document.get("schema") == SCHEMA):
         layout = read_layout(text, where=where, name="layout")
-        return [Variant(name=layout.name, units=layout.units)]
+        return Plan(variants=(Variant(name=layout.name, units=layout.units),))
     records = document.get("variants")
     if not isinstance(records, list) or not 1 <= len(records) <= MAX_VARIANTS:
         raise InputError(f"{where}: variants", Unquoted("none"), f"a list of 1 to {MAX_VARIANTS}")
@@ -402,4 +412,10 @@ def read_plan(text: bytes, where: str) -> list[Variant]:
             msgspec.json.encode(record), where=f"{where}: variants[{index}]", name=f"{index + 1}"
         )
         variants.append(Variant(name=layout.name, units=layout.units))
-    return variants
+    background = document.get("background")
+    return Plan(
+        variants=tuple(variants),
+        background=None
+        if background is None
+        else read_background(background, f"{where}: background"),
+    )

@@ -13,6 +13,7 @@ import numpy as np
 from msgspec import UNSET
 
 from geometry.errors import InputError
+from geometry.scene import Scene
 from geometry.scene_files import load_scene
 from placement.advice import LEAST_GAIN, Advice, Adviser
 from placement.candidates import CandidatePose
@@ -23,13 +24,12 @@ from placement.explain.sensitivity import find_tolerances
 from placement.explain.unavoided import Look, find_reasons
 from placement.layout import Layout
 from placement.planning import build_grid, build_plan
-from placement.private_ground import load_private_ground, private_shares
 from placement.question import Question
 from placement.setting import Setting, build_setting
 from scenarios.aeb import is_in_time
 
 from ..progress import StageProgress
-from ..report.interactive.part import interactive_part
+from ..report.interactive.part import interactive_part, view_part
 from ..report.page import page_environment
 from ..results.numbers import euros, percent
 from .numbers import evaluated_numbers, key_of
@@ -86,8 +86,11 @@ class Tasks:
         """Scene and runs, as ``evaluate`` builds them."""
         if self._setting is None:
             self._progress("setting", 0, 0)
+            question = self._work.question
             self._setting = build_setting(
-                self._work.question, load_scene(self._work.question.scene)
+                question,
+                load_scene(question.scene),
+                compute=replace(self._compute, cache_folder=self._work.cache),
             )
         return self._setting
 
@@ -117,7 +120,8 @@ class Tasks:
         part = interactive_part(
             self.setting, {layout.name: evaluation}, first_runs=(run_id,), max_runs=_MAX_WATCHED
         )
-        page: str = _watch_template().render(interactive=part, title=run_id)
+        template = page_environment().from_string(_page_text("watch.html.j2"))
+        page: str = template.render(interactive=part, title=run_id)
         return page
 
     def explain(self, layout: Layout, run_id: str) -> dict[str, Any]:
@@ -185,23 +189,6 @@ class Tasks:
         buffer = io.BytesIO()
         Image.fromarray(seen.rgb).save(buffer, format="JPEG", quality=85)
         return buffer.getvalue()
-
-    def private(self, units: Sequence[CandidatePose]) -> list[dict[str, str]]:
-        """Private areas of ``--no-look`` that units have in their pictures, the most first."""
-        file = self._work.question.no_look
-        if not file or not units:
-            return []
-        scene = self.setting.scene
-        ground = load_private_ground(Path(file), scene)
-        shares = private_shares(scene, units, ground)
-        return [
-            {
-                "unit": units[row].id,
-                "area": ground.names[column],
-                "share": percent(shares[row, column]),
-            }
-            for row, column in np.argwhere(shares > 0.0).tolist()
-        ]
 
     # ---------- by the optimiser
 
@@ -345,9 +332,19 @@ class _Forwarding(StageProgress):
 
 
 @cache
-def _watch_template() -> Any:
-    source = (Path(__file__).parent / "page" / "watch.html.j2").read_text(encoding="utf-8")
-    return page_environment().from_string(source)
+def _page_text(name: str) -> str:
+    return (Path(__file__).parent / "page" / name).read_text(encoding="utf-8")
+
+
+def turn_page(scene: Scene, units: Sequence[CandidatePose]) -> str:
+    """A page with the junction in three dimensions and what hangs: the report's own view."""
+    layout = Layout(name="plan", units=tuple(units)) if units else None
+    page: str = (
+        page_environment()
+        .from_string(_page_text("turn.html.j2"))
+        .render(interactive=view_part(scene, layout))
+    )
+    return page
 
 
 def _answer(title: str, advice: Advice, *, costs: str) -> dict[str, Any]:

@@ -18,6 +18,10 @@ class TaskError(RuntimeError):
     """A task that could not be done, in a sentence for the page."""
 
 
+class DiedError(TaskError):
+    """The process ended while it worked, and nobody had asked for it."""
+
+
 class Cancelled(RuntimeError):
     """The process was ended while it worked."""
 
@@ -45,6 +49,8 @@ class Worker:
         ------
         TaskError
             The method refused what it was given, or something went wrong that nobody foresaw.
+        DiedError
+            Its process ended by itself or was killed, for example because memory ran out.
         Cancelled
             :meth:`stop` was called meanwhile.
         """
@@ -65,8 +71,11 @@ class Worker:
         if kind == "done":
             return value
         if kind == "ended":
+            was_stopped = self._connection is not connection
             self.stop()
-            raise Cancelled
+            if was_stopped:
+                raise Cancelled
+            raise DiedError(f"the process that did it ({method}) was ended from outside")
         raise TaskError(value)
 
     def stop(self) -> None:

@@ -28,10 +28,12 @@ class Part(Generic[_T]):
             self._future = Future()
             self._future.set_result(self._make())
 
-    def result(self) -> _T:
-        """What it is: waited for, or made here if nobody has begun to."""
+    def result(self, tell: Callable[[], None] = lambda: None) -> _T:
+        """What it is: waited for, or made here if nobody has begun to; `tell` before a wait."""
         self.take()
         assert self._future is not None
+        if not self._future.done():
+            tell()
         try:
             return self._future.result()
         except BrokenProcessPool:  # the other process was killed

@@ -114,9 +114,8 @@ def build_junction_front(
     *,
     by_units: Sequence[tuple[float, float]],
     by_cost: Sequence[tuple[float, float]],
-    least_cost_eur: Sequence[float],
 ) -> JunctionFront:
-    """A front of the points that no other one beats, with bounds that hold for each other.
+    """A front of the points that no other one beats.
 
     Parameters
     ----------
@@ -124,14 +123,11 @@ def build_junction_front(
         Any; one without new units is among them.
     by_units, by_cost : sequence of (from, APR)
         Steps from 0 on, ascending, in any order of APR: a bound also holds for less.
-    least_cost_eur : sequence of float
-        What 0, 1, 2 .. new units cost at least. [EUR]
 
     Returns
     -------
     front : JunctionFront
-        With steps that rise: the bounds by cost are no higher than what the number of units that so
-        much money buys allows.
+        With steps that rise.
     """
     found = sorted(points, key=lambda point: (point.units, point.cost_eur, -point.apr))
     kept = [
@@ -143,24 +139,21 @@ def build_junction_front(
             if before != index
         )
     ]
-    by_units = _lowered(by_units)
-    floors = np.array(least_cost_eur)
-    starts = sorted({start for start, _ in by_cost} | {float(floor) for floor in floors})
-    merged = []
-    for index, start in enumerate(starts):
-        end = starts[index + 1] if index + 1 < len(starts) else np.inf
-        # Layouts of this step cost less than `end`.
-        affordable = int((floors < end - COST_TOLERANCE_EUR).sum()) - 1
-        most = max(bound for units, bound in by_units if units <= max(affordable, 0))
-        merged.append((start, min(_at(by_cost, start), most)))
-    return JunctionFront(points=tuple(kept), by_units=by_units, by_cost=_lowered(merged))
+    return JunctionFront(points=tuple(kept), by_units=lowered(by_units), by_cost=lowered(by_cost))
 
 
-def _at(steps: Sequence[tuple[float, float]], place: float) -> float:
+def value_at(steps: Sequence[tuple[float, float]], place: float) -> float:
+    """The bound of the step in which a number of units, or an amount, lies."""
     return next(bound for start, bound in reversed(steps) if start <= place)
 
 
-def _lowered(steps: Sequence[tuple[float, float]]) -> Steps:
+def lowest(steps: Sequence[Steps]) -> Steps:
+    """Bounds of which each is the least of several that hold."""
+    starts = sorted({start for each in steps for start, _ in each})
+    return tuple((start, min(value_at(each, start) for each in steps)) for start in starts)
+
+
+def lowered(steps: Sequence[tuple[float, float]]) -> Steps:
     """Steps that rise: what holds for more holds for less; steps that say the same are one."""
     least = np.minimum.accumulate([bound for _, bound in reversed(steps)])[::-1]
     rising: list[tuple[float, float]] = []

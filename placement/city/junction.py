@@ -25,12 +25,13 @@ from ..prices import load_prices
 from ..question import Question
 from ..setting import build_setting
 from ..wishes import Wishes, build_problem, check_wishes
-from .fronts import JunctionFront, Point, build_junction_front
+from .fronts import JunctionFront, Point, Steps, build_junction_front, lowered, lowest
+from .site_front import SiteFront, bounds_by_money, front_by_sites
 
 _log = logging.getLogger(__name__)
 
-_UNITS_SHARE = 0.5
-"""Of the optimiser's time: for the front by units; the front by money has the rest."""
+_SHARE = 0.5
+"""Of the optimiser's time that is left: for each part; most leave some of it."""
 _LEAST_OPTIMISER_S = 2.0
 
 
@@ -120,11 +121,10 @@ def solve_junction(
     if kept is not None:
         check_layout(kept, scene)
     watch.begin("lay runs")
-    setting = build_setting(question, scene)
+    setting = build_setting(question, scene, compute=compute)
     watch.begin("detection table")
     candidates = build_candidates(scene, wishes.grid, extra=() if kept is None else kept.units)
     table = obtain_table(setting, candidates, compute=compute)
-    watch.begin("front by units")
     asked = Wishes(
         budget_units=_most_units(scene, question, wishes),
         kept=() if kept is None else tuple(unit.id for unit in kept.units),
@@ -137,27 +137,14 @@ def solve_junction(
     problem = build_problem(setting, candidates, table, wishes=asked, fusion=question.fusion)
     end_s = now_s() + min(watch.left_s(), question.time_limit_s)
 
-    def effort(share: float) -> Effort:
+    def effort() -> Effort:
         left_s = max(end_s - now_s(), _LEAST_OPTIMISER_S)
-        return Effort(solver=question.solver, gap=question.gap, time_limit_s=share * left_s)
+        return Effort(solver=question.solver, gap=question.gap, time_limit_s=_SHARE * left_s)
 
-    n_kept = int(problem.limits.is_forced.sum())
-    assert problem.limits.budget_units is not None
     try:
-        by_units = pareto_front(
-            problem,
-            max_units=problem.limits.budget_units,
-            min_units=max(n_kept, 1),
-            effort=effort(_UNITS_SHARE),
-        )
-        watch.begin("front by money")
-        by_cost = _cost_front(problem, effort(1.0))
+        front, chosen = find_front(problem, effort=effort, begin=watch.begin)
     except UnmetError as error:
         raise InputError(error.where, error.got, error.expected) from None
-    base = PlacementValue(0.0, 0.0, 0.0, 0.0, 0.0)
-    if n_kept:
-        base = placement_value(problem, np.flatnonzero(problem.limits.is_forced).tolist())
-    front, chosen = _merge(problem, by_units, by_cost, base=base, n_kept=n_kept)
     return SolvedJunction(
         front=front,
         layouts=tuple(_layout(candidates, index, kept) for index in chosen),
@@ -167,6 +154,49 @@ def solve_junction(
         n_frames=setting.axis.n_frames,
         seconds=watch.finish(),
     )
+
+
+def find_front(
+    problem: PlacementProblem, *, effort: Callable[[], Effort], begin: Callable[[str], None]
+) -> tuple[JunctionFront, list[tuple[int, ...]]]:
+    """What units and money buy, and the layout of each point.
+
+    Parameters
+    ----------
+    problem : PlacementProblem
+        With a number of units, those that are kept among them, and without floors.
+    effort : callable
+        What the next step may take.
+    begin : callable
+        Is told each step.
+
+    Returns
+    -------
+    front : JunctionFront
+        The first point takes nothing.
+    layouts : list of tuple of int
+        Rows of the detection table, with those kept.
+    """
+    limits = problem.limits
+    forced = tuple(np.flatnonzero(limits.is_forced).tolist())
+    n_kept = len(forced)
+    assert limits.budget_units is not None
+    base = PlacementValue(0.0, 0.0, 0.0, 0.0, 0.0)
+    if n_kept:
+        base = placement_value(problem, forced)
+    begin("front by units")
+    by_units = pareto_front(
+        problem, max_units=limits.budget_units, min_units=max(n_kept, 1), effort=effort()
+    )
+    begin("front by sites")
+    by_sites = front_by_sites(
+        problem, base_apr=base.apr, max_units=limits.budget_units - n_kept, effort=effort
+    )
+    by_cost = None
+    if _has_prices(limits):
+        begin("front by money")
+        by_cost = _cost_front(problem, effort())
+    return _merge(problem, by_units, by_sites, by_cost, base=base, n_kept=n_kept)
 
 
 def _most_units(scene: Scene, question: Question, wishes: JunctionWishes) -> int:
@@ -185,6 +215,13 @@ def _most_units(scene: Scene, question: Question, wishes: JunctionWishes) -> int
     return most
 
 
+def _has_prices(limits: Limits) -> bool:
+    """Whether one unit, or one site, costs more than another: then money is more than numbers."""
+    free = ~limits.is_forbidden & ~limits.is_forced
+    sites = limits.site_cost_eur[np.unique(limits.site_index[free])]
+    return bool(np.ptp(limits.unit_cost_eur[free]) or np.ptp(sites))
+
+
 def _cost_front(problem: PlacementProblem, effort: Effort) -> Front | None:
     """The front by money; None where the poses avoid nothing."""
     try:
@@ -201,34 +238,35 @@ def _layout(
     return pick_layout(candidates, index, f"front-{len(index)}") if index else kept
 
 
-# ---------- one front of two
+# ---------- one front of all
 
 
 def _merge(
     problem: PlacementProblem,
     by_units: Front,
+    by_sites: SiteFront,
     by_cost: Front | None,
     *,
     base: PlacementValue,
     n_kept: int,
 ) -> tuple[JunctionFront, list[tuple[int, ...]]]:
-    """The points of both fronts that no other one beats, and the poses of each."""
+    """The points of all fronts that no other one beats, and the poses of each."""
     forced = tuple(np.flatnonzero(problem.limits.is_forced).tolist())
     poses = {_point(base, 0, 0.0): forced}
-    for each in (by_units, by_cost):
-        for found in () if each is None else each.points:
-            n_new = len(found.pose_index) - n_kept
-            if n_new:
-                poses.setdefault(_point(found.value, n_new, found.value.cost_eur), found.pose_index)
-    reduced = presolve(problem)
-    most = (largest_values(reduced, "first") or {}).get(Objective.APR, 1.0)
-    step = float(reduced.weight[reduced.weight > 0.0].min(initial=1.0))
-    front = build_junction_front(
-        poses,
-        by_units=_bounds_by_units(by_units, base=base.apr, n_kept=n_kept),
-        by_cost=_bounds_by_cost(by_cost, base=base.apr, most=most, step=step),
-        least_cost_eur=_least_costs_eur(problem.limits, n_kept=n_kept),
-    )
+    layouts = [(found.value, found.pose_index) for found in by_units.points]
+    layouts += [(placement_value(problem, layout), layout) for layout in by_sites.layouts]
+    layouts += [(found.value, found.pose_index) for found in by_cost.points] if by_cost else []
+    for value, layout in layouts:
+        if n_new := len(layout) - n_kept:
+            poses.setdefault(_point(value, n_new, value.cost_eur), layout)
+    unit_steps = _bounds_by_units(by_units, base=base.apr, n_kept=n_kept)
+    steps = [bounds_by_money(problem.limits, unit_steps, by_sites)]
+    if by_cost is not None:
+        reduced = presolve(problem)
+        most = (largest_values(reduced, "first") or {}).get(Objective.APR, 1.0)
+        step = float(reduced.weight[reduced.weight > 0.0].min(initial=1.0))
+        steps.append(_bounds_by_cost(by_cost, base=base.apr, most=most, step=step))
+    front = build_junction_front(poses, by_units=unit_steps, by_cost=lowest(steps))
     return front, [poses[point] for point in front.points]
 
 
@@ -249,26 +287,22 @@ def _apr_bound(point: FrontPoint) -> float:
     return stage.bound
 
 
-def _bounds_by_units(front: Front, *, base: float, n_kept: int) -> list[tuple[float, float]]:
+def _bounds_by_units(front: Front, *, base: float, n_kept: int) -> Steps:
     steps = [(0.0, base)]
     steps += [
         (float(point.units - n_kept), max(_apr_bound(point), base))
         for point in front.points
         if point.units > n_kept
     ]
-    return steps
+    return lowered(steps)
 
 
-def _bounds_by_cost(
-    front: Front | None, *, base: float, most: float, step: float
-) -> list[tuple[float, float]]:
+def _bounds_by_cost(front: Front, *, base: float, most: float, step: float) -> Steps:
     """What no layout for so much money exceeds.
 
     The first stage of a point says what is better than the point before it costs at least: better
     by the step of the front, so that up to a step more is not ruled out for less money.
     """
-    if front is None:
-        return [(0.0, base)]
     steps: list[tuple[float, float]] = [(0.0, base)]
     points = front.points
     for index, point in enumerate(points):
@@ -287,25 +321,7 @@ def _bounds_by_cost(
             steps.append((end, max(most, steps[-1][1])))
         else:
             steps[-1] = (steps[-1][0], max(most, steps[-1][1]))
-    return steps
-
-
-def _least_costs_eur(limits: Limits, *, n_kept: int) -> list[float]:
-    """What 0, 1, 2 .. new units cost at least: the cheapest ones, at the cheapest sites."""
-    free = np.flatnonzero(~limits.is_forbidden & ~limits.is_forced)
-    assert limits.budget_units is not None
-    n_new = limits.budget_units - n_kept
-    units = np.sort(limits.unit_cost_eur[free])
-    sites = np.unique(limits.site_index[free])
-    # Each place of a site as if the site was paid in equal parts by all places on it.
-    places = np.sort(
-        np.repeat(
-            limits.site_cost_eur[sites] / np.maximum(limits.site_capacity[sites], 1),
-            limits.site_capacity[sites],
-        )
-    )
-    count = min(n_new, len(units), len(places))
-    return [0.0, *(np.cumsum(units[:count]) + np.cumsum(places[:count])).tolist()]
+    return tuple(steps)
 
 
 # ---------- time

@@ -36,7 +36,9 @@ def tables(tmp_path_factory):
 def few_runs(small_setting, tables, monkeypatch):
     """Makes every command work on a few runs and a few poses."""
     monkeypatch.setenv("PLACE_RSUS_CACHE", str(tables))
-    monkeypatch.setattr(placement, "build_setting", lambda question, scene: small_setting)
+    monkeypatch.setattr(
+        placement, "build_setting", lambda question, scene, **options: small_setting
+    )
     monkeypatch.setattr(planning, "load_candidate_grid", build_small_grid)
     return small_setting
 
@@ -62,7 +64,9 @@ def whole_placement(small_setting, tmp_path_factory):
     def place(folder: Path) -> None:
         with pytest.MonkeyPatch.context() as patch, chdir(folder):
             patch.setenv("PLACE_RSUS_CACHE", str(folder / "tables"))
-            patch.setattr(placement, "build_setting", lambda question, scene: small_setting)
+            patch.setattr(
+                placement, "build_setting", lambda question, scene, **options: small_setting
+            )
             patch.setattr(planning, "load_candidate_grid", build_small_grid)
             vary_few_assumptions(patch, "height_m")
             with (

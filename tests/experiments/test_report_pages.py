@@ -44,7 +44,7 @@ def addresses(small_setting, whole_placement, tmp_path_factory):
     turned = replace(units[0].pose, yaw_deg=units[0].pose.yaw_deg + 180.0)
     away = Layout(name="away", units=(replace(units[0], pose=turned),))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(placement, "build_setting", lambda question, scene: small_setting)
+        patch.setattr(placement, "build_setting", lambda question, scene, **options: small_setting)
         vary_few_assumptions(patch)
         question = Question()
         with blank_pictures():

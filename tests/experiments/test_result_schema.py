@@ -206,7 +206,7 @@ def test_weights_weathers_and_announcements_are_in_the_schema(
         axis=build_frame_axis(runs, weight / weight.sum()),
         links=Links(packet_loss=0.1, vam_rate=0.5),
     )
-    monkeypatch.setattr(placement, "build_setting", lambda question, scene: setting)
+    monkeypatch.setattr(placement, "build_setting", lambda question, scene, **options: setting)
     summary = written(run, tmp_path / "out", "--budget", 1)
     assert messages(summary) == []
     assert summary["evaluation"]["rsu_all"]["by_case"]["CBLA"] is None

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 from junctions import build_scene, lanes_of
 
+import placement.setting
 from experiments.cli.scenarios import list_rows, scenario_table
 from geometry.errors import InputError
 from geometry.study_scene import load_study_scene
+from placement.compute import Compute
 from placement.detectors import load_planning_detector
+from placement.kept import Fingerprints
 from placement.question import Question
 from placement.setting import (
     Links,
@@ -62,6 +65,28 @@ def test_by_default_the_studys_cases_are_driven_along_the_arms_too(study):
     assert setting.axis.weight[there] == pytest.approx([1 / 13 / 6 / 3] * 3)
     plain = build_setting(Question(cases="study", approaches="west"), load_study_scene())
     assert plain.axis.weight == pytest.approx([1 / 60] * 60)
+
+
+def test_runs_of_an_earlier_call_are_those_that_would_be_laid(tmp_path, monkeypatch):
+    question = Question(cases="CPNC-50,CPLA-50,CBTAfs-100", approaches="west")
+    scene, compute = load_study_scene(), Compute(cache_folder=tmp_path)
+    laid = build_setting(question, scene, compute=compute)
+    monkeypatch.setattr(placement.setting, "build_runs", pytest.fail)
+    kept = build_setting(question, scene, compute=compute)
+    hash_of = Fingerprints().of
+    assert len(laid.runs) == len(kept.runs) > 0
+    assert hash_of(kept.runs, kept.axis) == hash_of(laid.runs, laid.axis)
+    assert [repr(one) for one in kept.refusals] == [repr(one) for one in laid.refusals]
+    assert len(laid.refusals) > 0
+    monkeypatch.undo()
+    asked = (
+        replace(question, deceleration_mps2=6.0),
+        replace(question, along_arms="0"),
+        replace(question, speeds="20"),
+    )
+    for other in asked:
+        found = build_setting(other, scene, compute=compute)
+        assert hash_of(found.runs) == hash_of(build_setting(other, scene).runs)
 
 
 def test_how_far_along_the_arms_is_chosen():

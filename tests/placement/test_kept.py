@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from placement import kept
-from placement.kept import MAX_FILES, MAX_KEPT, Fingerprints, Kept
+from placement.kept import MAX_FILES, MAX_KEPT, Fingerprints, Kept, keep_value
 
 FINGERPRINT = "0123456789abcdef" * 2
 ROWS = {"a": np.array([True, False, True]), "b": np.arange(3.0)}
@@ -183,3 +183,100 @@ def test_of_many_files_of_a_name_the_oldest_are_removed(tmp_path, monkeypatch):
     assert other.exists()
     assert len(list(tmp_path.glob("rows-*.npz"))) == 3
     assert opened(tmp_path, fingerprint=f"{4:032}").arrays.keys() == ROWS.keys()
+
+
+# Values of any kind
+
+
+def a_thing():
+    part = np.arange(3.0)
+    part.setflags(write=False)
+    return Thing(name="made", part=(part, np.arange(2)))
+
+
+class Made:
+    """Makes a thing, and counts how often."""
+
+    def __init__(self):
+        self.times = 0
+
+    def __call__(self):
+        self.times += 1
+        return a_thing()
+
+
+def keep(folder, make, *, made_from=("a", 1), packages=("scenarios",)):
+    return keep_value(folder, "things", make, made_from=made_from, packages=packages)
+
+
+def test_a_value_is_made_once_and_read_back_as_it_was(tmp_path):
+    make = Made()
+    values = [keep(tmp_path, make) for _ in range(3)]
+    assert make.times == 1
+    for value in values:
+        assert Fingerprints().of(value) == Fingerprints().of(a_thing())
+        assert [part.flags.writeable for part in value.part] == [False, True]
+
+
+def test_a_value_from_something_else_or_other_code_is_made_anew(tmp_path, monkeypatch):
+    make = Made()
+    keep(tmp_path, make)
+    keep(tmp_path, make, made_from=("a", 2))
+    keep(tmp_path, make, packages=("scenarios", "geometry"))
+    assert make.times == 3
+    monkeypatch.setattr(kept, "_hash_of_files", lambda package: b"edited")
+    keep(tmp_path, make)
+    assert make.times == 4
+
+
+def test_the_hash_of_a_package_is_that_of_its_code_and_data(tmp_path, monkeypatch):
+    monkeypatch.setattr(kept, "files", lambda package: tmp_path / package)
+    for name in ("code.py", "data/facts.toml", "__pycache__/code.pyc"):
+        (tmp_path / "pack" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "pack" / name).write_text("1", encoding="utf-8")
+    hash_now = kept._hash_of_files.__wrapped__
+    hashes = [hash_now("pack")]
+    for name in ("code.py", "data/facts.toml"):
+        (tmp_path / "pack" / name).write_text("2", encoding="utf-8")
+        hashes.append(hash_now("pack"))
+    (tmp_path / "pack" / "__pycache__" / "code.pyc").write_text("2", encoding="utf-8")
+    assert len(set(hashes)) == 3
+    assert hash_now("pack") == hashes[-1]
+
+
+def test_nothing_is_kept_without_a_folder_or_where_others_may_write(tmp_path):
+    make = Made()
+    tmp_path.chmod(0o777)
+    for folder in (None, tmp_path):
+        keep(folder, make)
+        keep(folder, make)
+    assert make.times == 4
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("content", [b"", b"short", b"x" * 400], ids=["empty", "cut off", "other"])
+def test_a_damaged_value_is_told_and_made_anew(tmp_path, caplog, content):
+    make = Made()
+    keep(tmp_path, make)
+    (path,) = tmp_path.iterdir()
+    path.write_bytes(content)
+    keep(tmp_path, make)
+    assert caplog.messages == [
+        f"cached things not used, made anew: {path}: its content is not what was written"
+    ]
+    keep(tmp_path, make)
+    assert make.times == 2
+
+
+def test_values_that_cannot_be_written_cost_a_line(tmp_path, caplog):
+    in_the_way = tmp_path / "file"
+    in_the_way.write_text("not a folder", encoding="utf-8")
+    assert keep(in_the_way, a_thing).name == "made"
+    assert any(message.startswith("things not cached: ") for message in caplog.messages)
+
+
+def test_of_many_values_the_oldest_are_removed(tmp_path, monkeypatch):
+    monkeypatch.setattr(kept, "MAX_VALUES", 3)
+    for number in range(5):
+        keep(tmp_path, a_thing, made_from=(number,))
+    assert len(list(tmp_path.iterdir())) == 3

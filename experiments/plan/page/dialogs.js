@@ -6,7 +6,7 @@ import { element } from "./shared.js";
 const find = (id) => document.getElementById(id);
 const PLANS = [".json"];
 
-export function openDialogs({ map, notice, state, scene }) {
+export function openDialogs({ map, notice, state, saved }) {
   document.querySelectorAll("dialog [data-close]").forEach((button) => button.addEventListener("click", () => button.closest("dialog").close()));
 
   // ---------- a run
@@ -117,7 +117,7 @@ export function openDialogs({ map, notice, state, scene }) {
   }
   for (const id of ["save-layout", "save-plan"]) {
     find(id).addEventListener("click", (event) => {
-      if (id === "save-layout" && !state()?.units.length) { event.preventDefault(); notice("Nothing hangs yet: there is no layout to save."); }
+      if (id === "save-layout" && !state()?.units.length) { event.preventDefault(); notice("Nothing hangs yet: there is no layout to save."); } else saved();
     });
   }
 
@@ -162,16 +162,28 @@ export function openDialogs({ map, notice, state, scene }) {
     }
   });
 
+  // ---------- in three dimensions
+
+  find("turn").addEventListener("click", () => {
+    find("turn-view").src = "turn";
+    find("turn-dialog").showModal();
+  });
+  find("turn-dialog").addEventListener("close", () => find("turn-view").removeAttribute("src"));
+
   // ---------- the background image
 
-  let image = "", size = [0, 0], turn = 1;
+  let image = null, preview = "", turn = 1; // a file that was chosen, or null: the one that is laid
+  function preparePreview(address) {
+    if (preview) URL.revokeObjectURL(preview);
+    preview = address.startsWith("blob:") ? address : "";
+    Object.assign(find("image-shown"), { src: address, hidden: false });
+  }
+  find("image-shown").addEventListener("error", () => { find("image-text").textContent = "This is no image that the browser can show."; find("image-shown").hidden = true; image = null; });
   function showImage(file) {
-    if (image) URL.revokeObjectURL(image);
-    image = URL.createObjectURL(file);
-    const shownImage = find("image-shown");
-    shownImage.onload = () => { size = [shownImage.naturalWidth, shownImage.naturalHeight]; };
-    shownImage.onerror = () => { find("image-text").textContent = `${file.name} is no image that this browser shows.`; shownImage.hidden = true; };
-    Object.assign(shownImage, { src: image, hidden: false });
+    image = file;
+    preparePreview(URL.createObjectURL(file));
+    find("image-text").textContent = "Click on the first point in the image.";
+    turn = 1;
     if (!find("image-dialog").open) find("image-dialog").showModal();
   }
   find("background").addEventListener("click", () => find("image-dialog").showModal());
@@ -194,17 +206,38 @@ export function openDialogs({ map, notice, state, scene }) {
       find("image-dialog").showModal();
     });
   }));
-  find("image-lay").addEventListener("click", () => {
-    const value = (id) => find(id).valueAsNumber;
-    const pairs = [1, 2].map((n) => [[value(`x${n}`), value(`y${n}`)], [100 * value(`east${n}`), 100 * value(`north${n}`)]]);
-    const isWhole = image && size[0] && pairs.flat(2).every(Number.isFinite);
-    const isApart = isWhole && Math.hypot(pairs[1][0][0] - pairs[0][0][0], pairs[1][0][1] - pairs[0][0][1]) >= 2 && Math.hypot(pairs[1][1][0] - pairs[0][1][0], pairs[1][1][1] - pairs[0][1][1]) >= 50;
-    if (!isApart) { find("image-text").textContent = isWhole ? "The two points are too near to each other." : "An image, and all eight numbers, are needed."; return; }
-    map.showImage(image, size, pairs);
+  const POINT_FIELDS = ["x", "y", "east", "north"];
+  find("image-lay").addEventListener("click", async () => {
+    const numbers = [1, 2].map((n) => POINT_FIELDS.map((name) => find(`${name}${n}`).valueAsNumber));
+    const { src, naturalWidth, naturalHeight, hidden } = find("image-shown");
+    if (hidden || !naturalWidth || !numbers.flat().every(Number.isFinite)) { find("image-text").textContent = "An image, and all eight numbers, are needed."; return; }
+    const points = numbers.map(([x_px, y_px, east_m, north_m]) => ({ x_px, y_px, east_m, north_m }));
+    try {
+      const content = image || await (await fetch(src)).blob();
+      await give("background", content, { "X-Points": JSON.stringify({ width_px: naturalWidth, height_px: naturalHeight, points }) });
+      find("image-dialog").close();
+    } catch (error) {
+      find("image-text").textContent = error.message;
+    }
+  });
+  find("image-drop").addEventListener("click", async () => {
+    await give("background", "").catch((error) => notice(error.message));
     find("image-dialog").close();
   });
-  find("image-drop").addEventListener("click", () => { map.showImage(""); find("image-dialog").close(); });
+
+  // What is laid, by whichever browser.
+  function readBackground(told) {
+    if (!told.address) {
+      map.showImage("");
+      return;
+    }
+    map.showImage(told.address, told.size, told.points.map(([x, y, east, north]) => [[x, y], [100 * east, 100 * north]]));
+    if (find("image-dialog").open) return;
+    image = null;
+    preparePreview(told.address);
+    told.points.forEach((point, index) => POINT_FIELDS.forEach((name, column) => { find(`${name}${index + 1}`).value = point[column]; }));
+  }
 
   find("show-help").addEventListener("click", () => find("help-dialog").showModal());
-  return { showRun, showHelp: () => find("help-dialog").showModal(), scene };
+  return { showRun, readBackground, showHelp: () => find("help-dialog").showModal() };
 }

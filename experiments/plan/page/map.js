@@ -10,6 +10,8 @@ const FARTHEST_AIM_CM = 4500, NEAREST_AIM_CM = 150, SITE_REACH_PX = 26, DRAG_PX 
 const BAND_COLOURS = ["#08306b", "#0b559f", "#2b7bba", "#539ecd", "#89bedc", "#bad6eb"];
 const COARSE_COLOUR = "#e3e3c0", UNSEEN_COLOUR = "#f3a59a";
 const AVOIDED_COLOUR = "#0072B2", LOST_COLOUR = "#D55E00";
+const AVOIDED_RGB = [0, 114, 178], MIDDLE_RGB = [225, 225, 225], LOST_RGB = [213, 94, 0];
+const ARM_CM = 1400, SEEN_CM = 70;
 
 const degrees = (radians) => radians * 180 / Math.PI;
 const radians = (deg) => deg * Math.PI / 180;
@@ -29,6 +31,19 @@ export function aimAt(place, heightM, point) {
   return { yaw: degrees(Math.atan2(dy, dx)), pitch: -degrees(Math.atan2(100 * heightM, Math.hypot(dx, dy))) };
 }
 
+// The end of a way, before the place of the impact.
+function lastOf(way) {
+  const [x, y] = way.at(-1);
+  const first = way.findIndex((place) => Math.hypot(place[0] - x, place[1] - y) <= ARM_CM);
+  return way.slice(Math.max(0, Math.min(first, way.length - 2)));
+}
+
+// From lost to avoided by way of a light grey.
+function shareColour(share) {
+  const [from, to, part] = share < 0.5 ? [LOST_RGB, MIDDLE_RGB, 2 * share] : [MIDDLE_RGB, AVOIDED_RGB, 2 * share - 1];
+  return `rgb(${from.map((value, index) => Math.round(value + (to[index] - value) * part)).join(" ")})`;
+}
+
 function pie(share, radius) {
   if (share >= 0.9999) return `M${radius} 0A${radius} ${radius} 0 1 1 ${-radius} 0A${radius} ${radius} 0 1 1 ${radius} 0Z`;
   const angle = 2 * Math.PI * share;
@@ -36,11 +51,19 @@ function pie(share, radius) {
   return `M0 0V${-radius}A${radius} ${radius} 0 ${share > 0.5 ? 1 : 0} 1 ${x.toFixed(2)} ${y.toFixed(2)}Z`;
 }
 
+// Private ground: lines that are seen in grey, too.
+function addHatching(svg) {
+  const hatched = element("pattern", { id: "private-fill", width: 120, height: 120, patternUnits: "userSpaceOnUse", patternTransform: "rotate(45)" }, element("defs", {}, svg));
+  element("rect", { width: 120, height: 120, fill: "#fff", "fill-opacity": 0.55 }, hatched);
+  element("path", { d: "M0 0V120", stroke: "#5a1a5e", "stroke-width": 44 }, hatched);
+}
+
 export function createMap(holder, on) {
   const svg = element("svg", { role: "group", "aria-label": "Plan: poles and sensors" }, holder);
   addPatterns(svg);
+  addHatching(svg);
   const ground = element("g", { "stroke-linejoin": "round" }, svg);
-  const layers = Object.fromEntries(["still", "image", "coverage", "ways", "views", "offered"].map((name) => [name, element("g", {}, ground)]));
+  const layers = Object.fromEntries(["still", "image", "coverage", "private", "ways", "views", "seen", "offered"].map((name) => [name, element("g", {}, ground)]));
   const marks = element("g", {}, svg);
   const marked = Object.fromEntries(["arms", "names", "sites", "units", "drag", "scale"].map((name) => [name, element("g", {}, marks)]));
   marked.scale.setAttribute("font-size", 11);
@@ -85,11 +108,14 @@ export function createMap(holder, on) {
   function showScene(next) {
     scene = next;
     whole();
-    for (const layer of ["still", "coverage", "ways"]) layers[layer].replaceChildren();
+    for (const layer of ["still", "coverage", "private", "ways", "seen"]) layers[layer].replaceChildren();
     for (const layer of ["arms", "names", "sites"]) marked[layer].replaceChildren();
     placed = [];
     drawGround(layers.still, scene.plan);
-    scene.arms.forEach((arm) => element("path", { d: "M" + arm.way.map((place) => place.join(" ")).join("L"), fill: "none", stroke: "#6b6b6b", "stroke-width": 1, "stroke-dasharray": "5 4", ...THIN }, layers.ways));
+    scene.private.forEach((area) => element("title", { text: `private: ${area.name}` }, element("path", { d: area.path, "fill-rule": "evenodd", fill: "url(#private-fill)", stroke: "#3d0f40", "stroke-width": 1.6, ...THIN }, layers.private)));
+    const along = (places) => "M" + places.map((place) => place.join(" ")).join("L");
+    scene.arms.forEach((arm) => element("path", { d: along(arm.way), fill: "none", stroke: "#6b6b6b", "stroke-width": 1, "stroke-dasharray": "5 4", ...THIN }, layers.ways));
+    scene.arms.forEach((arm) => element("path", { d: along(lastOf(arm.way)), fill: "none", stroke: "none", "stroke-width": 5, "stroke-opacity": 0.75, class: "share", ...THIN }, layers.ways));
     scene.plan.arms.forEach((arm) => placed.push({ place: arm.place, mark: element("text", { text: arm.name, "font-size": 13, "text-anchor": "middle", "paint-order": "stroke", stroke: "#fff", "stroke-width": 3, fill: "#333" }, marked.names) }));
     scene.arms.forEach((arm) => placed.push({ place: arm.place, arm, mark: element("g", { class: "arm" }, marked.arms) }));
     scene.sites.forEach((site) => {
@@ -105,6 +131,7 @@ export function createMap(holder, on) {
   }
 
   function showShares(shares) {
+    layers.ways.querySelectorAll(".share").forEach((path, index) => path.setAttribute("stroke", typeof shares?.[index] === "number" ? shareColour(shares[index]) : "none"));
     placed.filter((item) => item.arm).forEach((item, index) => {
       item.mark.replaceChildren();
       const share = shares ? shares[index] : null;
@@ -113,6 +140,13 @@ export function createMap(holder, on) {
       const said = share === null || share === undefined ? "not known yet" : `${(100 * share).toFixed(0)} % avoided`;
       element("title", { text: `from the ${item.arm.approach}, at ${item.arm.position} m: ${said}` }, item.mark);
     });
+  }
+
+  function showSeen(places) {
+    layers.seen.replaceChildren();
+    const [low, side] = [-SEEN_CM / 2, SEEN_CM];
+    const d = places.map(([x, y]) => `M${x + low} ${y + low}h${side}v${side}h${-side}Z`).join("");
+    if (d) element("path", { d, fill: "#CC0000", stroke: "#fff", "stroke-width": 1, class: "seen", ...THIN }, layers.seen);
   }
 
   function showCoverage(found) {
@@ -168,7 +202,10 @@ export function createMap(holder, on) {
       if (units.length <= 40) element("text", { text: unit.name, x: -16 * Math.cos(yaw), y: 16 * Math.sin(yaw) + 4, "font-size": 12, "font-weight": 700, "text-anchor": Math.cos(yaw) > 0.3 ? "end" : Math.cos(yaw) < -0.3 ? "start" : "middle", "paint-order": "stroke", stroke: "#fff", "stroke-width": 3 }, mark);
       mark.addEventListener("keydown", (event) => { if (event.key === "Enter" || event.key === " ") { event.preventDefault(); on.unit(unit.id); } });
       drawn.push({ place: unit.place, mark });
-      if (!isSelected) return;
+    });
+    // Above all others, or it could not be dragged where many hang.
+    const unit = units.find((item) => item.id === selected);
+    if (unit) {
       const aim = aimOf(unit);
       const handle = element("g", { class: "unit aim", "data-aim": unit.id }, marked.units);
       element("circle", { r: 16, fill: "transparent" }, handle);
@@ -177,7 +214,7 @@ export function createMap(holder, on) {
       element("title", { text: "drag to turn and tilt; with Shift to turn alone" }, handle);
       drawn.push({ place: aim, mark: handle });
       element("path", { d: `M${unit.place.join(" ")}L${aim.join(" ")}`, stroke: "#000", "stroke-width": 1.4, "stroke-dasharray": "2 3", ...THIN }, layers.views);
-    });
+    }
     drawn.forEach(({ mark, place }) => put(mark, place));
     placed.filter((item) => item.site).forEach(({ site, mark }) => {
       const n = units.filter((unit) => unit.site === site.id).length;
@@ -294,7 +331,7 @@ export function createMap(holder, on) {
   new ResizeObserver(layOut).observe(holder);
 
   return {
-    showScene, showShares, showCoverage, showImage, showUnits, showOffered, showSite, zoomBy,
+    showScene, showShares, showSeen, showCoverage, showImage, showUnits, showOffered, showSite, zoomBy,
     select(id) { selected = id; showUnits(units); },
     whole,
     pick(then) { pickPoint = then; },

@@ -1,7 +1,7 @@
 // The planner's page: what the desk tells is shown, what is done here is told to the desk.
 
 import { openDialogs } from "./dialogs.js";
-import { openLine } from "./line.js";
+import { ask, openLine } from "./line.js";
 import { bandColour, createMap } from "./map.js";
 import { element } from "./shared.js";
 
@@ -16,7 +16,7 @@ const FIELDS = {
 };
 
 let scene = null, state = null, numbers = null, proposals = [], selected = null, offered = null;
-let isConnected = false, timer = 0, coverage = null;
+let isConnected = false, timer = 0, coverage = null, savedRevision = 0;
 
 const line = openLine({ onMessage: read, onState: connected });
 const map = createMap(find("plan"), {
@@ -27,14 +27,19 @@ const map = createMap(find("plan"), {
   hang: (site, aim) => hang(site, aim),
   heightOf: (site) => Math.min(Math.max(8, site.low), site.high),
 });
-const dialogs = openDialogs({ map, notice, state: () => state, scene: () => scene, selected: () => selected });
+const dialogs = openDialogs({ map, notice, state: () => state, saved: () => { savedRevision = state.revision; } });
+
+// What is not kept in a file is gone with the page.
+window.addEventListener("beforeunload", (event) => {
+  if (isConnected && !scene?.isKept && state?.canUndo && state.revision !== savedRevision) event.preventDefault();
+});
 
 // ---------- what the desk tells
 
 function read(message) {
   const readers = {
     scene: readScene, state: readState, numbers: readNumbers, variants: readVariants, proposals: readProposals,
-    coverage: readCoverage, doing: readDoing, sensors: (told) => { scene.grid = told.grid; fillGrid(); },
+    coverage: readCoverage, doing: readDoing, background: dialogs.readBackground, sensors: (told) => { scene.grid = told.grid; fillGrid(); },
     problem: (told) => notice(told.text), notice: (told) => notice(told.text),
   };
   readers[message.type]?.(message);
@@ -136,15 +141,53 @@ function showNumbers() {
     none: "nothing hangs",
   }[numbers.source];
   find("main").setAttribute("aria-busy", String(!isCurrent()));
+  output.dataset.revision = isKnown ? numbers.revision : "";
   const isExact = isKnown && numbers.source === "evaluator";
   find("beside").textContent = isExact ? `With the car's own sensors ${numbers.withVut}; these alone ${numbers.vut}.${numbers.oneFails ? ` If the worst unit fails, ${numbers.oneFails} are left.` : ""}` : "";
   fillShares("by-case", isKnown ? numbers.byCase : null);
   fillShares("by-approach", isKnown ? numbers.byApproach : null);
   map.showShares(isKnown ? numbers.byArm : null);
-  const areas = isExact ? numbers.private || [] : [];
-  find("private").replaceChildren(...(areas.length ? [element("p", { text: `Private areas in the picture: ${areas.map((item) => `${item.area} ${item.share} (${item.unit})`).join(", ")}.` })] : []));
+  showPrivate();
   showUnits();
   showLost();
+}
+
+// ---------- private areas
+
+function sharesOf(seen, isOne) {
+  return seen.map((item) => `${isOne ? "" : `${item.unit} `}${item.share}${item.isTooMuch ? " (more than is allowed)" : ""}`).join(", ");
+}
+
+function showPrivate() {
+  if (!scene) return;
+  const areas = isCurrent() && numbers.source !== "none" ? numbers.private || [] : null;
+  const n = scene.private.length;
+  find("private").hidden = find("private-key").hidden = !n;
+  if (!n) return;
+  find("private-text").textContent = areas === null ? "" : areas.length ? "" : `No camera has ${n === 1 ? "the private area" : `any of the ${n} private areas`} in its picture.`;
+  find("private-list").replaceChildren(...(areas || []).map((item) => element("li", { text: `${item.area}: ${sharesOf(item.seen)}` })));
+  const of = (areas || []).map((item) => [item.area, item.seen.filter((one) => one.unit === selected)]).filter(([, seen]) => seen.length);
+  find("unit-private").hidden = !current() || areas === null;
+  find("unit-private").textContent = of.length ? `Private areas in its picture: ${of.map(([area, seen]) => `${area} ${sharesOf(seen, true)}`).join("; ")}.` : "No private area in its picture.";
+  showSeen(of.length > 0);
+}
+
+// Places that the chosen sensor sees; while it is turned only the newest answer is drawn.
+let seenOf = "", isAsking = false;
+async function showSeen(isAny) {
+  const wanted = isAny ? `${selected} ${state.revision}` : "";
+  if (!wanted) { seenOf = ""; map.showSeen([]); return; }
+  if (isAsking || wanted === seenOf) return;
+  isAsking = true;
+  try {
+    map.showSeen(await ask("private", { unit: selected }));
+    seenOf = wanted;
+  } catch {
+    map.showSeen([]); // it was taken down meanwhile
+  } finally {
+    isAsking = false;
+  }
+  if (isCurrent()) showPrivate();
 }
 
 function fillShares(id, shares) {
@@ -208,6 +251,7 @@ function chooseUnit(id) {
   selected = id;
   map.select(id);
   showUnits();
+  showPrivate();
 }
 
 let typing = { id: "", gesture: "" };

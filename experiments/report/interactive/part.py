@@ -10,7 +10,9 @@ import numpy as np
 
 from geometry.arrays import IntArray
 from geometry.errors import InputError, Unquoted
+from geometry.scene import Scene
 from placement.evaluation import Evaluation
+from placement.layout import Layout
 from placement.setting import Setting
 
 from ...results.tables import margin_s
@@ -142,11 +144,18 @@ def interactive_part(
         "runs": records,
     }
     other_layouts = [item.layout for item in [*evaluations.values()][1:]]
-    view = view_record(setting.scene, subject.layout, other_layouts)
     return {
         "n_runs": len(records),
         "n_all": subject.axis.n_runs,
         "player_json": to_script_json(player),
+        **view_part(setting.scene, subject.layout, other_layouts),
+    }
+
+
+def view_part(scene: Scene, layout: Layout | None, others: Sequence[Layout] = ()) -> dict[str, str]:
+    """Values for ``templates/view_3d.html.j2``, which stands alone, too; nothing may hang."""
+    view = view_record(scene, layout, others)
+    return {
         "view_json": to_script_json(view),
         "note": view["note"],
         "plotly_gzip": packed_plotly(),

@@ -391,7 +391,7 @@ def plan_record(scene: Scene, unit_positions_m: FloatArray) -> dict[str, Any]:
         ]
         layers.append((name, str(style["facecolor"]), shapely.union_all(parts)))
     paths = [
-        {"name": name, "colour": colour, "path": _svg_path(shape.intersection(window))}
+        {"name": name, "colour": colour, "path": svg_path(shape.intersection(window))}
         for name, colour, shape in layers
     ]
     return {
@@ -429,8 +429,8 @@ def _areas(lanes: Iterable[Lane], kind: str) -> Any:
     return shapely.geometrycollections(areas)
 
 
-def _svg_path(shape: Any) -> str:
-    """Closed rings of all polygons of a shape."""
+def svg_path(shape: Any) -> str:
+    """Closed rings of all polygons of a shapely shape in metres, as an SVG path in centimetres."""
     import shapely
 
     parts = shapely.get_parts(shapely.get_parts(shape).tolist())

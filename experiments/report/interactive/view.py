@@ -41,8 +41,10 @@ _LABEL_PLACES = ("top left", "top right", "bottom left", "bottom right")  # unit
 _MAX_STYLES = 12  # of units: as many pairs of colour and dash as there are
 
 
-def view_record(scene: Scene, layout: Layout, others: Sequence[Layout] = ()) -> dict[str, Any]:
-    """Traces and layout of the 3-D view.
+def view_record(
+    scene: Scene, layout: Layout | None, others: Sequence[Layout] = ()
+) -> dict[str, Any]:
+    """Traces and layout of the 3-D view; without a layout, of the junction alone.
 
     "traces" for plotly.js; a mesh's "names" and "nameIndex" (of each vertex) are for the script,
     which makes hover texts of them. "middle" and "half" of the part that is shown, its "top"
@@ -50,7 +52,8 @@ def view_record(scene: Scene, layout: Layout, others: Sequence[Layout] = ()) -> 
     """
     middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
     kept = nearest_triangles(scene, middle, MAX_TRIANGLES)
-    units_m = np.array([unit.pose.position_m for unit in layout.units])
+    units = () if layout is None else layout.units
+    units_m = np.array([unit.pose.position_m for unit in units]).reshape(-1, 3)
     reach = np.abs(np.concatenate([scene.outline_m, units_m[:, :2]]) - middle).max() + 15.0
     half = float(np.clip(reach, _LEAST_HALF_M, _MOST_HALF_M))
     n_left_out = len(scene.triangles) - len(kept)
@@ -60,8 +63,8 @@ def view_record(scene: Scene, layout: Layout, others: Sequence[Layout] = ()) -> 
             *_meshes(scene, kept),
             _road(scene, terrain),
             _lane_lines(scene, terrain),
-            *_fields_of_view(layout.units, terrain),
-            *_sensors(layout, scene),
+            *_fields_of_view(units, terrain),
+            *(_sensors(layout, scene) if layout is not None else ()),
             *(_other_sensors(other, scene) for other in others),
         ],
         "middle": np.round(middle, 2).tolist(),

@@ -2,13 +2,14 @@
 
 const DOT_DISTANCE_CM = 150;
 
+// Without a player there are no ways, and the view is drawn at once.
 function startView(player) {
   const find = (id) => document.getElementById(id);
   const [holder, message, showButton, buttons] = ["view-3d", "view-message", "view-show", "view-buttons"].map(find);
   const ways = ["car", "road", "impact", "parked"];
   let run = null, isShown = false, firstWay = 0;
   find("turn").hidden = false;
-  player.onRun((next) => { run = next; if (isShown) drawWays(); });
+  player?.onRun((next) => { run = next; if (isShown) drawWays(); });
 
   function hasWebGl() {
     const canvas = document.createElement("canvas");
@@ -127,9 +128,9 @@ function startView(player) {
       const still = data.traces.map(wholeNumbers);
       firstWay = still.length;
       holder.hidden = false;
-      await library.newPlot(holder, [...still, ...wayTraces()], layout(data), { displaylogo: false, responsive: true, modeBarButtons: [["toImage", "resetCameraDefault3d"]] });
+      await library.newPlot(holder, [...still, ...(run ? wayTraces() : [])], layout(data), { displaylogo: false, responsive: true, modeBarButtons: [["toImage", "resetCameraDefault3d"]] });
       isShown = true;
-      drawWays();
+      if (run) drawWays();
       buttons.hidden = false;
       showButton.parentElement.hidden = true;
       message.textContent = "";
@@ -161,4 +162,5 @@ function startView(player) {
 
   showButton.addEventListener("click", show);
   buttons.addEventListener("click", (event) => { if (event.target.dataset.turn) turn(event.target.dataset.turn); });
+  if (!player) show();
 }

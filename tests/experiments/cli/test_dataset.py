@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from threading import Thread
@@ -38,7 +39,8 @@ def dataset(run, tmp_path):
         price_eur=0.0,
     )
     by_id = {unit.id: unit for unit in study.units}
-    sharp = tuple(by_id[name] for name in ("RSU2", "RSU8"))
+    half = replace(small, name="half", width_px=960, height_px=540)
+    sharp = tuple(replace(by_id[name], sensor=half) for name in ("RSU2", "RSU8"))
     (tmp_path / "sharp.json").write_text(to_json(replace(study, units=sharp)))
     units = tuple(replace(by_id[name], sensor=small) for name in ("RSU3", "RSU8"))
     (tmp_path / "two.json").write_text(to_json(replace(study, units=units)))
@@ -268,6 +270,7 @@ def _die_once(task):
 _draw_task = job.draw_task
 
 
+@pytest.mark.long
 def test_killed_in_the_middle_it_goes_on(dataset, tmp_path):
     command = [
         *(sys.executable, "-m", "experiments.cli.main", "dataset"),
@@ -360,8 +363,34 @@ def test_without_dask_its_name_is_said(dataset, monkeypatch):
     assert err.splitlines()[-1].endswith("pip install 'place-rsus[cluster]'")
 
 
-def test_workers_of_a_dask_cluster_draw_and_one_dies_at_work(dataset):
+@pytest.fixture
+def cluster():
+    """Starts a dask cluster of two workers: processes, or threads of this one."""
     distributed = pytest.importorskip("distributed")
+    with ExitStack() as stack:
+        yield lambda **settings: stack.enter_context(
+            distributed.LocalCluster(
+                n_workers=2,
+                threads_per_worker=1,
+                dashboard_address=None,
+                protocol="tcp",
+                **settings,
+            )
+        )
+
+
+def test_workers_of_a_dask_cluster_draw_the_same(dataset, drawn, cluster):
+    address = cluster(processes=False).scheduler_address
+    code, _, err = dataset("--lidar", "none", "--scheduler", address, out="other")
+    assert code == 0, err
+    assert _files("other") == _files(drawn)
+
+
+@pytest.mark.long
+def test_of_the_workers_of_a_dask_cluster_one_may_die_at_work(dataset, cluster):
+    processes = cluster(processes=True)
+    first = next(iter(processes.workers.values()))
+    first.auto_restart = False
     n_there = []
 
     def kill_one():
@@ -370,17 +399,11 @@ def test_workers_of_a_dask_cluster_draw_and_one_dies_at_work(dataset):
         n_there.append(there)
         os.kill(first.pid, signal.SIGKILL)
 
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=None, protocol="tcp"
-    ) as cluster:
-        first = next(iter(cluster.workers.values()))
-        first.auto_restart = False
-        killer = Thread(target=kill_one, daemon=True)
-        killer.start()
-        code, out, err = dataset(
-            "--lidar", "none", "--scheduler", cluster.scheduler_address, every=20
-        )
-        killer.join(timeout=1.0)
+    killer = Thread(target=kill_one, daemon=True)
+    killer.start()
+    asked = ("--lidar", "none", "--scheduler", processes.scheduler_address)
+    code, out, err = dataset(*asked, every=20)
+    killer.join(timeout=1.0)
     assert code == 0, err
     n_pictures = int(out.split()[0])
     assert n_there[0] < n_pictures  # it was killed before the end

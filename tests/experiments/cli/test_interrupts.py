@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.long  # in one process, quickly: tests/experiments/cli/test_cli.py
 STAGES = ("detection table", "optimise", "evaluate", "write results")
 OUT = "found"
 COMMAND = [

@@ -58,7 +58,9 @@ def layout_file(tmp_path):
 @pytest.fixture
 def run_latency(run, small_study, monkeypatch, layout_file):
     """Runs the command on a few runs."""
-    monkeypatch.setattr(latency_job, "build_setting", lambda question, scene: small_study)
+    monkeypatch.setattr(
+        latency_job, "build_setting", lambda question, scene, **options: small_study
+    )
     main.cli.add_command(latency)
 
     def run_command(*arguments):

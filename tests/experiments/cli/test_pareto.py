@@ -33,7 +33,7 @@ HEAVY = ("numpy", "scipy", "open3d", "trimesh", "cvxpy", "matplotlib", "pandas",
 @pytest.fixture
 def run_pareto(run, small_study, monkeypatch):
     """Runs the command on a few runs."""
-    monkeypatch.setattr(pareto_job, "build_setting", lambda question, scene: small_study)
+    monkeypatch.setattr(pareto_job, "build_setting", lambda question, scene, **options: small_study)
     main.cli.add_command(pareto)
     return lambda *arguments: run("pareto", "--quiet", *arguments)
 

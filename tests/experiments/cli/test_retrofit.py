@@ -41,7 +41,9 @@ def layout_file(tmp_path):
 @pytest.fixture
 def run_retrofit(run, small_study, monkeypatch, layout_file):
     """Runs the command on a few runs."""
-    monkeypatch.setattr(retrofit_job, "build_setting", lambda question, scene: small_study)
+    monkeypatch.setattr(
+        retrofit_job, "build_setting", lambda question, scene, **options: small_study
+    )
     main.cli.add_command(retrofit)
     return lambda *arguments: run("retrofit", "--quiet", "--layout", layout_file, *arguments)
 

@@ -12,7 +12,7 @@ from experiments.jobs.sheet import SheetResult
 @pytest.fixture
 def run_sheet(run, small_setting, monkeypatch):
     few = replace(small_setting)
-    monkeypatch.setattr(sheet, "build_setting", lambda question, scene: few)
+    monkeypatch.setattr(sheet, "build_setting", lambda question, scene, **options: few)
     return lambda *arguments: run("sheet", *arguments)
 
 

@@ -333,6 +333,16 @@ def test_a_scheduler_that_is_not_there_is_one_line(tiny, tmp_path, monkeypatch):
 
 @pytest.mark.filterwarnings("ignore")  # those of dask
 def test_a_cluster_by_its_address_gives_the_same_fronts(tiny, tmp_path, no_pages):
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp"
+    ) as cluster:
+        check_fronts_of(cluster.scheduler_address, tiny, tmp_path)
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore")  # those of dask
+def test_a_cluster_of_processes_gives_the_same_fronts(tiny, tmp_path, no_pages):
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     address_file = tmp_path / "scheduler.json"
     started = [
@@ -381,18 +391,22 @@ def test_a_cluster_by_its_address_gives_the_same_fronts(tiny, tmp_path, no_pages
                 break
             deadline.wait(0.1)
         address = json.loads(address_file.read_text())["address"]
-        told = []
-        result = run(
-            tiny / "tiny.osm",
-            tmp_path / "city",
-            workers=job.CityWorkers(scheduler=address),
-            told=told,
-        )
+        check_fronts_of(address, tiny, tmp_path)
     finally:
         for process in started:
             process.terminate()
         for process in started:
             process.wait()
+
+
+def check_fronts_of(address, tiny, tmp_path):
+    told = []
+    result = run(
+        tiny / "tiny.osm",
+        tmp_path / "city",
+        workers=job.CityWorkers(scheduler=address),
+        told=told,
+    )
     assert result.computed == 3
     assert any(sentence.startswith("Dashboard of the workers: ") for sentence in told)
     for mine, theirs in zip(fronts_of(tiny / "city"), fronts_of(tmp_path / "city"), strict=True):
@@ -400,6 +414,7 @@ def test_a_cluster_by_its_address_gives_the_same_fronts(tiny, tmp_path, no_pages
         assert mine.points == theirs.points
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore")
 def test_a_worker_that_is_killed_loses_nothing_and_one_that_always_dies_is_told(
     tiny, tmp_path, monkeypatch

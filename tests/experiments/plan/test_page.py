@@ -8,8 +8,9 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
-from browser_pages import start_browser
+from browser_pages import ENGINES, start_browser
 from plan_desks import few_poses, start_server  # noqa: F401
+from shapely import box
 
 pytest.importorskip("starlette", reason="place-rsus[plan] is not installed")
 
@@ -18,6 +19,7 @@ from experiments.plan.session import Variant
 from experiments.results.numbers import percent
 from experiments.results.result import build_evaluation_record
 from experiments.study.layout import load_carlancap_layout
+from geometry.frames import to_geographic
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.compute import Compute
@@ -34,10 +36,23 @@ def expect(locator):
     return pytest.importorskip("playwright.sync_api").expect(locator)
 
 
-@pytest.fixture(scope="module")
-def browser():
-    with start_browser() as opened:
+@pytest.fixture(scope="module", params=ENGINES)
+def browser(request, tmp_path_factory):
+    with start_browser(request.param, folder=tmp_path_factory.mktemp("browser")) as opened:
         yield opened
+
+
+@pytest.fixture
+def garden(tmp_path, small_setting):
+    """Private ground at the junction's corner."""
+    scene = small_setting.scene
+    x, y = scene.outline_m.mean(axis=0)
+    ring = to_geographic(np.array(box(x - 45, y + 14, x - 20, y + 30).exterior.coords), scene.crs)
+    shape = {"type": "Polygon", "coordinates": [ring.tolist()]}
+    feature = {"type": "Feature", "properties": {"name": "garden"}, "geometry": shape}
+    path = tmp_path / "garden.geojson"
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+    return path
 
 
 @pytest.fixture
@@ -91,12 +106,32 @@ def told(page, *sources):
     return page.locator("#apr").inner_text()
 
 
-def saved(page, tmp_path):
+def downloaded(page, button, path):
     with page.expect_download() as download:
-        page.locator("#save-layout").click()
-    path = tmp_path / "saved.json"
+        page.locator(button).click()
     download.value.save_as(path)
-    return load_layout(path)
+    return path
+
+
+def saved(page, tmp_path):
+    return load_layout(downloaded(page, "#save-layout", tmp_path / "saved.json"))
+
+
+def write(field, text):
+    """Type in place of what a field has; ``fill`` adds to numbers in Firefox."""
+    field.focus()
+    field.press("Control+a")
+    field.press_sequentially(text)
+
+
+def drop(page, name, content):
+    """Drop a file on the plan."""
+    dropped = page.evaluate_handle(
+        """([name, text]) => { const data = new DataTransfer();
+        data.items.add(new File([text], name)); return data; }""",
+        [name, content],
+    )
+    page.dispatch_event("#plan", "drop", {"dataTransfer": dropped})
 
 
 def test_a_camera_is_hung_and_dragged_by_mouse_and_the_numbers_are_those_of_evaluate(
@@ -156,8 +191,9 @@ def test_everything_by_keyboard(browser, serve, tmp_path):
         assert unit.pose.pitch_deg == pytest.approx(pitch - 1.0)
         page.locator("#show-help").focus()
         page.keyboard.press("Enter")
-        assert page.locator("#help-dialog").is_visible()
+        page.locator("#help-dialog").wait_for()
         page.keyboard.press("Escape")
+        page.locator("#help-dialog").wait_for(state="hidden")
         page.locator('[data-unit="U1"]').focus()
         page.keyboard.press("Delete")
         page.wait_for_selector('[data-unit="U1"]', state="detached")
@@ -167,17 +203,17 @@ def test_everything_by_keyboard(browser, serve, tmp_path):
         page.wait_for_selector('[data-unit="U1"]', state="detached")
 
 
-def test_complete_to_two_take_it_over_and_undo(browser, serve):
+def test_complete_to_three_take_it_over_and_undo(browser, serve):
     with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
-        page.locator("#complete-to").fill("2")
+        write(page.locator("#complete-to"), "3")
         page.locator('[data-ask="complete"]').click()
         card = page.locator("#proposals li")
         card.wait_for()
-        assert "Completed to 2" in card.inner_text()
+        assert "Completed to 3" in card.inner_text()
         card.get_by_text("Show on the plan").click()
         page.wait_for_selector("#proposals [aria-pressed=true]")
         page.locator("#proposals li").get_by_text("Take it over").click()
-        expect(page.locator("#units button")).to_have_count(2, timeout=PATIENCE_MS)
+        expect(page.locator("#units button")).to_have_count(3, timeout=PATIENCE_MS)
         page.locator("#undo").click()
         expect(page.locator("#units button")).to_have_count(1, timeout=PATIENCE_MS)
 
@@ -187,20 +223,104 @@ def test_save_and_open_again_and_variants_side_by_side(browser, serve, tmp_path)
     with opened(browser, serve(study.units[:2]), may_complain=True) as page:
         page.locator("#copy-variant").click()
         expect(page.locator("#variants tbody tr")).to_have_count(2, timeout=PATIENCE_MS)
-        page.locator("#variant-name").fill("fewer")
+        write(page.locator("#variant-name"), "fewer")
         page.locator("#variant-name").press("Enter")
         page.locator("#variants").get_by_text("fewer").wait_for()
         page.locator("#remove").click()
         expect(page.locator("#units button")).to_have_count(1, timeout=PATIENCE_MS)
-        with page.expect_download() as download:
-            page.locator("#save-plan").click()
-        download.value.save_as(tmp_path / "plan.json")
-        page.locator("#open-file").set_input_files(tmp_path / "plan.json")
+        plan = downloaded(page, "#save-plan", tmp_path / "plan.json")
+        page.locator("#open-file").set_input_files(plan)
         page.locator("#variants").get_by_text("fewer (2)").wait_for()
         assert "Opened: mine, fewer" in page.locator("#notice").inner_text()
         (tmp_path / "bad.json").write_text("{")
         page.locator("#open-file").set_input_files(tmp_path / "bad.json")
         page.get_by_text("bad.json: bad.json: got").wait_for()
+
+
+def is_in_three_dimensions(page, frame):
+    """The view is drawn, or the browser has no WebGL, and that is told."""
+    if page.evaluate("document.createElement('canvas').getContext('webgl') === null"):
+        frame.get_by_text("This browser has no WebGL").wait_for()
+        return
+    frame.locator("#view-buttons").wait_for()
+    assert frame.locator("#view-message").inner_text() == ""
+    assert frame.locator("#view-3d canvas").count() > 0
+
+
+def test_the_junction_is_seen_in_three_dimensions_with_what_hangs(browser, serve):
+    with opened(browser, serve(load_carlancap_layout().units[:2])) as page:
+        page.locator("#turn").click()
+        is_in_three_dimensions(page, page.frame_locator("#turn-view"))
+
+
+def test_private_areas_are_drawn_and_told_for_the_chosen_camera(browser, serve, garden):
+    units = load_carlancap_layout().units[:2]
+    with opened(browser, serve(units, asked={"no_look": str(garden)})) as page:
+        told(page, "table", "evaluator")
+        title = page.locator("#plan title").get_by_text("private: garden", exact=True)
+        expect(title).to_have_count(1)
+        shares = page.locator("#private-list li")
+        expect(shares).to_have_count(1, timeout=PATIENCE_MS)
+        seeing = re.search(r"(\S+) [\d.]+ % \(more than is allowed\)", shares.inner_text())[1]
+        page.locator(f'[data-chip="{seeing}"]').click()
+        assert "garden" in page.locator("#unit-private").inner_text()
+        page.wait_for_selector("#plan .seen", state="attached")
+        write(page.locator("#pitch"), "-90")  # its own foot
+        page.locator("#pitch").press("Tab")
+        page.get_by_text("No private area in its picture.").wait_for()
+        page.wait_for_selector("#plan .seen", state="detached")
+
+
+def test_an_image_lies_below_the_plan_and_is_kept_with_it(browser, serve, tmp_path):
+    from PIL import Image
+
+    Image.new("RGB", (200, 100), (90, 120, 90)).save(tmp_path / "aerial.png")
+    with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
+        page.locator("#background").click()
+        page.locator("#image-file").set_input_files(tmp_path / "aerial.png")
+        page.locator("#image-shown").click(position={"x": 20, "y": 10})
+        assert float(page.locator("#x1").input_value()) == pytest.approx(20.0, abs=1.0)
+        points = ((0.0, 0.0, -20.0, 10.0), (200.0, 0.0, 20.0, 10.0))
+        for number, point in enumerate(points, start=1):
+            for name, value in zip(("x", "y", "east", "north"), point, strict=True):
+                write(page.locator(f"#{name}{number}"), f"{value:g}")
+        page.locator("#image-lay").click()
+        image = page.locator('#plan image[href^="background"]')
+        image.wait_for(state="attached")
+        lies = "matrix(20 0 0 -20 -2000 1000)"  # 40 m over 200 pixels, in centimetres
+        assert image.get_attribute("transform") == lies
+        plan = downloaded(page, "#save-plan", tmp_path / "plan.json")
+        page.locator("#background").click()
+        page.locator("#image-drop").click()
+        image.wait_for(state="detached")
+        page.locator("#open-file").set_input_files(plan)
+        image.wait_for(state="attached")
+        page.reload()
+        image.wait_for(state="attached")
+        assert image.get_attribute("transform") == lies
+        fetched = page.evaluate(
+            """async () => { const image = new Image();
+            image.src = document.querySelector('#plan image[href^="background"]')
+                .getAttribute("href");
+            await image.decode(); return [image.naturalWidth, image.naturalHeight]; }"""
+        )
+        assert fetched == [200, 100]
+
+
+def test_all_ends_when_the_page_is_closed_but_not_when_it_is_loaded_again(
+    browser, serve, monkeypatch
+):
+    from experiments.plan import server as module
+
+    monkeypatch.setattr(module, "LINGER_S", 3.0)
+    server = serve(load_carlancap_layout().units[:1], keeps_open=False)
+    with opened(browser, server) as page:
+        page.reload()
+        page.wait_for_selector("[data-unit]")
+        page.wait_for_timeout(4000)
+        assert server.is_alive
+    server.wait()
+    assert not server.is_alive
 
 
 def test_a_lost_run_is_told_and_played(browser, serve):
@@ -217,21 +337,14 @@ def test_a_lost_run_is_told_and_played(browser, serve):
         page.keyboard.press("ArrowLeft")
         assert frame.locator("#player-status").inner_text() != before
         frame.locator("#view-show").click()
-        frame.locator("#view-buttons").wait_for()
-        assert frame.locator("#view-message").inner_text() == ""
-        assert frame.locator("#view-3d canvas").count() > 0
+        is_in_three_dimensions(page, frame)
         page.keyboard.press("Escape")
 
 
 def test_a_map_is_dropped_and_a_junction_of_it_chosen(browser, serve):
     text = (Path(__file__).parents[3] / "docs" / "maps" / "crossing.osm").read_text()
     with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
-        dropped = page.evaluate_handle(
-            """text => { const data = new DataTransfer();
-            data.items.add(new File([text], "crossing.osm")); return data; }""",
-            text,
-        )
-        page.dispatch_event("#plan", "drop", {"dataTransfer": dropped})
+        drop(page, "crossing.osm", text)
         page.locator("#map-dialog").wait_for()
         assert "crossing.osm has" in page.locator("#map-text").inner_text()
         assert (
@@ -293,23 +406,30 @@ def test_two_hundred_units_are_shown_and_turned(browser, serve, small_setting):
     with opened(browser, serve(units)) as page:
         expect(page.locator("#units button")).to_have_count(200, timeout=PATIENCE_MS)
         page.locator('[data-chip="U7"]').click()
-        page.locator("#yaw").fill("12")
+        write(page.locator("#yaw"), "12")
         page.locator("#yaw").press("Tab")
         turned = page.locator('[data-unit="U7"] path').first
         expect(turned).to_have_attribute("transform", "rotate(-12)", timeout=PATIENCE_MS)
         told(page, "table", "evaluator")
+        x, y = middle(page.locator("[data-aim]"))
+        page.mouse.move(x, y)
+        page.mouse.down()
+        page.mouse.move(x + 40, y + 40, steps=6)
+        page.mouse.up()
+        expect(turned).not_to_have_attribute("transform", "rotate(-12)", timeout=PATIENCE_MS)
 
 
-def test_the_page_has_no_serious_fault_for_who_cannot_see_it(browser, serve):
+def test_the_page_has_no_serious_fault_for_who_cannot_see_it(browser, serve, garden):
     library = pytest.importorskip(
         "axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed"
     )
-    with opened(browser, serve(load_carlancap_layout().units[:2])) as page:
+    units = load_carlancap_layout().units[7:8]
+    text = (Path(__file__).parents[3] / "docs" / "maps" / "crossing.osm").read_text()
+    with opened(browser, serve(units, asked={"no_look": str(garden)})) as page:
         told(page)
         axe = library.Axe()
-        for opens in (None, "#show-help", "#background"):
-            if opens:
-                page.locator(opens).click()
+
+        def has_no_fault():
             found = axe.run(page).response["violations"]
             serious = [
                 (one["id"], [node["target"] for node in one["nodes"]][:3])
@@ -319,9 +439,30 @@ def test_the_page_has_no_serious_fault_for_who_cannot_see_it(browser, serve):
             assert serious == []
             page.keyboard.press("Escape")
 
+        has_no_fault()
+        for opens in ("#show-help", "#background", "#turn"):
+            page.locator(opens).click()
+            has_no_fault()
+        page.locator("#lost button").first.click()
+        page.locator("#run-why li").first.wait_for()
+        page.locator("#picture-show").click()
+        page.locator("#picture").wait_for()
+        has_no_fault()
+        drop(page, "crossing.osm", text)
+        page.locator("#map-dialog").wait_for()
+        has_no_fault()
+
 
 @pytest.mark.parametrize("width", [820, 390])
 def test_nothing_is_cut_off_on_tablets_and_phones(browser, serve, width):
     with opened(browser, serve(load_carlancap_layout().units[:1]), width=width) as page:
         told(page, "table", "evaluator")
         assert page.evaluate("document.documentElement.scrollWidth") <= width
+        page.locator("#remove").click()
+        page.locator("#plan").scroll_into_view_if_needed()
+        x, y = middle(page.locator('[data-site="corner-ne"]'))
+        page.mouse.move(x, y)
+        page.mouse.down()
+        page.mouse.move(x - 40, y + 40, steps=4)
+        page.mouse.up()
+        page.wait_for_selector('[data-unit="U1"]')

@@ -163,14 +163,14 @@ def test_a_plan_comes_back_with_all_its_variants():
     state = changed(AddVariant(name="more"), AddUnit(site="corner-sw", sensor=CAMERA), state=ONE)
     state = changed(AddVariant(name="none"), RemoveUnit(unit="U1"), state=state)
     state = changed(RemoveUnit(unit="U2"), state=state)
-    back = read_plan(plan_text(state, SCENE).encode(), "plan.json")
+    back = read_plan(plan_text(state, SCENE).encode(), "plan.json").variants
     assert [each.name for each in back] == ["Variant 1", "more", "none"]
     for one, other in zip(back, state.variants, strict=True):
         if one.units:
             assert layout_records(one.layout(SCENE)) == layout_records(other.layout(SCENE))
         else:
             assert other.units == ()
-    (alone,) = read_plan(layout_text(ONE, SCENE).encode(), "layout.json")
+    (alone,) = read_plan(layout_text(ONE, SCENE).encode(), "layout.json").variants
     assert layout_records(alone.layout(SCENE)) == layout_records(ONE.variant.layout(SCENE))
 
 

@@ -9,7 +9,14 @@ from hypothesis import strategies as st
 
 from geometry.errors import InputError
 from placement.city.choose import CityWishes, District, choose, city_front, city_values
-from placement.city.fronts import NOTHING, Point, build_junction_front, stack_bounds, stack_fronts
+from placement.city.fronts import (
+    NOTHING,
+    Point,
+    build_junction_front,
+    lowest,
+    stack_bounds,
+    stack_fronts,
+)
 from placement.city.phases import plan_phases
 from placement.optimiser.objectives import Objective
 
@@ -48,7 +55,6 @@ def fronts(draw, n_junctions=3):
                 points,
                 by_units=[(0, 0.0), (1, above)],
                 by_cost=[(0.0, 0.0), (500.0, above)],
-                least_cost_eur=[0.0, 500.0, 1000.0, 1500.0],
             )
         )
     return found
@@ -166,11 +172,11 @@ def test_points_that_another_one_beats_are_left_out():
     front = build_junction_front(
         [good, NOTHING, dear, good],
         by_units=[(0, 0.0), (1, 0.5), (2, 0.8)],
-        by_cost=[(0.0, 0.0), (1000.0, 0.9)],
-        least_cost_eur=[0.0, 1000.0, 2000.0],
+        by_cost=lowest(
+            [((0.0, 0.0), (1000.0, 0.9)), ((0.0, 0.0), (1000.0, 0.5), (2000.0, 0.8), (3000.0, 0.8))]
+        ),
     )
     assert front.points == (NOTHING, good)
-    # A thousand euros buy one unit, which reaches 0.5; two thousand buy two.
     assert front.by_cost == ((0.0, 0.0), (1000.0, 0.5), (2000.0, 0.8))
     assert not front.is_proven
 

@@ -1,9 +1,9 @@
-"""Drawn pictures, to look at: ``python -m experiments.study.pictures sheet`` and ``.. judge``.
+"""Drawn pictures, to look at: ``python -m experiments.training.pictures sheet`` and ``.. judge``.
 
 ``sheet`` puts forty of them on one page. ``judge`` shows many to a detector that was trained on
 photographs by others, the people detector of OpenCV: what it finds says how much drawn people look
 like people. It is no part of the program, and OpenCV none of its dependencies:
-``uv run --no-default-groups --group judge python -m experiments.study.pictures judge ..``.
+``uv run --no-default-groups --group judge python -m experiments.training.pictures judge ..``.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -25,7 +25,7 @@ from placement.question import Question
 from placement.setting import Setting, build_setting
 
 from ..results.numbers import percent
-from ..training.crops import WEATHERS, Framing, load_junction, look_around
+from .crops import WEATHERS, Framing, load_junction, look_around
 
 _CASES = "CPNA-75,CPFA-50,CPLA-25,CPNCO-50,CBNA,CBLA"
 _WORDS = ("adult", "child", "cyclist")
