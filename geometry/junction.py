@@ -11,36 +11,14 @@ from .arrays import FloatArray, Point2, float_array, freeze
 from .errors import InputError
 from .scene import Lane, Scene
 
-_COMPASS_16 = (  # counter-clockwise
+ARM_NAMES = (
     *("east", "east-north-east", "north-east", "north-north-east"),
     *("north", "north-north-west", "north-west", "west-north-west"),
     *("west", "west-south-west", "south-west", "south-south-west"),
     *("south", "south-south-east", "south-east", "east-south-east"),
 )
-COMPASS = _COMPASS_16[::2]
-COMPASS = (
-    "east",
-    "north-east",
-    "north",
-    "north-west",
-    "west",
-    "south-west",
-    "south",
-    "south-east",
-)
-ARM_NAMES = tuple(
-    name
-    for point, between in zip(
-        COMPASS,
-        (
-            *("east-north-east", "north-north-east", "north-north-west", "west-north-west"),
-            *("west-south-west", "south-south-west", "south-south-east", "east-south-east"),
-        ),
-        strict=True,
-    )
-    for name in (point, between)
-)
-"""Names of arms: points of the compass."""
+"""Names of arms: points of the compass, counter-clockwise."""
+COMPASS = ARM_NAMES[::2]
 CONNECTING = "connecting"  # kind of a lane through the junction
 ASSUMED = "assumed"  # kind of a lane that leads on where the map ends
 _ROAD_KINDS = ("driving", "parking")

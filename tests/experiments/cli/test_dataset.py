@@ -380,17 +380,13 @@ def cluster():
 
 
 def test_workers_of_a_dask_cluster_draw_the_same(dataset, drawn, cluster):
-    address = cluster(processes=False, protocol="tcp").scheduler_address
+    address = cluster(processes=False).scheduler_address
     code, _, err = dataset("--lidar", "none", "--scheduler", address, out="other")
     assert code == 0, err
     assert _files("other") == _files(drawn)
 
 
 @pytest.mark.long
-def test_of_the_workers_of_a_dask_cluster_one_may_die(dataset, cluster):
-    processes = cluster(processes=True, protocol="tcp")
-
-
 def test_of_the_workers_of_a_dask_cluster_one_may_die_at_work(dataset, cluster):
     processes = cluster(processes=True)
     first = next(iter(processes.workers.values()))
