@@ -466,7 +466,8 @@ def test_private_areas_in_view_are_those_that_evaluate_tells(open_client, join, 
 def test_private_areas_are_kept_when_another_scene_is_opened(open_client, join, garden):
     client = open_client(asked={"no_look": str(garden)})
     line = join(client)
-    save_scene(load_study_scene(), garden.parent / "same")
+    (garden.parent / "same").mkdir()
+    save_scene(garden.parent / "same", load_study_scene())
     archive = shutil.make_archive(str(garden.parent / "same"), "zip", garden.parent / "same")
     content = Path(archive).read_bytes()
     headers = ORIGIN | {"x-file-name": "same.zip"}
