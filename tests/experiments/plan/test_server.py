@@ -343,7 +343,7 @@ def test_files_that_are_none_are_told_as_on_the_command_line(
 
 
 def test_what_is_too_large_is_refused_and_not_kept(open_client, tmp_path, monkeypatch):
-    monkeypatch.setattr(server, "MAX_LAYOUT_BYTES", 1000)
+    monkeypatch.setattr(server, "MAX_PLAN_BYTES", 1000)
     client = open_client()
     response = client.post(
         f"/{TOKEN}/open", content=b"x" * 1001, headers=ORIGIN | {"x-file-name": "x.json"}
