@@ -33,7 +33,11 @@ def start_browser(engine="chromium", *, folder=None):
         try:
             if engine == "firefox":
                 program = _firefox(folder)
-                opened = library.firefox.launch(channel="moz-firefox", executable_path=program)
+                opened = library.firefox.launch(
+                    channel="moz-firefox",
+                    executable_path=program,
+                    firefox_user_prefs={"browser.download.alwaysOpenPanel": False},  # takes keys
+                )
             else:
                 found = shutil.which("chromium")
                 opened = library.chromium.launch(executable_path=found, args=ARGUMENTS)

@@ -323,6 +323,33 @@ def test_all_ends_when_the_page_is_closed_but_not_when_it_is_loaded_again(
     assert not server.is_alive
 
 
+def test_a_file_that_is_too_large_is_told_before_it_is_sent(browser, serve, monkeypatch, tmp_path):
+    from experiments.plan import desk
+
+    monkeypatch.setattr(desk, "MAX_PLAN_BYTES", 1000)
+    (tmp_path / "long.json").write_text("[" + " " * 1000 + "]")
+    with opened(browser, serve()) as page:
+        page.locator("#open-file").set_input_files(tmp_path / "long.json")
+        page.get_by_text("long.json: got 1,002 bytes; expected at most 1,000").wait_for()
+
+
+def test_a_plan_that_is_in_no_file_is_not_closed_without_a_word(browser, serve, tmp_path):
+    with opened(browser, serve(load_carlancap_layout().units[:2])) as page:
+        asked = []
+        page.on("dialog", lambda dialog: (asked.append(dialog.type), dialog.accept()))
+        page.locator("#remove").click()
+        expect(page.locator("#units button")).to_have_count(1, timeout=PATIENCE_MS)
+        page.reload()
+        page.wait_for_selector("[data-unit]")
+        assert asked == ["beforeunload"]
+        page.locator("#undo").click()
+        expect(page.locator("#units button")).to_have_count(2, timeout=PATIENCE_MS)
+        downloaded(page, "#save-plan", tmp_path / "plan.json")
+        page.reload()
+        page.wait_for_selector("[data-unit]")
+        assert asked == ["beforeunload"]
+
+
 def test_a_lost_run_is_told_and_played(browser, serve):
     with opened(browser, serve(load_carlancap_layout().units[7:8])) as page:
         told(page)
