@@ -39,6 +39,7 @@ except ModuleNotFoundError as error:
     ) from None
 
 _MAX_MESSAGE_BYTES = 64_000
+_MAX_NAME_BYTES = 500
 _MAX_WAITING = 2000  # messages for a browser that does not read
 _CLOSED_CODES = (1000, 1001, 1005)  # the page was closed or is loaded again; others: it was lost
 LINGER_S = 8.0
@@ -209,7 +210,7 @@ class Pages:
                     listen({"type": "problem", "text": str(error)})
         except WebSocketDisconnect as ended:
             code = ended.code
-        except RuntimeError:
+        except (RuntimeError, KeyError):  # it is closed already, or bytes came in place of text
             pass
         finally:
             self._desk.leave(listen, is_lost=code not in _CLOSED_CODES)
@@ -300,8 +301,11 @@ class Pages:
                 await self._desk.open_scene(str(path))
                 return JSONResponse({"scene": found["name"]})
         except TaskError as error:
+            path.unlink(missing_ok=True)
             raise TaskError(str(error).replace(str(path), name)) from None
-        self._map = (path, name)
+        before, self._map = self._map, (path, name)
+        if before is not None:  # one map at a time is kept
+            before[0].unlink(missing_ok=True)
         return JSONResponse({"map": name, **found})
 
     async def _import(self, request: Request) -> Response:
@@ -309,7 +313,12 @@ class Pages:
         if self._map is None:
             raise InputError("map", Unquoted("none"), "one that was dropped on the page before")
         path, name = self._map
-        junction = (await request.body())[:500].decode("utf-8", errors="replace")
+        named = bytearray()
+        async for chunk in request.stream():
+            named += chunk
+            if len(named) > _MAX_NAME_BYTES:
+                raise InputError("junction", Unquoted("a longer name"), "one that is shown")
+        junction = named.decode("utf-8", errors="replace")
         folder = self._desk.work.scratch / f"scene-{next(self._numbers)}"
         given = (str(path), junction, str(folder))
         try:

@@ -238,6 +238,14 @@ def test_what_cannot_be_done_is_told_to_who_asked_and_changes_nothing(open_clien
     assert line.state()["revision"] == before + 1
 
 
+def test_bytes_in_place_of_text_end_one_line_alone(open_client, join):
+    client = open_client()
+    one, other = join(client), join(client)
+    one.socket.send_bytes(b"\x00\xff")
+    other.send(do="add", site="corner-ne", sensor="carla-ncap-rgb")
+    assert [unit["id"] for unit in other.state()["units"]] == ["U1"]
+
+
 def test_two_browsers_look_at_one_desk(open_client, join):
     client = open_client()
     one, other = join(client), join(client)
@@ -340,6 +348,7 @@ def test_files_that_are_none_are_told_as_on_the_command_line(
     assert response.status_code == 400
     assert said in response.json()["problem"]
     assert str(tmp_path) not in response.json()["problem"]
+    assert not list(tmp_path.glob("received*"))
 
 
 def test_what_is_too_large_is_refused_and_not_kept(open_client, tmp_path, monkeypatch):
@@ -541,8 +550,9 @@ def test_a_map_is_dropped_and_a_junction_of_it_is_planned(open_client, join):
     scene = line.until(lambda message: message["type"] == "scene" and message["name"] == name)
     assert scene["runs"]
     assert line.state()["units"] == []
-    response = client.post(f"/{TOKEN}/import", content=b"no such", headers=ORIGIN)
-    assert response.status_code == 400
+    for junction in (b"no such", b"x" * 501, b"\xff\x00", b"../../etc"):
+        response = client.post(f"/{TOKEN}/import", content=junction, headers=ORIGIN)
+        assert response.status_code == 400
 
 
 def test_a_lost_run_is_explained_played_and_seen(open_client, small_setting):
