@@ -152,7 +152,7 @@ def test_what_stands_still_is_drawn_once_for_many_crops_and_never_for_a_few(
 
     monkeypatch.setattr(pictures, "draw_still", counted)
     run = last_frames("CPNC-50/west/30", 8)
-    crops, _, evidence = seen([run], camera=larger)
+    crops, _, _ = seen([run], camera=larger)
     list(crops.draw_all(range(8)))
     assert len(drawn) == 1
     assert drawn[0].width < larger.width_px
