@@ -433,6 +433,8 @@ def test_a_worker_that_is_killed_loses_nothing_and_one_that_always_dies_is_told(
     with city_workers.start_workers(
         "", n_workers=2, memory="1.5GiB", tell=lambda sentence: None
     ) as client:
+        limits = client.run(lambda dask_worker: dask_worker.memory_manager.memory_pause_fraction)
+        assert list(limits.values()) == [False, False]
         victim = next(iter(client.run(os.getpid).values()))
         killer = threading.Timer(1.0, os.kill, (victim, signal.SIGKILL))
         killer.start()
