@@ -76,6 +76,12 @@ Examples:
 )
 @option("--masks", is_flag=True, help="Also a picture of each frame's things, a colour each.")
 @option("--depth", is_flag=True, help="Also depths: 16 bits, centimetres, 0 where nothing is.")
+@option("--vehicles", is_flag=True, help="Also labels of vehicles, in frames with pictures.")
+@option(
+    "--vary",
+    is_flag=True,
+    help="Other clothes, paints and facades in each run, by seed; for training.",
+)
 @option(
     "--scheduler",
     default="",
@@ -99,6 +105,8 @@ def dataset(
     lidar: str,
     masks: bool,
     depth: bool,
+    vehicles: bool,
+    vary: bool,
     scheduler: str,
     question: Question,
     as_json: bool,
@@ -124,6 +132,8 @@ def dataset(
             lidar=lidar,
             masks=masks,
             depth=depth,
+            vehicles=vehicles,
+            vary=vary,
             scheduler=scheduler,
         ),
         out=out,

@@ -20,6 +20,7 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray
 from geometry.catalogue import pick_sensor
 from geometry.errors import InputError, Unquoted
+from geometry.files import write_atomically
 from geometry.lidar import LidarModel
 from geometry.poses import Pose
 from geometry.sensors import CameraModel
@@ -36,6 +37,7 @@ from placement.evaluator.watch import VUT_KEY, build_rng, unit_key
 from placement.layout import Layout
 from placement.question import Question
 from placement.recordings import WrittenDrive, load_format, write_folder, write_recording
+from placement.recordings.files import read_labels
 from placement.setting import Setting, build_setting
 from scenarios.runs import Run
 
@@ -78,6 +80,10 @@ class DatasetWish:
         Model of a LiDAR beside each camera, or "none".
     masks, depth : bool
         Whether pictures of instances and of depths are written, too.
+    vehicles : bool
+        Whether vehicles get labels, too, in frames with pictures.
+    vary : bool
+        Whether clothes, paints and facades are drawn at random for each run.
     scheduler : str
         Address of a dask scheduler; empty: processes on this machine.
     """
@@ -88,6 +94,8 @@ class DatasetWish:
     lidar: str = "carla-ncap-lidar"
     masks: bool = False
     depth: bool = False
+    vehicles: bool = False
+    vary: bool = False
     scheduler: str = ""
 
 
@@ -144,6 +152,8 @@ def run_dataset(
         n_missing = sum(len(task.frames) for task in tasks)
         tell(_size_sentence(n_pictures, n_missing, out, tasks, lidar))
         n_bytes = draw_all(tasks, new_executor, progress)
+        if record.vehicles and record.format == "coco":
+            _add_vehicles(out)
     progress.kept = f"the dataset is in {out}"
     seconds = progress.finish()
     return DatasetSummary(
@@ -229,6 +239,8 @@ def _build_record(
         lidar=wish.lidar,
         masks=wish.masks,
         depth=wish.depth,
+        vehicles=wish.vehicles,
+        vary=wish.vary,
         seed=seed,
         units=tuple(units),
         drives=tuple(drives),
@@ -400,6 +412,30 @@ def _coco(
     }
 
 
+def _add_vehicles(out: Path) -> None:
+    """Label vehicles in ``coco.json``, once, as the text files beside the pictures have them."""
+    form, path = load_format(), out / _COCO_FILE
+    coco = json.loads(path.read_text(encoding="utf-8"))
+    number = len(_COCO_CLASSES) + 1
+    if any(category["id"] == number for category in coco["categories"]):
+        return
+    for image in coco["images"]:
+        labels, _ = read_labels((out / image["file_name"]).with_suffix(".txt"), form)
+        for x_min, y_min, x_max, y_max in (label.box_px for label in labels):
+            coco["annotations"].append(
+                {
+                    "id": len(coco["annotations"]) + 1,
+                    "image_id": image["id"],
+                    "category_id": number,
+                    "bbox": [x_min, y_min, x_max - x_min, y_max - y_min],
+                    "area": (x_max - x_min) * (y_max - y_min),
+                    "iscrowd": 0,
+                }
+            )
+    coco["categories"].append({"id": number, "name": "vehicle"})
+    write_atomically(path, lambda file: file.write(json.dumps(coco).encode()))
+
+
 # ---------- what is to be drawn
 
 
@@ -433,6 +469,8 @@ def _tasks(
                     lidar=lidar,
                     masks=record.masks,
                     depth=record.depth,
+                    vehicles=record.vehicles,
+                    vary=record.vary,
                     seed=record.seed,
                 )
 

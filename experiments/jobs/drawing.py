@@ -5,7 +5,8 @@ Each file is written whole or not at all, and what is there already is not drawn
 
 import multiprocessing
 import os
-from collections.abc import Callable, Collection, Iterator, Sequence
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -13,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
+import numpy as np
 from numpy.typing import NDArray
 
 from geometry.errors import InputError, Unquoted
@@ -25,8 +27,9 @@ from geometry.weather import pick_weather
 from placement.compute import Compute
 from placement.evaluator import load_vut_camera
 from placement.evaluator.pictures import vut_camera_pose
-from placement.evaluator.watch import UnitKey
+from placement.evaluator.watch import UnitKey, build_rng
 from placement.imaging import Picture, PointCloud, build_backdrop, draw_picture
+from placement.imaging.materials import Materials, load_materials, vary_materials
 from placement.imaging.mesh import build_frame_mesh, scan_mesh
 from scenarios.runs import Run
 
@@ -40,6 +43,9 @@ DRAW = "draw"
 MASKS, DEPTHS = "instances", "depth"
 """Folders of the pictures beside those in colour."""
 
+_VEHICLE = "car"  # the study's actor type
+_MOVING = re.compile(r"vut|(parked|driving)-\d+")  # what a run brings along
+_LEAST_VEHICLE_PX = 20  # pixels; of less a vehicle has no label
 _TRIES = 3  # of a task whose worker dies
 
 
@@ -66,6 +72,8 @@ class DrawTask:
     lidar: LidarModel | None
     masks: bool
     depth: bool
+    vehicles: bool
+    vary: bool
     seed: int
 
     def files(self, stem: str) -> dict[str, Path]:
@@ -75,6 +83,7 @@ class DrawTask:
             "cloud": self.lidar is not None and self.out / folder / f"{stem}.bin",
             "masks": self.masks and self.out / MASKS / folder / f"{stem}.png",
             "depth": self.depth and self.out / DEPTHS / folder / f"{stem}.png",
+            "vehicles": self.vehicles and self.out / folder / f"{stem}.txt",
             "picture": self.out / folder / f"{stem}.png",
         }
         return {kind: path for kind, path in wanted.items() if path}
@@ -98,7 +107,7 @@ def draw_task(task: DrawTask) -> int:
         if files["picture"].exists():
             continue
         picture, cloud = draw(task.runs[index], frame)
-        for kind, content in _contents(picture, cloud, files):
+        for kind, content in _contents(picture, cloud, files, task):
             write_atomically(files[kind], content)
             n_bytes += files[kind].stat().st_size
     return n_bytes
@@ -106,18 +115,40 @@ def draw_task(task: DrawTask) -> int:
 
 def _drawer(task: DrawTask) -> Callable[[Run, int], tuple[Picture, PointCloud | None]]:
     """What draws and scans a frame: from the VUT all anew, from a roadside unit onto a still."""
-    from placement.imaging.stills import draw_onto, draw_still, scan_onto  # loads the compiler
+    # loads the compiler
+    from placement.imaging.stills import Still, draw_onto, draw_still, scan_onto
 
     first, pose, lidar = task.runs[0], task.viewer.pose, task.lidar
     compute = Compute(seed=task.seed, workers=1)
     weather = pick_weather(first.weather, "weather")
     backdrop = build_backdrop(task.scene, first.obstruction)
+    stills: dict[str, Still] = {}  # the last one
+
+    def materials(run: Run) -> Materials | None:
+        """One and the same for all cameras and weathers."""
+        if not task.vary:
+            return None
+        encounter = run.id.removesuffix(f"/{run.weather}")
+        return vary_materials(load_materials(), build_rng(task.seed, "look", encounter))
+
     if pose is not None:
-        still = draw_still(backdrop, pose, task.viewer.camera, weather=weather, compute=compute)
-        return lambda run, frame: (
-            draw_onto(still, run, frame, compute=compute),
-            scan_onto(still, run, frame, lidar, seed=task.seed) if lidar else None,
-        )
+
+        def draw_at_roadside(run: Run, frame: int) -> tuple[Picture, PointCloud | None]:
+            look = run.id if task.vary else ""
+            if look not in stills:
+                stills.clear()
+                stills[look] = draw_still(
+                    *(backdrop, pose, task.viewer.camera),
+                    weather=weather,
+                    materials=materials(run),
+                    compute=compute,
+                )
+            picture = draw_onto(stills[look], run, frame, compute=compute)
+            if lidar is None:
+                return picture, None
+            return picture, scan_onto(stills[look], run, frame, lidar, seed=task.seed)
+
+        return draw_at_roadside
     mount = load_vut_camera()
 
     def draw(run: Run, frame: int) -> tuple[Picture, PointCloud | None]:
@@ -126,6 +157,7 @@ def _drawer(task: DrawTask) -> Callable[[Run, int], tuple[Picture, PointCloud | 
             *(backdrop, run, frame, at, task.viewer.camera),
             weather=weather,
             with_vut=False,
+            materials=materials(run),
             compute=compute,
         )
         if lidar is None:
@@ -137,17 +169,40 @@ def _drawer(task: DrawTask) -> Callable[[Run, int], tuple[Picture, PointCloud | 
 
 
 def _contents(
-    picture: Picture, cloud: PointCloud | None, kinds: Collection[str]
+    picture: Picture, cloud: PointCloud | None, files: Mapping[str, Path], task: DrawTask
 ) -> Iterator[tuple[str, Callable[[BinaryIO], object]]]:
     """What the files of a frame hold, by kind, in the order of :meth:`DrawTask.files`."""
     if cloud is not None:
         points = cloud_bytes(cloud)
         yield "cloud", lambda file: file.write(points)
-    if "masks" in kinds:
+    if "masks" in files:
         yield "masks", _png(instance_image(picture))
-    if "depth" in kinds:
+    if "depth" in files:
         yield "depth", _png(depth_image(picture))
+    if "vehicles" in files:
+        lines = _with_vehicles(files["vehicles"], picture, task)
+        yield "vehicles", lambda file: file.write(lines)
     yield "picture", _png(picture.rgb)
+
+
+def _with_vehicles(path: Path, picture: Picture, task: DrawTask) -> bytes:
+    """Lines of a label file, and one for each vehicle of which enough is seen."""
+    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    lines = [line for line in lines if not line.startswith(f"{_VEHICLE} ")]
+    of_scene = {one.id for one in task.scene.instances if "vehicle" in one.class_name}
+    camera = task.viewer.camera
+    for index in np.unique(picture.instance[picture.instance >= 0]).tolist():
+        name = picture.names[index]
+        rows, columns = np.nonzero(picture.instance == index)
+        if not (name in of_scene or _MOVING.fullmatch(name)) or len(rows) < _LEAST_VEHICLE_PX:
+            continue
+        offsets = np.hypot(
+            columns + 0.5 - 0.5 * camera.width_px, rows + 0.5 - 0.5 * camera.height_px
+        )
+        away_m = picture.depth_m[rows, columns] * np.hypot(1.0, offsets / camera.focal_length_px)
+        box = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1, away_m.mean())
+        lines.append(f"{_VEHICLE} {' '.join(str(float(number)) for number in box)}")
+    return "".join(f"{line}\n" for line in lines).encode()
 
 
 def _png(pixels: NDArray[Any]) -> Callable[[BinaryIO], object]:

@@ -90,6 +90,10 @@ class DatasetRecord(Record, frozen=True):
         Model of the LiDAR beside each camera; "none" for none.
     masks, depth : bool
         Whether there are pictures of instances and of depths.
+    vehicles : bool
+        Whether vehicles have labels, too, in frames with pictures.
+    vary : bool
+        Whether clothes, paints and facades are others in each run.
     seed : int
         Of noise, of what is left to chance.
     units, drives : tuple
@@ -104,6 +108,8 @@ class DatasetRecord(Record, frozen=True):
     lidar: str
     masks: bool
     depth: bool
+    vehicles: bool
+    vary: bool
     seed: int
     units: tuple[DatasetUnit, ...]
     drives: tuple[DatasetDrive, ...]

@@ -11,13 +11,10 @@ import click
 import torch
 
 from geometry.errors import InputError
-from geometry.maps.importing import ImportOptions, import_scene
-from geometry.scene import Scene
-from geometry.scene_files import load_scene
 from placement.compute import Compute
 
 from .card import card_text
-from .crops import Crops, draw_crops, join_crops, load_crops, save_crops
+from .crops import Crops, draw_crops, join_crops, load_crops, load_junction, save_crops
 from .network import VruNetwork, export_onnx
 from .table import fit_table
 from .train import Recipe, find_boxes, train
@@ -96,15 +93,9 @@ def _crops(name: str, folder: Path, *, n: int, seed: int) -> Crops:
     if not path.exists():
         click.echo(f"{path}: drawing {n} crops")
         new = path.with_suffix(".part.npz")
-        save_crops(new, draw_crops(_scene(name), n, seed=seed, tell=lambda done: None))
+        save_crops(new, draw_crops(load_junction(name), n, seed=seed, tell=lambda done: None))
         new.replace(path)
     return load_crops(path)
-
-
-def _scene(name: str) -> Scene:
-    if name == "town05":
-        return load_scene()
-    return import_scene([Path(name)], ImportOptions()).scene
 
 
 if __name__ == "__main__":

@@ -10,8 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.errors import InputError, Unquoted
+from geometry.maps.importing import ImportOptions, import_scene
 from geometry.poses import Pose
 from geometry.scene import Scene
+from geometry.scene_files import load_scene
 from geometry.sensors import CameraModel, project_points
 from geometry.weather import Weather, pick_weather
 from placement.detectors.evidence import VRU_CLASSES, vru_class
@@ -34,15 +37,26 @@ WEATHERS = ("day", "night", "rain")
 """By number."""
 
 _WEATHER_SHARES = (0.5, 0.25, 0.25)
-_HEIGHT_PX = (11.0, 125.0)  # of whole road users, even on a logarithmic scale
 _FOV_DEG = (18.0, 110.0)
 _MOUNT_M = (3.5, 8.0)  # above the ground of a site
-_EMPTY_SHARE = 0.12  # crops that are not around the road user; in others it may be hidden
 _HIDDEN_KEPT = 0.3  # of crops in which it is hidden
-_VUT_SHARE = 0.2  # crops from the VUT's camera
 _PER_POSE = 6  # crops by a camera before another one looks
 _SIZE_PX = (1920, 1080)
 _TRIES = 30
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Framing:
+    """What crops show: those to train with, by default."""
+
+    height_px: tuple[float, float] = (11.0, 125.0)  # of road users, even on a logarithmic scale
+    crop_px: tuple[int, int] = (CROP_PX, CROP_PX)  # width, height
+    # Crops that are not around the road user; in others it may be hidden.
+    empty_share: float = 0.12
+    vut_share: float = 0.2  # crops from the VUT's camera
+    kinds: tuple[str, ...] = VRU_CLASSES
+    weathers: tuple[str, ...] = WEATHERS
+    varied: float = 0.7  # share of crops with other clothes, paints and facades
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -74,15 +88,19 @@ def draw_crops(scene: Scene, n_crops: int, *, seed: int, tell: Callable[[int], N
     tell : callable
         Is told how many are done.
     """
-    rng = np.random.default_rng(seed)
-    setting = build_setting(Question(cases=_CASES), scene)
     found: list[dict[str, Any]] = []
-    for rows in _batches(setting, rng):
-        found += rows
-        tell(min(len(found), n_crops))
+    setting = build_setting(Question(cases=_CASES), scene)
+    for row in look_around(setting, Framing(), np.random.default_rng(seed)):
+        found.append(row)
+        tell(len(found))
         if len(found) >= n_crops:
             break
-    return join_rows(found[:n_crops])
+    return join_rows(found)
+
+
+def load_junction(name: str) -> Scene:
+    """A junction out of a map's file, or the study's, "town05"."""
+    return load_scene() if name == "town05" else import_scene([Path(name)], ImportOptions()).scene
 
 
 def join_rows(rows: Sequence[dict[str, Any]]) -> Crops:
@@ -111,28 +129,45 @@ def load_crops(path: Path) -> Crops:
         return Crops(**{name: stored[name] for name in Crops.__slots__})
 
 
-def _batches(setting: Setting, rng: np.random.Generator) -> Iterator[list[dict[str, Any]]]:
-    """Crops by one camera after another, without end."""
+def look_around(
+    setting: Setting, framing: Framing, rng: np.random.Generator
+) -> Iterator[dict[str, Any]]:
+    """Rows of :class:`Crops` by one camera after another, without end.
+
+    Raises
+    ------
+    InputError
+        The junction carries no case, or none with such road users.
+    """
+    runs = [run for run in setting.runs if vru_class(run.encounter.vru) in framing.kinds]
+    if not runs:
+        raise InputError(setting.scene.name, Unquoted("no such runs"), " or ".join(framing.kinds))
     backdrops: dict[tuple[object, ...], tuple[Backdrop, FrameMesh]] = {}
     while True:
-        run = setting.runs[int(rng.integers(len(setting.runs)))]
+        run = runs[int(rng.integers(len(runs)))]
         key = tuple(parked.key for parked in run.obstruction)
         if key not in backdrops:
             backdrop = build_backdrop(setting.scene, run.obstruction)
             backdrops[key] = backdrop, place_mesh(backdrop.mesh, np.zeros(3))
-        rows = list(_look(setting.scene, *backdrops[key], run, rng))
-        if rows:
-            yield rows
+        yield from _look(setting.scene, *backdrops[key], run, framing, rng)
 
 
 def _look(
-    scene: Scene, backdrop: Backdrop, still: FrameMesh, run: Run, rng: np.random.Generator
+    scene: Scene,
+    backdrop: Backdrop,
+    still: FrameMesh,
+    run: Run,
+    framing: Framing,
+    rng: np.random.Generator,
 ) -> Iterator[dict[str, Any]]:
     """Some crops by one camera that looks at a run."""
-    weather_index = int(rng.choice(len(WEATHERS), p=_WEATHER_SHARES))
-    weather = _varied_weather(pick_weather(WEATHERS[weather_index], "weather"), rng)
-    materials = vary_materials(load_materials(), rng) if rng.random() < 0.7 else None
-    on_vut = rng.random() < _VUT_SHARE
+    names = framing.weathers
+    shares = np.array([_WEATHER_SHARES[WEATHERS.index(name)] for name in names])
+    name = names[int(rng.choice(len(names), p=shares / shares.sum()))]
+    weather = _varied_weather(pick_weather(name, "weather"), rng)
+    is_varied = rng.random() < framing.varied
+    materials = vary_materials(load_materials(), rng) if is_varied else None
+    on_vut = rng.random() < framing.vut_share
     frames = rng.permutation(len(run.time_s))[: 1 if on_vut else _PER_POSE].tolist()
     mount_m = _pick_mount(scene, rng)
     for frame in frames:
@@ -140,13 +175,13 @@ def _look(
         at_m = mount_m
         if on_vut:
             at_m = vut_camera_pose(load_vut_camera(), run, frame).position_m
-        view = _aim(body_m, at_m, rng)
+        view = _aim(body_m, at_m, framing.height_px, rng)
         if view is None:
             continue
         pose, camera = view
         box_px = _whole_box(body_m, pose, camera)
-        is_empty = rng.random() < _EMPTY_SHARE
-        window = _pick_window(box_px, is_empty=is_empty, rng=rng)
+        is_empty = rng.random() < framing.empty_share
+        window = _pick_window(box_px, framing.crop_px, is_empty=is_empty, rng=rng)
         if window is None:
             continue
         picture = draw_crop(
@@ -160,7 +195,7 @@ def _look(
         row = _label(picture, run, int(whole.sum()), float(box_px[3] - box_px[1]))
         if row["vru_class"] < 0 and not is_empty and rng.random() > _HIDDEN_KEPT:
             continue
-        row["weather"] = weather_index
+        row["weather"] = WEATHERS.index(name)
         yield row
 
 
@@ -189,7 +224,7 @@ def _body_points(run: Run, frame: int) -> FloatArray:
 
 
 def _aim(
-    body_m: FloatArray, at_m: FloatArray, rng: np.random.Generator
+    body_m: FloatArray, at_m: FloatArray, height_px: tuple[float, float], rng: np.random.Generator
 ) -> tuple[Pose, CameraModel] | None:
     """A camera that shows a road user at a height drawn at random, anywhere in its image."""
     middle = body_m.mean(axis=0)
@@ -198,7 +233,7 @@ def _aim(
     if not 3.0 < distance < 90.0:
         return None
     height_m = float(np.ptp(body_m[:, 2]))
-    wanted_px = math.exp(rng.uniform(*np.log(_HEIGHT_PX)))
+    wanted_px = math.exp(rng.uniform(*np.log(height_px)))
     tilt = math.atan2(-away[2], math.hypot(away[0], away[1]))
     focal = wanted_px * distance / max(height_m * math.cos(tilt), 0.3)
     fov_deg = 2.0 * math.degrees(math.atan(0.5 * _SIZE_PX[0] / focal))
@@ -230,32 +265,22 @@ def _whole_box(body_m: FloatArray, pose: Pose, camera: CameraModel) -> FloatArra
     return np.concatenate([points[:, :2].min(axis=0), points[:, :2].max(axis=0)])
 
 
-def _pick_window(box_px: FloatArray, *, is_empty: bool, rng: np.random.Generator) -> Window | None:
+def _pick_window(
+    box_px: FloatArray, crop_px: tuple[int, int], *, is_empty: bool, rng: np.random.Generator
+) -> Window | None:
     """A crop with the road user's middle anywhere in it, or without the road user."""
-    wide, high = _SIZE_PX
+    size = np.array(crop_px)
     for _ in range(_TRIES):
         if is_empty:
-            left, top = (int(rng.integers(side - CROP_PX)) for side in (wide, high))
-            apart = (
-                box_px[2] < left
-                or box_px[0] > left + CROP_PX
-                or box_px[3] < top
-                or box_px[1] > top + CROP_PX
-            )
-            if apart:
-                return Window(left, top, CROP_PX, CROP_PX)
+            corner = np.array([rng.integers(side) for side in np.array(_SIZE_PX) - size])
+            if (box_px[2:] < corner).any() or (box_px[:2] > corner + size).any():
+                return Window(*corner.tolist(), *crop_px)
             continue
         middle = 0.5 * (box_px[:2] + box_px[2:])
-        left, top = (
-            round(at - share * CROP_PX)
-            for at, share in zip(middle.tolist(), rng.uniform(0.15, 0.85, 2), strict=True)
-        )
-        left, top = (
-            min(max(at, 0), side - CROP_PX)
-            for at, side in zip((left, top), (wide, high), strict=True)
-        )
-        if left < middle[0] < left + CROP_PX and top < middle[1] < top + CROP_PX:
-            return Window(left, top, CROP_PX, CROP_PX)
+        corner = np.rint(middle - rng.uniform(0.15, 0.85, 2) * size).astype(int)
+        corner = np.clip(corner, 0, np.array(_SIZE_PX) - size)
+        if (corner < middle).all() and (middle < corner + size).all():
+            return Window(*corner.tolist(), *crop_px)
     return None
 
 

@@ -86,7 +86,8 @@ def _perceive(
 
     It looks up by `tilt_deg`, (n_frames,), more than its pose says.
     """
-    from .pixels import Image, see  # loads the compiler
+    from .pixels import see  # loads the compiler
+    from .triangle_kernels import Image
 
     n_frames = len(vru_poses)
     order = np.argsort(sight_of_frame, kind="stable")

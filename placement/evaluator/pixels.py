@@ -16,8 +16,6 @@ References
    Graphics Hardware 1997.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from geometry.arrays import FloatArray, IntArray
@@ -25,28 +23,24 @@ from geometry.kernels import kernel
 
 from .sights import Seen, Sights, Skin, Tree, Vehicles
 from .trees import MAX_OPEN
-
-# Few numbers are tuples, which need no memory: passing arrays costs more than the arithmetic.
-Point = tuple[float, float, float]  # right, down, ahead: camera frame. [m]
-Edges = tuple[Point, Point, Point]  # normals of planes through the lens
-Window = tuple[int, int, int, int]  # first column and row, and those after the last
-Bounds = tuple[float, float, float, float]  # x_min, y_min, x_max, y_max. [px]
+from .triangle_kernels import (
+    SLACK_PX,
+    Image,
+    Window,
+    corner,
+    cross,
+    depth_at,
+    dot,
+    find_columns,
+    find_edges,
+    find_span,
+    passes_by,
+    pixels_within,
+)
 
 _MIN_DEPTH_M = 1.0e-6
 _TOUCH_M = 1.0e-6  # what the VRU stands on does not hide it
-_SLACK_PX = 1.0e-6  # more than rounding moves an edge
-_ROUNDING = 1.0e-12  # more than such a product is wrong by, as a share of its terms
 _N_PLANES = 6
-
-
-class Image(NamedTuple):
-    """What pixels are: of a camera at its place."""
-
-    focal_px: float
-    width_px: int
-    height_px: int
-    near_m: float  # distance from the lens at which drawing starts
-    up_m: float  # height of the lens
 
 
 # ---------- the image
@@ -118,158 +112,6 @@ def find_crop(image: Image, hull: FloatArray, min_height_px: float) -> tuple[Win
     return (x_low, y_low, x_high, y_high), inside
 
 
-# ---------- triangles
-
-
-@kernel
-def _corner(points: FloatArray, row: int) -> Point:
-    return points[row, 0], points[row, 1], points[row, 2]
-
-
-@kernel
-def _find_span(image: Image, least_depth: float, a: Point, b: Point, c: Point) -> Bounds:
-    """Bounds of the part of a triangle that is at least so deep; empty if there is none."""
-    bounds = (np.inf, np.inf, -np.inf, -np.inf)
-    bounds = _with_edge(image, least_depth, a, b, bounds)
-    bounds = _with_edge(image, least_depth, b, c, bounds)
-    return _with_edge(image, least_depth, c, a, bounds)
-
-
-@kernel
-def _with_edge(image: Image, least_depth: float, p: Point, q: Point, bounds: Bounds) -> Bounds:
-    """Bounds stretched by an edge from p to just before q, as far as it is deep enough."""
-    if p[2] >= least_depth:
-        bounds = _with_point(image, p[0], p[1], p[2], bounds)
-    if (p[2] >= least_depth) != (q[2] >= least_depth):
-        part = (least_depth - p[2]) / (q[2] - p[2])
-        x, y = p[0] + part * (q[0] - p[0]), p[1] + part * (q[1] - p[1])
-        bounds = _with_point(image, x, y, least_depth, bounds)
-    return bounds
-
-
-@kernel
-def _with_point(image: Image, right: float, down: float, ahead: float, bounds: Bounds) -> Bounds:
-    scale = image.focal_px / ahead
-    x, y = 0.5 * image.width_px + scale * right, 0.5 * image.height_px + scale * down
-    return min(bounds[0], x), min(bounds[1], y), max(bounds[2], x), max(bounds[3], y)
-
-
-@kernel
-def _pixels_within(bounds: Bounds, window: Window) -> Window:
-    """Pixels of a window whose centres lie within bounds; zeros if there are none."""
-    left = max(bounds[0] - 0.5 - _SLACK_PX, float(window[0]))
-    top = max(bounds[1] - 0.5 - _SLACK_PX, float(window[1]))
-    right = min(bounds[2] + 0.5 + _SLACK_PX, float(window[2]))
-    bottom = min(bounds[3] + 0.5 + _SLACK_PX, float(window[3]))
-    if not (left < right and top < bottom):
-        return 0, 0, 0, 0
-    # No number is negative: cutting off rounds down.
-    return int(np.ceil(left)), int(np.ceil(top)), int(right), int(bottom)
-
-
-@kernel
-def _cross(p: Point, q: Point) -> Point:
-    return p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
-
-
-@kernel
-def _dot(p: Point, q: Point) -> float:
-    return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
-
-
-@kernel
-def _find_edges(a: Point, b: Point, c: Point) -> tuple[Edges, float]:
-    """Normals of the planes through the lens and the edges, and a . (b x c), which is positive.
-
-    A direction that the triangle covers ahead of the lens is on the positive side of all three.
-    """
-    volume = _dot(a, _cross(b, c))
-    if volume < 0.0:
-        return (_cross(c, b), _cross(a, c), _cross(b, a)), -volume
-    return (_cross(b, c), _cross(c, a), _cross(a, b)), volume
-
-
-@kernel
-def _depth_at(
-    image: Image, edges: Edges, volume: float, is_near: bool, across: float, down: float
-) -> float:
-    """Depth of a triangle in a direction; infinite where it does not cover it, or is too near."""
-    direction = (across, down, 1.0)
-    first, second = _dot(edges[0], direction), _dot(edges[1], direction)
-    third = _dot(edges[2], direction)
-    total = first + second + third
-    if first < 0.0 or second < 0.0 or third < 0.0 or total <= 0.0:
-        return np.inf
-    depth: float = volume / total
-    if is_near and depth * np.sqrt(1.0 + across * across + down * down) < image.near_m:
-        return np.inf
-    return depth
-
-
-@kernel
-def _find_columns(
-    image: Image, edges: Edges, least: float, down: float, x_min: int, x_max: int
-) -> tuple[int, int]:
-    """The first column of a row in which a triangle may be near enough, and that after the last.
-
-    There, with slack for rounding, no product of the direction and an edge's normal is negative,
-    and all together are at least `least`: large triangles cover few of the pixels around them.
-    """
-    low, high = float(x_min), float(x_max - 1)
-    for edge in edges:
-        low, high = _cut(image, edge, 0.0, down, low, high)
-    total = (
-        edges[0][0] + edges[1][0] + edges[2][0],
-        edges[0][1] + edges[1][1] + edges[2][1],
-        edges[0][2] + edges[1][2] + edges[2][2],
-    )
-    low, high = _cut(image, total, least, down, low, high)
-    return (int(low), int(high) + 1) if low <= high else (0, 0)
-
-
-@kernel
-def _cut(
-    image: Image, normal: Point, least: float, down: float, low: float, high: float
-) -> tuple[float, float]:
-    """Part of a row from `low` to `high` in which products with a normal are at least so large.
-
-    It ends before it begins where there is none.
-    """
-    middle_x, per_px = 0.5 * image.width_px - 0.5, 1.0 / image.focal_px
-    slope = normal[0] * per_px
-    at_middle = normal[1] * down + normal[2] - least
-    size = abs(slope) * image.width_px + abs(normal[1] * down) + abs(normal[2]) + abs(least)
-    at_middle += _ROUNDING * size
-    if slope > 0.0:
-        return max(low, middle_x - at_middle / slope), high
-    if slope < 0.0:
-        return low, min(high, middle_x - at_middle / slope)
-    return (low, high) if at_middle >= 0.0 else (1.0, 0.0)
-
-
-@kernel
-def _passes_by(
-    image: Image, edges: Edges, volume: float, window: Window, farthest_m: float
-) -> bool:
-    """Whether a plane through a triangle, or through its edge and the lens, keeps off a beam."""
-    n_before, n_first, n_second, n_third = 0, 0, 0, 0
-    for corner in range(4):
-        x = window[0] if corner < 2 else window[2]
-        y = window[1] if corner % 2 == 0 else window[3]
-        direction = (
-            (x - 0.5 * image.width_px) / image.focal_px,
-            (y - 0.5 * image.height_px) / image.focal_px,
-            1.0,
-        )
-        first, second = _dot(edges[0], direction), _dot(edges[1], direction)
-        third = _dot(edges[2], direction)
-        n_first += first < 0.0
-        n_second += second < 0.0
-        n_third += third < 0.0
-        n_before += (first + second + third) * farthest_m < volume
-    return n_before == 4 or n_first == 4 or n_second == 4 or n_third == 4
-
-
 # ---------- the VRU
 
 
@@ -308,12 +150,12 @@ def find_box(image: Image, points: FloatArray, skin: Skin, window: Window) -> Wi
         for place in range(skin.fan_start[vertex], skin.fan_start[vertex + 1]):
             row = skin.fans[place]
             i, j, k = skin.triangles[row, 0], skin.triangles[row, 1], skin.triangles[row, 2]
-            a, b, c = _corner(points, i), _corner(points, j), _corner(points, k)
-            bounds = _find_span(image, least_depth, a, b, c)
-            x_min, y_min, x_max, y_max = _pixels_within(bounds, window)
+            a, b, c = corner(points, i), corner(points, j), corner(points, k)
+            bounds = find_span(image, least_depth, a, b, c)
+            x_min, y_min, x_max, y_max = pixels_within(bounds, window)
             if x_min >= x_max or y_min >= y_max:
                 continue
-            edges, volume = _find_edges(a, b, c)
+            edges, volume = find_edges(a, b, c)
             is_near = min(min(a[2], b[2]), c[2]) < image.near_m
             for y in range(y_min, y_max):
                 down = (y - middle_y) * per_px
@@ -321,14 +163,14 @@ def find_box(image: Image, points: FloatArray, skin: Skin, window: Window) -> Wi
                     if x_low <= x < x_high and y_low <= y < y_high:
                         continue
                     across = (x - middle_x) * per_px
-                    if _depth_at(image, edges, volume, is_near, across, down) < np.inf:
+                    if depth_at(image, edges, volume, is_near, across, down) < np.inf:
                         x_low, x_high = min(x_low, x), max(x_high, x + 1)
                         y_low, y_high = min(y_low, y), max(y_high, y + 1)
         if x_low < x_high:
-            left = x_low - 0.5 + _SLACK_PX if x_low > window[0] else -np.inf
-            right = x_high + 0.5 - _SLACK_PX if x_high < window[2] else np.inf
-            top = y_low - 0.5 + _SLACK_PX if y_low > window[1] else -np.inf
-            bottom = y_high + 0.5 - _SLACK_PX if y_high < window[3] else np.inf
+            left = x_low - 0.5 + SLACK_PX if x_low > window[0] else -np.inf
+            right = x_high + 0.5 - SLACK_PX if x_high < window[2] else np.inf
+            top = y_low - 0.5 + SLACK_PX if y_low > window[1] else -np.inf
+            bottom = y_high + 0.5 - SLACK_PX if y_high < window[3] else np.inf
     if x_low >= x_high:
         return 0, 0, 0, 0
     return x_low, y_low, x_high, y_high
@@ -354,7 +196,7 @@ def draw(
     per_px = 1.0 / image.focal_px
     for row in range(len(triangles)):
         i, j, k = triangles[row, 0], triangles[row, 1], triangles[row, 2]
-        a, b, c = _corner(points, i), _corner(points, j), _corner(points, k)
+        a, b, c = corner(points, i), corner(points, j), corner(points, k)
         if is_ahead:
             bounds = (
                 min(min(pixels[i, 0], pixels[j, 0]), pixels[k, 0]),
@@ -363,20 +205,20 @@ def draw(
                 max(max(pixels[i, 1], pixels[j, 1]), pixels[k, 1]),
             )
         else:
-            bounds = _find_span(image, least_depth, a, b, c)
-        x_min, y_min, x_max, y_max = _pixels_within(bounds, window)
+            bounds = find_span(image, least_depth, a, b, c)
+        x_min, y_min, x_max, y_max = pixels_within(bounds, window)
         if x_min >= x_max or y_min >= y_max:
             continue
-        if not has_backs and _dot(a, _cross(b, c)) > 0.0:
+        if not has_backs and dot(a, cross(b, c)) > 0.0:
             continue
-        edges, volume = _find_edges(a, b, c)
+        edges, volume = find_edges(a, b, c)
         is_near = min(min(a[2], b[2]), c[2]) < image.near_m
         for y in range(y_min, y_max):
             down = (y - middle_y) * per_px
             start = (y - window[1]) * width - window[0]
             for x in range(x_min, x_max):
                 across = (x - middle_x) * per_px
-                depth = _depth_at(image, edges, volume, is_near, across, down)
+                depth = depth_at(image, edges, volume, is_near, across, down)
                 depth_m[start + x] = min(depth_m[start + x], depth)
 
 
@@ -506,26 +348,26 @@ def hide(
             continue
         for row in range(tree.start[node], tree.end[node]):
             _to_camera(turn, shift, tree.corners_m[row], corners)
-            a, b, c = _corner(corners, 0), _corner(corners, 1), _corner(corners, 2)
-            bounds = _find_span(image, least_depth, a, b, c)
-            x_min, y_min, x_max, y_max = _pixels_within(bounds, box)
+            a, b, c = corner(corners, 0), corner(corners, 1), corner(corners, 2)
+            bounds = find_span(image, least_depth, a, b, c)
+            x_min, y_min, x_max, y_max = pixels_within(bounds, box)
             if x_min >= x_max or y_min >= y_max:
                 continue
-            edges, volume = _find_edges(a, b, c)
-            if volume == 0.0 or _passes_by(image, edges, volume, box, farthest_m):
+            edges, volume = find_edges(a, b, c)
+            if volume == 0.0 or passes_by(image, edges, volume, box, farthest_m):
                 continue
             is_near = min(min(a[2], b[2]), c[2]) < image.near_m
             least = volume / farthest_m if is_asked else 0.0
             for y in range(y_min, y_max):
                 down = (y - middle_y) * per_px
                 start = (y - box[1]) * width - box[0]
-                first, stop = _find_columns(image, edges, least, down, x_min, x_max)
+                first, stop = find_columns(image, edges, least, down, x_min, x_max)
                 for x in range(first, stop):
                     before_m = farthest_m if is_asked else depth_m[start + x]
                     if before_m == np.inf:
                         continue
                     across = (x - middle_x) * per_px
-                    if _depth_at(image, edges, volume, is_near, across, down) > before_m:
+                    if depth_at(image, edges, volume, is_near, across, down) > before_m:
                         continue
                     if is_asked:
                         return True

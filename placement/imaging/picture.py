@@ -405,6 +405,7 @@ def draw_picture(
     *,
     weather: Weather,
     with_vut: bool = True,
+    materials: Materials | None = None,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> Picture:
     """Render one frame of a run, at the camera's resolution.
@@ -413,7 +414,12 @@ def draw_picture(
     seed is that of sensor noise and drops.
     """
     mesh = build_frame_mesh(backdrop.mesh, run, frame_index, pose.position_m, with_vut=with_vut)
-    shot = build_shot(backdrop, mesh, pose, camera, weather, run=run, frame_index=frame_index)
+    shot = build_shot(
+        *(backdrop, mesh, pose, camera, weather),
+        run=run,
+        frame_index=frame_index,
+        materials=materials,
+    )
     from .exposure import find_edges  # loads the compiler
 
     with start_pool(compute) as pool:
@@ -472,9 +478,7 @@ def shade_image(shot: Shot, pool: ThreadPoolExecutor) -> Shades:
     return _shade_tiles(shot, whole_image(shot.camera), pool, None)
 
 
-def shade_surfaces(
-    shot: Shot, window: Window, pool: ThreadPoolExecutor
-) -> tuple[Shades, Surfaces]:
+def shade_surfaces(shot: Shot, window: Window, pool: ThreadPoolExecutor) -> tuple[Shades, Surfaces]:
     """As :func:`shade_image` in a window, and what is met there, (h, w, 3)."""
     size = (window.height, window.width)
     surfaces = Surfaces(*(np.empty((*size, 3), dtype=np.float32) for _ in Surfaces._fields))

@@ -24,7 +24,7 @@ from scenarios.runs import Run
 from ..compute import DEFAULT_COMPUTE, Compute
 from .exposure import find_edges
 from .light import HeadLamp, add_headlights
-from .materials import Hits
+from .materials import Hits, Materials
 from .mesh import (
     FrameMesh,
     Mesh,
@@ -105,6 +105,7 @@ def draw_still(
     weather: Weather,
     window: Window | None = None,
     mesh: FrameMesh | None = None,
+    materials: Materials | None = None,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> Still:
     """Draw what stands still, for many frames by :func:`draw_onto`.
@@ -114,7 +115,7 @@ def draw_still(
     """
     window = window or whole_image(camera)
     mesh = mesh or place_mesh(backdrop.mesh, pose.position_m)
-    shot = build_shot(backdrop, mesh, pose, camera, weather)
+    shot = build_shot(backdrop, mesh, pose, camera, weather, materials=materials)
     with start_pool(compute) as pool:
         raw, surfaces = shade_surfaces(shot, window, pool)
         is_edge = find_edges(raw.radiance)

@@ -420,7 +420,7 @@ def _cast_to_points(
     near_m: float,
 ) -> None:
     """Of the points asked for, (n, n_points), leave those that something hides, in place."""
-    from .shadow_kernels import fill_rays
+    from .ray_kernels import fill_rays
 
     starts, vectors = (np.empty((int(asked.sum()), 3), np.float32) for _ in range(2))
     fill_rays(world.views.axes_m, view_index, asked, eye_m, near_m, _OFF_SURFACE_M, starts, vectors)
@@ -473,7 +473,7 @@ def _hidden_by_vehicles(
 
     Points of a view that are `hidden` (n_rows, n_points) already are left out.
     """
-    from .shadow_kernels import find_rays_at_body
+    from .ray_kernels import find_rays_at_body
 
     vehicles = world.vehicles
     between = _rows_between(world, eye_m, row_of_frame)

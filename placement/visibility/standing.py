@@ -135,7 +135,7 @@ class BodiesCaster:
         Of each kind its caster, the rays' numbers, the bodies', starts and vectors. Rays end where
         their vectors do, or never.
         """
-        from .shadow_kernels import find_rays_at_boxes
+        from .ray_kernels import find_rays_at_boxes
 
         boxes = self._boxes
         n_most = len(origins_m) * len(self._kind)

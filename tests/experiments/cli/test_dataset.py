@@ -10,6 +10,7 @@ import time
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from threading import Thread
 
 import numpy as np
 import pytest
@@ -163,6 +164,72 @@ def test_coco_is_read_by_its_own_library(dataset, capsys):
     assert not list(Path("data").rglob("*.txt"))
 
 
+def _cars(path):
+    return [line.split() for line in path.read_text().splitlines() if line.startswith("car ")]
+
+
+def test_vehicles_are_labelled_where_they_are_seen(dataset, run):
+    code, _, err = dataset("--lidar", "none", "--masks", "--vehicles", every=20)
+    assert code == 0, err
+    pictures = sorted(Path("data").glob("[01]/*.png"))
+    n_cars = 0
+    for picture in pictures:
+        with Image.open(Path("data/instances") / picture.relative_to("data")) as masks:
+            pixels = np.asarray(masks).astype(int)
+        for _, *box, distance_m in _cars(picture.with_suffix(".txt")):
+            x_min, y_min, x_max, y_max = (int(float(side)) for side in box)
+            part = pixels[y_min:y_max, x_min:x_max]
+            colours, counts = np.unique(part.reshape(-1, 3), axis=0, return_counts=True)
+            # Some colour in the box reaches all of its sides: that of the vehicle.
+            assert any(
+                all(side.any() for side in (mask[0], mask[-1], mask[:, 0], mask[:, -1]))
+                for mask in ((part == colour).all(axis=2) for colour in colours[counts >= 20])
+            )
+            assert 2.0 < float(distance_m) < 200.0
+            n_cars += 1
+    assert n_cars > len(pictures) // 4
+    # Frames without pictures have none, and what reads the folder is not confused.
+    others = [
+        path for path in Path("data").glob("[01]/*.txt") if not path.with_suffix(".png").exists()
+    ]
+    assert others
+    assert not any(_cars(path) for path in others)
+    assert run("evaluate", "--recording", "data", "--json")[0] == 0
+    # A picture that is missing is drawn again; nothing is labelled twice.
+    before = _files("data")
+    pictures[-1].unlink()
+    assert dataset("--lidar", "none", "--masks", "--vehicles", every=20)[0] == 0
+    assert _files("data") == before
+
+
+def test_vehicles_are_in_coco_once(dataset):
+    asked = ("--format", "coco", "--lidar", "none", "--vehicles")
+    assert dataset(*asked)[0] == 0
+    coco = json.loads(Path("data/coco.json").read_text())
+    assert [category["name"] for category in coco["categories"]][-1] == "vehicle"
+    cars = [one for one in coco["annotations"] if one["category_id"] == 3]
+    assert len(cars) == sum(len(_cars(path)) for path in Path("data").glob("[01]/*.txt")) > 0
+    ids = [one["id"] for one in coco["annotations"]]
+    assert len(set(ids)) == len(ids)
+    before = _files("data")
+    assert dataset(*asked)[0] == 0
+    assert _files("data") == before
+
+
+@pytest.mark.usefixtures("drawn")
+def test_varied_looks_differ_from_run_to_run_but_not_from_call_to_call(dataset):
+    for out in ("one", "two"):
+        code, _, err = dataset("--lidar", "none", "--vary", out=out)
+        assert code == 0, err
+    assert _files("one") == _files("two")
+    plain, varied = _files("data"), _files("one")
+    assert plain.keys() == varied.keys()
+    pictures = [name for name in plain if name.endswith(".png")]
+    assert all(plain[name] != varied[name] for name in pictures)
+    labels = [name for name in plain if name.endswith(".txt")]
+    assert all(plain[name] == varied[name] for name in labels)
+
+
 def test_it_goes_on_where_it_stopped_and_writes_nothing_twice(dataset, drawn):
     whole = _files("data")
     pictures = sorted(name for name in whole if name.endswith(".png"))
@@ -303,7 +370,11 @@ def cluster():
     with ExitStack() as stack:
         yield lambda **settings: stack.enter_context(
             distributed.LocalCluster(
-                n_workers=2, threads_per_worker=1, dashboard_address=None, protocol="tcp", **settings
+                n_workers=2,
+                threads_per_worker=1,
+                dashboard_address=None,
+                protocol="tcp",
+                **settings,
             )
         )
 
@@ -316,11 +387,25 @@ def test_workers_of_a_dask_cluster_draw_the_same(dataset, drawn, cluster):
 
 
 @pytest.mark.long
-def test_of_the_workers_of_a_dask_cluster_one_may_die(dataset, cluster):
+def test_of_the_workers_of_a_dask_cluster_one_may_die_at_work(dataset, cluster):
     processes = cluster(processes=True)
     first = next(iter(processes.workers.values()))
     first.auto_restart = False
-    os.kill(first.pid, signal.SIGKILL)
-    code, out, err = dataset("--lidar", "none", "--scheduler", processes.scheduler_address)
+    n_there = []
+
+    def kill_one():
+        while not (there := len(list(Path("data").rglob("[0-9]*.png")))):
+            time.sleep(0.02)
+        n_there.append(there)
+        os.kill(first.pid, signal.SIGKILL)
+
+    killer = Thread(target=kill_one, daemon=True)
+    killer.start()
+    asked = ("--lidar", "none", "--scheduler", processes.scheduler_address)
+    code, out, err = dataset(*asked, every=20)
+    killer.join(timeout=1.0)
     assert code == 0, err
-    assert len(list(Path("data").rglob("*.png"))) == int(out.split()[0])
+    n_pictures = int(out.split()[0])
+    assert n_there[0] < n_pictures  # it was killed before the end
+    assert len(list(Path("data").rglob("*.png"))) == n_pictures
+    assert not list(Path("data").rglob("*.tmp"))

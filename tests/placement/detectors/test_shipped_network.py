@@ -54,9 +54,7 @@ class _Crops:
         for row in rows:
             self.drawn.append(row)
             pixels = np.full((64, 64, 3), 120, dtype=np.uint8)
-            yield row, Crop(
-                pixels=pixels, left_px=0.0, top_px=0.0, scale=1.0, middle_px=(0.0, 0.0)
-            )
+            yield row, Crop(pixels=pixels, left_px=0.0, top_px=0.0, scale=1.0, middle_px=(0.0, 0.0))
 
 
 def _evidence(heights, crops):

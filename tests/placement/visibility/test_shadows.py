@@ -10,7 +10,7 @@ from geometry.actors import PlacedActor, load_actors
 from geometry.poses import Pose
 from geometry.raycast import build_caster
 from geometry.study_scene import load_study_scene
-from placement.visibility import casting, own_shadows, shadow_kernels
+from placement.visibility import casting, own_shadows, ray_kernels, shadow_kernels
 from placement.visibility.build import N_POINTS
 from placement.visibility.casting import build_world, cast_sight
 from placement.visibility.own_shadows import find_own_visible, planes_around
@@ -64,7 +64,7 @@ def _assert_nothing_is_missed(world, eye, monkeypatch, **options):
     with monkeypatch.context() as patch:
         for sieve in ("find_unclear_points", "find_points_behind"):
             patch.setattr(shadow_kernels, sieve, lambda *given: given[-1].fill(True))
-        patch.setattr(shadow_kernels, "find_rays_at_boxes", _every_pair)
+        patch.setattr(ray_kernels, "find_rays_at_boxes", _every_pair)
         patch.setattr(casting, "AROUND_BODY_M", 1.0e6)
         nothing = np.zeros((N_POINTS, 1, 3))
         patch.setattr(own_shadows, "planes_around", lambda surface: nothing)
@@ -100,6 +100,7 @@ def test_no_ray_is_spared_that_something_stops(
     assert shares[0] < 0.8
 
 
+@pytest.mark.long
 def test_no_ray_is_spared_that_something_stops_at_the_studys_junction(study_runs, monkeypatch):
     scene = load_study_scene()
     world = build_world(scene, study_runs, n_points=N_POINTS, seed=0)
@@ -152,7 +153,7 @@ def test_a_point_that_a_triangle_hides_is_never_clear_and_one_that_none_hides_ne
     find_unclear_points(nearest, covered, *views, hidden, unclear)
     asked = np.ones((10, 80), dtype=bool)
     starts, vectors = (np.empty((800, 3), np.float32) for _ in range(2))
-    shadow_kernels.fill_rays(axes, np.arange(10), asked, eye, 0.1, 1.0e-3, starts, vectors)
+    ray_kernels.fill_rays(axes, np.arange(10), asked, eye, 0.1, 1.0e-3, starts, vectors)
     caster = build_caster(triangles.reshape(-1, 3), np.arange(24).reshape(8, 3))
     blocked = caster.is_blocked(starts, vectors).reshape(10, 80)
     assert not (blocked & ~unclear & ~hidden).any()

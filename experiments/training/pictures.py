@@ -1,0 +1,283 @@
+"""Drawn pictures, to look at: ``python -m experiments.training.pictures sheet`` and ``.. judge``.
+
+``sheet`` puts forty of them on one page. ``judge`` shows many to a detector that was trained on
+photographs by others, the people detector of OpenCV: what it finds says how much drawn people look
+like people. It is no part of the program, and OpenCV none of its dependencies:
+``uv run --no-default-groups --group judge python -m experiments.training.pictures judge ..``.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from itertools import islice, pairwise, product
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+from geometry.arrays import BoolArray, FloatArray
+from geometry.errors import InputError
+from geometry.image_boxes import iou
+from placement.detectors.evidence import VRU_CLASSES
+from placement.detectors.sightings import poisson, wilson
+from placement.question import Question
+from placement.setting import Setting, build_setting
+
+from ..results.numbers import percent
+from .crops import WEATHERS, Framing, load_junction, look_around
+
+_CASES = "CPNA-75,CPFA-50,CPLA-25,CPNCO-50,CBNA,CBLA"
+_WORDS = ("adult", "child", "cyclist")
+_LEAST_SEEN = 0.95  # share: what is hidden more is not judged
+_TILE_PX, _CAPTION_PX, _COLUMNS, _TILES = 240, 18, 8, 40
+_SHEET_HEIGHTS_PX = (40.0, 160.0)
+_JUDGED_HEIGHTS_PX = (48.0, 250.0)
+_JUDGED_PX = (640, 480)
+_EDGES_PX = (48.0, 64.0, 96.0, 128.0, 250.0)
+_ASPECT = 0.41  # width of people's boxes by their height
+_BODY_SHARE = 0.75  # of the detector's window is the height of the person in it
+_SCALE = 2  # pictures are shown enlarged: the window is 128 px high
+
+Judge = Callable[[NDArray[np.uint8]], FloatArray]
+"""Boxes (n, 4) of people in a picture (h, w, 3), RGB."""
+
+
+def _rows(
+    settings: Sequence[Setting], framing: Framing, seed: Sequence[int]
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Junctions in turn, and a picture of somebody who is hardly hidden, without end."""
+    looks = [
+        look_around(setting, framing, np.random.default_rng([*seed, number]))
+        for number, setting in enumerate(settings)
+    ]
+    while True:
+        for setting, look in zip(settings, looks, strict=True):
+            yield (
+                setting.scene.name,
+                next(
+                    row
+                    for row in look
+                    if row["vru_class"] >= 0
+                    and row["visible_share"] >= _LEAST_SEEN
+                    and row["box_px"][3] - row["box_px"][1] >= framing.height_px[0]
+                ),
+            )
+
+
+def draw_sheet(settings: Sequence[Setting], *, seed: int) -> Image.Image:
+    """Forty pictures: adults, children and cyclists by day, at night and in rain, in turn."""
+    n_rows = _TILES // _COLUMNS
+    sheet = Image.new("RGB", (_COLUMNS * _TILE_PX, n_rows * (_TILE_PX + _CAPTION_PX)), "white")
+    pen = ImageDraw.Draw(sheet)
+    looks = [
+        _rows(
+            settings[number % len(settings) :] + settings[: number % len(settings)],
+            Framing(
+                height_px=_SHEET_HEIGHTS_PX,
+                crop_px=(_TILE_PX, _TILE_PX),
+                empty_share=0.0,
+                kinds=(kind,),
+                weathers=(weather,),
+                varied=1.0,
+            ),
+            (seed, number),
+        )
+        for number, (weather, kind) in enumerate(product(WEATHERS, VRU_CLASSES))
+    ]
+    for tile in range(_TILES):
+        name, row = next(looks[tile % len(looks)])
+        left = tile % _COLUMNS * _TILE_PX
+        top = tile // _COLUMNS * (_TILE_PX + _CAPTION_PX)
+        sheet.paste(Image.fromarray(row["rgb"]), (left, top))
+        height = round(row["box_px"][3] - row["box_px"][1])
+        caption = f"{_WORDS[row['vru_class']]}, {WEATHERS[row['weather']]}, {height} px, {name}"
+        pen.text((left + 3, top + _TILE_PX + 2), caption[:42], fill="black")
+    return sheet
+
+
+# ---------- a detector of others
+
+
+def load_people_detector() -> Judge:
+    """OpenCV's detector of upright people.
+
+    Raises
+    ------
+    InputError
+        There is no OpenCV, or version 5, which has no such detector any more.
+
+    References
+    ----------
+    .. [1] N. Dalal, B. Triggs, "Histograms of oriented gradients for human detection", 2005: people
+       96 px high in windows of 64 x 128 px, from photographs.
+    """
+    need = "opencv-python-headless below 5: uv run --no-default-groups --group judge .."
+    try:
+        import cv2
+    except ModuleNotFoundError:
+        raise InputError("judge", "no OpenCV", need) from None
+    if not hasattr(cv2, "HOGDescriptor"):
+        raise InputError("judge", f"OpenCV {cv2.__version__}", need)
+    hog = cv2.HOGDescriptor()
+    hog.setSVMDetector(cv2.HOGDescriptor_getDefaultPeopleDetector())
+
+    def find(rgb: NDArray[np.uint8]) -> FloatArray:
+        bgr = np.ascontiguousarray(rgb[..., ::-1])
+        large = cv2.resize(bgr, None, fx=_SCALE, fy=_SCALE, interpolation=cv2.INTER_LINEAR)
+        found, _ = hog.detectMultiScale(large, winStride=(8, 8), padding=(16, 16), scale=1.1)
+        corner = np.asarray(found, dtype=np.float64).reshape(-1, 4) / _SCALE
+        middle, height = corner[:, :2] + 0.5 * corner[:, 2:], _BODY_SHARE * corner[:, 3]
+        return _boxes(middle, height)
+
+    return find
+
+
+def _boxes(middle_px: FloatArray, height_px: FloatArray) -> FloatArray:
+    """Boxes (n, 4) of people around points (n, 2).
+
+    References
+    ----------
+    .. [1] P. Dollar et al., "Pedestrian detection: an evaluation of the state of the art", 2012:
+       labels and detections are given the same aspect, 0.41, for legs and arms move.
+    """
+    half = 0.5 * np.column_stack([_ASPECT * height_px, height_px])
+    return np.concatenate([middle_px - half, middle_px + half], axis=1)
+
+
+def judge_pictures(
+    settings: Sequence[Setting], judge: Judge, *, n_pictures: int, kind: str, seed: int
+) -> tuple[FloatArray, NDArray[np.int64], BoolArray, int]:
+    """Heights (n,) of people in pictures, weather, who is found, and all false alarms.
+
+    Parameters
+    ----------
+    settings : sequence of Setting
+        Junctions.
+    judge : callable
+        The detector.
+    n_pictures : int
+        How many, each with one road user that is hardly hidden.
+    kind : str
+        One of ``VRU_CLASSES``.
+    seed : int
+        Of all that is drawn at random.
+    """
+    framing = Framing(
+        height_px=_JUDGED_HEIGHTS_PX,
+        crop_px=_JUDGED_PX,
+        empty_share=0.0,
+        vut_share=0.4,
+        kinds=(kind,),
+        varied=1.0,
+    )
+    rows, found, n_alarms = [], [], 0
+    for _, row in islice(_rows(settings, framing, (seed, VRU_CLASSES.index(kind))), n_pictures):
+        box = row["box_px"][None]
+        label = _boxes(0.5 * (box[:, :2] + box[:, 2:]), box[:, 3] - box[:, 1])
+        boxes = judge(row.pop("rgb"))
+        overlap = iou(label, boxes)
+        found.append(bool((overlap > 0.5).any()))
+        n_alarms += int((overlap <= 0.0).sum())
+        rows.append(row)
+    height = np.array([row["box_px"][3] - row["box_px"][1] for row in rows])
+    return height, np.array([row["weather"] for row in rows]), np.array(found), n_alarms
+
+
+def judge_text(
+    settings: Sequence[Setting],
+    judge: Judge,
+    *,
+    n_pictures: Sequence[int],
+    seed: int,
+    tell: Callable[[str], None],
+) -> str:
+    """Recall by height and weather, and false alarms, as Markdown; `n_pictures` by class."""
+    lines = [
+        f"Pictures of {_JUDGED_PX[0]} x {_JUDGED_PX[1]} px, each with one road user of whom at "
+        f"least {percent(_LEAST_SEEN)} are seen,",
+        f"at {', '.join(setting.scene.name for setting in settings)}; seed {seed}.",
+        "",
+        "| road users | pictures | found | 95 % interval | false alarms per picture |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for kind, word, n in zip(VRU_CLASSES, _WORDS, n_pictures, strict=True):
+        if not n:
+            continue
+        tell(f"{n} pictures of kind {kind}")
+        height, weather, found, n_alarms = judge_pictures(
+            settings, judge, n_pictures=n, kind=kind, seed=seed
+        )
+        rate = poisson(n_alarms, n)
+        alarms = f"{rate.value:.2f} ({rate.low:.2f} to {rate.high:.2f})"
+        lines.append(_line(word, found, alarms))
+        for low, high in pairwise(_EDGES_PX):
+            mask = (height >= low) & (height < high)
+            lines.append(_line(f"{word}, {low:g} to {high:g} px", found[mask]))
+        lines += [
+            _line(f"{word}, {name}", found[weather == number])
+            for number, name in enumerate(WEATHERS)
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _line(name: str, found: BoolArray, alarms: str = "") -> str:
+    share = wilson(int(found.sum()), len(found))
+    figures = (f"{len(found)}", percent(share.value), f"{percent(share.low)} to ")
+    return f"| {name} | {' | '.join(figures)}{percent(share.high)} | {alarms} |"
+
+
+# ---------- commands
+
+
+_MAPS = click.option(
+    "--map", "maps", multiple=True, help="A map's file, beside town05, which is built in."
+)
+
+
+@click.group()
+def main() -> None:
+    """Look at drawn pictures, or have them judged."""
+
+
+@main.command()
+@_MAPS
+@click.option("--seed", default=0, show_default=True)
+@click.option("--out", type=click.Path(path_type=Path), required=True)
+def sheet(*, maps: tuple[str, ...], seed: int, out: Path) -> None:
+    """Forty pictures on one page."""
+    draw_sheet(_settings(maps), seed=seed).save(out, quality=90)
+
+
+@main.command(name="judge")
+@_MAPS
+@click.option("--adults", default=500, show_default=True)
+@click.option("--children", default=100, show_default=True)
+@click.option("--cyclists", default=100, show_default=True)
+@click.option("--seed", default=0, show_default=True)
+@click.option("--out", type=click.Path(path_type=Path), required=True)
+def judge_command(
+    *, maps: tuple[str, ...], adults: int, children: int, cyclists: int, seed: int, out: Path
+) -> None:
+    """What OpenCV's people detector finds in them."""
+    judge = load_people_detector()
+    text = judge_text(
+        _settings(maps),
+        judge,
+        n_pictures=(adults, children, cyclists),
+        seed=seed,
+        tell=lambda words: click.echo(words, err=True),
+    )
+    out.write_text(text, encoding="utf-8")
+
+
+def _settings(maps: Sequence[str]) -> list[Setting]:
+    question = Question(cases=_CASES, along_arms="0", speeds="20,50")
+    return [build_setting(question, load_junction(name)) for name in ("town05", *maps)]
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except InputError as error:
+        raise SystemExit(f"error: {error}") from None
