@@ -25,7 +25,7 @@ from placement.question import Question
 from placement.setting import Setting, build_setting
 
 from ..results.numbers import percent
-from .crops import WEATHERS, Framing, load_junction, look_around
+from .crops import WEATHERS, Backdrops, Framing, load_junction, look_around
 
 _CASES = "CPNA-75,CPFA-50,CPLA-25,CPNCO-50,CBNA,CBLA"
 _WORDS = ("adult", "child", "cyclist")
@@ -44,11 +44,11 @@ Judge = Callable[[NDArray[np.uint8]], FloatArray]
 
 
 def _rows(
-    settings: Sequence[Setting], framing: Framing, seed: Sequence[int]
+    settings: Sequence[Setting], framing: Framing, seed: Sequence[int], backdrops: Backdrops
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     """Junctions in turn, and a picture of somebody who is hardly hidden, without end."""
     looks = [
-        look_around(setting, framing, np.random.default_rng([*seed, number]))
+        look_around(setting, framing, np.random.default_rng([*seed, number]), backdrops=backdrops)
         for number, setting in enumerate(settings)
     ]
     while True:
@@ -70,9 +70,10 @@ def draw_sheet(settings: Sequence[Setting], *, seed: int) -> Image.Image:
     n_rows = _TILES // _COLUMNS
     sheet = Image.new("RGB", (_COLUMNS * _TILE_PX, n_rows * (_TILE_PX + _CAPTION_PX)), "white")
     pen = ImageDraw.Draw(sheet)
+    backdrops: Backdrops = {}
     looks = [
         _rows(
-            settings[number % len(settings) :] + settings[: number % len(settings)],
+            [*settings[number % len(settings) :], *settings[: number % len(settings)]],
             Framing(
                 height_px=_SHEET_HEIGHTS_PX,
                 crop_px=(_TILE_PX, _TILE_PX),
@@ -82,6 +83,7 @@ def draw_sheet(settings: Sequence[Setting], *, seed: int) -> Image.Image:
                 varied=1.0,
             ),
             (seed, number),
+            backdrops,
         )
         for number, (weather, kind) in enumerate(product(WEATHERS, VRU_CLASSES))
     ]
@@ -117,10 +119,11 @@ def load_people_detector() -> Judge:
         import cv2
     except ModuleNotFoundError:
         raise InputError("judge", "no OpenCV", need) from None
-    if not hasattr(cv2, "HOGDescriptor"):
+    library: Any = cv2  # installed beside this may be another version than its types are of
+    if not hasattr(library, "HOGDescriptor"):
         raise InputError("judge", f"OpenCV {cv2.__version__}", need)
-    hog = cv2.HOGDescriptor()
-    hog.setSVMDetector(cv2.HOGDescriptor_getDefaultPeopleDetector())
+    hog = library.HOGDescriptor()
+    hog.setSVMDetector(library.HOGDescriptor_getDefaultPeopleDetector())
 
     def find(rgb: NDArray[np.uint8]) -> FloatArray:
         bgr = np.ascontiguousarray(rgb[..., ::-1])
@@ -171,8 +174,9 @@ def judge_pictures(
         kinds=(kind,),
         varied=1.0,
     )
+    rows_of_all = _rows(settings, framing, (seed, VRU_CLASSES.index(kind)), {})
     rows, found, n_alarms = [], [], 0
-    for _, row in islice(_rows(settings, framing, (seed, VRU_CLASSES.index(kind))), n_pictures):
+    for _, row in islice(rows_of_all, n_pictures):
         box = row["box_px"][None]
         label = _boxes(0.5 * (box[:, :2] + box[:, 2:]), box[:, 3] - box[:, 1])
         boxes = judge(row.pop("rgb"))
