@@ -11,13 +11,14 @@ from .arrays import FloatArray, Point2, float_array, freeze
 from .errors import InputError
 from .scene import Lane, Scene
 
-_COMPASS_16 = (  # counter-clockwise
+ARM_NAMES = (
     *("east", "east-north-east", "north-east", "north-north-east"),
     *("north", "north-north-west", "north-west", "west-north-west"),
     *("west", "west-south-west", "south-west", "south-south-west"),
     *("south", "south-south-east", "south-east", "east-south-east"),
 )
-COMPASS = _COMPASS_16[::2]
+"""Names of arms: points of the compass, counter-clockwise."""
+COMPASS = ARM_NAMES[::2]
 CONNECTING = "connecting"  # kind of a lane through the junction
 ASSUMED = "assumed"  # kind of a lane that leads on where the map ends
 _ROAD_KINDS = ("driving", "parking")
@@ -570,7 +571,7 @@ def _mean_bearing_deg(bearings_deg: Sequence[float]) -> float:
 def _arm_names(bearings_deg: Sequence[float]) -> list[str]:
     for n_points in (4, 8, 16):
         index = np.round(np.array(bearings_deg) * n_points / 360.0).astype(int) % n_points
-        names = [_COMPASS_16[one * (16 // n_points)] for one in index]
+        names = [ARM_NAMES[one * (16 // n_points)] for one in index]
         if len(set(names)) == len(names):
             return names
     return [

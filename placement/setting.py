@@ -9,13 +9,13 @@ from typing import Any, cast
 
 from geometry.actors import pick_actor
 from geometry.errors import InputError, Unquoted
-from geometry.junction import build_junction
+from geometry.junction import ARM_NAMES, build_junction
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
 from geometry.sensors import CameraModel
 from scenarios.aeb import AebRule, load_aeb_rule, load_track_memory_s
 from scenarios.cases import select_cases
-from scenarios.exposure import default_weights, weigh
+from scenarios.exposure import check_weights, default_weights, weigh
 from scenarios.positions import (
     AT_ZERO,
     Position,
@@ -143,6 +143,33 @@ def build_rule(question: Question) -> AebRule:
         raise InputError("--track-memory", error.got, error.expected) from None
 
 
+def check_question(question: Question) -> None:
+    """Check what can be checked of a question without a scene.
+
+    Raises
+    ------
+    InputError
+        A word is unknown, or a file cannot be used, wherever the question is asked.
+    MissingExtraError
+        What it needs is not installed.
+    """
+    select_cases(question.cases, speeds=question.speeds or None, force=question.force)
+    pick_positions(question.along_arms, question.cases)
+    _words(question.approaches, "--approaches", ARM_NAMES)
+    _weathers(question)
+    build_rule(question)
+    if question.weights:
+        check_weights(question.weights)
+    load_detector(question.detector, where="--detector")
+
+
+def _weathers(question: Question) -> tuple[str, ...]:
+    weathers = _words(question.weather, "--weather", WEATHERS)
+    if not weathers:
+        raise InputError("--weather", question.weather, "one or more of " + ", ".join(WEATHERS))
+    return weathers
+
+
 def _track_memory_s(question: Question) -> float:
     """How long tracks live: as the question says, else for ever where the study's cases are asked.
 
@@ -185,9 +212,7 @@ def drive(
     positions = (position,) if position else pick_positions(question.along_arms, question.cases)
     known = tuple(build_junction(scene).arms)
     approaches = _words(question.approaches, "--approaches", known) or known
-    weathers = _words(question.weather, "--weather", WEATHERS)
-    if not weathers:
-        raise InputError("--weather", question.weather, "one or more of " + ", ".join(WEATHERS))
+    weathers = _weathers(question)
     laid: dict[str, Any] = {
         "vut": pick_actor("vut", "vut"),
         "rule": build_rule(question),

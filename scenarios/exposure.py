@@ -350,10 +350,26 @@ def weigh(runs: Sequence[Run], how: str) -> FloatArray:
         return weight_by_crash_types(runs)
     if how == RATING:
         return weight_by_rating(runs)
+    check_weights(how)
+    return weight_from_csv(Path(how), runs)
+
+
+def check_weights(how: str) -> None:
+    """Check what can be checked of the word of a user without runs, see :func:`weigh`.
+
+    Raises InputError or MissingExtraError as :func:`weigh` does.
+    """
+    if how == RATING:
+        load_points()
+    if how in _BY_WORD:
+        return
     path = Path(how)
     if not how or not path.exists():
         raise InputError("--weights", how, f"{', '.join(_BY_WORD)}, or a CSV file that exists")
-    return weight_from_csv(path, runs)
+    for line, row in _read_rows(path):
+        where = f"{path}: line {line}"
+        _read_weight(row["weight"], where)
+        _read_position(row["position"], where)
 
 
 def weight_per_run(runs: Sequence[Run]) -> FloatArray:

@@ -57,17 +57,17 @@ Examples:
 @option(
     "--budget",
     "budget_units",
-    type=click.IntRange(min=1),
+    type=click.IntRange(min=0),
     metavar="N",
-    expected="a whole number of units, at least 1",
+    expected="a whole number of units, at least 0",
     help="Most new units at all junctions together.",
 )
 @option(
     "--budget-eur",
     "budget_eur",
-    type=click.FloatRange(min=0.0, min_open=True),
+    type=click.FloatRange(min=0.0),
     metavar="EUR",
-    expected="euros, more than 0",
+    expected="euros, at least 0",
     help="Most money to spend on units and sites.",
 )
 @option(
@@ -297,7 +297,7 @@ def city(
     """
     if budget_units is None and budget_eur is None:
         raise click.UsageError(
-            "--budget: got nothing; expected a whole number of units, at least 1, or --budget-eur"
+            "--budget: got nothing; expected a whole number of units, at least 0, or --budget-eur"
         )
     begin(progress, quiet=quiet)
     from ..jobs import city as job

@@ -60,7 +60,7 @@ def table(
         A cell per column.
     n_left : int
         Columns whose cells begin on the left; those of the others end on the right. A left one is
-        made narrower, and its cells are cut, where the table would be too wide.
+        made narrower, and its cells go on below, where the table would be too wide.
     indent : int
         Spaces before every line.
     widths : sequence of int or None, optional
@@ -80,7 +80,12 @@ def table(
             no_wrap=widths is None and not is_left,
         )
     for row in rows:
-        shown.add_row(*(Text(cell, overflow="ellipsis", no_wrap=True) for cell in row))
+        shown.add_row(
+            *(
+                Text(cell, overflow="fold", no_wrap=index >= n_left)
+                for index, cell in enumerate(row)
+            )
+        )
     output = StringIO()
     Console(file=output, width=WIDTH - indent, color_system=None).print(shown)
     lines = (line.rstrip() for line in output.getvalue().splitlines())

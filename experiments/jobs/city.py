@@ -15,6 +15,7 @@ import numpy as np
 from geometry.arrays import FloatArray, IntArray
 from geometry.errors import InputError, Unquoted
 from geometry.maps.importing import DEFAULT_RADIUS_M, ImportOptions, ReadingOptions
+from geometry.maps.sites import check_sites
 from placement.candidates import CandidateGrid
 from placement.city.choose import CityChoice, choose, city_front
 from placement.city.fronts import Options, stack_bounds, stack_fronts
@@ -25,6 +26,7 @@ from placement.layout import Layout
 from placement.optimiser.objectives import TOLERANCE
 from placement.planning import build_grid
 from placement.question import Question
+from placement.setting import check_question
 
 from ..progress import WRITING, StageProgress
 from ..results.city import (
@@ -47,7 +49,13 @@ from ..results.folders import check_folder, sha256, write_files
 from ..results.numbers import euros, percent, several
 from ..results.record import StageRecord, build_stage_records
 from .city_inputs import City, CityJunction, CityValues, CityWish, load_city, load_kept, load_values
-from .city_workers import JunctionAnswer, JunctionTask, run_junctions, start_workers
+from .city_workers import (
+    JunctionAnswer,
+    JunctionTask,
+    check_memory,
+    run_junctions,
+    start_workers,
+)
 from .city_writing import complete_result, write_city
 
 CITY_VERSION = 2
@@ -162,8 +170,12 @@ def run_city(
     check_folder(out)
     progress.kept = f"nothing was written to {out}"
     grid = build_grid(question.sensors, is_coarse=search.is_coarse)
+    check_question(question)
+    check_memory(workers.memory)
     progress("read maps", 0, 0)
     city = load_city(maps, search.reading, wish)
+    for source in city.roads:
+        check_sites(search.sites, crs=source.crs)
     values = load_values(city, wish)
     kept = load_kept(wish.keep, city)
     manifest = _begin(out, city)
@@ -514,6 +526,13 @@ def _sentences(result: CityResult, wish: CityWish, phases: Phases | None) -> tup
         f"{several(result.units, 'unit', 'units')} at {served} of {n_fronts} junctions for "
         f"{euros(result.cost_eur)}: {percent(apr.objective)} of the accidents there are prevented"
     )
+    if result.units == 0:
+        budget = (
+            several(result.budget_units or 0, "unit", "units")
+            if result.budget_eur is None
+            else euros(result.budget_eur)
+        )
+        head = f"Nothing at {several(n_fronts, 'junction', 'junctions')} for at most {budget}"
     if result.not_done:
         head += f"; {several(result.not_done, 'junction', 'junctions')} not done"
     lines = [head + "."]

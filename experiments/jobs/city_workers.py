@@ -139,18 +139,12 @@ def start_workers(
 
     Raises
     ------
-    MissingExtraError
-        dask is not installed.
     InputError
         The scheduler does not answer, has no workers, or these lack this program.
     """
-    try:
-        import dask
-        from distributed import Client, LocalCluster
-    except ImportError:
-        raise MissingExtraError(
-            "place-rsus city needs dask: pip install 'place-rsus[city]'"
-        ) from None
+    import dask
+    from distributed import Client, LocalCluster
+
     if scheduler:
         with connect_to_scheduler(scheduler) as client:
             _check_workers(client, scheduler)
@@ -167,7 +161,7 @@ def start_workers(
             n_workers=n_workers,
             threads_per_worker=1,
             processes=True,
-            memory_limit=_memory(memory),
+            memory_limit=check_memory(memory),
             dashboard_address="127.0.0.1:0",
             silence_logs=logging.CRITICAL,
         ) as cluster,
@@ -181,9 +175,23 @@ def start_workers(
     sys.warnoptions.remove(_NO_WARNING)
 
 
-def _memory(text: str) -> int:
-    from dask.utils import parse_bytes
+def check_memory(text: str) -> int:
+    """The memory of a worker, in bytes.
 
+    Raises
+    ------
+    MissingExtraError
+        dask is not installed.
+    InputError
+        That is no amount, or too little.
+    """
+    try:
+        import distributed  # noqa: F401
+        from dask.utils import parse_bytes
+    except ImportError:
+        raise MissingExtraError(
+            "place-rsus city needs dask: pip install 'place-rsus[city]'"
+        ) from None
     try:
         size = int(parse_bytes(text))
     except ValueError:

@@ -219,6 +219,21 @@ _SPACINGS_M = (2.0, 100.0)
 _OCTANTS = ("e", "ne", "n", "nw", "w", "sw", "s", "se")
 
 
+def check_sites(where: str, *, crs: str) -> None:
+    """Check where sites come from without a junction, see :func:`choose_sites`.
+
+    Raises InputError if `where` cannot be read; `crs` is that of the map with the roads.
+    """
+    if where in (AUTO, MAP):
+        return
+    if where.startswith(KERB):
+        _spacing_m(where)
+    elif Path(where).suffix.lower() in SUFFIXES:
+        read_sites(Path(where), crs=crs)
+    else:
+        raise InputError("--sites", where, "auto, map, kerb:SPACING, or a .csv or .geojson file")
+
+
 def choose_sites(
     where: str, surroundings: Surroundings, roads: SourceMap, *, radius_m: float
 ) -> tuple[tuple[Site, ...], tuple[Skipped, ...]]:
@@ -229,6 +244,7 @@ def choose_sites(
     middle of the junction are left out. Raises InputError if `where` cannot be read, or no site is
     left.
     """
+    check_sites(where, crs=roads.crs)
     told: list[Skipped] = []
     if where in (AUTO, MAP):
         wishes, low = _poles(surroundings)
@@ -244,11 +260,9 @@ def choose_sites(
             )
     elif where.startswith(KERB):
         wishes = _kerbs(surroundings, _spacing_m(where), radius_m)
-    elif Path(where).suffix.lower() in SUFFIXES:
+    else:
         wishes, far = _listed(Path(where), surroundings, roads, radius_m)
         told += far
-    else:
-        raise InputError("--sites", where, "auto, map, kerb:SPACING, or a .csv or .geojson file")
     placed, moved = _settled(wishes, surroundings)
     told += [skip for skip in moved if not where.startswith(KERB) and where != AUTO]
     kept, dropped = tidy_sites(placed, things=surroundings.things)

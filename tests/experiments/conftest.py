@@ -14,7 +14,7 @@ from small_results import (
 )
 
 from experiments.cli import main
-from experiments.jobs import placement, writing
+from experiments.jobs import baselines, placement, writing
 from geometry.poses import Pose
 from placement import planning
 from placement.candidates import CandidatePose
@@ -40,6 +40,7 @@ def few_runs(small_setting, tables, monkeypatch):
         placement, "build_setting", lambda question, scene, **options: small_setting
     )
     monkeypatch.setattr(planning, "load_candidate_grid", build_small_grid)
+    monkeypatch.setattr(baselines, "load_candidate_grid", build_small_grid)
     return small_setting
 
 

@@ -25,7 +25,7 @@ from placement.layout import Layout
 HALF_PIXEL = 0.5
 """Here the middle of the first pixel is (0.5, 0.5); in OpenCV, ROS and OpenLABEL (0, 0)."""
 
-BUILDS = [awkward_layout, large_layout]
+BUILDS = [awkward_layout, pytest.param(large_layout, marks=pytest.mark.long)]
 
 
 def cameras_of(layout):

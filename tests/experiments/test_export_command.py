@@ -45,7 +45,9 @@ def test_every_format_is_described():
 
 
 @pytest.mark.parametrize("name", FORMAT_NAMES)
-@pytest.mark.parametrize("build", [awkward_layout, large_layout])
+@pytest.mark.parametrize(
+    "build", [awkward_layout, pytest.param(large_layout, marks=pytest.mark.long)]
+)
 def test_notes_tell_the_truth(name, build):
     layout, note = build(), load_format(name)
     content = note.write(layout, map_scene())

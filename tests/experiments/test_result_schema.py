@@ -164,7 +164,6 @@ def written(run, out, *arguments):
 
 PLACEMENTS = {
     "plain": (["--budget", "2"], {"front", "stages", "sensitivity", "explained"}),
-    "refined": (["--budget", "1", "--refine"], {"refinement"}),
     "cheapest": (["--target", "max", "--least", "cost", "--pool", "2"], {"goal"}),
     "single": (["--budget", "2", "--fusion", "single", "--survive", "1"], {"stages"}),
 }
@@ -173,11 +172,27 @@ PLACEMENTS = {
 @pytest.mark.parametrize("kind", PLACEMENTS)
 def test_placements_are_as_the_schema_says(kind, small_study, without_figures, run, tmp_path):
     options, expected = PLACEMENTS[kind]
-    summary = written(run, tmp_path / "out", *options)
+    check_placement(run, tmp_path / "out", options, expected)
+
+
+def check_placement(run, out, options, expected):
+    """Its summary, which is as the schema says and has these keys."""
+    summary = written(run, out, *options)
     assert messages(summary) == []
     assert expected <= set(summary)
     assert summary["schema"] == RESULT_SCHEMA
-    assert plain(load_result(tmp_path / "out").summary) == summary
+    assert plain(load_result(out).summary) == summary
+    return summary
+
+
+def test_a_refined_placement_is_no_worse_and_as_the_schema_says(
+    small_study, without_figures, run, tmp_path
+):
+    less = written(run, tmp_path / "plain", "--budget", "1")
+    options = ["--budget", "1", "--refine"]
+    refined = check_placement(run, tmp_path / "out", options, {"refinement"})
+    assert refined["candidates"] >= less["candidates"]
+    assert refined["apr"] >= less["apr"]
 
 
 def test_private_ground_is_in_the_schema(

@@ -12,7 +12,6 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from damage import damaged, wounded
@@ -154,10 +153,10 @@ def test_every_reader_is_registered() -> None:
 
 
 def test_every_registered_reader_exists() -> None:
-    import importlib
-
+    """To import all of them takes long: their files are looked into."""
     for reader in READERS.values():
         for name in reader.covers:
             module, _, function = name.rpartition(".")
-            found: Any = getattr(importlib.import_module(module), function, None)
-            assert callable(found), name
+            text = (ROOT / f"{module.replace('.', '/')}.py").read_text(encoding="utf-8")
+            defined = [one.name for one in ast.parse(text).body if isinstance(one, ast.FunctionDef)]
+            assert function in defined, name

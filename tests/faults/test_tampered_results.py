@@ -6,7 +6,7 @@ away, so that the files agree as well as whoever changed them could make them ag
 
 import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from _pytest.mark import ParameterSet
 from small_results import build_small_setting, write_small_results
 
 from experiments.export.csv import to_csv
@@ -416,7 +417,15 @@ def test_what_nobody_has_changed_is_verified(results):
     assert len(set(names)) == len(names)
 
 
-@pytest.mark.parametrize("name", FOUND)
+def changes() -> Iterator[ParameterSet]:
+    """Quickly, one change for each check that finds it; the others are long."""
+    told = set()
+    for name, (_, expected) in FOUND.items():
+        yield pytest.param(name, marks=[pytest.mark.long] if expected in told else [])
+        told.add(expected)
+
+
+@pytest.mark.parametrize("name", list(changes()))
 def test_what_was_changed_is_found_or_named(results, name):
     change, expected = FOUND[name]
     change(results)

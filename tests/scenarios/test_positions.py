@@ -90,6 +90,7 @@ def same_frames(one, other, *, by=(0.0, 0.0), tolerance_m=0.0):
 # Position 0
 
 
+@pytest.mark.long  # their names, quickly: tests/placement/test_driving.py
 def test_at_zero_the_runs_are_those_of_the_study_set(default_runs, vut, rule):
     at_zero = [run for run in default_runs[0] if run.position == "0"]
     study, _ = build_runs(load_study_scene(), select_cases("study").cases, vut=vut, rule=rule)

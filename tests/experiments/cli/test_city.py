@@ -8,6 +8,7 @@ from msgspec.structs import replace as replace_fields
 
 from experiments.cli.city import city as command
 from experiments.cli.city import city_text
+from experiments.cli.terminal import table
 from experiments.jobs import city as job
 from experiments.results.city import CityResult, load_manifest
 
@@ -35,17 +36,35 @@ def test_the_first_line_says_what_matters_and_json_says_all(run, solved_here, tm
     assert [entry.folder for entry in manifest.junctions] == ["n1", "n3"]
 
 
+def test_names_are_never_cut_and_no_line_is_wider_than_a_terminal():
+    name = " / ".join(f"{letter}-Street of a very long name" for letter in "ABC")
+    lines = table(["junction", "units"], [[name, "2"], ["n1", "1"]])
+    assert max(map(len, lines)) <= 80
+    assert " ".join(line.removesuffix("2").strip() for line in lines[1:-1]) == name
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (
             (),
-            "--budget: got nothing; expected a whole number of units, at least 1, or --budget-eur",
+            "--budget: got nothing; expected a whole number of units, at least 0, or --budget-eur",
         ),
-        (("--budget", "0"), "--budget: got '0'; expected a whole number of units, at least 1"),
-        (("--budget", "-3"), "--budget: got '-3'; expected a whole number of units, at least 1"),
-        (("--budget-eur", "0"), "--budget-eur: got '0'; expected euros, more than 0"),
-        (("--budget-eur", "-1"), "--budget-eur: got '-1'; expected euros, more than 0"),
+        (("--budget", "-3"), "--budget: got '-3'; expected a whole number of units, at least 0"),
+        (("--budget-eur", "-1"), "--budget-eur: got '-1'; expected euros, at least 0"),
+        (("--budget-eur", "nan"), "--budget-eur: got 'nan'; expected euros, at least 0"),
+        # What no junction could take is told before any is cut out.
+        (("--budget", "1", "--along-arms", "0,-15"), "--along-arms: got '-15'; expected metres"),
+        (("--budget", "1", "--cases", "FOO"), "--cases: got 'FOO'; expected one of default, "),
+        (("--budget", "1", "--speeds", "7"), "--speeds: got 7; expected 10 to 60 km/h"),
+        (("--budget", "1", "--sensors", "eye"), "--sensors: got 'eye'; expected one of "),
+        (("--budget", "1", "--weather", "hail"), "--weather: got 'hail'; expected one or more of"),
+        (("--budget", "1", "--approaches", "up"), "--approaches: got 'up'; expected one or more"),
+        (("--budget", "1", "--weights", "no.csv"), "--weights: got 'no.csv'; expected run, case,"),
+        (("--budget", "1", "--detector", "eye"), "--detector: got 'eye'; expected geometric, "),
+        (("--budget", "1", "--latency-budget", "z"), "--latency-budget: got 'z'; expected study"),
+        (("--budget", "1", "--sites", "kerb:x"), "--sites: got 'kerb:x'; expected kerb:SPACING"),
+        (("--budget", "1", "--sites", "no.csv"), "no.csv: got No such file or directory; expect"),
         (("--budget", "1", "--max-units", "0"), "--max-units: got '0'; expected a number of units"),
         (
             ("--budget", "1", "--worker-memory", "much"),

@@ -8,6 +8,7 @@ import pytest
 
 from experiments.export.openscenario import load_xosc
 
+FEW = ("--cases", "CBLA", "--approaches", "east", "--along-arms", "0")
 KEYS = {"case", "approach", "position", "speeds_kmh", "n_runs", "last_brake_time_s", "reason"}
 
 
@@ -112,7 +113,7 @@ def test_options_that_cannot_be_are_one_line(run, command, arguments, message):
 
 @pytest.mark.parametrize("how", ["speed", "missing.csv"])
 def test_unknown_weights_are_one_line(run, how):
-    line = refusal(run("--budget", "1", "--cases", "CBLA", "--weights", how, "--quiet"))
+    line = refusal(run("--budget", "1", *FEW, "--weights", how, "--quiet"))
     assert line == (
         f"--weights: got '{how}'; expected run, case, fhwa-crash-types, euroncap-rating-2026, "
         "or a CSV file that exists"
@@ -129,7 +130,7 @@ def test_unknown_weights_are_one_line(run, how):
 )
 def test_weights_that_do_not_fit_are_one_line(run, rows, message):
     Path("exposure.csv").write_text(f"case,approach,weight\n{rows}\n", encoding="utf-8")
-    arguments = ("--budget", "1", "--cases", "CBLA", "--weights", "exposure.csv", "--quiet")
+    arguments = ("--budget", "1", *FEW, "--weights", "exposure.csv", "--quiet")
     assert refusal(run(*arguments)).startswith(message)
 
 

@@ -42,9 +42,14 @@ def _loaded_by(code: str, *arguments: str) -> set[str]:
     [
         (("--help", "--version", "pareto --help-all"), set()),
         (("export --layout carlancap-12 --format carla",), GEOMETRY),
-        (("export --layout carlancap-12 --format csv",), GEOMETRY | {"pandas", "pyarrow"}),
-        (("export --layout carlancap-12 --format geojson",), GEOMETRY | {"pyproj"}),
-        (("scene show --quiet",), GEOMETRY | {"matplotlib", "pyproj", "rich"}),
+        *(
+            pytest.param(commands, GEOMETRY | more, marks=pytest.mark.long)
+            for commands, more in (
+                (("export --layout carlancap-12 --format csv",), {"pandas", "pyarrow"}),
+                (("export --layout carlancap-12 --format geojson",), {"pyproj"}),
+                (("scene show --quiet",), {"matplotlib", "pyproj", "rich"}),
+            )
+        ),
     ],
 )
 def test_a_command_loads_what_it_needs_and_nothing_else(commands, may_load):

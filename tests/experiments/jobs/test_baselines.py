@@ -40,7 +40,7 @@ def compare(layouts, **options):
         Question(),
         layouts=layouts,
         out=None,
-        compute=Compute(workers=2),
+        compute=Compute(workers=2, cache_folder=cache_folder()),
         command="place-rsus",
         progress=StageProgress(),
         **options,
@@ -124,8 +124,9 @@ def test_where_sites_cannot_carry_as_many_there_is_nothing_to_compare_with(small
     setting = replace(small_study, scene=few)
     layout = Layout(name="three", units=study_units(3))
     assert baselines.compare_layout(layout, setting, compute=Compute()) is None
+    compute = Compute(workers=2, cache_folder=cache_folder())
     two = baselines.compare_layout(
-        Layout(name="two", units=study_units(2)), setting, compute=Compute(workers=2)
+        Layout(name="two", units=study_units(2)), setting, compute=compute
     )
     assert len(two.random.apr) == 100
     assert len(two.expert.units) == 1  # a corner has one camera

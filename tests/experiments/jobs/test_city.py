@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from city_maps import FEW_RUNS, solve_here, write_city
+from city_maps import FEW_RUNS, FEW_RUNS_OPTIONS, solve_here, write_city
 from once import make_once
 
 from experiments.jobs import city as job
@@ -84,8 +85,6 @@ def never(monkeypatch):
 @pytest.fixture
 def city(tiny, tmp_path):
     """A copy of the folder, to be written to."""
-    import shutil
-
     shutil.copytree(tiny / "city", tmp_path / "city")
     return tmp_path / "city"
 
@@ -249,7 +248,13 @@ def test_a_budget_below_the_cheapest_unit_buys_nothing_and_says_what_it_would(
 ):
     result = run(tiny / "tiny.osm", city, budget_eur=10.0)
     assert (result.units, result.cost_eur) == (0, 0.0)
+    assert result.sentences[0] == "Nothing at 3 junctions for at most 10 EUR."
     assert result.sentences[1].startswith("The cheapest useful choice is 1 unit at ")
+    for nothing in ({"budget_units": 0}, {"budget_eur": 0.0}):
+        result = run(tiny / "tiny.osm", city, **nothing)
+        assert (result.units, result.stages[0].objective) == (0, 0.0)
+        assert result.stages[0].gap == 0.0
+        assert result.sentences[1].startswith("The cheapest useful choice is 1 unit at ")
 
 
 def test_what_hangs_there_is_kept_and_paid(tiny, here, tmp_path, no_pages):
@@ -438,6 +443,48 @@ def test_a_worker_that_is_killed_loses_nothing_and_one_that_always_dies_is_told(
         [(_, answer)] = city_workers.run_junctions(client, tasks[:1])
         assert answer.record.reason.startswith("its worker died, 3 times: more --worker-memory")
         assert not answer.record.is_final
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="signals and processes as on Linux")
+def test_kill_9_loses_at_most_the_junctions_in_work_and_ends_the_workers(
+    tiny, city, here, no_pages
+):
+    import psutil
+
+    kept, *missing = sorted(path.parent for path in city.glob("junctions/*/front.json"))
+    before = (kept / "front.json").read_bytes()
+    for folder in missing:
+        shutil.rmtree(folder)
+    command = ("city", tiny / "tiny.osm", "--budget", "2", "--coarse", "--max-units", "2")
+    limits = ("--max-junction-seconds", "3600", "--workers", "1", "--out", city)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    main = subprocess.Popen(
+        [sys.executable, "-m", "experiments.cli.main", *command, *limits, *FEW_RUNS_OPTIONS],
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    pause = threading.Event()
+    children = []
+    for _ in range(6000):
+        if any((folder / "front.json").exists() for folder in missing) or main.poll() is not None:
+            children = psutil.Process(main.pid).children(recursive=True)
+            main.kill()
+            break
+        pause.wait(0.02)
+    assert main.wait() == -signal.SIGKILL
+    assert children  # a worker had been there
+    _, alive = psutil.wait_procs(children, timeout=60)
+    assert not alive
+    done = {folder: (folder / "front.json").exists() for folder in missing}
+    written = {folder: (folder / "front.json").read_bytes() for folder in missing if done[folder]}
+    assert written
+    assert (kept / "front.json").read_bytes() == before
+    again = run(tiny / "tiny.osm", city)
+    assert again.computed == list(done.values()).count(False)
+    assert all((folder / "front.json").read_bytes() == text for folder, text in written.items())
+    for mine, theirs in zip(fronts_of(tiny / "city"), fronts_of(city), strict=True):
+        assert (mine.key, mine.points) == (theirs.key, theirs.points)
 
 
 def test_numbers_of_the_figure_are_those_of_the_result(tiny, city, never, no_pages):

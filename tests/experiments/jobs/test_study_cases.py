@@ -176,6 +176,7 @@ def test_a_question_along_the_arms_has_all_runs_of_the_study(default, study):
     assert np.array_equal(part.axis.last_brake_time_s, study.axis.last_brake_time_s)
 
 
+@pytest.mark.long
 def test_the_block_is_an_evaluation_of_the_studys_cases_run_by_run(default, study):
     """All 240 runs, among others; by three of the cameras, which see far less than all twelve."""
     _, asked, rows = default

@@ -47,7 +47,7 @@ def garden(tmp_path, small_setting):
     """Private ground at the junction's corner."""
     scene = small_setting.scene
     x, y = scene.outline_m.mean(axis=0)
-    ring = to_geographic(np.array(box(x - 45, y + 14, x - 20, y + 30).exterior.coords), scene.crs)
+    ring = to_geographic(np.array(box(x - 20, y + 8, x - 4, y + 18).exterior.coords), scene.crs)
     shape = {"type": "Polygon", "coordinates": [ring.tolist()]}
     feature = {"type": "Feature", "properties": {"name": "garden"}, "geometry": shape}
     path = tmp_path / "garden.geojson"
@@ -405,10 +405,10 @@ def test_two_hundred_units_are_shown_and_turned(browser, serve, small_setting):
     ]
     with opened(browser, serve(units)) as page:
         expect(page.locator("#units button")).to_have_count(200, timeout=PATIENCE_MS)
-        page.locator('[data-chip="U7"]').click()
+        page.locator('[data-chip="U0"]').click()
         write(page.locator("#yaw"), "12")
         page.locator("#yaw").press("Tab")
-        turned = page.locator('[data-unit="U7"] path').first
+        turned = page.locator('[data-unit="U0"] path').first
         expect(turned).to_have_attribute("transform", "rotate(-12)", timeout=PATIENCE_MS)
         told(page, "table", "evaluator")
         x, y = middle(page.locator("[data-aim]"))

@@ -70,7 +70,7 @@ def test_a_window_has_the_box_in_its_middle_but_stays_in_the_image(larger):
     assert window_around(corner, larger, side_px=96) == Window(larger.width_px - 96, 0, 96, 96)
 
 
-@pytest.mark.parametrize("weather", ["day", "night"])
+@pytest.mark.parametrize("weather", ["day", pytest.param("night", marks=pytest.mark.long)])
 def test_a_crop_is_that_part_of_the_whole_picture(last_frames, seen, larger, weather):
     run = replace(last_frames("CPNC-50/west/30", 1), weather=weather)
     crops, picture, evidence = seen([run], camera=larger)

@@ -78,7 +78,9 @@ def surroundings(build_scene, build_run):
     )
 
 
-@pytest.mark.parametrize("mount", MOUNTS)
+@pytest.mark.parametrize(
+    "mount", [MOUNTS[0], *(pytest.param(one, marks=pytest.mark.long) for one in MOUNTS[1:])]
+)
 def test_roadside_boxes_equal_the_plain_render_of_every_frame(surroundings, camera, mount):
     boxes = perceive_from_roadside(surroundings, mount, camera)
     views = [render_frame(surroundings, frame, mount, camera) for frame in range(N_FRAMES)]

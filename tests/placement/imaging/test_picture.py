@@ -61,8 +61,17 @@ def test_a_picture_has_the_sensors_size_and_the_declared_types(draw, small):
     assert {"ground", "building-ne", "parked-1"} <= set(picture.names)
 
 
-@pytest.mark.parametrize("back", [0, 5, 12])
-@pytest.mark.parametrize("with_vut", [True, False])
+@pytest.mark.parametrize(
+    ("back", "with_vut"),
+    [
+        (5, True),
+        (0, False),
+        *(
+            pytest.param(back, with_vut, marks=pytest.mark.long)
+            for back, with_vut in ((0, True), (12, True), (5, False), (12, False))
+        ),
+    ],
+)
 def test_instances_and_depths_are_those_of_one_ray_per_body_and_pixel(
     backdrop, study_run, small, back, with_vut
 ):

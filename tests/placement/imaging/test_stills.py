@@ -19,7 +19,9 @@ def backdrop(study_run):
     return build_backdrop(load_study_scene(), study_run.obstruction)
 
 
-@pytest.fixture(scope="module", params=["day", "night", "rain"])
+@pytest.fixture(
+    scope="module", params=["day", pytest.param("night", marks=pytest.mark.long), "rain"]
+)
 def pictures(request, backdrop, study_run, small):
     """Three frames in a weather: anew, and onto a still."""
     weather = load_weathers()[request.param]

@@ -170,6 +170,7 @@ def test_sight_is_the_naive_one_with_parked_bodies_of_one_run_only(build_scene, 
     assert (seen[n:] <= seen[:n] + 1e-12).all()
 
 
+@pytest.mark.long
 def test_sight_is_the_naive_one_at_the_studys_junction(study_runs):
     scene = load_study_scene()
     rng = np.random.default_rng(3)

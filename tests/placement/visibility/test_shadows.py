@@ -100,6 +100,7 @@ def test_no_ray_is_spared_that_something_stops(
     assert shares[0] < 0.8
 
 
+@pytest.mark.long
 def test_no_ray_is_spared_that_something_stops_at_the_studys_junction(study_runs, monkeypatch):
     scene = load_study_scene()
     world = build_world(scene, study_runs, n_points=N_POINTS, seed=0)
