@@ -65,7 +65,9 @@ def _rows(
             )
 
 
-def draw_sheet(settings: Sequence[Setting], *, seed: int) -> Image.Image:
+def draw_sheet(
+    settings: Sequence[Setting], *, seed: int, tell: Callable[[str], None] = lambda words: None
+) -> Image.Image:
     """Forty pictures: adults, children and cyclists by day, at night and in rain, in turn."""
     n_rows = _TILES // _COLUMNS
     sheet = Image.new("RGB", (_COLUMNS * _TILE_PX, n_rows * (_TILE_PX + _CAPTION_PX)), "white")
@@ -94,6 +96,7 @@ def draw_sheet(settings: Sequence[Setting], *, seed: int) -> Image.Image:
         sheet.paste(Image.fromarray(row["rgb"]), (left, top))
         height = round(row["box_px"][3] - row["box_px"][1])
         caption = f"{_WORDS[row['vru_class']]}, {WEATHERS[row['weather']]}, {height} px, {name}"
+        tell(f"{tile + 1} of {_TILES}: {caption}")
         pen.text((left + 3, top + _TILE_PX + 2), caption[:42], fill="black")
     return sheet
 
@@ -250,7 +253,7 @@ def main() -> None:
 @click.option("--out", type=click.Path(path_type=Path), required=True)
 def sheet(*, maps: tuple[str, ...], seed: int, out: Path) -> None:
     """Forty pictures on one page."""
-    draw_sheet(_settings(maps), seed=seed).save(out, quality=90)
+    draw_sheet(_settings(maps), seed=seed, tell=_tell).save(out, quality=90)
 
 
 @main.command(name="judge")
@@ -270,9 +273,13 @@ def judge_command(
         judge,
         n_pictures=(adults, children, cyclists),
         seed=seed,
-        tell=lambda words: click.echo(words, err=True),
+        tell=_tell,
     )
     out.write_text(text, encoding="utf-8")
+
+
+def _tell(words: str) -> None:
+    click.echo(words, err=True)
 
 
 def _settings(maps: Sequence[str]) -> list[Setting]:
