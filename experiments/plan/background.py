@@ -56,6 +56,19 @@ class Background:
         return {"lie": msgspec.to_builtins(self.lie), "image": image}
 
 
+def background_message(background: Background | None) -> dict[str, Any]:
+    """What browsers are told: where the image is, its size and points; an empty address: none."""
+    if background is None:
+        return {"type": "background", "address": ""}
+    lie = background.lie
+    return {
+        "type": "background",
+        "address": f"background?{id(background)}",  # another one is not taken from a cache
+        "size": [lie.width_px, lie.height_px],
+        "points": [msgspec.structs.astuple(point) for point in lie.points],
+    }
+
+
 def build_background(content: bytes, lie: bytes, where: str) -> Background:
     """A background from an image and the JSON of its :class:`Lie`.
 

@@ -25,7 +25,7 @@ from placement.setting import Setting
 
 from ..report.interactive.records import unit_records
 from .background import MAX_BYTES as MAX_IMAGE_BYTES
-from .background import Background
+from .background import Background, background_message
 from .messages import (
     Ask,
     Cancel,
@@ -199,7 +199,7 @@ class Desk:
         listener(self._scene_message())
         listener(self._state_message())
         listener(self._proposals_message())
-        listener(self._background_message())
+        listener(background_message(self.background))
         if self._doing:
             listener(self._doing)
         self._changed.set()
@@ -229,18 +229,6 @@ class Desk:
     def _state_message(self) -> dict[str, Any]:
         record = state_record(self.history, self.setting.scene)
         return {"type": "state", "revision": self.revision, **record}
-
-    def _background_message(self) -> dict[str, Any]:
-        background = self.background
-        if background is None:
-            return {"type": "background", "address": ""}
-        lie = background.lie
-        return {
-            "type": "background",
-            "address": f"background?{id(background)}",  # another one is not taken from a cache
-            "size": [lie.width_px, lie.height_px],
-            "points": [[p.x_px, p.y_px, p.east_m, p.north_m] for p in lie.points],
-        }
 
     def _do(self, who: str, stage: str, done: int = 0, total: int = 0) -> None:
         """Tell what is worked on; an empty stage: nothing more."""
@@ -281,7 +269,7 @@ class Desk:
     def lay_background(self, background: Background | None) -> None:
         """Show another image below the plan, or none."""
         self.background = background
-        self.tell(self._background_message())
+        self.tell(background_message(self.background))
         self._changed.set()  # it is kept when the plan rests
 
     def open_plan(self, plan: Plan) -> None:
@@ -609,7 +597,7 @@ class Desk:
             self._scene_message(),
             self._state_message(),
             self._proposals_message(),
-            self._background_message(),
+            background_message(self.background),
         ):
             self.tell(message)
         self._changed.set()
