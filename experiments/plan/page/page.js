@@ -22,7 +22,7 @@ const line = openLine({ onMessage: read, onState: connected });
 const map = createMap(find("plan"), {
   site: chooseSite,
   unit: chooseUnit,
-  aim: (unit, aim, gesture) => line.step({ do: "change", unit, yaw_deg: aim.yaw, ...(aim.pitch === undefined ? {} : { pitch_deg: Math.max(-90, aim.pitch) }), gesture }),
+  aim: (unit, aim, gesture) => put({ do: "change", unit, yaw_deg: aim.yaw, ...(aim.pitch === undefined ? {} : { pitch_deg: Math.max(-90, aim.pitch) }), gesture }),
   move: (unit, site) => line.send({ do: "change", unit, site }),
   hang: (site, aim) => hang(site, aim),
   heightOf: (site) => Math.min(Math.max(8, site.low), site.high),
@@ -260,7 +260,7 @@ for (const [id, field] of Object.entries(FIELDS)) {
     input.addEventListener("input", () => {
       if (input.value === "" || !Number.isFinite(input.valueAsNumber) || !current()) return;
       if (typing.id !== input.id) typing = { id: input.id, gesture: `${input.id} ${Date.now()}` };
-      line.step({ do: "change", unit: selected, [field.name]: input.valueAsNumber, gesture: typing.gesture });
+      put({ do: "change", unit: selected, [field.name]: input.valueAsNumber, gesture: typing.gesture });
     });
     input.addEventListener("change", () => { typing = { id: "", gesture: "" }; });
     input.addEventListener("blur", fillUnit);
@@ -415,13 +415,27 @@ function readCoverage(message) {
 
 // ---------- the keyboard
 
-let held = { key: "", gesture: "", at: 0 };
+// A step by pointer or field: keys go on from it.
+function put(step) {
+  held.at = 0;
+  line.step(step);
+}
+
+// Keys may come faster than answers: each goes on from what those before it have asked for.
+const KEY_GESTURE_MS = 800, AHEAD_MS = 2500;
+const TOLD_AS = { yaw_deg: "yawDeg", pitch_deg: "pitchDeg", height_m: "heightM", fov_deg: "fovDeg" };
+let held = { unit: "", key: "", gesture: "", at: 0 }, ahead = {};
 function turnBy(changes, key) {
   const unit = current();
   if (!unit) return;
-  if (held.key !== key + selected || Date.now() - held.at > 800) held = { key: key + selected, gesture: `key ${Date.now()}` };
-  held.at = Date.now();
-  line.step({ do: "change", unit: selected, ...changes(unit), gesture: held.gesture });
+  const since = Date.now() - held.at;
+  if (held.unit !== selected || since > AHEAD_MS) ahead = {};
+  const isSame = held.unit === selected && held.key === key && since <= KEY_GESTURE_MS;
+  held = { unit: selected, key, gesture: isSame ? held.gesture : `key ${Date.now()}`, at: Date.now() };
+  const wanted = { ...unit };
+  for (const [name, value] of Object.entries(ahead)) wanted[TOLD_AS[name]] = value;
+  Object.assign(ahead, changes(wanted));
+  line.step({ do: "change", unit: selected, ...ahead, gesture: held.gesture });
 }
 
 document.addEventListener("keydown", (event) => {
@@ -429,7 +443,7 @@ document.addEventListener("keydown", (event) => {
   const key = event.key;
   if ((event.ctrlKey || event.metaKey) && !event.altKey && !isWriting) {
     const isRedo = key.toLowerCase() === "y" || (key.toLowerCase() === "z" && event.shiftKey);
-    if (isRedo || key.toLowerCase() === "z") { event.preventDefault(); line.send({ do: isRedo ? "redo" : "undo" }); }
+    if (isRedo || key.toLowerCase() === "z") { event.preventDefault(); held.at = 0; line.send({ do: isRedo ? "redo" : "undo" }); }
     return;
   }
   if (isWriting || event.altKey || event.metaKey || !isConnected) return;

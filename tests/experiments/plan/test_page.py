@@ -183,8 +183,10 @@ def test_everything_by_keyboard(browser, serve, tmp_path):
         page.locator('[data-unit="U1"]').focus()
         yaw, pitch = (float(page.locator(name).input_value()) for name in ("#yaw", "#pitch"))
         for key in ("ArrowLeft", "Shift+ArrowLeft", "ArrowDown", "PageDown"):
-            page.keyboard.press(key)
-            page.wait_for_timeout(150)
+            page.keyboard.press(key)  # faster than answers come
+        expect(page.locator("#yaw")).to_have_value(
+            re.compile(rf"^{yaw + 11.0:.1f}"), timeout=PATIENCE_MS
+        )
         told(page)
         (unit,) = saved(page, tmp_path).units
         assert unit.pose.yaw_deg == pytest.approx(yaw + 11.0, abs=0.06)
