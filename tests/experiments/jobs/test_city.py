@@ -127,6 +127,9 @@ def test_the_folder_has_all_of_it_and_nothing_is_done_twice(tiny, city, never):
     table = pd.read_parquet(city / "fronts.parquet")
     assert set(table.junction) == {one.id for one in result.junctions}
     assert len(table) == sum(len(front.points) for front in fronts_of(city))
+    rows = pd.read_csv(city / "junctions.csv")
+    assert (rows.runs > 0).all()
+    assert (rows.cpu_s > 0.0).all()
     poles = pd.read_csv(city / "poles.csv")
     assert poles.units.sum() == 2
     assert {one.part for one in result.purchases} == {"sensor", "site"}
@@ -448,6 +451,8 @@ def test_a_worker_that_is_killed_loses_nothing_and_one_that_always_dies_is_told(
     with city_workers.start_workers(
         "", n_workers=2, memory="1.5GiB", tell=lambda sentence: None
     ) as client:
+        limits = client.run(lambda dask_worker: dask_worker.memory_manager.memory_pause_fraction)
+        assert list(limits.values()) == [False, False]
         victim = next(iter(client.run(os.getpid).values()))
         killer = threading.Timer(1.0, os.kill, (victim, signal.SIGKILL))
         killer.start()
@@ -475,7 +480,8 @@ def test_kill_9_loses_at_most_the_junctions_in_work_and_ends_the_workers(
     for folder in missing:
         shutil.rmtree(folder)
     command = ("city", tiny / "tiny.osm", "--budget", "2", "--coarse", "--max-units", "2")
-    limits = ("--max-junction-seconds", "3600", "--workers", "1", "--out", city)
+    seconds = ("--max-junction-seconds", "3600", "--time-limit", f"{FEW_RUNS.time_limit_s:g}")
+    limits = (*seconds, "--workers", "1", "--out", city)
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     main = subprocess.Popen(
         [sys.executable, "-m", "experiments.cli.main", *command, *limits, *FEW_RUNS_OPTIONS],
