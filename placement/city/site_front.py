@@ -239,7 +239,7 @@ def _classes_of(
     n_sites = sum(size > 0 for size in sizes)
     while most < max(map(len, at_site)) and n_sites * comb(most + 1, max(sizes)) <= _MAX_SETS:
         most += 1
-    classes = []
+    classes: list[list[tuple[int, ...]]] = []
     for here in at_site:
         if len(here) <= most:
             classes.append([(pose,) for pose in here])
