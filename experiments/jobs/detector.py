@@ -528,4 +528,11 @@ def table_text(fit: ResponseFit, result: DetectorFitResult) -> str:
         add(key, f"{getattr(detector, key):.6g}", key)
     add("frame_correlation", f"{detector.frame_correlation:.6g}", "frame_correlation")
     add("plan_probability", f"{detector.plan_probability:g}")
+    rate = result.false_alarms.per_hour
+    if rate is not None:
+        lines += [
+            "",
+            "[false_tracks_per_hour] # that one unit confirms, with the 95 % interval",
+            *(f"{key} = {getattr(rate, key):.6g}" for key in ("value", "low", "high")),
+        ]
     return "\n".join(lines) + "\n"

@@ -3,8 +3,9 @@
 from collections.abc import Mapping
 from typing import Annotated
 
+from placement.detectors.evidence import Interval
 from placement.detectors.fitting import Group, ResponseFit
-from placement.detectors.sightings import FalseAlarms, Interval
+from placement.detectors.sightings import FalseAlarms
 
 from .record import Record, Share, says
 

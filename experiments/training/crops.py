@@ -129,10 +129,20 @@ def load_crops(path: Path) -> Crops:
         return Crops(**{name: stored[name] for name in Crops.__slots__})
 
 
+Backdrops = dict[tuple[object, ...], tuple[Backdrop, FrameMesh]]
+"""What stands still, by junction and obstruction."""
+
+
 def look_around(
-    setting: Setting, framing: Framing, rng: np.random.Generator
+    setting: Setting,
+    framing: Framing,
+    rng: np.random.Generator,
+    *,
+    backdrops: Backdrops | None = None,
 ) -> Iterator[dict[str, Any]]:
     """Rows of :class:`Crops` by one camera after another, without end.
+
+    `backdrops` may be shared with others: what is missing is added.
 
     Raises
     ------
@@ -142,14 +152,14 @@ def look_around(
     runs = [run for run in setting.runs if vru_class(run.encounter.vru) in framing.kinds]
     if not runs:
         raise InputError(setting.scene.name, Unquoted("no such runs"), " or ".join(framing.kinds))
-    backdrops: dict[tuple[object, ...], tuple[Backdrop, FrameMesh]] = {}
+    known = {} if backdrops is None else backdrops
     while True:
         run = runs[int(rng.integers(len(runs)))]
-        key = tuple(parked.key for parked in run.obstruction)
-        if key not in backdrops:
+        key = (setting.scene.name, *(parked.key for parked in run.obstruction))
+        if key not in known:
             backdrop = build_backdrop(setting.scene, run.obstruction)
-            backdrops[key] = backdrop, place_mesh(backdrop.mesh, np.zeros(3))
-        yield from _look(setting.scene, *backdrops[key], run, framing, rng)
+            known[key] = backdrop, place_mesh(backdrop.mesh, np.zeros(3))
+        yield from _look(setting.scene, *known[key], run, framing, rng)
 
 
 def _look(
@@ -274,13 +284,13 @@ def _pick_window(
         if is_empty:
             corner = np.array([rng.integers(side) for side in np.array(_SIZE_PX) - size])
             if (box_px[2:] < corner).any() or (box_px[:2] > corner + size).any():
-                return Window(*corner.tolist(), *crop_px)
+                return Window(int(corner[0]), int(corner[1]), *crop_px)
             continue
         middle = 0.5 * (box_px[:2] + box_px[2:])
         corner = np.rint(middle - rng.uniform(0.15, 0.85, 2) * size).astype(int)
         corner = np.clip(corner, 0, np.array(_SIZE_PX) - size)
         if (corner < middle).all() and (middle < corner + size).all():
-            return Window(*corner.tolist(), *crop_px)
+            return Window(int(corner[0]), int(corner[1]), *crop_px)
     return None
 
 

@@ -25,7 +25,7 @@ from placement.question import Question
 from placement.setting import Setting, build_setting
 
 from ..results.numbers import percent
-from .crops import WEATHERS, Framing, load_junction, look_around
+from .crops import WEATHERS, Backdrops, Framing, load_junction, look_around
 
 _CASES = "CPNA-75,CPFA-50,CPLA-25,CPNCO-50,CBNA,CBLA"
 _WORDS = ("adult", "child", "cyclist")
@@ -44,11 +44,11 @@ Judge = Callable[[NDArray[np.uint8]], FloatArray]
 
 
 def _rows(
-    settings: Sequence[Setting], framing: Framing, seed: Sequence[int]
+    settings: Sequence[Setting], framing: Framing, seed: Sequence[int], backdrops: Backdrops
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     """Junctions in turn, and a picture of somebody who is hardly hidden, without end."""
     looks = [
-        look_around(setting, framing, np.random.default_rng([*seed, number]))
+        look_around(setting, framing, np.random.default_rng([*seed, number]), backdrops=backdrops)
         for number, setting in enumerate(settings)
     ]
     while True:
@@ -65,14 +65,17 @@ def _rows(
             )
 
 
-def draw_sheet(settings: Sequence[Setting], *, seed: int) -> Image.Image:
+def draw_sheet(
+    settings: Sequence[Setting], *, seed: int, tell: Callable[[str], None] = lambda words: None
+) -> Image.Image:
     """Forty pictures: adults, children and cyclists by day, at night and in rain, in turn."""
     n_rows = _TILES // _COLUMNS
     sheet = Image.new("RGB", (_COLUMNS * _TILE_PX, n_rows * (_TILE_PX + _CAPTION_PX)), "white")
     pen = ImageDraw.Draw(sheet)
+    backdrops: Backdrops = {}
     looks = [
         _rows(
-            settings[number % len(settings) :] + settings[: number % len(settings)],
+            [*settings[number % len(settings) :], *settings[: number % len(settings)]],
             Framing(
                 height_px=_SHEET_HEIGHTS_PX,
                 crop_px=(_TILE_PX, _TILE_PX),
@@ -82,6 +85,7 @@ def draw_sheet(settings: Sequence[Setting], *, seed: int) -> Image.Image:
                 varied=1.0,
             ),
             (seed, number),
+            backdrops,
         )
         for number, (weather, kind) in enumerate(product(WEATHERS, VRU_CLASSES))
     ]
@@ -92,6 +96,7 @@ def draw_sheet(settings: Sequence[Setting], *, seed: int) -> Image.Image:
         sheet.paste(Image.fromarray(row["rgb"]), (left, top))
         height = round(row["box_px"][3] - row["box_px"][1])
         caption = f"{_WORDS[row['vru_class']]}, {WEATHERS[row['weather']]}, {height} px, {name}"
+        tell(f"{tile + 1} of {_TILES}: {caption}")
         pen.text((left + 3, top + _TILE_PX + 2), caption[:42], fill="black")
     return sheet
 
@@ -117,10 +122,11 @@ def load_people_detector() -> Judge:
         import cv2
     except ModuleNotFoundError:
         raise InputError("judge", "no OpenCV", need) from None
-    if not hasattr(cv2, "HOGDescriptor"):
+    library: Any = cv2  # installed beside this may be another version than its types are of
+    if not hasattr(library, "HOGDescriptor"):
         raise InputError("judge", f"OpenCV {cv2.__version__}", need)
-    hog = cv2.HOGDescriptor()
-    hog.setSVMDetector(cv2.HOGDescriptor_getDefaultPeopleDetector())
+    hog = library.HOGDescriptor()
+    hog.setSVMDetector(library.HOGDescriptor_getDefaultPeopleDetector())
 
     def find(rgb: NDArray[np.uint8]) -> FloatArray:
         bgr = np.ascontiguousarray(rgb[..., ::-1])
@@ -171,8 +177,9 @@ def judge_pictures(
         kinds=(kind,),
         varied=1.0,
     )
+    rows_of_all = _rows(settings, framing, (seed, VRU_CLASSES.index(kind)), {})
     rows, found, n_alarms = [], [], 0
-    for _, row in islice(_rows(settings, framing, (seed, VRU_CLASSES.index(kind))), n_pictures):
+    for _, row in islice(rows_of_all, n_pictures):
         box = row["box_px"][None]
         label = _boxes(0.5 * (box[:, :2] + box[:, 2:]), box[:, 3] - box[:, 1])
         boxes = judge(row.pop("rgb"))
@@ -246,7 +253,7 @@ def main() -> None:
 @click.option("--out", type=click.Path(path_type=Path), required=True)
 def sheet(*, maps: tuple[str, ...], seed: int, out: Path) -> None:
     """Forty pictures on one page."""
-    draw_sheet(_settings(maps), seed=seed).save(out, quality=90)
+    draw_sheet(_settings(maps), seed=seed, tell=_tell).save(out, quality=90)
 
 
 @main.command(name="judge")
@@ -266,9 +273,13 @@ def judge_command(
         judge,
         n_pictures=(adults, children, cyclists),
         seed=seed,
-        tell=lambda words: click.echo(words, err=True),
+        tell=_tell,
     )
     out.write_text(text, encoding="utf-8")
+
+
+def _tell(words: str) -> None:
+    click.echo(words, err=True)
 
 
 def _settings(maps: Sequence[str]) -> list[Setting]:

@@ -7,13 +7,9 @@ import numpy as np
 from geometry.weather import pick_weather
 from placement.compute import Compute
 from placement.detectors import ResponseDetector, load_planning_detector
+from placement.detectors.evidence import Interval
 from placement.detectors.fitting import fit_response
-from placement.detectors.sightings import (
-    FalseAlarms,
-    Interval,
-    LabelledPicture,
-    gather_sightings,
-)
+from placement.detectors.sightings import FalseAlarms, LabelledPicture, gather_sightings
 
 from ..jobs.detector import table_text
 from ..results.detectors import DetectorFitResult, build_alarms_record, build_fit_records

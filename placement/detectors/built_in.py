@@ -16,7 +16,14 @@ from geometry.files import Table, load_toml, read_table, take, take_list, take_n
 from geometry.image_boxes import box_height_px
 
 from .box_rule import GeometricDetector, load_min_iou
-from .evidence import VRU_CLASSES, Detections, Detector, Evidence, PlanningDetector
+from .evidence import (
+    VRU_CLASSES,
+    Detections,
+    Detector,
+    Evidence,
+    Interval,
+    PlanningDetector,
+)
 
 _POSITIVES = (
     "height_half_px",
@@ -53,6 +60,8 @@ class ResponseDetector:
     box_noise_share: float
     frame_correlation: float  # between the random draws of consecutive frames
     plan_probability: float  # a plan counts on a detection from this probability on
+    # Tracks of nothing that a unit confirms in an hour, with the 95 % interval; None: unknown.
+    false_tracks_per_hour: Interval | None = None
 
     needs_shares = True
     needs_pictures = False
@@ -65,7 +74,19 @@ class ResponseDetector:
             f"{self.name}: the probability depends on its height in pixels, the share that is "
             "seen, its class, the side that it shows and its contrast in light and weather. The "
             "detection table counts on frames with a probability of at least "
-            f"{self.plan_probability:g}."
+            f"{self.plan_probability:g}.{self.alarm_words}"
+        )
+
+    @property
+    def alarm_words(self) -> str:
+        """How often something is confirmed where nothing is; empty where that is unknown."""
+        rate = self.false_tracks_per_hour
+        if rate is None:
+            return ""
+        return (
+            f" As measured on its pictures, a unit confirms {rate.value:.3g} tracks of nothing per "
+            f"hour (95 %: {rate.low:.3g} to {rate.high:.3g}), each of which may brake a car that "
+            "it seems to cross the path of; they are no part of the verdicts."
         )
 
     def __post_init__(self) -> None:
@@ -229,6 +250,8 @@ def _load_shipped_network() -> Detector:
     from .network import NetworkDetector, load_onnx_model
 
     limits = read_table(_defaults()["cnn"], dict[str, float], f"{_FILE}: cnn")
+    table = load_planning_detector("cnn-table")
+    assert isinstance(table, ResponseDetector)
     with as_file(files(__package__) / "data" / _NETWORK_FILE) as path:
         model = load_onnx_model(path)
     return NetworkDetector(
@@ -238,6 +261,7 @@ def _load_shipped_network() -> Detector:
         min_confidence=limits["min_confidence"],
         looks_at_crops=True,
         plans_with="cnn-table",
+        alarm_words=table.alarm_words,
     )
 
 
@@ -293,6 +317,7 @@ def _read_response(source: Path | Traversable, document: Table, *, name: str) ->
                 raise InputError(key, factor, "0 .. 1")
         return ResponseDetector(
             name=name,
+            false_tracks_per_hour=_read_alarms(document),
             seen_share=shares,
             recall=recall,
             class_factor=float_array(list(factors.values()), (-1,), "class_factor"),
@@ -302,6 +327,18 @@ def _read_response(source: Path | Traversable, document: Table, *, name: str) ->
         key = error.where.removeprefix("response.")
         where = f"{source}:{_line(source, key)}: {key}"
         raise InputError(where, error.got, error.expected) from None
+
+
+def _read_alarms(document: Table) -> Interval | None:
+    """Rate of false tracks, of the table ``[false_tracks_per_hour]``, if there is one."""
+    where = "false_tracks_per_hour"
+    if where not in document:
+        return None
+    rate = read_table(document[where], dict[str, float], where)
+    interval = Interval(*(take_number(rate, key, where) for key in Interval._fields))
+    if not 0.0 <= interval.low <= interval.value <= interval.high < np.inf:
+        raise InputError(where, rate, "0 <= low <= value <= high")
+    return interval
 
 
 def _line(source: Path | Traversable, key: str) -> int:

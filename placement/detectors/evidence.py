@@ -38,6 +38,14 @@ def aspects_deg(sightline_m: FloatArray, yaw_deg: FloatArray) -> FloatArray:
     return aspect
 
 
+class Interval(NamedTuple):
+    """A figure with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
 class Crop(NamedTuple):
     """A part of an image, perhaps at a lower resolution."""
 

@@ -16,8 +16,8 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError, Unquoted
 
 from .built_in import ResponseDetector, load_planning_detector
-from .evidence import VRU_CLASSES, Evidence
-from .sightings import Interval, Sightings, wilson
+from .evidence import VRU_CLASSES, Evidence, Interval
+from .sightings import Sightings, wilson
 
 SEEN_KNOTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Shares of the road user that are seen, between which recall is linear; 0 at 0."""

@@ -322,6 +322,7 @@ class NetworkDetector:
     min_confidence: float  # boxes below it do not count
     looks_at_crops: bool = False
     plans_with: str = "geometric"  # the built-in detector by which poses are chosen
+    alarm_words: str = ""  # how often it confirms what is not there, if that was measured
 
     needs_shares = False
     needs_pictures = True
@@ -334,7 +335,7 @@ class NetworkDetector:
             f"{', around the road user' if self.looks_at_crops else ''}; its boxes "
             f"count from a confidence of {self.min_confidence:g} on where they overlap the road "
             f"user's visible part by more than {load_min_iou():g} (intersection over union). Poses "
-            f"are chosen {_CHOSEN_BY[self.plans_with]}."
+            f"are chosen {_CHOSEN_BY[self.plans_with]}.{self.alarm_words}"
         )
 
     def look(self, image: Image) -> ImageBoxes:

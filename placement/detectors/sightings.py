@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
@@ -11,17 +10,9 @@ from geometry.errors import InputError
 from geometry.image_boxes import box_height_px, iou
 
 from .box_rule import load_min_iou
-from .evidence import Evidence
+from .evidence import Evidence, Interval
 
 _SAME_ALARM_IOU = 0.3  # boxes of consecutive frames that overlap by more are of one thing
-
-
-class Interval(NamedTuple):
-    """A figure with its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

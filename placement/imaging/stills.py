@@ -87,7 +87,11 @@ class Still:
         return replace(
             self,
             window=window,
-            raw=Shades(*(np.ascontiguousarray(array[part]) for array in self.raw)),
+            raw=Shades(
+                np.ascontiguousarray(self.raw.radiance[part]),
+                np.ascontiguousarray(self.raw.instance[part]),
+                np.ascontiguousarray(self.raw.depth_m[part]),
+            ),
             surfaces=surfaces
             and Surfaces(*(np.ascontiguousarray(array[part]) for array in surfaces)),
             is_edge=np.ascontiguousarray(self.is_edge[part]),

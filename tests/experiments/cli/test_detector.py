@@ -91,6 +91,9 @@ def test_a_table_fitted_to_a_recording_is_a_detector(run, recording):
     table = load_detector("mine/response.toml")
     assert table.height_half_px == pytest.approx(35.0, rel=0.15)
     assert table.height_steepness == pytest.approx(4.0, rel=0.3)
+    rate = table.false_tracks_per_hour
+    assert (rate.value, rate.low) == (0.0, 0.0)
+    assert 0.0 < rate.high < 1000.0
     text = " ".join(out.split())
     assert "of 1080 frames with a road user are detected" in text
     assert "Not told by them, and as in the built-in table: share that is seen, contrast" in text

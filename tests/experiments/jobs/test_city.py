@@ -425,14 +425,32 @@ def check_fronts_of(address, tiny, tmp_path):
         assert mine.points == theirs.points
 
 
+def tasks_of(path):
+    city = job.load_city([path], SEARCH.reading, CityWish(budget_units=1))
+    grid = job.build_grid("", is_coarse=True)
+    return [task for _, task in job._tasks(city, FEW_RUNS, SEARCH, grid, kept={}, seed=0)]
+
+
+def test_a_junction_whose_worker_died_thrice_is_told(tmp_path):
+    distributed = pytest.importorskip("distributed")
+
+    class Lost:
+        def result(self):
+            raise distributed.KilledWorker("junction", None, city_workers.TRIES)
+
+    [task, *_] = tasks_of(write_city(tmp_path))
+    record = city_workers._answer(Lost(), task).record
+    assert record.id == task.chosen.junction.id
+    assert record.reason.startswith("its worker died, 3 times: more --worker-memory")
+    assert not record.is_final
+
+
 @pytest.mark.long
 @pytest.mark.filterwarnings("ignore")
 def test_a_worker_that_is_killed_loses_nothing_and_one_that_always_dies_is_told(
     tiny, tmp_path, monkeypatch
 ):
-    city = job.load_city([tiny / "tiny.osm"], SEARCH.reading, CityWish(budget_units=1))
-    grid = job.build_grid("", is_coarse=True)
-    tasks = [task for _, task in job._tasks(city, FEW_RUNS, SEARCH, grid, kept={}, seed=0)]
+    tasks = tasks_of(tiny / "tiny.osm")
     with city_workers.start_workers(
         "", n_workers=2, memory="1.5GiB", tell=lambda sentence: None
     ) as client:
@@ -453,6 +471,7 @@ def test_a_worker_that_is_killed_loses_nothing_and_one_that_always_dies_is_told(
         assert not answer.record.is_final
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="signals and processes as on Linux")
 def test_kill_9_loses_at_most_the_junctions_in_work_and_ends_the_workers(
     tiny, city, here, no_pages

@@ -163,6 +163,34 @@ def test_a_table_that_cannot_be_used_names_file_line_and_field(write, line, wron
     assert "expected" in found
 
 
+def test_a_table_may_tell_how_often_nothing_is_confirmed(write):
+    silent = load_detector(str(write(TABLE)))
+    assert silent.false_tracks_per_hour is None
+    assert "tracks of nothing" not in silent.description
+    rate = "\n[false_tracks_per_hour]\nvalue = 12.5\nlow = 3\nhigh = 31\n"
+    told = load_detector(str(write(TABLE + rate)))
+    assert tuple(told.false_tracks_per_hour) == (12.5, 3.0, 31.0)
+    assert "confirms 12.5 tracks of nothing per hour (95 %: 3 to 31)" in told.description
+    # What it plans with is the same.
+    assert told.fingerprint() == silent.fingerprint()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ("value = 1\nlow = 2\nhigh = 3", "expected 0 <= low <= value <= high"),
+        ("value = 1\nlow = 0", "high"),
+        ("value = 'often'\nlow = 0\nhigh = 2", "value"),
+    ],
+)
+def test_a_rate_that_cannot_be_used_is_named(write, wrong, message):
+    path = write(f"{TABLE}\n[false_tracks_per_hour]\n{wrong}\n")
+    found = _message(path)
+    assert "false_tracks_per_hour" in found
+    assert message in found
+    assert "\n" not in found
+
+
 def test_the_line_is_that_of_the_response_where_another_table_has_the_same_key(write):
     """Our own file has a least height in three tables."""
     path = write(OURS.replace("min_box_height_px = 12.0", "min_box_height_px = -1.0", 1))
