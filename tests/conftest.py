@@ -56,8 +56,18 @@ def _turn(nodeid):
 
 
 def pytest_collection_finish():
-    """What is loaded by now stays: the garbage collector need not look at it again and again."""
+    """What is loaded by now stays: the garbage collector need not look at it again and again.
+
+    It looks seldom at the rest, too, for figures and drawn examples are many small objects.
+    """
     gc.freeze()
+    gc.set_threshold(50_000, 10, 10)
+
+
+def pytest_runtest_teardown(item, nextitem):
+    """What the tests of a file have left goes before the next file."""
+    if nextitem is None or nextitem.path != item.path:
+        gc.collect()
 
 
 def pytest_addoption(parser):

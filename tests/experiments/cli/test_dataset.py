@@ -14,6 +14,7 @@ from threading import Thread
 
 import numpy as np
 import pytest
+from kept_backdrops import kept_backdrop
 from PIL import Image
 
 from experiments.export.json import to_json
@@ -26,8 +27,9 @@ ASKED = ("--cases", "CPNC-50", "--approaches", "east", "--speeds", "40", "--alon
 
 
 @pytest.fixture
-def dataset(run, tmp_path):
+def dataset(run, tmp_path, monkeypatch):
     """The command, for two small cameras of the study: exit code, stdout, stderr."""
+    monkeypatch.setattr(job, "build_backdrop", kept_backdrop)
     study = load_carlancap_layout()
     small = CameraModel(
         name="small",

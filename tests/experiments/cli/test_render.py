@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kept_backdrops import kept_backdrop
 from PIL import Image
 
 from experiments.jobs.render import find_frame, find_run, instance_colours
@@ -19,7 +20,9 @@ ASKED = {
 
 
 @pytest.fixture
-def run_render(run):
+def run_render(run, monkeypatch):
+    monkeypatch.setattr("placement.imaging.picture.build_backdrop", kept_backdrop)
+
     def run_command(**changes):
         asked = ASKED | {f"--{key}": value for key, value in changes.items()}
         return run("render", "--quiet", *(word for pair in asked.items() for word in pair))

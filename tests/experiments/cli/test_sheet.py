@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import msgspec
 import pytest
+from kept_backdrops import kept_backdrop
 
 from experiments.cli.sheet import sheet_text
 from experiments.jobs import sheet
@@ -11,6 +12,7 @@ from experiments.jobs.sheet import SheetResult
 
 @pytest.fixture
 def run_sheet(run, small_setting, monkeypatch):
+    monkeypatch.setattr("placement.imaging.picture.build_backdrop", kept_backdrop)
     few = replace(small_setting)
     monkeypatch.setattr(sheet, "build_setting", lambda question, scene, **options: few)
     return lambda *arguments: run("sheet", *arguments)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from kept_backdrops import kept_backdrop
 
 from geometry.image_boxes import box_height_px
 from geometry.poses import Pose
@@ -21,6 +22,13 @@ PER_FRAME = (
     *("time_s", "vut_position_m", "vut_yaw_deg"),
     *("vru_position_m", "vru_yaw_deg", "vru_shape"),
 )
+
+
+@pytest.fixture(autouse=True)
+def backdrops(monkeypatch):
+    """What stands still is prepared once for the pictures of all tests."""
+    monkeypatch.setattr("placement.imaging.picture.build_backdrop", kept_backdrop)
+    monkeypatch.setattr("placement.evaluator.pictures.build_backdrop", kept_backdrop)
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from kept_backdrops import kept_backdrop
 
 from geometry.image_boxes import iou
 from geometry.poses import Pose
@@ -33,6 +34,13 @@ PER_FRAME = (
     "vru_yaw_deg",
     "vru_shape",
 )
+
+
+@pytest.fixture(autouse=True)
+def backdrops(monkeypatch):
+    """What stands still is prepared once for the pictures of all tests."""
+    monkeypatch.setattr("placement.imaging.picture.build_backdrop", kept_backdrop)
+    monkeypatch.setattr("placement.evaluator.pictures.build_backdrop", kept_backdrop)
 
 
 @pytest.fixture(scope="module")
