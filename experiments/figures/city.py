@@ -295,5 +295,6 @@ def plot_junction_front(
     axes.set_ylim(-8.0, 104.0)
     axes.set_xlim(-0.03 * end, end)
     finish_axes(axes, x="cost (EUR); below each point its units", y="APR (%)", grid="y")
+    axes.xaxis.set_major_formatter(lambda value, _position: f"{value:,.0f}")
     axes.legend(fontsize=8, frameon=False, loc="lower right")
     return axes

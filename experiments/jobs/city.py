@@ -58,7 +58,7 @@ from .city_workers import (
 )
 from .city_writing import complete_result, write_city
 
-CITY_VERSION = 2
+CITY_VERSION = 3
 """Counts up when the same inputs give another front: older ones in a folder are made anew."""
 
 SOLVE = "junctions"

@@ -13,7 +13,7 @@ from geometry.scene import Scene
 from geometry.scene_files import load_scene_folder
 from placement.layout import Layout, layout_from_records
 from placement.prices import load_prices
-from placement.question import Question
+from placement.question import Question, save_question
 
 from ..export.city import to_city_geopackage
 from ..export.json import to_json, to_json_text
@@ -37,7 +37,7 @@ from ..results.folders import LAYOUT_FILE, write_files, write_manifest
 from ..results.record import to_plain
 from .city_inputs import City
 
-REPORT, GEOPACKAGE = "report.html", "city.gpkg"
+REPORT, GEOPACKAGE, QUESTION = "report.html", "city.gpkg", "question.toml"
 JUNCTION_TABLE, POLE_TABLE = "junctions.csv", "poles.csv"
 
 
@@ -119,7 +119,8 @@ def write_city(
             continue
         scene = load_scene_folder(folder)
         layout = junction_layout(one, scene, sensors)
-        page = render_junction_page(one, record, scene, layout, question)
+        page = render_junction_page(one, record, scene, layout, question=QUESTION)
+        save_question(folder / QUESTION, question)
         write_files(folder, {REPORT: page.encode(), LAYOUT_FILE: to_json(layout).encode()})
         head = {"junction": one.id, "name": one.name, "year": one.year}
         placed = [head | unit for unit in placed_records(layout, scene)]

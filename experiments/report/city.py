@@ -9,7 +9,6 @@ from matplotlib.axes import Axes
 
 from geometry.scene import Scene
 from placement.layout import Layout
-from placement.question import Question
 
 from ..figures.axes import VERMILION
 from ..figures.city import plot_junction_front
@@ -276,9 +275,13 @@ def render_junction_page(
     record: CityFrontRecord,
     scene: Scene,
     layout: Layout,
-    question: Question,
+    *,
+    question: str,
 ) -> str:
-    """The page of a junction: its units, its front, and how to look closer."""
+    """The page of a junction: its units, its front, and how to look closer.
+
+    `question` is the file beside the page that says what is driven.
+    """
     plan = plot_scene_plan(scene)
     _draw_units(plan, layout)
     picture = build_picture(
@@ -334,9 +337,7 @@ def render_junction_page(
         ],
         numeric=range(2, 7),
     )
-    again = (
-        f"place-rsus evaluate --scene . --layout layout.json --cases {question.cases} --out report"
-    )
+    again = f"place-rsus evaluate --scene . --layout layout.json --question {question} --out report"
     answer = [
         f"{one.units} new units for {euros(one.cost_eur)}: APR {percent(one.apr)}"
         + (f", before {percent(one.apr_before)}." if one.kept else ".")

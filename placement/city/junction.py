@@ -26,7 +26,7 @@ from ..question import Question
 from ..setting import build_setting
 from ..wishes import Wishes, build_problem, check_wishes
 from .fronts import JunctionFront, Point, Steps, build_junction_front, lowered, lowest
-from .site_front import SiteFront, bounds_by_money, front_by_sites
+from .site_front import SiteFront, bounds_by_money, front_by_sites, price_tiers_eur
 
 _log = logging.getLogger(__name__)
 
@@ -192,11 +192,23 @@ def find_front(
     by_sites = front_by_sites(
         problem, base_apr=base.apr, max_units=limits.budget_units - n_kept, effort=effort
     )
-    by_cost = None
+    fronts, by_cost = [(by_units, by_sites)], None
+    tiers = price_tiers_eur(limits)
     if _has_prices(limits):
+        begin("fronts of cheap sites")
+        for _, highest_eur in reversed(tiers[:-1]):
+            cheap = _without_dear_sites(problem, highest_eur)
+            by_units = pareto_front(
+                cheap, max_units=limits.budget_units, min_units=max(n_kept, 1), effort=effort()
+            )
+            by_sites = front_by_sites(
+                cheap, base_apr=base.apr, max_units=limits.budget_units - n_kept, effort=effort
+            )
+            fronts.append((by_units, by_sites))
         begin("front by money")
         by_cost = _cost_front(problem, effort())
-    return _merge(problem, by_units, by_sites, by_cost, base=base, n_kept=n_kept)
+    lowest_eur = [lowest for lowest, _ in reversed(tiers)] or [0.0]
+    return _merge(problem, list(zip(lowest_eur, fronts, strict=True)), by_cost, base, n_kept)
 
 
 def _most_units(scene: Scene, question: Question, wishes: JunctionWishes) -> int:
@@ -213,6 +225,13 @@ def _most_units(scene: Scene, question: Question, wishes: JunctionWishes) -> int
     if most < 1:
         raise InputError(f"{scene.name}: sites", Unquoted("none with room"), "one that is free")
     return most
+
+
+def _without_dear_sites(problem: PlacementProblem, highest_eur: float) -> PlacementProblem:
+    limits = problem.limits
+    is_dear = limits.site_cost_eur[limits.site_index] > highest_eur
+    is_forbidden = limits.is_forbidden | (is_dear & ~limits.is_forced)
+    return replace(problem, limits=replace(limits, is_forbidden=is_forbidden))
 
 
 def _has_prices(limits: Limits) -> bool:
@@ -243,24 +262,30 @@ def _layout(
 
 def _merge(
     problem: PlacementProblem,
-    by_units: Front,
-    by_sites: SiteFront,
+    tiers: list[tuple[float, tuple[Front, SiteFront]]],
     by_cost: Front | None,
-    *,
     base: PlacementValue,
     n_kept: int,
 ) -> tuple[JunctionFront, list[tuple[int, ...]]]:
-    """The points of all fronts that no other one beats, and the poses of each."""
+    """The points of all fronts that no other one beats, and the poses of each.
+
+    `tiers` are fronts with all sites, then with cheaper ones alone, and the least of their prices.
+    """
     forced = tuple(np.flatnonzero(problem.limits.is_forced).tolist())
     poses = {_point(base, 0, 0.0): forced}
-    layouts = [(found.value, found.pose_index) for found in by_units.points]
-    layouts += [(placement_value(problem, layout), layout) for layout in by_sites.layouts]
-    layouts += [(found.value, found.pose_index) for found in by_cost.points] if by_cost else []
+    layouts = [(found.value, found.pose_index) for found in by_cost.points] if by_cost else []
+    for _, (by_units, by_sites) in tiers:
+        layouts += [(found.value, found.pose_index) for found in by_units.points]
+        layouts += [(placement_value(problem, layout), layout) for layout in by_sites.layouts]
     for value, layout in layouts:
         if n_new := len(layout) - n_kept:
             poses.setdefault(_point(value, n_new, value.cost_eur), layout)
-    unit_steps = _bounds_by_units(by_units, base=base.apr, n_kept=n_kept)
-    steps = [bounds_by_money(problem.limits, unit_steps, by_sites)]
+    bounds = [
+        (eur, _bounds_by_units(by_units, base=base.apr, n_kept=n_kept), by_sites)
+        for eur, (by_units, by_sites) in tiers
+    ]
+    unit_steps = bounds[0][1]
+    steps = [bounds_by_money(problem.limits, bounds)]
     if by_cost is not None:
         reduced = presolve(problem)
         most = (largest_values(reduced, "first") or {}).get(Objective.APR, 1.0)

@@ -7,7 +7,7 @@ which are proven in seconds where those with prices are not: for the second one,
 poses at a site is one column, of which a site carries one.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, combinations
 from math import comb
@@ -28,6 +28,7 @@ from ..optimiser.search import Search
 from .fronts import Steps, value_at
 
 _MAX_SETS = 12_000
+_MAX_TIERS = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -128,19 +129,26 @@ def front_by_sites(
     )
 
 
-def bounds_by_money(limits: Limits, by_units: Steps, by_sites: SiteFront) -> Steps:
+def price_tiers_eur(limits: Limits) -> list[tuple[float, float]]:
+    """Lowest and highest price of the sites in each tier, cheap ones first; three tiers at most."""
+    prices = np.unique(limits.site_cost_eur[_rooms_of(limits) > 0]).tolist()
+    own = [(price, price) for price in prices[:_MAX_TIERS]]
+    return own if len(prices) <= _MAX_TIERS else [*own[:-1], (prices[_MAX_TIERS - 1], prices[-1])]
+
+
+def bounds_by_money(limits: Limits, tiers: Sequence[tuple[float, Steps, SiteFront]]) -> Steps:
     """What no layout for so much money exceeds: by the units and sites that so much buys at most.
 
-    So many new units at so many sites cost at least what the cheapest ones do.
+    So many new units at so many sites, the dearest of which is of some tier, cost at least what the
+    cheapest ones and one site of that tier do; they do no more than what sites up to that tier can.
 
     Parameters
     ----------
     limits : Limits
         With prices, and a number of units.
-    by_units : sequence of (from, APR)
-        Bounds by new units, which rise.
-    by_sites : SiteFront
-        Bounds by their sites.
+    tiers : sequence of (euros, Steps, SiteFront)
+        Lowest price of a site of the tier; bounds by new units, and by their sites, where no site
+        is dearer than those of the tier. The first one has all sites.
 
     Returns
     -------
@@ -150,16 +158,17 @@ def bounds_by_money(limits: Limits, by_units: Steps, by_sites: SiteFront) -> Ste
     free = ~limits.is_forbidden & ~limits.is_forced
     room = _rooms_of(limits)
     units = np.cumsum(np.sort(limits.unit_cost_eur[free]))
-    sites = np.cumsum(np.sort(limits.site_cost_eur[room > 0]))
+    cheapest = np.cumsum([0.0, *np.sort(limits.site_cost_eur[room > 0])])
     carried = np.cumsum(np.sort(room[room > 0])[::-1])
     assert limits.budget_units is not None
     max_units = limits.budget_units - int(limits.is_forced.sum())
-    least = {0.0: by_units[0][1]}
-    for n_sites, (site_eur, most) in enumerate(zip(sites, carried, strict=True), start=1):
-        for n_units in range(n_sites, min(max_units, int(most)) + 1):
-            eur = round(float(site_eur + units[n_units - 1]), 6)
-            bound = min(value_at(by_units, n_units), by_sites.limit(n_sites))
-            least[eur] = max(least.get(eur, 0.0), bound)
+    least = {0.0: tiers[0][1][0][1]}
+    for own_eur, by_units, by_sites in tiers:
+        for n_sites, most in enumerate(carried, start=1):
+            for n_units in range(n_sites, min(max_units, int(most)) + 1):
+                eur = round(float(own_eur + cheapest[n_sites - 1] + units[n_units - 1]), 6)
+                bound = min(value_at(by_units, n_units), by_sites.limit(n_sites))
+                least[eur] = max(least.get(eur, 0.0), bound)
     costs = sorted(least)
     bounds = np.maximum.accumulate([least[eur] for eur in costs])
     return tuple(zip(costs, bounds.tolist(), strict=True))
@@ -230,7 +239,7 @@ def _classes_of(
     n_sites = sum(size > 0 for size in sizes)
     while most < max(map(len, at_site)) and n_sites * comb(most + 1, max(sizes)) <= _MAX_SETS:
         most += 1
-    classes = []
+    classes: list[list[tuple[int, ...]]] = []
     for here in at_site:
         if len(here) <= most:
             classes.append([(pose,) for pose in here])

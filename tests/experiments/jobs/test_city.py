@@ -25,6 +25,7 @@ from experiments.results.city import load_front
 from experiments.results.folders import changed_files
 from geometry.errors import InputError, MissingExtraError
 from placement.layout import load_layout
+from placement.question import load_question_values
 
 SEARCH = job.CitySearch(is_coarse=True, max_units=2, max_junction_s=3600.0)
 LEAST_S = 1.0e-6
@@ -141,6 +142,8 @@ def test_the_folder_has_all_of_it_and_nothing_is_done_twice(tiny, city, never):
         assert one.label in (city / one.folder / "report.html").read_text()
         layout = load_layout(city / one.folder / "layout.json")
         assert len(layout.units) == one.units
+        asked = load_question_values(city / one.folder / "question.toml")
+        assert asked == {"cases": "CPNC-50", "along_arms": "0", "speeds": "50"}
     idle = next(one for one in result.junctions if not one.units)
     assert not (city / idle.folder / "layout.json").exists()
     import geopandas as gpd
