@@ -30,9 +30,9 @@ def blank_png(drawn: Axes | Figure) -> bytes:
     words = " ".join(text.get_text() for text in texts)
     size = tuple(round(inches * figure.dpi) for inches in figure.get_size_inches())
     file = BytesIO()
-    Image.new("RGB", size, tuple(crc32(words.encode()).to_bytes(4)[1:])).save(
-        file, format="png", compress_level=1
-    )
+    picture = Image.new("P", size)
+    picture.putpalette(crc32(words.encode()).to_bytes(4)[1:])
+    picture.save(file, format="png", compress_level=1)
     return file.getvalue()
 
 

@@ -60,7 +60,8 @@ def small_work(folder, **asked):
 def small_desk(folder, setting, *, variants=(), asked=None, **given):
     work = small_work(folder, cases="CPNC-50", along_arms="0", speeds="50", **(asked or {}))
     plan = Plan(variants=tuple(variants)) if variants else None
-    return Desk(work, setting, plan=plan, make_worker=lambda work: InThread(work, setting), **given)
+    given.setdefault("make_worker", lambda work: InThread(work, setting))
+    return Desk(work, setting, plan=plan, **given)
 
 
 @pytest.fixture

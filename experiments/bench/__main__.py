@@ -80,7 +80,7 @@ PARTS: dict[str, Callable[[int], Figures]] = {
         build_bench_problem(_default_setting(), _candidates(), budget, fusion="single")
     ),
     "covering": lambda _: measure_covering(),
-    "dragging": lambda _: measure_dragging(_default_setting()),
+    "dragging": lambda _: measure_dragging(_default_setting(), Question()),
     "city": lambda _: measure_city(),
     "growth": lambda _: _measure_growth(_candidates()),
     "perception": lambda _: measure_perception(_own_setting()),

@@ -19,7 +19,7 @@ from .axes import BLUE, VERMILION, WIDTH_IN, finish_axes, literal, new_axes
 
 _MAX_TRIANGLES = 400_000
 _ROADS, _BUILDINGS = "#b8b8b8", "#e9e9e9"
-_AREA_PT2 = (16.0, 380.0)  # of the smallest and the largest circle
+_AREA_PT2 = (70.0, 380.0)  # of the smallest and the largest circle
 _MAX_NAMED = 12
 _BEYOND = 0.08
 _LEAST_M = 120.0
@@ -124,7 +124,7 @@ def _draw_junctions(
             ha="center",
             va="center",
             zorder=7,
-            path_effects=[_HALO],
+            color="white" if units[index] > 0.45 * most else "black",
         )
     for count in sorted(set(units[served].tolist())):
         handles.append(

@@ -26,6 +26,11 @@ TRIES = 3
 """Of a junction whose worker dies, or that fails for no reason of its own."""
 
 _NO_WARNING = "ignore:resource_tracker:UserWarning"
+_SETTINGS = {
+    "distributed.scheduler.allowed-failures": TRIES - 1,
+    # A junction needs its memory now: a worker that waits for some to be free waits for ever.
+    **{f"distributed.worker.memory.{what}": False for what in ("target", "spill", "pause")},
+}
 _AHEAD = 2  # tasks per worker that are handed over before their turn
 
 
@@ -156,7 +161,7 @@ def start_workers(
     # is left for it to clean up.
     sys.warnoptions.append(_NO_WARNING)
     with (
-        dask.config.set({"distributed.scheduler.allowed-failures": TRIES - 1}),
+        dask.config.set(_SETTINGS),
         LocalCluster(
             n_workers=n_workers,
             threads_per_worker=1,

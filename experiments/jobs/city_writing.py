@@ -126,7 +126,7 @@ def write_city(
         units += placed
         poles += _poles(one, scene, placed)
     tables = {
-        JUNCTION_TABLE: csv_text(_junction_table(result)).encode(),
+        JUNCTION_TABLE: csv_text(_junction_table(result, records)).encode(),
         POLE_TABLE: csv_text(_frame(poles, _POLE_COLUMNS)).encode(),
         FRONTS: fronts_table(records),
         SUMMARY: to_json_text(result).encode(),
@@ -173,13 +173,25 @@ def _poles(
     ]
 
 
-def _junction_table(result: CityResult) -> Any:
+_SIZES = ("sites", "poses", "runs", "frames")
+
+
+def _junction_table(result: CityResult, records: Sequence[CityFrontRecord]) -> Any:
+    """A row for each junction: what it gets, how large its question was, and what that took."""
     columns = (
         *("id", "name", "map", "x", "y", "weight", "district", "units", "cost_eur", "year"),
         *("apr_before", "apr", "apr_one_failed", "reason", "folder"),
     )
-    rows = [{name: getattr(one, name) for name in columns} for one in result.junctions]
-    return _frame(rows, columns)
+    rows = [
+        {name: getattr(one, name) for name in columns}
+        | {name: getattr(record, name) for name in _SIZES}
+        | {
+            "cpu_s": round(sum(record.seconds.values()), 1),
+            "peak_memory_mib": record.peak_memory_mib,
+        }
+        for one, record in zip(result.junctions, records, strict=True)
+    ]
+    return _frame(rows, (*columns, *_SIZES, "cpu_s", "peak_memory_mib"))
 
 
 def _frame(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> Any:

@@ -9,9 +9,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
-from msgspec import Struct
 
 from geometry.catalogue import Sensor, load_cameras
 from geometry.errors import InputError, Unquoted
@@ -26,7 +24,17 @@ from placement.private_ground import PrivateGround, PrivateSight, load_private_g
 from placement.setting import Setting
 
 from ..report.interactive.records import unit_records
+from .background import MAX_BYTES as MAX_IMAGE_BYTES
 from .background import Background
+from .messages import (
+    Ask,
+    Cancel,
+    ChooseSensors,
+    DropProposal,
+    ShowCoverage,
+    TakeProposal,
+    read_message,
+)
 from .numbers import (
     cost_record,
     coverage_record,
@@ -39,7 +47,6 @@ from .numbers import (
 )
 from .session import (
     AddUnit,
-    Change,
     ChangeUnit,
     History,
     Plan,
@@ -56,55 +63,14 @@ from .worker import Cancelled, DiedError, TaskError, Worker
 
 Listener = Callable[[dict[str, Any]], None]
 
+MAX_PLAN_BYTES = 16_000_000
+MAX_MAP_BYTES = 300_000_000
+"""Of files that browsers send."""
+
 _REST_S = 0.3  # without a change, before pixels are asked
 _MAX_KNOWN = 300  # of layouts by the evaluator
 _MAX_PROPOSALS = 12
 _MAX_ALONE = 60  # units of which each one's own APR is told while something is dragged
-
-
-# ---------- what browsers ask for beside changes
-
-
-class Ask(Struct, tag_field="do", tag="ask", forbid_unknown_fields=True):
-    """Ask the optimiser: "next", "complete" to `units`, "re-aim", "cheapest", "why-not" `site`."""
-
-    request: str
-    units: int = 0
-    site: str = ""
-
-
-class Cancel(Struct, tag_field="do", tag="cancel", forbid_unknown_fields=True):
-    """Let the optimiser stop."""
-
-
-class TakeProposal(Struct, tag_field="do", tag="take", forbid_unknown_fields=True):
-    """Take a proposal over, in place of what is worked on or as a further variant."""
-
-    number: int
-    as_variant: bool = False
-
-
-class DropProposal(Struct, tag_field="do", tag="drop", forbid_unknown_fields=True):
-    """Drop a proposal."""
-
-    number: int
-
-
-class ShowCoverage(Struct, tag_field="do", tag="coverage", forbid_unknown_fields=True):
-    """Whether pixel density and blind spots on the road are wanted."""
-
-    is_shown: bool
-
-
-class ChooseSensors(Struct, tag_field="do", tag="sensors", forbid_unknown_fields=True):
-    """Models that the optimiser may mount; none: the default grid's."""
-
-    names: list[str]
-
-
-Message = Change | Undo | Redo | Ask | Cancel | TakeProposal | DropProposal | ShowCoverage
-Message |= ChooseSensors
-_DECODER = msgspec.json.Decoder(Message)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -162,6 +128,8 @@ class Desk:
         self.listeners: set[Listener] = set()
         self.left_at_s: float | None = None  # since when nobody looks, who looked before
         self.is_lost = False
+        self._ground: PrivateGround | None
+        self._sight: PrivateSight | None
         self._ground, self._sight = self._private_ground(work, setting)
         self._sight_turn = asyncio.Lock()
         self._save = save
@@ -252,6 +220,7 @@ class Desk:
                 ground=self._ground,
             ),
             "isKept": self._save is not None,
+            "mostBytes": {"plan": MAX_PLAN_BYTES, "map": MAX_MAP_BYTES, "image": MAX_IMAGE_BYTES},
         }
 
     def _stock(self) -> Stock:
@@ -282,10 +251,7 @@ class Desk:
 
     def handle(self, text: bytes) -> None:
         """Do what a browser asks for. Raises InputError if it cannot be done."""
-        try:
-            message = _DECODER.decode(text)
-        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-            raise InputError("message", Unquoted(error), "one that the page sends") from None
+        message = read_message(text)
         if isinstance(message, Undo):
             self._go_to(self.history.undone())
         elif isinstance(message, Redo):

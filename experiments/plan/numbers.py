@@ -205,7 +205,7 @@ def plan_text(state: PlanState, scene: Scene, background: Background | None = No
         else {"name": variant.name, "layout": []}
         for variant in state.variants
     ]
-    record = {"schema": SCHEMA, "scene": scene.name, "variants": variants}
+    record: dict[str, Any] = {"schema": SCHEMA, "scene": scene.name, "variants": variants}
     if background is not None:
         record["background"] = background.record()
     return to_json_text(record)

@@ -1,12 +1,19 @@
 """The planner's page as browsers show it: ``python -m experiments.plan.screenshots``."""
 
+import json
 import shutil
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 
+from geometry.frames import to_geographic
+from geometry.scene import Scene
+from geometry.study_scene import load_study_scene
 from placement.compute import Compute
 from placement.question import Question
 from placement.setting import build_setting
@@ -19,7 +26,6 @@ from .session import Plan, Variant
 from .tasks import Work
 
 _SIZES_PX = {"desktop": (1440, 900), "tablet": (820, 1180)}
-_UNITS = 2
 _PATIENCE_MS = 300_000
 _ARGUMENTS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
 
@@ -29,41 +35,77 @@ _ARGUMENTS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
     "--out", type=click.Path(path_type=Path), default=Path("results/plan"), show_default=True
 )
 def main(out: Path) -> None:
-    """Photograph the page with two of the study's cameras, and the dialog of a lost run."""
+    """Photograph the page with two of the study's cameras, its dialogs, and private ground."""
     from playwright.sync_api import sync_playwright
 
     out.mkdir(parents=True, exist_ok=True)
-    question = Question(cases="study")
-    setting = build_setting(question)
-    units = load_carlancap_layout().units[:_UNITS]
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as library:
-        work = Work(
-            question=question,
-            scratch=Path(folder),
-            cache=None,
-            seed=0,
-            workers=Compute().workers,
-            rays="auto",
-        )
-        plan = Plan(variants=(Variant(name="two cameras", units=units),))
-        server = RunningServer(lambda: Desk(work, setting, plan=plan), host="127.0.0.1", port=0)
-        server.start()
         browser = library.chromium.launch(executable_path=shutil.which("chromium"), args=_ARGUMENTS)
         try:
-            for name, (width_px, height_px) in _SIZES_PX.items():
-                page = browser.new_page(viewport={"width": width_px, "height": height_px})
-                page.set_default_timeout(_PATIENCE_MS)
-                page.goto(server.address)
-                page.wait_for_selector("#source.evaluator")
-                page.locator(f'[data-chip="{units[0].id}"]').click()
-                page.wait_for_timeout(400)
-                _save(page, out / f"{name}.png")
-                if name == "desktop":
-                    _photograph_run(page, out / f"{name}-lost-run.png")
+            with _served(Question(cases="study"), Path(folder)) as address:
+                for name, size_px in _SIZES_PX.items():
+                    page = _opened(browser, address, size_px)
+                    _save(page, out / f"{name}.png")
+                    if name == "desktop":
+                        _photograph_run(page, out / f"{name}-lost-run.png")
+                        page.keyboard.press("Escape")
+                        page.locator("#turn").click()
+                        page.frame_locator("#turn-view").locator("#view-buttons").wait_for()
+                        _save(page, out / f"{name}-three-dimensions.png")
+                    page.close()
+            garden = Path(folder) / "garden.geojson"
+            garden.write_text(_garden(load_study_scene()), encoding="utf-8")
+            question = Question(cases="CPNC-50", along_arms="0", no_look=str(garden))
+            with _served(question, Path(folder)) as address:
+                page = _opened(browser, address, _SIZES_PX["desktop"])
+                page.wait_for_selector("#plan .seen", state="attached")
+                _save(page, out / "desktop-private-ground.png")
                 page.close()
         finally:
             browser.close()
-            server.stop()
+
+
+@contextmanager
+def _served(question: Question, folder: Path) -> Iterator[str]:
+    """The address of a page on which two cameras hang."""
+    setting = build_setting(question)
+    plan = Plan(variants=(Variant(name="two cameras", units=load_carlancap_layout().units[:2]),))
+    work = Work(
+        question=question,
+        scratch=folder,
+        cache=None,
+        seed=0,
+        workers=Compute().workers,
+        rays="auto",
+    )
+    server = RunningServer(lambda: Desk(work, setting, plan=plan), host="127.0.0.1", port=0)
+    server.start()
+    try:
+        yield server.address
+    finally:
+        server.stop()
+
+
+def _opened(browser: Any, address: str, size_px: tuple[int, int]) -> Any:
+    """The page once the evaluator has answered, with the first camera chosen."""
+    width_px, height_px = size_px
+    page = browser.new_page(viewport={"width": width_px, "height": height_px})
+    page.set_default_timeout(_PATIENCE_MS)
+    page.goto(address)
+    page.wait_for_selector("#source.evaluator")
+    page.locator("[data-chip]").first.click()
+    page.wait_for_timeout(400)
+    return page
+
+
+def _garden(scene: Scene) -> str:
+    """A garden at the junction's north-western corner, as GeoJSON."""
+    x, y = scene.outline_m.mean(axis=0)
+    corners_m = np.array([[-22, 8], [-11, 8], [-11, 18], [-22, 18], [-22, 8]]) + [x, y]
+    ring = to_geographic(corners_m, scene.crs).tolist()
+    shape = {"type": "Polygon", "coordinates": [ring]}
+    feature = {"type": "Feature", "properties": {"name": "garden"}, "geometry": shape}
+    return json.dumps({"type": "FeatureCollection", "features": [feature]})
 
 
 def _photograph_run(page: Any, path: Path) -> None:

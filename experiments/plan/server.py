@@ -19,7 +19,7 @@ from geometry.errors import InputError, MissingExtraError, Unquoted
 
 from .background import MAX_BYTES as MAX_IMAGE_BYTES
 from .background import build_background
-from .desk import Desk
+from .desk import MAX_MAP_BYTES, MAX_PLAN_BYTES, Desk
 from .numbers import layout_text
 from .session import read_plan
 from .tasks import turn_page
@@ -38,8 +38,6 @@ except ModuleNotFoundError as error:
         f"place-rsus plan needs the package {error.name}: install place-rsus[plan]"
     ) from None
 
-MAX_LAYOUT_BYTES = 16_000_000
-MAX_MAP_BYTES = 300_000_000
 _MAX_MESSAGE_BYTES = 64_000
 _MAX_WAITING = 2000  # messages for a browser that does not read
 _CLOSED_CODES = (1000, 1001, 1005)  # the page was closed or is loaded again; others: it was lost
@@ -284,7 +282,7 @@ class Pages:
         name = unquote(request.headers.get("x-file-name", ""))[:200]
         lower = name.lower()
         if lower.endswith(".json"):
-            path = await self._received(request, ".json", MAX_LAYOUT_BYTES)
+            path = await self._received(request, ".json", MAX_PLAN_BYTES)
             try:
                 plan = read_plan(path.read_bytes(), name)
             finally:

@@ -170,10 +170,8 @@ def _proof_section(result: CityResult) -> Section:
     rows = [
         [
             _STAGES[stage.name],
-            percent(stage.objective) if stage.name.startswith("apr") else number(stage.objective),
-            percent(stage.bound)
-            if stage.name.startswith("apr")
-            else number(None if stage.bound is None else stage.bound),
+            _shown(stage.name, stage.objective),
+            _shown(stage.name, stage.bound),
             "proven" if stage.gap == 0.0 else "open",
         ]
         for stage in result.stages
@@ -191,6 +189,14 @@ def _proof_section(result: CityResult) -> Section:
         f"first objective. Solver: {result.solver}."
     )
     return Section("proof", "How good it is proven to be", [table, told])
+
+
+def _shown(objective: str, value: float | None) -> str:
+    if value is None:
+        return number(None)
+    if objective.startswith("apr"):
+        return percent(value)
+    return f"{value:,.0f}" if objective == "cost_eur" else number(value)
 
 
 def _order_section(result: CityResult, poles: Sequence[Mapping[str, Any]]) -> Section | None:
@@ -255,8 +261,8 @@ def _assumptions_section(result: CityResult) -> Section:
         f"{search.max_junction_seconds:g} s for each; sites: {search.sites}; "
         f"{search.radius_m:g} m around each junction.",
         "Junctions do not help one another: a unit counts at the junction that it was chosen for.",
-        "Each APR is that of the detection table; `place-rsus --scene FOLDER` of a junction "
-        "evaluates it by full perception and braking.",
+        "Each APR is that of the detection table; the page of a junction has the command that "
+        "evaluates its units by full perception and braking.",
         *result.notes,
     ]
     return Section("assumptions", "What this rests on", [Bullets(sentences)])

@@ -9,7 +9,7 @@ poses at a site is one column, of which a site carries one.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import chain, combinations
 from math import comb
 
 import numpy as np
@@ -82,7 +82,7 @@ def front_by_sites(
     -------
     front : SiteFront
         With bounds up to as many sites as can carry `max_units`; without any where each unit has
-        to confirm alone, or where a site has too many sets.
+        to confirm alone.
     """
     limits = problem.limits
     room = _rooms_of(limits)
@@ -100,6 +100,8 @@ def front_by_sites(
         ),
     )
     reduced = presolve(counted)
+    if reduced.n_poses <= limits.is_forced.sum():
+        return SiteFront(limits=(base_apr,), layouts=())
     most = int(room.max())
     bounds, full = _front_of_full_sites(
         counted, reduced, room, max_sites=-(-max_units // most), effort=effort
@@ -176,16 +178,17 @@ def _front_of_full_sites(
     free = reduced.pose_index[~limits.is_forced[reduced.pose_index]]
     at_site = [free[limits.site_index[free] == site].tolist() for site in range(limits.n_sites)]
     sizes = [min(len(here), int(room[site])) for site, here in enumerate(at_site)]
-    n_sets = sum(comb(len(here), size) for here, size in zip(at_site, sizes, strict=True) if size)
-    if problem.fusion != "any" or n_sets > _MAX_SETS:
+    if problem.fusion != "any" or not len(free):
         return [], {}
+    classes = _classes_of(table, at_site, sizes)
     kept = np.flatnonzero(limits.is_forced).tolist()
     sets = [
-        (site, [*chosen, *kept])
-        for site, (here, size) in enumerate(zip(at_site, sizes, strict=True))
-        for chosen in combinations(here, size)
+        (site, [*chain.from_iterable(chosen), *kept])
+        for site, (here, size) in enumerate(zip(classes, sizes, strict=True))
+        for chosen in combinations(here, min(size, len(here)))
         if size
     ]
+    n_sets = len(sets)
     packed = np.empty((n_sets, table.packed.shape[1]), dtype=np.uint8)
     for row, (_, chosen) in enumerate(sets):
         np.bitwise_or.reduce(table.packed[chosen], axis=0, out=packed[row])
@@ -207,7 +210,36 @@ def _front_of_full_sites(
         assert stage is not None  # the first of all fronts
         bounds.append(stage.bound)
         layouts[point.units] = tuple(sorted({p for row in point.pose_index for p in sets[row][1]}))
-    return bounds, layouts
+    is_real = all(len(each) == 1 for here in classes for each in here)
+    return bounds, layouts if is_real else {}
+
+
+def _classes_of(
+    table: DetectionTable, at_site: list[list[int]], sizes: list[int]
+) -> list[list[tuple[int, ...]]]:
+    """Poses of each site one by one; where that makes too many sets, those together that see alike.
+
+    A class sees what any of its poses does: bounds hold, but are higher.
+    """
+    n_sets = sum(comb(len(here), size) for here, size in zip(at_site, sizes, strict=True) if size)
+    if n_sets <= _MAX_SETS:
+        return [[(pose,) for pose in here] for here in at_site]
+    from scipy.cluster.hierarchy import fcluster, linkage
+
+    most = max(sizes)
+    n_sites = sum(size > 0 for size in sizes)
+    while most < max(map(len, at_site)) and n_sites * comb(most + 1, max(sizes)) <= _MAX_SETS:
+        most += 1
+    classes = []
+    for here in at_site:
+        if len(here) <= most:
+            classes.append([(pose,) for pose in here])
+            continue
+        seen = table.detected(here).astype(np.float32)
+        number = fcluster(linkage(seen, "ward"), most, "maxclust")
+        poses = np.array(here)
+        classes.append([tuple(poses[number == each].tolist()) for each in np.unique(number)])
+    return classes
 
 
 def _parts_of(layout: tuple[int, ...], limits: Limits, n_units: int) -> list[tuple[int, ...]]:

@@ -6,7 +6,7 @@ import { element } from "./shared.js";
 const find = (id) => document.getElementById(id);
 const PLANS = [".json"];
 
-export function openDialogs({ map, notice, state, saved }) {
+export function openDialogs({ map, notice, scene, state, saved }) {
   document.querySelectorAll("dialog [data-close]").forEach((button) => button.addEventListener("click", () => button.closest("dialog").close()));
 
   // ---------- a run
@@ -78,7 +78,7 @@ export function openDialogs({ map, notice, state, saved }) {
   async function open(file) {
     notice(`${file.name} is being read \u2026`);
     try {
-      const told = await give("open", file, { "X-File-Name": encodeURIComponent(file.name) });
+      const told = await give("open", file, { headers: { "X-File-Name": encodeURIComponent(file.name) }, most: PLANS.some((end) => file.name.toLowerCase().endsWith(end)) ? scene().mostBytes.plan : scene().mostBytes.map });
       if (told.map) chooseJunction(told);
       notice(told.opened ? `Opened: ${told.opened.join(", ")}.` : told.scene ? `The scene is ${told.scene}.` : "");
     } catch (error) {
@@ -214,7 +214,7 @@ export function openDialogs({ map, notice, state, saved }) {
     const points = numbers.map(([x_px, y_px, east_m, north_m]) => ({ x_px, y_px, east_m, north_m }));
     try {
       const content = image || await (await fetch(src)).blob();
-      await give("background", content, { "X-Points": JSON.stringify({ width_px: naturalWidth, height_px: naturalHeight, points }) });
+      await give("background", content, { headers: { "X-Points": JSON.stringify({ width_px: naturalWidth, height_px: naturalHeight, points }) }, most: scene().mostBytes.image });
       find("image-dialog").close();
     } catch (error) {
       find("image-text").textContent = error.message;

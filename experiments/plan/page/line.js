@@ -53,4 +53,8 @@ async function answerOf(response) {
 
 export const ask = async (path, values = {}) => answerOf(await fetch(`${path}?${new URLSearchParams(values)}`));
 
-export const give = async (path, body, headers = {}) => answerOf(await fetch(path, { method: "POST", body, headers }));
+// What is too large is not sent: browsers do not read an answer that comes before all is sent.
+export async function give(path, body, { headers = {}, most = Infinity } = {}) {
+  if (body.size > most) throw new Error(`got ${body.size.toLocaleString("en")} bytes; expected at most ${most.toLocaleString("en")}`);
+  return answerOf(await fetch(path, { method: "POST", body, headers }));
+}

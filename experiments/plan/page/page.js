@@ -27,7 +27,7 @@ const map = createMap(find("plan"), {
   hang: (site, aim) => hang(site, aim),
   heightOf: (site) => Math.min(Math.max(8, site.low), site.high),
 });
-const dialogs = openDialogs({ map, notice, state: () => state, saved: () => { savedRevision = state.revision; } });
+const dialogs = openDialogs({ map, notice, scene: () => scene, state: () => state, saved: () => { savedRevision = state.revision; } });
 
 // What is not kept in a file is gone with the page.
 window.addEventListener("beforeunload", (event) => {

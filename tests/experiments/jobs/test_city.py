@@ -127,6 +127,9 @@ def test_the_folder_has_all_of_it_and_nothing_is_done_twice(tiny, city, never):
     table = pd.read_parquet(city / "fronts.parquet")
     assert set(table.junction) == {one.id for one in result.junctions}
     assert len(table) == sum(len(front.points) for front in fronts_of(city))
+    rows = pd.read_csv(city / "junctions.csv")
+    assert (rows.runs > 0).all()
+    assert (rows.cpu_s > 0.0).all()
     poles = pd.read_csv(city / "poles.csv")
     assert poles.units.sum() == 2
     assert {one.part for one in result.purchases} == {"sensor", "site"}
@@ -419,17 +422,37 @@ def check_fronts_of(address, tiny, tmp_path):
         assert mine.points == theirs.points
 
 
+def tasks_of(path):
+    city = job.load_city([path], SEARCH.reading, CityWish(budget_units=1))
+    grid = job.build_grid("", is_coarse=True)
+    return [task for _, task in job._tasks(city, FEW_RUNS, SEARCH, grid, kept={}, seed=0)]
+
+
+def test_a_junction_whose_worker_died_thrice_is_told(tmp_path):
+    distributed = pytest.importorskip("distributed")
+
+    class Lost:
+        def result(self):
+            raise distributed.KilledWorker("junction", None, city_workers.TRIES)
+
+    [task, *_] = tasks_of(write_city(tmp_path))
+    record = city_workers._answer(Lost(), task).record
+    assert record.id == task.chosen.junction.id
+    assert record.reason.startswith("its worker died, 3 times: more --worker-memory")
+    assert not record.is_final
+
+
 @pytest.mark.long
 @pytest.mark.filterwarnings("ignore")
 def test_a_worker_that_is_killed_loses_nothing_and_one_that_always_dies_is_told(
     tiny, tmp_path, monkeypatch
 ):
-    city = job.load_city([tiny / "tiny.osm"], SEARCH.reading, CityWish(budget_units=1))
-    grid = job.build_grid("", is_coarse=True)
-    tasks = [task for _, task in job._tasks(city, FEW_RUNS, SEARCH, grid, kept={}, seed=0)]
+    tasks = tasks_of(tiny / "tiny.osm")
     with city_workers.start_workers(
         "", n_workers=2, memory="1.5GiB", tell=lambda sentence: None
     ) as client:
+        limits = client.run(lambda dask_worker: dask_worker.memory_manager.memory_pause_fraction)
+        assert list(limits.values()) == [False, False]
         victim = next(iter(client.run(os.getpid).values()))
         killer = threading.Timer(1.0, os.kill, (victim, signal.SIGKILL))
         killer.start()
@@ -445,6 +468,7 @@ def test_a_worker_that_is_killed_loses_nothing_and_one_that_always_dies_is_told(
         assert not answer.record.is_final
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="signals and processes as on Linux")
 def test_kill_9_loses_at_most_the_junctions_in_work_and_ends_the_workers(
     tiny, city, here, no_pages
@@ -456,7 +480,8 @@ def test_kill_9_loses_at_most_the_junctions_in_work_and_ends_the_workers(
     for folder in missing:
         shutil.rmtree(folder)
     command = ("city", tiny / "tiny.osm", "--budget", "2", "--coarse", "--max-units", "2")
-    limits = ("--max-junction-seconds", "3600", "--workers", "1", "--out", city)
+    seconds = ("--max-junction-seconds", "3600", "--time-limit", f"{FEW_RUNS.time_limit_s:g}")
+    limits = (*seconds, "--workers", "1", "--out", city)
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     main = subprocess.Popen(
         [sys.executable, "-m", "experiments.cli.main", *command, *limits, *FEW_RUNS_OPTIONS],

@@ -163,6 +163,7 @@ def study(default):
     return build_setting(study_question(default[0]))
 
 
+@pytest.mark.long
 def test_a_question_along_the_arms_has_all_runs_of_the_study(default, study):
     """So that nobody has to look again."""
     _, asked, rows = default

@@ -1,12 +1,16 @@
 """The server without a browser: who is let in, what is answered, and that numbers agree."""
 
+import asyncio
 import io
 import json
+import shutil
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
-from plan_desks import few_poses, small_desk  # noqa: F401
+from plan_desks import InThread, few_poses, small_desk  # noqa: F401
+from shapely import box
 
 pytest.importorskip("starlette", reason="place-rsus[plan] is not installed")
 pytest.importorskip("httpx2", reason="starlette's test client needs httpx2")
@@ -19,10 +23,17 @@ from experiments.jobs.placement import run_evaluation
 from experiments.plan import server
 from experiments.plan.server import build_app
 from experiments.plan.session import Variant
+from experiments.plan.worker import DiedError
 from experiments.progress import StageProgress
+from experiments.results.explanations import build_private_ground_record
+from experiments.results.numbers import percent
 from experiments.study.layout import load_carlancap_layout
+from geometry.frames import to_geographic
+from geometry.scene_files import save_scene
+from geometry.study_scene import load_study_scene
 from placement.compute import Compute
 from placement.layout import load_layout
+from placement.private_ground import load_private_ground
 from placement.question import Question
 
 TOKEN = "a-token"
@@ -332,13 +343,184 @@ def test_files_that_are_none_are_told_as_on_the_command_line(
 
 
 def test_what_is_too_large_is_refused_and_not_kept(open_client, tmp_path, monkeypatch):
-    monkeypatch.setattr(server, "MAX_LAYOUT_BYTES", 1000)
+    monkeypatch.setattr(server, "MAX_PLAN_BYTES", 1000)
     client = open_client()
     response = client.post(
         f"/{TOKEN}/open", content=b"x" * 1001, headers=ORIGIN | {"x-file-name": "x.json"}
     )
     assert "more than 1,000 bytes" in response.json()["problem"]
     assert not list(tmp_path.glob("received*"))
+
+
+# ---------- an image below the plan
+
+PNG = b"\x89PNG\r\n\x1a\n" + b"pixels"
+POINTS = {
+    "width_px": 200,
+    "height_px": 100,
+    "points": [
+        {"x_px": 0.0, "y_px": 0.0, "east_m": -20.0, "north_m": 10.0},
+        {"x_px": 200.0, "y_px": 0.0, "east_m": 20.0, "north_m": 10.0},
+    ],
+}
+
+
+def lay(client, content=PNG, points=POINTS):
+    return client.post(
+        f"/{TOKEN}/background", content=content, headers=ORIGIN | {"x-points": json.dumps(points)}
+    )
+
+
+def test_an_image_is_kept_in_the_plan_and_comes_back_with_it(open_client, join, tmp_path):
+    client = open_client()
+    line = join(client)
+    assert lay(client).status_code == 200
+    message = line.until(lambda told: told["type"] == "background" and told["address"])
+    assert message["points"] == [[0.0, 0.0, -20.0, 10.0], [200.0, 0.0, 20.0, 10.0]]
+    image = client.get(f"/{TOKEN}/{message['address']}")
+    assert (image.content, image.headers["content-type"]) == (PNG, "image/png")
+    assert "default-src 'none'" in image.headers["content-security-policy"]
+    plan = client.get(f"/{TOKEN}/plan.json").content
+    assert lay(client, b"").status_code == 200
+    assert client.get(f"/{TOKEN}/background").status_code == 404
+    assert "background" not in json.loads(client.get(f"/{TOKEN}/plan.json").content)
+    client.post(f"/{TOKEN}/open", content=plan, headers=ORIGIN | {"x-file-name": "p.json"})
+    assert client.get(f"/{TOKEN}/background").content == PNG
+    again = client.get(f"/{TOKEN}/plan.json").content
+    assert json.loads(again)["background"] == json.loads(plan)["background"]
+    assert not list(tmp_path.glob("received*"))
+
+
+@pytest.mark.parametrize(
+    ("content", "points", "said"),
+    [
+        (b"<svg onload='x'/>", POINTS, "image: got another format; expected PNG, JPEG"),
+        (PNG, {}, "image: points: got"),
+        (PNG, POINTS | {"path": "/etc/passwd"}, "image: points: got"),
+        (PNG, POINTS | {"width_px": 0}, "got 0 by 100 pixels"),
+        (PNG, POINTS | {"points": [POINTS["points"][0]] * 2}, "got points 0.0 px and 0.00 m"),
+        (PNG, POINTS | {"points": [POINTS["points"][0] | {"x_px": 1e300}] * 2}, "numbers up to"),
+    ],
+)
+def test_what_is_no_image_or_lies_nowhere_is_told(open_client, content, points, said):
+    client = open_client()
+    response = lay(client, content, points)
+    assert response.status_code == 400
+    assert said in response.json()["problem"]
+    assert client.get(f"/{TOKEN}/background").status_code == 404
+
+
+@pytest.mark.parametrize("image", ["%", "AAAA", 3])
+def test_a_plan_whose_image_is_damaged_is_refused(open_client, image):
+    client = open_client()
+    lay(client)
+    plan = json.loads(client.get(f"/{TOKEN}/plan.json").content)
+    plan["background"]["image"] = image
+    response = client.post(
+        f"/{TOKEN}/open",
+        content=json.dumps(plan).encode(),
+        headers=ORIGIN | {"x-file-name": "p.json"},
+    )
+    assert response.status_code == 400
+    assert "p.json: background: got" in response.json()["problem"]
+
+
+# ---------- private areas, three dimensions
+
+
+@pytest.fixture
+def garden(tmp_path):
+    scene = load_study_scene()
+    x, y = scene.outline_m.mean(axis=0)
+    ring = to_geographic(np.array(box(x - 20, y + 8, x - 4, y + 18).exterior.coords), scene.crs)
+    path = tmp_path / "garden.geojson"
+    shape = {"type": "Polygon", "coordinates": [ring.tolist()]}
+    feature = {"type": "Feature", "properties": {"name": "garden"}, "geometry": shape}
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+    return path
+
+
+def test_private_areas_in_view_are_those_that_evaluate_tells(open_client, join, garden):
+    units = load_carlancap_layout().units[:2]
+    client = open_client(units, asked={"no_look": str(garden), "no_look_share": 0.5})
+    line = join(client)
+    numbers = line.numbers("table")
+    scene = load_study_scene()
+    ground = load_private_ground(garden, scene)
+    told = build_private_ground_record(units, scene, ground).units
+    expected = sorted(
+        ((share["garden"], unit) for unit, share in told.items() if share["garden"]), reverse=True
+    )
+    (area,) = numbers["private"]
+    assert area["area"] == "garden"
+    assert [(one["unit"], one["share"], one["isTooMuch"]) for one in area["seen"]] == [
+        (unit, percent(share), share > 0.5) for share, unit in expected
+    ]
+    places = client.get(f"/{TOKEN}/private", params={"unit": expected[0][1]}).json()
+    assert len(places) == round(expected[0][0] * len(ground.points_m))
+    assert client.get(f"/{TOKEN}/private", params={"unit": "nobody"}).status_code == 400
+    assert line.last["scene"]["private"][0]["path"].startswith("M")
+    assert line.numbers("evaluator")["private"] == numbers["private"]
+
+
+def test_private_areas_are_kept_when_another_scene_is_opened(open_client, join, garden):
+    client = open_client(asked={"no_look": str(garden)})
+    line = join(client)
+    (garden.parent / "same").mkdir()
+    save_scene(garden.parent / "same", load_study_scene())
+    archive = shutil.make_archive(str(garden.parent / "same"), "zip", garden.parent / "same")
+    content = Path(archive).read_bytes()
+    headers = ORIGIN | {"x-file-name": "same.zip"}
+    line.last.clear()
+    response = client.post(f"/{TOKEN}/open", content=content, headers=headers)
+    assert response.status_code == 200, response.text
+    scene = line.until(lambda told: told["type"] == "scene")
+    assert [area["name"] for area in scene["private"]] == ["garden"]
+
+
+@pytest.mark.parametrize("n", [0, 2])
+def test_the_junction_is_shown_in_three_dimensions(open_client, n):
+    page = open_client(load_carlancap_layout().units[:n]).get(f"/{TOKEN}/turn")
+    assert page.status_code == 200
+    assert "startView(null)" in page.text
+    assert "player-data" not in page.text
+
+
+def test_an_evaluator_that_dies_is_told_and_asked_once_more(tmp_path, small_setting):
+    class Dies(InThread):
+        deaths = 0
+
+        async def call(self, method, *args, **kwargs):
+            if method == "evaluate" and Dies.deaths == 0:
+                Dies.deaths += 1
+                raise DiedError("the process that did it was ended from outside")
+            return await super().call(method, *args, **kwargs)
+
+    async def work():
+        desk = small_desk(
+            tmp_path,
+            small_setting,
+            variants=[Variant(name="mine", units=load_carlancap_layout().units[:1])],
+            make_worker=lambda work: Dies(work, small_setting),
+        )
+        told, is_known = [], asyncio.Event()
+
+        def listen(message):
+            told.append(message)
+            if message.get("source") == "evaluator":
+                is_known.set()
+
+        desk.start()
+        desk.join(listen)
+        await asyncio.wait_for(is_known.wait(), 120)
+        desk.stop_processes()
+        return [message["text"] for message in told if message["type"] == "notice"]
+
+    notices = asyncio.run(work())
+    assert notices == ["the process that did it was ended from outside; it is tried again"]
+
+
+# ---------- maps
 
 
 def test_a_map_is_dropped_and_a_junction_of_it_is_planned(open_client, join):

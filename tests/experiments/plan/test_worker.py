@@ -1,6 +1,7 @@
 """Processes that work for the page: they answer, are stopped, and none is left."""
 
 import asyncio
+import json
 import os
 import signal
 import subprocess
@@ -13,7 +14,7 @@ from pathlib import Path
 import pytest
 from plan_desks import small_work
 
-from experiments.plan.worker import Cancelled, TaskError, Worker
+from experiments.plan.worker import Cancelled, DiedError, TaskError, Worker
 from placement.compute import silent
 
 ROOT = Path(__file__).parents[3]
@@ -63,7 +64,25 @@ def test_work_that_is_stopped_is_cancelled_and_the_next_task_is_done(tmp_path):
     asyncio.run(work())
 
 
-def test_the_command_serves_until_ctrl_c_and_leaves_nothing_behind(tmp_path):
+def test_a_process_that_is_killed_is_told_and_the_next_task_is_done(tmp_path):
+    async def work():
+        worker = Worker(small_work(tmp_path))
+        begun = asyncio.Event()
+        task = asyncio.create_task(
+            worker.call("open_setting", on_progress=lambda *stage: begun.set())
+        )
+        await begun.wait()
+        os.kill(worker._process.pid, signal.SIGKILL)
+        with pytest.raises(DiedError, match=r"\(open_setting\) was ended from outside"):
+            await task
+        assert (await worker.call("survey", MAP, on_progress=silent))["junctions"]
+        worker.stop()
+
+    asyncio.run(work())
+
+
+@pytest.mark.parametrize("is_closed", [False, True], ids=["by-ctrl-c", "by-closing-the-page"])
+def test_the_command_serves_until_it_ends_and_leaves_nothing_behind(tmp_path, is_closed):
     pytest.importorskip("starlette", reason="place-rsus[plan] is not installed")
     words = ["plan", "--no-open", "--cases", "CPNC-50", "--along-arms", "0", "--speeds", "50"]
     environment = os.environ | {"TMPDIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
@@ -83,8 +102,11 @@ def test_the_command_serves_until_ctrl_c_and_leaves_nothing_behind(tmp_path):
             assert b"<title>Plan" in answer.read()
         with pytest.raises(urllib.error.HTTPError, match="403"):
             urllib.request.urlopen(address.rsplit("/", 2)[0] + "/")
-        process.send_signal(signal.SIGINT)
-        assert "Ended." in process.stdout.read()
+        if is_closed:
+            look_at(address)
+        else:
+            process.send_signal(signal.SIGINT)
+        assert ("The page was closed: ended." if is_closed else "\nEnded.") in process.stdout.read()
         assert process.wait(timeout=60) == 0
     for _ in range(100):  # whatever it had started ends with it
         try:
@@ -95,6 +117,20 @@ def test_the_command_serves_until_ctrl_c_and_leaves_nothing_behind(tmp_path):
     else:
         raise AssertionError("a process is left")
     assert not list(tmp_path.glob("place-rsus-plan-*"))
+
+
+def look_at(address):
+    """Join as a page does, with a layout that is being evaluated, and go as a closed tab does."""
+    from websockets.sync.client import connect
+
+    live = address.replace("http:", "ws:") + "live"
+    origin = address.split("/", 3)
+    with connect(live, origin=f"{origin[0]}//{origin[2]}", max_size=None) as line:
+        for text in line:
+            told = json.loads(text)
+            if told["type"] == "doing" and told["who"] == "evaluator":
+                break
+        line.close(1001)
 
 
 def test_others_are_let_in_only_by_who_says_so(run):
