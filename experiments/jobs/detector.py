@@ -23,7 +23,7 @@ from geometry.sensors import CameraModel
 from placement.compute import Compute
 from placement.detectors import VRU_CLASSES, Evidence, load_detector
 from placement.detectors.fitting import ResponseFit, fit_response
-from placement.detectors.network import NetworkDetector, vru_boxes
+from placement.detectors.network import ImageBoxes, NetworkDetector, vru_boxes
 from placement.detectors.onnx_exports import kind_of_name
 from placement.detectors.sightings import LabelledPicture, gather_sightings
 from placement.evaluator import build_surroundings, load_vut_camera
@@ -238,11 +238,16 @@ def _look(
     )
     n_drawn = 0
     for number, (evidence, picture, crops) in enumerate(views):
-        for run, frame, row in _pick_frames(setting, evidence, shares[number], rng):
+        picked = _pick_frames(setting, evidence, shares[number], rng)
+        in_crops: dict[int, ImageBoxes] = {}
+        for row, crop in () if crops is None else crops.draw_all([row for *_, row in picked]):
+            progress(LOOK, n_drawn + len(in_crops), sum(shares))
+            in_crops[row] = network.look_at(crop)
+        for run, frame, row in picked:
             progress(LOOK, n_drawn, sum(shares))
             n_drawn += 1
             # What counts in an evaluation is what is found in the crop.
-            in_crop = None if crops is None else network.look_at(crops.draw(row))
+            in_crop = in_crops.get(row)
             is_whole = in_crop is None or n_drawn // _BLOCK % _WHOLE == 0
             found = network.look(picture(row)) if in_crop is None or is_whole else in_crop
             is_sure = found.confidence >= wish.min_confidence

@@ -6,8 +6,8 @@ like people. It is no part of the program, and OpenCV none of its dependencies:
 ``uv run --no-default-groups --group judge python -m experiments.training.pictures judge ..``.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from itertools import islice, pairwise, product
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import count, islice, pairwise, product
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from geometry.arrays import BoolArray, FloatArray
-from geometry.errors import InputError
+from geometry.errors import InputError, Unquoted
 from geometry.image_boxes import iou
 from placement.detectors.evidence import VRU_CLASSES
 from placement.detectors.sightings import poisson, wilson
@@ -25,10 +25,11 @@ from placement.question import Question
 from placement.setting import Setting, build_setting
 
 from ..results.numbers import percent
-from .crops import WEATHERS, Backdrops, Framing, load_junction, look_around
+from .crops import WEATHERS, Backdrops, Crops, Framing, load_crops, load_junction, look_around
 
 _CASES = "CPNA-75,CPFA-50,CPLA-25,CPNCO-50,CBNA,CBLA"
 _WORDS = ("adult", "child", "cyclist")
+_TRAINING = "python -m experiments.training"
 _LEAST_SEEN = 0.95  # share: what is hidden more is not judged
 _TILE_PX, _CAPTION_PX, _COLUMNS, _TILES = 240, 18, 8, 40
 _SHEET_HEIGHTS_PX = (40.0, 160.0)
@@ -65,15 +66,14 @@ def _rows(
             )
 
 
-def draw_sheet(
-    settings: Sequence[Setting], *, seed: int, tell: Callable[[str], None] = lambda words: None
-) -> Image.Image:
-    """Forty pictures: adults, children and cyclists by day, at night and in rain, in turn."""
-    n_rows = _TILES // _COLUMNS
-    sheet = Image.new("RGB", (_COLUMNS * _TILE_PX, n_rows * (_TILE_PX + _CAPTION_PX)), "white")
-    pen = ImageDraw.Draw(sheet)
+Looks = Sequence[Iterator[tuple[str, dict[str, Any]]]]
+"""Junctions and pictures of each class and weather, without end."""
+
+
+def draw_looks(settings: Sequence[Setting], *, seed: int) -> Looks:
+    """Adults, children and cyclists by day, at night and in rain, drawn as they are asked for."""
     backdrops: Backdrops = {}
-    looks = [
+    return [
         _rows(
             [*settings[number % len(settings) :], *settings[: number % len(settings)]],
             Framing(
@@ -89,15 +89,61 @@ def draw_sheet(
         )
         for number, (weather, kind) in enumerate(product(WEATHERS, VRU_CLASSES))
     ]
-    for tile in range(_TILES):
-        name, row = next(looks[tile % len(looks)])
-        left = tile % _COLUMNS * _TILE_PX
-        top = tile // _COLUMNS * (_TILE_PX + _CAPTION_PX)
+
+
+def kept_looks(folder: Path, *, seed: int) -> Looks:
+    """The same out of crops that were kept for training, ``JUNCTION-SEED.npz``.
+
+    Raises
+    ------
+    InputError
+        The folder has none, or none of a class in a weather.
+    """
+    parts = {
+        path.stem.rpartition("-")[0]: load_crops(path) for path in sorted(folder.glob("*.npz"))
+    }
+    return [
+        _kept(parts, kind, weather, np.random.default_rng([seed, weather, kind]), folder)
+        for weather, kind in product(range(len(WEATHERS)), range(len(VRU_CLASSES)))
+    ]
+
+
+def _kept(
+    parts: Mapping[str, Crops], kind: int, weather: int, rng: np.random.Generator, folder: Path
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """A crop of each junction in turn."""
+    rows = {}
+    for name, crops in parts.items():
+        of_kind = (crops.vru_class == kind) & (crops.weather == weather)
+        is_clear = (crops.visible_share >= _LEAST_SEEN) & (
+            crops.box_px[:, 3] - crops.box_px[:, 1] >= _SHEET_HEIGHTS_PX[0]
+        )
+        rows[name] = rng.permutation(np.flatnonzero(of_kind & is_clear))
+    names = [name for name in rng.permutation(list(rows)).tolist() if len(rows[name])]
+    if not names:
+        expected = f"crops of {_WORDS[kind]}s, {WEATHERS[weather]}, made by {_TRAINING}"
+        raise InputError(str(folder), Unquoted("none"), expected)
+    for turn in count():
+        name = names[turn % len(names)]
+        row = int(rows[name][turn // len(names) % len(rows[name])])
+        yield name, {field: getattr(parts[name], field)[row] for field in Crops.__slots__}
+
+
+def draw_sheet(looks: Looks, *, tell: Callable[[str], None] = lambda words: None) -> Image.Image:
+    """Forty pictures on a page, one of each class and weather after the other."""
+    tiles = [next(looks[number % len(looks)]) for number in range(_TILES)]
+    side = len(tiles[0][1]["rgb"])
+    size = (_COLUMNS * side, _TILES // _COLUMNS * (side + _CAPTION_PX))
+    sheet = Image.new("RGB", size, "white")
+    pen = ImageDraw.Draw(sheet)
+    for number, (name, row) in enumerate(tiles):
+        left = number % _COLUMNS * side
+        top = number // _COLUMNS * (side + _CAPTION_PX)
         sheet.paste(Image.fromarray(row["rgb"]), (left, top))
         height = round(row["box_px"][3] - row["box_px"][1])
         caption = f"{_WORDS[row['vru_class']]}, {WEATHERS[row['weather']]}, {height} px, {name}"
-        tell(f"{tile + 1} of {_TILES}: {caption}")
-        pen.text((left + 3, top + _TILE_PX + 2), caption[:42], fill="black")
+        tell(f"{number + 1} of {_TILES}: {caption}")
+        pen.text((left + 3, top + side + 2), caption[: side // 6], fill="black")
     return sheet
 
 
@@ -249,11 +295,21 @@ def main() -> None:
 
 @main.command()
 @_MAPS
+@click.option(
+    "--crops",
+    type=click.Path(path_type=Path),
+    help="Folder of crops kept by python -m experiments.training, in place of new pictures.",
+)
 @click.option("--seed", default=0, show_default=True)
 @click.option("--out", type=click.Path(path_type=Path), required=True)
-def sheet(*, maps: tuple[str, ...], seed: int, out: Path) -> None:
+def sheet(*, maps: tuple[str, ...], crops: Path | None, seed: int, out: Path) -> None:
     """Forty pictures on one page."""
-    draw_sheet(_settings(maps), seed=seed, tell=_tell).save(out, quality=90)
+    if crops is not None and maps:
+        raise click.UsageError("--crops: got it with --map; expected one of them")
+    looks = (
+        draw_looks(_settings(maps), seed=seed) if crops is None else kept_looks(crops, seed=seed)
+    )
+    draw_sheet(looks, tell=_tell).save(out, quality=90)
 
 
 @main.command(name="judge")

@@ -282,3 +282,60 @@ class _Blind:
             confidence=np.zeros(0),
             kinds={0: "person"},
         )
+
+
+def test_a_network_for_crops_is_shown_crops_and_now_and_then_whole_pictures(monkeypatch):
+    sizes = []
+
+    class Model:
+        """Finds a person in the middle of whatever it is shown, and one in a corner."""
+
+        def detect(self, image):
+            height, width = image.shape[:2]
+            sizes.append((width, height))
+            middle = [0.4 * width, 0.3 * height, 0.6 * width, 0.7 * height]
+            return ImageBoxes(
+                boxes_px=np.array([middle, [0.0, 0.0, 3.0, 6.0]]),
+                class_ids=np.zeros(2, dtype=np.int64),
+                confidence=np.array([0.9, 0.8]),
+                kinds={0: "person"},
+            )
+
+    whole_picture = np.zeros((270, 480, 3), dtype=np.uint8)
+    for name in ("from_roadside", "from_vut"):
+        monkeypatch.setattr(job.PictureSource, name, lambda *_: lambda row: whole_picture)
+    study = load_carlancap_layout()
+    camera = replace(study.units[2].sensor, width_px=480, height_px=270)
+    layout = replace(study, units=(replace(study.units[2], sensor=camera),))
+    question = Question(cases="CPNC-50", approaches="west", speeds="30", along_arms="0")
+    network = NetworkDetector(
+        name="test",
+        model=Model(),
+        min_box_height_px=12.0,
+        min_confidence=0.5,
+        looks_at_crops=True,
+    )
+    setting = build_setting(question)
+    pictures = list(
+        job._look(
+            setting,
+            layout,
+            network,
+            job.FitWish(layout=layout, pictures=30),
+            Compute(seed=1),
+            lambda *told: None,
+        )
+    )
+    assert len(pictures) == 30
+    assert {len(one.label_px) for one in pictures} <= {0, 1}
+    whole = [one for one in pictures if one.is_whole]
+    assert 0 < len(whole) < len(pictures) // 2
+    halves = [(480, 270), (240, 135), (120, 67), (60, 33)]  # whole, then smaller and smaller
+    assert [sizes.count(size) for size in halves] == [len(whole)] * 4
+    assert len(sizes) == 30 + 4 * len(whole)  # a crop of each
+    for one in pictures:  # what it finds in the crop lies around the road user
+        middle = 0.5 * (one.found_px[0, :2] + one.found_px[0, 2:])
+        label = one.label_px[0] if len(one.label_px) else None
+        if label is not None and label[0] > 40 and label[2] < 440:
+            assert (label[:2] - 20 < middle).all()
+            assert (middle < label[2:] + 20).all()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from experiments.training import pictures
-from experiments.training.crops import Framing, look_around
+from experiments.training.crops import CROP_PX, Crops, Framing, look_around, save_crops
 from geometry.errors import InputError
 from geometry.image_boxes import iou
 from geometry.study_scene import load_study_scene
@@ -85,3 +85,32 @@ def test_without_the_detector_of_others_it_says_what_to_install(monkeypatch, ver
     monkeypatch.setitem(sys.modules, "cv2", library)
     with pytest.raises(InputError, match="opencv-python-headless below 5"):
         pictures.load_people_detector()
+
+
+def test_forty_kept_crops_are_on_a_page(tmp_path):
+    rng = np.random.default_rng(0)
+    n = 90
+    crops = Crops(
+        rgb=rng.integers(0, 255, (n, CROP_PX, CROP_PX, 3)).astype(np.uint8),
+        box_px=np.tile([10.0, 10.0, 40.0, 90.0], (n, 1)),
+        height_px=np.full(n, 80.0),
+        visible_share=np.ones(n),
+        vru_class=np.arange(n) % 3,
+        weather=np.arange(n) // 3 % 3,
+    )
+    save_crops(tmp_path / "here-11.npz", crops)
+    told = []
+    sheet = pictures.draw_sheet(pictures.kept_looks(tmp_path, seed=0), tell=told.append)
+    assert sheet.size == (8 * CROP_PX, 5 * (CROP_PX + pictures._CAPTION_PX))
+    assert told[0] == "1 of 40: adult, day, 80 px, here"
+    assert told[-1].startswith("40 of 40: ")
+    assert sum("cyclist, rain" in words for words in told) == 4
+    # The first tile is a crop of that class and weather.
+    first = np.asarray(sheet)[:CROP_PX, :CROP_PX]
+    (row,) = np.flatnonzero((crops.rgb == first).all(axis=(1, 2, 3)))
+    assert (crops.vru_class[row], crops.weather[row]) == (0, 0)
+
+
+def test_a_folder_without_crops_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"crops of adults, day, made by python -m exp"):
+        pictures.draw_sheet(pictures.kept_looks(tmp_path, seed=0))
