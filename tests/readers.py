@@ -796,6 +796,8 @@ def _manifests() -> Mapping[str, tuple[str, Files]]:
         lidar="none",
         masks=False,
         depth=False,
+        vehicles=False,
+        vary=False,
         seed=0,
         units=(unit,),
         drives=(drive,),
