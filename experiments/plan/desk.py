@@ -93,6 +93,9 @@ def _words_of(sensors: str) -> dict[str, str]:
     return words
 
 
+_Private = tuple[PrivateGround | None, PrivateSight | None]
+
+
 class Desk:
     """One session: what is planned, who looks at it, and the processes that work for it.
 
@@ -128,8 +131,6 @@ class Desk:
         self.listeners: set[Listener] = set()
         self.left_at_s: float | None = None  # since when nobody looks, who looked before
         self.is_lost = False
-        self._ground: PrivateGround | None
-        self._sight: PrivateSight | None
         self._ground, self._sight = self._private_ground(work, setting)
         self._sight_turn = asyncio.Lock()
         self._save = save
@@ -154,9 +155,7 @@ class Desk:
         self._doing: dict[str, Any] = {}
 
     @staticmethod
-    def _private_ground(
-        work: Work, setting: Setting
-    ) -> tuple[PrivateGround, PrivateSight] | tuple[None, None]:
+    def _private_ground(work: Work, setting: Setting) -> _Private:
         """Areas of ``--no-look`` in a scene. Raises InputError if they cannot lie there."""
         if not work.question.no_look:
             return None, None
@@ -315,6 +314,7 @@ class Desk:
                 if numbers is None:
                     numbers = await asyncio.to_thread(self._by_rays, live, units)
                 private = await self._private(units)
+                numbers = self._known.get(key_of(units), numbers)  # the evaluator was no slower
                 self.tell({"type": "numbers", "revision": revision, **numbers, **private})
                 self._tell_variants()
                 if self._shows_coverage and not self._changed.is_set():

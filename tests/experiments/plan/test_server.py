@@ -5,6 +5,7 @@ import io
 import json
 import shutil
 import zipfile
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -527,6 +528,39 @@ def test_an_evaluator_that_dies_is_told_and_asked_once_more(tmp_path, small_sett
 
     notices = asyncio.run(work())
     assert notices == ["the process that did it was ended from outside; it is tried again"]
+
+
+def test_numbers_of_the_table_never_follow_those_of_the_evaluator(tmp_path, small_setting):
+    async def work():
+        units = load_carlancap_layout().units[:1]
+        variants = [Variant(name="mine", units=units)]
+        desk = small_desk(tmp_path, small_setting, variants=variants)
+        sources, calls, is_judged, is_done = [], count(1), asyncio.Event(), asyncio.Event()
+
+        def listen(message):
+            if message["type"] != "numbers":
+                return
+            sources.append(message["source"])
+            if len(sources) == 1:
+                desk._changed.set()  # as when another browser comes
+            elif len(sources) == 2:
+                is_judged.set()
+            else:
+                is_done.set()
+
+        async def private(units):
+            if next(calls) == 2:  # the table's numbers wait for this until the evaluator is done
+                await is_judged.wait()
+            return {}
+
+        desk._private = private
+        desk.listeners.add(listen)
+        desk.start()
+        await asyncio.wait_for(is_done.wait(), 120)
+        desk.stop_processes()
+        return sources
+
+    assert asyncio.run(work()) == ["table", "evaluator", "evaluator"]
 
 
 # ---------- maps
