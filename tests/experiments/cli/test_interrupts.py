@@ -96,10 +96,10 @@ def test_ctrl_c_ends_the_program_in_every_stage_and_leaves_nothing(ends, stage):
     assert end["last"].startswith("place-rsus: interrupted in stage '")
     assert f": nothing was written to {OUT}" in end["last"]
     assert end["left"] == []
-    assert set(end["kept"]) <= {".npz"}  # a whole table, or none: no temporary file
+    assert set(end["kept"]) <= {".npz", ".pickle"}  # whole tables and runs: no temporary file
 
 
 def test_a_table_that_is_done_is_kept_for_the_next_call(ends):
-    assert ends["detection table"]["kept"] == []
-    assert ends["evaluate"]["kept"] == [".npz"]
+    assert ends["detection table"]["kept"] == [".pickle"]  # the runs
+    assert ends["evaluate"]["kept"] == [".npz", ".pickle"]
     assert ends["evaluate"]["last"].endswith("; the detection table is kept for the next call\n")
