@@ -11,7 +11,7 @@ from functools import cache
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, BinaryIO, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,11 +84,18 @@ def save_arrays(
         "content": content_hash(arrays, fingerprint),
         **arrays,
     }
+    _write(path, lambda file: save(file, **content), what=what)
+
+
+def _write(path: Path, write: Callable[[BinaryIO], object], *, what: str) -> bool:
+    """Write a file, whole or not at all; what cannot be written is only logged."""
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        write_atomically(path, lambda file: save(file, **content))
+        write_atomically(path, write)
     except OSError as error:
         _log.warning("%s not cached: %s: %s", what, path, error.strerror or error)
+        return False
+    return True
 
 
 def load_arrays(path: Path, *, what: str, kind: str, fingerprint: str) -> Arrays | None:
@@ -261,12 +268,7 @@ def keep_value(
     _Pickler(buffer, pickle.HIGHEST_PROTOCOL).dump(value)
     content = buffer.getvalue()
     key = hashlib.blake2b(content, digest_size=_HASH_SIZE).digest()
-    try:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        write_atomically(path, lambda file: file.write(key + content))
-    except OSError as error:
-        _log.warning("%s not cached: %s: %s", name, path, error.strerror or error)
-    else:
+    if _write(path, lambda file: file.write(key + content), what=name):
         _prune(path, most=MAX_VALUES)
     return value
 

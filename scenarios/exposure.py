@@ -350,8 +350,7 @@ def weigh(runs: Sequence[Run], how: str) -> FloatArray:
         return weight_by_crash_types(runs)
     if how == RATING:
         return weight_by_rating(runs)
-    check_weights(how)
-    return weight_from_csv(Path(how), runs)
+    return weight_from_csv(_weights_file(how), runs)
 
 
 def check_weights(how: str) -> None:
@@ -363,13 +362,18 @@ def check_weights(how: str) -> None:
         load_points()
     if how in _BY_WORD:
         return
-    path = Path(how)
-    if not how or not path.exists():
-        raise InputError("--weights", how, f"{', '.join(_BY_WORD)}, or a CSV file that exists")
+    path = _weights_file(how)
     for line, row in _read_rows(path):
         where = f"{path}: line {line}"
         _read_weight(row["weight"], where)
         _read_position(row["position"], where)
+
+
+def _weights_file(how: str) -> Path:
+    path = Path(how)
+    if not how or not path.exists():
+        raise InputError("--weights", how, f"{', '.join(_BY_WORD)}, or a CSV file that exists")
+    return path
 
 
 def weight_per_run(runs: Sequence[Run]) -> FloatArray:

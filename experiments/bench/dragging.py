@@ -10,14 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from placement.candidates import CandidatePose
-from placement.compute import Compute
 from placement.live import LiveTable, table_verdict
 from placement.question import Question
 from placement.setting import Setting
 
 from ..plan.numbers import state_record, table_numbers
-from ..plan.session import ChangeUnit, Plan, Stock, Variant, begin_history, change_state
-from ..plan.tasks import Work
+from ..plan.session import ChangeUnit, Stock, Variant, begin_history, change_state
 from ..study.layout import load_carlancap_layout
 from .rays import Figures
 
@@ -25,7 +23,6 @@ _TURNS, _LIFTS = 60, 12
 _UNITS = 3
 _DRAGS, _STEPS, _LIFTED = 25, 6, 10
 _STEP_MS, _QUIET_MS, _PATIENCE_MS = 30, 900, 60_000
-_ARGUMENTS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
 # Within the page: when the pointer or a key moved last, and when numbers of which state were shown.
 _WATCH = """() => {
   const apr = document.getElementById("apr");
@@ -96,38 +93,25 @@ def _in_browser(setting: Setting, question: Question) -> Figures:
     try:
         from playwright.sync_api import sync_playwright
 
-        from ..plan.desk import Desk
-        from ..plan.server import RunningServer
+        from ..plan.screenshots import BROWSER_ARGUMENTS, open_page, serve_page
     except ModuleNotFoundError as error:
         return {"dragging: in a browser": f"not measured: no package {error.name}"}
     if name is None:
         return {"dragging: in a browser": "not measured: no chromium"}
-    units = load_carlancap_layout().units[:_UNITS]
-    plan = Plan(variants=(Variant(name="three", units=units),))
-    with tempfile.TemporaryDirectory() as folder, sync_playwright() as library:
-        work = Work(
-            question=question,
-            scratch=Path(folder),
-            cache=None,
-            seed=0,
-            workers=Compute().workers,
-            rays="auto",
-        )
-        server = RunningServer(lambda: Desk(work, setting, plan=plan), host="127.0.0.1", port=0)
-        server.start()
-        browser = library.chromium.launch(executable_path=name, args=_ARGUMENTS)
+    three = Variant(name="three", units=load_carlancap_layout().units[:_UNITS])
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        sync_playwright() as library,
+        serve_page(setting, question, three, Path(folder)) as address,
+    ):
+        browser = library.chromium.launch(executable_path=name, args=BROWSER_ARGUMENTS)
         try:
-            page = browser.new_page(viewport={"width": 1280, "height": 900})
-            page.set_default_timeout(_PATIENCE_MS)
-            page.goto(server.address)
-            page.wait_for_selector("#source.evaluator")
-            page.locator(f'[data-chip="{units[0].id}"]').click()
+            page = open_page(browser, address, (1280, 900), patience_ms=_PATIENCE_MS)
             page.evaluate(_WATCH)
             drags = [_drag(page, number) for number in range(_DRAGS)]
             mounts = [_lower(page) for _ in range(_LIFTED)]
         finally:
             browser.close()
-            server.stop()
     return {
         "dragging: last move to its numbers on the page, ms, median (under 200)": statistics.median(
             drags

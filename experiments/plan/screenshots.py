@@ -4,7 +4,7 @@ import json
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from geometry.scene import Scene
 from geometry.study_scene import load_study_scene
 from placement.compute import Compute
 from placement.question import Question
-from placement.setting import build_setting
+from placement.setting import Setting, build_setting
 
 from ..report.section import with_palette
 from ..study.layout import load_carlancap_layout
@@ -27,7 +27,8 @@ from .tasks import Work
 
 _SIZES_PX = {"desktop": (1440, 900), "tablet": (820, 1180)}
 _PATIENCE_MS = 300_000
-_ARGUMENTS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
+BROWSER_ARGUMENTS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
+"""Of Chromium: it draws in three dimensions without a graphics card."""
 
 
 @click.command()
@@ -40,11 +41,13 @@ def main(out: Path) -> None:
 
     out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as library:
-        browser = library.chromium.launch(executable_path=shutil.which("chromium"), args=_ARGUMENTS)
+        browser = library.chromium.launch(
+            executable_path=shutil.which("chromium"), args=BROWSER_ARGUMENTS
+        )
         try:
-            with _served(Question(cases="study"), Path(folder)) as address:
+            with _with_cameras(Question(cases="study"), Path(folder)) as address:
                 for name, size_px in _SIZES_PX.items():
-                    page = _opened(browser, address, size_px)
+                    page = open_page(browser, address, size_px)
                     _save(page, out / f"{name}.png")
                     if name == "desktop":
                         _photograph_run(page, out / f"{name}-lost-run.png")
@@ -56,8 +59,8 @@ def main(out: Path) -> None:
             garden = Path(folder) / "garden.geojson"
             garden.write_text(_garden(load_study_scene()), encoding="utf-8")
             question = Question(cases="CPNC-50", along_arms="0", no_look=str(garden))
-            with _served(question, Path(folder)) as address:
-                page = _opened(browser, address, _SIZES_PX["desktop"])
+            with _with_cameras(question, Path(folder)) as address:
+                page = open_page(browser, address, _SIZES_PX["desktop"])
                 page.wait_for_selector("#plan .seen", state="attached")
                 _save(page, out / "desktop-private-ground.png")
                 page.close()
@@ -65,11 +68,16 @@ def main(out: Path) -> None:
             browser.close()
 
 
+def _with_cameras(question: Question, folder: Path) -> AbstractContextManager[str]:
+    variant = Variant(name="two cameras", units=load_carlancap_layout().units[:2])
+    return serve_page(build_setting(question), question, variant, folder)
+
+
 @contextmanager
-def _served(question: Question, folder: Path) -> Iterator[str]:
-    """The address of a page on which two cameras hang."""
-    setting = build_setting(question)
-    plan = Plan(variants=(Variant(name="two cameras", units=load_carlancap_layout().units[:2]),))
+def serve_page(
+    setting: Setting, question: Question, variant: Variant, folder: Path
+) -> Iterator[str]:
+    """Serve the page of a plan from a folder for the session's files; gives its address."""
     work = Work(
         question=question,
         scratch=folder,
@@ -78,6 +86,7 @@ def _served(question: Question, folder: Path) -> Iterator[str]:
         workers=Compute().workers,
         rays="auto",
     )
+    plan = Plan(variants=(variant,))
     server = RunningServer(lambda: Desk(work, setting, plan=plan), host="127.0.0.1", port=0)
     server.start()
     try:
@@ -86,11 +95,13 @@ def _served(question: Question, folder: Path) -> Iterator[str]:
         server.stop()
 
 
-def _opened(browser: Any, address: str, size_px: tuple[int, int]) -> Any:
+def open_page(
+    browser: Any, address: str, size_px: tuple[int, int], *, patience_ms: int = _PATIENCE_MS
+) -> Any:
     """The page once the evaluator has answered, with the first camera chosen."""
     width_px, height_px = size_px
     page = browser.new_page(viewport={"width": width_px, "height": height_px})
-    page.set_default_timeout(_PATIENCE_MS)
+    page.set_default_timeout(patience_ms)
     page.goto(address)
     page.wait_for_selector("#source.evaluator")
     page.locator("[data-chip]").first.click()

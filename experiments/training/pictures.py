@@ -18,7 +18,7 @@ from PIL import Image, ImageDraw
 
 from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError, Unquoted
-from geometry.image_boxes import iou
+from geometry.image_boxes import box_height_px, iou
 from placement.detectors.evidence import VRU_CLASSES
 from placement.detectors.sightings import poisson, wilson
 from placement.question import Question
@@ -61,7 +61,7 @@ def _rows(
                     for row in look
                     if row["vru_class"] >= 0
                     and row["visible_share"] >= _LEAST_SEEN
-                    and row["box_px"][3] - row["box_px"][1] >= framing.height_px[0]
+                    and box_height_px(row["box_px"]) >= framing.height_px[0]
                 ),
             )
 
@@ -116,7 +116,7 @@ def _kept(
     for name, crops in parts.items():
         of_kind = (crops.vru_class == kind) & (crops.weather == weather)
         is_clear = (crops.visible_share >= _LEAST_SEEN) & (
-            crops.box_px[:, 3] - crops.box_px[:, 1] >= _SHEET_HEIGHTS_PX[0]
+            box_height_px(crops.box_px) >= _SHEET_HEIGHTS_PX[0]
         )
         rows[name] = rng.permutation(np.flatnonzero(of_kind & is_clear))
     names = [name for name in rng.permutation(list(rows)).tolist() if len(rows[name])]
@@ -140,7 +140,7 @@ def draw_sheet(looks: Looks, *, tell: Callable[[str], None] = lambda words: None
         left = number % _COLUMNS * side
         top = number // _COLUMNS * (side + _CAPTION_PX)
         sheet.paste(Image.fromarray(row["rgb"]), (left, top))
-        height = round(row["box_px"][3] - row["box_px"][1])
+        height = round(float(box_height_px(row["box_px"])))
         caption = f"{_WORDS[row['vru_class']]}, {WEATHERS[row['weather']]}, {height} px, {name}"
         tell(f"{number + 1} of {_TILES}: {caption}")
         pen.text((left + 3, top + side + 2), caption[: side // 6], fill="black")
@@ -227,13 +227,13 @@ def judge_pictures(
     rows, found, n_alarms = [], [], 0
     for _, row in islice(rows_of_all, n_pictures):
         box = row["box_px"][None]
-        label = _boxes(0.5 * (box[:, :2] + box[:, 2:]), box[:, 3] - box[:, 1])
+        label = _boxes(0.5 * (box[:, :2] + box[:, 2:]), box_height_px(box))
         boxes = judge(row.pop("rgb"))
         overlap = iou(label, boxes)
         found.append(bool((overlap > 0.5).any()))
         n_alarms += int((overlap <= 0.0).sum())
         rows.append(row)
-    height = np.array([row["box_px"][3] - row["box_px"][1] for row in rows])
+    height = box_height_px([row["box_px"] for row in rows])
     return height, np.array([row["weather"] for row in rows]), np.array(found), n_alarms
 
 

@@ -224,14 +224,19 @@ def check_sites(where: str, *, crs: str) -> None:
 
     Raises InputError if `where` cannot be read; `crs` is that of the map with the roads.
     """
-    if where in (AUTO, MAP):
-        return
-    if where.startswith(KERB):
-        _spacing_m(where)
-    elif Path(where).suffix.lower() in SUFFIXES:
+    if _is_list(where):
         read_sites(Path(where), crs=crs)
-    else:
-        raise InputError("--sites", where, "auto, map, kerb:SPACING, or a .csv or .geojson file")
+    elif where.startswith(KERB):
+        _spacing_m(where)
+
+
+def _is_list(where: str) -> bool:
+    """Whether sites are listed in a file. Raises InputError if it is no word either."""
+    if where in (AUTO, MAP) or where.startswith(KERB):
+        return False
+    if Path(where).suffix.lower() in SUFFIXES:
+        return True
+    raise InputError("--sites", where, "auto, map, kerb:SPACING, or a .csv or .geojson file")
 
 
 def choose_sites(
@@ -244,9 +249,11 @@ def choose_sites(
     middle of the junction are left out. Raises InputError if `where` cannot be read, or no site is
     left.
     """
-    check_sites(where, crs=roads.crs)
     told: list[Skipped] = []
-    if where in (AUTO, MAP):
+    if _is_list(where):
+        wishes, far = _listed(Path(where), surroundings, roads, radius_m)
+        told += far
+    elif where in (AUTO, MAP):
         wishes, low = _poles(surroundings)
         told += low
         if not wishes and where == AUTO:
@@ -258,11 +265,8 @@ def choose_sites(
                     "kerbs were taken (--sites)",
                 )
             )
-    elif where.startswith(KERB):
-        wishes = _kerbs(surroundings, _spacing_m(where), radius_m)
     else:
-        wishes, far = _listed(Path(where), surroundings, roads, radius_m)
-        told += far
+        wishes = _kerbs(surroundings, _spacing_m(where), radius_m)
     placed, moved = _settled(wishes, surroundings)
     told += [skip for skip in moved if not where.startswith(KERB) and where != AUTO]
     kept, dropped = tidy_sites(placed, things=surroundings.things)

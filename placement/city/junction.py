@@ -180,34 +180,31 @@ def find_front(
     limits = problem.limits
     forced = tuple(np.flatnonzero(limits.is_forced).tolist())
     n_kept = len(forced)
-    assert limits.budget_units is not None
     base = PlacementValue(0.0, 0.0, 0.0, 0.0, 0.0)
     if n_kept:
         base = placement_value(problem, forced)
-    begin("front by units")
-    by_units = pareto_front(
-        problem, max_units=limits.budget_units, min_units=max(n_kept, 1), effort=effort()
-    )
-    begin("front by sites")
-    by_sites = front_by_sites(
-        problem, base_apr=base.apr, max_units=limits.budget_units - n_kept, effort=effort
-    )
-    fronts, by_cost = [(by_units, by_sites)], None
+
+    def fronts_of(part: PlacementProblem, tell: Callable[[str], None]) -> tuple[Front, SiteFront]:
+        assert limits.budget_units is not None
+        tell("front by units")
+        by_units = pareto_front(
+            part, max_units=limits.budget_units, min_units=max(n_kept, 1), effort=effort()
+        )
+        tell("front by sites")
+        most = limits.budget_units - n_kept
+        by_sites = front_by_sites(part, base_apr=base.apr, max_units=most, effort=effort)
+        return by_units, by_sites
+
+    fronts, by_cost = [fronts_of(problem, begin)], None
     tiers = price_tiers_eur(limits)
     if _has_prices(limits):
         begin("fronts of cheap sites")
         for _, highest_eur in reversed(tiers[:-1]):
             cheap = _without_dear_sites(problem, highest_eur)
-            by_units = pareto_front(
-                cheap, max_units=limits.budget_units, min_units=max(n_kept, 1), effort=effort()
-            )
-            by_sites = front_by_sites(
-                cheap, base_apr=base.apr, max_units=limits.budget_units - n_kept, effort=effort
-            )
-            fronts.append((by_units, by_sites))
+            fronts.append(fronts_of(cheap, lambda _: None))
         begin("front by money")
         by_cost = _cost_front(problem, effort())
-    lowest_eur = [lowest for lowest, _ in reversed(tiers)] or [0.0]
+    lowest_eur = [least_eur for least_eur, _ in reversed(tiers)] or [0.0]
     return _merge(problem, list(zip(lowest_eur, fronts, strict=True)), by_cost, base, n_kept)
 
 
@@ -383,9 +380,9 @@ class _Watch:
         return self._end_s - now_s()
 
     def _note(self) -> None:
-        now_s = self._clock()
-        self._seconds[self._stage] = self._seconds.get(self._stage, 0.0) + now_s - self._began_s
-        self._began_s = now_s
+        at_s = self._clock()
+        self._seconds[self._stage] = self._seconds.get(self._stage, 0.0) + at_s - self._began_s
+        self._began_s = at_s
 
     def _check(self) -> None:
         if self.left_s() < 0.0 and not self._stage.startswith("front"):

@@ -229,10 +229,6 @@ class Crops:
             return (*where, frame)
         return where
 
-    def draw(self, frame: int) -> Crop:
-        """The crop of a frame, drawn by itself."""
-        return self._source._draw_crop(frame, self._view(*self._source._find(frame), frame), None)
-
     def draw_all(self, frames: Sequence[int]) -> Iterator[tuple[int, Crop]]:
         """Frames and their crops, in another order than given.
 

@@ -66,6 +66,12 @@ def seen(scene, camera):
     return look
 
 
+def alone(crops, frame):
+    """The crop of a frame, drawn by itself."""
+    ((_, crop),) = crops.draw_all([frame])
+    return crop
+
+
 @pytest.fixture(scope="module")
 def larger(camera):
     return replace(camera, width_px=4 * camera.width_px, height_px=4 * camera.height_px)
@@ -82,7 +88,7 @@ def test_a_window_has_the_box_in_its_middle_but_stays_in_the_image(larger):
 def test_a_crop_is_that_part_of_the_whole_picture(last_frames, seen, larger, weather):
     run = replace(last_frames("CPNC-50/west/30", 1), weather=weather)
     crops, picture, evidence = seen([run], camera=larger)
-    crop = crops.draw(0)
+    crop = alone(crops, 0)
     assert crop.scale == 1.0
     side = len(crop.pixels)
     left, top, right, bottom = crop.to_image(np.array([[0.0, 0.0, side, side]]))[0].astype(int)
@@ -100,7 +106,7 @@ def test_a_road_user_that_would_fill_a_crop_is_drawn_smaller(last_frames, seen, 
     run = last_frames("CBLA/west/25", 1)
     crops, _, evidence = seen([run], from_vut=True, camera=larger)
     box = evidence.amodal_px[0]
-    crop = crops.draw(0)
+    crop = alone(crops, 0)
     assert max(crop.pixels.shape) == 160
     assert crop.scale >= box_height_px(box[None])[0] / 160.0 > 1.0
     height, width = crop.pixels.shape[:2]
@@ -139,9 +145,9 @@ def test_crops_drawn_onto_what_stands_still_are_those_drawn_by_themselves(
     drawn = dict(crops.draw_all(range(8)))
     assert sorted(drawn) == list(range(8))
     for frame, crop in drawn.items():
-        alone = crops.draw(frame)
-        assert crop[1:] == alone[1:]
-        levels = np.abs(crop.pixels.astype(int) - alone.pixels.astype(int)).max(axis=2)
+        by_itself = alone(crops, frame)
+        assert crop[1:] == by_itself[1:]
+        levels = np.abs(crop.pixels.astype(int) - by_itself.pixels.astype(int)).max(axis=2)
         # At night headlights on edges are those on the pixels' middles.
         assert (levels > 1).mean() < (0.05 if weather == "night" else 0.01)
 
@@ -186,7 +192,7 @@ def test_the_shipped_network_gives_the_same_verdicts_on_both_kinds_of_crops(
 
         @staticmethod
         def draw_all(rows):
-            return [(row, crops.draw(row)) for row in rows]
+            return [(row, alone(crops, row)) for row in rows]
 
     detected = [
         is_matched(
