@@ -219,13 +219,17 @@ def _prune(path: Path, *, most: int) -> None:
 # ---------- values of any kind
 
 
+ALL_PACKAGES = ("geometry", "scenarios", "placement")
+"""All whose code may decide an answer."""
+
+
 def keep_value(
     folder: Path | None,
     name: str,
     make: Callable[[], _T],
     *,
     made_from: Sequence[object],
-    packages: Sequence[str],
+    packages: Sequence[str] = ALL_PACKAGES,
     is_kept: Callable[[_T], bool] = lambda value: True,
 ) -> _T:
     """What `make` gives, from the last call that asked for the same.

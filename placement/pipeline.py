@@ -174,7 +174,6 @@ def place(
             "answer",
             answer,
             made_from=(problem, effort),
-            packages=SOLVING,
             is_kept=lambda found: found[0].certificate.is_proven,
         )
     except UnmetError as error:
@@ -205,10 +204,6 @@ def place(
             "greedy": time.perf_counter() - optimised,
         },
     )
-
-
-SOLVING = ("geometry", "scenarios", "placement")
-"""Packages whose code makes an answer: see :func:`placement.kept.keep_value`."""
 
 
 def _presolve(problem: PlacementProblem) -> ReducedProblem:

@@ -24,7 +24,7 @@ from placement.explain.sensitivity import find_sensitivity
 from placement.kept import keep_value
 from placement.layout import Layout, check_layout
 from placement.optimiser.front import Front, front_below
-from placement.pipeline import SOLVING, Placement, place
+from placement.pipeline import Placement, place
 from placement.planning import Plan, build_plan
 from placement.prices import assumed_prices
 from placement.private_ground import load_private_ground
@@ -276,7 +276,6 @@ def _front_below(
             reduced=None if placement.presolved is None else placement.presolved(),
         ),
         made_from=(problem, chosen, placement.certificate, n_kept, plan.effort),
-        packages=SOLVING,
         is_kept=lambda front: front.is_proven,
     )
 
