@@ -95,7 +95,8 @@ def to_png(drawn: Axes | Figure) -> bytes:
         if engine is not None:
             engine.execute(figure)
             figure.set_layout_engine("none")
-        FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None})
+        canvas: Any = FigureCanvasAgg(figure)  # print_png has no types
+        canvas.print_png(buffer, metadata={"Software": None})
     return buffer.getvalue()
 
 
