@@ -219,13 +219,18 @@ def _prune(path: Path, *, most: int) -> None:
 # ---------- values of any kind
 
 
+ALL_PACKAGES = ("geometry", "scenarios", "placement")
+"""All whose code may decide an answer."""
+
+
 def keep_value(
     folder: Path | None,
     name: str,
     make: Callable[[], _T],
     *,
     made_from: Sequence[object],
-    packages: Sequence[str],
+    packages: Sequence[str] = ALL_PACKAGES,
+    is_kept: Callable[[_T], bool] = lambda value: True,
 ) -> _T:
     """What `make` gives, from the last call that asked for the same.
 
@@ -242,6 +247,8 @@ def keep_value(
         See :class:`Fingerprints`.
     packages : sequence of str
         Whose code and data make it: any change of their files makes it anew.
+    is_kept : function
+        Whether a value is worth keeping, such as one that needed no more time than it was given.
 
     Returns
     -------
@@ -250,7 +257,7 @@ def keep_value(
     """
     if folder is None or writable_by_others(folder):
         return make()
-    code = (sys.version, *map(version, ("numpy", "scipy")), *map(_hash_of_files, packages))
+    code = (sys.version, *map(version, _LIBRARIES), *map(_hash_of_files, packages))
     fingerprint = Fingerprints().of(code, *made_from)
     path = folder / f"{name}-{fingerprint}.pickle"
     try:
@@ -258,12 +265,16 @@ def keep_value(
         key, content = stored[:_HASH_SIZE], stored[_HASH_SIZE:]
         if hashlib.blake2b(content, digest_size=_HASH_SIZE).digest() != key:
             raise ValueError("its content is not what was written")
-        return cast(_T, pickle.loads(content))
+        kept = cast(_T, pickle.loads(content))
+        _log.info("%s (cached): read from %s", name, path)
+        return kept
     except FileNotFoundError:
         pass
     except Exception as error:  # damaged pickles raise anything
         tell_unused(path, error, what=name)
     value = make()
+    if not is_kept(value):
+        return value
     buffer = io.BytesIO()
     _Pickler(buffer, pickle.HIGHEST_PROTOCOL).dump(value)
     content = buffer.getvalue()
@@ -274,6 +285,7 @@ def keep_value(
 
 
 _HASH_SIZE = 32
+_LIBRARIES = ("numpy", "scipy", "numba", "cvxpy", "highspy", "osqp")
 
 
 class _Pickler(pickle.Pickler):

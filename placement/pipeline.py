@@ -2,8 +2,9 @@
 
 import logging
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from itertools import count
 
 from geometry.errors import InputError, Unquoted
@@ -12,6 +13,7 @@ from .candidates import CandidatePose
 from .compute import DEFAULT_COMPUTE, Compute
 from .detection_table import DetectionTable
 from .explain import NextUnit, find_next_unit, find_refusal
+from .kept import keep_value
 from .layout import Certificate, Layout
 from .memory import check_memory
 from .optimiser import (
@@ -50,8 +52,8 @@ class Placement:
         What was left of the problem before any solver started.
     problem : PlacementProblem
         The problem, with the detection table.
-    reduced : ReducedProblem, optional
-        What presolve left of it; None: layouts were moved since.
+    presolved : function, optional
+        What presolve left of it, found when first asked for; None: layouts were moved since.
     pose_index : tuple of int
         Rows of the table that make `layout`.
     nominal : PlacementProblem
@@ -73,7 +75,7 @@ class Placement:
     nominal: PlacementProblem
     nominal_index: tuple[int, ...]
     seconds: Mapping[str, float]
-    reduced: ReducedProblem | None = None
+    presolved: Callable[[], ReducedProblem] | None = None
     next_unit: NextUnit | None = None
 
     def __repr__(self) -> str:
@@ -148,15 +150,31 @@ def place(
     problem = build_problem(
         setting, candidates, table, wishes=wishes, fusion=fusion, sample_index=sample_index
     )
-    compute.progress("optimise", 0, 0)
-    reduced = presolve(problem)
-    _log.info("presolve: %s", reduced.statistics)
-    try:
-        solution: Solution = solve_placement(
+    presolved = cache(partial(_presolve, problem))  # once, where anybody asks for it
+    optimised = table_done
+
+    def answer() -> tuple[Solution, tuple[int, ...], NextUnit | None]:
+        nonlocal optimised
+        reduced = presolved()
+        solution = solve_placement(
             problem,
             reduced,
             effort=effort,
             on_stage=lambda stage: compute.progress(f"optimise: {stage}", 0, 0),
+        )
+        optimised = time.perf_counter()
+        compute.progress("greedy", 0, 0)
+        greedy_index = solve_greedy(problem, reduced)
+        return solution, greedy_index, find_next_unit(problem, reduced, solution.pose_index)
+
+    compute.progress("optimise", 0, 0)
+    try:
+        solution, greedy_index, next_unit = keep_value(
+            compute.cache_folder,
+            "answer",
+            answer,
+            made_from=(problem, effort),
+            is_kept=lambda found: found[0].certificate.is_proven,
         )
     except UnmetError as error:
         compute.progress("what has to give way", 0, 0)
@@ -165,10 +183,6 @@ def place(
             problem, wishes, setting.scene, candidates, time_limit_s=effort.time_limit_s
         )
         raise refusal or error from None
-    optimised = time.perf_counter()
-    compute.progress("greedy", 0, 0)
-    greedy_index = solve_greedy(problem, reduced)
-    next_unit = find_next_unit(problem, reduced, solution.pose_index)
     nominal, nominal_index = problem, solution.pose_index
     if sample_index is not None:
         nominal = _alone(setting, candidates, solution.pose_index, fusion, compute.within("greedy"))
@@ -179,7 +193,7 @@ def place(
         certificate=solution.certificate,
         presolve=solution.presolve,
         problem=problem,
-        reduced=reduced,
+        presolved=presolved,
         pose_index=solution.pose_index,
         nominal=nominal,
         nominal_index=nominal_index,
@@ -190,6 +204,13 @@ def place(
             "greedy": time.perf_counter() - optimised,
         },
     )
+
+
+def _presolve(problem: PlacementProblem) -> ReducedProblem:
+    """Presolve a problem, and tell what is left."""
+    reduced = presolve(problem)
+    _log.info("presolve: %s", reduced.statistics)
+    return reduced
 
 
 def obtain_table(

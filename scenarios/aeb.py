@@ -8,7 +8,7 @@ from importlib.resources import files
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError
 from geometry.files import Table, load_toml, read_table
 
@@ -151,6 +151,7 @@ _ONSET_TOLERANCE_S = 1.0e-5
 _FINE_STEP_S = 0.001  # a footprint moves 1.7 cm in it at 60 km/h
 _CLOSER_LOOKS = 3  # each 32 times as fine: to a thirtieth of a microsecond
 _CLOSER = np.linspace(-1.0, 1.0, 65)
+_FIRST_LOOKS = 32
 
 
 def smallest_separation_m(
@@ -237,36 +238,52 @@ def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
     return -np.inf if safe_s <= start else min(safe_s, 0.0)
 
 
-def has_contact(encounter: Encounter, onset_s: float, rule: AebRule) -> bool:
-    """Whether the footprints touch although the VUT brakes from `onset_s` on.
+def has_contact(encounter: Encounter, onset_s: ArrayLike, rule: AebRule) -> BoolArray:
+    """Whether the footprints touch although the VUT brakes from `onset_s` on, for each onset.
 
     At or after the impact it is too late; an infinite onset is never.
 
     Notes
     -----
-    Looks every millisecond, and closer wherever they come nearest in between: no shortcut of
-    :func:`last_brake_time_s` is used.
+    Looks every millisecond where the bodies are near enough to touch soon, and closer wherever they
+    come nearest in between: no shortcut of :func:`last_brake_time_s` is used.
     """
-    if onset_s >= 0.0:
-        return True
+    onset = np.asarray(onset_s, dtype=np.float64)
+    touches = np.asarray(onset >= 0.0)
+    is_asked = ~touches
+    touches[is_asked] = _touches(encounter, onset[is_asked], rule)
+    return touches
+
+
+def _touches(encounter: Encounter, onset_s: FloatArray, rule: AebRule) -> BoolArray:
+    """The same for onsets before the impact, (n,)."""
     closing_mps = (
         encounter.vut_reach * encounter.vut_motion.speed_mps
         + encounter.vru_reach * encounter.vru_motion.speed_mps
     )
-    looks = _looks_s(encounter, rule, _FINE_STEP_S)[None, :]
-    standstill_s, step_s = looks[0, -1], _FINE_STEP_S
-    for _ in range(_CLOSER_LOOKS + 1):
-        separation = _separation_m(encounter, onset_s, looks, rule)
-        if (separation <= 0.0).any():
-            return True
+    looks = _looks_s(encounter, rule, _FINE_STEP_S)
+    standstill_s, step_s = looks[-1], _FINE_STEP_S
+    # A look in so many first: what is farther apart there cannot touch before the next one of them.
+    apart_m = _separation_m(encounter, onset_s[:, None], looks[::_FIRST_LOOKS], rule)
+    is_near = apart_m <= closing_mps * step_s * (_FIRST_LOOKS + 1)
+    row, look = np.nonzero(np.repeat(is_near, _FIRST_LOOKS, axis=1)[:, : len(looks)])
+    separation = np.full((len(onset_s), len(looks)), np.inf)
+    separation[row, look] = _separation_m(encounter, onset_s[row], looks[look], rule)
+    touches = np.zeros(len(onset_s), dtype=bool)
+    row, times = np.arange(len(onset_s)), np.broadcast_to(looks, separation.shape)
+    for _ in range(_CLOSER_LOOKS):
+        touches[row] |= (separation <= 0.0).any(axis=1)
         around = np.pad(separation, ((0, 0), (1, 1)), constant_values=np.inf)
         is_nearest = (separation < around[:, :-2]) & (separation <= around[:, 2:])
-        nearest_s = looks[is_nearest & (separation <= closing_mps * step_s)]
-        if len(nearest_s) == 0:
-            break
-        looks = np.clip(nearest_s[:, None] + step_s * _CLOSER, 0.0, standstill_s)
+        is_nearest &= (separation <= closing_mps * step_s) & ~touches[row, None]
+        row, nearest_s = row[np.nonzero(is_nearest)[0]], times[is_nearest]
+        if not len(row):
+            return touches
+        times = np.clip(nearest_s[:, None] + step_s * _CLOSER, 0.0, standstill_s)
         step_s *= _CLOSER[1] - _CLOSER[0]
-    return False
+        separation = _separation_m(encounter, onset_s[row, None], times, rule)
+    touches[row[(separation <= 0.0).any(axis=1)]] = True
+    return touches
 
 
 def _looks_s(encounter: Encounter, rule: AebRule, step_s: float) -> FloatArray:
@@ -352,21 +369,17 @@ def held_frames(
     if memory_s == math.inf or n_frames == 0:
         return seen.copy()
     last = np.broadcast_to(n_frames - 1 if last_frame is None else last_frame, times.shape)
-    following = _first_from(seen, offset=1)
-    next_s = np.where(following <= last, times[np.minimum(following, n_frames - 1)], until_s)
-    is_lost = seen & (next_s - times > memory_s + TIME_TOLERANCE_S)
-    held: BoolArray = seen & (_first_from(is_lost, offset=0) > last)
+    until = np.broadcast_to(until_s, times.shape)
+    place = np.flatnonzero(seen)  # of the detections of all rows, end to end
+    frame = place % n_frames
+    end = place - frame + last[frame]
+    following = np.append(place[1:], seen.size)
+    next_s = np.where(following <= end, times[following % n_frames], until[frame])
+    lost = np.where(next_s - times[frame] > memory_s + TIME_TOLERANCE_S, place, seen.size)
+    first_lost = np.minimum.accumulate(lost[::-1])[::-1]
+    held = np.zeros(seen.shape, dtype=bool)
+    held.reshape(-1)[place[first_lost > end]] = True
     return held
-
-
-def _first_from(mask: BoolArray, *, offset: int) -> IntArray:
-    """First set frame `offset` frames after each one, or later; the number of frames if none is."""
-    n_frames = mask.shape[-1]
-    index = np.full((*mask.shape[:-1], n_frames + offset), n_frames, dtype=np.int64)
-    index[..., :n_frames] = np.where(mask, np.arange(n_frames), n_frames)
-    backwards = np.minimum.accumulate(index[..., ::-1], axis=-1)
-    first: IntArray = backwards[..., ::-1][..., offset:]
-    return first
 
 
 def live_confirmation_time_s(

@@ -413,6 +413,6 @@ def weight_share(mask: ArrayLike, weight: ArrayLike) -> float:
     1.0
     """
     weights = np.asarray(weight, dtype=np.float64)
-    total = math.fsum(weights)
-    counted = math.fsum(weights[np.asarray(mask, dtype=bool)])
+    total = math.fsum(weights.tolist())
+    counted = math.fsum(weights[np.asarray(mask, dtype=bool)].tolist())
     return counted / total if total > 0.0 else math.nan

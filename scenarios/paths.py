@@ -14,6 +14,9 @@ from geometry.errors import InputError
 from .courses import Course
 from .turns import Turn
 
+MPS_PER_KMH = 1000.0 / 3600.0
+"""Metres per second in a kilometre per hour; scipy.constants, which has it, takes long to load."""
+
 _TABLE_STEP_M = 0.005  # chords of an arc of 8 m come within half a micrometre of it
 _ODE_TOLERANCE = 1.0e-11
 _TOW_STEPS = 10  # points of a course that one step of the integration passes

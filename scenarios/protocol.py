@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.constants import kmh
 
 from geometry.actors import Actor
 from geometry.arrays import FloatArray
@@ -16,7 +15,7 @@ from .cases import Case
 from .courses import follow_lane
 from .laying import load_way_rules
 from .obstructions import hide
-from .paths import travel_time_s
+from .paths import MPS_PER_KMH, travel_time_s
 from .positions import AT_ZERO, Position, is_bound, load_position_rules
 from .staging import (
     CannotCarryError,
@@ -201,7 +200,7 @@ def _joined(
 
 def _max_bend_per_m(vut_speed_kmh: float) -> float:
     """The most that a VUT's way through the junction may bend at a speed."""
-    return load_position_rules().across.max_lateral_mps2 / (vut_speed_kmh * kmh) ** 2
+    return load_position_rules().across.max_lateral_mps2 / (vut_speed_kmh * MPS_PER_KMH) ** 2
 
 
 def _gentlest(
@@ -253,7 +252,7 @@ def _lay_crossing(
     )
     travel_m = _travel_m(case, meeting.vru_distance_m)
     begin_s = -_travel_s(case, travel_m)
-    driven_m = -begin_s * vut_speed_kmh * kmh
+    driven_m = -begin_s * vut_speed_kmh * MPS_PER_KMH
     place.check_straight(driven_m)
     encounter = set_off(
         case,
@@ -351,7 +350,7 @@ def _lay_longitudinal(
             f"the VRU would set off {before_lane_m:.1f} m before the mapped lane begins"
         )
     begin_s = -_travel_s(case, travel_m)
-    driven_m = -begin_s * vut_speed_kmh * kmh
+    driven_m = -begin_s * vut_speed_kmh * MPS_PER_KMH
     place.check_straight(max(travel_m, driven_m))
     gap_m = 0.5 * (vut.length_m + case.vru.length_m)
     vru_way, vru_m = vut_way.beside(impact_offset_m(case, vut), impact_m, back_m=travel_m)
@@ -422,7 +421,7 @@ def _lay_turn(
         search_m=(0.0, turning.turn_m + lane_length_m(target.exit_lanes[0])),
     )
     travel_m = _travel_m(case, meeting.vru_distance_m)
-    speed_mps = vut_speed_kmh * kmh
+    speed_mps = vut_speed_kmh * MPS_PER_KMH
     begin_s = -max(
         _travel_s(case, travel_m),
         meeting.vut_distance_m / speed_mps + load_way_rules().start_before_curve_s,
@@ -591,6 +590,6 @@ def _travel_m(case: Case, vru_distance_m: float) -> float:
 def _travel_s(case: Case, travel_m: float) -> float:
     return travel_time_s(
         travel_m,
-        speed_mps=case.vru_speed_kmh * kmh,
+        speed_mps=case.vru_speed_kmh * MPS_PER_KMH,
         acceleration_distance_m=case.acceleration_distance_m,
     )

@@ -6,7 +6,6 @@ from importlib.resources import files
 
 import numpy as np
 from msgspec import Struct
-from scipy.constants import kmh
 
 from geometry.actors import Actor, PlacedActor, park_row, pick_actor
 from geometry.arrays import FloatArray, Point2
@@ -16,7 +15,7 @@ from geometry.frames import from_carla_points, from_carla_yaw
 
 from .cases import Case, load_cases
 from .encounters import Encounter
-from .paths import Motion, StraightPath
+from .paths import MPS_PER_KMH, Motion, StraightPath
 from .staging import Staging, impact_offset_m
 
 _ON_LINE_TOLERANCE_M = 0.05
@@ -113,7 +112,7 @@ def stage_published(placement: CasePlacement, *, vut_speed_kmh: float, vut: Acto
     VRU is at the meeting point, and the VUT's front at its flank (longitudinal: its rear).
     """
     case = placement.case
-    vut_speed, vru_speed = vut_speed_kmh * kmh, case.vru_speed_kmh * kmh
+    vut_speed, vru_speed = vut_speed_kmh * MPS_PER_KMH, case.vru_speed_kmh * MPS_PER_KMH
     gap_m = 0.5 * (case.vru.width_m if case.kind == "crossing" else case.vru.length_m)
     vut_distance = placement.vut_meeting_m - 0.5 * vut.length_m - gap_m
     vru_distance = placement.vru_meeting_m + impact_offset_m(case, vut) * _crossing_sign(placement)

@@ -4,7 +4,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.constants import kmh
 
 from geometry.actors import Actor, PlacedActor
 from geometry.arrays import FloatArray
@@ -15,6 +14,7 @@ from geometry.poses import Pose
 from .cases import Case
 from .encounters import Encounter, first_contact_s
 from .paths import (
+    MPS_PER_KMH,
     Motion,
     Path,
     travel_time_s,
@@ -128,7 +128,7 @@ def set_off(
     """
     travel_s = travel_time_s(
         vru_travel_m,
-        speed_mps=case.vru_speed_kmh * kmh,
+        speed_mps=case.vru_speed_kmh * MPS_PER_KMH,
         acceleration_distance_m=case.acceleration_distance_m,
     )
 
@@ -136,12 +136,14 @@ def set_off(
         return Encounter(
             vut=vut,
             vut_motion=Motion(
-                path=vut_path, speed_mps=vut_speed_kmh * kmh, start_time_s=vut_start_s + seconds
+                path=vut_path,
+                speed_mps=vut_speed_kmh * MPS_PER_KMH,
+                start_time_s=vut_start_s + seconds,
             ),
             vru=case.vru,
             vru_motion=Motion(
                 path=vru_path,
-                speed_mps=case.vru_speed_kmh * kmh,
+                speed_mps=case.vru_speed_kmh * MPS_PER_KMH,
                 start_time_s=seconds - travel_s,
                 acceleration_distance_m=case.acceleration_distance_m,
             ),

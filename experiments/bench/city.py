@@ -1,18 +1,28 @@
-"""A city's choice: made-up fronts, solved here and by a direct call of HiGHS."""
+"""A city's choice: made-up fronts, solved here and by a direct call of HiGHS.
+
+``python -m experiments.bench.city FOLDER --out costs.png`` draws what the junctions of a folder of
+``place-rsus city`` cost.
+"""
 
 import time
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+import click
 import numpy as np
 import scipy.sparse as sp
-from scipy.optimize import Bounds, LinearConstraint, milp
+from scipy.optimize import Bounds, LinearConstraint, milp, nnls
 
 from geometry.arrays import FloatArray
+from geometry.errors import InputError, Unquoted
 from placement.city.choose import CityWishes, choose
 from placement.city.fronts import Options
 from placement.city.knapsack import Knapsack, solve_knapsack
 
 from .rays import Figures
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _POINTS = 10
 _JUNCTIONS, _FEW = 100_000, 1_000
@@ -99,3 +109,84 @@ def solve_directly(
         options={"mip_rel_gap": gap},
     )
     return float(-solved.fun)
+
+
+# ---------- what junctions cost
+
+
+def read_costs(folder: Path) -> "pd.DataFrame":
+    """Rows of ``junctions.csv`` whose fronts were found.
+
+    Raises
+    ------
+    InputError
+        There is no such file, it lacks the columns, or no junction was answered.
+    """
+    import pandas as pd
+
+    path = folder / "junctions.csv"
+    try:
+        table = pd.read_csv(path)
+        found: pd.DataFrame = table[(table["cpu_s"] > 0.0) & (table["runs"] > 0)]
+        peak_mib = found["peak_memory_mib"]
+    except (OSError, KeyError, ValueError) as error:
+        raise InputError(str(path), Unquoted(str(error)), "of place-rsus city") from None
+    if peak_mib.empty:
+        raise InputError(str(path), Unquoted("no junctions"), "some whose fronts were found")
+    return found
+
+
+def share_costs(costs: "pd.DataFrame") -> tuple[float, float, float]:
+    """Processor seconds of each junction, each run, and each million sites x frames.
+
+    Least squares, none below 0.
+    """
+    size = costs["sites"] * costs["frames"] / 1.0e6
+    parts = np.column_stack([np.ones(len(costs)), costs["runs"], size])
+    each, _ = nnls(parts, costs["cpu_s"].to_numpy(dtype=np.float64))
+    return float(each[0]), float(each[1]), float(each[2])
+
+
+def plot_costs(costs: "pd.DataFrame", path: Path) -> None:
+    """Processor seconds over runs and over sites, and memory of the process over both."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10.0, 3.4), layout="constrained")
+    seconds, sites, memory = figure.subplots(1, 3)
+    size = costs["sites"] * costs["frames"] / 1.0e6
+    for axes, x, label in (
+        (seconds, costs["runs"], "runs"),
+        (sites, costs["sites"], "sites"),
+    ):
+        axes.plot(x, costs["cpu_s"], "o", color="0.25", markersize=4.0, alpha=0.7)
+        axes.set_xlabel(label)
+        axes.set_ylabel("processor seconds")
+        axes.set_ylim(bottom=0.0)
+    memory.plot(size, costs["peak_memory_mib"], "o", color="0.25", markersize=4.0, alpha=0.7)
+    memory.set_xlabel("million sites x frames")
+    memory.set_ylabel("most memory of its process so far, MiB")
+    memory.set_ylim(bottom=0.0)
+    figure.savefig(path, dpi=150)
+
+
+@click.command()
+@click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="Figure, .png.")
+def main(folder: Path, out: Path) -> None:
+    """Draw what the junctions of FOLDER, which place-rsus city wrote, cost."""
+    costs = read_costs(folder)
+    plot_costs(costs, out)
+    spent, peak_mib = costs["cpu_s"], costs["peak_memory_mib"].max()
+    click.echo(
+        f"{len(costs)} junctions: {spent.sum() / 60.0:.0f} processor minutes, median "
+        f"{spent.median():.0f} s, most {spent.max():.0f} s, {peak_mib:.0f} MiB"
+    )
+    junction, run, size = share_costs(costs)
+    click.echo(f"{junction:.1f} s each, {run:.3f} s a run, {size:.1f} s a million sites x frames")
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except InputError as error:
+        raise SystemExit(f"error: {error}") from None

@@ -91,10 +91,12 @@ def to_png(drawn: Axes | Figure) -> bytes:
     with warnings.catch_warnings():
         # A name in a script that the font lacks is drawn as boxes; the report spells it out.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
-        if engine is not None:  # matplotlib would draw everything twice to lay it out
+        # savefig would draw everything twice, and before that twice more to lay it out.
+        if engine is not None:
             engine.execute(figure)
             figure.set_layout_engine("none")
-        figure.savefig(buffer, format="png", metadata={"Software": None})
+        canvas: Any = FigureCanvasAgg(figure)  # print_png has no types
+        canvas.print_png(buffer, metadata={"Software": None})
     return buffer.getvalue()
 
 

@@ -21,6 +21,7 @@ from placement.explain.other_sensors import STAGE as OTHER_SENSORS
 from placement.explain.other_sensors import find_other_sensors
 from placement.explain.sensitivity import STAGE as WHAT_IF
 from placement.explain.sensitivity import find_sensitivity
+from placement.kept import keep_value
 from placement.layout import Layout, check_layout
 from placement.optimiser.front import Front, front_below
 from placement.pipeline import Placement, place
@@ -157,7 +158,7 @@ def run_placement(
         others = [] if study is None else [study]
         beside.begin("plans", build_plans, setting, {subject.name: subject}, others)
         beside.begin("coverage", coverage_section, scene, subject)
-        front = _front_below(placement, plan, progress)
+        front = _front_below(placement, plan, compute, progress)
         compared = compare_placement(placement, poses, setting, seed=compute.seed)
         named = {
             placement.layout.name: placement.layout,
@@ -253,19 +254,29 @@ def _is_large(setting: Setting, compute: Compute) -> bool:
     return compute.workers > 1 and len(setting.runs) >= _LARGE_RUNS
 
 
-def _front_below(placement: Placement, plan: Plan, progress: StageProgress) -> Front | None:
+def _front_below(
+    placement: Placement, plan: Plan, compute: Compute, progress: StageProgress
+) -> Front | None:
     """The best layout of each smaller size, too; None where the best was not what was asked."""
-    problem = placement.problem
+    problem, chosen = placement.problem, placement.pose_index
     if problem.goal != "best" or problem.survive:
         return None
-    return front_below(
-        problem,
-        placement.pose_index,
-        placement.certificate,
-        min_units=len(plan.wishes.kept),
-        effort=plan.effort,
-        on_point=lambda point: progress(f"fewer units: {point.units}", 0, 0),
-        reduced=placement.reduced,
+    n_kept = len(plan.wishes.kept)
+    progress("fewer units", 0, 0)
+    return keep_value(
+        compute.cache_folder,
+        "front",
+        lambda: front_below(
+            problem,
+            chosen,
+            placement.certificate,
+            min_units=n_kept,
+            effort=plan.effort,
+            on_point=lambda point: progress(f"fewer units: {point.units}", 0, 0),
+            reduced=None if placement.presolved is None else placement.presolved(),
+        ),
+        made_from=(problem, chosen, placement.certificate, n_kept, plan.effort),
+        is_kept=lambda front: front.is_proven,
     )
 
 

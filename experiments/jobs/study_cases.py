@@ -1,18 +1,18 @@
 """Layouts on the study's cases, beside the question that was asked."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from geometry.arrays import BoolArray, IntArray
+from geometry.arrays import IntArray
 from geometry.catalogue import sensor_kind
 from placement.compute import Compute
 from placement.detectors.box_rule import GeometricDetector
-from placement.evaluation import Evaluation, Verdict
+from placement.evaluation import Evaluation
 from placement.evaluator import evaluate_layouts
-from placement.evaluator.evaluate import Judge
+from placement.evaluator.evaluate import Judge, Seen, judge_layouts
 from placement.question import Question
 from placement.setting import Links, Setting
 from scenarios.cases import select_cases
@@ -95,7 +95,7 @@ def score_on(
         found = evaluate_layouts(layouts, study, compute=compute.within(STAGE))
     else:
         judge = Judge(study.runs, study.axis, study.rule)
-        found = [judge_again(item, rows, study, judge) for item in evaluations.values()]
+        found = judge_again([*evaluations.values()], rows, study, judge)
     return build_study_cases_record(dict(zip(evaluations, found, strict=True)))
 
 
@@ -155,31 +155,28 @@ def is_same_question(one: Setting, other: Setting) -> bool:
     )
 
 
-def judge_again(evaluation: Evaluation, rows: IntArray, part: Setting, judge: Judge) -> Evaluation:
-    """An evaluation on some of its runs, by another braking rule.
+def judge_again(
+    evaluations: Sequence[Evaluation], rows: IntArray, part: Setting, judge: Judge
+) -> list[Evaluation]:
+    """Evaluations on some of their runs, by another braking rule.
 
     `rows` are the runs of `part` among those evaluated. What was detected stays as it is.
     """
-    frames = np.concatenate(
-        [np.arange(evaluation.axis.n_frames)[evaluation.axis.frames_of(row)] for row in rows]
-    )
-
-    def detected(verdict: Verdict) -> BoolArray:
-        of_part: BoolArray = verdict.detected[frames]
-        return of_part
-
-    units = {
-        unit.id: (detected(evaluation.units[unit.id]), unit.latency(part.rule))
-        for unit in evaluation.layout.units
-    }
-    vut = (detected(evaluation.vut), part.rule.latency_s)
-    return Evaluation(
-        layout=evaluation.layout,
-        axis=part.axis,
-        vut=judge.verdict([vut]),
-        units={name: judge.verdict([party]) for name, party in units.items()},
-        rsu_all=judge.verdict([*units.values()]),
-        vut_and_rsus=judge.verdict([*units.values(), vut]),
+    axis, rule = evaluations[0].axis, part.rule
+    frames = np.concatenate([np.arange(axis.n_frames)[axis.frames_of(row)] for row in rows])
+    return judge_layouts(
+        judge,
+        [
+            Seen(
+                layout=item.layout,
+                units={
+                    unit.id: (item.units[unit.id].detected[frames], unit.latency(rule))
+                    for unit in item.layout.units
+                },
+                vut=(item.vut.detected[frames], rule.latency_s),
+            )
+            for item in evaluations
+        ],
     )
 
 

@@ -31,7 +31,9 @@ _CASES = "CPNA-75,CPFA-50,CPLA-25,CPNCO-50,CBNA,CBLA"
 _WORDS = ("adult", "child", "cyclist")
 _TRAINING = "python -m experiments.training"
 _LEAST_SEEN = 0.95  # share: what is hidden more is not judged
-_TILE_PX, _CAPTION_PX, _COLUMNS, _TILES = 240, 18, 8, 40
+_LEAST_SPREAD = 8.0  # of grey, 0 .. 255: at night, who stands in no light is not on the page
+_MOST_DARK = 100  # of these one after the other
+_TILE_PX, _CAPTION_PX, _COLUMNS, _TILES = 240, 30, 8, 40
 _SHEET_HEIGHTS_PX = (40.0, 160.0)
 _JUDGED_HEIGHTS_PX = (48.0, 250.0)
 _JUDGED_PX = (640, 480)
@@ -130,8 +132,25 @@ def _kept(
 
 
 def draw_sheet(looks: Looks, *, tell: Callable[[str], None] = lambda words: None) -> Image.Image:
-    """Forty pictures on a page, one of each class and weather after the other."""
-    tiles = [next(looks[number % len(looks)]) for number in range(_TILES)]
+    """Forty pictures on a page, one of each class and weather after the other.
+
+    Whom no light reaches is not on it; `tell` is told how many were left out.
+
+    Raises
+    ------
+    InputError
+        Light reaches none of a hundred.
+    """
+    tiles, n_dark = [], 0
+    for number in range(_TILES):
+        drawn = islice(looks[number % len(looks)], _MOST_DARK)
+        for name, row in drawn:
+            if _stands_out(row):
+                tiles.append((name, row))
+                break
+            n_dark += 1
+        else:
+            raise InputError("pictures", Unquoted("only dark ones"), "some that light reaches")
     side = len(tiles[0][1]["rgb"])
     size = (_COLUMNS * side, _TILES // _COLUMNS * (side + _CAPTION_PX))
     sheet = Image.new("RGB", size, "white")
@@ -141,10 +160,16 @@ def draw_sheet(looks: Looks, *, tell: Callable[[str], None] = lambda words: None
         top = number // _COLUMNS * (side + _CAPTION_PX)
         sheet.paste(Image.fromarray(row["rgb"]), (left, top))
         height = round(float(box_height_px(row["box_px"])))
-        caption = f"{_WORDS[row['vru_class']]}, {WEATHERS[row['weather']]}, {height} px, {name}"
-        tell(f"{number + 1} of {_TILES}: {caption}")
-        pen.text((left + 3, top + side + 2), caption[: side // 6], fill="black")
+        caption = f"{_WORDS[row['vru_class']]}, {WEATHERS[row['weather']]}, {height} px"
+        tell(f"{number + 1} of {_TILES}: {caption}, {name}")
+        pen.text((left + 3, top + side + 1), f"{caption}\n{name}", fill="black", spacing=2)
+    tell(f"{n_dark} left out: no light reaches them")
     return sheet
+
+
+def _stands_out(row: Mapping[str, Any]) -> bool:
+    left, top, right, bottom = np.asarray(row["box_px"], dtype=np.int64)
+    return float(row["rgb"][top:bottom, left:right].mean(axis=2).std()) >= _LEAST_SPREAD
 
 
 # ---------- a detector of others

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit, softmax
 
 from geometry.errors import InputError, Unquoted
 from geometry.files import load_toml, pick, take
@@ -126,6 +125,8 @@ def _queries(outputs: Outputs, numbering: _Numbering) -> Export | None:
         return None
 
     def read(found: Outputs) -> Found:
+        from scipy.special import expit, softmax  # takes longer to load than all else here
+
         values = found[logits][0].astype(np.float64)
         scores = softmax(values, axis=-1)[:, :-1] if n_more else expit(values)
         return _around(found[boxes][0]), *_best(scores)

@@ -7,17 +7,6 @@ which ``trees`` find; ``perceive`` gives the visible and the amodal box of the V
 networks; ``evaluate`` adds what VRUs announce themselves, confirms, brakes and looks for contact.
 """
 
-from .evaluate import evaluate_layout, evaluate_layouts
-from .perceive import perceive_from_roadside, perceive_from_vut
-from .surroundings import Surroundings, VutCamera, build_surroundings, load_vut_camera
+from geometry.lazy_names import lazy_names
 
-__all__ = [
-    "Surroundings",
-    "VutCamera",
-    "build_surroundings",
-    "evaluate_layout",
-    "evaluate_layouts",
-    "load_vut_camera",
-    "perceive_from_roadside",
-    "perceive_from_vut",
-]
+__getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

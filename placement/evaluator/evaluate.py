@@ -25,41 +25,90 @@ from .watch import STAGE, VUT_KEY, UnitKey, build_rng, unit_key, watch
 # ---------- verdicts: confirmation, braking, contact
 
 
+Party = tuple[BoolArray, float]
+"""(n_frames,): detected frames that reach the VUT; how long it takes until it knows [s]."""
+
+
 class Judge:
     """Verdicts on the same runs; remembers which onsets of braking end in contact."""
 
     def __init__(self, runs: Sequence[Run], axis: FrameAxis, rule: AebRule) -> None:
         self.axis, self._runs, self._rule = axis, runs, rule
-        self._has_contact: dict[tuple[int, float], bool] = {}
+        # By encounter, which runs that differ by weather alone share, then by onset.
+        self._has_contact: dict[int, dict[float, bool]] = {id(run.encounter): {} for run in runs}
 
-    def verdict(self, parties: Sequence[tuple[BoolArray, float]]) -> Verdict:
-        """Verdict on parties that are fused: in each frame any of them may be the detector.
+    def verdict(self, parties: Sequence[Party]) -> Verdict:
+        """Verdict on parties that are fused; see :meth:`verdicts`."""
+        return self.verdicts([parties])[0]
 
-        Each party has the (n_frames,) detected frames that reach the VUT, and how long that takes
-        [s]. Braking begins when the last message has arrived that confirms the track which is
-        alive at the last moment; whether it avoids is asked of the bodies, not of the last moment.
+    def verdicts(self, fused: Sequence[Sequence[Party]]) -> list[Verdict]:
+        """Verdicts on groups of parties: in each frame any one of a group may be the detector.
+
+        Braking begins when the last message has arrived that confirms the track which is alive at
+        the last moment; whether it avoids is asked of the bodies, not of the last moment.
         """
-        arrival = earliest_arrival_s(parties, self.axis)
-        onsets = find_onsets(arrival, self.axis, rule=self._rule)
-        return Verdict(
-            detected=np.isfinite(arrival),
-            confirmation_time_s=onsets.confirmation_s,
-            onset_time_s=onsets.onset_s,
-            is_avoided=np.array(
-                [
-                    not self._touches(index, onset_s)
-                    for index, onset_s in enumerate(onsets.onset_s.tolist())
-                ]
-            ),
-        )
-
-    def _touches(self, run_index: int, onset_s: float) -> bool:
-        key = (run_index, onset_s)
-        if key not in self._has_contact:
-            self._has_contact[key] = has_contact(
-                self._runs[run_index].encounter, onset_s, self._rule
+        arrivals = [earliest_arrival_s(parties, self.axis) for parties in fused]
+        onsets = [find_onsets(arrival, self.axis, rule=self._rule) for arrival in arrivals]
+        touches = self._touches(np.array([each.onset_s for each in onsets]))
+        return [
+            Verdict(
+                detected=np.isfinite(arrival),
+                confirmation_time_s=each.confirmation_s,
+                onset_time_s=each.onset_s,
+                is_avoided=~touching,
             )
-        return self._has_contact[key]
+            for arrival, each, touching in zip(arrivals, onsets, touches, strict=True)
+        ]
+
+    def _touches(self, onset_s: FloatArray) -> BoolArray:
+        """Whether the bodies touch if braking begins then, (n, n_runs) for the same of onsets."""
+        touches = np.empty(onset_s.shape, dtype=bool)
+        for index, run in enumerate(self._runs):
+            asked, known = onset_s[:, index].tolist(), self._has_contact[id(run.encounter)]
+            new = [each for each in dict.fromkeys(asked) if each not in known]
+            if new:
+                found = has_contact(run.encounter, new, self._rule)
+                known.update(zip(new, found.tolist(), strict=True))
+            touches[:, index] = [known[each] for each in asked]
+        return touches
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Seen:
+    """What each party of a layout detects; `vam`: what road users tell of themselves, if any do."""
+
+    layout: Layout
+    units: Mapping[str, Party]
+    vut: Party
+    vam: Party | None = None
+
+
+def judge_layouts(judge: Judge, seen: Sequence[Seen]) -> list[Evaluation]:
+    """Evaluations of layouts by what their units and the VUT detect."""
+    fused: list[dict[tuple[str, ...], list[Party]]] = []
+    for one in seen:
+        rsus, vam = [*one.units.values()], [] if one.vam is None else [one.vam]
+        fused.append(
+            {("unit", name): [party] for name, party in one.units.items()}
+            | {("vut",): [one.vut], ("rsu_all",): rsus, ("vut_and_rsus",): [*rsus, one.vut]}
+            | ({("vam",): vam, ("all_sources",): [*rsus, one.vut, *vam]} if vam else {})
+        )
+    verdicts = iter(judge.verdicts([parties for groups in fused for parties in groups.values()]))
+    evaluations = []
+    for one, groups in zip(seen, fused, strict=True):
+        found = {key: next(verdicts) for key in groups}
+        evaluations.append(
+            Evaluation(
+                layout=one.layout,
+                axis=judge.axis,
+                vut=found["vut",],
+                units={name: found["unit", name] for name in one.units},
+                rsu_all=found["rsu_all",],
+                vut_and_rsus=found["vut_and_rsus",],
+                others={name: found[name,] for name in ("vam", "all_sources") if one.vam},
+            )
+        )
+    return evaluations
 
 
 # ---------- VRU awareness messages (VAM)
@@ -179,7 +228,22 @@ def evaluate_layouts(
     with threadpool_limits(1):  # one BLAS thread per worker: idle ones spin
         detected = watch(setting, units, compute=compute)
     judge = Judge(setting.runs, setting.axis, setting.rule)
-    return [_evaluate(layout, setting, detected, judge, compute.seed) for layout in layouts]
+    vam = None
+    if setting.links.vam_rate > 0.0:
+        rng = build_rng(compute.seed, "vam")
+        vam = (known_frames(setting.runs, setting.links, rng), setting.rule.latency_s)
+    return judge_layouts(
+        judge,
+        [
+            Seen(
+                layout=layout,
+                units=_arriving(layout, setting, detected, compute.seed),
+                vut=(detected[VUT_KEY], setting.rule.latency_s),
+                vam=vam,
+            )
+            for layout in layouts
+        ],
+    )
 
 
 def _check(setting: Setting) -> None:
@@ -190,30 +254,14 @@ def _check(setting: Setting) -> None:
         raise InputError("axis", Unquoted("frames of other runs"), "the frame axis of these runs")
 
 
-def _evaluate(
-    layout: Layout, setting: Setting, detected: Mapping[UnitKey, BoolArray], judge: Judge, seed: int
-) -> Evaluation:
-    links, rule = setting.links, setting.rule
+def _arriving(
+    layout: Layout, setting: Setting, detected: Mapping[UnitKey, BoolArray], seed: int
+) -> dict[str, Party]:
+    """What the VUT hears of each unit, by its id."""
     draws, frame_draw = np.unique(draw_index(setting.runs), return_inverse=True)
     units = {}
     for unit in layout.units:
-        key = unit_key(unit)
-        arrives = (build_rng(seed, key, "cpm").random(len(draws)) >= links.packet_loss)[frame_draw]
-        units[unit.id] = (detected[key] & arrives, unit.latency(rule))
-    vut = (detected[VUT_KEY], rule.latency_s)
-    others = {}
-    if links.vam_rate > 0.0:
-        vam = (known_frames(setting.runs, links, build_rng(seed, "vam")), rule.latency_s)
-        others = {
-            "vam": judge.verdict([vam]),
-            "all_sources": judge.verdict([*units.values(), vut, vam]),
-        }
-    return Evaluation(
-        layout=layout,
-        axis=setting.axis,
-        vut=judge.verdict([vut]),
-        units={name: judge.verdict([party]) for name, party in units.items()},
-        rsu_all=judge.verdict(list(units.values())),
-        vut_and_rsus=judge.verdict([*units.values(), vut]),
-        others=others,
-    )
+        luck = build_rng(seed, unit_key(unit), "cpm").random(len(draws))
+        arrives = (luck >= setting.links.packet_loss)[frame_draw]
+        units[unit.id] = (detected[unit_key(unit)] & arrives, unit.latency(setting.rule))
+    return units

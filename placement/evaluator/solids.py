@@ -10,7 +10,6 @@ from functools import cached_property
 from threading import RLock
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from geometry.actors import PlacedActor, Shape
 from geometry.arrays import FloatArray, IntArray
@@ -117,6 +116,8 @@ class Solid:
 
 def build_body(shape: Shape, *, library: str | None = None) -> Solid:
     """A road user at one instant of its gait, in its body frame."""
+    from scipy.spatial import ConvexHull  # loaded when something is drawn
+
     hull = ConvexHull(shape.vertices_m).vertices
     mesh = Mesh(vertices_m=np.array(shape.vertices_m), triangles=shape.triangles.astype(np.int64))
     return Solid(meshes=(mesh,), hull_m=shape.vertices_m[hull], library=library)

@@ -11,7 +11,7 @@ from concurrent.futures import (
 )
 from contextlib import closing, contextmanager
 from dataclasses import fields, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,10 +27,10 @@ from ..compute import Compute
 from ..detectors import Evidence, is_matched, load_min_iou
 from ..kept import Fingerprints, Kept
 from ..setting import Setting
-from .perceive import perceive_from_roadside, perceive_from_vut
-from .pictures import PictureSource
-from .scan import scan_from_roadside, scan_from_vut
 from .surroundings import build_surroundings, draw_index, load_vut_camera, load_vut_lidar
+
+if TYPE_CHECKING:
+    from .pictures import PictureSource
 
 # ---------- detections
 
@@ -129,7 +129,10 @@ def _fingerprint(setting: Setting, seed: int) -> str:
 
 
 class _Watcher:
-    """Looks from every unit, then lets the detector find the VRU in what is seen."""
+    """Looks from every unit, then lets the detector find the VRU in what is seen.
+
+    What looks is loaded then: not where all is known from an earlier call.
+    """
 
     def __init__(self, setting: Setting, compute: Compute) -> None:
         self._setting, self._compute, self._seed = setting, compute, compute.seed
@@ -175,6 +178,8 @@ class _Watcher:
         heights = [box_height_px(evidence.visible_px) for evidence in looks.values()]
         least_px = max(detector.min_box_height_px, np.finfo(float).tiny)
         n_pictures = sum(int((height >= least_px).sum()) for height in heights)
+        from .pictures import PictureSource
+
         source = PictureSource(self._setting.scene, self._setting.runs, seed=self._seed)
         with _pool(self._compute.workers) as pool, closing(source):
             found = {
@@ -198,7 +203,7 @@ class _Watcher:
         return is_matched(found, evidence.visible_px, min_iou=load_min_iou())
 
     def _with_pictures(
-        self, evidence: Evidence, source: PictureSource, unit: CandidatePose | None
+        self, evidence: Evidence, source: "PictureSource", unit: CandidatePose | None
     ) -> Evidence:
         """What is shown to the detector: whole pictures, or crops around the road user."""
         if unit is None:
@@ -210,26 +215,27 @@ class _Watcher:
         return replace(evidence, picture=picture, crops=crops)
 
     def _look(self, pose: Pose, camera: CameraModel) -> Evidence:
-        detector = self._setting.detector
-        return perceive_from_roadside(
-            self._surroundings,
-            pose,
-            camera,
-            min_height_px=detector.min_box_height_px,
-        )
+        from .perceive import perceive_from_roadside
+
+        least_px = self._setting.detector.min_box_height_px
+        return perceive_from_roadside(self._surroundings, pose, camera, min_height_px=least_px)
 
     def _look_from_vut(self, frames: IntArray) -> Evidence:
-        detector = self._setting.detector
+        from .perceive import perceive_from_vut
+
+        least_px = self._setting.detector.min_box_height_px
         return perceive_from_vut(
-            self._surroundings.take(frames),
-            self._mount,
-            min_height_px=detector.min_box_height_px,
+            self._surroundings.take(frames), self._mount, min_height_px=least_px
         )
 
     def _scan(self, key: UnitKey, pose: Pose, lidar: LidarModel) -> BoolArray:
+        from .scan import scan_from_roadside
+
         return scan_from_roadside(self._surroundings, pose, lidar, build_rng(self._seed, key))
 
     def _scan_from_vut(self) -> BoolArray:
+        from .scan import scan_from_vut
+
         rng = build_rng(self._seed, VUT_KEY, "lidar")
         return scan_from_vut(self._surroundings, self._mount, load_vut_lidar(), rng)
 

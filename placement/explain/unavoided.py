@@ -20,10 +20,11 @@ from scenarios.runs import Run
 from ..candidates import CandidatePose, is_in_view
 from ..compute import DEFAULT_COMPUTE, Compute
 from ..detection_table import DetectionTable
+from ..kept import keep_value
 from ..optimiser import PlacementProblem, run_margins_s
 from ..optimiser.limits import fitting
 from ..setting import Setting
-from ..visibility.build import N_POINTS
+from ..visibility.build import N_POINTS, table_fingerprint
 from ..visibility.casting import Sight, World, build_world, cast_sight
 from ..visibility.sensing import build_sensing
 from ..visibility.standing import find_obstructions
@@ -313,6 +314,30 @@ def find_unavoided(
         raise InputError("candidates", Unquoted("others"), "the rows of the table")
     if not chosen:
         raise InputError("pose_index", chosen, "at least one pose")
+    scene, seed = setting.scene, compute.seed
+    seen = ""
+    if compute.cache_folder is not None:
+        seen = table_fingerprint(scene, candidates, setting.runs, setting.planner, seed=seed)
+    return keep_value(
+        compute.cache_folder,
+        "unavoided",
+        lambda: _find_unavoided(setting, problem, candidates, chosen, compute),
+        made_from=(
+            *(problem, chosen, seen, scene.instances, scene.triangle_instance),
+            [candidate.site_id for candidate in candidates],
+        ),
+    )
+
+
+def _find_unavoided(
+    setting: Setting,
+    problem: PlacementProblem,
+    candidates: Sequence[CandidatePose],
+    chosen: list[int],
+    compute: Compute,
+) -> tuple[Unavoided, ...]:
+    """The same, found anew."""
+    axis = problem.table.axis
     is_missed = run_margins_s(problem, chosen) == -np.inf
     misses = [
         _find_miss(setting, problem, candidates, chosen, run)

@@ -344,7 +344,7 @@ class Search:
             certificate=certificate,
             presolve=presolve(problem).statistics,
             problem=problem,
-            reduced=None,
+            presolved=None,
             pose_index=pose_index,
             nominal=problem,
             nominal_index=pose_index,

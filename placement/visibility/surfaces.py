@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from geometry.actors import Actor
 from geometry.arrays import FloatArray, IntArray, freeze
@@ -39,6 +38,7 @@ def build_surface(actor: Actor, shape_index: int, *, n_points: int, seed: int) -
     .. [1] Y. Eldar et al., "The farthest point strategy for progressive image sampling", 1997.
     """
     import trimesh
+    from scipy.spatial import cKDTree
 
     from .spreading import farthest_samples
 
@@ -69,6 +69,8 @@ def build_surface(actor: Actor, shape_index: int, *, n_points: int, seed: int) -
 
 def _hull_corners(points_m: FloatArray) -> IntArray:
     """Points at the corners of the convex hull; all of them if they lie in a plane."""
+    from scipy.spatial import ConvexHull, QhullError
+
     try:
         return ConvexHull(points_m).vertices.astype(np.int64)
     except (QhullError, ValueError):  # fewer than four points, or a flat body

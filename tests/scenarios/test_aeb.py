@@ -327,6 +327,15 @@ def test_braking_avoids_up_to_the_last_brake_time_and_not_after(encounter, build
     assert has_contact(encounter, last_s + TOLERANCE_S, rule)
 
 
+@settings(max_examples=20)
+@given(st.one_of(encounters(), turning_encounters()), st.lists(numbers(-0.2, 0.2), max_size=5))
+def test_contacts_of_many_onsets_are_those_of_each(encounter, offsets_s):
+    last_s = last_brake_time_s(encounter, RULE)
+    onsets_s = [*(last_s + offset_s for offset_s in offsets_s), last_s, -np.inf, 0.0, np.inf]
+    together = has_contact(encounter, onsets_s, RULE)
+    assert together.tolist() == [bool(has_contact(encounter, each, RULE)) for each in onsets_s]
+
+
 @settings(max_examples=10)
 @given(st.one_of(encounters(), turning_encounters()))
 def test_no_onset_before_the_last_brake_time_leads_to_contact(encounter):

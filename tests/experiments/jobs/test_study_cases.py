@@ -189,7 +189,7 @@ def test_the_block_is_an_evaluation_of_the_studys_cases_run_by_run(default, stud
     layout = Layout(name="three", units=(units[2], units[5], units[9]))
     judge = Judge(study.runs, study.axis, study.rule)
     (looked,) = evaluate_layouts([layout], asked, compute=COMPUTE)
-    block = judge_again(looked, np.searchsorted(kept, rows), study, judge)
+    (block,) = judge_again([looked], np.searchsorted(kept, rows), study, judge)
     (alone,) = evaluate_layouts([layout], study, compute=COMPUTE)
     assert 0 < alone.rsu_all.is_avoided.sum() < 240
     names = ("vut", "rsu_all", "vut_and_rsus")

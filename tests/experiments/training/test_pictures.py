@@ -1,5 +1,6 @@
 """Drawn pictures before a detector of others, and on a page."""
 
+import itertools
 import sys
 from types import SimpleNamespace
 
@@ -98,17 +99,29 @@ def test_forty_kept_crops_are_on_a_page(tmp_path):
         vru_class=np.arange(n) % 3,
         weather=np.arange(n) // 3 % 3,
     )
+    dark = np.flatnonzero(crops.weather == 1)[::2]
+    crops.rgb[dark] //= 100
     save_crops(tmp_path / "here-11.npz", crops)
     told = []
     sheet = pictures.draw_sheet(pictures.kept_looks(tmp_path, seed=0), tell=told.append)
     assert sheet.size == (8 * CROP_PX, 5 * (CROP_PX + pictures._CAPTION_PX))
     assert told[0] == "1 of 40: adult, day, 80 px, here"
-    assert told[-1].startswith("40 of 40: ")
+    assert told[-2].startswith("40 of 40: ")
+    assert told[-1].endswith(" left out: no light reaches them")
+    assert 0 < int(told[-1].split()[0]) <= len(dark)
+    tiles = np.asarray(sheet).reshape(5, CROP_PX + pictures._CAPTION_PX, 8, CROP_PX, 3)
+    assert (tiles[:, :CROP_PX].max(axis=(1, 3, 4)) > 100).all()
     assert sum("cyclist, rain" in words for words in told) == 4
     # The first tile is a crop of that class and weather.
     first = np.asarray(sheet)[:CROP_PX, :CROP_PX]
     (row,) = np.flatnonzero((crops.rgb == first).all(axis=(1, 2, 3)))
     assert (crops.vru_class[row], crops.weather[row]) == (0, 0)
+
+
+def test_a_page_of_nothing_but_darkness_is_refused():
+    row = {"rgb": np.zeros((CROP_PX, CROP_PX, 3), np.uint8), "box_px": np.array([9, 9, 40, 90])}
+    with pytest.raises(InputError, match="only dark ones"):
+        pictures.draw_sheet([itertools.repeat(("here", row))])
 
 
 def test_a_folder_without_crops_is_named(tmp_path):

@@ -10,7 +10,7 @@ from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.detectors import load_detector
-from placement.evaluator import watch
+from placement.evaluator import perceive, scan, watch
 from placement.evaluator.evaluate import evaluate_layout, evaluate_layouts
 from placement.evaluator.perceive import perceive_from_roadside
 from placement.evaluator.surroundings import build_surroundings
@@ -81,9 +81,9 @@ def pretend(monkeypatch, build_layout, setting, axis):
             return vut_lidar_row
 
         monkeypatch.setattr(watch, "_VUT_JOBS", 1)  # all frames at once
-        monkeypatch.setattr(watch, "perceive_from_roadside", from_roadside)
-        monkeypatch.setattr(watch, "perceive_from_vut", from_vut)
-        monkeypatch.setattr(watch, "scan_from_vut", by_vut_lidar)
+        monkeypatch.setattr(perceive, "perceive_from_roadside", from_roadside)
+        monkeypatch.setattr(perceive, "perceive_from_vut", from_vut)
+        monkeypatch.setattr(scan, "scan_from_vut", by_vut_lidar)
         names = [f"unit {index}" for index in range(len(rows))]
         return evaluate_layout(
             build_layout(*names, latencies_s=latencies_s),
@@ -396,8 +396,8 @@ def test_interruption_leaves_the_other_units_unseen(monkeypatch, build_layout, s
     def from_vut(surroundings, vut_camera, *, min_height_px):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(watch, "perceive_from_roadside", from_roadside)
-    monkeypatch.setattr(watch, "perceive_from_vut", from_vut)
+    monkeypatch.setattr(perceive, "perceive_from_roadside", from_roadside)
+    monkeypatch.setattr(perceive, "perceive_from_vut", from_vut)
     with pytest.raises(KeyboardInterrupt):
         evaluate_layout(build_layout(*map(str, range(500))), setting)
     assert len(n_seen) < 500

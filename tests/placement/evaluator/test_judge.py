@@ -130,7 +130,7 @@ def test_contact_is_looked_for_once_per_run_and_onset(study_runs, axis, monkeypa
     asked = []
 
     def count(encounter, onset_s, rule):
-        asked.append(onset_s)
+        asked.extend(onset_s)
         return has_contact(encounter, onset_s, rule)
 
     monkeypatch.setattr(judge_module, "has_contact", count)

@@ -1,0 +1,10 @@
+"""The public names of placement.evaluator, each once: see :mod:`geometry.lazy_names`."""
+
+from .evaluate import evaluate_layout as evaluate_layout
+from .evaluate import evaluate_layouts as evaluate_layouts
+from .perceive import perceive_from_roadside as perceive_from_roadside
+from .perceive import perceive_from_vut as perceive_from_vut
+from .surroundings import Surroundings as Surroundings
+from .surroundings import VutCamera as VutCamera
+from .surroundings import build_surroundings as build_surroundings
+from .surroundings import load_vut_camera as load_vut_camera
