@@ -196,8 +196,9 @@ def find_pairs(
     copies: IntArray,
     next_pair: IntArray,
     out: IntArray,
+    of_out: FloatArray,
 ) -> int:
-    """Pairs of poses that may lose so little together, (n, 2); how many were written.
+    """Pairs of poses that may lose so little together, (n, 2), and how much; how many they are.
 
     Bits are as in :func:`cover_beside`; `open_rows` counts, in `words` alone, and a row is worth
     what `table`, (n_bytes, 256), says of its byte. `gain`, falling, is what each pose may gain at
@@ -224,6 +225,7 @@ def find_pairs(
                 break
         if lost <= may_lose:
             out[n_found, 0], out[n_found, 1] = one, other
+            of_out[n_found] = lost
             n_found += 1
         other += 1
     next_pair[0], next_pair[1] = one, other
@@ -279,7 +281,7 @@ def find_least_lost(
 
 
 @kernel
-def keep_pairs(
+def add_lost(
     alone: WordArray,
     may: WordArray,
     part: WordArray,
@@ -288,18 +290,16 @@ def keep_pairs(
     table: FloatArray,
     may_lose: float,
     pairs: IntArray,
-    kept: BoolArray,
+    lost: FloatArray,
 ) -> None:
-    """Which pairs, (n, 2), may lose so little together: see :func:`find_pairs`."""
+    """Add what pairs, (n, 2), lose of some rows, see :func:`find_pairs`, until it is too much."""
     for number in range(len(pairs)):
-        lost = 0.0
         for word in words:
-            lost += lost_in_word(
+            if lost[number] > may_lose:
+                break
+            lost[number] += lost_in_word(
                 alone, may, part, open_rows, table, word, pairs[number, 0], pairs[number, 1]
             )
-            if lost > may_lose:
-                break
-        kept[number] = lost <= may_lose
 
 
 @kernel

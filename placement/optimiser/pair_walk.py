@@ -26,7 +26,7 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.clock import now_s
 
 from .limits import Limits
-from .presolve import WordArray, pack_words
+from .presolve import WordArray, pack_words, unpack_words
 from .set_tree import Links, avoided_runs, first_seen
 from .threads import WORKERS
 
@@ -36,7 +36,7 @@ _CLASS_POSES = 8  # of a class, on average
 _MAX_TOGETHER = 2000  # poses whose likeness is looked at in one go
 _OUT_PAIRS = 1 << 14
 _MANY_PAIRS = 2000  # to be valued beside a class
-_HARD_ROWS = 192  # that are looked at first
+_HARD_ROWS = (192, 576)  # that are looked at first, and then
 
 _T = TypeVar("_T")
 
@@ -198,8 +198,8 @@ class _Beside:
             self.asked_tail,
             self.dead_links,
         )
-        self.open_rows, self.chains = owner.rows.open_after(first)
-        self.hard_rows, self.hard_chains = owner.rows.hardest(self.open_rows, self.chains)
+        self.open_rows = owner.rows.open_after(first)
+        self.parts = owner.rows.hardest_first(self.open_rows)
 
     def pairs(
         self, links: Links, poses: IntArray, site: IntArray, *, copies: IntArray | None = None
@@ -212,23 +212,25 @@ class _Beside:
 
         owner = self.owner
         table, may_lose = owner.rows.table, owner.may_lose
-        alone, may, part = self._cover(links, poses, self.hard_chains)
-        gain = _weigh(may & self.hard_rows, table)
-        need = float(_weigh(self.hard_rows[None, :], table)[0]) - may_lose
+        hard_rows, hard_chains = self.parts[0]
+        alone, may, part = self._cover(links, poses, hard_chains)
+        gain = _weigh(may & hard_rows, table)
+        need = float(_weigh(hard_rows[None, :], table)[0]) - may_lose
         has_room = self.room[site] > 0
         most = float(gain[has_room].max(initial=0.0))
         kept = np.flatnonzero(has_room & (gain + most >= need))
         kept = kept[np.argsort(-gain[kept], kind="stable")]
         n_copies = np.ones(len(kept), dtype=np.int64) if copies is None else copies[poses[kept]]
-        found, next_pair = [np.empty((0, 2), dtype=np.int64)], np.zeros(2, dtype=np.int64)
+        found, lost = [np.empty((0, 2), dtype=np.int64)], [np.empty(0)]
+        next_pair = np.zeros(2, dtype=np.int64)
         while next_pair[0] < len(kept):
-            out = np.empty((_OUT_PAIRS, 2), dtype=np.int64)
+            out, of_out = np.empty((_OUT_PAIRS, 2), dtype=np.int64), np.empty(_OUT_PAIRS)
             n_found = find_pairs(
                 alone[kept],
                 may[kept],
                 part[kept],
-                self.hard_rows,
-                np.flatnonzero(self.hard_rows),
+                hard_rows,
+                np.flatnonzero(hard_rows),
                 table,
                 gain[kept],
                 need,
@@ -238,10 +240,12 @@ class _Beside:
                 n_copies,
                 next_pair,
                 out,
+                of_out,
             )
             found.append(kept[out[:n_found]])
+            lost.append(of_out[:n_found])
         pairs = np.concatenate(found)
-        return pairs[self._may_lose_little(links, poses[pairs], self.chains, self.open_rows)]
+        return pairs[self._may_lose_little(links, poses[pairs], np.concatenate(lost))]
 
     def least_lost(
         self, links: Links, poses: IntArray, site: IntArray, *, copies: IntArray
@@ -250,18 +254,19 @@ class _Beside:
         from .pair_kernels import find_least_lost
 
         table = self.owner.rows.table
-        alone, may, part = self._cover(links, poses, self.hard_chains)
-        gain = np.where(self.room[site] > 0, _weigh(may & self.hard_rows, table), -np.inf)
+        hard_rows, hard_chains = self.parts[0]
+        alone, may, part = self._cover(links, poses, hard_chains)
+        gain = np.where(self.room[site] > 0, _weigh(may & hard_rows, table), -np.inf)
         order = np.argsort(-gain, kind="stable")[: np.count_nonzero(gain > -np.inf)]
         return find_least_lost(
             alone[order],
             may[order],
             part[order],
-            self.hard_rows,
-            np.flatnonzero(self.hard_rows),
+            hard_rows,
+            np.flatnonzero(hard_rows),
             table,
             gain[order],
-            float(_weigh(self.hard_rows[None, :], table)[0]),
+            float(_weigh(hard_rows[None, :], table)[0]),
             site[order],
             self.room,
             copies[poses[order]],
@@ -269,29 +274,37 @@ class _Beside:
 
     def thin(self, links: Links, pairs: IntArray) -> IntArray:
         """Pairs of poses, (n, 2), that may lose little beside."""
-        for chains, rows in ((self.hard_chains, self.hard_rows), (self.chains, self.open_rows)):
-            pairs = pairs[self._may_lose_little(links, pairs, chains, rows)]
-        return pairs
+        return pairs[self._may_lose_little(links, pairs)]
 
     def _may_lose_little(
-        self, links: Links, pairs: IntArray, chains: IntArray, open_rows: WordArray
+        self, links: Links, pairs: IntArray, lost: FloatArray | None = None
     ) -> BoolArray:
-        """Which pairs, (n, 2), may lose little of some rows beside, given their chains, (n,)."""
-        from .pair_kernels import keep_pairs
+        """Which pairs, (n, 2), may lose little beside; `lost`, (n,), of the hardest runs if known.
 
-        kept = np.zeros(len(pairs), dtype=bool)
-        if len(pairs):
-            poses, place = np.unique(pairs, return_inverse=True)
-            keep_pairs(
+        The more runs are looked at, the fewer pairs are left to be laid out for the others.
+        """
+        from .pair_kernels import add_lost
+
+        parts = self.parts if lost is None else self.parts[1:]
+        lost = np.zeros(len(pairs)) if lost is None else lost.copy()
+        for rows, chains in parts:
+            left = np.flatnonzero(lost <= self.owner.may_lose)
+            if not len(left):
+                break
+            poses, place = np.unique(pairs[left], return_inverse=True)
+            of_left = lost[left]
+            add_lost(
                 *self._cover(links, poses, chains),
-                open_rows,
-                np.flatnonzero(open_rows),
+                rows,
+                np.flatnonzero(rows),
                 self.owner.rows.table,
                 self.owner.may_lose,
                 place.reshape(-1, 2),
-                kept,
+                of_left,
             )
-        return kept
+            lost[left] = of_left
+        may: BoolArray = lost <= self.owner.may_lose
+        return may
 
     def _cover(
         self, links: Links, poses: IntArray, chains: IntArray
@@ -368,27 +381,33 @@ class _Rows:
         hardest_first = np.argsort(is_avoided.sum(axis=0), kind="stable")
         self.place = np.empty(len(order), dtype=np.int64)
         self.place[hardest_first] = np.arange(len(order))
-        self.first_place = np.full(len(links.n_links), len(order))  # of each chain
-        np.minimum.at(self.first_place, self.chain, self.place)
         self.n_words = max(1, -(-len(order) // 64))
+        self.chain_at = np.zeros(64 * self.n_words, dtype=np.int64)  # of each place
+        self.chain_at[self.place] = self.chain
         self.table = _byte_table(weight[order][hardest_first], self.n_words)
         self.worth = links.chain_worth(weight)
         self.chains: IntArray = np.unique(self.chain[hardest_first], return_index=True)[1]
         self.chains = self.chain[hardest_first][np.sort(self.chains)]
 
-    def open_after(self, first: IntArray) -> tuple[WordArray, IntArray]:
-        """Runs that are not avoided, as bits, and their chains, given the first live windows."""
-        is_open = first[self.chain] >= self.last
+    def open_after(self, first: IntArray) -> WordArray:
+        """Runs that are not avoided, as bits, given the first live windows."""
         bits = np.zeros(64 * self.n_words, dtype=bool)
-        bits[self.place[is_open]] = True
-        return pack_words(bits), np.unique(self.chain[is_open])
+        bits[self.place[first[self.chain] >= self.last]] = True
+        return pack_words(bits)
 
-    def hardest(self, open_rows: WordArray, chains: IntArray) -> tuple[WordArray, IntArray]:
-        """The hardest ones of some rows, as bits, and their chains, of these."""
-        n_words = 1 + int(np.searchsorted(np.bitwise_count(open_rows).cumsum(), _HARD_ROWS))
-        hard_rows = open_rows.copy()
-        hard_rows[n_words:] = 0
-        return hard_rows, chains[self.first_place[chains] < 64 * n_words]
+    def hardest_first(self, open_rows: WordArray) -> list[tuple[WordArray, IntArray]]:
+        """Some rows in parts, as bits, the hardest ones in the first, and their chains."""
+        count = np.bitwise_count(open_rows).cumsum()
+        ends = [*(1 + np.searchsorted(count, _HARD_ROWS)), self.n_words]
+        is_open = unpack_words(open_rows, 64 * self.n_words)
+        parts, begin = [], 0
+        for end in np.clip(ends, 1, self.n_words).tolist():
+            rows = np.zeros_like(open_rows)
+            rows[begin:end] = open_rows[begin:end]
+            chains = self.chain_at[64 * begin : 64 * end][is_open[64 * begin : 64 * end]]
+            parts.append((rows, np.unique(chains)))
+            begin = max(begin, end)
+        return parts
 
     def keep(
         self, links: Links, sets: IntArray, may_lose: float, union: WordArray | None = None
