@@ -70,7 +70,7 @@ def ask_for_pieces(
 @kernel
 def cover_beside(
     bits: WordArray,
-    n_phases: int,
+    phases: tuple[int, ...],
     start: IntArray,
     tail_links: IntArray,
     tail_start: IntArray,
@@ -95,33 +95,33 @@ def cover_beside(
     ``row_start[g]`` .. ``row_start[g + 1] - 1``: they end after ``row_last`` windows, falling, and
     their bits are at ``row_place``. Sets bits, (n_poses, n_row_words): in `alone` where the pose
     and the union avoid the run, in `may` where it sees a piece that is asked for, in `part` where
-    it sees one that is missing.
+    it sees one that is missing. `phases` are 0, 1, ..: a tuple, so that loops are unrolled.
     """
+    n_phases = len(phases)
     alone[:] = 0
     may[:] = 0
     part[:] = 0
     for number in range(len(poses)):
-        pose = poses[number]
+        of_pose = bits[poses[number]]
         for chain in chains:
             begin, end, first_row = start[chain], start[chain + 1], row_start[chain]
             sees_asked_tail, some = False, none
             place = asked_tail[chain]
             if place >= 0:
-                seen = bits[pose, place >> 6, n_phases] >> np.uint64(place & 63)
+                seen = of_pose[place >> 6, n_phases] >> np.uint64(place & 63)
                 sees_asked_tail = seen & np.uint64(1) != 0
                 if dead_links[chain] > 0:
                     for word in range(begin, end):
-                        if bits[pose, word, n_phases] & ~union[word, n_phases] != 0:
+                        if of_pose[word, n_phases] & ~union[word, n_phases] != 0:
                             some = 0
                             break
             hopeful = none
             for word in range(begin, end):
                 seen = asked[word, n_phases] if sees_asked_tail else np.uint64(0)
                 any_seen = np.uint64(0)
-                for phase in range(n_phases):
-                    of_pose = bits[pose, word, phase]
-                    seen |= of_pose & asked[word, phase]
-                    any_seen |= of_pose & missing[word, phase]
+                for phase in phases:
+                    seen |= of_pose[word, phase] & asked[word, phase]
+                    any_seen |= of_pose[word, phase] & missing[word, phase]
                 if some == none and any_seen != 0:
                     some = 64 * (word - begin) + lowest_bit(any_seen)
                 if seen != 0:
@@ -132,15 +132,15 @@ def cover_beside(
                 lowest, tail = 0, tail_start[chain]
                 if tail < tail_start[chain + 1]:
                     for word in range(begin, end):
-                        unseen = ~(bits[pose, word, n_phases] | union[word, n_phases])
+                        unseen = ~(of_pose[word, n_phases] | union[word, n_phases])
                         if unseen != 0:
                             lowest = tail_links[tail + 64 * (word - begin) + lowest_bit(unseen)]
                             break
                 mask = ~np.uint64(0) << np.uint64(lowest & 63)
                 for word in range(begin + (lowest >> 6), end):
                     live = mask
-                    for phase in range(n_phases):
-                        live &= bits[pose, word, phase] | union[word, phase]
+                    for phase in phases:
+                        live &= of_pose[word, phase] | union[word, phase]
                     if live != 0:
                         exact = 64 * (word - begin) + lowest_bit(live)
                         break

@@ -291,15 +291,16 @@ class _Beside:
             left = np.flatnonzero(lost <= self.owner.may_lose)
             if not len(left):
                 break
-            poses, place = np.unique(pairs[left], return_inverse=True)
-            of_left = lost[left]
+            is_used = np.zeros(links.n_poses, dtype=bool)
+            is_used[pairs[left]] = True
+            place, of_left = np.cumsum(is_used) - 1, lost[left]
             add_lost(
-                *self._cover(links, poses, chains),
+                *self._cover(links, np.flatnonzero(is_used), chains),
                 rows,
                 np.flatnonzero(rows),
                 self.owner.rows.table,
                 self.owner.may_lose,
-                place.reshape(-1, 2),
+                place[pairs[left]],
                 of_left,
             )
             lost[left] = of_left
@@ -318,7 +319,7 @@ class _Beside:
         layout = links.layout
         cover_beside(
             layout.bits,
-            layout.n_phases,
+            tuple(range(layout.n_phases)),
             layout.start,
             layout.tail_links,
             layout.tail_start,
@@ -485,7 +486,8 @@ class _Classes:
         one, other = np.divmod(number, size[pair, 1])
         poses: IntArray = self.member[self.start[pairs][pair] + np.column_stack([one, other])]
         is_once = (pairs[pair, 0] != pairs[pair, 1]) | (one < other)
-        return poses[is_once]
+        once: IntArray = poses[is_once]
+        return once
 
 
 def _alike(avoided: FloatArray) -> IntArray:
