@@ -176,7 +176,7 @@ def run_placement(
         exchanged = other_sensors.result(partial(progress, OTHER_SENSORS, 0, 0))
         sensitivity = what_if.result(partial(progress, WHAT_IF, 0, 0))
         result = build_placement_result(
-            placement, setting, found=found, greedy=greedy, baseline=baseline
+            placement, setting, found=found, greedy=greedy, baseline=baseline, compute=compute
         )
         result = replace_fields(
             result,
