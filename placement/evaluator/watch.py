@@ -181,6 +181,8 @@ class _Watcher:
         from .pictures import PictureSource
 
         source = PictureSource(self._setting.scene, self._setting.runs, seed=self._seed)
+        # The VUT's pictures take longest, for nothing stands still in them: they are drawn first.
+        longest_first = sorted(looks.items(), key=lambda item: item[0] != VUT_KEY)
         with _pool(self._compute.workers) as pool, closing(source):
             found = {
                 key: pool.submit(
@@ -188,7 +190,7 @@ class _Watcher:
                     key,
                     self._with_pictures(evidence, source, units.get(key)),
                 )
-                for key, evidence in looks.items()
+                for key, evidence in longest_first
             }
             pending = set(found.values())
             while pending:
@@ -196,7 +198,7 @@ class _Watcher:
                 for future in done:
                     future.result()
                 self._compute.progress(STAGE, source.n_drawn, n_pictures)
-        return {key: future.result() for key, future in found.items()}
+        return {key: found[key].result() for key in looks}
 
     def _detect(self, key: UnitKey, evidence: Evidence) -> BoolArray:
         found = self._setting.detector.detect(evidence, build_rng(self._seed, key))
