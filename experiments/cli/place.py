@@ -152,11 +152,20 @@ def cli(
     begin(progress, quiet=quiet)
     if junction:
         question = _with_junction(question, junction, quiet=quiet, progress=progress)
-    from ..jobs import placement
+    from ..report.beside import drawing_beside
 
-    result = placement.run_placement(
-        question, out=out, compute=compute, command=command_line(), progress=progress
-    )
+    asks_much = not (is_given("cases") or question.speeds or question.approaches)
+    with drawing_beside(asks_much and compute.workers > 1) as beside:  # loads while this one does
+        from ..jobs import placement
+
+        result = placement.run_placement(
+            question,
+            out=out,
+            compute=compute,
+            command=command_line(),
+            progress=progress,
+            beside=beside,
+        )
     print_result(result, progress, as_json, lambda: placement_text(result, out))
 
 

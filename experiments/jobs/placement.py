@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from itertools import chain, count
@@ -34,7 +35,7 @@ from placement.sampling import load_drawn, out_of_sample_layouts
 from placement.setting import Setting, build_setting
 
 from ..progress import StageProgress
-from ..report.beside import drawing_beside
+from ..report.beside import Beside, drawing_beside
 from ..report.bill_of_materials import build_bill
 from ..report.comparison import EXPERT, GREEDY
 from ..report.coverage import coverage_section
@@ -79,8 +80,11 @@ def run_placement(
     compute: Compute,
     command: str,
     progress: StageProgress,
+    beside: Beside | None = None,
 ) -> Result:
     """Find, prove, evaluate and compare a layout, and write everything to `out`.
+
+    `beside` may have a second process, which was begun while this one was loading.
 
     Raises
     ------
@@ -93,7 +97,11 @@ def run_placement(
     progress.kept = left_as_it_was(out)
     progress("setting", 0, 0)
     setting = build_setting(question, scene, compute=compute)
-    with drawing_beside(_is_large(setting, compute)) as beside:
+    with (
+        nullcontext(beside)
+        if beside is not None and beside.has_process
+        else drawing_beside(_is_large(setting, compute))
+    ) as beside:
         study = find_baseline(scene)
         uncertainty = load_drawn(question, scene, n_samples=question.samples)
         if question.packet_loss:
@@ -176,7 +184,7 @@ def run_placement(
         exchanged = other_sensors.result(partial(progress, OTHER_SENSORS, 0, 0))
         sensitivity = what_if.result(partial(progress, WHAT_IF, 0, 0))
         result = build_placement_result(
-            placement, setting, found=found, greedy=greedy, baseline=baseline
+            placement, setting, found=found, greedy=greedy, baseline=baseline, compute=compute
         )
         result = replace_fields(
             result,

@@ -2,10 +2,11 @@
 
 import multiprocessing
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Generic, ParamSpec, TypeVar
 
@@ -46,6 +47,12 @@ class Beside:
     def __init__(self, executor: ProcessPoolExecutor | None = None) -> None:
         self._executor = executor
         self._begun: dict[str, Part[Any]] = {}
+        self._sent: dict[int, object] = {}  # held, so that no other one gets its id
+
+    @property
+    def has_process(self) -> bool:
+        """Whether there is a second process."""
+        return self._executor is not None
 
     def begin(
         self, name: str, make: Callable[_P, _T], *args: _P.args, **kwargs: _P.kwargs
@@ -58,12 +65,44 @@ class Beside:
             future = None
             if self._executor is not None:
                 try:
-                    future = self._executor.submit(make, *args, **kwargs)
+                    sent = [self._send_once(self._executor, value) for value in args]
+                    future = self._executor.submit(_make, make, sent, kwargs)
                 except BrokenProcessPool:
                     self._executor = None
             self._begun[name] = Part(lambda: make(*args, **kwargs), future)
         part: Part[_T] = self._begun[name]
         return part
+
+    def _send_once(self, executor: ProcessPoolExecutor, value: object) -> object:
+        """What stands for a value in the second process: a setting, which takes long to send."""
+        from placement.setting import Setting  # not where the process is begun: that is to be soon
+
+        if not isinstance(value, Setting):
+            return value
+        if id(value) not in self._sent:
+            executor.submit(_keep, id(value), value)
+            self._sent[id(value)] = value
+        return _Sent(id(value))
+
+
+@dataclass(frozen=True, slots=True)
+class _Sent:
+    """Stands for a value that the second process has."""
+
+    key: int
+
+
+_kept: dict[int, object] = {}  # in the second process
+
+
+def _keep(key: int, value: object) -> None:
+    _kept[key] = value
+
+
+def _make(make: Callable[..., _T], args: Sequence[object], kwargs: dict[str, Any]) -> _T:
+    """Call a function in the second process."""
+    values = (_kept[value.key] if isinstance(value, _Sent) else value for value in args)
+    return make(*values, **kwargs)
 
 
 def _get_ready() -> None:

@@ -12,6 +12,7 @@ from msgspec.structs import replace
 
 from geometry.arrays import BoolArray
 from placement import optimiser
+from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.evaluation import (
     Evaluation,
 )
@@ -376,6 +377,7 @@ def build_placement_result(
     found: Evaluation,
     greedy: Evaluation,
     baseline: Evaluation | None,
+    compute: Compute = DEFAULT_COMPUTE,
 ) -> Result:
     """A placement by the optimiser and by the evaluator, beside the greedy layout and a baseline.
 
@@ -423,7 +425,7 @@ def build_placement_result(
         disagreements=tuple(
             DisagreementRecord(**asdict(disagreement))
             for disagreement in find_disagreements(
-                setting, placement.nominal.table, found, placement.nominal_index
+                setting, placement.nominal.table, found, placement.nominal_index, compute=compute
             )
         ),
     )

@@ -11,11 +11,14 @@ from geometry.lidar import LidarModel
 from scenarios.runs import find_onsets
 
 from ..candidates import CandidatePose
+from ..compute import DEFAULT_COMPUTE, Compute
 from ..detection_table import DetectionTable
 from ..detectors import Evidence
 from ..evaluation import Evaluation, earliest_arrival_s
 from ..evaluator import build_surroundings, perceive_from_roadside
+from ..kept import keep_value
 from ..setting import Setting
+from ..visibility import table_fingerprint
 
 FUSED = "all, fused"
 
@@ -32,15 +35,38 @@ class Disagreement:
 
 
 def find_disagreements(
-    setting: Setting, table: DetectionTable, evaluation: Evaluation, pose_index: Sequence[int]
+    setting: Setting,
+    table: DetectionTable,
+    evaluation: Evaluation,
+    pose_index: Sequence[int],
+    *,
+    compute: Compute = DEFAULT_COMPUTE,
 ) -> tuple[Disagreement, ...]:
     """Runs on which table and evaluator disagree, for each unit alone and for all fused.
 
     `pose_index` are the table's rows of the layout's units, in their order. Results are in the
     order of units and runs; those of all units fused come last.
     """
+    detected = table.detected(list(pose_index))
+    folder = None if setting.detector.needs_pictures else compute.cache_folder
+    seen = ""
+    if folder is not None:
+        runs, planner, units = setting.runs, setting.planner, evaluation.layout.units
+        seen = table_fingerprint(setting.scene, units, runs, planner, seed=compute.seed)
+    return keep_value(
+        folder,
+        "disagreements",
+        lambda: _find_disagreements(setting, detected, evaluation),
+        made_from=(seen, setting.detector, setting.rule, detected, evaluation),
+    )
+
+
+def _find_disagreements(
+    setting: Setting, detected: BoolArray, evaluation: Evaluation
+) -> tuple[Disagreement, ...]:
+    """The same, found anew; `detected`, (n_units, n_frames), is what the table says."""
     units = evaluation.layout.units
-    on_table = dict(zip((unit.id for unit in units), table.detected(list(pose_index)), strict=True))
+    on_table = dict(zip((unit.id for unit in units), detected, strict=True))
     found: list[Disagreement] = []
     for parties, verdict in (
         *(((unit,), evaluation.units[unit.id]) for unit in units),

@@ -17,7 +17,6 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-import scipy.sparse as sp
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError
@@ -29,6 +28,7 @@ from .problem import Measure, Requirement
 
 if TYPE_CHECKING:
     import cvxpy as cp
+    import scipy.sparse as sp
 
 
 _LONGEST_S = 1.0e6  # eleven days
@@ -170,6 +170,8 @@ def limit_constraints(x: cp.Variable, o: cp.Variable, limits: Limits) -> list[cp
 
 def seen_constraint(x: cp.Variable, y: cp.Variable, reduced: ReducedProblem) -> cp.Constraint:
     """Frames: y_f <= sum of V[c, f] x_c."""
+    import scipy.sparse as sp
+
     return y <= sp.csr_array(reduced.detected().T).astype(np.float64) @ x
 
 
@@ -225,6 +227,8 @@ def stabbing_constraints(
 
 def difference(reduced: ReducedProblem) -> sp.csr_array:
     """a_k - a_{k-1} along every chain, (n_links, n_links)."""
+    import scipy.sparse as sp
+
     n_links = len(reduced.chain_window)
     later = np.setdiff1d(np.arange(n_links), reduced.chain_start)
     links = np.arange(n_links)
@@ -266,6 +270,7 @@ def _tail_share(
     The largest eta - sum of p_s d_s / tail with d_s >= eta - APR_s, d_s >= 0.
     """
     import cvxpy as cp
+    import scipy.sparse as sp
 
     can = link >= 0
     n_samples = len(measure.sample_weight)
@@ -288,6 +293,8 @@ def cut_constraints(x: cp.Variable, cuts: Sequence[Cut], limits: Limits) -> list
     Where sites fail, sites count: sum over them of v_s >= sites needed, with v_s <= 1 and
     v_s <= sum of the x at the site that count.
     """
+    import scipy.sparse as sp
+
     needed = np.array([cut.n_units for cut in cuts])
     is_counted = np.array([cut.is_counted for cut in cuts])
     if limits.failing == "unit":
@@ -407,6 +414,8 @@ def solve_window_model(
 
 def entering_poses(reduced: ReducedProblem, phase: int) -> sp.csr_array:
     """Which poses see, at a link for the first time in its chain, a stabbing frame."""
+    import scipy.sparse as sp
+
     detected = reduced.detected()
     n_links = len(reduced.chain_window)
     links, poses = [], []
@@ -431,6 +440,8 @@ def entering_poses(reduced: ReducedProblem, phase: int) -> sp.csr_array:
 
 def _incidence(group: IntArray, n_groups: int) -> sp.csr_array:
     """Which member belongs to which group, (n_groups, n_members)."""
+    import scipy.sparse as sp
+
     return sp.csr_array(
         (np.ones(len(group)), (group, np.arange(len(group)))), shape=(n_groups, len(group))
     )

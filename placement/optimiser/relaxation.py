@@ -21,14 +21,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
 from operator import attrgetter
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import sparse
 
 from geometry.arrays import FloatArray, IntArray
 from geometry.clock import now_s
 
 from .bounds import Bound, Coverage, ValueArray, prove
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 _DEFLECTION = 0.7  # of the last direction that is kept
 _CUT = 0.7
@@ -256,6 +259,7 @@ class Relaxation:
         `tolerance` is that of OSQP, absolute and relative, when the largest step of a level is 1.
         """
         import osqp
+        from scipy import sparse
 
         self._coverage = coverage
         self._levels = _Levels(coverage)
@@ -435,8 +439,10 @@ class _Levels:
         reached: FloatArray = np.minimum(total - before[number], 1.0)
         return reached
 
-    def matrix(self) -> sparse.csc_matrix:
+    def matrix(self) -> "sparse.csc_matrix":
         """``a[l] - a[above] - sum of x``, (n_levels, n_poses + n_levels)."""
+        from scipy import sparse
+
         n_levels = len(self.step)
         every = np.arange(n_levels)
         lower = every[~self.is_top]

@@ -218,6 +218,14 @@ def test_a_value_is_made_once_and_read_back_as_it_was(tmp_path):
         assert [part.flags.writeable for part in value.part] == [False, True]
 
 
+def test_a_value_that_is_not_worth_it_is_made_again(tmp_path):
+    make = Made()
+    for _ in range(2):
+        keep_value(tmp_path, "things", make, made_from=(), is_kept=lambda value: False)
+    assert make.times == 2
+    assert not any(tmp_path.iterdir())
+
+
 def test_a_value_from_something_else_or_other_code_is_made_anew(tmp_path, monkeypatch):
     make = Made()
     keep(tmp_path, make)

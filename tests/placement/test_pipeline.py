@@ -8,15 +8,18 @@ import pytest
 from geometry.errors import InputError
 from geometry.poses import Pose
 from geometry.study_scene import load_study_scene
+from placement import pipeline
 from placement.candidates import CandidateGrid, CandidatePose, build_candidates
 from placement.compute import Compute
 from placement.detectors import load_detector, load_planning_detector
 from placement.layout import check_layout
 from placement.optimiser import (
+    Effort,
     is_better,
     is_feasible,
     placement_value,
     solve_greedy,
+    solve_placement,
 )
 from placement.pipeline import obtain_table, pick_layout, place
 from placement.setting import Setting
@@ -189,9 +192,50 @@ def test_a_second_call_takes_the_table_from_the_cache(setting, candidates, place
     assert _stages(second)[0] == "detection table (cached)"
     assert "detection table" not in _stages(second)
     assert _stages(second)[1] == "optimise"
-    assert _stages(second)[-1] == "greedy"
-    (path,) = (tmp_path / "cache").iterdir()
-    assert path.name.startswith("table-")
+    assert _stages(first)[-1] == "greedy"
+    kept = sorted(path.name.split("-")[0] for path in (tmp_path / "cache").iterdir())
+    assert kept == ["answer", "table"]
+
+
+def test_a_proven_answer_is_solved_once_for_the_same_table_wishes_and_effort(
+    setting, candidates, tmp_path, monkeypatch
+):
+    solved = []
+
+    def count(problem, *arguments, **options):
+        solved.append(problem)
+        return solve_placement(problem, *arguments, **options)
+
+    monkeypatch.setattr(pipeline, "solve_placement", count)
+
+    def ask(budget, effort=None):
+        wishes, compute = Wishes(budget_units=budget), Compute(cache_folder=tmp_path)
+        return place(setting, candidates, wishes=wishes, effort=effort, compute=compute)
+
+    first, again = ask(2), ask(2)
+    assert len(solved) == 1
+    assert again.certificate == first.certificate
+    assert again.pose_index == first.pose_index
+    assert repr(again.greedy) == repr(first.greedy)
+    assert again.next_unit == first.next_unit
+    assert again.presolved().statistics == first.presolve
+    ask(1)
+    ask(2, Effort(time_limit_s=50.0))
+    assert len(solved) == 3
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.1])
+def test_only_a_proven_answer_is_kept(setting, candidates, tmp_path, monkeypatch, gap):
+    def solve(problem, *arguments, **options):
+        solution = solve_placement(problem, *arguments, **options)
+        first, *others = solution.certificate.stages
+        stages = (replace(first, gap=gap), *others)
+        return replace(solution, certificate=replace(solution.certificate, stages=stages))
+
+    monkeypatch.setattr(pipeline, "solve_placement", solve)
+    compute = Compute(cache_folder=tmp_path)
+    place(setting, candidates, wishes=Wishes(budget_units=1), compute=compute)
+    assert any(tmp_path.glob("answer-*")) == (gap == 0.0)
 
 
 def test_other_inputs_do_not_get_the_cached_table(setting, candidates, tmp_path):
@@ -222,7 +266,7 @@ def test_a_damaged_cached_table_is_made_anew_and_replaced(
             wishes=Wishes(budget_units=1),
             compute=Compute(cache_folder=tmp_path),
         )
-        (path,) = tmp_path.iterdir()
+        (path,) = tmp_path.glob("table-*")
         path.write_bytes(path.read_bytes()[:100])
     assert np.array_equal(found.problem.table.packed, placement.problem.table.packed)
     (record,) = caplog.records

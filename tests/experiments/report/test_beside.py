@@ -68,3 +68,20 @@ def test_a_part_is_made_once():
     beside.begin("a", made.append, 1).take()
     beside.begin("a", made.append, 2).take()
     assert made == [1]
+
+
+def _runs_of(setting, number):
+    return os.getpid(), id(setting), len(setting.runs), number
+
+
+def test_a_setting_is_sent_to_the_second_process_once(small_setting):
+    with drawing_beside(True) as beside:
+        parts = [beside.begin(f"{number}", _runs_of, small_setting, number) for number in range(3)]
+        while not all(part._future.done() for part in parts):
+            time.sleep(0.01)
+        found = [part.result() for part in parts]
+    assert {pid for pid, *_ in found}.isdisjoint({os.getpid()})
+    assert len({identity for _, identity, *_ in found}) == 1
+    assert [(n_runs, number) for *_, n_runs, number in found] == [
+        (len(small_setting.runs), number) for number in range(3)
+    ]
