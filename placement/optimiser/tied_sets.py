@@ -457,10 +457,8 @@ class SetSearch:
         )
 
     def _left_limit(self, walk: SetWalk | PairWalk) -> float:
-        """No set that a walk did not meet is worth more."""
-        return self._rounded_down(
-            walk.left_limit if isinstance(walk, PairWalk) else walk.root_limit
-        )
+        """No set that a walk did not meet is worth more, as far as it tells."""
+        return self._rounded_down(walk.left_limit if isinstance(walk, PairWalk) else np.inf)
 
     def _pairs_from(self, need: float) -> PairWalk:
         """A walk pair by pair; what it takes is laid out once."""
