@@ -15,40 +15,8 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
 
-from .chain_kernels import Layout, join, lowest_bit
-from .cover_kernels import loses_more
+from .chain_kernels import Layout, lowest_bit
 from .presolve import WordArray
-
-
-@kernel
-def first_live(
-    seen: WordArray,
-    union: WordArray,
-    n_phases: int,
-    begin: int,
-    end: int,
-    tail_links: IntArray,
-    tail: int,
-    last_tail: int,
-    none: int,
-) -> int:
-    """First live window of a chain, whose words are begin .. end - 1, of two unions together."""
-    lowest = 0
-    if tail < last_tail:
-        for word in range(begin, end):
-            unseen = ~(seen[word, n_phases] | union[word, n_phases])
-            if unseen != 0:
-                lowest = tail_links[tail + 64 * (word - begin) + lowest_bit(unseen)]
-                break
-    mask = ~np.uint64(0) << np.uint64(lowest & 63)
-    for word in range(begin + (lowest >> 6), end):
-        live = mask
-        for phase in range(n_phases):
-            live &= seen[word, phase] | union[word, phase]
-        if live != 0:
-            return 64 * (word - begin) + lowest_bit(live)
-        mask = ~np.uint64(0)
-    return none
 
 
 @kernel
@@ -65,10 +33,10 @@ def ask_for_pieces(
     """Ask each window for the piece that fewest see of those that a union lacks.
 
     `seen_by`, (n_phases + 1, 64 n_words), says how many see each frame of each window, and in the
-    last row each tail. `asked` and `missing`, (n_phases + 1, n_words), take the windows that are
-    asked for, and that lack, each phase, or in the last row of `asked` a tail: that of their chain
-    whose bit is at ``asked_tail[chain]``, which the first ``dead_links[chain]`` windows lack; -1
-    and 0: the union has all tails of the chain.
+    last row each tail. `asked` and `missing`, (n_words, n_phases + 1), take the windows that are
+    asked for, and that lack, each phase, or in the last column of `asked` a tail: that of their
+    chain whose bit is at ``asked_tail[chain]``, which the first ``dead_links[chain]`` windows
+    lack; -1 and 0: the union has all tails of the chain.
     """
     n_phases = layout.n_phases
     asked[:] = 0
@@ -90,18 +58,22 @@ def ask_for_pieces(
             least, choice = np.inf, -1
             for phase in range(n_phases):
                 if union[word, phase] & bit == 0:
-                    missing[phase, word] |= bit
+                    missing[word, phase] |= bit
                     if seen_by[phase, 64 * begin + link] < least:
                         least, choice = seen_by[phase, 64 * begin + link], phase
             if link < dead_links[chain] and seen_by[n_phases, asked_tail[chain]] < least:
                 choice = n_phases
             if choice >= 0:
-                asked[choice, word] |= bit
+                asked[word, choice] |= bit
 
 
 @kernel
 def cover_beside(
-    layout: Layout,
+    bits: WordArray,
+    phases: tuple[int, ...],
+    start: IntArray,
+    tail_links: IntArray,
+    tail_start: IntArray,
     union: WordArray,
     asked: WordArray,
     missing: WordArray,
@@ -123,63 +95,89 @@ def cover_beside(
     ``row_start[g]`` .. ``row_start[g + 1] - 1``: they end after ``row_last`` windows, falling, and
     their bits are at ``row_place``. Sets bits, (n_poses, n_row_words): in `alone` where the pose
     and the union avoid the run, in `may` where it sees a piece that is asked for, in `part` where
-    it sees one that is missing.
+    it sees one that is missing. `phases` are 0, 1, ..: a tuple, so that loops are unrolled.
     """
-    n_phases = layout.n_phases
+    n_phases = len(phases)
+    alone[:] = 0
+    may[:] = 0
+    part[:] = 0
     for number in range(len(poses)):
-        bits = layout.bits[poses[number]]
-        alone[number] = 0
-        may[number] = 0
-        part[number] = 0
+        of_pose = bits[poses[number]]
         for chain in chains:
-            first_word, last_word = layout.start[chain], layout.start[chain + 1]
-            sees_asked_tail, sees_tail = False, False
+            begin, end, first_row = start[chain], start[chain + 1], row_start[chain]
+            sees_asked_tail, some = False, none
             place = asked_tail[chain]
             if place >= 0:
-                sees_asked_tail = (bits[place >> 6, n_phases] >> np.uint64(place & 63)) & np.uint64(
-                    1
-                ) != 0
-                for word in range(first_word, last_word):
-                    sees_tail |= bits[word, n_phases] & ~union[word, n_phases] != 0
-            some = 0 if sees_tail and dead_links[chain] > 0 else none
+                seen = of_pose[place >> 6, n_phases] >> np.uint64(place & 63)
+                sees_asked_tail = seen & np.uint64(1) != 0
+                if dead_links[chain] > 0:
+                    for word in range(begin, end):
+                        if of_pose[word, n_phases] & ~union[word, n_phases] != 0:
+                            some = 0
+                            break
             hopeful = none
-            for word in range(first_word, last_word):
-                seen = asked[n_phases, word] if sees_asked_tail else np.uint64(0)
+            for word in range(begin, end):
+                seen = asked[word, n_phases] if sees_asked_tail else np.uint64(0)
                 any_seen = np.uint64(0)
-                for phase in range(n_phases):
-                    seen |= bits[word, phase] & asked[phase, word]
-                    any_seen |= bits[word, phase] & missing[phase, word]
-                if any_seen != 0 and some == none:
-                    some = 64 * (word - first_word) + lowest_bit(any_seen)
+                for phase in phases:
+                    seen |= of_pose[word, phase] & asked[word, phase]
+                    any_seen |= of_pose[word, phase] & missing[word, phase]
+                if some == none and any_seen != 0:
+                    some = 64 * (word - begin) + lowest_bit(any_seen)
                 if seen != 0:
-                    hopeful = 64 * (word - first_word) + lowest_bit(seen)
+                    hopeful = 64 * (word - begin) + lowest_bit(seen)
                     break
-            if some == none:
-                continue
             exact = none
-            if hopeful < row_last[row_start[chain]]:
-                exact = first_live(
-                    bits,
-                    union,
-                    n_phases,
-                    first_word,
-                    last_word,
-                    layout.tail_links,
-                    layout.tail_start[chain],
-                    layout.tail_start[chain + 1],
-                    none,
-                )
-            for row in range(row_start[chain], row_start[chain + 1]):
+            if hopeful < row_last[first_row]:
+                lowest, tail = 0, tail_start[chain]
+                if tail < tail_start[chain + 1]:
+                    for word in range(begin, end):
+                        unseen = ~(of_pose[word, n_phases] | union[word, n_phases])
+                        if unseen != 0:
+                            lowest = tail_links[tail + 64 * (word - begin) + lowest_bit(unseen)]
+                            break
+                mask = ~np.uint64(0) << np.uint64(lowest & 63)
+                for word in range(begin + (lowest >> 6), end):
+                    live = mask
+                    for phase in phases:
+                        live &= of_pose[word, phase] | union[word, phase]
+                    if live != 0:
+                        exact = 64 * (word - begin) + lowest_bit(live)
+                        break
+                    mask = ~np.uint64(0)
+            for row in range(first_row, row_start[chain + 1]):
                 last, place = row_last[row], row_place[row]
-                word, bit = place >> 6, np.uint64(1) << np.uint64(place & 63)
                 if some >= last and hopeful >= last:
                     break
+                word, bit = place >> 6, np.uint64(1) << np.uint64(place & 63)
                 if exact < last:
                     alone[number, word] |= bit
                 if hopeful < last:
                     may[number, word] |= bit
                 if some < last:
                     part[number, word] |= bit
+
+
+@kernel
+def lost_in_word(
+    alone: WordArray,
+    may: WordArray,
+    part: WordArray,
+    open_rows: WordArray,
+    table: FloatArray,
+    word: int,
+    one: int,
+    other: int,
+) -> float:
+    """What a pair of poses loses at least of the open rows of a word."""
+    covered = alone[one, word] | alone[other, word] | (part[one, word] & part[other, word])
+    left = open_rows[word] & ~(covered & (may[one, word] | may[other, word]))
+    place, lost = 8 * word, 0.0
+    while left:
+        lost += table[place, left & np.uint64(0xFF)]
+        left >>= np.uint64(8)
+        place += 1
+    return lost
 
 
 @kernel
@@ -198,8 +196,9 @@ def find_pairs(
     copies: IntArray,
     next_pair: IntArray,
     out: IntArray,
+    of_out: FloatArray,
 ) -> int:
-    """Pairs of poses that may lose so little together, (n, 2); how many were written.
+    """Pairs of poses that may lose so little together, (n, 2), and how much; how many they are.
 
     Bits are as in :func:`cover_beside`; `open_rows` counts, in `words` alone, and a row is worth
     what `table`, (n_bytes, 256), says of its byte. `gain`, falling, is what each pose may gain at
@@ -220,19 +219,13 @@ def find_pairs(
             other += 1
             continue
         lost = 0.0
-        for number in range(len(words)):
-            word = words[number]
-            covered = alone[one, word] | alone[other, word] | (part[one, word] & part[other, word])
-            left = open_rows[word] & ~(covered & (may[one, word] | may[other, word]))
-            place = 8 * word
-            while left:
-                lost += table[place, left & np.uint64(0xFF)]
-                left >>= np.uint64(8)
-                place += 1
+        for word in words:
+            lost += lost_in_word(alone, may, part, open_rows, table, word, one, other)
             if lost > may_lose:
                 break
         if lost <= may_lose:
             out[n_found, 0], out[n_found, 1] = one, other
+            of_out[n_found] = lost
             n_found += 1
         other += 1
     next_pair[0], next_pair[1] = one, other
@@ -253,8 +246,69 @@ def weights_of(bits: WordArray, table: FloatArray, total: FloatArray) -> None:
 
 
 @kernel
+def find_least_lost(
+    alone: WordArray,
+    may: WordArray,
+    part: WordArray,
+    open_rows: WordArray,
+    words: IntArray,
+    table: FloatArray,
+    gain: FloatArray,
+    weight: float,
+    site: IntArray,
+    room: IntArray,
+    copies: IntArray,
+) -> float:
+    """What the best pair of poses loses of rows that weigh so much: see :func:`find_pairs`."""
+    n_poses, least = len(gain), np.inf
+    for one in range(n_poses):
+        if weight - 2.0 * gain[one] >= least:  # gains fall
+            break
+        for other in range(one, n_poses):
+            if weight - gain[one] - gain[other] >= least:
+                break
+            if site[one] == site[other] and room[site[one]] < 2:
+                continue
+            if one == other and copies[one] < 2:
+                continue
+            lost = 0.0
+            for number in range(len(words)):
+                lost += lost_in_word(alone, may, part, open_rows, table, words[number], one, other)
+                if lost >= least:
+                    break
+            least = min(least, lost)
+    return least
+
+
+@kernel
+def add_lost(
+    alone: WordArray,
+    may: WordArray,
+    part: WordArray,
+    open_rows: WordArray,
+    words: IntArray,
+    table: FloatArray,
+    may_lose: float,
+    pairs: IntArray,
+    lost: FloatArray,
+) -> None:
+    """Add what pairs, (n, 2), lose of some rows, see :func:`find_pairs`, until it is too much."""
+    for number in range(len(pairs)):
+        for word in words:
+            if lost[number] > may_lose:
+                break
+            lost[number] += lost_in_word(
+                alone, may, part, open_rows, table, word, pairs[number, 0], pairs[number, 1]
+            )
+
+
+@kernel
 def keep_sets(
-    layout: Layout,
+    bits: WordArray,
+    n_phases: int,
+    start: IntArray,
+    tail_links: IntArray,
+    tail_start: IntArray,
     worth: FloatArray,
     chains: IntArray,
     before: WordArray,
@@ -263,10 +317,33 @@ def keep_sets(
     kept: BoolArray,
 ) -> None:
     """Which sets, beside what is seen `before`, lose no more than so much, (n_sets,)."""
-    union = np.empty_like(before)
-    first = np.empty(len(chains), dtype=np.int64)
+    none, n_units = worth.shape[1] - 1, sets.shape[1]
     for number in range(len(sets)):
-        union[:] = before
-        for pose in sets[number]:
-            join(layout.bits, pose, union, union)
-        kept[number] = not loses_more(layout, union, worth, chains, most, first)
+        lost = 0.0
+        for chain in chains:
+            begin, end = start[chain], start[chain + 1]
+            lowest, tail = 0, tail_start[chain]
+            if tail < tail_start[chain + 1]:
+                for word in range(begin, end):
+                    seen = before[word, n_phases]
+                    for unit in range(n_units):
+                        seen |= bits[sets[number, unit], word, n_phases]
+                    if ~seen != 0:
+                        lowest = tail_links[tail + 64 * (word - begin) + lowest_bit(~seen)]
+                        break
+            mask, link = ~np.uint64(0) << np.uint64(lowest & 63), none
+            for word in range(begin + (lowest >> 6), end):
+                live = mask
+                for phase in range(n_phases):
+                    seen = before[word, phase]
+                    for unit in range(n_units):
+                        seen |= bits[sets[number, unit], word, phase]
+                    live &= seen
+                if live != 0:
+                    link = 64 * (word - begin) + lowest_bit(live)
+                    break
+                mask = ~np.uint64(0)
+            lost += worth[chain, 0] - worth[chain, link]
+            if lost > most:
+                break
+        kept[number] = lost <= most

@@ -7,23 +7,26 @@ another unit is known, since what that one sees is not asked for any more. So
 * poses of a site that avoid much the same runs are a *class*, as good as all of them together;
 * classes are gone through, each with those behind it. Beside each, the other classes are laid out
   by the runs that they avoid with it, and by those where they may be of use
-  (:mod:`placement.optimiser.pair_kernels`); then the poses of those that pair with any;
-* pairs of poses that lose too little are valued on the windows, beside the class, and then beside
-  each of its poses.
+  (:mod:`placement.optimiser.pair_kernels`): first by the hardest runs alone, which tell of most
+  pairs that they lose too much, and which bound all sets that begin with the class;
+* the class that promises most comes first, so that what was not looked at promises less and less.
+  Of its pairs that are left, the poses are laid out, and then beside each of the class's own.
 
 A walk that ends has met every set that reaches the need.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from copy import copy
+from typing import TypeVar
 
 import numpy as np
 
-from geometry.arrays import FloatArray, IntArray
+from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.clock import now_s
 
 from .limits import Limits
-from .presolve import WordArray, pack_words
+from .presolve import WordArray, pack_words, unpack_words
 from .set_tree import Links, avoided_runs, first_seen
 from .threads import WORKERS
 
@@ -33,6 +36,9 @@ _CLASS_POSES = 8  # of a class, on average
 _MAX_TOGETHER = 2000  # poses whose likeness is looked at in one go
 _OUT_PAIRS = 1 << 14
 _MANY_PAIRS = 2000  # to be valued beside a class
+_HARD_ROWS = (192, 576)  # that are looked at first, and then
+
+_T = TypeVar("_T")
 
 
 class PairWalk:
@@ -46,21 +52,33 @@ class PairWalk:
     ) -> None:
         if not 2 <= n_units <= MAX_UNITS:
             raise ValueError(f"n_units: got {n_units}; expected 2 .. {MAX_UNITS}")
+        usable = np.flatnonzero(
+            ~limits.is_forbidden & (limits.site_capacity > 0)[limits.site_index]
+        )
+        # What is looked at first lies side by side, and what does not count nowhere.
+        chains = _hardest_first(links, weight, usable)
+        weight, links = weight[np.isin(links.run_chain, chains)], links.of_chains(chains)
         self.links, self.limits, self.n_units = links, limits, n_units
         self.total = float(weight.sum())
         self.need = need
         self.is_finished = False  # whether all sets were gone through
-        usable = np.flatnonzero(
-            ~limits.is_forbidden & (limits.site_capacity > 0)[limits.site_index]
-        )
         self.rows = _Rows(links, weight, usable)
         self.classes = _Classes(links, limits, weight, usable if n_units > 2 else usable[:0])
         self.seen_by = _seen_by(links)
+        # Of classes by their place: what no set reaches that begins there; infinite: not known yet.
+        self.promise = np.full(len(self.classes.order), np.inf)
+        self.left_limit = self.total  # no set that was not met is worth more
 
     @property
     def root_limit(self) -> float:
         """No set is worth more, as far as this is known without a walk."""
         return self.total
+
+    def again(self, need: float) -> "PairWalk":
+        """The same walk from its beginning for another need."""
+        walk = copy(self)
+        walk.need, walk.is_finished = need, False
+        return walk
 
     def raise_needs(self, need: float, left: float = 0.0) -> None:
         """Ask for more from here on; nothing is asked of what is `left` when units fail."""
@@ -76,29 +94,48 @@ class PairWalk:
 
         An empty block says that nothing was found for a while. The order is left to chance.
         """
-        tasks = iter(range(self.classes.n_promising(self.may_lose))) if self.n_units > 2 else None
-        work = self._beside_class if tasks is not None else self._all_pairs
-        tasks = iter((0,)) if tasks is None else tasks
-        waiting: set[Future[IntArray]] = set()
-        with ThreadPoolExecutor(WORKERS) as threads:
-            while now_s() < end_s:
-                while len(waiting) < 2 * WORKERS and (task := next(tasks, None)) is not None:
-                    waiting.add(threads.submit(work, task))
-                if not waiting:
-                    self.is_finished = True
-                    return
-                done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-                for future in done:
-                    yield future.result()
-            for future in waiting:
-                future.cancel()
+        if self.n_units == 2:
+            found = self._all_pairs()
+            self._look_at_left(np.empty(0))
+            yield found
+            return
+        nothing = np.empty((0, self.n_units), dtype=np.int64)
+        unknown = np.flatnonzero(np.isposinf(self.promise)).tolist()
+        for place, limit in _in_threads(self._promise_of, unknown, end_s):
+            self.promise[place] = limit
+            yield nothing
+        limits = np.minimum(self.promise, self.total)
+        most_first = np.argsort(-limits, kind="stable")
+        places = most_first[limits[most_first] >= self.total - self.may_lose]
+        is_left = np.isin(np.arange(len(limits)), places)
+        self._look_at_left(limits[is_left])
+        for place, sets in _in_threads(self._beside_class, places.tolist(), end_s):
+            is_left[place] = False
+            self._look_at_left(limits[is_left])
+            yield sets
 
-    def _all_pairs(self, _: int) -> IntArray:
+    def _look_at_left(self, limits: FloatArray) -> None:
+        """Take down what those that were not looked at promise, (n,)."""
+        self.is_finished = len(limits) == 0
+        self.left_limit = min(max(self.need, float(limits.max(initial=0.0))), self.total)
+
+    def _all_pairs(self) -> IntArray:
         """All pairs that reach the need."""
         beside = _Beside(self, None, np.zeros(0, dtype=np.int64))
         poses = np.flatnonzero(~self.limits.is_forbidden)
         pairs = poses[beside.pairs(self.links, poses, self.limits.site_index[poses])]
         return self.rows.keep(self.links, pairs, self.may_lose)
+
+    def _promise_of(self, place: int) -> float:
+        """No set of a class and those behind it reaches more."""
+        classes = self.classes
+        behind = classes.order[place:]
+        if self.total - classes.together[place] > self.may_lose:
+            return float(classes.together[place])
+        beside = _Beside(self, classes.links, behind[:1])
+        return self.total - beside.least_lost(
+            classes.links, behind, classes.site[behind], copies=classes.size
+        )
 
     def _beside_class(self, place: int) -> IntArray:
         """Sets of a class and those behind it that reach the need."""
@@ -106,15 +143,12 @@ class PairWalk:
         one, behind = classes.order[place], classes.order[place:]
         beside = _Beside(self, classes.links, np.array([one]))
         pairs = beside.pairs(classes.links, behind, classes.site[behind], copies=classes.size)
-        hot = behind[np.unique(pairs)]
-        poses = np.flatnonzero(np.isin(classes.class_of, hot))
-        found = poses[beside.pairs(self.links, poses, limits.site_index[poses])]
+        found = beside.thin(self.links, classes.pairs_of_poses(behind[pairs]))
         members = np.flatnonzero(classes.class_of == one)
         if len(found) > _MANY_PAIRS:  # the class promises too much: its poses one by one
-            poses, parts = np.unique(found), []
+            parts = []
             for member in members.tolist():
-                beside = _Beside(self, self.links, np.array([member]))
-                pairs = poses[beside.pairs(self.links, poses, limits.site_index[poses])]
+                pairs = _Beside(self, self.links, np.array([member])).thin(self.links, found)
                 parts.append(np.column_stack([np.full(len(pairs), member), pairs]))
             sets = np.concatenate(parts)
         else:
@@ -150,7 +184,7 @@ class _Beside:
             first = first_seen(links, before[None, :])[0]
             site = owner.limits.site_index if links is owner.links else owner.classes.site
             self.room[site[before]] -= 1
-        self.asked = np.empty((layout.n_phases + 1, layout.bits.shape[1]), dtype=np.uint64)
+        self.asked = np.empty((layout.bits.shape[1], layout.n_phases + 1), dtype=np.uint64)
         self.missing = np.empty_like(self.asked)
         n_chains = len(owner.links.n_links)
         self.asked_tail, self.dead_links = (np.empty(n_chains, dtype=np.int64) for _ in range(2))
@@ -164,9 +198,8 @@ class _Beside:
             self.asked_tail,
             self.dead_links,
         )
-        self.open_rows, self.chains = owner.rows.open_after(first)
-        self.words = np.flatnonzero(self.open_rows)
-        self.weight = float(_weigh(self.open_rows[None, :], owner.rows.table)[0])
+        self.open_rows = owner.rows.open_after(first)
+        self.parts = owner.rows.hardest_first(self.open_rows)
 
     def pairs(
         self, links: Links, poses: IntArray, site: IntArray, *, copies: IntArray | None = None
@@ -175,20 +208,127 @@ class _Beside:
 
         `copies`, by class, is how many poses it has: two of them are a pair, too.
         """
-        from .pair_kernels import cover_beside, find_pairs
+        from .pair_kernels import find_pairs
 
         owner = self.owner
-        rows, may_lose = owner.rows, owner.may_lose
+        table, may_lose = owner.rows.table, owner.may_lose
+        hard_rows, hard_chains = self.parts[0]
+        alone, may, part = self._cover(links, poses, hard_chains)
+        gain = _weigh(may & hard_rows, table)
+        need = float(_weigh(hard_rows[None, :], table)[0]) - may_lose
+        has_room = self.room[site] > 0
+        most = float(gain[has_room].max(initial=0.0))
+        kept = np.flatnonzero(has_room & (gain + most >= need))
+        kept = kept[np.argsort(-gain[kept], kind="stable")]
+        n_copies = np.ones(len(kept), dtype=np.int64) if copies is None else copies[poses[kept]]
+        found, lost = [np.empty((0, 2), dtype=np.int64)], [np.empty(0)]
+        next_pair = np.zeros(2, dtype=np.int64)
+        while next_pair[0] < len(kept):
+            out, of_out = np.empty((_OUT_PAIRS, 2), dtype=np.int64), np.empty(_OUT_PAIRS)
+            n_found = find_pairs(
+                alone[kept],
+                may[kept],
+                part[kept],
+                hard_rows,
+                np.flatnonzero(hard_rows),
+                table,
+                gain[kept],
+                need,
+                may_lose,
+                site[kept],
+                self.room,
+                n_copies,
+                next_pair,
+                out,
+                of_out,
+            )
+            found.append(kept[out[:n_found]])
+            lost.append(of_out[:n_found])
+        pairs = np.concatenate(found)
+        return pairs[self._may_lose_little(links, poses[pairs], np.concatenate(lost))]
+
+    def least_lost(
+        self, links: Links, poses: IntArray, site: IntArray, *, copies: IntArray
+    ) -> float:
+        """No pair of some classes loses less of the hardest runs beside."""
+        from .pair_kernels import find_least_lost
+
+        table = self.owner.rows.table
+        hard_rows, hard_chains = self.parts[0]
+        alone, may, part = self._cover(links, poses, hard_chains)
+        gain = np.where(self.room[site] > 0, _weigh(may & hard_rows, table), -np.inf)
+        order = np.argsort(-gain, kind="stable")[: np.count_nonzero(gain > -np.inf)]
+        return find_least_lost(
+            alone[order],
+            may[order],
+            part[order],
+            hard_rows,
+            np.flatnonzero(hard_rows),
+            table,
+            gain[order],
+            float(_weigh(hard_rows[None, :], table)[0]),
+            site[order],
+            self.room,
+            copies[poses[order]],
+        )
+
+    def thin(self, links: Links, pairs: IntArray) -> IntArray:
+        """Pairs of poses, (n, 2), that may lose little beside."""
+        return pairs[self._may_lose_little(links, pairs)]
+
+    def _may_lose_little(
+        self, links: Links, pairs: IntArray, lost: FloatArray | None = None
+    ) -> BoolArray:
+        """Which pairs, (n, 2), may lose little beside; `lost`, (n,), of the hardest runs if known.
+
+        The more runs are looked at, the fewer pairs are left to be laid out for the others.
+        """
+        from .pair_kernels import add_lost
+
+        parts = self.parts if lost is None else self.parts[1:]
+        lost = np.zeros(len(pairs)) if lost is None else lost.copy()
+        for rows, chains in parts:
+            left = np.flatnonzero(lost <= self.owner.may_lose)
+            if not len(left):
+                break
+            is_used = np.zeros(links.n_poses, dtype=bool)
+            is_used[pairs[left]] = True
+            place, of_left = np.cumsum(is_used) - 1, lost[left]
+            add_lost(
+                *self._cover(links, np.flatnonzero(is_used), chains),
+                rows,
+                np.flatnonzero(rows),
+                self.owner.rows.table,
+                self.owner.may_lose,
+                place[pairs[left]],
+                of_left,
+            )
+            lost[left] = of_left
+        may: BoolArray = lost <= self.owner.may_lose
+        return may
+
+    def _cover(
+        self, links: Links, poses: IntArray, chains: IntArray
+    ) -> tuple[WordArray, WordArray, WordArray]:
+        """Runs of chains as ``pair_kernels.cover_beside`` finds them: alone, may, part."""
+        from .pair_kernels import cover_beside
+
+        rows = self.owner.rows
         shape = (len(poses), len(self.open_rows))
         alone, may, part = (np.empty(shape, dtype=np.uint64) for _ in range(3))
+        layout = links.layout
         cover_beside(
-            links.layout,
+            layout.bits,
+            tuple(range(layout.n_phases)),
+            layout.start,
+            layout.tail_links,
+            layout.tail_start,
             self.union,
             self.asked,
             self.missing,
             self.asked_tail,
             self.dead_links,
-            self.chains,
+            chains,
             rows.start,
             rows.last,
             rows.place,
@@ -198,34 +338,35 @@ class _Beside:
             may,
             part,
         )
-        gain = _weigh(may & self.open_rows, rows.table)
-        need = self.weight - may_lose
-        has_room = self.room[site] > 0
-        most = float(gain[has_room].max(initial=0.0))
-        kept = np.flatnonzero(has_room & (gain + most >= need))
-        kept = kept[np.argsort(-gain[kept], kind="stable")]
-        n_copies = np.ones(len(kept), dtype=np.int64) if copies is None else copies[poses[kept]]
-        found, next_pair = [np.empty((0, 2), dtype=np.int64)], np.zeros(2, dtype=np.int64)
-        while next_pair[0] < len(kept):
-            out = np.empty((_OUT_PAIRS, 2), dtype=np.int64)
-            n_found = find_pairs(
-                alone[kept],
-                may[kept],
-                part[kept],
-                self.open_rows,
-                self.words,
-                rows.table,
-                gain[kept],
-                need,
-                may_lose,
-                site[kept],
-                self.room,
-                n_copies,
-                next_pair,
-                out,
-            )
-            found.append(kept[out[:n_found]])
-        return np.concatenate(found)
+        return alone, may, part
+
+
+def _in_threads(
+    work: Callable[[int], _T], tasks: Iterable[int], end_s: float
+) -> Iterator[tuple[int, _T]]:
+    """Tasks and what came of them, in the order in which they end, until `end_s`."""
+    left, waiting = iter(tasks), dict[Future[_T], int]()
+    with ThreadPoolExecutor(WORKERS) as threads:
+        while now_s() < end_s:
+            while len(waiting) < 2 * WORKERS and (task := next(left, None)) is not None:
+                waiting[threads.submit(work, task)] = task
+            if not waiting:
+                return
+            for future in wait(waiting, return_when=FIRST_COMPLETED).done:
+                yield waiting.pop(future), future.result()
+        for future in waiting:
+            future.cancel()
+
+
+def _hardest_first(links: Links, weight: FloatArray, poses: IntArray) -> IntArray:
+    """Chains that weigh anything, those first with a run that the fewest poses avoid."""
+    some = poses[:: max(1, len(poses) // 256)]
+    count = avoided_runs(links, first_seen(links, some[:, None])).sum(axis=0)
+    hardest = np.full(len(links.n_links), np.inf)
+    counts = weight > 0.0
+    np.minimum.at(hardest, links.run_chain[counts], count[counts])
+    order: IntArray = np.argsort(hardest, kind="stable")
+    return order[: np.count_nonzero(hardest < np.inf)]
 
 
 class _Rows:
@@ -242,17 +383,32 @@ class _Rows:
         self.place = np.empty(len(order), dtype=np.int64)
         self.place[hardest_first] = np.arange(len(order))
         self.n_words = max(1, -(-len(order) // 64))
+        self.chain_at = np.zeros(64 * self.n_words, dtype=np.int64)  # of each place
+        self.chain_at[self.place] = self.chain
         self.table = _byte_table(weight[order][hardest_first], self.n_words)
         self.worth = links.chain_worth(weight)
         self.chains: IntArray = np.unique(self.chain[hardest_first], return_index=True)[1]
         self.chains = self.chain[hardest_first][np.sort(self.chains)]
 
-    def open_after(self, first: IntArray) -> tuple[WordArray, IntArray]:
-        """Runs that are not avoided, as bits, and their chains, given the first live windows."""
-        is_open = first[self.chain] >= self.last
+    def open_after(self, first: IntArray) -> WordArray:
+        """Runs that are not avoided, as bits, given the first live windows."""
         bits = np.zeros(64 * self.n_words, dtype=bool)
-        bits[self.place[is_open]] = True
-        return pack_words(bits), np.unique(self.chain[is_open])
+        bits[self.place[first[self.chain] >= self.last]] = True
+        return pack_words(bits)
+
+    def hardest_first(self, open_rows: WordArray) -> list[tuple[WordArray, IntArray]]:
+        """Some rows in parts, as bits, the hardest ones in the first, and their chains."""
+        count = np.bitwise_count(open_rows).cumsum()
+        ends = [*(1 + np.searchsorted(count, _HARD_ROWS)), self.n_words]
+        is_open = unpack_words(open_rows, 64 * self.n_words)
+        parts, begin = [], 0
+        for end in np.clip(ends, 1, self.n_words).tolist():
+            rows = np.zeros_like(open_rows)
+            rows[begin:end] = open_rows[begin:end]
+            chains = self.chain_at[64 * begin : 64 * end][is_open[64 * begin : 64 * end]]
+            parts.append((rows, np.unique(chains)))
+            begin = max(begin, end)
+        return parts
 
     def keep(
         self, links: Links, sets: IntArray, may_lose: float, union: WordArray | None = None
@@ -263,7 +419,20 @@ class _Rows:
         kept = np.zeros(len(sets), dtype=bool)
         if union is None:
             union = np.zeros(links.layout.bits.shape[1:], dtype=np.uint64)
-        keep_sets(links.layout, self.worth, self.chains, union, sets, may_lose, kept)
+        layout = links.layout
+        keep_sets(
+            layout.bits,
+            layout.n_phases,
+            layout.start,
+            layout.tail_links,
+            layout.tail_start,
+            self.worth,
+            self.chains,
+            union,
+            sets,
+            may_lose,
+            kept,
+        )
         return sets[kept]
 
 
@@ -282,6 +451,8 @@ class _Classes:
                 self.class_of[alike] = n_classes + number
                 n_classes += int(number.max()) + 1
         self.size = np.bincount(self.class_of[poses], minlength=n_classes)
+        self.start = np.cumsum(self.size) - self.size
+        self.member = poses[np.argsort(self.class_of[poses], kind="stable")]
         self.site = np.zeros(n_classes, dtype=np.int64)
         self.site[self.class_of[poses]] = limits.site_index[poses]
         bits = np.zeros((n_classes, *links.layout.bits.shape[1:]), dtype=np.uint64)
@@ -306,9 +477,17 @@ class _Classes:
             first = first_seen(alone, np.zeros((1, 1), dtype=np.int64))
             self.together[place] = float(avoided_runs(alone, first)[0] @ weight)
 
-    def n_promising(self, may_lose: float) -> int:
-        """Classes that may be the first of a set that loses little."""
-        return int(np.count_nonzero(self.total - self.together <= may_lose))
+    def pairs_of_poses(self, pairs: IntArray) -> IntArray:
+        """All pairs of poses, one of each class of some pairs of them, (n, 2)."""
+        size = self.size[pairs]
+        count = size.prod(axis=1)
+        pair = np.repeat(np.arange(len(pairs)), count)
+        number = np.arange(len(pair)) - np.repeat(np.cumsum(count) - count, count)
+        one, other = np.divmod(number, size[pair, 1])
+        poses: IntArray = self.member[self.start[pairs][pair] + np.column_stack([one, other])]
+        is_once = (pairs[pair, 0] != pairs[pair, 1]) | (one < other)
+        once: IntArray = poses[is_once]
+        return once
 
 
 def _alike(avoided: FloatArray) -> IntArray:

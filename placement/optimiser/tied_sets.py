@@ -82,6 +82,7 @@ class SetSearch:
         self._tables = _world_tables(self.links, reduced.measure)
         self._root: Root | None = None
         self._run_weight: FloatArray | None = None
+        self._pair_walk: PairWalk | None = None
 
     def with_limits(self, limits: Limits) -> "SetSearch":
         """The same for sets within other limits, by the same weights of worlds."""
@@ -381,8 +382,7 @@ class SetSearch:
 
         def walk_from(value: float) -> SetWalk | PairWalk:
             if self.goes_by_pairs and not n_failures:
-                limits = self.reduced.limits
-                return PairWalk(self.links, limits, weight, n_units=self.n_units, need=value)
+                return self._pairs_from(value)
             return SetWalk(
                 self.links,
                 self.reduced.limits,
@@ -423,7 +423,8 @@ class SetSearch:
                     need = best + ahead
                     walk.raise_needs(need if least_apr is None else least_apr, need)
             if not walk.is_finished:
-                return Tied(sets=None, value=best, limit=max(limit, best), is_finished=False)
+                limit = max(min(limit, self._left_limit(walk)), best)
+                return Tied(sets=None, value=best, limit=limit, is_finished=False)
             limit = min(limit, self._rounded_down(best + ahead)) if is_near else best
             if now_s() > end_s:
                 return Tied(sets=None, value=best, limit=limit, is_finished=is_proven)
@@ -446,6 +447,7 @@ class SetSearch:
                     need = best + max(step, _STEP_UP)
                     walk.raise_needs(need if least_apr is None else least_apr, need)
         is_proven |= walk.is_finished
+        limit = min(limit, self._left_limit(walk))
         sets = np.unique(np.sort(np.concatenate(tied), axis=1), axis=0)
         return Tied(
             sets=sets if walk.is_finished and has_all else None,
@@ -453,6 +455,20 @@ class SetSearch:
             limit=best if is_proven else max(limit, best),
             is_finished=is_proven,
         )
+
+    def _left_limit(self, walk: SetWalk | PairWalk) -> float:
+        """No set that a walk did not meet is worth more."""
+        return self._rounded_down(
+            walk.left_limit if isinstance(walk, PairWalk) else walk.root_limit
+        )
+
+    def _pairs_from(self, need: float) -> PairWalk:
+        """A walk pair by pair; what it takes is laid out once."""
+        if self._pair_walk is None:
+            self._pair_walk = PairWalk(
+                self.links, self.reduced.limits, self.run_weight, n_units=self.n_units, need=need
+            )
+        return self._pair_walk.again(need)
 
     def best_of(self, sets: IntArray, *, n_failures: int, value: float) -> IntArray | None:
         """Best of tied sets and of their parts that tie with them; None if there is none.

@@ -22,6 +22,11 @@ def all_sets(reduced: ReducedProblem, n_units: int) -> IntArray:
     return numbers[are_allowed(reduced.limits, numbers.reshape(-1, n_units))]
 
 
+def numbered(sets: IntArray) -> IntArray:
+    """A number for each set, whatever the order of its poses."""
+    return np.sort(sets, axis=1) @ (1000 ** np.arange(sets.shape[1]))
+
+
 @given(problem=st.from_type(PlacementProblem), place=st.floats(0.0, 1.0), seed=st.integers(0, 99))
 def test_a_walk_meets_every_set_that_reaches_the_need(
     problem: PlacementProblem, place: float, seed: int
@@ -44,9 +49,16 @@ def test_a_walk_meets_every_set_that_reaches_the_need(
     with pytest.MonkeyPatch.context() as patch:
         if seed % 3 == 0:  # as where a class promises much
             patch.setattr(pair_walk, "_MANY_PAIRS", 0)
-        met = np.concatenate([np.empty((0, n_units), dtype=np.int64), *walk.blocks(np.inf)])
+        parts = [np.empty((0, n_units), dtype=np.int64)]
+        for block in walk.blocks(np.inf):
+            parts.append(block)
+            is_met = np.isin(*(numbered(some) for some in (sets, np.concatenate(parts))))
+            assert walk.left_limit >= share[~is_met].max(initial=0.0) - 1e-9  # cut off here
+        met = np.concatenate(parts)
     assert walk.is_finished
     assert walk.root_limit >= share.max() - 1e-9
+    rest = walk.again(need + 0.5 * (share.max() - need))
+    assert sum(map(len, rest.blocks(np.inf))) == (share >= rest.need - 1e-9).sum()
     expected = sorted(tuple(sorted(units)) for units in sets[share >= need - 1e-9].tolist())
     assert sorted(tuple(sorted(units)) for units in met.tolist()) == expected
 
