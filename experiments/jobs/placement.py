@@ -270,7 +270,8 @@ def _front_below(
     if problem.goal != "best" or problem.survive:
         return None
     n_kept = len(plan.wishes.kept)
-    progress("fewer units", 0, 0)
+    if len(chosen) > max(n_kept, 1):
+        progress("fewer units", 0, 0)
     return keep_value(
         compute.cache_folder,
         "front",
