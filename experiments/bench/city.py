@@ -148,24 +148,17 @@ def share_costs(costs: "pd.DataFrame") -> tuple[float, float, float]:
 
 
 def plot_costs(costs: "pd.DataFrame", path: Path) -> None:
-    """Processor seconds over runs and over sites, and memory of the process over both."""
+    """Processor seconds of junctions over their runs, sites, and sites x frames."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10.0, 3.4), layout="constrained")
-    seconds, sites, memory = figure.subplots(1, 3)
     size = costs["sites"] * costs["frames"] / 1.0e6
-    for axes, x, label in (
-        (seconds, costs["runs"], "runs"),
-        (sites, costs["sites"], "sites"),
-    ):
+    over = {"runs": costs["runs"], "sites": costs["sites"], "million sites x frames": size}
+    for axes, (label, x) in zip(figure.subplots(1, 3, sharey=True), over.items(), strict=True):
         axes.plot(x, costs["cpu_s"], "o", color="0.25", markersize=4.0, alpha=0.7)
         axes.set_xlabel(label)
-        axes.set_ylabel("processor seconds")
         axes.set_ylim(bottom=0.0)
-    memory.plot(size, costs["peak_memory_mib"], "o", color="0.25", markersize=4.0, alpha=0.7)
-    memory.set_xlabel("million sites x frames")
-    memory.set_ylabel("most memory of its process so far, MiB")
-    memory.set_ylim(bottom=0.0)
+    figure.axes[0].set_ylabel("processor seconds of a junction")
     figure.savefig(path, dpi=150)
 
 
