@@ -28,6 +28,7 @@ _POINTS = 10
 _JUNCTIONS, _FEW = 100_000, 1_000
 _GAP = 1.0e-3
 _BUDGET_SHARE = 0.15
+_COSTS = ("sites", "runs", "frames", "cpu_s", "peak_memory_mib")
 
 
 def measure_city() -> Figures:
@@ -115,7 +116,7 @@ def solve_directly(
 
 
 def read_costs(folder: Path) -> "pd.DataFrame":
-    """Rows of ``junctions.csv`` whose fronts were found.
+    """Sizes and costs in ``junctions.csv``, of junctions whose fronts were found.
 
     Raises
     ------
@@ -126,12 +127,11 @@ def read_costs(folder: Path) -> "pd.DataFrame":
 
     path = folder / "junctions.csv"
     try:
-        table = pd.read_csv(path)
-        found: pd.DataFrame = table[(table["cpu_s"] > 0.0) & (table["runs"] > 0)]
-        peak_mib = found["peak_memory_mib"]
+        table = pd.read_csv(path)[list(_COSTS)].apply(pd.to_numeric).astype(float)
     except (OSError, KeyError, ValueError) as error:
         raise InputError(str(path), Unquoted(str(error)), "of place-rsus city") from None
-    if peak_mib.empty:
+    found: pd.DataFrame = table[np.isfinite(table).all(axis=1) & (table > 0.0).all(axis=1)]
+    if found.empty:
         raise InputError(str(path), Unquoted("no junctions"), "some whose fronts were found")
     return found
 
