@@ -15,6 +15,7 @@ from small_results import (
 
 from experiments.cli import main
 from experiments.jobs import baselines, placement, writing
+from experiments.report import beside
 from geometry.poses import Pose
 from placement import planning
 from placement.candidates import CandidatePose
@@ -109,6 +110,9 @@ def run(capsys, tables, tmp_path, monkeypatch):
     (tmp_path / "work").mkdir()
     monkeypatch.chdir(tmp_path / "work")
     monkeypatch.setenv("PLACE_RSUS_CACHE", str(tables))
+    # By its words alone the command begins a second process, which knows nothing of small scenes.
+    begin = beside.drawing_beside
+    monkeypatch.setattr(beside, "drawing_beside", lambda is_wanted: begin(False))
 
     def run_command(*arguments: object) -> tuple[int, str, str]:
         capsys.readouterr()
