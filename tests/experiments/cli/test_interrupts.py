@@ -101,5 +101,7 @@ def test_ctrl_c_ends_the_program_in_every_stage_and_leaves_nothing(ends, stage):
 
 def test_a_table_that_is_done_is_kept_for_the_next_call(ends):
     assert ends["detection table"]["kept"] == [".pickle"]  # the runs
-    assert ends["evaluate"]["kept"] == [".npz", ".pickle"]
+    # The table, the runs, and the proven answers: the best layout, the front below, what is lost.
+    assert ends["evaluate"]["kept"].count(".npz") == 1
+    assert ".pickle" in ends["evaluate"]["kept"]
     assert ends["evaluate"]["last"].endswith("; the detection table is kept for the next call\n")
