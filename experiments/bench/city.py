@@ -133,7 +133,7 @@ def read_costs(folder: Path) -> "pd.DataFrame":
     found: pd.DataFrame = table[np.isfinite(table).all(axis=1) & (table > 0.0).all(axis=1)]
     if found.empty:
         raise InputError(str(path), Unquoted("no junctions"), "some whose fronts were found")
-    return found
+    return found.assign(sites_frames_1e6=found["sites"] * found["frames"] / 1.0e6)
 
 
 def share_costs(costs: "pd.DataFrame") -> tuple[float, float, float]:
@@ -141,8 +141,7 @@ def share_costs(costs: "pd.DataFrame") -> tuple[float, float, float]:
 
     Least squares, none below 0.
     """
-    size = costs["sites"] * costs["frames"] / 1.0e6
-    parts = np.column_stack([np.ones(len(costs)), costs["runs"], size])
+    parts = np.column_stack([np.ones(len(costs)), costs["runs"], costs["sites_frames_1e6"]])
     each, _ = nnls(parts, costs["cpu_s"].to_numpy(dtype=np.float64))
     return float(each[0]), float(each[1]), float(each[2])
 
@@ -152,8 +151,11 @@ def plot_costs(costs: "pd.DataFrame", path: Path) -> None:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10.0, 3.4), layout="constrained")
-    size = costs["sites"] * costs["frames"] / 1.0e6
-    over = {"runs": costs["runs"], "sites": costs["sites"], "million sites x frames": size}
+    over = {
+        "runs": costs["runs"],
+        "sites": costs["sites"],
+        "million sites x frames": costs["sites_frames_1e6"],
+    }
     for axes, (label, x) in zip(figure.subplots(1, 3, sharey=True), over.items(), strict=True):
         axes.plot(x, costs["cpu_s"], "o", color="0.25", markersize=4.0, alpha=0.7)
         axes.set_xlabel(label)

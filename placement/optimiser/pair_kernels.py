@@ -159,6 +159,25 @@ def cover_beside(
 
 
 @kernel
+def weight_of_word(left: np.uint64, word: int, table: FloatArray) -> float:
+    """What the bits of a word weigh, by a table of bytes, (n_bytes, 256)."""
+    place, weight = 8 * word, 0.0
+    while left:
+        weight += table[place, left & np.uint64(0xFF)]
+        left >>= np.uint64(8)
+        place += 1
+    return weight
+
+
+@kernel
+def may_pair(one: int, other: int, site: IntArray, room: IntArray, copies: IntArray) -> bool:
+    """Whether two poses can hang together: there is room at their site, and one of each kind."""
+    if site[one] == site[other] and room[site[one]] < 2:
+        return False
+    return one != other or copies[one] >= 2
+
+
+@kernel
 def lost_in_word(
     alone: WordArray,
     may: WordArray,
@@ -172,12 +191,7 @@ def lost_in_word(
     """What a pair of poses loses at least of the open rows of a word."""
     covered = alone[one, word] | alone[other, word] | (part[one, word] & part[other, word])
     left = open_rows[word] & ~(covered & (may[one, word] | may[other, word]))
-    place, lost = 8 * word, 0.0
-    while left:
-        lost += table[place, left & np.uint64(0xFF)]
-        left >>= np.uint64(8)
-        place += 1
-    return lost
+    return weight_of_word(left, word, table)
 
 
 @kernel
@@ -215,7 +229,7 @@ def find_pairs(
             one += 1
             other = one
             continue
-        if (site[one] == site[other] and room[site[one]] < 2) or (one == other and copies[one] < 2):
+        if not may_pair(one, other, site, room, copies):
             other += 1
             continue
         lost = 0.0
@@ -238,11 +252,7 @@ def weights_of(bits: WordArray, table: FloatArray, total: FloatArray) -> None:
     for number in range(len(bits)):
         total[number] = 0.0
         for word in range(bits.shape[1]):
-            left, place = bits[number, word], 8 * word
-            while left:
-                total[number] += table[place, left & np.uint64(0xFF)]
-                left >>= np.uint64(8)
-                place += 1
+            total[number] += weight_of_word(bits[number, word], word, table)
 
 
 @kernel
@@ -267,9 +277,7 @@ def find_least_lost(
         for other in range(one, n_poses):
             if weight - gain[one] - gain[other] >= least:
                 break
-            if site[one] == site[other] and room[site[one]] < 2:
-                continue
-            if one == other and copies[one] < 2:
+            if not may_pair(one, other, site, room, copies):
                 continue
             lost = 0.0
             for number in range(len(words)):
