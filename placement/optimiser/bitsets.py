@@ -369,4 +369,9 @@ def _windows_with_each(reduced: ReducedProblem, units: IntArray) -> WordArray:
 @lru_cache(maxsize=2)
 def _columns(reduced: ReducedProblem) -> WordArray:
     """V[c, f] with bits along the poses, (n_frames, n_words)."""
-    return pack_words(np.ascontiguousarray(reduced.detected().T))
+    from .presolve_kernels import turn_round
+
+    rows = np.ascontiguousarray(reduced.words).view(np.uint8)
+    columns = np.empty((8 * rows.shape[1], -(-reduced.n_poses // 64)), dtype=np.uint64)
+    turn_round(rows, columns)
+    return columns[: reduced.n_frames]
