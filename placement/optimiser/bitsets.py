@@ -11,8 +11,9 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from .failures import least_left, least_left_with_each
 from .limits import cost_eur, costs_eur
 from .objectives import TOLERANCE, Objective
-from .presolve import ReducedProblem, WordArray, pack_words, unpack_words
+from .presolve import ReducedProblem, WordArray, unpack_words
 from .problem import Measure
+from .threads import share_out
 
 _DECIMALS = 8  # differences below are rounding noise
 
@@ -309,13 +310,10 @@ def best_set(reduced: ReducedProblem, sets: IntArray) -> IntArray:
 
 def avoided_with_each(reduced: ReducedProblem, units: IntArray) -> BoolArray:
     """Runs that a set of poses together with each pose in turn avoids, (n_poses, n_runs)."""
-    seen = _windows_with_each(reduced, units)
-    avoided = np.zeros((len(reduced.weight), seen.shape[1]), dtype=np.uint64)
     in_time = (reduced.margin_s > -np.inf).sum(axis=1)
-    for run, (chain, n_links) in enumerate(zip(reduced.run_chain, in_time, strict=True)):
-        start = reduced.chain_start[chain]
-        avoided[run] = np.bitwise_or.reduce(seen[start : start + n_links], axis=0)
-    return unpack_words(avoided, reduced.n_poses).T
+    first = _first_with_each(reduced, units)
+    avoided: BoolArray = (first[reduced.run_chain] < in_time[:, None]).T
+    return avoided
 
 
 def _left_with_each(
@@ -339,39 +337,28 @@ def _left_with_each(
 
 def _margins_with_each(reduced: ReducedProblem, units: IntArray) -> FloatArray:
     """Margins of all runs for a set together with each pose, (n_poses, n_runs)."""
-    seen = _windows_with_each(reduced, units)
-    first = np.empty((reduced.n_chains, reduced.n_poses), dtype=np.int64)
-    for chain in range(reduced.n_chains):
-        links = seen[reduced.chain_start[chain] : reduced.chain_start[chain + 1]]
-        ever = unpack_words(np.bitwise_or.accumulate(links, axis=0), reduced.n_poses)
-        first[chain] = len(links) - ever.sum(axis=0, dtype=np.int64)
+    first = _first_with_each(reduced, units)
     margin = np.empty((reduced.n_poses, len(reduced.weight)))
-    for run, chain in enumerate(reduced.run_chain):
-        margin[:, run] = reduced.margin_s[run][first[chain]]
+
+    def look_up(begin: int, end: int) -> None:
+        for run in range(begin, end):
+            margin[:, run] = reduced.margin_s[run][first[reduced.run_chain[run]]]
+
+    share_out(look_up, len(reduced.weight))
     return margin
 
 
-def _windows_with_each(reduced: ReducedProblem, units: IntArray) -> WordArray:
-    """Live windows of all chains for a set together with each pose, bits along the poses."""
-    from .frame_kernels import drop_lost_windows
+def _first_with_each(reduced: ReducedProblem, units: IntArray) -> IntArray:
+    """First live window of each chain for a set together with each pose, (n_chains, n_poses)."""
+    from .frame_kernels import first_live_with_each
 
-    union = unpack_words(unions_of(reduced, units[None, :])[0], reduced.n_frames)
-    frames = _columns(reduced).copy()
-    frames[union] = ~np.uint64(0)
-    windows = frames[reduced.window_frames[:, 0]]
-    for column in reduced.window_frames.T[1:]:
-        windows &= frames[column]
-    links: WordArray = windows[reduced.chain_window]
-    drop_lost_windows(links, frames, reduced.chains)
-    return links
+    is_seen = unpack_words(unions_of(reduced, units[None, :])[0], reduced.n_frames)
+    first = np.empty((reduced.n_chains, reduced.n_poses), dtype=np.int64)
 
+    def look(begin: int, end: int) -> None:
+        first_live_with_each(
+            reduced.detections.columns, is_seen, *reduced.chains, begin, end, first
+        )
 
-@lru_cache(maxsize=2)
-def _columns(reduced: ReducedProblem) -> WordArray:
-    """V[c, f] with bits along the poses, (n_frames, n_words)."""
-    from .presolve_kernels import turn_round
-
-    rows = np.ascontiguousarray(reduced.words).view(np.uint8)
-    columns = np.empty((8 * rows.shape[1], -(-reduced.n_poses // 64)), dtype=np.uint64)
-    turn_round(rows, columns)
-    return columns[: reduced.n_frames]
+    share_out(look, reduced.n_chains)
+    return first

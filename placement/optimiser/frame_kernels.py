@@ -8,6 +8,7 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
 
+from .chain_kernels import lowest_bit
 from .presolve import Chains, WordArray
 
 
@@ -77,17 +78,60 @@ def first_live_windows(unions: WordArray, chains: Chains, first: IntArray) -> No
 
 
 @kernel
-def drop_lost_windows(seen: WordArray, frames: WordArray, chains: Chains) -> None:
-    """Clear windows that are not live; bits along sets: (n_links, n_words), (n_frames, n_words)."""
-    held = np.empty(seen.shape[1], dtype=np.uint64)
-    for chain in range(len(chains.start) - 1):
-        held[:] = ~np.uint64(0)
-        tail, last = chains.tail_start[chain], chains.tail_start[chain + 1]
-        for number in range(chains.start[chain + 1] - chains.start[chain] - 1, -1, -1):
-            while tail < last and chains.tail_links[tail] > number:
-                held &= frames[chains.tail_frame[tail]]
-                tail += 1
-            seen[chains.start[chain] + number] &= held
+def first_live_with_each(
+    columns: WordArray,
+    is_seen: BoolArray,
+    window_frames: IntArray,
+    window: IntArray,
+    start: IntArray,
+    tail_frame: IntArray,
+    tail_links: IntArray,
+    tail_start: IntArray,
+    begin: int,
+    end: int,
+    first: IntArray,
+) -> None:
+    """First live window of chains begin .. end - 1 for a set with each pose: (n_chains, n_poses).
+
+    `columns` has bits along the poses, (n_frames, n_words), `is_seen` (n_frames,) what the set sees
+    by itself. The other arrays are those of ``Chains``.
+    """
+    n_words, n_poses = columns.shape[1], first.shape[1]
+    every = ~np.uint64(0)
+    # Row t: poses with which the first t tails of the chain are seen, those that most windows need.
+    most = 0
+    for chain in range(begin, end):
+        most = max(most, tail_start[chain + 1] - tail_start[chain])
+    held = np.empty((most + 1, n_words), dtype=np.uint64)
+    held[0] = every
+    left = np.empty(n_words, dtype=np.uint64)  # poses with which no window has been live so far
+    for chain in range(begin, end):
+        tail, n_tails = tail_start[chain], tail_start[chain + 1] - tail_start[chain]
+        for number in range(n_tails):
+            frame = tail_frame[tail + number]
+            for word in range(n_words):
+                seen = every if is_seen[frame] else columns[frame, word]
+                held[number + 1, word] = held[number, word] & seen
+        n_links = start[chain + 1] - start[chain]
+        first[chain] = n_links
+        left[:] = every
+        if n_poses & 63:
+            left[n_words - 1] = (np.uint64(1) << np.uint64(n_poses & 63)) - np.uint64(1)
+        for link in range(n_links):
+            while n_tails > 0 and tail_links[tail + n_tails - 1] <= link:
+                n_tails -= 1
+            of_window = window_frames[window[start[chain] + link]]
+            for word in range(n_words):
+                live = left[word] & held[n_tails, word]
+                for frame in of_window:
+                    if live == 0:
+                        break
+                    if not is_seen[frame]:
+                        live &= columns[frame, word]
+                left[word] &= ~live
+                while live != 0:
+                    first[chain, 64 * word + lowest_bit(live)] = link
+                    live &= live - np.uint64(1)
 
 
 @kernel

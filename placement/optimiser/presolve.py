@@ -14,6 +14,7 @@ window has fewer tails, one that is not seen ends all windows of the run up to s
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -27,7 +28,7 @@ from scenarios.runs import FrameAxis
 from .limits import Limits
 from .objectives import COST_TOLERANCE_EUR, Goal, Objective, objectives_in_order
 from .problem import Measure, PlacementProblem, Requirement
-from .threads import WORKERS
+from .threads import WORKERS, share_out
 
 WordArray = NDArray[np.uint64]
 _MAX_CELLS = 1 << 28  # poses x merged frames: models take some bytes for each
@@ -73,6 +74,29 @@ class Chains(NamedTuple):
     tail_start: IntArray  # (n_chains + 1,): tails of each chain
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Detections:
+    """What the poses that are left see. Problems that differ in other things share it."""
+
+    n_frames: int  # merged frames
+    words: WordArray  # (n_poses, n_words): bits V[c, f] along the merged frames, lowest bit first
+    chains: Chains  # of windows, and of what keeps them alive
+
+    @cached_property
+    def columns(self) -> WordArray:
+        """V[c, f] with bits along the poses, (n_frames, ceil(n_poses / 64)); turned round once."""
+        from .presolve_kernels import turn_round
+
+        rows = np.ascontiguousarray(self.words).view(np.uint8)
+        columns = np.empty((8 * rows.shape[1], -(-len(rows) // 64)), dtype=np.uint64)
+
+        def turn(begin: int, end: int) -> None:
+            turn_round(rows[64 * begin : 64 * end], columns[:, begin:end])
+
+        share_out(turn, columns.shape[1], few=WORKERS)
+        return columns[: self.n_frames]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReducedProblem:
     """A placement problem without what does not matter."""
@@ -84,9 +108,7 @@ class ReducedProblem:
     floors: tuple[Requirement, ...]  # what must be reached in any case
     objectives: tuple[Objective, ...]  # in the order in which sets of poses are compared
     survive: int  # failed units that ``Objective.APR_SURVIVED`` is about
-    n_frames: int  # merged frames
-    words: WordArray  # (n_poses, n_words): bits V[c, f] along the merged frames, lowest bit first
-    chains: Chains  # of windows, and of what keeps them alive
+    detections: Detections  # of these poses
     run_chain: IntArray  # (n_runs,): chain of every run
     # (n_runs, longest chain + 1): margin if the first live window is the k-th of the chain; minus
     # infinity from the first one that is too late for this run [s].
@@ -97,6 +119,21 @@ class ReducedProblem:
     def n_poses(self) -> int:
         """Number of poses that are left."""
         return len(self.pose_index)
+
+    @property
+    def n_frames(self) -> int:
+        """Number of merged frames."""
+        return self.detections.n_frames
+
+    @property
+    def words(self) -> WordArray:
+        """Bits V[c, f] along the merged frames, (n_poses, n_words)."""
+        return self.detections.words
+
+    @property
+    def chains(self) -> Chains:
+        """Windows of runs, and what keeps them alive."""
+        return self.detections.chains
 
     @property
     def weight(self) -> FloatArray:
@@ -474,9 +511,9 @@ class _Windows:
             ),
             objectives=problem.objectives,
             survive=problem.survive,
-            n_frames=len(kept),
-            words=_words_of(columns[first[kept]], poses),
-            chains=chains,
+            detections=Detections(
+                n_frames=len(kept), words=_words_of(columns[first[kept]], poses), chains=chains
+            ),
             run_chain=run_chain,
             margin_s=margin_s,
             statistics=PresolveStatistics(

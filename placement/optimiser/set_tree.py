@@ -15,7 +15,7 @@ C(K, N) takes all n poses that cover a run: G is concave again, so that the same
 """
 
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from math import comb
 from typing import TYPE_CHECKING
 
@@ -27,6 +27,7 @@ from geometry.clock import now_s
 from .limits import Limits
 from .presolve import (
     Chains,
+    Detections,
     ReducedProblem,
     WordArray,
     distinct_rows,
@@ -103,44 +104,52 @@ class Links:
 
 def build_links(reduced: ReducedProblem) -> Links:
     """Lay out the detections of a reduced problem by chains."""
+    return Links(
+        layout=_lay_out(reduced.detections),
+        last=(reduced.margin_s > -np.inf).sum(axis=1),
+        run_chain=reduced.run_chain,
+        n_links=np.diff(reduced.chains.start),
+    )
+
+
+_WORDS_TOGETHER = 64
+
+
+@lru_cache(maxsize=1)  # for all searches of a question; it may take a gigabyte
+def _lay_out(detections: Detections) -> "Layout":
     from .chain_kernels import Layout
     from .presolve_kernels import turn_round
 
-    chains = reduced.chains
+    chains, columns = detections.chains, detections.columns
     start = _word_starts(chains)
     frames = chains.window_frames[chains.window]
-    has_tails = len(chains.tail_frame) > 0
-    n_phases, n_words = frames.shape[1], int(start[-1])
+    n_phases, n_words, n_poses = frames.shape[1], int(start[-1]), len(detections.words)
     place = _places(start, chains.start)
     rows = [(of_phase, place) for of_phase in frames.T]
-    if has_tails:
+    if len(chains.tail_frame):
         rows.append((chains.tail_frame, _places(start, chains.tail_start)))
-    bits = np.empty((reduced.n_poses, n_words, len(rows)), dtype=np.uint64)
-    n_pose_words = -(-reduced.n_poses // 64)
-    columns = np.empty((64 * reduced.words.shape[1], n_pose_words), dtype=np.uint64)
-    turn_round(reduced.words.view(np.uint8), columns)
+    bits = np.empty((n_poses, n_words, len(rows)), dtype=np.uint64)
 
-    def lay_out(begin: int, end: int) -> None:
-        turned = np.empty((64 * n_pose_words, n_words), dtype=np.uint64)
-        for row in range(begin, end):
-            of_row, places = rows[row]
-            seen = np.full((64 * n_words, n_pose_words), -int(row == n_phases)).view(np.uint64)
-            seen[places] = columns[of_row]
-            turn_round(seen.view(np.uint8), turned)
-            bits[:, :, row] = turned[: reduced.n_poses]
+    def fill(begin: int, end: int) -> None:
+        turned = np.empty((64 * columns.shape[1], _WORDS_TOGETHER), dtype=np.uint64)
+        for first in range(begin, end, _WORDS_TOGETHER):
+            last = min(first + _WORDS_TOGETHER, end)
+            part = turned[:, : last - first]
+            for row, (of_row, places) in enumerate(rows):
+                mine = slice(*np.searchsorted(places, [64 * first, 64 * last]))
+                shape = 64 * (last - first), columns.shape[1]
+                seen = np.full(shape, -int(row == n_phases)).view(np.uint64)
+                seen[places[mine] - 64 * first] = columns[of_row[mine]]
+                turn_round(seen.view(np.uint8), part)
+                bits[:, first:last, row] = part[:n_poses]
 
-    share_out(lay_out, len(rows), few=1)
-    return Links(
-        layout=Layout(
-            bits=bits,
-            n_phases=n_phases,
-            start=start,
-            tail_links=chains.tail_links,
-            tail_start=chains.tail_start,
-        ),
-        last=(reduced.margin_s > -np.inf).sum(axis=1),
-        run_chain=reduced.run_chain,
-        n_links=np.diff(chains.start),
+    share_out(fill, n_words)
+    return Layout(
+        bits=bits,
+        n_phases=n_phases,
+        start=start,
+        tail_links=chains.tail_links,
+        tail_start=chains.tail_start,
     )
 
 

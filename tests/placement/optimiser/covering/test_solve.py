@@ -22,6 +22,8 @@ from placement.optimiser.covering.solve import (
 GOLDEN = Path(__file__).parents[3] / "golden" / "cover"
 OPTIMA = tomllib.loads((GOLDEN / "optima.toml").read_text())
 EXACT = st.sampled_from(["auto", "HIGHS"])
+# No share is nearer to another than solver and oracle can tell apart.
+SHARES = st.integers(0, 1000).map(lambda thousandths: thousandths / 1000)
 
 
 def check(solution: CoveringSolution, optimum: float, *, is_exact: bool, sign: float) -> None:
@@ -44,7 +46,7 @@ def test_covering_everything_matches_brute_force(instance, solver):
     check(solution, every.least_cost(needed), is_exact=solver != "greedy", sign=1.0)
 
 
-@given(instance=instances(), share=st.floats(0.0, 1.0), solver=EXACT)
+@given(instance=instances(), share=SHARES, solver=EXACT)
 def test_covering_a_share_matches_brute_force(instance, share, solver):
     target = share * instance.coverable_weight / max(instance.weight.sum(), 1.0)
     solution = solve_lscp(instance, target=target, solver=solver)
