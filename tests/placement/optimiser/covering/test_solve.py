@@ -73,7 +73,7 @@ def test_most_coverage_by_a_number_of_columns_matches_brute_force(instance, unit
 
 @given(
     instance=instances(),
-    share=st.floats(0.0, 1.0),
+    share=SHARES,
     units=st.none() | st.integers(1, 4),
     solver=EXACT,
 )
