@@ -23,7 +23,6 @@ from placement.candidates import CandidatePose
 from placement.setting import Setting
 from placement.visibility.build import N_POINTS, build_detection_table
 from placement.visibility.casting import World, build_world, cast_sight
-from placement.visibility.standing import bodies_mesh, find_obstructions
 
 REPEATS = 5
 Figures = dict[str, float | str | None]
@@ -98,27 +97,18 @@ def measure_casting(setting: Setting, candidates: tuple[CandidatePose, ...]) -> 
             )
 
     scene = Recorder(world.scene)
-    parked = [Recorder(obstruction.caster) for obstruction in world.obstructions]
+    parked = [Recorder(caster) for caster in world.standing.casters]
     bodies = [Recorder(body) for body in world.bodies]
     vut = Recorder(world.vehicles.casters[0])
     vehicles = replace(world.vehicles, casters=(vut,))
     vut_shape = world.vehicles.actors[0].shapes[0]
-    obstructions = tuple(
-        replace(obstruction, caster=caster)
-        for obstruction, caster in zip(world.obstructions, parked, strict=True)
-    )
-    cast(
-        replace(
-            world, scene=scene, obstructions=obstructions, bodies=tuple(bodies), vehicles=vehicles
-        )
-    )
+    standing = replace(world.standing, casters=tuple(parked))
+    cast(replace(world, scene=scene, standing=standing, bodies=tuple(bodies), vehicles=vehicles))
     meshes = [
         (setting.scene.vertices_m - world.origin_m, setting.scene.triangles, scene),
         *(
-            (*bodies_mesh(obstruction, world.origin_m), caster)
-            for obstruction, caster in zip(
-                find_obstructions(setting.runs).values(), parked, strict=True
-            )
+            (shape.vertices_m, shape.triangles, body)
+            for shape, body in zip(world.standing.shapes, parked, strict=True)
         ),
         *(
             (shape.vertices_m, shape.triangles, body)

@@ -104,10 +104,10 @@ def _causes(
 ) -> list[tuple[Cause, str]]:
     """Cause, and the thing in the way, of each frame of a world."""
     nothing = build_caster(np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
-    clear = tuple(replace(obstruction, caster=nothing) for obstruction in world.obstructions)
+    standing = replace(world.standing, casters=(nothing,) * len(world.standing.casters))
     vehicles = replace(world.vehicles, casters=(nothing,) * len(world.vehicles.casters))
     empty = replace(
-        world, scene=nothing, scene_m=world.scene_m[:0], obstructions=clear, vehicles=vehicles
+        world, scene=nothing, scene_m=world.scene_m[:0], standing=standing, vehicles=vehicles
     )
     position_m, near_m = unit.pose.position_m, unit.sensor.near_m
     open_sight = cast_sight(empty, position_m, near_m=near_m, max_distance_m=np.inf)
@@ -156,7 +156,7 @@ def _things_between(
         rays = _rays(eye, views.points_m[view][faces_eye], unit.sensor.near_m)
         index = int(views.obstruction_index[view])
         share, triangle = world.scene.first_triangle(*rays)
-        nearer, parked = world.obstructions[index].caster.first_triangle(*rays)
+        nearer, parked = world.standing.first_triangle(index, *rays)
         of_bodies = len(world.scene_m) + parked
         share, triangle = np.minimum(share, nearer), np.where(nearer < share, of_bodies, triangle)
         thing = names[index][np.where(share < 1.0, triangle, -1)]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.actors import Actor, MovingActor, PlacedActor
+from geometry.actors import Actor, MovingActor, PlacedActor, Shape
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.poses import body_rotation
 from geometry.raycast import FloatRays, RayCaster, build_caster
@@ -22,9 +22,9 @@ from scenarios.runs import Run
 
 from .standing import (
     AROUND_BODY_M,
-    Obstruction,
+    Standing,
     bodies_mesh,
-    build_obstruction,
+    build_standing,
     find_obstructions,
     obstruction_key,
     shape_caster,
@@ -104,7 +104,7 @@ class World:
     origin_m: FloatArray
     scene: RayCaster  # what stands there in all runs
     scene_m: FloatArray  # (n, 3, 3): corners of its triangles, relative to `origin_m`. [m]
-    obstructions: tuple[Obstruction, ...]  # each distinct one; maybe without any body
+    standing: Standing  # what stands there in some runs
     surfaces: tuple[Surface, ...]  # each distinct shape of a VRU, and its caster in `bodies`
     bodies: tuple[RayCaster, ...]  # VRUs in their own frame
     vehicles: Vehicles  # what moves
@@ -155,9 +155,7 @@ def build_world(
         origin_m=origin,
         scene=build_caster(scene.vertices_m - origin, scene.triangles, library=rays),
         scene_m=_corners(scene.vertices_m - origin, scene.triangles),
-        obstructions=tuple(
-            build_obstruction(parked, origin, rays) for parked in obstructions.values()
-        ),
+        standing=build_standing(obstructions.values(), origin, rays),
         surfaces=surfaces,
         bodies=tuple(shape_caster(actor.shapes[index], rays) for actor, index in shapes),
         vehicles=_build_vehicles(runs, origin, rays, terrain),
@@ -358,7 +356,6 @@ def _is_blocked_by_static(
     from .shadow_kernels import (
         N_AROUND,
         N_UP,
-        find_points_behind,
         find_unclear_points,
         mark_covered,
         mark_nearest,
@@ -381,19 +378,92 @@ def _is_blocked_by_static(
     find_unclear_points(nearest, covered, *bodies, view_index, blocked, unclear)
     _cast_to_points(world.scene, world, eye_m, view_index, unclear, near_m=near_m)
     blocked |= unclear
-    for index, obstruction in enumerate(world.obstructions):
-        rows = np.flatnonzero(views.obstruction_index[view_index] == index)
-        boxes = obstruction.boxes
-        if len(rows) == 0 or len(boxes.position_m) == 0:
-            continue
-        here = view_index[rows]
-        behind = np.zeros((len(rows), blocked.shape[1]), dtype=bool)
-        find_points_behind(
-            *(boxes.position_m, boxes.rotation, boxes.low_m, boxes.high_m),
-            *(*bodies, here, blocked[rows], behind),
-        )
-        _cast_to_points(obstruction.caster, world, eye_m, here, behind, near_m=near_m)
-        blocked[rows] |= behind
+    _add_hidden_by_standing(world, eye_m, view_index, blocked, near_m=near_m)
+    return blocked
+
+
+def _add_hidden_by_standing(
+    world: World, eye_m: FloatArray, view_index: IntArray, blocked: BoolArray, *, near_m: float
+) -> None:
+    """Add the points that standing bodies hide to `blocked`, (n, n_points)."""
+    from .ray_kernels import find_bodies_between
+
+    views, standing = world.views, world.standing
+    if not len(standing.shape_index):
+        return
+    boxes = np.array([_box_m(shape) for shape in standing.shapes])[standing.shape_index]
+    middle = np.einsum("nij,nj->ni", standing.rotation, boxes.mean(axis=1))
+    n_bodies = np.array([len(bodies) for bodies in standing.bodies])
+    obstruction = views.obstruction_index[view_index]
+    pairs = np.empty((int(n_bodies[obstruction].sum()), 2), dtype=np.int32)
+    n_pairs = find_bodies_between(
+        *(views.middle_m, views.radius_m, eye_m, view_index, obstruction),
+        *(np.concatenate(standing.bodies), np.cumsum([0, *n_bodies])),
+        standing.position_m + middle,
+        0.5 * np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1),
+        pairs,
+    )
+    rows, bodies = pairs[:n_pairs].T.astype(np.int64)
+    shapes = standing.shape_index[bodies]
+    for number, caster in enumerate(standing.casters):
+        of_shape = np.flatnonzero(shapes == number)
+        for start in range(0, len(of_shape), _ROWS_TOGETHER):
+            chosen = of_shape[start : start + _ROWS_TOGETHER]
+            row, body = rows[chosen], bodies[chosen]
+            hidden = _hidden_by_body(
+                *(world, eye_m, caster, boxes[body[0]], view_index[row], blocked[row]),
+                *(standing.position_m[body], standing.rotation[body]),
+                near_m=near_m,
+            )
+            shown, first = np.unique(row, return_index=True)
+            blocked[shown] |= np.logical_or.reduceat(hidden, first, axis=0)
+
+
+def _box_m(shape: Shape) -> FloatArray:
+    """Lowest and highest coordinates, (2, 3), of all ways that are cast against a shape."""
+    vertices_m = shape.vertices_m
+    return np.array(
+        [vertices_m.min(axis=0) - AROUND_BODY_M, vertices_m.max(axis=0) + AROUND_BODY_M]
+    )
+
+
+def _hidden_by_body(
+    world: World,
+    eye_m: FloatArray,
+    caster: RayCaster,
+    box_m: FloatArray,
+    view_index: IntArray,
+    hidden: BoolArray,
+    position_m: FloatArray,
+    rotation: FloatArray,
+    *,
+    near_m: float,
+) -> BoolArray:
+    """Points of views (n,) that a body hides where it is for each of them, (n, n_points).
+
+    Points that are `hidden` (n, n_points) already are left out. The body's `box_m` (2, 3) is in its
+    own frame, from which `rotation` (n, 3, 3) leads into the world's.
+    """
+    from .ray_kernels import find_rays_at_body
+
+    blocked = np.zeros(hidden.shape, dtype=bool)
+    starts, vectors = (np.empty((blocked.size, 3), np.float32) for _ in range(2))
+    n_rays = find_rays_at_body(
+        world.views.axes_m,
+        view_index,
+        hidden,
+        eye_m,
+        position_m,
+        rotation,
+        box_m[0],
+        box_m[1],
+        near_m,
+        _OFF_SURFACE_M,
+        starts,
+        vectors,
+        blocked,
+    )
+    blocked[blocked] = caster.is_blocked(starts[:n_rays], vectors[:n_rays])
     return blocked
 
 
@@ -473,39 +543,21 @@ def _hidden_by_vehicles(
 
     Points of a view that are `hidden` (n_rows, n_points) already are left out.
     """
-    from .ray_kernels import find_rays_at_body
-
     vehicles = world.vehicles
     between = _rows_between(world, eye_m, row_of_frame)
     frames, place = np.unique(vehicles.frame[between], return_inverse=True)
     behind = np.zeros((len(frames), hidden.shape[1]), dtype=bool)
     for index, (actor, caster) in enumerate(zip(vehicles.actors, vehicles.casters, strict=True)):
-        vertices = actor.shapes[0].vertices_m
         of_actor = np.flatnonzero(vehicles.actor_index[between] == index)
         for start in range(0, len(of_actor), _ROWS_TOGETHER):
             chosen = of_actor[start : start + _ROWS_TOGETHER]
             own = between[chosen]
             rows = row_of_frame[vehicles.frame[own]]
-            yaw = np.radians(vehicles.yaw_deg[own])
-            blocked = np.zeros((len(own), hidden.shape[1]), dtype=bool)
-            starts, vectors = (np.empty((blocked.size, 3), np.float32) for _ in range(2))
-            n_rays = find_rays_at_body(
-                world.views.axes_m,
-                view_of_row[rows],
-                hidden[rows],
-                eye_m,
-                vehicles.position_m[own],
-                np.cos(yaw),
-                np.sin(yaw),
-                vertices.min(axis=0) - AROUND_BODY_M,
-                vertices.max(axis=0) + AROUND_BODY_M,
-                near_m,
-                _OFF_SURFACE_M,
-                starts,
-                vectors,
-                blocked,
+            blocked = _hidden_by_body(
+                *(world, eye_m, caster, _box_m(actor.shapes[0]), view_of_row[rows], hidden[rows]),
+                *(vehicles.position_m[own], body_rotation(vehicles.yaw_deg[own])),
+                near_m=near_m,
             )
-            blocked[blocked] = caster.is_blocked(starts[:n_rays], vectors[:n_rays])
             order = np.argsort(place[chosen], kind="stable")
             shown, first = np.unique(place[chosen][order], return_index=True)
             behind[shown] |= np.logical_or.reduceat(blocked[order], first, axis=0)

@@ -56,45 +56,40 @@ def fill_rays(
 
 
 @kernel
-def find_rays_at_boxes(
-    starts: Array,
-    vectors: Array,
-    position: Array,
-    rotation: Array,
-    low: Array,
-    high: Array,
-    end: float,
+def find_bodies_between(
+    middle: Array,
+    radius: Array,
+    eye: Array,
+    views: Array,
+    obstruction: Array,
+    bodies: Array,
+    first: Array,
+    centre: Array,
+    reach: Array,
     pairs: Array,
 ) -> int:
-    """Pairs (ray, box) of rays that meet one of some boxes, in the order of rays; their number.
+    """Pairs (row, body) of views and bodies that may hide something of them; their number.
 
-    Boxes are as for :func:`.shadow_kernels.find_points_behind`. Rays, (n, 3) each, end at `end`
-    times their vector.
+    Row n is view `views[n]`, of points around `middle` (n_views, 3) as far as `radius` (n_views,);
+    in it stand the bodies from `first[g]` to `first[g + 1]` of `bodies`, g being `obstruction[n]`:
+    each around its `centre` (n_bodies, 3), as far as its `reach` (n_bodies,).
     """
     n_pairs = 0
-    for ray in range(len(starts)):
-        for box in range(len(position)):
-            px, py, pz = position[box]
-            r = rotation[box]
-            wx, wy, wz = starts[ray, 0] - px, starts[ray, 1] - py, starts[ray, 2] - pz
-            vx = np.float64(vectors[ray, 0])
-            vy = np.float64(vectors[ray, 1])
-            vz = np.float64(vectors[ray, 2])
-            first, last = 0.0, end
-            for axis in range(3):
-                origin = r[0, axis] * wx + r[1, axis] * wy + r[2, axis] * wz
-                way = r[0, axis] * vx + r[1, axis] * vy + r[2, axis] * vz
-                if abs(way) < 1.0e-9:
-                    if origin < low[box, axis] or origin > high[box, axis]:
-                        last = -1.0
-                        break
-                    continue
-                enter, leave = (low[box, axis] - origin) / way, (high[box, axis] - origin) / way
-                first, last = max(first, min(enter, leave)), min(last, max(enter, leave))
-                if first > last:
-                    break
-            if first <= last:
-                pairs[n_pairs, 0], pairs[n_pairs, 1] = ray, box
+    for row in range(len(views)):
+        view, group = views[row], obstruction[row]
+        mx, my, mz = middle[view, 0] - eye[0], middle[view, 1] - eye[1], middle[view, 2] - eye[2]
+        length2 = max(mx * mx + my * my + mz * mz, 1.0e-12)
+        for place in range(first[group], first[group + 1]):
+            body = bodies[place]
+            cx, cy, cz = (
+                centre[body, 0] - eye[0],
+                centre[body, 1] - eye[1],
+                centre[body, 2] - eye[2],
+            )
+            share = min(max((cx * mx + cy * my + cz * mz) / length2, 0.0), 1.0)
+            away2 = (cx - share * mx) ** 2 + (cy - share * my) ** 2 + (cz - share * mz) ** 2
+            if away2 <= (reach[body] + radius[view]) ** 2:
+                pairs[n_pairs, 0], pairs[n_pairs, 1] = row, body
                 n_pairs += 1
     return n_pairs
 
@@ -106,8 +101,7 @@ def find_rays_at_body(
     hidden: Array,
     eye: Array,
     position: Array,
-    cosine: Array,
-    sine: Array,
+    rotation: Array,
     lowest: Array,
     highest: Array,
     near_m: float,
@@ -119,25 +113,29 @@ def find_rays_at_body(
     """Rays to points of some views that meet the box around a body, in the body's frame.
 
     Row n asks for the points of view `views[n]` that are not `hidden[n]`, while the body is at
-    `position[n]` (3,) with its heading's `cosine[n]` and `sine[n]`; its box reaches from `lowest`
-    (3,) to `highest` (3,). Sets `asked` (n, n_points) and returns the number of rays; `starts` and
-    `vectors` have room for all points of all rows.
+    `position[n]` (3,), turned by `rotation[n]` (3, 3); its box reaches from `lowest` (3,) to
+    `highest` (3,) in its own frame. Sets `asked` (n, n_points) and returns the number of rays;
+    `starts` and `vectors` have room for all points of all rows.
     """
     near, cut = np.float32(near_m), np.float32(near_m + off_surface_m)
     least, most = (lowest[0], lowest[1], lowest[2]), (highest[0], highest[1], highest[2])
     ray = 0
     for row in range(len(views)):
         view = views[row]
-        c, s = cosine[row], sine[row]
+        r = rotation[row]
         px, py, pz = position[row, 0], position[row, 1], position[row, 2]
-        wx, wy = eye[0] - px, eye[1] - py
-        ex, ey, ez = wx * c + wy * s, wy * c - wx * s, eye[2] - pz
+        wx, wy, wz = eye[0] - px, eye[1] - py, eye[2] - pz
+        ex = r[0, 0] * wx + r[1, 0] * wy + r[2, 0] * wz
+        ey = r[0, 1] * wx + r[1, 1] * wy + r[2, 1] * wz
+        ez = r[0, 2] * wx + r[1, 2] * wy + r[2, 2] * wz
         for point in range(points.shape[2]):
             if hidden[row, point]:
                 continue
             wx, wy = points[view, 0, point] - px, points[view, 1, point] - py
-            x, y = wx * c + wy * s, wy * c - wx * s
-            z = points[view, 2, point] - pz
+            wz = points[view, 2, point] - pz
+            x = r[0, 0] * wx + r[1, 0] * wy + r[2, 0] * wz
+            y = r[0, 1] * wx + r[1, 1] * wy + r[2, 1] * wz
+            z = r[0, 2] * wx + r[1, 2] * wy + r[2, 2] * wz
             if misses(ex, ey, ez, x, y, z, least, most):
                 continue
             asked[row, point] = True

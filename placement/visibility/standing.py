@@ -4,7 +4,7 @@ Few kinds of bodies stand in many places. Rays are taken into the frame of each 
 meet, and cast against its shape there: what is prepared for a shape serves wherever it stands.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.actors import PlacedActor, Shape
-from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.arrays import FloatArray, IntArray
 from geometry.poses import body_rotation, to_world
 from geometry.raycast import FloatRays, RayCaster, build_caster
 from scenarios.runs import Run
@@ -26,7 +26,7 @@ def obstruction_key(run: Run) -> tuple[object, ...]:
 
 
 def find_obstructions(runs: Sequence[Run]) -> dict[tuple[object, ...], tuple[PlacedActor, ...]]:
-    """Distinct obstructions in the order of `World.obstructions`, by their content."""
+    """Distinct obstructions in the order of `Standing.bodies`, by their content."""
     return {obstruction_key(run): run.obstruction for run in runs}
 
 
@@ -48,121 +48,61 @@ def shape_caster(shape: Shape, rays: str) -> RayCaster:
     return build_caster(shape.vertices_m, shape.triangles, library=rays)
 
 
-@lru_cache(maxsize=256)
-def _box_m(shape: Shape) -> FloatArray:
-    """Lowest and highest coordinates of a shape, (2, 3)."""
-    return np.array([shape.vertices_m.min(axis=0), shape.vertices_m.max(axis=0)])
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Boxes:
-    """Boxes around placed bodies, each in the body's own frame."""
+class Standing:
+    """Bodies that stand in the scene in some of the runs: each distinct one once."""
 
+    shapes: tuple[Shape, ...]  # each distinct shape
+    casters: tuple[RayCaster, ...]  # of each shape, in its own frame
+    shape_index: IntArray  # (n,): into `shapes`
     position_m: FloatArray  # (n, 3): relative to the origin of `World`. [m]
     rotation: FloatArray  # (n, 3, 3): from the frame of each into the world's
-    low_m: FloatArray  # (n, 3): where the box begins. [m]
-    high_m: FloatArray  # (n, 3): where it ends. [m]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Obstruction:
-    """Bodies that stand in the scene in some of the runs."""
-
-    caster: RayCaster  # of all of them, relative to the origin of `World`
-    boxes: Boxes  # around each of them
-
-
-def build_obstruction(
-    bodies: tuple[PlacedActor, ...], origin_m: FloatArray, rays: str
-) -> Obstruction:
-    """Prepare placed bodies for rays relative to an origin."""
-    limits = np.array([_box_m(body.actor.shapes[0]) for body in bodies]).reshape(-1, 2, 3)
-    poses = [body.pose for body in bodies]
-    boxes = Boxes(
-        position_m=np.array([pose.position_m - origin_m for pose in poses]).reshape(-1, 3),
-        rotation=body_rotation([p.yaw_deg for p in poses], [p.pitch_deg for p in poses]),
-        low_m=limits[:, 0] - AROUND_BODY_M,
-        high_m=limits[:, 1] + AROUND_BODY_M,
-    )
-    return Obstruction(
-        caster=BodiesCaster([b.actor.shapes[0] for b in bodies], boxes, rays), boxes=boxes
-    )
-
-
-class BodiesCaster:
-    """Rays against bodies that stand somewhere; see :class:`.RayCaster`."""
-
-    def __init__(self, shapes: Sequence[Shape], boxes: Boxes, rays: str) -> None:
-        kinds = {shape: number for number, shape in enumerate(dict.fromkeys(shapes))}
-        self._casters = [shape_caster(shape, rays) for shape in kinds]
-        self._kind = np.array([kinds[shape] for shape in shapes], dtype=np.int64)
-        n_triangles = [len(shape.triangles) for shape in shapes]
-        self._first_triangle = np.cumsum([0, *n_triangles])
-        self._boxes = boxes
-
-    def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
-        """See :class:`.RayCaster`."""
-        blocked = np.zeros(len(origins_m), dtype=bool)
-        for caster, ray, _, starts, vectors in self._in_body_frames(origins_m, vectors_m):
-            blocked[ray[caster.is_blocked(starts, vectors)]] = True
-        return blocked
-
-    def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
-        """See :class:`.RayCaster`."""
-        return self.first_triangle(origins_m, vectors_m)[0]
+    # of each obstruction the bodies that it has, as its runs have them; maybe none
+    bodies: tuple[IntArray, ...]
 
     def first_triangle(
-        self, origins_m: FloatRays, vectors_m: FloatRays
+        self, obstruction: int, origins_m: FloatRays, vectors_m: FloatRays
     ) -> tuple[FloatRays, IntArray]:
-        """See :class:`.RayCaster`: triangles are numbered body after body, as they were given."""
+        """First hits of rays on the bodies of an obstruction; see :class:`.RayCaster`.
+
+        Their triangles are numbered body after body.
+        """
         share = np.full(len(origins_m), np.inf, dtype=np.float32)
         index = np.full(len(origins_m), -1, dtype=np.int64)
-        for caster, ray, body, starts, vectors in self._in_body_frames(
-            origins_m, vectors_m, is_endless=True
-        ):
-            hit, triangle = caster.first_triangle(starts, vectors)
-            order = np.argsort(-hit, kind="stable")  # the nearest is written last
-            order = order[hit[order] < share[ray[order]]]
-            share[ray[order]] = hit[order]
-            index[ray[order]] = self._first_triangle[body[order]] + triangle[order]
+        n_before = 0
+        for body in self.bodies[obstruction].tolist():
+            turn, number = self.rotation[body], self.shape_index[body]
+            hit, triangle = self.casters[number].first_triangle(
+                ((origins_m - self.position_m[body]) @ turn).astype(np.float32),
+                (vectors_m @ turn).astype(np.float32),
+            )
+            is_nearer = hit < share
+            share[is_nearer] = hit[is_nearer]
+            index[is_nearer] = n_before + triangle[is_nearer]
+            n_before += len(self.shapes[number].triangles)
         return share, index
 
-    def _in_body_frames(
-        self, origins_m: FloatRays, vectors_m: FloatRays, *, is_endless: bool = False
-    ) -> list[tuple[RayCaster, IntArray, IntArray, FloatRays, FloatRays]]:
-        """Rays that meet the box around a body, in its frame, kind by kind.
 
-        Of each kind its caster, the rays' numbers, the bodies', starts and vectors. Rays end where
-        their vectors do, or never.
-        """
-        from .ray_kernels import find_rays_at_boxes
-
-        boxes = self._boxes
-        n_most = len(origins_m) * len(self._kind)
-        if n_most == 0:
-            return []
-        pairs = np.empty((n_most, 2), dtype=np.int32)
-        n_pairs = find_rays_at_boxes(
-            np.ascontiguousarray(origins_m, dtype=np.float32),
-            np.ascontiguousarray(vectors_m, dtype=np.float32),
-            *(boxes.position_m, boxes.rotation, boxes.low_m, boxes.high_m),
-            np.inf if is_endless else 1.0,
-            pairs,
-        )
-        ray, body = pairs[:n_pairs].T.astype(np.int64)
-        parts = []
-        for kind in np.unique(self._kind[body]).tolist():
-            mine = np.flatnonzero(self._kind[body] == kind)
-            there, turn = body[mine], boxes.rotation[body[mine]]
-            starts = np.einsum("ni,nij->nj", origins_m[ray[mine]] - boxes.position_m[there], turn)
-            vectors = np.einsum("ni,nij->nj", vectors_m[ray[mine]].astype(np.float64), turn)
-            parts.append(
-                (
-                    self._casters[kind],
-                    ray[mine],
-                    there,
-                    starts.astype(np.float32),
-                    vectors.astype(np.float32),
-                )
-            )
-        return parts
+def build_standing(
+    obstructions: Iterable[tuple[PlacedActor, ...]], origin_m: FloatArray, rays: str
+) -> Standing:
+    """Prepare the bodies of obstructions for rays relative to an origin."""
+    numbers: dict[tuple[object, ...], int] = {}
+    placed: list[PlacedActor] = []
+    bodies = []
+    for obstruction in obstructions:
+        for body in obstruction:
+            if numbers.setdefault(body.key, len(placed)) == len(placed):
+                placed.append(body)
+        bodies.append(np.array([numbers[body.key] for body in obstruction], dtype=np.int64))
+    shapes = {body.actor.shapes[0]: None for body in placed}
+    number_of = {shape: number for number, shape in enumerate(shapes)}
+    poses = [body.pose for body in placed]
+    return Standing(
+        shapes=tuple(shapes),
+        casters=tuple(shape_caster(shape, rays) for shape in shapes),
+        shape_index=np.array([number_of[body.actor.shapes[0]] for body in placed], dtype=np.int64),
+        position_m=np.array([pose.position_m - origin_m for pose in poses]).reshape(-1, 3),
+        rotation=body_rotation([p.yaw_deg for p in poses], [p.pitch_deg for p in poses]),
+        bodies=tuple(bodies),
+    )

@@ -286,7 +286,8 @@ def test_equal_obstructions_are_one_static_world(build_scene, build_run, actors)
         for number, obstruction in enumerate((park(3.0), (), park(3.0), park(3.5)))
     ]
     world = build_world(build_scene(), runs, n_points=N_POINTS, seed=0)
-    assert len(world.obstructions) == 3
+    assert [len(bodies) for bodies in world.standing.bodies] == [1, 0, 1]
+    assert len(world.standing.casters) == 1
     obstruction = world.views.obstruction_index[world.views.view_of_frame]
     assert obstruction[0] == obstruction[2]
     assert len(world.views.yaw_deg) == 3

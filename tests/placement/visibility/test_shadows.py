@@ -39,32 +39,23 @@ class Counter:
 
 def _sight_and_rays(world, eye, **options):
     scene, vut = Counter(world.scene), Counter(world.vehicles.casters[0])
-    parked = [replace(each, caster=Counter(each.caster)) for each in world.obstructions]
+    parked = [Counter(caster) for caster in world.standing.casters]
     counted = replace(
         world,
         scene=scene,
-        obstructions=tuple(parked),
+        standing=replace(world.standing, casters=tuple(parked)),
         vehicles=replace(world.vehicles, casters=(vut,)),
     )
     options = {"near_m": 0.35, "max_distance_m": 300.0} | options
     sight = cast_sight(counted, eye, **options)
-    return sight, scene.n_rays + sum(each.caster.n_rays for each in parked), vut.n_rays
-
-
-def _every_pair(starts, vectors, position, *others):
-    """Pairs of every ray and every box."""
-    pairs = others[-1]
-    pairs[:] = np.indices((len(starts), len(position))).reshape(2, -1).T
-    return len(pairs)
+    return sight, scene.n_rays + sum(each.n_rays for each in parked), vut.n_rays
 
 
 def _assert_nothing_is_missed(world, eye, monkeypatch, **options):
     """The same is seen where every ray is cast; returns the shares of the rays that are needed."""
     sight, n_static, n_vut = _sight_and_rays(world, eye, **options)
     with monkeypatch.context() as patch:
-        for sieve in ("find_unclear_points", "find_points_behind"):
-            patch.setattr(shadow_kernels, sieve, lambda *given: given[-1].fill(True))
-        patch.setattr(ray_kernels, "find_rays_at_boxes", _every_pair)
+        patch.setattr(shadow_kernels, "find_unclear_points", lambda *given: given[-1].fill(True))
         patch.setattr(casting, "AROUND_BODY_M", 1.0e6)
         nothing = np.zeros((N_POINTS, 1, 3))
         patch.setattr(own_shadows, "planes_around", lambda surface: nothing)
