@@ -227,7 +227,7 @@ def out_of_sample_layouts(
     compute.progress(STAGE, 0, n_samples)
     avoided = np.zeros((len(layouts), n_samples, setting.axis.n_runs), dtype=bool)
     quiet = replace(compute, cache_folder=None, progress=silent)
-    worlds = build_sample_tables(samples, compute=quiet)
+    worlds = build_sample_tables(samples, compute=quiet, at_once=compute.workers)
     driving = TrafficCount()
     for index, (sample, table) in enumerate(worlds):
         driving += sample.driving

@@ -2,8 +2,9 @@
 
 import hashlib
 import logging
+from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -243,24 +244,44 @@ def tell_traffic(driving: TrafficCount, uncertainty: Uncertainty) -> None:
 
 
 def build_sample_tables(
-    samples: Iterable[Sample], *, n_samples: int = 1, compute: Compute = DEFAULT_COMPUTE
+    samples: Iterable[Sample],
+    *,
+    n_samples: int = 1,
+    compute: Compute = DEFAULT_COMPUTE,
+    at_once: int = 1,
 ) -> Iterator[tuple[Sample, DetectionTable]]:
     """Detection table of one sampled world after the other, from the cache or built anew.
 
     Detections whose messages are lost are taken out. Worlds in which everything looks as planned
-    share one build. `n_samples` is the number of all worlds, for the progress.
+    share one build. `n_samples` is the number of all worlds, for the progress. With few poses,
+    drawing worlds and laying them out takes as long as looking: then several worlds may be built
+    `at_once`, each by one thread.
     """
-    as_planned: DetectionTable | None = None
-    for index, sample in enumerate(samples):
-        part = replace(compute, progress=_progress_of(index, n_samples, compute.progress))
-        if sample.looks_as_planned and as_planned is not None:
-            table = replace(as_planned, axis=sample.setting.axis)
-            part.progress(STAGE, 1, 1)
-        else:
-            table = _obtain(sample, part)
-            if sample.looks_as_planned:
-                as_planned = table
-        yield sample, lose_messages(sample, table)
+    as_planned: Future[DetectionTable] | None = None
+    pending: deque[tuple[Sample, Future[DetectionTable]]] = deque()
+    workers = compute.workers if at_once == 1 else 1
+    # A pool that ends while another is at work must not give BLAS its threads back.
+    with threadpool_limits(1), ThreadPoolExecutor(at_once) as pool:
+        for index, sample in enumerate(samples):
+            progress = _progress_of(index, n_samples, compute.progress)
+            part = replace(compute, progress=progress, workers=workers)
+            if not sample.looks_as_planned:
+                table = pool.submit(_obtain, sample, part)
+            elif as_planned is None:
+                table = as_planned = pool.submit(_obtain, sample, part)
+            else:
+                table = as_planned
+                progress(STAGE, 1, 1)
+            pending.append((sample, table))
+            if len(pending) > at_once or at_once == 1:  # one more waits where several are built
+                yield _received(*pending.popleft())
+        while pending:
+            yield _received(*pending.popleft())
+
+
+def _received(sample: Sample, table: "Future[DetectionTable]") -> tuple[Sample, DetectionTable]:
+    """A world and its table without what is lost; its deadlines are its own."""
+    return sample, lose_messages(sample, replace(table.result(), axis=sample.setting.axis))
 
 
 def _obtain(sample: Sample, compute: Compute) -> DetectionTable:

@@ -36,22 +36,19 @@ class Footprints:
     middle_m: FloatArray  # (2, n). [m]
     radius_m: FloatArray  # (n,). [m]
 
-    def are_any_within(self, corners_m: FloatArray, limit_m: FloatArray) -> bool:
-        """Whether the gap between any of them and another one, (4, 2), is within its limit, (n,).
+    def are_any_within(self, others: "Footprints", limit_m: FloatArray) -> BoolArray:
+        """Which others, (n_others,), are within a limit of any of these, (n,), which has its own.
 
         The gap along one of the normals of two sides is at least the distance of the middles over
         the root of 2, less both radii.
         """
-        if not len(self.corners_m):
-            return False
-        east, north = 0.5 * (corners_m[0] + corners_m[2])
-        radius_m = 0.5 * float(np.hypot(*(corners_m[0] - corners_m[2])))
-        apart_m = np.hypot(self.middle_m[0] - east, self.middle_m[1] - north) * np.sqrt(0.5)
-        near = np.flatnonzero(apart_m <= limit_m + (self.radius_m + radius_m + _TOGETHER_M))
-        if not len(near):
-            return False
-        gap_m = footprint_separation(self.corners_m[near], corners_m)
-        return bool((gap_m <= limit_m[near]).any())
+        east, north = self.middle_m[:, None, :] - others.middle_m[:, :, None]
+        reach_m = limit_m + (self.radius_m + others.radius_m[:, None] + _TOGETHER_M)
+        other, near = np.nonzero(east**2 + north**2 <= 2.0 * reach_m**2)
+        gap_m = footprint_separation(self.corners_m[near], others.corners_m[other])
+        is_within = np.zeros(len(others.corners_m), dtype=bool)
+        is_within[other[gap_m <= limit_m[near]]] = True
+        return is_within
 
 
 def _footprints(corners_m: FloatArray) -> Footprints:
@@ -73,13 +70,12 @@ class Ways:
     reach_m: FloatArray
     parked: Footprints  # of the case's own obstructions
 
-    def blocks(self, corners_m: FloatArray, *, clearance_m: float) -> bool:
-        """Whether a footprint, (4, 2), is nearer than this to a way, or in an obstruction."""
-        if self.swept.are_any_within(corners_m, clearance_m + self.reach_m):
-            return True
-        return self.parked.are_any_within(
-            corners_m, np.full(len(self.parked.corners_m), _TOGETHER_M)
-        )
+    def blocks(self, footprints: Footprints, *, clearance_m: float) -> BoolArray:
+        """Which footprints, (n,), are nearer than this to a way, or in an obstruction."""
+        in_obstruction = np.full(len(self.parked.corners_m), _TOGETHER_M)
+        return self.swept.are_any_within(
+            footprints, clearance_m + self.reach_m
+        ) | self.parked.are_any_within(footprints, in_obstruction)
 
 
 def group_key(run: Run) -> GroupKey:
@@ -281,12 +277,16 @@ def clear_of_ways(
     Nobody stands nearer to a way than `clearance_m`: a vehicle that would has not come yet, or has
     left.
     """
-    corners = [footprint_of(placed) for placed in vehicles]
+    footprints = _footprints(
+        np.array([footprint_of(placed) for placed in vehicles]).reshape(-1, 4, 2)
+    )
     return {
         key: tuple(
             placed
-            for placed, footprint in zip(vehicles, corners, strict=True)
-            if not way.blocks(footprint, clearance_m=clearance_m)
+            for placed, is_in_the_way in zip(
+                vehicles, way.blocks(footprints, clearance_m=clearance_m), strict=True
+            )
+            if not is_in_the_way
         )
         for key, way in ways.items()
     }
