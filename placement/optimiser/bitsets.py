@@ -115,7 +115,13 @@ def union_margins_s(reduced: ReducedProblem, unions: WordArray) -> FloatArray:
     from .frame_kernels import first_live_windows
 
     first = np.empty((len(unions), reduced.n_chains), dtype=np.int64)
-    first_live_windows(np.ascontiguousarray(unions), reduced.chains, first)
+
+    def look(begin: int, end: int) -> None:
+        first_live_windows(
+            np.ascontiguousarray(unions[begin:end]), reduced.chains, first[begin:end]
+        )
+
+    share_out(look, len(unions))
     margin: FloatArray = reduced.margin_s[
         np.arange(len(reduced.weight)), first[:, reduced.run_chain]
     ]
