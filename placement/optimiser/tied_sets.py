@@ -286,7 +286,7 @@ class SetSearch:
     @property
     def goes_by_pairs(self) -> bool:
         """Whether sets are gone through pair by pair: prices say little of drawn detections."""
-        return not self.reduced.measure.is_mean and self.n_units <= MAX_UNITS
+        return len(self.reduced.measure.sample_weight) > 1 and self.n_units <= MAX_UNITS
 
     @property
     def apr_limit(self) -> float:
@@ -403,9 +403,9 @@ class SetSearch:
         best = float(value_of(np.sort(units)[None, :])[0])
         # It takes much less to prove that nothing is better by a step, where values are so far
         # apart, or that little more would be left when units fail, than to meet all ties.
-        # And where the worst worlds count, all that can be said is a limit a little above.
+        # And of drawn detections, at first all that can be said is a limit a little above.
         step = (1.0 - 1.0e-6) * self._unit()
-        is_near = n_failures > 0 or not self.reduced.measure.is_mean
+        is_near = n_failures > 0 or self.goes_by_pairs or not self.reduced.measure.is_mean
         ahead = _NEAR * best if is_near else step
         if now_s() > end_s:
             limit = self.reduced.measure.limit

@@ -195,15 +195,20 @@ def table_fingerprint(
     add([(candidate.id, sensors[candidate.sensor]) for candidate in candidates])
     add(np.array([candidate.pose.position_m for candidate in candidates]))
     add(np.array([(c.pose.yaw_deg, c.pose.pitch_deg) for c in candidates]))
-    actors = _numbered(actor for run in runs for actor in _actors_of(run))
-    for actor in actors:
-        add(actor.name, actor.length_m, actor.width_m, actor.height_m, len(actor.shapes))
-        for shape in actor.shapes:
-            add(shape.vertices_m, shape.triangles)
+    # By content: runs that were kept on disk bring actors of their own.
+    hashes = Fingerprints()
+    actors = {actor: None for run in runs for actor in _actors_of(run)}
+    prints = {
+        actor: hashes.of(
+            *(actor.name, actor.length_m, actor.width_m, actor.height_m),
+            [(shape.vertices_m, shape.triangles) for shape in actor.shapes],
+        )
+        for actor in actors
+    }
     for name in dict.fromkeys(run.weather for run in runs):
         add(asdict(pick_weather(name, "runs: weather")))
     for run in runs:
-        add(run.id, run.weather, [actors[actor] for actor in _actors_of(run)], run.time_s)
+        add(run.id, run.weather, [prints[actor] for actor in _actors_of(run)], run.time_s)
         add(run.vut_position_m, run.vut_yaw_deg)
         add(run.vru_position_m, run.vru_yaw_deg, run.vru_shape)
         for parked in run.obstruction:

@@ -1,5 +1,6 @@
 import logging
 import os
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -70,6 +71,16 @@ def stored(inputs, axis_of, tmp_path):
 def _load(stored, fingerprint=FINGERPRINT):
     _, path, rest = stored
     return load_table(path, fingerprint=fingerprint, **rest)
+
+
+def test_runs_that_were_kept_on_disk_have_the_same_fingerprint(inputs, actors):
+    van = PlacedActor(actor=actors["parked-van"], pose=Pose(position_m=[3.0, 2.0, 0.0]))
+    runs = tuple(replace(run, obstruction=(van,)) for run in inputs["runs"])
+    kept = pickle.loads(pickle.dumps(runs[0]))  # with a van of its own
+    assert kept.obstruction[0].actor is not van.actor
+    fresh = _fingerprint(inputs | {"runs": runs})
+    assert _fingerprint(inputs | {"runs": (kept, runs[1])}) == fresh
+    assert _fingerprint(inputs) != fresh
 
 
 # There and back
