@@ -74,7 +74,9 @@ def _load(stored, fingerprint=FINGERPRINT):
 
 
 def test_runs_that_were_kept_on_disk_have_the_same_fingerprint(inputs, actors):
-    van = PlacedActor(actor=actors["parked-van"], pose=Pose(position_m=[3.0, 2.0, 0.0]))
+    van = PlacedActor(
+        actor=actors["parked-van"], pose=Pose(position_m=[3.0, 2.0, 0.0], yaw_deg=0.0)
+    )
     runs = tuple(replace(run, obstruction=(van,)) for run in inputs["runs"])
     kept = pickle.loads(pickle.dumps(runs[0]))  # with a van of its own
     assert kept.obstruction[0].actor is not van.actor
