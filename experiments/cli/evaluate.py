@@ -232,17 +232,21 @@ def study_cases_lines(record: "StudyCasesRecord | UnsetType") -> list[str]:
 def additions(result: "Result") -> list[str]:
     """What a result has beside layout, proof and evaluation, each part before an empty line.
 
-    First of all how many runs are not avoided, and what one more unit or another lens would buy.
+    First of all how many runs are not avoided, whether another layout does better in fresh worlds,
+    and what one more unit or another lens would buy.
     """
     from ..report.answer import danger_sentences
     from ..report.next_unit import next_unit_sentence, other_sensor_sentence
     from ..report.private_ground import private_ground_sentences
     from ..report.refinement import refinement_sentences
+    from ..report.sampled_worlds import overtaken_sentences
     from .explanations import explanation_text, uncertainty_text
 
     parts: list[list[str]] = [driven_lines(result.driven)] if result.driven else []
     further = [f"{said}." for said in (next_unit_sentence(result), other_sensor_sentence(result))]
-    head = sentences(*danger_sentences(result), *(said for said in further if said != "."))
+    overtaken = overtaken_sentences(result.sampled) if result.sampled else []
+    told = [*danger_sentences(result), *overtaken, *(said for said in further if said != ".")]
+    head = sentences(*told)
     parts += [head] if head else []
     if result.front is not UNSET:
         said = sentences(*result.front.sentences, indent=2, hanging=2)

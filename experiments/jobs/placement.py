@@ -230,6 +230,7 @@ def run_placement(
                 seed=compute.seed,
                 planned_apr={item.layout.name: apr(item.rsu_all, item.axis) for item in verdicts},
                 chosen_apr={placement.layout.name: placement.certificate.stages[0].objective},
+                chosen_in=question.samples,
             )
             result = replace_fields(result, sampled=sampled)
             sampled_figure = plot_sampled_apr(judged)

@@ -23,7 +23,7 @@ from ..results.result import Result
 from .next_unit import next_unit_sentence
 from .private_ground import private_ground_sentences
 from .refinement import refinement_sentences
-from .sampled_worlds import uncertainty_sentences
+from .sampled_worlds import overtaken_sentences, uncertainty_sentences
 from .section import Block, Section, Table
 
 
@@ -80,6 +80,7 @@ def answer(result: Result, shown: Mapping[str, Evaluation]) -> list[str]:
     return [
         *result.driven[:1],
         *danger_sentences(result),
+        *(overtaken_sentences(result.sampled) if result.sampled else []),
         *(f"{sentence}." for sentence in sentences if sentence),
         *private_ground_sentences(result),
         *(refinement_sentences(result.refinement) if result.refinement else []),

@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from msgspec import UNSET
 
 from geometry.errors import InputError, Unquoted
 from placement.sampling import (
@@ -59,6 +60,36 @@ def uncertainty_sentences(found: SampledRecord) -> list[str]:
         listed = ", ".join(f"{run.run} ({percent(run.avoided_share)})" for run in unsure)
         sentences.append(f"Least sure, with the share of worlds that avoid them: {listed}")
     return [f"{sentence}." for sentence in sentences]
+
+
+def overtaken_sentences(found: SampledRecord) -> list[str]:
+    """That fresh worlds surely prefer a layout with no more units, if they do: one sentence."""
+    subject = found.layouts[0]
+    units = {layout.name: layout.units for layout in found.layouts if layout.units is not UNSET}
+    most = units.get(subject.name, 0)
+    ahead = [
+        gain
+        for gain in found.gains
+        if or_nan(gain.high) < 0.0 and units.get(gain.over, np.inf) <= most
+    ]
+    if not ahead or found.chosen_in is UNSET:
+        return []
+    gain = min(ahead, key=lambda gain: or_nan(gain.mean))
+    points, low, high = (-100.0 * or_nan(share) for share in (gain.mean, gain.high, gain.low))
+    other = next(layout for layout in found.layouts if layout.name == gain.over)
+    worst = (
+        f"; in the worst {percent(found.tail)} of them {percent(other.cvar)}, not "
+        f"{percent(subject.cvar)}"
+        if found.tail < 1.0
+        else ""
+    )
+    few = f"the {found.chosen_in} {_worlds(found.chosen_in)} that {subject.name} was chosen in"
+    are = "is" if found.chosen_in == 1 else "are"
+    return [
+        f"{other.name} does better in {found.samples} fresh {_worlds(found.samples)}: {points:.1f} "
+        f"points of APR more than {subject.name} (95 % interval {low:.1f} to {high:.1f}){worst}; "
+        f"{few} {are} too few: ask for more with --samples, or take {other.name}."
+    ]
 
 
 def what_is_uncertain(found: SampledRecord) -> str:

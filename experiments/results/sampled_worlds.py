@@ -116,6 +116,7 @@ class SampledLayoutRecord(Record, frozen=True, kw_only=True):
     """A layout in these worlds."""
 
     name: Annotated[str, says("Of the layout.")]
+    units: Annotated[int, says("Number of its units.", ge=0)] | UnsetType = UNSET
     planned: Annotated[Share | None, says("APR with nothing uncertain.")]
     in_sample: Annotated[
         float | None,
@@ -163,6 +164,10 @@ class SampledRecord(Record, frozen=True, kw_only=True):
 
     uncertainty: Annotated[UncertaintyRecord, says("What was drawn.")]
     samples: Annotated[int, says("Number of worlds.", ge=1)]
+    chosen_in: (
+        Annotated[int, says("Number of other worlds that the first layout was chosen in.", ge=1)]
+        | UnsetType
+    ) = UNSET
     seed: Annotated[int, says("Of the draws.", ge=0)]
     moving: Annotated[UncertaintyMovingRecord, says("What drives by.")] | UnsetType = UNSET
     tail: Annotated[Share, says("Worst share of the worlds that cvar is about.")]
@@ -183,6 +188,7 @@ def build_sampled_record(
     seed: int,
     planned_apr: Mapping[str, float] | None = None,
     chosen_apr: Mapping[str, float] | None = None,
+    chosen_in: int | None = None,
 ) -> SampledRecord:
     """Layouts in the same sampled worlds: the first one is the subject, the others baselines.
 
@@ -199,6 +205,8 @@ def build_sampled_record(
     planned_apr, chosen_apr : mapping of str to float, optional
         By name of the layout: APR as planned, with nothing uncertain, and in the worlds that it
         was chosen in.
+    chosen_in : int, optional
+        How many worlds those were.
 
     Raises
     ------
@@ -215,12 +223,14 @@ def build_sampled_record(
     return SampledRecord(
         uncertainty=build_uncertainty_record(uncertainty),
         samples=n_samples.pop(),
+        chosen_in=UNSET if chosen_in is None else chosen_in,
         seed=seed,
         moving=_moving_record(uncertainty, subject.driving),
         tail=tail,
         layouts=tuple(
             SampledLayoutRecord(
                 name=item.layout.name,
+                units=len(item.layout.units),
                 planned=planned.get(item.layout.name),
                 in_sample=chosen.get(item.layout.name),
                 **asdict(item.estimate),

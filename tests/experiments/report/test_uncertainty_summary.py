@@ -8,6 +8,7 @@ import pytest
 from experiments.cli.explanations import uncertainty_text
 from experiments.figures.axes import to_png
 from experiments.report.sampled_worlds import (
+    overtaken_sentences,
     plot_sampled_apr,
     uncertainty_sentences,
     what_is_uncertain,
@@ -94,6 +95,28 @@ def test_a_gain_is_taken_world_by_world(summary, judge):
     (sure,) = summarise(pair, Uncertainty(), tail=1.0, seed=0).gains
     assert sure.mean == pytest.approx(0.05)
     assert 0.0 <= sure.high - sure.low < 0.15
+
+
+def test_that_fresh_worlds_prefer_another_layout_is_said(judge):
+    apr = np.array([0.9, 0.8, 1.0, 0.9])
+    worse = apr - [0.1, 0.12, 0.08, 0.1]
+    pair = [judge("best-3", worse), judge("greedy-3", apr)]
+
+    def told(judged, **options):
+        return overtaken_sentences(summarise(judged, Uncertainty(), seed=0, **options))
+
+    (sentence,) = told(pair, tail=0.5, chosen_in=2)
+    assert sentence.startswith("greedy-3 does better in 4 fresh worlds: 10.0 points of APR more")
+    assert "in the worst 50.0 % of them 85.0 %, not 74.0 %" in sentence
+    assert "the 2 worlds that best-3 was chosen in are too few" in sentence
+    assert "worst" not in told(pair, tail=1.0, chosen_in=2)[0]
+    assert not told(pair, tail=0.5)  # nobody chose it in worlds
+    assert not told(pair[::-1], tail=0.5, chosen_in=2)
+    unsure = [judge("best-3", apr), judge("greedy-3", [0.8, 1.0, 0.9, 0.91])]
+    assert not told(unsure, tail=0.5, chosen_in=2)
+    (unit,) = pair[1].layout.units
+    larger = replace(pair[1].layout, units=(unit, replace(unit, id="U2")))
+    assert not told([pair[0], replace(pair[1], layout=larger)], tail=0.5, chosen_in=2)
 
 
 def test_the_summary_is_plain_json(summary):
