@@ -30,6 +30,7 @@ _MOUNTS = (4, 8, 16)
 _PARTS = (4, 2, 1)  # every so manieth run
 _WEATHERS = (1, 2, 4)
 _WORLDS = (1, 2, 4)
+_MARKERS = "osv^"  # so that lines are told apart without colour, too
 
 
 @click.command()
@@ -108,10 +109,10 @@ def plot_growth(growth: Growth, path: Path) -> None:
     figure = Figure(figsize=(5.0, 4.0), layout="constrained")
     axes = figure.subplots()
     most = 1.0
-    for name, seconds in growth.items():
+    for (name, seconds), marker in zip(growth.items(), _MARKERS, strict=True):
         points = proportions(seconds)
         most = max(most, points[-1][0])
-        axes.plot(*zip(*points, strict=True), marker="o", label=name)
+        axes.plot(*zip(*points, strict=True), marker=marker, label=name)
     axes.plot([1.0, most], [1.0, most], color="0.6", linestyle="--", label="in proportion")
     axes.set_xlabel("times as many")
     axes.set_ylabel("times the processor time of the table")
