@@ -27,6 +27,7 @@ from .bitsets import (
     set_values,
     union_apr,
     unions_of,
+    values_with_each,
 )
 from .bounds import Coverage, ValueArray
 from .limits import Limits, are_allowed, costs_eur
@@ -56,7 +57,11 @@ def best_of_few(
         if n_sets > max_sets:
             return None, False
     best = BestSet()
-    for n_units in range(1, most + 1):
+    alone = np.flatnonzero(are_allowed(reduced.limits, np.arange(n_poses)[:, None]))
+    if len(alone):
+        nothing = np.empty(0, dtype=np.int64)
+        best.offer(alone[:, None], values_with_each(reduced, nothing)[alone])
+    for n_units in range(2, most + 1):
         count = comb(n_poses, n_units)
         numbers = chain.from_iterable(combinations(range(n_poses), n_units))
         sets = np.fromiter(numbers, dtype=np.int64, count=count * n_units).reshape(-1, n_units)
