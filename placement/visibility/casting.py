@@ -356,6 +356,7 @@ def _is_blocked_by_static(
     from .shadow_kernels import (
         N_AROUND,
         N_UP,
+        find_blocks,
         find_unclear_points,
         mark_covered,
         mark_nearest,
@@ -371,8 +372,8 @@ def _is_blocked_by_static(
     heights = world.height_limits_m
     mark_nearest(nearest, world.scene_m, eye_m, near_m, far_m, *heights)
     covered = np.full_like(nearest, np.inf)
-    of_interest = _rows_of_interest(world, eye_m, view_index)
-    mark_covered(covered, world.scene_m, eye_m, near_m, *heights, of_interest)
+    is_asked = find_blocks(views.middle_m, views.radius_m, eye_m, view_index)
+    mark_covered(covered, world.scene_m, eye_m, near_m, *heights, is_asked)
     bodies = (views.axes_m, views.middle_m, views.radius_m, eye_m)
     unclear = np.zeros_like(blocked)
     find_unclear_points(nearest, covered, *bodies, view_index, blocked, unclear)
@@ -465,19 +466,6 @@ def _hidden_by_body(
     )
     blocked[blocked] = caster.is_blocked(starts[:n_rays], vectors[:n_rays])
     return blocked
-
-
-def _rows_of_interest(world: World, eye_m: FloatArray, view_index: IntArray) -> tuple[int, int]:
-    """First and last row of cells, as ``shadow_kernels`` has them, in which bodies may be."""
-    from .shadow_kernels import N_UP
-
-    offset = world.views.middle_m[view_index] - eye_m
-    distance = np.maximum(np.linalg.norm(offset, axis=1), 1.0e-9)
-    up = np.arcsin(offset[:, 2] / distance)
-    half = np.arcsin(np.minimum(1.0, (world.views.radius_m[view_index] + 0.01) / distance))
-    sines = np.sin(np.clip([(up - half).min(), (up + half).max()], -0.5 * np.pi, 0.5 * np.pi))
-    first, last = np.clip((0.5 * N_UP * (sines + 1.0)).astype(int) + [-1, 1], 0, N_UP - 1).tolist()
-    return first, last
 
 
 def _cast_to_points(

@@ -235,6 +235,26 @@ def _columns(a: Any, b: Any, c: Any) -> tuple[int, int]:
 
 
 @kernel
+def find_blocks(middle: Array, radius: Array, eye: Array, views: Array) -> Array:
+    """Blocks of cells (N_UP / 8, N_AROUND / 8) in which points of views may be, seen from the eye.
+
+    `views` (n,) are looked at: each lies within `radius` (n_views,) of its `middle` (n_views, 3).
+    """
+    blocks = np.zeros((N_UP // _BLOCK, N_AROUND // _BLOCK), dtype=np.bool_)
+    for view in views:
+        x, y, z = middle[view, 0] - eye[0], middle[view, 1] - eye[1], middle[view, 2] - eye[2]
+        wide = radius[view] + _SLACK_M
+        if x * x + y * y + z * z <= wide * wide:
+            blocks[:] = True
+            break
+        low, high, begin, end = _window(x, y, z, wide, (N_UP, N_AROUND))
+        for row in range(low // _BLOCK, high // _BLOCK + 1):
+            for wide_column in range(begin // _BLOCK, end // _BLOCK + 1):
+                blocks[row, wide_column % (N_AROUND // _BLOCK)] = True
+    return blocks
+
+
+@kernel
 def mark_covered(
     covered: Array,
     triangles: Array,
@@ -242,12 +262,13 @@ def mark_covered(
     near_m: float,
     low_m: float,
     high_m: float,
-    rows: tuple[int, int],
+    is_asked: Array,
 ) -> None:
     """Enter triangles (n, 3, 3) that fill whole cells (N_UP, N_AROUND), by distance from the eye.
 
     All directions of a cell meet the triangle no farther away than it says, beyond `near_m`. The
-    heights are as for :func:`mark_nearest`; rows before and after `rows` may be left out.
+    heights are as for :func:`mark_nearest`; of blocks of cells that are not asked for, see
+    :func:`find_blocks`, nothing is said.
 
     On a cell, the sine between a direction and a plane through the eye is as at its four corners,
     or between, but for a bulge of an eighth of the squared angle from corner to corner.
@@ -256,7 +277,8 @@ def mark_covered(
     around, up = _lattice()
     n_rows, n_columns = N_UP // _BLOCK, N_AROUND // _BLOCK
     planes, sines = np.empty((4, 3)), np.empty((4, _BLOCK + 1, _BLOCK + 1))
-    farthest = np.full((n_rows, n_columns), np.inf, np.float32)  # in each block
+    # In each block; nothing is nearer than -1 m: blocks that nobody asks for are left out.
+    farthest = np.where(is_asked, np.float32(np.inf), np.float32(-1.0))
     for number in range(len(triangles)):
         one, two, three = triangles[number, 0], triangles[number, 1], triangles[number, 2]
         if max(one[2], two[2], three[2]) <= floor or min(one[2], two[2], three[2]) >= ceiling:
@@ -282,7 +304,7 @@ def mark_covered(
         _cross(c, a, sign, planes[2])
         _cross(u, v, sign, own)
         first, last = _columns(a, b, c)
-        for row in range(rows[0] // _BLOCK, rows[1] // _BLOCK + 1):
+        for row in range(n_rows):
             i, k = row * _BLOCK, (row + 1) * _BLOCK
             bulge = 1.0e-3 + 0.125 * (np.arcsin(up[1, k]) - np.arcsin(up[1, i])) ** 2
             for wide in range(first // _BLOCK, last // _BLOCK + 1):

@@ -23,6 +23,7 @@ from placement.visibility.shadow_kernels import (
 )
 from placement.visibility.surfaces import build_surface
 
+EVERY_BLOCK = np.ones((N_UP // 8, N_AROUND // 8), dtype=bool)
 WALLS = (((4, -6, 0), (4.3, 1, 2.2)), ((-9, 3, 0), (-2, 3.4, 1.2)), ((8, -9, 0), (12, -5, 6)))
 
 
@@ -135,7 +136,7 @@ def test_a_point_that_a_triangle_hides_is_never_clear_and_one_that_none_hides_ne
     limits = (points[:, 2].min(), points[:, 2].max())
     mark_nearest(nearest, triangles, eye, 0.1, 300.0, *limits)
     covered = np.full_like(nearest, np.inf)
-    mark_covered(covered, triangles, eye, 0.1, *limits, (0, N_UP - 1))
+    mark_covered(covered, triangles, eye, 0.1, *limits, EVERY_BLOCK)
     axes = points.astype(np.float32).reshape(10, 80, 3).swapaxes(1, 2).copy()
     middle = axes.mean(axis=2, dtype=np.float64)
     radius = np.linalg.norm(axes - middle[:, :, None], axis=1).max(axis=1)
@@ -187,7 +188,7 @@ def test_behind_a_wall_all_is_hidden_but_at_its_rims():
     eye = np.array([0.0, 0.0, 2.5])
     nearest, covered = (np.full((N_UP, N_AROUND), np.inf, dtype=np.float32) for _ in range(2))
     mark_nearest(nearest, wall.astype(float), eye, 0.1, 100.0, -20.0, 20.0)
-    mark_covered(covered, wall.astype(float), eye, 0.1, -20.0, 20.0, (0, N_UP - 1))
+    mark_covered(covered, wall.astype(float), eye, 0.1, -20.0, 20.0, EVERY_BLOCK)
     # A cell that it fills is one that it touches, and most of those are filled: not at its rims
     # and at the seam of its triangles.
     filled, touched = np.isfinite(covered), np.isfinite(nearest)
