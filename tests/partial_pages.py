@@ -14,8 +14,9 @@ from matplotlib.legend import Legend
 from matplotlib.text import Text
 from PIL import Image
 
+from experiments.figures import dangers, plan, scene
 from experiments.figures.axes import root_figure
-from experiments.report import section
+from experiments.report import coverage, section
 from experiments.report.page import page_environment
 from experiments.report.section import Bullets, Picture, Section, Table
 from experiments.results.result import Result
@@ -45,9 +46,14 @@ def _texts(artist: Artist) -> list[Text]:
 
 @contextmanager
 def blank_pictures() -> Iterator[None]:
-    """Reports have blank pictures: drawing takes long, and most tests look at words."""
+    """Reports have blank pictures: drawing takes long, and most tests look at words.
+
+    Lanes and buildings, which have no words, are left out before that.
+    """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(section, "to_png", blank_png)
+        for module in (coverage, dangers, plan, scene):
+            patch.setattr(module, "draw_scene", lambda axes, scene: None)
         yield
 
 

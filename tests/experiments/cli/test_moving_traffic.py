@@ -25,7 +25,9 @@ def vans(tmp_path):
     return path
 
 
-def test_a_file_of_traffic_drives_by_in_sampled_worlds(run, small_study, monkeypatch, vans):
+def test_a_file_of_traffic_drives_by_in_sampled_worlds(
+    run, small_study, monkeypatch, vans, request
+):
     monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 2)
     asked = ("--budget", 1, "--samples", 1, "--traffic", vans, "--quiet")
     code, out, _ = run(*asked, "--json", "--out", "with")
@@ -40,6 +42,7 @@ def test_a_file_of_traffic_drives_by_in_sampled_worlds(run, small_study, monkeyp
     said = f"{moving['left_out']} of {moving['vehicles']}"
     assert page.count(said) >= 2  # in the answer and among the assumptions
     assert "vehicles that drive by (vans.csv)" in page
+    request.getfixturevalue("without_figures")
     code, out, _ = run(*asked, "--json", "--out", "again")
     assert json.loads(out)["sampled"] == summary["sampled"]
 

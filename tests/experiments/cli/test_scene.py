@@ -313,7 +313,7 @@ def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
     assert float(rows[0]["map_x"]) == pytest.approx(unit["geometry"]["coordinates"][0], abs=1e-9)
     assert rows[0]["map_crs"] == "EPSG:4326"
     layout = str(results / "layout.json")
-    elsewhere = command("evaluate", "--layout", layout, "--quiet")
+    elsewhere = command("evaluate", "--layout", layout, *question, "--quiet")
     assert elsewhere.code == 2
     assert "expected one of town05, the scene that is looked at" in elsewhere.err
     here = command("export", "--layout", layout, "--scene", str(out), "--format", "csv")

@@ -21,64 +21,53 @@ ROOT = Path(__file__).parents[3]
 MAP = str(ROOT / "docs" / "maps" / "crossing.osm")
 
 
-def test_a_task_is_done_elsewhere_and_what_it_refuses_is_told(tmp_path):
-    async def work():
-        worker = Worker(small_work(tmp_path))
-        try:
-            told = []
-            found = await worker.call(
-                "survey", MAP, on_progress=lambda stage, done, total: told.append(stage)
-            )
-            assert found["junctions"]
-            assert "read" in told
-            with pytest.raises(TaskError, match=r"nowhere\.osm: got .*; expected"):
-                await worker.call("survey", "nowhere.osm", on_progress=silent)
-            with pytest.raises(TaskError, match="AttributeError"):
-                await worker.call("fly", on_progress=silent)
-            process = worker._process
-        finally:
-            worker.stop()
-        assert not process.is_alive()
+def test_tasks_are_done_elsewhere_by_a_process_that_may_be_stopped_or_die(tmp_path):
+    """One story, for each process takes a second to begin."""
+    worker = Worker(small_work(tmp_path))
 
-    asyncio.run(work())
-
-
-def test_work_that_is_stopped_is_cancelled_and_the_next_task_is_done(tmp_path):
-    async def work():
-        worker = Worker(small_work(tmp_path))
+    async def begin_what_takes_long():
         begun = asyncio.Event()
         task = asyncio.create_task(
             worker.call("open_setting", on_progress=lambda *stage: begun.set())
         )
         await begun.wait()
-        process = worker._process
+        return task, worker._process
+
+    async def work():
+        # What it does is told, and what it refuses.
+        told = []
+        found = await worker.call(
+            "survey", MAP, on_progress=lambda stage, done, total: told.append(stage)
+        )
+        assert found["junctions"]
+        assert "read" in told
+        with pytest.raises(TaskError, match=r"nowhere\.osm: got .*; expected"):
+            await worker.call("survey", "nowhere.osm", on_progress=silent)
+        with pytest.raises(TaskError, match="AttributeError"):
+            await worker.call("fly", on_progress=silent)
+        # Work that is stopped is cancelled.
+        task, process = await begin_what_takes_long()
         worker.stop()
         with pytest.raises(Cancelled):
             await task
         assert not process.is_alive()
         assert not worker.is_busy
-        found = await worker.call("survey", MAP, on_progress=silent)
-        assert found["junctions"]
-        worker.stop()
-
-    asyncio.run(work())
-
-
-def test_a_process_that_is_killed_is_told_and_the_next_task_is_done(tmp_path):
-    async def work():
-        worker = Worker(small_work(tmp_path))
-        begun = asyncio.Event()
-        task = asyncio.create_task(
-            worker.call("open_setting", on_progress=lambda *stage: begun.set())
-        )
-        await begun.wait()
-        os.kill(worker._process.pid, signal.SIGKILL)
+        # The next task is done, by another process; that one is killed.
+        task, another = await begin_what_takes_long()
+        assert another.pid != process.pid
+        os.kill(another.pid, signal.SIGKILL)
         with pytest.raises(DiedError, match=r"\(open_setting\) was ended from outside"):
             await task
+        # So the next is done by a third, which ends when it is told to.
         assert (await worker.call("survey", MAP, on_progress=silent))["junctions"]
+        last = worker._process
         worker.stop()
+        assert not last.is_alive()
 
-    asyncio.run(work())
+    try:
+        asyncio.run(work())
+    finally:
+        worker.stop()
 
 
 @pytest.mark.parametrize("is_closed", [False, True], ids=["by-ctrl-c", "by-closing-the-page"])
