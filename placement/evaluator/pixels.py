@@ -27,11 +27,14 @@ from .triangle_kernels import (
     SLACK_PX,
     Image,
     Window,
+    columns_left,
     corner,
     cross,
     depth_at,
     dot,
     find_columns,
+    find_cut,
+    find_cuts,
     find_edges,
     find_span,
     passes_by,
@@ -156,16 +159,30 @@ def find_box(image: Image, points: FloatArray, skin: Skin, window: Window) -> Wi
             if x_min >= x_max or y_min >= y_max:
                 continue
             edges, volume = find_edges(a, b, c)
+            cuts = find_cuts(image, edges)
             is_near = min(min(a[2], b[2]), c[2]) < image.near_m
             for y in range(y_min, y_max):
                 down = (y - middle_y) * per_px
-                for x in range(x_min, x_max):
-                    if x_low <= x < x_high and y_low <= y < y_high:
-                        continue
+                first, stop = find_columns(cuts, down, x_min, x_max)
+                # From both ends to the first that is covered: what is between them is in the box.
+                is_in = y_low <= y < y_high
+                x = first
+                while x < (min(stop, x_low) if is_in else stop):
                     across = (x - middle_x) * per_px
                     if depth_at(image, edges, volume, is_near, across, down) < np.inf:
                         x_low, x_high = min(x_low, x), max(x_high, x + 1)
                         y_low, y_high = min(y_low, y), max(y_high, y + 1)
+                        break
+                    x += 1
+                if x >= stop:
+                    continue
+                x = stop - 1
+                while x >= max(first, x_high):
+                    across = (x - middle_x) * per_px
+                    if depth_at(image, edges, volume, is_near, across, down) < np.inf:
+                        x_high = x + 1
+                        break
+                    x -= 1
         if x_low < x_high:
             left = x_low - 0.5 + SLACK_PX if x_low > window[0] else -np.inf
             right = x_high + 0.5 - SLACK_PX if x_high < window[2] else np.inf
@@ -212,11 +229,13 @@ def draw(
         if not has_backs and dot(a, cross(b, c)) > 0.0:
             continue
         edges, volume = find_edges(a, b, c)
+        cuts = find_cuts(image, edges)
         is_near = min(min(a[2], b[2]), c[2]) < image.near_m
         for y in range(y_min, y_max):
             down = (y - middle_y) * per_px
             start = (y - window[1]) * width - window[0]
-            for x in range(x_min, x_max):
+            first, stop = find_columns(cuts, down, x_min, x_max)
+            for x in range(first, stop):
                 across = (x - middle_x) * per_px
                 depth = depth_at(image, edges, volume, is_near, across, down)
                 depth_m[start + x] = min(depth_m[start + x], depth)
@@ -357,11 +376,20 @@ def hide(
             if volume == 0.0 or passes_by(image, edges, volume, box, farthest_m):
                 continue
             is_near = min(min(a[2], b[2]), c[2]) < image.near_m
-            least = volume / farthest_m if is_asked else 0.0
+            cuts = find_cuts(image, edges)
+            total = (
+                edges[0][0] + edges[1][0] + edges[2][0],
+                edges[0][1] + edges[1][1] + edges[2][1],
+                edges[0][2] + edges[1][2] + edges[2][2],
+            )
+            # It is nearer than that where all products together are at least so large.
+            near = find_cut(image, total, volume / farthest_m)
             for y in range(y_min, y_max):
                 down = (y - middle_y) * per_px
                 start = (y - box[1]) * width - box[0]
-                first, stop = find_columns(image, edges, least, down, x_min, x_max)
+                first, stop = find_columns(cuts, down, x_min, x_max)
+                if is_asked and first < stop:
+                    first, stop = columns_left(near, down, float(first), float(stop - 1))
                 for x in range(first, stop):
                     before_m = farthest_m if is_asked else depth_m[start + x]
                     if before_m == np.inf:

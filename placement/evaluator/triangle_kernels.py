@@ -15,6 +15,10 @@ Point = tuple[float, float, float]  # right, down, ahead: camera frame. [m]
 Edges = tuple[Point, Point, Point]  # normals of planes through the lens
 Window = tuple[int, int, int, int]  # first column and row, and those after the last
 Bounds = tuple[float, float, float, float]  # x_min, y_min, x_max, y_max. [px]
+# Which side of a column is left (1: right of it, -1: left of it, 0: all or nothing), the column in
+# the middle row, and how much further to the left it is per unit of `down`.
+Cut = tuple[int, float, float]
+Cuts = tuple[Cut, Cut, Cut]  # of a triangle's edges
 
 SLACK_PX = 1.0e-6
 """More than rounding moves an edge."""
@@ -121,44 +125,60 @@ def depth_at(
 
 
 @kernel
-def find_columns(
-    image: Image, edges: Edges, least: float, down: float, x_min: int, x_max: int
-) -> tuple[int, int]:
-    """The first column of a row in which a triangle may be near enough, and that after the last.
+def find_cut(image: Image, normal: Point, least: float) -> Cut:
+    """Where the product of a direction and a normal may be at least so large, with slack.
 
-    There, with slack for rounding, no product of the direction and an edge's normal is negative,
-    and all together are at least `least`: large triangles cover few of the pixels around them.
+    To be found once for a triangle and asked in each row that it may cover: in large ones most
+    pixels around them are not covered, nor are they in small ones.
     """
-    low, high = float(x_min), float(x_max - 1)
-    for edge in edges:
-        low, high = _cut(image, edge, 0.0, down, low, high)
-    total = (
-        edges[0][0] + edges[1][0] + edges[2][0],
-        edges[0][1] + edges[1][1] + edges[2][1],
-        edges[0][2] + edges[1][2] + edges[2][2],
-    )
-    low, high = _cut(image, total, least, down, low, high)
-    return (int(low), int(high) + 1) if low <= high else (0, 0)
+    slope = normal[0] / image.focal_px
+    steepest = 0.5 * image.height_px / image.focal_px
+    size = abs(slope) * image.width_px + abs(normal[1]) * steepest + abs(normal[2]) + abs(least)
+    at_middle = normal[2] - least + _ROUNDING * size
+    if abs(slope) * image.width_px <= _ROUNDING * size:  # all along a row it is as good as the same
+        return 0, at_middle + _ROUNDING * size, -normal[1]
+    middle_x = 0.5 * image.width_px - 0.5
+    return (1 if slope > 0.0 else -1), middle_x - at_middle / slope, normal[1] / slope
 
 
 @kernel
-def _cut(
-    image: Image, normal: Point, least: float, down: float, low: float, high: float
-) -> tuple[float, float]:
-    """Part of a row from `low` to `high` in which products with a normal are at least so large.
+def find_cuts(image: Image, edges: Edges) -> Cuts:
+    """Where directions are on the positive side of all three edges."""
+    return (
+        find_cut(image, edges[0], 0.0),
+        find_cut(image, edges[1], 0.0),
+        find_cut(image, edges[2], 0.0),
+    )
 
-    It ends before it begins where there is none.
-    """
-    middle_x, per_px = 0.5 * image.width_px - 0.5, 1.0 / image.focal_px
-    slope = normal[0] * per_px
-    at_middle = normal[1] * down + normal[2] - least
-    size = abs(slope) * image.width_px + abs(normal[1] * down) + abs(normal[2]) + abs(least)
-    at_middle += _ROUNDING * size
-    if slope > 0.0:
-        return max(low, middle_x - at_middle / slope), high
-    if slope < 0.0:
-        return low, min(high, middle_x - at_middle / slope)
-    return (low, high) if at_middle >= 0.0 else (1.0, 0.0)
+
+@kernel
+def cut_row(cut: Cut, down: float, low: float, high: float) -> tuple[float, float]:
+    """Part of a row from `low` to `high` that a cut leaves; nothing: it ends before it begins."""
+    side, at_middle, per_down = cut
+    column = at_middle - per_down * down
+    if side > 0:
+        return max(low, column), high
+    if side < 0:
+        return low, min(high, column)
+    return (low, high) if column >= 0.0 else (1.0, 0.0)
+
+
+@kernel
+def find_columns(cuts: Cuts, down: float, x_min: int, x_max: int) -> tuple[int, int]:
+    """The first column of a row that a triangle may cover, and that after the last."""
+    low, high = cut_row(cuts[0], down, float(x_min), float(x_max - 1))
+    low, high = cut_row(cuts[1], down, low, high)
+    return columns_left(cuts[2], down, low, high)
+
+
+@kernel
+def columns_left(cut: Cut, down: float, low: float, high: float) -> tuple[int, int]:
+    """The first column of a row that a cut leaves, and that after the last; zeros: nothing."""
+    low, high = cut_row(cut, down, low, high)
+    if low > high:
+        return 0, 0
+    first = int(low)  # no number is negative: cutting off rounds down
+    return first + (first < low), int(high) + 1
 
 
 @kernel
