@@ -21,7 +21,7 @@ from placement.evaluator import evaluate_layouts
 from placement.explain.other_sensors import STAGE as OTHER_SENSORS
 from placement.explain.other_sensors import find_other_sensors
 from placement.explain.sensitivity import STAGE as WHAT_IF
-from placement.explain.sensitivity import find_sensitivity
+from placement.explain.sensitivity import find_sensitivity, prepare_sensitivity
 from placement.kept import keep_value
 from placement.layout import Layout, check_layout
 from placement.optimiser.front import Front, front_below
@@ -111,6 +111,8 @@ def run_placement(
             cache = compute.cache_folder
             if stage == "optimise" and cache is not None and any(cache.glob("table-*")):
                 progress.kept += "; the detection table is kept for the next call"
+            if stage == "optimise" and cache is not None:  # which leaves a core idle
+                beside.begin("other brakes", prepare_sensitivity, setting, compute=compute)
             progress(stage, done, total)
 
         placement = place(

@@ -105,9 +105,22 @@ def _make(make: Callable[..., _T], args: Sequence[object], kwargs: dict[str, Any
     return make(*values, **kwargs)
 
 
+_SLOW_TO_LOAD = (
+    "experiments.report.page",
+    "placement.explain.other_sensors",
+    "placement.explain.sensitivity",
+    "placement.visibility.projecting",  # the compiler
+    "placement.visibility.spreading",
+    "scipy.integrate",
+    "scipy.optimize",
+    "trimesh",
+)
+
+
 def _get_ready() -> None:
-    """Load while there is time what takes time to load."""
-    import_module("experiments.report.page")
+    """Load while there is time what takes time to load and the parts will need."""
+    for name in _SLOW_TO_LOAD:
+        import_module(name)
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from geometry.errors import InputError, Unquoted
 from geometry.files import Table, load_toml, take_list, take_number, take_text
 from geometry.poses import Pose, wrap_deg
 from geometry.scene import Scene, containing_instance
-from scenarios.aeb import TIME_TOLERANCE_S, AebRule, is_in_time, last_brake_time_s
+from scenarios.aeb import TIME_TOLERANCE_S, AebRule, is_in_time
 from scenarios.exposure import weight_share
 from scenarios.runs import FrameAxis, find_onsets
 
@@ -25,7 +25,6 @@ from ..candidates import CandidatePose
 from ..compute import DEFAULT_COMPUTE, Compute
 from ..detectors import GeometricDetector, PlanningDetector, ResponseDetector
 from ..evaluation import leave_each_out
-from ..kept import Fingerprints, Kept
 from ..layout import Layout
 from ..optimiser import PlacementProblem, run_margins_s
 from ..optimiser.problem import Fusion
@@ -33,6 +32,7 @@ from ..setting import Setting
 from ..visibility import build_detection_table
 from ..visibility.build import Look, detected_frames
 from ..wishes import Wishes, build_problem
+from .other_brakes import find_last_brake_times
 
 # ---------- assumptions: what is varied, and to which values
 
@@ -273,7 +273,6 @@ def runs_lost(planned: Outcome, outcome: Outcome) -> list[int]:
 MAX_LOOKED_FROM = 30
 """For layouts with more units, variations that need new looks at the scene are left out."""
 _LOWEST_M = 0.1
-_KIND = "place-rsus/braking/1"  # raise it whenever the same encounters give other brake times
 _MOUNTING = ("yaw_deg", "pitch_deg", "height_m", "position_m")
 _DETECTOR = ("min_box_height_share", "min_iou")
 
@@ -341,28 +340,18 @@ def find_sensitivity(
     compute.progress(STAGE, 0, 0)
     with threadpool_limits(1), ThreadPoolExecutor(compute.workers) as pool:
         try:
-            hashes = Fingerprints()
-            rules = {
-                hashes.of(other): other
-                for value in values.get("deceleration_mps2", ())
-                for other in [replace(rule, deceleration_mps2=value)]
-            }
-            kept = _open_last_brake_times(setting, compute)
-            last_brake_s = {
-                name: pool.submit(_last_brake_times_s, setting, other)
-                for name, other in rules.items()
-                if name not in kept.arrays
-            }
+            brakes = pool.submit(
+                find_last_brake_times, setting, values.get("deceleration_mps2", ()), compute=compute
+            )
             frames = detected_frames(
                 setting,
                 [*((unit, setting.planner) for unit in units), *chain(*looks.values())],
                 pool=pool,
                 compute=compute.within(STAGE),
             )
-            kept.add({name: found.result() for name, found in last_brake_s.items()})
             axes = {
-                other.deceleration_mps2: replace(setting.axis, last_brake_time_s=kept.arrays[name])
-                for name, other in rules.items()
+                value: replace(setting.axis, last_brake_time_s=last_s)
+                for value, last_s in brakes.result().items()
             }
         except BaseException:
             pool.shutdown(cancel_futures=True)
@@ -443,19 +432,15 @@ def _with(detector: PlanningDetector, name: str, value: float) -> PlanningDetect
     return replace(detector, min_box_height_px=value * detector.min_box_height_px)
 
 
-def _last_brake_times_s(setting: Setting, rule: AebRule) -> FloatArray:
-    """Last brake time of every run, (n_runs,); runs that differ by weather alone share it."""
-    encounters = {id(run.encounter): run.encounter for run in setting.runs}
-    last_s = {key: last_brake_time_s(encounter, rule) for key, encounter in encounters.items()}
-    return np.array([last_s[id(run.encounter)] for run in setting.runs])
+def prepare_sensitivity(setting: Setting, *, compute: Compute = DEFAULT_COMPUTE) -> None:
+    """Keep for :func:`find_sensitivity` what it needs whatever the layout, where anything is kept.
 
-
-def _open_last_brake_times(setting: Setting, compute: Compute) -> Kept:
-    """Last brake times that are known already, by braking rule."""
-    fingerprint = ""
+    That is half of its work.
+    """
     if compute.cache_folder is not None:
-        fingerprint = Fingerprints().of(_KIND, [run.encounter for run in setting.runs])
-    return Kept(compute.cache_folder, "braking", kind=_KIND, fingerprint=fingerprint)
+        for one in load_assumptions():
+            if one.name == "deceleration_mps2":
+                find_last_brake_times(setting, _new_values(one, setting), compute=compute)
 
 
 def _looks_at(

@@ -11,13 +11,14 @@ from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.detectors import load_detector, load_planning_detector
-from placement.explain import sensitivity as sensitivity_module
+from placement.explain import other_brakes as brakes_module
 from placement.explain.sensitivity import (
     MAX_LOOKED_FROM,
     RANGES,
     Assumption,
     find_sensitivity,
     load_assumptions,
+    prepare_sensitivity,
     read_assumptions,
 )
 from placement.layout import Layout
@@ -314,7 +315,7 @@ def test_the_second_call_looks_at_nothing_and_says_the_same(
         raise AssertionError("looked again")
 
     monkeypatch.setattr(build_module, "build_world", never)
-    monkeypatch.setattr(sensitivity_module, "last_brake_time_s", never)
+    monkeypatch.setattr(brakes_module, "last_brake_time_s", never)
     again = find_sensitivity(setting, layout, compute=compute)
     for one in (kept, again):
         for part in one:
@@ -330,3 +331,22 @@ def test_the_second_call_looks_at_nothing_and_says_the_same(
     slower = replace(setting, rule=replace(setting.rule, build_up_s=0.3))
     with pytest.raises(AssertionError, match="looked again"):
         find_sensitivity(slower, layout, compute=compute)
+
+
+def test_brake_times_found_before_the_layout_are_not_found_again(
+    setting, layout, found, tmp_path, monkeypatch
+):
+    compute = Compute(workers=1, cache_folder=tmp_path)
+    prepare_sensitivity(setting, compute=compute)
+
+    def never(*_):
+        raise AssertionError("braked again")
+
+    monkeypatch.setattr(brakes_module, "last_brake_time_s", never)
+    brakes = [one for one in load_assumptions() if one.name == "deceleration_mps2"]
+    (again,) = find_sensitivity(setting, layout, assumptions=brakes, compute=compute)
+    assert [(v.value, v.outcome.apr, v.lost_runs) for v in again.varied] == [
+        (v.value, v.outcome.apr, v.lost_runs) for v in found["deceleration_mps2"].varied
+    ]
+    with pytest.raises(AssertionError, match="braked again"):
+        find_sensitivity(setting, layout, assumptions=brakes, compute=Compute(workers=1))
