@@ -26,7 +26,7 @@ from ..progress import WRITING, StageProgress
 from ..report import bill_of_materials
 from ..report.beside import Beside
 from ..report.bill_of_materials import BillOfMaterials, bill_of_materials_csv, build_bill
-from ..report.page import write_report
+from ..report.page import begin_parts, write_report
 from ..results.csv_text import csv_text
 from ..results.folders import APR_FILE, LAYOUT_FILE, MARKER, RUNS_FILE, new_result_folder
 from ..results.result import Result
@@ -81,6 +81,8 @@ def write_results(
     """
     progress(WRITING, 0, 0)
     result = msgspec.structs.replace(result, seconds=progress.seconds.copy())
+    if beside is not None:
+        begin_parts(beside, result, setting, evaluations)  # drawn while other files are written
     subject = next(iter(evaluations.values()))
     layout = replace(subject.layout, scene_name=setting.scene.name)
     # The answer comes first: it is kept if anything that follows cannot be written.

@@ -2,8 +2,10 @@
 
 import base64
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from matplotlib.axes import Axes
@@ -20,7 +22,7 @@ from ..results.result import Result
 from .accidents import accidents_section, alone_section, apr_picture
 from .answer import answer, models_section, proof_section, title
 from .assumptions import again_section, assumptions_section
-from .beside import Beside
+from .beside import Beside, Part
 from .bill_of_materials import BillOfMaterials, bill_section, build_bill
 from .comparison import EXPERT, GREEDY, comparison_section, study_cases_section
 from .coverage import coverage_section
@@ -139,57 +141,42 @@ def _build_report(
     beside: Beside | None = None,
 ) -> tuple[str, dict[str, Picture]]:
     """The page, and those of its pictures that are worth a file, by name."""
-    if not evaluations:
-        raise InputError("evaluations", Unquoted("none"), "at least one")
+    beside = beside or Beside()
+    parts = begin_parts(beside, result, setting, evaluations, heatmap_runs=heatmap_runs)
     subject_name, subject = next(iter(evaluations.items()))
-    shown = {name: item for name, item in evaluations.items() if name not in (GREEDY, EXPERT)}
-    is_comparison = not result.stages and len(evaluations) > 1
-    detailed = shown if is_comparison else {subject_name: subject}
+    shown, detailed = _shown(result, evaluations)
     layouts = {name: item.layout for name, item in detailed.items()}
     labels = unit_labels(subject.layout)
-    run_indices = heatmap_indices(subject, setting, heatmap_runs)
-    run_ids = [subject.axis.run_ids[index] for index in run_indices]
-
-    beside = beside or Beside()
-    others = [] if is_comparison else [item.layout for item in [*shown.values()][1:]]
-    # What takes the longest comes first.
-    plans = beside.begin("plans", build_plans, setting, layouts, others)
-    of_heatmaps = beside.begin("heatmaps", build_heatmaps, detailed, run_indices)
-    dangers = beside.begin("dangers", positions_section, setting, shown, fusion=result.fusion)
-    margins = beside.begin("margins", margins_section, shown)
-    what_if = beside.begin("sensitivity", sensitivity_section, result.sensitivity)
-    of_apr = beside.begin("apr", apr_picture, evaluations)
-    coverage = beside.begin("coverage", coverage_section, setting.scene, subject.layout)
-    front = beside.begin("front", front_section, result.front)
+    run_ids = parts.run_ids
     interactive = interactive_part(setting, shown, first_runs=run_ids)
-    for part in (front, coverage, of_apr, what_if, margins, dangers, of_heatmaps, plans):
+    for part in reversed(parts.in_order):
         part.take()
-    heatmaps = of_heatmaps.result()
+    heatmaps, plans, of_apr = parts.heatmaps.result(), parts.plans.result(), parts.apr.result()
     sampled = None
     if result.sampled and sampled_figure is not None:
         sampled = sampled_picture(result.sampled, sampled_figure)
-    pictures = {"plan": plans.result()[0], "apr_by_case": of_apr.result()}
+    pictures = {"plan": plans[0], "apr_by_case": of_apr}
     for run_id, picture in zip(run_ids, heatmaps[subject_name], strict=True):
         pictures[f"heatmap_{run_id.replace('/', '_')}"] = picture
     if sampled is not None:
         pictures["sampled_apr"] = sampled
 
     sections = [
-        units_section(layouts, plans.result(), setting.scene),
+        units_section(layouts, plans, setting.scene),
         proof_section(result),
-        front.result(),
+        parts.front.result(),
         next_unit_section(result),
         *explanation_sections(result.explained, labels),
-        accidents_section(evaluations, of_apr.result(), is_optimised=bool(result.stages)),
-        dangers.result(),
+        accidents_section(evaluations, of_apr, is_optimised=bool(result.stages)),
+        parts.dangers.result(),
         comparison_section(result, evaluations),
         study_cases_section(result.study_cases),
-        margins.result(),
+        parts.margins.result(),
         failures_section(subject, setting.rule, labels),
         None if sampled is None else sampled_section(sampled),
-        what_if.result(),
+        parts.what_if.result(),
         alone_section(detailed),
-        coverage.result(),
+        parts.coverage.result(),
         heatmaps_section(heatmaps, setting.rule, [*layouts.values()]),
         models_section(result),
     ]
@@ -209,6 +196,67 @@ def _build_report(
         details=_present(details),
     )
     return page, pictures
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Parts:
+    """What a second process may make of a report."""
+
+    run_ids: list[str]  # of the heatmaps
+    plans: Part[list[Picture]]
+    heatmaps: Part[dict[str, list[Picture]]]
+    dangers: Part[Section | None]
+    margins: Part[Section | None]
+    what_if: Part[Section | None]
+    apr: Part[Picture]
+    coverage: Part[Section | None]
+    front: Part[Section | None]
+
+    @property
+    def in_order(self) -> list[Part[Any]]:
+        """As they were begun."""
+        return [getattr(self, field.name) for field in fields(self) if field.name != "run_ids"]
+
+
+def begin_parts(
+    beside: Beside,
+    result: Result,
+    setting: Setting,
+    evaluations: Mapping[str, Evaluation],
+    *,
+    heatmap_runs: Sequence[str] = (),
+) -> Parts:
+    """Begin what takes long to draw; once begun, the report that is written takes it from there.
+
+    Arguments as for :func:`render_report`.
+    """
+    if not evaluations:
+        raise InputError("evaluations", Unquoted("none"), "at least one")
+    subject = next(iter(evaluations.values()))
+    shown, detailed = _shown(result, evaluations)
+    layouts = {name: item.layout for name, item in detailed.items()}
+    others = [item.layout for item in [*shown.values()][1:]] if len(detailed) == 1 else []
+    run_indices = heatmap_indices(subject, setting, heatmap_runs)
+    return Parts(  # what takes the longest comes first
+        run_ids=[subject.axis.run_ids[index] for index in run_indices],
+        plans=beside.begin("plans", build_plans, setting, layouts, others),
+        heatmaps=beside.begin("heatmaps", build_heatmaps, detailed, run_indices),
+        dangers=beside.begin("dangers", positions_section, setting, shown, fusion=result.fusion),
+        margins=beside.begin("margins", margins_section, shown),
+        what_if=beside.begin("sensitivity", sensitivity_section, result.sensitivity),
+        apr=beside.begin("apr", apr_picture, evaluations),
+        coverage=beside.begin("coverage", coverage_section, setting.scene, subject.layout),
+        front=beside.begin("front", front_section, result.front),
+    )
+
+
+def _shown(
+    result: Result, evaluations: Mapping[str, Evaluation]
+) -> tuple[dict[str, Evaluation], dict[str, Evaluation]]:
+    """Those that are more than a row of a table or a bar; of these, those told of in detail."""
+    shown = {name: item for name, item in evaluations.items() if name not in (GREEDY, EXPERT)}
+    is_comparison = not result.stages and len(evaluations) > 1
+    return shown, shown if is_comparison else dict([next(iter(evaluations.items()))])
 
 
 def _present(sections: Sequence[Section | None]) -> list[Section]:
