@@ -25,6 +25,7 @@ from .sights import Seen, Sights, Skin, Tree, Vehicles
 from .trees import MAX_OPEN
 from .triangle_kernels import (
     SLACK_PX,
+    Bounds,
     Image,
     Window,
     columns_left,
@@ -131,6 +132,17 @@ def _project(image: Image, points: FloatArray, least_depth: float, pixels: Float
 
 
 @kernel
+def _bounds(pixels: FloatArray, i: int, j: int, k: int) -> Bounds:
+    """Of a triangle whose corners are all ahead: the same as those of :func:`find_span`."""
+    return (
+        min(min(pixels[i, 0], pixels[j, 0]), pixels[k, 0]),
+        min(min(pixels[i, 1], pixels[j, 1]), pixels[k, 1]),
+        max(max(pixels[i, 0], pixels[j, 0]), pixels[k, 0]),
+        max(max(pixels[i, 1], pixels[j, 1]), pixels[k, 1]),
+    )
+
+
+@kernel
 def find_box(image: Image, points: FloatArray, skin: Skin, window: Window) -> Window:
     """Box around the pixels of a window that a body covers, zeros if there are none.
 
@@ -154,9 +166,14 @@ def find_box(image: Image, points: FloatArray, skin: Skin, window: Window) -> Wi
             row = skin.fans[place]
             i, j, k = skin.triangles[row, 0], skin.triangles[row, 1], skin.triangles[row, 2]
             a, b, c = corner(points, i), corner(points, j), corner(points, k)
-            bounds = find_span(image, least_depth, a, b, c)
+            if is_ahead:
+                bounds = _bounds(pixels, i, j, k)
+            else:
+                bounds = find_span(image, least_depth, a, b, c)
             x_min, y_min, x_max, y_max = pixels_within(bounds, window)
             if x_min >= x_max or y_min >= y_max:
+                continue
+            if x_min >= x_low and x_max <= x_high and y_min >= y_low and y_max <= y_high:
                 continue
             edges, volume = find_edges(a, b, c)
             cuts = find_cuts(image, edges)
@@ -214,15 +231,7 @@ def draw(
     for row in range(len(triangles)):
         i, j, k = triangles[row, 0], triangles[row, 1], triangles[row, 2]
         a, b, c = corner(points, i), corner(points, j), corner(points, k)
-        if is_ahead:
-            bounds = (
-                min(min(pixels[i, 0], pixels[j, 0]), pixels[k, 0]),
-                min(min(pixels[i, 1], pixels[j, 1]), pixels[k, 1]),
-                max(max(pixels[i, 0], pixels[j, 0]), pixels[k, 0]),
-                max(max(pixels[i, 1], pixels[j, 1]), pixels[k, 1]),
-            )
-        else:
-            bounds = find_span(image, least_depth, a, b, c)
+        bounds = _bounds(pixels, i, j, k) if is_ahead else find_span(image, least_depth, a, b, c)
         x_min, y_min, x_max, y_max = pixels_within(bounds, window)
         if x_min >= x_max or y_min >= y_max:
             continue
