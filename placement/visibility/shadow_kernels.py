@@ -244,7 +244,7 @@ def find_blocks(middle: Array, radius: Array, eye: Array, views: Array) -> Array
     for view in views:
         x, y, z = middle[view, 0] - eye[0], middle[view, 1] - eye[1], middle[view, 2] - eye[2]
         wide = radius[view] + _SLACK_M
-        if x * x + y * y + z * z <= wide * wide:
+        if np.sqrt(x * x + y * y + z * z) <= wide:  # its points may be anywhere
             blocks[:] = True
             break
         low, high, begin, end = _window(x, y, z, wide, (N_UP, N_AROUND))
