@@ -41,6 +41,12 @@ def kernel(function: F) -> F:
     return cast(F, compiled)
 
 
+def is_compiled(function: Callable[..., Any]) -> bool:
+    """Whether machine code of a kernel is kept, for whatever types, or cannot be kept at all."""
+    kept = cast(Any, function)._cache
+    return not isinstance(kept, _Kept) or kept.has_any
+
+
 def compiled_folder() -> Path:
     """Where machine code is kept: NUMBA_CACHE_DIR, or a folder in the user's cache."""
     chosen = os.environ.get("NUMBA_CACHE_DIR")
@@ -99,6 +105,14 @@ class _Kept(FunctionCache):  # type: ignore[misc]
             filename_base=self._impl.filename_base,
             source_stamp=(self._impl.locator.get_source_stamp(), *_stamps_beside(function)),
         )
+
+    @property
+    def has_any(self) -> bool:
+        """Whether there is code of any signature; a damaged index has none."""
+        try:
+            return bool(self._cache_file._load_index())
+        except Exception:  # damaged pickles raise anything
+            return False
 
     def load_overload(self, signature: Any, target_context: Any) -> Any:
         """Code of a signature; None where there is none, or none that can be used."""

@@ -118,9 +118,15 @@ _SLOW_TO_LOAD = (
 
 
 def _get_ready() -> None:
-    """Load while there is time what takes time to load and the parts will need."""
+    """Load while there is time what takes time to load and the parts will need.
+
+    And compile what the first process will need, where nothing was compiled yet.
+    """
     for name in _SLOW_TO_LOAD:
         import_module(name)
+    from placement.compile_ahead import compile_ahead
+
+    compile_ahead()
 
 
 @contextmanager
