@@ -586,18 +586,13 @@ class Desk:
         self._ground, self._sight = ground, sight
         self._exact, self._advice = exact, self._make_worker(work)
         self._live = self._new_table()
-        self._known.clear()
-        self._failed.clear()
-        self._by_table.clear()
-        self._died.clear()
+        for known in (self._known, self._failed, self._by_table, self._died):
+            known.clear()
         self._proposals = []
         self.history, self.background = begin_history(()), None
         self.revision += 1
-        for message in (
-            self._scene_message(),
-            self._state_message(),
-            self._proposals_message(),
-            background_message(self.background),
-        ):
-            self.tell(message)
+        self.tell(self._scene_message())
+        self.tell(self._state_message())
+        self.tell(self._proposals_message())
+        self.tell(background_message(self.background))
         self._changed.set()

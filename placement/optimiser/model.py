@@ -184,7 +184,7 @@ def window_constraints(
 
 def chain_constraint(z: cp.Variable, a: cp.Variable, reduced: ReducedProblem) -> cp.Constraint:
     """Chains: a_k <= a_{k-1} + z_w(k): the sum of the z up to link k, written link by link."""
-    return difference(reduced) @ a <= z[reduced.chain_window]
+    return difference(reduced) @ a <= z[reduced.chains.window]
 
 
 def tail_constraints(
@@ -229,8 +229,8 @@ def difference(reduced: ReducedProblem) -> sp.csr_array:
     """a_k - a_{k-1} along every chain, (n_links, n_links)."""
     import scipy.sparse as sp
 
-    n_links = len(reduced.chain_window)
-    later = np.setdiff1d(np.arange(n_links), reduced.chain_start)
+    n_links = len(reduced.chains.window)
+    later = np.setdiff1d(np.arange(n_links), reduced.chains.start)
     links = np.arange(n_links)
     return sp.csr_array(
         (
@@ -318,12 +318,12 @@ def last_links(reduced: ReducedProblem, *, min_margin_s: float = -np.inf) -> Int
     """Last link of every run's chain that leaves at least a margin, (n_runs,); -1 if none does."""
     in_time = (reduced.margin_s > -np.inf) & (reduced.margin_s >= min_margin_s - TOLERANCE)
     n_links = in_time.sum(axis=1)
-    return np.where(n_links > 0, reduced.chain_start[reduced.run_chain] + n_links - 1, -1)
+    return np.where(n_links > 0, reduced.chains.start[reduced.run_chain] + n_links - 1, -1)
 
 
 def avoided_weights(reduced: ReducedProblem) -> FloatArray:
     """Objective of the first stage: weight of avoided runs, as weights of a, (n_links,)."""
-    weights = np.zeros(len(reduced.chain_window))
+    weights = np.zeros(len(reduced.chains.window))
     np.add.at(weights, last_links(reduced), reduced.weight)
     return weights
 
@@ -334,10 +334,10 @@ def margin_weights(reduced: ReducedProblem, weight: FloatArray) -> FloatArray:
     A run whose first live window is its k-th has all a from link k on: the margins' decrease from
     link to link, down to 0 after the last one in time, sums up to its margin.
     """
-    weights = np.zeros(len(reduced.chain_window))
+    weights = np.zeros(len(reduced.chains.window))
     for chain, margin, run_weight in zip(reduced.run_chain, reduced.margin_s, weight, strict=True):
         in_time = margin[margin > -np.inf]
-        start = reduced.chain_start[chain]
+        start = reduced.chains.start[chain]
         weights[start : start + len(in_time)] -= run_weight * np.diff(in_time, append=0.0)
     return weights
 
@@ -373,10 +373,10 @@ def solve_window_model(
         unit = max(float(limits.unit_cost_eur.mean() + limits.site_cost_eur.mean()), TOLERANCE)
         goal = -((limits.unit_cost_eur / unit) @ x + (limits.site_cost_eur / unit) @ o)
         constraints.append(x <= o[limits.site_index])
-    if len(reduced.chain_window):
+    if len(reduced.chains.window):
         y = cp.Variable(reduced.n_frames, bounds=[0.0, 1.0])
         z = cp.Variable(len(reduced.window_frames), bounds=[0.0, 1.0])
-        a = cp.Variable(len(reduced.chain_window), bounds=[0.0, 1.0])
+        a = cp.Variable(len(reduced.chains.window), bounds=[0.0, 1.0])
         constraints += [
             seen_constraint(x, y, reduced),
             *window_constraints(y, z, reduced),
@@ -417,10 +417,10 @@ def entering_poses(reduced: ReducedProblem, phase: int) -> sp.csr_array:
     import scipy.sparse as sp
 
     detected = reduced.detected()
-    n_links = len(reduced.chain_window)
+    n_links = len(reduced.chains.window)
     links, poses = [], []
     for chain in range(reduced.n_chains):
-        start, windows = reduced.chain_start[chain], reduced.window_frames[reduced.chain(chain)]
+        start, windows = reduced.chains.start[chain], reduced.window_frames[reduced.chain(chain)]
         last_use = {frame: link for link, row in enumerate(windows) for frame in row}
         stabbing: set[int] = set()
         is_in = np.zeros(reduced.n_poses, dtype=bool)

@@ -154,19 +154,10 @@ class ReducedProblem:
         """Merged frames that each window needs, (n_windows, n_confirmations or 1)."""
         return self.chains.window_frames
 
-    @property
-    def chain_window(self) -> IntArray:
-        """The windows of all chains, chain after chain, (n_links,)."""
-        return self.chains.window
-
-    @property
-    def chain_start(self) -> IntArray:
-        """First link of each chain, and their number, (n_chains + 1,)."""
-        return self.chains.start
-
     def chain(self, chain_index: int) -> IntArray:
         """Windows of a chain."""
-        return self.chain_window[self.chain_start[chain_index] : self.chain_start[chain_index + 1]]
+        start = self.chains.start
+        return self.chains.window[start[chain_index] : start[chain_index + 1]]
 
     def tails(self, chain_index: int) -> tuple[IntArray, IntArray]:
         """Frames of a chain's tails, and how many of its first windows each keeps alive."""

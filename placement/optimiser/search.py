@@ -35,15 +35,15 @@ def first_cuts(reduced: ReducedProblem, requirement: Requirement) -> list[Cut]:
     links = last_links(reduced, min_margin_s=requirement.min_margin_s)[counted]
     cuts = []
     last = np.unique(links[links >= 0])
-    chains = np.searchsorted(reduced.chain_start, last, "right") - 1
-    for chain, link in zip(chains, last - reduced.chain_start[chains], strict=True):
+    chains = np.searchsorted(reduced.chains.start, last, "right") - 1
+    for chain, link in zip(chains, last - reduced.chains.start[chains], strict=True):
         frames, n_links = reduced.tails(int(chain))
         for frame in frames[n_links > link]:
             sees = (reduced.words[:, frame >> 6] >> np.uint64(frame & 63)) & np.uint64(1)
             cuts.append(Cut(is_counted=sees != 0, n_units=requirement.n_failures + 1))
     for phase in range(reduced.window_frames.shape[1]):
         enters = entering_poses(reduced, phase).toarray() > 0.0
-        for start, link in zip(reduced.chain_start[chains], last, strict=True):
+        for start, link in zip(reduced.chains.start[chains], last, strict=True):
             cuts.append(
                 Cut(
                     is_counted=np.logical_or.reduce(enters[start : link + 1], axis=0),
