@@ -146,10 +146,14 @@ POINTS = hnp.arrays(
 
 
 def _drawn(corners_m, camera, window):
-    """Depths of triangles (camera frame) in a window of the image, and the box of their pixels."""
+    """Depths of triangles (camera frame) in a window of the image, and the box of their pixels.
+
+    Each has a front on either side: of closed bodies, which are drawn, no back is seen.
+    """
     image = _image(camera)
     points = np.ascontiguousarray(corners_m.reshape(-1, 3))
     triangles = np.arange(len(points)).reshape(-1, 3)
+    triangles = np.concatenate([triangles, triangles[:, ::-1]])
     depth = np.full((window[3] - window[1], window[2] - window[0]), np.inf)
     draw(image, points, triangles, window, depth.reshape(-1))
     skin = Mesh(vertices_m=points, triangles=triangles).skin
