@@ -109,9 +109,10 @@ def run_placement(
 
         def report(stage: str, done: int, total: int) -> None:
             cache = compute.cache_folder
-            if stage == "optimise" and cache is not None and any(cache.glob("table-*")):
-                progress.kept += "; the detection table is kept for the next call"
-            if stage == "optimise" and cache is not None:  # which leaves a core idle
+            if stage == "optimise" and cache is not None:
+                if any(cache.glob("table-*")):
+                    progress.kept += "; the detection table is kept for the next call"
+                # While this stage leaves a core idle.
                 beside.begin("other brakes", prepare_sensitivity, setting, compute=compute)
             progress(stage, done, total)
 

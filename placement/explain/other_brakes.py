@@ -29,7 +29,7 @@ def find_last_brake_times(
     names = {value: hashes.of(rule) for value, rule in rules.items()}
     fingerprint = ""
     if compute.cache_folder is not None:
-        fingerprint = Fingerprints().of(_KIND, [run.encounter for run in setting.runs])
+        fingerprint = hashes.of(_KIND, [run.encounter for run in setting.runs])
     kept = Kept(compute.cache_folder, "braking", kind=_KIND, fingerprint=fingerprint)
     kept.add(
         {

@@ -362,9 +362,7 @@ def _first_with_each(reduced: ReducedProblem, units: IntArray) -> IntArray:
     first = np.empty((reduced.n_chains, reduced.n_poses), dtype=np.int64)
 
     def look(begin: int, end: int) -> None:
-        first_live_with_each(
-            reduced.detections.columns, is_seen, *reduced.chains, begin, end, first
-        )
+        first_live_with_each(reduced.detections.columns, is_seen, reduced.chains, begin, end, first)
 
     share_out(look, reduced.n_chains)
     return first

@@ -79,23 +79,14 @@ def first_live_windows(unions: WordArray, chains: Chains, first: IntArray) -> No
 
 @kernel
 def first_live_with_each(
-    columns: WordArray,
-    is_seen: BoolArray,
-    window_frames: IntArray,
-    window: IntArray,
-    start: IntArray,
-    tail_frame: IntArray,
-    tail_links: IntArray,
-    tail_start: IntArray,
-    begin: int,
-    end: int,
-    first: IntArray,
+    columns: WordArray, is_seen: BoolArray, chains: Chains, begin: int, end: int, first: IntArray
 ) -> None:
     """First live window of chains begin .. end - 1 for a set with each pose: (n_chains, n_poses).
 
     `columns` has bits along the poses, (n_frames, n_words), `is_seen` (n_frames,) what the set sees
-    by itself. The other arrays are those of ``Chains``.
+    by itself.
     """
+    window_frames, window, start, tail_frame, tail_links, tail_start = chains
     n_words, n_poses = columns.shape[1], first.shape[1]
     every = ~np.uint64(0)
     # Row t: poses with which the first t tails of the chain are seen, those that most windows need.

@@ -1,6 +1,6 @@
 """Vehicles that stand at random: in the parking lanes of the arms, and at the stop lines."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -105,6 +105,11 @@ def footprint_of(placed: PlacedActor) -> FloatArray:
     )
 
 
+def _footprints_of(bodies: Iterable[PlacedActor]) -> Footprints:
+    """Footprints of bodies that stand somewhere; maybe none."""
+    return _footprints(np.array([footprint_of(placed) for placed in bodies]).reshape(-1, 4, 2))
+
+
 def touches_any(corners_m: FloatArray, others_m: Sequence[FloatArray]) -> bool:
     """Whether a footprint touches one of others."""
     if not others_m:
@@ -133,9 +138,7 @@ def _build(runs: Sequence[Run], rule: AebRule) -> Ways:
     return Ways(
         swept=_footprints(np.concatenate(swept)),
         reach_m=np.concatenate(reach),
-        parked=_footprints(
-            np.array([footprint_of(placed) for placed in parked.values()]).reshape(-1, 4, 2)
-        ),
+        parked=_footprints_of(parked.values()),
     )
 
 
@@ -277,9 +280,7 @@ def clear_of_ways(
     Nobody stands nearer to a way than `clearance_m`: a vehicle that would has not come yet, or has
     left.
     """
-    footprints = _footprints(
-        np.array([footprint_of(placed) for placed in vehicles]).reshape(-1, 4, 2)
-    )
+    footprints = _footprints_of(vehicles)
     return {
         key: tuple(
             placed

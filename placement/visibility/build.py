@@ -197,13 +197,12 @@ def table_fingerprint(
     add(np.array([(c.pose.yaw_deg, c.pose.pitch_deg) for c in candidates]))
     # By content: runs that were kept on disk bring actors of their own.
     hashes = Fingerprints()
-    actors = {actor: None for run in runs for actor in _actors_of(run)}
     prints = {
         actor: hashes.of(
             *(actor.name, actor.length_m, actor.width_m, actor.height_m),
             [(shape.vertices_m, shape.triangles) for shape in actor.shapes],
         )
-        for actor in actors
+        for actor in {actor for run in runs for actor in _actors_of(run)}
     }
     for name in dict.fromkeys(run.weather for run in runs):
         add(asdict(pick_weather(name, "runs: weather")))

@@ -24,6 +24,7 @@ from .standing import (
     AROUND_BODY_M,
     Standing,
     bodies_mesh,
+    box_m,
     build_standing,
     find_obstructions,
     obstruction_key,
@@ -405,67 +406,73 @@ def _add_hidden_by_standing(
         pairs,
     )
     rows, bodies = pairs[:n_pairs].T.astype(np.int64)
-    shapes = standing.shape_index[bodies]
-    for number, caster in enumerate(standing.casters):
-        of_shape = np.flatnonzero(shapes == number)
-        for start in range(0, len(of_shape), _ROWS_TOGETHER):
-            chosen = of_shape[start : start + _ROWS_TOGETHER]
-            row, body = rows[chosen], bodies[chosen]
-            hidden = _hidden_by_body(
-                *(world, eye_m, caster, boxes[body[0]], view_index[row], blocked[row]),
-                *(standing.position_m[body], standing.rotation[body]),
-                near_m=near_m,
-            )
-            shown, first = np.unique(row, return_index=True)
-            blocked[shown] |= np.logical_or.reduceat(hidden, first, axis=0)
+    _add_hidden_by_bodies(
+        *(world, eye_m, standing.shapes, standing.casters, standing.shape_index[bodies]),
+        *(standing.position_m[bodies], standing.rotation[bodies]),
+        view_index[rows],
+        rows,
+        blocked,
+        near_m=near_m,
+    )
 
 
 def _box_m(shape: Shape) -> FloatArray:
     """Lowest and highest coordinates, (2, 3), of all ways that are cast against a shape."""
-    vertices_m = shape.vertices_m
-    return np.array(
-        [vertices_m.min(axis=0) - AROUND_BODY_M, vertices_m.max(axis=0) + AROUND_BODY_M]
-    )
+    box: FloatArray = box_m(shape) + [[-AROUND_BODY_M], [AROUND_BODY_M]]
+    return box
 
 
-def _hidden_by_body(
+_ROWS_TOGETHER = 4096  # of bodies, whose rays are cast in one go
+
+
+def _add_hidden_by_bodies(
     world: World,
     eye_m: FloatArray,
-    caster: RayCaster,
-    box_m: FloatArray,
-    view_index: IntArray,
-    hidden: BoolArray,
+    shapes: Sequence[Shape],
+    casters: Sequence[RayCaster],
+    shape_index: IntArray,
     position_m: FloatArray,
     rotation: FloatArray,
+    view_index: IntArray,
+    place: IntArray,
+    hidden: BoolArray,
     *,
     near_m: float,
-) -> BoolArray:
-    """Points of views (n,) that a body hides where it is for each of them, (n, n_points).
+) -> None:
+    """Add the points that bodies hide to rows of `hidden`, (n_rows, n_points).
 
-    Points that are `hidden` (n, n_points) already are left out. The body's `box_m` (2, 3) is in its
-    own frame, from which `rotation` (n, 3, 3) leads into the world's.
+    Body n, of `shapes[shape_index[n]]`, is where `position_m` (n, 3) and `rotation` (n, 3, 3) say,
+    while view `view_index[n]` is looked at, whose points have row `place[n]`.
     """
     from .ray_kernels import find_rays_at_body
 
-    blocked = np.zeros(hidden.shape, dtype=bool)
-    starts, vectors = (np.empty((blocked.size, 3), np.float32) for _ in range(2))
-    n_rays = find_rays_at_body(
-        world.views.axes_m,
-        view_index,
-        hidden,
-        eye_m,
-        position_m,
-        rotation,
-        box_m[0],
-        box_m[1],
-        near_m,
-        _OFF_SURFACE_M,
-        starts,
-        vectors,
-        blocked,
-    )
-    blocked[blocked] = caster.is_blocked(starts[:n_rays], vectors[:n_rays])
-    return blocked
+    for number, (shape, caster) in enumerate(zip(shapes, casters, strict=True)):
+        of_shape = np.flatnonzero(shape_index == number)
+        of_shape = of_shape[np.argsort(place[of_shape], kind="stable")]
+        low_m, high_m = _box_m(shape)
+        for start in range(0, len(of_shape), _ROWS_TOGETHER):
+            chosen = of_shape[start : start + _ROWS_TOGETHER]
+            row = place[chosen]
+            blocked = np.zeros((len(chosen), hidden.shape[1]), dtype=bool)
+            starts, vectors = (np.empty((blocked.size, 3), np.float32) for _ in range(2))
+            n_rays = find_rays_at_body(
+                world.views.axes_m,
+                view_index[chosen],
+                hidden[row],
+                eye_m,
+                position_m[chosen],
+                rotation[chosen],
+                low_m,
+                high_m,
+                near_m,
+                _OFF_SURFACE_M,
+                starts,
+                vectors,
+                blocked,
+            )
+            blocked[blocked] = caster.is_blocked(starts[:n_rays], vectors[:n_rays])
+            shown, first = np.unique(row, return_index=True)
+            hidden[shown] |= np.logical_or.reduceat(blocked, first, axis=0)
 
 
 def _cast_to_points(
@@ -515,9 +522,6 @@ def _rows_between(world: World, eye_m: FloatArray, row_of_frame: IntArray) -> In
     return kept
 
 
-_ROWS_TOGETHER = 4096  # of vehicles, whose rays are cast in one go
-
-
 def _hidden_by_vehicles(
     world: World,
     eye_m: FloatArray,
@@ -527,27 +531,23 @@ def _hidden_by_vehicles(
     *,
     near_m: float,
 ) -> tuple[IntArray, BoolArray]:
-    """Frames (n,) in which vehicles hide points, and which points, (n, n_points).
+    """Frames (n,) in which vehicles hide points, and all that is hidden then, (n, n_points).
 
-    Points of a view that are `hidden` (n_rows, n_points) already are left out.
+    Points of a view that are `hidden` (n_rows, n_points) in any case are among these.
     """
     vehicles = world.vehicles
     between = _rows_between(world, eye_m, row_of_frame)
     frames, place = np.unique(vehicles.frame[between], return_inverse=True)
-    behind = np.zeros((len(frames), hidden.shape[1]), dtype=bool)
-    for index, (actor, caster) in enumerate(zip(vehicles.actors, vehicles.casters, strict=True)):
-        of_actor = np.flatnonzero(vehicles.actor_index[between] == index)
-        for start in range(0, len(of_actor), _ROWS_TOGETHER):
-            chosen = of_actor[start : start + _ROWS_TOGETHER]
-            own = between[chosen]
-            rows = row_of_frame[vehicles.frame[own]]
-            blocked = _hidden_by_body(
-                *(world, eye_m, caster, _box_m(actor.shapes[0]), view_of_row[rows], hidden[rows]),
-                *(vehicles.position_m[own], body_rotation(vehicles.yaw_deg[own])),
-                near_m=near_m,
-            )
-            order = np.argsort(place[chosen], kind="stable")
-            shown, first = np.unique(place[chosen][order], return_index=True)
-            behind[shown] |= np.logical_or.reduceat(blocked[order], first, axis=0)
-    is_hit = behind.any(axis=1)
+    before = hidden[row_of_frame[frames]]
+    behind = before.copy()
+    _add_hidden_by_bodies(
+        *(world, eye_m, [actor.shapes[0] for actor in vehicles.actors], vehicles.casters),
+        *(vehicles.actor_index[between], vehicles.position_m[between]),
+        body_rotation(vehicles.yaw_deg[between]),
+        view_of_row[row_of_frame[vehicles.frame[between]]],
+        place,
+        behind,
+        near_m=near_m,
+    )
+    is_hit = (behind != before).any(axis=1)
     return frames[is_hit], behind[is_hit]

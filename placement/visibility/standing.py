@@ -48,6 +48,12 @@ def shape_caster(shape: Shape, rays: str) -> RayCaster:
     return build_caster(shape.vertices_m, shape.triangles, library=rays)
 
 
+@lru_cache(maxsize=256)
+def box_m(shape: Shape) -> FloatArray:
+    """Lowest and highest coordinates of a shape, (2, 3)."""
+    return np.array([shape.vertices_m.min(axis=0), shape.vertices_m.max(axis=0)])
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Standing:
     """Bodies that stand in the scene in some of the runs: each distinct one once."""
