@@ -101,7 +101,8 @@ def front_by_sites(
         ),
     )
     reduced = presolve(counted)
-    if reduced.n_poses <= limits.is_forced.sum():
+    is_free = ~reduced.limits.is_forced & (room[reduced.limits.site_index] > 0)
+    if not is_free.any():  # what is left hangs already, or where there is no more room
         return SiteFront(limits=(base_apr,), layouts=())
     most = int(room.max())
     bounds, full = _front_of_full_sites(
