@@ -96,14 +96,15 @@ def measure_casting(setting: Setting, candidates: tuple[CandidatePose, ...]) -> 
                 for_lidar=False,
             )
 
-    scene = Recorder(world.scene)
+    scene = Recorder(world.lasting.caster)
     parked = [Recorder(caster) for caster in world.standing.casters]
-    bodies = [Recorder(body) for body in world.bodies]
+    bodies = [Recorder(body) for body in world.lasting.bodies]
     vut = Recorder(world.vehicles.casters[0])
     vehicles = replace(world.vehicles, casters=(vut,))
     vut_shape = world.vehicles.actors[0].shapes[0]
     standing = replace(world.standing, casters=tuple(parked))
-    cast(replace(world, scene=scene, standing=standing, bodies=tuple(bodies), vehicles=vehicles))
+    lasting = replace(world.lasting, caster=scene, bodies=tuple(bodies))
+    cast(replace(world, lasting=lasting, standing=standing, vehicles=vehicles))
     meshes = [
         (setting.scene.vertices_m - world.origin_m, setting.scene.triangles, scene),
         *(

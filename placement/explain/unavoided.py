@@ -106,9 +106,13 @@ def _causes(
     nothing = build_caster(np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
     standing = replace(world.standing, casters=(nothing,) * len(world.standing.casters))
     vehicles = replace(world.vehicles, casters=(nothing,) * len(world.vehicles.casters))
-    empty = replace(
-        world, scene=nothing, scene_m=world.scene_m[:0], standing=standing, vehicles=vehicles
+    lasting = replace(
+        world.lasting,
+        caster=nothing,
+        triangles_m=world.lasting.triangles_m[:0],
+        hidden_by_scene=None,
     )
+    empty = replace(world, lasting=lasting, standing=standing, vehicles=vehicles)
     position_m, near_m = unit.pose.position_m, unit.sensor.near_m
     open_sight = cast_sight(empty, position_m, near_m=near_m, max_distance_m=np.inf)
     sensing = build_sensing(empty, open_sight, position_m, setting.planner)
@@ -155,9 +159,9 @@ def _things_between(
         faces_eye = open_sight.is_visible[open_sight.entry_of_frame[frame]]
         rays = _rays(eye, views.points_m[view][faces_eye], unit.sensor.near_m)
         index = int(views.obstruction_index[view])
-        share, triangle = world.scene.first_triangle(*rays)
+        share, triangle = world.lasting.caster.first_triangle(*rays)
         nearer, parked = world.standing.first_triangle(index, *rays)
-        of_bodies = len(world.scene_m) + parked
+        of_bodies = len(world.lasting.triangles_m) + parked
         share, triangle = np.minimum(share, nearer), np.where(nearer < share, of_bodies, triangle)
         thing = names[index][np.where(share < 1.0, triangle, -1)]
         for name, nearer in _vehicle_shares(world, frame, rays):
@@ -204,7 +208,7 @@ def _triangle_names(scene: Scene, runs: Sequence[Run]) -> list[NDArray[np.object
     """Name of the thing to which each triangle belongs: those of the scene, then of the bodies."""
     instances = [scene.instances[index].id for index in scene.triangle_instance]
     names = []
-    for parked in find_obstructions(runs).values():
+    for parked in find_obstructions(runs)[0]:
         bodies = [body.actor.name for body in parked]
         labels = [
             name if bodies.count(name) == 1 else f"{name} ({bodies[: number + 1].count(name)})"

@@ -3,9 +3,10 @@
 import hashlib
 import logging
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
+from threading import Lock
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ from ..evaluator.surroundings import draw_index
 from ..setting import Setting
 from ..visibility import build_detection_table, load_table, save_table, table_fingerprint
 from ..visibility.build import N_POINTS
-from ..visibility.casting import World, build_world
+from ..visibility.casting import LastingScene, World, build_lasting_scene, build_world
 from ..visibility.sensing import build_sensing, cast_for
 from .moving import TrafficCount
 from .uncertainty import Uncertainty
@@ -34,17 +35,27 @@ from .worlds import Luck, Sample, draw_samples, pose_key
 
 
 def build_drawn_table(
-    sample: Sample, detector: ResponseDetector, *, compute: Compute
+    sample: Sample,
+    detector: ResponseDetector,
+    *,
+    compute: Compute,
+    lasting: LastingScene | None = None,
 ) -> DetectionTable:
     """Detection table of a sampled world in which chance decides every frame of a camera.
 
     The random numbers of a pose do not depend on the other poses, and are the same in all
     weathers; from frame to frame they are linked as in the evaluator. Boxes are not drawn: they
-    are near enough to match. A LiDAR counts the points that it may expect.
+    are near enough to match. A LiDAR counts the points that it may expect. `lasting` is what this
+    world shares with others, if there are some.
     """
     setting = sample.setting
     world = build_world(
-        setting.scene, setting.runs, n_points=N_POINTS, seed=compute.seed, rays=compute.rays
+        setting.scene,
+        setting.runs,
+        n_points=N_POINTS,
+        seed=compute.seed,
+        rays=compute.rays,
+        lasting=lasting,
     )
     groups: dict[tuple[float, ...], list[int]] = {}
     for row, candidate in enumerate(sample.candidates):
@@ -208,9 +219,9 @@ def sampled_table(
 ) -> SampledTable:
     """Detections of every candidate pose in many sampled worlds, one after the other.
 
-    Where mounts, the street or detections are drawn, every world takes about as long as the plan's
-    own table: rays are cast anew, for other things stand in their way. A packed table has n_poses x
-    n_frames / 8 bytes per world, in memory and in the cache. The cache keeps the tables of single
+    Where mounts, the street or detections are drawn, every world takes nearly as long as the plan's
+    own table: other things stand in the way, and sensors look elsewhere. A packed table has n_poses
+    x n_frames / 8 bytes per world, in memory and in the cache. The cache keeps the tables of single
     worlds; progress is told the mount positions of all.
     """
     samples = draw_samples(setting, candidates, uncertainty, n_samples=n_samples, seed=compute.seed)
@@ -253,10 +264,29 @@ def build_sample_tables(
     """Detection table of one sampled world after the other, from the cache or built anew.
 
     Detections whose messages are lost are taken out. Worlds in which everything looks as planned
-    share one build. `n_samples` is the number of all worlds, for the progress. With few poses,
-    drawing worlds and laying them out takes as long as looking: then several worlds may be built
-    `at_once`, each by one thread.
+    share one build, and all of them what scene and bodies hide from the same eyes. The next world
+    is drawn, and built, while one is looked at. `n_samples` is the number of all worlds, for the
+    progress. With few poses, laying worlds out takes as long as looking: then several worlds may be
+    built `at_once`, each by one thread.
     """
+    lock, shared = Lock(), list[LastingScene]()
+
+    def lasting(sample: Sample) -> LastingScene:
+        setting = sample.setting
+        with lock:
+            if not shared:
+                shared.append(
+                    build_lasting_scene(
+                        setting.scene,
+                        setting.runs,
+                        n_points=N_POINTS,
+                        seed=compute.seed,
+                        rays=compute.rays,
+                        keeps="all" if sample.uncertainty.moving is None else "still",
+                    )
+                )
+        return shared[0]
+
     as_planned: Future[DetectionTable] | None = None
     pending: deque[tuple[Sample, Future[DetectionTable]]] = deque()
     workers = compute.workers if at_once == 1 else 1
@@ -266,14 +296,14 @@ def build_sample_tables(
             progress = _progress_of(index, n_samples, compute.progress)
             part = replace(compute, progress=progress, workers=workers)
             if not sample.looks_as_planned:
-                table = pool.submit(_obtain, sample, part)
+                table = pool.submit(_obtain, sample, part, lasting)
             elif as_planned is None:
-                table = as_planned = pool.submit(_obtain, sample, part)
+                table = as_planned = pool.submit(_obtain, sample, part, lasting)
             else:
                 table = as_planned
                 progress(STAGE, 1, 1)
             pending.append((sample, table))
-            if len(pending) > at_once or at_once == 1:  # one more waits where several are built
+            if len(pending) > at_once:  # one more waits
                 yield _received(*pending.popleft())
         while pending:
             yield _received(*pending.popleft())
@@ -284,11 +314,13 @@ def _received(sample: Sample, table: "Future[DetectionTable]") -> tuple[Sample, 
     return sample, lose_messages(sample, replace(table.result(), axis=sample.setting.axis))
 
 
-def _obtain(sample: Sample, compute: Compute) -> DetectionTable:
+def _obtain(
+    sample: Sample, compute: Compute, lasting: Callable[[Sample], LastingScene]
+) -> DetectionTable:
     """Table of a world before messages are lost, from the cache or built anew."""
     setting, detector = sample.setting, sample.drawn_detector
     if compute.cache_folder is None:
-        return _build(sample, compute)
+        return _build(sample, compute, lasting(sample))
     fingerprint = table_fingerprint(
         setting.scene, sample.candidates, setting.runs, setting.planner, seed=compute.seed
     )
@@ -302,15 +334,15 @@ def _obtain(sample: Sample, compute: Compute) -> DetectionTable:
     if table is not None:
         compute.progress(STAGE, 1, 1)
         return table
-    table = _build(sample, compute)
+    table = _build(sample, compute, lasting(sample))
     save_table(path, table, fingerprint=fingerprint)
     return table
 
 
-def _build(sample: Sample, compute: Compute) -> DetectionTable:
+def _build(sample: Sample, compute: Compute, lasting: LastingScene) -> DetectionTable:
     setting, detector = sample.setting, sample.drawn_detector
     if detector is not None:
-        return build_drawn_table(sample, detector, compute=compute)
+        return build_drawn_table(sample, detector, compute=compute, lasting=lasting)
     return build_detection_table(
         setting.scene,
         sample.candidates,
@@ -318,6 +350,7 @@ def _build(sample: Sample, compute: Compute) -> DetectionTable:
         setting.axis,
         detector=setting.planner,
         compute=compute,
+        lasting=lasting,
     )
 
 

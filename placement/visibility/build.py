@@ -25,7 +25,7 @@ from ..detection_table import DetectionTable
 from ..detectors import PlanningDetector
 from ..kept import Fingerprints, Kept, load_arrays, save_arrays, tell_unused
 from ..setting import Setting
-from .casting import World, build_world
+from .casting import LastingScene, World, build_world
 from .sensing import build_sensing, cast_for
 
 N_POINTS = 160  # per VRU: neighbouring points are about 10 cm apart
@@ -41,13 +41,16 @@ def build_detection_table(
     *,
     detector: PlanningDetector,
     compute: Compute = DEFAULT_COMPUTE,
+    lasting: LastingScene | None = None,
 ) -> DetectionTable:
     """Detections V[c, f] of every candidate pose in every frame; all runs have the same VUT.
 
     The detector says what counts as a detection of a camera; a LiDAR counts points. Progress is
-    told the mount positions.
+    told the mount positions. `lasting` is what this world shares with others, if there are some.
     """
-    world = build_world(scene, runs, n_points=N_POINTS, seed=compute.seed, rays=compute.rays)
+    world = build_world(
+        scene, runs, n_points=N_POINTS, seed=compute.seed, rays=compute.rays, lasting=lasting
+    )
     mounts = _group_by_mount(candidates)
     packed = np.zeros((len(candidates), -(-axis.n_frames // 8)), dtype=np.uint8)
 

@@ -7,6 +7,7 @@ the frame of the VRU, or of the VUT, and cast against one fixed scene each.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,6 @@ from geometry.poses import body_rotation
 from geometry.raycast import FloatRays, RayCaster, build_caster
 from geometry.scene import Scene
 from geometry.terrain import Terrain, on_ground, terrain_of
-from geometry.weather import Weather, pick_weather
 from scenarios.runs import Run
 
 from .standing import (
@@ -27,10 +27,10 @@ from .standing import (
     box_m,
     build_standing,
     find_obstructions,
-    obstruction_key,
     shape_caster,
 )
-from .surfaces import Surface, build_surface
+from .surfaces import Surface
+from .views import HiddenPoints, Places, VruViews, build_places, build_views
 
 
 def build_static_mesh(
@@ -56,36 +56,6 @@ _OFF_SURFACE_M = 1.0e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class VruViews:
-    """Every distinct (body, shape, pose, obstruction) in which a VRU is looked at."""
-
-    # (n_views, 2): middle of the footprint, relative to the origin of `World`. [m]
-    position_m: FloatArray
-    up_m: FloatArray  # (n_views,): height of the ground there. [m]
-    yaw_deg: FloatArray  # (n_views,): heading. [deg]
-    # surface_index, obstruction_index: (n_views,): into the surfaces and obstructions of `World`
-    surface_index: IntArray
-    obstruction_index: IntArray
-    # (n_views, 3, n_points): by axis, the body's points, relative to the origin of `World`. [m]
-    axes_m: FloatRays
-    # (n_views, 3, n_corners): by axis, the points at the corners of the body's convex hull; some
-    # stand there twice. [m]
-    hull_m: FloatRays
-    # middle_m, radius_m: (n_views, 3), (n_views,): mean of the points, and how far the farthest is
-    # from it. [m]
-    middle_m: FloatArray
-    radius_m: FloatArray
-    view_of_frame: IntArray  # (n_frames,): which view each frame of the frame axis shows
-    weathers: tuple[Weather, ...]  # distinct weathers
-    weather_of_frame: IntArray  # (n_frames,): which of them it is
-
-    @property
-    def points_m(self) -> FloatRays:
-        """The body's points (n_views, n_points, 3), in metres from the origin of `World`."""
-        return np.swapaxes(self.axes_m, 1, 2)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Vehicles:
     """Bodies that move: the VUT, and what else drives by; one row for each and each frame."""
 
@@ -98,18 +68,41 @@ class Vehicles:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class World:
-    """All that rays are cast against, and all that they are cast to."""
+class LastingScene:
+    """What does not change from one sampled world to the next."""
 
     # (3,): subtracted from every coordinate: rays are cast in single precision. [m]
     origin_m: FloatArray
-    scene: RayCaster  # what stands there in all runs
-    scene_m: FloatArray  # (n, 3, 3): corners of its triangles, relative to `origin_m`. [m]
+    caster: RayCaster  # what stands there in all runs
+    triangles_m: FloatArray  # (n, 3, 3): corners of its triangles, relative to `origin_m`. [m]
+    places: Places  # where VRUs are looked at
+    bodies: tuple[RayCaster, ...]  # their shapes in their own frame, of each of the surfaces
+    vehicles: Vehicles | None = None  # what moves, if that is the same in all of them
+    # what the scene hides of places, what bodies hide of themselves, and what `vehicles` hide in
+    # each frame; where that is kept
+    hidden_by_scene: HiddenPoints | None = None
+    hidden_by_itself: HiddenPoints | None = None
+    hidden_by_vehicles: HiddenPoints | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class World:
+    """All that rays are cast against, and all that they are cast to."""
+
+    lasting: LastingScene
     standing: Standing  # what stands there in some runs
-    surfaces: tuple[Surface, ...]  # each distinct shape of a VRU, and its caster in `bodies`
-    bodies: tuple[RayCaster, ...]  # VRUs in their own frame
     vehicles: Vehicles  # what moves
     views: VruViews  # what is looked at
+
+    @property
+    def origin_m(self) -> FloatArray:
+        """What is subtracted from every coordinate, (3,), in metres."""
+        return self.lasting.origin_m
+
+    @property
+    def surfaces(self) -> tuple[Surface, ...]:
+        """Each distinct shape of a VRU."""
+        return self.lasting.places.surfaces
 
     @property
     def radius_m(self) -> float:
@@ -139,28 +132,65 @@ class Sight:
 
 
 def build_world(
-    scene: Scene, runs: Sequence[Run], *, n_points: int, seed: int, rays: str = "auto"
+    scene: Scene,
+    runs: Sequence[Run],
+    *,
+    n_points: int,
+    seed: int,
+    rays: str = "auto",
+    lasting: LastingScene | None = None,
 ) -> World:
     """Prepare scene, bodies and views for :func:`cast_sight`, from any thread.
 
-    All runs have the same VUT. `rays` names the library that casts them.
+    All runs have the same VUT. `rays` names the library that casts them. `lasting` is what another
+    world of the same scene and VRUs was built from, where there is one.
+    """
+    if lasting is None:
+        lasting = build_lasting_scene(scene, runs, n_points=n_points, seed=seed, rays=rays)
+    origin = lasting.origin_m
+    obstructions, obstruction_index = find_obstructions(runs)
+    return World(
+        lasting=lasting,
+        standing=build_standing(obstructions, origin, rays),
+        vehicles=lasting.vehicles or _build_vehicles(runs, origin, rays, terrain_of(scene)),
+        views=build_views(lasting.places, runs, obstruction_index),
+    )
+
+
+def build_lasting_scene(
+    scene: Scene,
+    runs: Sequence[Run],
+    *,
+    n_points: int,
+    seed: int,
+    rays: str = "auto",
+    keeps: Literal["nothing", "still", "all"] = "nothing",
+) -> LastingScene:
+    """Prepare what worlds of one scene share, in which the VRUs of runs walk as they do here.
+
+    It keeps what is hidden in all of them, where mounts come up again: by what stands "still", or
+    by "all" if vehicles drive the same way, too.
     """
     origin = np.append(scene.outline_m.mean(axis=0), 0.0)
-    terrain = terrain_of(scene)
-    shapes = _find_shapes(runs)
-    obstructions = find_obstructions(runs)
-    surfaces = tuple(
-        build_surface(actor, index, n_points=n_points, seed=seed) for actor, index in shapes
-    )
-    return World(
+    places = build_places(scene, runs, origin, n_points=n_points, seed=seed)
+    n_places = len(places.yaw_deg)
+    return LastingScene(
         origin_m=origin,
-        scene=build_caster(scene.vertices_m - origin, scene.triangles, library=rays),
-        scene_m=_corners(scene.vertices_m - origin, scene.triangles),
-        standing=build_standing(obstructions.values(), origin, rays),
-        surfaces=surfaces,
-        bodies=tuple(shape_caster(actor.shapes[index], rays) for actor, index in shapes),
-        vehicles=_build_vehicles(runs, origin, rays, terrain),
-        views=_build_views(runs, surfaces, list(obstructions), origin, terrain),
+        caster=build_caster(scene.vertices_m - origin, scene.triangles, library=rays),
+        triangles_m=_corners(scene.vertices_m - origin, scene.triangles),
+        places=places,
+        bodies=tuple(
+            shape_caster(surface.actor.shapes[surface.shape_index], rays)
+            for surface in places.surfaces
+        ),
+        vehicles=(
+            _build_vehicles(runs, origin, rays, terrain_of(scene)) if keeps == "all" else None
+        ),
+        hidden_by_scene=None if keeps == "nothing" else HiddenPoints(n_places, n_points),
+        hidden_by_itself=None if keeps == "nothing" else HiddenPoints(n_places, n_points),
+        hidden_by_vehicles=(
+            HiddenPoints(len(places.place_of_frame), n_points) if keeps == "all" else None
+        ),
     )
 
 
@@ -191,69 +221,6 @@ def _build_vehicles(
     )
 
 
-def _find_shapes(runs: Sequence[Run]) -> list[tuple[Actor, int]]:
-    """Every shape in which a VRU is seen."""
-    found = {(run.encounter.vru, index): None for run in runs for index in np.unique(run.vru_shape)}
-    return [(actor, int(index)) for actor, index in found]
-
-
-def _build_views(
-    runs: Sequence[Run],
-    surfaces: tuple[Surface, ...],
-    obstructions: list[tuple[object, ...]],
-    origin_m: FloatArray,
-    terrain: Terrain | None,
-) -> VruViews:
-    numbers = {
-        (surface.actor, surface.shape_index): number for number, surface in enumerate(surfaces)
-    }
-    rows = np.concatenate(
-        [
-            np.column_stack(
-                [
-                    run.vru_position_m - origin_m[:2],
-                    run.vru_yaw_deg,
-                    [numbers[run.encounter.vru, int(index)] for index in run.vru_shape],
-                    np.full(len(run.time_s), obstructions.index(obstruction_key(run))),
-                ]
-            )
-            for run in runs
-        ]
-    )
-    weathers = list(dict.fromkeys(run.weather for run in runs))
-    # Rounded to a tenth of a millimetre: the same pose at another speed differs in the last bits.
-    _, first, view_of_frame = np.unique(
-        rows.round(4), axis=0, return_index=True, return_inverse=True
-    )
-    unique = rows[first]
-    surface_index = unique[:, 3].astype(np.int64)
-    body_points = np.stack([surface.points_m for surface in surfaces])[surface_index]
-    points = body_points @ np.swapaxes(body_rotation(unique[:, 2]), 1, 2)
-    middle = on_ground(unique[:, :2] + origin_m[:2], terrain)
-    points[..., :2] += unique[:, None, :2]
-    points[..., 2] += middle[:, None, 2]
-    # As many numbers as machines handle at once divide the number of corners.
-    n_corners = -(-max(len(surface.hull_index) for surface in surfaces) // 16) * 16
-    corners = np.stack([np.resize(surface.hull_index, n_corners) for surface in surfaces])
-    axes = np.ascontiguousarray(np.swapaxes(points, 1, 2), dtype=np.float32)
-    return VruViews(
-        position_m=unique[:, :2],
-        up_m=middle[:, 2],
-        yaw_deg=unique[:, 2],
-        surface_index=surface_index,
-        obstruction_index=unique[:, 4].astype(np.int64),
-        axes_m=axes,
-        hull_m=np.take_along_axis(axes, corners[surface_index][:, None, :], axis=2),
-        middle_m=points.mean(axis=1),
-        radius_m=np.array([surface.radius_m for surface in surfaces])[surface_index],
-        view_of_frame=view_of_frame.ravel(),
-        weathers=tuple(pick_weather(name, "runs: weather") for name in weathers),
-        weather_of_frame=np.repeat(
-            [weathers.index(run.weather) for run in runs], [len(run.time_s) for run in runs]
-        ),
-    )
-
-
 def cast_sight(
     world: World,
     position_m: FloatArray,
@@ -261,6 +228,7 @@ def cast_sight(
     near_m: float,
     max_distance_m: float = np.inf,
     is_asked: BoolArray | None = None,
+    is_foreseen: BoolArray | None = None,
     for_lidar: bool = True,
 ) -> Sight:
     """Find what is seen from a mount position; entries without any visible point are left out.
@@ -269,7 +237,8 @@ def cast_sight(
     views that are not asked for, (n_views,), are not looked at. Rays are cast where something may
     stand in their way. What a body hides of itself is of no account for a camera as long as nothing
     else hides anything: with `for_lidar` false, no rays are cast for it, and all points of such a
-    body are taken to be visible.
+    body are taken to be visible. Views that are foreseen, (n_views,), may be asked for later, from
+    the same eye: it costs less to find out about them now, where that is kept.
     """
     views = world.views
     eye = np.asarray(position_m, dtype=np.float64) - world.origin_m
@@ -277,8 +246,9 @@ def cast_sight(
     distance = np.hypot(ground_distance, eye[2] - views.up_m)
     is_near = distance <= max_distance_m
     near_views = np.flatnonzero(is_near if is_asked is None else is_near & is_asked)
-    farthest_m = float(distance[near_views].max(initial=0.0))
-    blocked = _is_blocked_by_static(world, eye, near_views, near_m=near_m, farthest_m=farthest_m)
+    foreseen = None if is_foreseen is None else np.flatnonzero(is_foreseen)
+    blocked = _hidden_by_scene(world, eye, near_views, foreseen, near_m=near_m)
+    _add_hidden_by_standing(world, eye, near_views, blocked, near_m=near_m)
     n_blocked = np.count_nonzero(blocked, axis=1)
     row_of_view = np.full(len(views.yaw_deg), -1)
     is_left = n_blocked < blocked.shape[1]
@@ -332,28 +302,38 @@ def _is_self_visible(world: World, eye_m: FloatArray, view_index: IntArray) -> B
     """Points that the VRU's own body does not hide, (n, n_points)."""
     from .own_shadows import find_own_visible
 
-    views = world.views
-    offset = np.column_stack(
-        [eye_m[:2] - views.position_m[view_index], eye_m[2] - views.up_m[view_index]]
-    )
-    return find_own_visible(
-        world.surfaces,
-        world.bodies,
-        surface_index=views.surface_index[view_index],
-        # Row vectors times R_world_body = coordinates in the body frame.
-        eye_m=np.einsum("ni,nij->nj", offset, body_rotation(views.yaw_deg[view_index])),
-    )
+    lasting = world.lasting
+    places = lasting.places
+
+    def find(index: IntArray) -> BoolArray:
+        offset = np.column_stack(
+            [eye_m[:2] - places.position_m[index], eye_m[2] - places.up_m[index]]
+        )
+        return ~find_own_visible(
+            places.surfaces,
+            lasting.bodies,
+            surface_index=places.surface_index[index],
+            # Row vectors times R_world_body = coordinates in the body frame.
+            eye_m=np.einsum("ni,nij->nj", offset, body_rotation(places.yaw_deg[index])),
+        )
+
+    asked, row = np.unique(world.views.place_index[view_index], return_inverse=True)
+    if lasting.hidden_by_itself is None:
+        hidden = find(asked)
+    else:
+        hidden = lasting.hidden_by_itself.look(eye_m.tobytes(), asked, find)
+    return ~hidden[row]
 
 
-def _is_blocked_by_static(
+def _hidden_by_scene(
     world: World,
     eye_m: FloatArray,
     view_index: IntArray,
+    foreseen: IntArray | None,
     *,
     near_m: float,
-    farthest_m: float,
 ) -> BoolArray:
-    """Points hidden by the scene or the case's obstruction, (n, n_points)."""
+    """Points hidden by what stands there in all runs, (n, n_points); some more may be foreseen."""
     from .shadow_kernels import (
         N_AROUND,
         N_UP,
@@ -363,25 +343,36 @@ def _is_blocked_by_static(
         mark_nearest,
     )
 
-    views = world.views
-    blocked = np.zeros((len(view_index), views.axes_m.shape[2]), dtype=bool)
-    if len(view_index) == 0:
-        return blocked
-    # Things farther than this are behind all bodies: footprints' middles are what is near enough.
-    far_m = farthest_m + 2.0 * world.radius_m + 1.0
-    nearest = np.full((N_UP, N_AROUND), np.inf, dtype=np.float32)
-    heights = world.height_limits_m
-    mark_nearest(nearest, world.scene_m, eye_m, near_m, far_m, *heights)
-    covered = np.full_like(nearest, np.inf)
-    is_asked = find_blocks(views.middle_m, views.radius_m, eye_m, view_index)
-    mark_covered(covered, world.scene_m, eye_m, near_m, *heights, is_asked)
-    bodies = (views.axes_m, views.middle_m, views.radius_m, eye_m)
-    unclear = np.zeros_like(blocked)
-    find_unclear_points(nearest, covered, *bodies, view_index, blocked, unclear)
-    _cast_to_points(world.scene, world, eye_m, view_index, unclear, near_m=near_m)
-    blocked |= unclear
-    _add_hidden_by_standing(world, eye_m, view_index, blocked, near_m=near_m)
-    return blocked
+    lasting = world.lasting
+    places, triangles = lasting.places, lasting.triangles_m
+
+    def find(index: IntArray) -> BoolArray:
+        hidden = np.zeros((len(index), places.axes_m.shape[2]), dtype=bool)
+        if len(index) == 0:
+            return hidden
+        # Things farther than this are behind all bodies.
+        away_m = np.hypot(*(places.position_m[index] - eye_m[:2]).T)
+        farthest_m = float(np.hypot(away_m, eye_m[2] - places.up_m[index]).max())
+        far_m = farthest_m + 2.0 * world.radius_m + 1.0
+        nearest = np.full((N_UP, N_AROUND), np.inf, dtype=np.float32)
+        heights = world.height_limits_m
+        mark_nearest(nearest, triangles, eye_m, near_m, far_m, *heights)
+        covered = np.full_like(nearest, np.inf)
+        is_asked = find_blocks(places.middle_m, places.radius_m, eye_m, index)
+        mark_covered(covered, triangles, eye_m, near_m, *heights, is_asked)
+        bodies = (places.axes_m, places.middle_m, places.radius_m, eye_m)
+        unclear = np.zeros_like(hidden)
+        find_unclear_points(nearest, covered, *bodies, index, hidden, unclear)
+        _cast_to_points(lasting.caster, places.axes_m, eye_m, index, unclear, near_m=near_m)
+        return hidden | unclear
+
+    asked, row = np.unique(world.views.place_index[view_index], return_inverse=True)
+    if lasting.hidden_by_scene is None:
+        return find(asked)[row]
+    if foreseen is not None:
+        foreseen = world.views.place_index[foreseen]
+    eye = near_m, eye_m.tobytes()
+    return lasting.hidden_by_scene.look(eye, asked, find, foreseen=foreseen)[row]
 
 
 def _add_hidden_by_standing(
@@ -477,18 +468,18 @@ def _add_hidden_by_bodies(
 
 def _cast_to_points(
     caster: RayCaster,
-    world: World,
+    axes_m: FloatRays,
     eye_m: FloatArray,
-    view_index: IntArray,
+    index: IntArray,
     asked: BoolArray,
     *,
     near_m: float,
 ) -> None:
-    """Of the points asked for, (n, n_points), leave those that something hides, in place."""
+    """Of the points asked for, (n, n_points), of places, leave those that something hides."""
     from .ray_kernels import fill_rays
 
     starts, vectors = (np.empty((int(asked.sum()), 3), np.float32) for _ in range(2))
-    fill_rays(world.views.axes_m, view_index, asked, eye_m, near_m, _OFF_SURFACE_M, starts, vectors)
+    fill_rays(axes_m, index, asked, eye_m, near_m, _OFF_SURFACE_M, starts, vectors)
     asked[asked] = caster.is_blocked(starts, vectors)
 
 
@@ -535,19 +526,34 @@ def _hidden_by_vehicles(
 
     Points of a view that are `hidden` (n_rows, n_points) in any case are among these.
     """
-    vehicles = world.vehicles
+    vehicles, kept = world.vehicles, world.lasting.hidden_by_vehicles
     between = _rows_between(world, eye_m, row_of_frame)
-    frames, place = np.unique(vehicles.frame[between], return_inverse=True)
+    frames = np.unique(vehicles.frame[between])
     before = hidden[row_of_frame[frames]]
-    behind = before.copy()
-    _add_hidden_by_bodies(
-        *(world, eye_m, [actor.shapes[0] for actor in vehicles.actors], vehicles.casters),
-        *(vehicles.actor_index[between], vehicles.position_m[between]),
-        body_rotation(vehicles.yaw_deg[between]),
-        view_of_row[row_of_frame[vehicles.frame[between]]],
-        place,
-        behind,
-        near_m=near_m,
-    )
+
+    def find(asked: IntArray, behind: BoolArray) -> BoolArray:
+        """Add what is behind vehicles in frames, all of them among those above."""
+        place_of_frame = np.full(len(row_of_frame), -1)
+        place_of_frame[asked] = np.arange(len(asked))
+        rows = between[place_of_frame[vehicles.frame[between]] >= 0]
+        _add_hidden_by_bodies(
+            *(world, eye_m, [actor.shapes[0] for actor in vehicles.actors], vehicles.casters),
+            *(vehicles.actor_index[rows], vehicles.position_m[rows]),
+            body_rotation(vehicles.yaw_deg[rows]),
+            view_of_row[row_of_frame[vehicles.frame[rows]]],
+            place_of_frame[vehicles.frame[rows]],
+            behind,
+            near_m=near_m,
+        )
+        return behind
+
+    if kept is None:
+        behind = find(frames, before.copy())
+    else:
+        behind = before | kept.look(
+            (near_m, eye_m.tobytes()),
+            frames,
+            lambda asked: find(asked, np.zeros((len(asked), hidden.shape[1]), dtype=bool)),
+        )
     is_hit = (behind != before).any(axis=1)
     return frames[is_hit], behind[is_hit]

@@ -20,6 +20,8 @@ from .echoes import find_echoes
 
 _MIN_DEPTH_M = 0.01  # points beside or behind the lens are projected far outside the image
 _SLACK = 1.0e-6  # of a cosine: nobody at the edge is left out
+_FORESEEN_RAD = 0.06  # by which mounts may be turned from world to world: three times one degree
+_WIDEST_RAD = 1.5  # half of a lens
 _PAIRS = 1 << 21  # of sensors and entries that are looked at together
 
 
@@ -161,15 +163,37 @@ def cast_for(
     looks: Sequence[tuple[CandidatePose, PlanningDetector]],
 ) -> Sight:
     """What sensors at one mount see of all that any of them may detect, each with its detector."""
+    return cast_sight(
+        world,
+        position_m,
+        near_m=looks[0][0].sensor.near_m,
+        is_asked=_may_detect(world, position_m, looks),
+        is_foreseen=(
+            None
+            if world.lasting.hidden_by_scene is None
+            else _may_detect(world, position_m, looks, turned_rad=_FORESEEN_RAD)
+        ),
+        for_lidar=has_lidar([candidate for candidate, _ in looks]),
+    )
+
+
+def _may_detect(
+    world: World,
+    position_m: FloatArray,
+    looks: Sequence[tuple[CandidatePose, PlanningDetector]],
+    *,
+    turned_rad: float = 0.0,
+) -> BoolArray:
+    """Views that sensors at one mount may detect, (n_views,), maybe turned a little either way."""
     views = world.views
     eye = np.asarray(position_m, dtype=np.float64) - world.origin_m
-    is_asked = np.zeros(len(views.yaw_deg), dtype=bool)
+    may_detect = np.zeros(len(views.yaw_deg), dtype=bool)
     least_px: dict[float, list[CandidatePose]] = {}
     for candidate, detector in looks:
         if isinstance(candidate.sensor, LidarModel):
             across = np.hypot(*(views.position_m - eye[:2]).T)
             distance = np.hypot(across, eye[2] - views.up_m)
-            is_asked |= distance <= 2.0 * world.radius_m + candidate.sensor.range_m
+            may_detect |= distance <= 2.0 * world.radius_m + candidate.sensor.range_m
         else:
             least_px.setdefault(detector.min_box_height_px, []).append(candidate)
     for height_px, candidates in least_px.items():
@@ -179,18 +203,12 @@ def cast_for(
             views.middle_m,
             views.radius_m,
             eye.astype(np.float32),
-            _lenses(candidates),
+            _lenses(candidates, turned_rad=turned_rad),
             len(candidates),
-            height_px,
-            is_asked,
+            height_px * (1.0 - turned_rad),  # boxes are a little larger farther from the axis
+            may_detect,
         )
-    return cast_sight(
-        world,
-        position_m,
-        near_m=looks[0][0].sensor.near_m,
-        is_asked=is_asked,
-        for_lidar=has_lidar([candidate for candidate, _ in looks]),
-    )
+    return may_detect
 
 
 def has_lidar(candidates: Sequence[CandidatePose]) -> bool:
@@ -271,16 +289,19 @@ def _box(sensing: Sensing, candidates: Sequence[CandidatePose], rows: IntArray) 
     )
 
 
-def _lenses(candidates: Sequence[CandidatePose]) -> NDArray[np.float32]:
-    """Cameras as ``projecting.box_bodies`` takes them."""
+def _lenses(candidates: Sequence[CandidatePose], *, turned_rad: float = 0.0) -> NDArray[np.float32]:
+    """Cameras as ``projecting.box_bodies`` takes them; with images as large as if turned, too."""
     from .projecting import pack_lenses
 
     cameras = [c.sensor for c in candidates if isinstance(c.sensor, CameraModel)]
     poses = [candidate.pose for candidate in candidates]
+    focal = np.array([camera.focal_length_px for camera in cameras])
+    size = np.array([(camera.width_px, camera.height_px) for camera in cameras], dtype=np.float64)
+    if turned_rad:
+        half = np.arctan(0.5 * size / focal[:, None]) + turned_rad
+        size = 2.0 * focal[:, None] * np.tan(np.minimum(half, _WIDEST_RAD))
     return pack_lenses(
-        camera_rotation([p.yaw_deg for p in poses], [p.pitch_deg for p in poses]),
-        np.array([camera.focal_length_px for camera in cameras]),
-        np.array([(camera.width_px, camera.height_px) for camera in cameras]),
+        camera_rotation([p.yaw_deg for p in poses], [p.pitch_deg for p in poses]), focal, size
     )
 
 

@@ -20,14 +20,21 @@ from scenarios.runs import Run
 AROUND_BODY_M = 2.0e-3  # rays that pass a body this near are cast
 
 
-def obstruction_key(run: Run) -> tuple[object, ...]:
-    """Equal for runs with the same bodies at the same places."""
-    return tuple(parked.key for parked in run.obstruction)
+def find_obstructions(runs: Sequence[Run]) -> tuple[list[tuple[PlacedActor, ...]], IntArray]:
+    """Distinct obstructions in the order of `Standing.bodies`, and which each run has, (n_runs,).
 
-
-def find_obstructions(runs: Sequence[Run]) -> dict[tuple[object, ...], tuple[PlacedActor, ...]]:
-    """Distinct obstructions in the order of `Standing.bodies`, by their content."""
-    return {obstruction_key(run): run.obstruction for run in runs}
+    Those are the same that have the same bodies at the same places.
+    """
+    keys = {body: body.key for body in {body for run in runs for body in run.obstruction}}
+    numbers: dict[tuple[object, ...], int] = {}
+    found: list[tuple[PlacedActor, ...]] = []
+    index = []
+    for run in runs:
+        key = tuple(keys[body] for body in run.obstruction)
+        if numbers.setdefault(key, len(found)) == len(found):
+            found.append(run.obstruction)
+        index.append(numbers[key])
+    return found, np.array(index)
 
 
 def bodies_mesh(

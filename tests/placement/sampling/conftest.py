@@ -1,7 +1,6 @@
 """Small questions: two sites of the study's junction, and a tiny junction with a queue."""
 
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from placement.candidates import CandidateGrid, CandidatePose, build_candidates
 from placement.detectors import GeometricDetector, load_detector, load_planning_detector
 from placement.sampling import load_uncertainty
 from placement.setting import Setting
-from placement.visibility import casting
 from scenarios.cases import load_cases
 from scenarios.exposure import weight_per_run
 from scenarios.runs import build_frame_axis, build_runs
@@ -29,14 +27,6 @@ _FRAMES = (
     "vru_yaw_deg",
     "vru_shape",
 )
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _points_are_picked_once():
-    """The points on a body are the same in every world: here they are not picked again."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(casting, "build_surface", lru_cache(casting.build_surface))
-        yield
 
 
 def setting_of(scene, runs, rule, **fields):

@@ -9,6 +9,7 @@ from strategies import detection_tables
 from geometry.actors import Actor
 from geometry.errors import InputError
 from placement.compute import Compute
+from placement.detectors import load_planning_detector
 from placement.sampling import (
     LatencyJitter,
     MountingErrors,
@@ -219,8 +220,6 @@ def test_each_world_has_a_cached_table_of_its_own(setting, candidates, default, 
 
 
 def test_drawn_tables_are_kept_apart(setting, candidates, tmp_path):
-    from placement.detectors import load_planning_detector
-
     chancy = replace(setting, planner=load_planning_detector("response"))
     drawn = Uncertainty(draws_detections=True)
     options = {"n_samples": 2, "compute": Compute(cache_folder=tmp_path)}
@@ -234,6 +233,24 @@ def test_drawn_tables_are_kept_apart(setting, candidates, tmp_path):
     other = sampled_table(linked, candidates, drawn, **options)
     assert len(list(tmp_path.iterdir())) == 5
     assert not np.array_equal(other.table.packed, first.table.packed)
+
+
+# What worlds share
+
+
+@pytest.mark.parametrize("planner", ["response", "geometric"])
+def test_a_world_beside_others_is_as_it_is_alone(setting, candidates, default, planner):
+    """What is kept of one world, for eyes that come up again, is what is found in another."""
+    setting = replace(setting, planner=load_planning_detector(planner))
+    worlds = list(draw_samples(setting, candidates, default, n_samples=6, seed=4))
+    heights = [{pose.pose.position_m[2] for pose in world.candidates} for world in worlds]
+    assert len(set.union(*heights)) < sum(map(len, heights))  # they do come up again
+    assert len({len(world.vehicles) for world in worlds}) > 1
+    for at_once in (1, 2):
+        together = list(build_sample_tables(worlds, n_samples=6, at_once=at_once))
+        assert any(table.packed.any() for _, table in together)
+        for world, table in together:
+            assert np.array_equal(table.packed, _table(world).packed)
 
 
 # A queue hides a VRU

@@ -100,6 +100,18 @@ def test_errors_have_their_spread_and_no_bias(setting, look):
         )
 
 
+def test_few_heights_stand_for_the_normal_distribution(setting, look):
+    """Three, whose mean, variance and fourth moment are those of the normal distribution."""
+    poses = [look(f"{i}", [float(i), 0.0, 6.0], yaw_deg=0.0) for i in range(4000)]
+    (sample,) = draw_samples(setting, poses, _mounting(0.0, 0.0, 0.1), n_samples=1, seed=1)
+    steps, count = np.unique((_offsets(sample)[:, 2] / 0.1).round(9), return_counts=True)
+    assert steps == pytest.approx([-np.sqrt(3.0), 0.0, np.sqrt(3.0)])
+    share = count / count.sum()
+    assert share == pytest.approx([1 / 6, 2 / 3, 1 / 6], abs=4.0 * np.sqrt(0.25 / 4000))
+    exact = np.array([1 / 6, 2 / 3, 1 / 6])
+    assert [exact @ steps**power for power in (1, 2, 3, 4, 5)] == pytest.approx([0, 1, 0, 3, 0])
+
+
 def test_poses_of_one_mount_are_off_by_the_same(setting, candidates, look):
     extra = [look(n, [0.0, 0.0, h], yaw_deg=y) for n, h, y in (("a", 6, 0), ("b", 7, 90))]
     poses = (*candidates, *extra)

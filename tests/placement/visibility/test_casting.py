@@ -9,7 +9,7 @@ from geometry.poses import Pose, to_world
 from geometry.raycast import CASTERS
 from geometry.study_scene import load_study_scene
 from placement.visibility import casting
-from placement.visibility.casting import build_world, cast_sight
+from placement.visibility.casting import build_lasting_scene, build_world, cast_sight
 
 NEAR_M = 0.35
 FAR_M = 1000.0
@@ -170,6 +170,34 @@ def test_sight_is_the_naive_one_with_parked_bodies_of_one_run_only(build_scene, 
     assert (seen[n:] <= seen[:n] + 1e-12).all()
 
 
+def test_worlds_that_share_what_lasts_are_seen_as_each_alone(build_scene, build_run, actors):
+    """Other things stand there, and some views are asked for only later."""
+    rng = np.random.default_rng(21)
+    scene = build_scene(*WALLS)
+    runs = _random_runs(build_run, rng, 24, vut_between_of=np.zeros(2))
+    lasting = build_lasting_scene(scene, runs, n_points=N_POINTS, seed=0, keeps="all")
+    eyes = rng.uniform([-15, -15, 1], [15, 15, 8], (3, 3))
+    n_hidden = set()
+    for _ in range(3):
+        pose = Pose(position_m=[*rng.uniform(-10, 10, 2), 0.0], yaw_deg=rng.uniform(-180, 180))
+        parked = (PlacedActor(actor=actors["parked-van"], pose=pose),)
+        changed = [runs[0], replace(runs[1], obstruction=parked)]
+        options = {"n_points": N_POINTS, "seed": 0}
+        worlds = [
+            build_world(scene, changed, **options, lasting=shared) for shared in (lasting, None)
+        ]
+        is_asked = rng.random(len(worlds[0].views.yaw_deg)) < 0.6
+        for eye in eyes:
+            kept, alone = (
+                cast_sight(world, eye, near_m=NEAR_M, is_asked=is_asked, is_foreseen=is_asked)
+                for world in worlds
+            )
+            for name in ("view_index", "is_visible", "is_whole", "visible_share", "entry_of_frame"):
+                assert np.array_equal(getattr(kept, name), getattr(alone, name))
+            n_hidden.add(int((~kept.is_visible).sum()))
+    assert len(n_hidden) > 3
+
+
 @pytest.mark.long
 def test_sight_is_the_naive_one_at_the_studys_junction(study_runs):
     scene = load_study_scene()
@@ -255,7 +283,12 @@ def test_both_ray_libraries_see_the_same(build_scene, build_run):
     for name in CASTERS:
         world = build_world(scene, runs, n_points=N_POINTS, seed=0, rays=name)
         assert {
-            type(caster) for caster in (world.scene, *world.bodies, *world.vehicles.casters)
+            type(caster)
+            for caster in (
+                world.lasting.caster,
+                *world.lasting.bodies,
+                *world.vehicles.casters,
+            )
         } == {CASTERS[name]}
         sight = cast_sight(world, eye, near_m=NEAR_M, max_distance_m=FAR_M)
         padded = np.vstack([sight.is_visible, np.zeros((1, N_POINTS), dtype=bool)])

@@ -39,11 +39,11 @@ class Counter:
 
 
 def _sight_and_rays(world, eye, **options):
-    scene, vut = Counter(world.scene), Counter(world.vehicles.casters[0])
+    scene, vut = Counter(world.lasting.caster), Counter(world.vehicles.casters[0])
     parked = [Counter(caster) for caster in world.standing.casters]
     counted = replace(
         world,
-        scene=scene,
+        lasting=replace(world.lasting, caster=scene),
         standing=replace(world.standing, casters=tuple(parked)),
         vehicles=replace(world.vehicles, casters=(vut,)),
     )

@@ -1,0 +1,201 @@
+"""Where VRUs are looked at: every distinct pose once, and what is hidden there in all worlds.
+
+In sampled worlds other things stand in the street, but VRUs walk as planned, between the same
+houses. What the scene hides of a VRU, and what its own body does, is the same in all of them, for
+mounts that hang at the same height.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.poses import body_rotation
+from geometry.raycast import FloatRays
+from geometry.scene import Scene
+from geometry.terrain import on_ground, terrain_of
+from geometry.weather import Weather, pick_weather
+from scenarios.runs import Run
+
+from .surfaces import Surface, build_surface
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Places:
+    """Every distinct (body, shape, pose) in which a VRU is looked at, whatever stands around."""
+
+    surfaces: tuple[Surface, ...]  # each distinct shape of a VRU
+    # (n, 2): middle of the footprint, relative to the origin. [m]
+    position_m: FloatArray
+    up_m: FloatArray  # (n,): height of the ground there. [m]
+    yaw_deg: FloatArray  # (n,): heading. [deg]
+    surface_index: IntArray  # (n,): into `surfaces`
+    # (n, 3, n_points): by axis, the body's points, relative to the origin. [m]
+    axes_m: FloatRays
+    # (n, 3, n_corners): by axis, the points at the corners of the body's convex hull; some stand
+    # there twice. [m]
+    hull_m: FloatRays
+    # middle_m, radius_m: (n, 3), (n,): mean of the points, and how far the farthest is from it. [m]
+    middle_m: FloatArray
+    radius_m: FloatArray
+    place_of_frame: IntArray  # (n_frames,): where the VRU is in each frame of the frame axis
+
+
+def build_places(
+    scene: Scene, runs: Sequence[Run], origin_m: FloatArray, *, n_points: int, seed: int
+) -> Places:
+    """Find the poses in which the VRUs of runs are looked at, relative to an origin."""
+    shapes = {
+        (run.encounter.vru, index): None for run in runs for index in np.unique(run.vru_shape)
+    }
+    surfaces = tuple(
+        build_surface(actor, int(index), n_points=n_points, seed=seed) for actor, index in shapes
+    )
+    numbers = {
+        (surface.actor, surface.shape_index): number for number, surface in enumerate(surfaces)
+    }
+    rows = np.concatenate(
+        [
+            np.column_stack(
+                [
+                    run.vru_position_m - origin_m[:2],
+                    run.vru_yaw_deg,
+                    [numbers[run.encounter.vru, int(index)] for index in run.vru_shape],
+                ]
+            )
+            for run in runs
+        ]
+    )
+    # Rounded to a tenth of a millimetre: the same pose at another speed differs in the last bits.
+    _, first, place_of_frame = np.unique(
+        rows.round(4), axis=0, return_index=True, return_inverse=True
+    )
+    unique = rows[first]
+    surface_index = unique[:, 3].astype(np.int64)
+    body_points = np.stack([surface.points_m for surface in surfaces])[surface_index]
+    points = body_points @ np.swapaxes(body_rotation(unique[:, 2]), 1, 2)
+    middle = on_ground(unique[:, :2] + origin_m[:2], terrain_of(scene))
+    points[..., :2] += unique[:, None, :2]
+    points[..., 2] += middle[:, None, 2]
+    # As many numbers as machines handle at once divide the number of corners.
+    n_corners = -(-max(len(surface.hull_index) for surface in surfaces) // 16) * 16
+    corners = np.stack([np.resize(surface.hull_index, n_corners) for surface in surfaces])
+    axes = np.ascontiguousarray(np.swapaxes(points, 1, 2), dtype=np.float32)
+    return Places(
+        surfaces=surfaces,
+        position_m=unique[:, :2],
+        up_m=middle[:, 2],
+        yaw_deg=unique[:, 2],
+        surface_index=surface_index,
+        axes_m=axes,
+        hull_m=np.take_along_axis(axes, corners[surface_index][:, None, :], axis=2),
+        middle_m=points.mean(axis=1),
+        radius_m=np.array([surface.radius_m for surface in surfaces])[surface_index],
+        place_of_frame=place_of_frame.ravel(),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class VruViews:
+    """Every distinct (place, obstruction) in which a VRU is looked at; see :class:`Places`."""
+
+    # (n_views,) each: place, and what stands around, into the obstructions of `World`
+    place_index: IntArray
+    obstruction_index: IntArray
+    # of each view's place, see there
+    position_m: FloatArray
+    up_m: FloatArray
+    yaw_deg: FloatArray
+    surface_index: IntArray
+    axes_m: FloatRays
+    hull_m: FloatRays
+    middle_m: FloatArray
+    radius_m: FloatArray
+    view_of_frame: IntArray  # (n_frames,): which view each frame of the frame axis shows
+    weathers: tuple[Weather, ...]  # distinct weathers
+    weather_of_frame: IntArray  # (n_frames,): which of them it is
+
+    @property
+    def points_m(self) -> FloatRays:
+        """The body's points (n_views, n_points, 3), in metres from the origin of `World`."""
+        return np.swapaxes(self.axes_m, 1, 2)
+
+
+def build_views(places: Places, runs: Sequence[Run], obstruction_index: IntArray) -> VruViews:
+    """Find out what stands around where: of the runs that the places are of, or the same VRUs'.
+
+    `obstruction_index`, (n_runs,), is into the obstructions of `World`.
+    """
+    n_frames = [len(run.time_s) for run in runs]
+    if sum(n_frames) != len(places.place_of_frame):
+        raise ValueError(f"runs: {sum(n_frames)} frames; expected {len(places.place_of_frame)}")
+    n_obstructions = int(obstruction_index.max()) + 1
+    pairs, view_of_frame = np.unique(
+        places.place_of_frame * n_obstructions + np.repeat(obstruction_index, n_frames),
+        return_inverse=True,
+    )
+    place, obstruction = np.divmod(pairs, n_obstructions)
+    # Mostly nothing but one thing stands around each: then there is nothing to copy.
+    is_every = np.array_equal(place, np.arange(len(places.yaw_deg)))
+    chosen = slice(None) if is_every else place
+    weathers = list(dict.fromkeys(run.weather for run in runs))
+    return VruViews(
+        place_index=place,
+        obstruction_index=obstruction,
+        position_m=places.position_m[chosen],
+        up_m=places.up_m[chosen],
+        yaw_deg=places.yaw_deg[chosen],
+        surface_index=places.surface_index[chosen],
+        axes_m=places.axes_m[chosen],
+        hull_m=places.hull_m[chosen],
+        middle_m=places.middle_m[chosen],
+        radius_m=places.radius_m[chosen],
+        view_of_frame=view_of_frame.ravel(),
+        weathers=tuple(pick_weather(name, "runs: weather") for name in weathers),
+        weather_of_frame=np.repeat([weathers.index(run.weather) for run in runs], n_frames),
+    )
+
+
+# ---------- what is hidden in all worlds
+
+
+_MOST_BYTES = 1 << 29
+Find = Callable[[IntArray], BoolArray]
+
+
+class HiddenPoints:
+    """What hides points of bodies, row by row, as seen from eyes that come up again.
+
+    Rows are places, or frames. What is hidden is found once and kept, as long as there is room; it
+    is the same whether it is kept or not. Several threads may ask.
+    """
+
+    def __init__(self, n_rows: int, n_points: int) -> None:
+        self._n_rows, self._n_points = n_rows, n_points
+        self._of_eye: dict[object, tuple[BoolArray, NDArray[np.uint8]]] = {}
+        self._most_eyes = _MOST_BYTES // max(1, n_rows * (1 + -(-n_points // 8)))
+
+    def look(
+        self, eye: object, rows: IntArray, find: Find, *, foreseen: IntArray | None = None
+    ) -> BoolArray:
+        """Hidden points of rows (n,), distinct, seen from an eye by its name, (n, n_points).
+
+        `find` finds them. Where it has to, it is asked for the rows that are `foreseen`, too.
+        """
+        if eye not in self._of_eye:
+            if len(self._of_eye) >= self._most_eyes:
+                return find(rows)
+            bits = np.zeros((self._n_rows, -(-self._n_points // 8)), dtype=np.uint8)
+            self._of_eye.setdefault(eye, (np.zeros(self._n_rows, dtype=bool), bits))
+        is_known, bits = self._of_eye[eye]
+        if not is_known[rows].all():
+            is_asked = np.zeros(self._n_rows, dtype=bool)
+            is_asked[rows] = True
+            if foreseen is not None:
+                is_asked[foreseen] = True
+            asked = np.flatnonzero(is_asked & ~is_known)
+            bits[asked] = np.packbits(find(asked), axis=1)
+            is_known[asked] = True  # last: another thread may ask
+        return np.unpackbits(bits[rows], axis=1, count=self._n_points).view(bool)
