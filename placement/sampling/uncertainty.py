@@ -39,8 +39,9 @@ _UNIFORM_REACH = np.sqrt(
 class MountingErrors:
     """How far off units are after installation."""
 
-    # yaw_sd_deg, pitch_sd_deg, height_sd_m: standard deviations. Angles are normal, cut off at three
-    # of them; heights have three values that stand for a normal distribution. [deg], [deg], [m]
+    # yaw_sd_deg, pitch_sd_deg, height_sd_m: standard deviations. Angles are normal, cut off at
+    # three of them; heights have three values that stand for a normal distribution. [deg], [deg],
+    # [m]
     yaw_sd_deg: float = 0.0
     pitch_sd_deg: float = 0.0
     height_sd_m: float = 0.0

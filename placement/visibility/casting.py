@@ -385,15 +385,13 @@ def _add_hidden_by_standing(
     if not len(standing.shape_index):
         return
     boxes = np.array([_box_m(shape) for shape in standing.shapes])[standing.shape_index]
-    middle = np.einsum("nij,nj->ni", standing.rotation, boxes.mean(axis=1))
     n_bodies = np.array([len(bodies) for bodies in standing.bodies])
     obstruction = views.obstruction_index[view_index]
     pairs = np.empty((int(n_bodies[obstruction].sum()), 2), dtype=np.int32)
     n_pairs = find_bodies_between(
         *(views.middle_m, views.radius_m, eye_m, view_index, obstruction),
         *(np.concatenate(standing.bodies), np.cumsum([0, *n_bodies])),
-        standing.position_m + middle,
-        0.5 * np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1),
+        *(standing.position_m, standing.rotation, boxes),
         pairs,
     )
     rows, bodies = pairs[:n_pairs].T.astype(np.int64)

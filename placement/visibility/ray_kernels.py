@@ -64,17 +64,30 @@ def find_bodies_between(
     obstruction: Array,
     bodies: Array,
     first: Array,
-    centre: Array,
-    reach: Array,
+    position: Array,
+    rotation: Array,
+    boxes: Array,
     pairs: Array,
 ) -> int:
     """Pairs (row, body) of views and bodies that may hide something of them; their number.
 
     Row n is view `views[n]`, of points around `middle` (n_views, 3) as far as `radius` (n_views,);
     in it stand the bodies from `first[g]` to `first[g + 1]` of `bodies`, g being `obstruction[n]`:
-    each around its `centre` (n_bodies, 3), as far as its `reach` (n_bodies,).
+    each at its `position` (n_bodies, 3), turned by its `rotation` (n_bodies, 3, 3), within its
+    `boxes` (n_bodies, 2, 3) in its own frame. The way to the middle passes by all others farther
+    than any way to a point is from it.
     """
     n_pairs = 0
+    centre, reach, eyes = np.empty_like(position), np.empty(len(boxes)), np.empty_like(position)
+    for body in range(len(boxes)):
+        low, high, r, reach2 = boxes[body, 0], boxes[body, 1], rotation[body], 0.0
+        for i in range(3):
+            centre[body, i], eyes[body, i] = position[body, i], 0.0
+            reach2 += 0.25 * (high[i] - low[i]) ** 2
+            for j in range(3):
+                centre[body, i] += 0.5 * r[i, j] * (low[j] + high[j])
+                eyes[body, i] += r[j, i] * (eye[j] - position[body, j])
+        reach[body] = np.sqrt(reach2)
     for row in range(len(views)):
         view, group = views[row], obstruction[row]
         mx, my, mz = middle[view, 0] - eye[0], middle[view, 1] - eye[1], middle[view, 2] - eye[2]
@@ -88,9 +101,21 @@ def find_bodies_between(
             )
             share = min(max((cx * mx + cy * my + cz * mz) / length2, 0.0), 1.0)
             away2 = (cx - share * mx) ** 2 + (cy - share * my) ** 2 + (cz - share * mz) ** 2
-            if away2 <= (reach[body] + radius[view]) ** 2:
-                pairs[n_pairs, 0], pairs[n_pairs, 1] = row, body
-                n_pairs += 1
+            if away2 > (reach[body] + radius[view]) ** 2:
+                continue
+            r, low, high, wide = rotation[body], boxes[body, 0], boxes[body, 1], radius[view]
+            ex, ey, ez = eyes[body, 0], eyes[body, 1], eyes[body, 2]
+            if misses(
+                *(ex, ey, ez),
+                ex + r[0, 0] * mx + r[1, 0] * my + r[2, 0] * mz,
+                ey + r[0, 1] * mx + r[1, 1] * my + r[2, 1] * mz,
+                ez + r[0, 2] * mx + r[1, 2] * my + r[2, 2] * mz,
+                (low[0] - wide, low[1] - wide, low[2] - wide),
+                (high[0] + wide, high[1] + wide, high[2] + wide),
+            ):
+                continue
+            pairs[n_pairs, 0], pairs[n_pairs, 1] = row, body
+            n_pairs += 1
     return n_pairs
 
 
