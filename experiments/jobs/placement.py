@@ -15,7 +15,7 @@ from geometry.catalogue import load_cameras
 from geometry.errors import InputError
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
-from placement.compute import Compute
+from placement.compute import Compute, silent
 from placement.evaluation import Evaluation, apr
 from placement.evaluator import evaluate_layouts
 from placement.explain.other_sensors import STAGE as OTHER_SENSORS
@@ -31,11 +31,19 @@ from placement.prices import assumed_prices
 from placement.private_ground import load_private_ground
 from placement.question import Question
 from placement.refinement.refine import refine
-from placement.sampling import load_drawn, out_of_sample_layouts
+from placement.sampling import (
+    FreshWorlds,
+    Uncertainty,
+    judge_layouts,
+    load_drawn,
+    look_at_fresh_worlds,
+    out_of_sample_layouts,
+)
+from placement.sampling.out_of_sample import STAGE as OUT_OF_SAMPLE
 from placement.setting import Setting, build_setting
 
 from ..progress import StageProgress
-from ..report.beside import Beside, drawing_beside
+from ..report.beside import Beside, Part, drawing_beside
 from ..report.bill_of_materials import build_bill
 from ..report.comparison import EXPERT, GREEDY
 from ..report.coverage import coverage_section
@@ -156,8 +164,19 @@ def run_placement(
             may_look=plan.may_look,
             compute=compute,
         )
-        progress("explain", 0, 0)
         poses = plan.candidates if refinement is None else refinement.candidates
+        compared = compare_placement(placement, poses, setting, seed=compute.seed)
+        named = {
+            placement.layout.name: placement.layout,
+            GREEDY: placement.greedy,
+            EXPERT: compared.expert,
+            **({} if study is None else {study.name: study}),
+        }
+        layouts = {name: layout for name, layout in named.items() if layout is not None}
+        fresh = _begin_fresh_worlds(
+            beside, question, setting, [*layouts.values()], uncertainty, compute
+        )
+        progress("explain", 0, 0)
         explained = build_explained_record(
             placement,
             setting,
@@ -170,14 +189,6 @@ def run_placement(
         beside.begin("plans", build_plans, setting, {subject.name: subject}, others)
         beside.begin("coverage", coverage_section, scene, subject)
         front = _front_below(placement, plan, compute, progress)
-        compared = compare_placement(placement, poses, setting, seed=compute.seed)
-        named = {
-            placement.layout.name: placement.layout,
-            GREEDY: placement.greedy,
-            EXPERT: compared.expert,
-            **({} if study is None else {study.name: study}),
-        }
-        layouts = {name: layout for name, layout in named.items() if layout is not None}
         verdicts = evaluate_layouts([*layouts.values()], setting, compute=compute)
         evaluations = dict(zip(layouts, verdicts, strict=True))
         found, greedy = evaluations[placement.layout.name], evaluations[GREEDY]
@@ -217,14 +228,9 @@ def run_placement(
             refinement=UNSET if refinement is None else build_refinement_record(refinement),
         )
         sampled_figure = None
-        if question.samples:
-            judged = out_of_sample_layouts(
-                setting,
-                [*layouts.values()],
-                uncertainty,
-                n_samples=max(question.samples, MIN_FRESH_WORLDS),
-                fusion=question.fusion,
-                compute=compute,
+        if fresh:
+            judged = judge_layouts(
+                setting, [*layouts.values()], uncertainty, _look_at_fresh_worlds(fresh, progress)
             )
             sampled = build_sampled_record(
                 judged,
@@ -256,6 +262,46 @@ def run_placement(
             sampled_figure=sampled_figure,
             beside=beside,
         )
+
+
+_WORLDS_TOGETHER = 10
+
+
+def _begin_fresh_worlds(
+    beside: Beside,
+    question: Question,
+    setting: Setting,
+    layouts: Sequence[Layout],
+    uncertainty: Uncertainty,
+    compute: Compute,
+) -> list[Part[FreshWorlds]]:
+    """Layouts in fresh sampled worlds, some of these at a time; nothing if none are asked for."""
+    n_worlds = max(question.samples, MIN_FRESH_WORLDS) if question.samples else 0
+    return [
+        beside.begin(
+            f"fresh worlds from {first}",
+            look_at_fresh_worlds,
+            setting,
+            layouts,
+            uncertainty,
+            n_worlds=min(_WORLDS_TOGETHER, n_worlds - first),
+            first=first,
+            fusion=question.fusion,
+            compute=replace(compute, progress=silent),
+        )
+        for first in range(0, n_worlds, _WORLDS_TOGETHER)
+    ]
+
+
+def _look_at_fresh_worlds(
+    parts: Sequence[Part[FreshWorlds]], progress: StageProgress
+) -> list[FreshWorlds]:
+    """What came of them: the second process begins with the first, this one with the last."""
+    found: list[FreshWorlds] = []
+    for done, part in enumerate(reversed(parts)):
+        progress(OUT_OF_SAMPLE, done, len(parts))
+        found.insert(0, part.result())
+    return found
 
 
 _LARGE_RUNS = 100

@@ -9,10 +9,13 @@ was not chosen in.
 
 from .moving import MovingTraffic, TrafficCount, load_traffic
 from .out_of_sample import (
+    FreshWorlds,
     MeanEstimate,
     SampledApr,
     cvar,
     estimate_mean,
+    judge_layouts,
+    look_at_fresh_worlds,
     out_of_sample,
     out_of_sample_layouts,
 )
@@ -34,6 +37,7 @@ from .worlds import Sample, draw_samples
 __all__ = [
     "DEFAULT_UNCERTAINTY",
     "UNCERTAINTY_NAMES",
+    "FreshWorlds",
     "LatencyJitter",
     "MeanEstimate",
     "MountingErrors",
@@ -48,9 +52,11 @@ __all__ = [
     "cvar",
     "draw_samples",
     "estimate_mean",
+    "judge_layouts",
     "load_drawn",
     "load_traffic",
     "load_uncertainty",
+    "look_at_fresh_worlds",
     "out_of_sample",
     "out_of_sample_layouts",
     "sampled_table",

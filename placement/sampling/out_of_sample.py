@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,8 +19,9 @@ from ..compute import DEFAULT_COMPUTE, Compute, silent
 from ..evaluation import earliest_arrival_s
 from ..layout import Layout
 from ..setting import Setting
+from ..visibility.casting import LastingScene
 from .moving import NO_TRAFFIC, TrafficCount
-from .tables import build_sample_tables, tell_traffic
+from .tables import build_sample_tables, share_scene, tell_traffic
 from .uncertainty import Uncertainty
 from .worlds import draw_samples, pose_key
 
@@ -184,6 +186,14 @@ class SampledApr:
         )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FreshWorlds:
+    """What layouts avoid in some worlds that none was chosen in."""
+
+    avoided: BoolArray  # (n_layouts, n_worlds, n_runs)
+    driving: TrafficCount  # vehicles that drove by, in all of them
+
+
 def out_of_sample(
     setting: Setting,
     layout: Layout,
@@ -215,6 +225,23 @@ def out_of_sample_layouts(
     worlds that :func:`placement.sampling.tables.sampled_table` chooses in, also not for the same
     seed. Nothing is cached; progress is told the worlds.
     """
+    worlds = look_at_fresh_worlds(
+        *(setting, layouts, uncertainty), n_worlds=n_samples, fusion=fusion, compute=compute
+    )
+    return judge_layouts(setting, layouts, uncertainty, [worlds])
+
+
+def look_at_fresh_worlds(
+    setting: Setting,
+    layouts: Sequence[Layout],
+    uncertainty: Uncertainty,
+    *,
+    n_worlds: int,
+    first: int = 0,
+    fusion: str = "any",
+    compute: Compute = DEFAULT_COMPUTE,
+) -> FreshWorlds:
+    """What layouts avoid in so many fresh worlds, from one of them on."""
     if fusion not in FUSIONS:
         raise InputError("--fusion", fusion, "one of " + ", ".join(FUSIONS))
     units = {_key(unit): unit for layout in layouts for unit in layout.units}
@@ -222,12 +249,21 @@ def out_of_sample_layouts(
     # Two layouts may call different units the same.
     poses = [replace(unit, id=f"#{index}") for index, unit in enumerate(units.values())]
     samples = draw_samples(
-        setting, poses, uncertainty, n_samples=n_samples, seed=compute.seed, purpose="judge"
+        *(setting, poses, uncertainty),
+        n_samples=n_worlds,
+        seed=compute.seed,
+        purpose="judge",
+        first=first,
     )
-    compute.progress(STAGE, 0, n_samples)
-    avoided = np.zeros((len(layouts), n_samples, setting.axis.n_runs), dtype=bool)
+    compute.progress(STAGE, 0, n_worlds)
+    avoided = np.zeros((len(layouts), n_worlds, setting.axis.n_runs), dtype=bool)
     quiet = replace(compute, cache_folder=None, progress=silent)
-    worlds = build_sample_tables(samples, compute=quiet, at_once=compute.workers)
+    worlds = build_sample_tables(
+        samples,
+        compute=quiet,
+        at_once=compute.workers,
+        lasting=_shared(setting, uncertainty.moving is None, quiet),
+    )
     driving = TrafficCount()
     for index, (sample, table) in enumerate(worlds):
         driving += sample.driving
@@ -239,7 +275,25 @@ def out_of_sample_layouts(
                 setting.rule,
                 fusion,
             )
-        compute.progress(STAGE, index + 1, n_samples)
+        compute.progress(STAGE, index + 1, n_worlds)
+    return FreshWorlds(avoided=avoided, driving=driving)
+
+
+@lru_cache(maxsize=1)  # worlds of one question may be looked at in parts
+def _shared(setting: Setting, is_still: bool, compute: Compute) -> LastingScene:
+    return share_scene(setting, is_still=is_still, compute=compute)
+
+
+def judge_layouts(
+    setting: Setting,
+    layouts: Sequence[Layout],
+    uncertainty: Uncertainty,
+    worlds: Sequence[FreshWorlds],
+) -> list[SampledApr]:
+    """Put together what layouts avoid in all worlds."""
+    driving = TrafficCount()
+    for some in worlds:
+        driving += some.driving
     tell_traffic(driving, uncertainty)
     weight = setting.axis.weight
     return [
@@ -250,7 +304,9 @@ def out_of_sample_layouts(
             avoided_share=by_sample.mean(axis=0),
             driving=driving,
         )
-        for layout, by_sample in zip(layouts, avoided, strict=True)
+        for layout, by_sample in zip(
+            layouts, np.concatenate([some.avoided for some in worlds], axis=1), strict=True
+        )
     ]
 
 

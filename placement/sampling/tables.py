@@ -260,6 +260,7 @@ def build_sample_tables(
     n_samples: int = 1,
     compute: Compute = DEFAULT_COMPUTE,
     at_once: int = 1,
+    lasting: LastingScene | None = None,
 ) -> Iterator[tuple[Sample, DetectionTable]]:
     """Detection table of one sampled world after the other, from the cache or built anew.
 
@@ -267,24 +268,16 @@ def build_sample_tables(
     share one build, and all of them what scene and bodies hide from the same eyes. The next world
     is drawn, and built, while one is looked at. `n_samples` is the number of all worlds, for the
     progress. With few poses, laying worlds out takes as long as looking: then several worlds may be
-    built `at_once`, each by one thread.
+    built `at_once`, each by one thread. `lasting` is as :func:`share_scene` finds it, where other
+    worlds were built from it.
     """
-    lock, shared = Lock(), list[LastingScene]()
+    lock, shared = Lock(), [] if lasting is None else [lasting]
 
-    def lasting(sample: Sample) -> LastingScene:
-        setting = sample.setting
-        with lock:
+    def share(sample: Sample) -> LastingScene:
+        with lock:  # where all tables are in the cache, nobody asks
             if not shared:
-                shared.append(
-                    build_lasting_scene(
-                        setting.scene,
-                        setting.runs,
-                        n_points=N_POINTS,
-                        seed=compute.seed,
-                        rays=compute.rays,
-                        keeps="all" if sample.uncertainty.moving is None else "still",
-                    )
-                )
+                is_still = sample.uncertainty.moving is None
+                shared.append(share_scene(sample.setting, is_still=is_still, compute=compute))
         return shared[0]
 
     as_planned: Future[DetectionTable] | None = None
@@ -296,9 +289,9 @@ def build_sample_tables(
             progress = _progress_of(index, n_samples, compute.progress)
             part = replace(compute, progress=progress, workers=workers)
             if not sample.looks_as_planned:
-                table = pool.submit(_obtain, sample, part, lasting)
+                table = pool.submit(_obtain, sample, part, share)
             elif as_planned is None:
-                table = as_planned = pool.submit(_obtain, sample, part, lasting)
+                table = as_planned = pool.submit(_obtain, sample, part, share)
             else:
                 table = as_planned
                 progress(STAGE, 1, 1)
@@ -309,18 +302,33 @@ def build_sample_tables(
             yield _received(*pending.popleft())
 
 
+def share_scene(setting: Setting, *, is_still: bool, compute: Compute) -> LastingScene:
+    """What sampled worlds have in common, and keep of one another; in a still one nothing drives.
+
+    Nothing but the VUT, and what drives by as planned.
+    """
+    return build_lasting_scene(
+        setting.scene,
+        setting.runs,
+        n_points=N_POINTS,
+        seed=compute.seed,
+        rays=compute.rays,
+        keeps="all" if is_still else "still",
+    )
+
+
 def _received(sample: Sample, table: "Future[DetectionTable]") -> tuple[Sample, DetectionTable]:
     """A world and its table without what is lost; its deadlines are its own."""
     return sample, lose_messages(sample, replace(table.result(), axis=sample.setting.axis))
 
 
 def _obtain(
-    sample: Sample, compute: Compute, lasting: Callable[[Sample], LastingScene]
+    sample: Sample, compute: Compute, share: Callable[[Sample], LastingScene]
 ) -> DetectionTable:
     """Table of a world before messages are lost, from the cache or built anew."""
     setting, detector = sample.setting, sample.drawn_detector
     if compute.cache_folder is None:
-        return _build(sample, compute, lasting(sample))
+        return _build(sample, compute, share(sample))
     fingerprint = table_fingerprint(
         setting.scene, sample.candidates, setting.runs, setting.planner, seed=compute.seed
     )
@@ -334,7 +342,7 @@ def _obtain(
     if table is not None:
         compute.progress(STAGE, 1, 1)
         return table
-    table = _build(sample, compute, lasting(sample))
+    table = _build(sample, compute, share(sample))
     save_table(path, table, fingerprint=fingerprint)
     return table
 

@@ -124,11 +124,12 @@ def draw_samples(
     n_samples: int,
     seed: int,
     purpose: str = "choose",
+    first: int = 0,
 ) -> Iterator[Sample]:
     """Draw worlds, one after the other: each is built when it is asked for.
 
-    The first worlds are the same whatever their number. `purpose` is "choose" or "judge": worlds of
-    the one share no random number with worlds of the other.
+    A world is the same whatever their number, and from which one on they are drawn. `purpose` is
+    "choose" or "judge": worlds of the one share no random number with worlds of the other.
 
     All poses of one site are off by the same yaw, pitch and height: those of the mount. So they
     stay comparable with one another, and share their rays as in the plan; two units on one pole
@@ -144,10 +145,10 @@ def draw_samples(
     traffic = uncertainty.traffic
     street = None if traffic.is_empty else build_street(setting.scene, traffic)
     ways = {} if street is None else build_ways(setting.runs, setting.rule)
-    first, planned = Luck(seed=seed, purpose=purpose, index=0), tuple(candidates)
+    luck, planned = Luck(seed=seed, purpose=purpose, index=0), tuple(candidates)
     draws = (
-        partial(_draw, setting, planned, uncertainty, replace(first, index=index), street, ways)
-        for index in range(n_samples)
+        partial(_draw, setting, planned, uncertainty, replace(luck, index=index), street, ways)
+        for index in range(first, first + n_samples)
     )
     return _one_ahead(draws)
 
