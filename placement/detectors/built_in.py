@@ -169,9 +169,10 @@ class ResponseDetector:
         return most
 
     def _aspect_factor(self, aspect_deg: FloatArray, vru_class: IntArray) -> FloatArray:
-        end_on = np.cos(np.radians(aspect_deg)) ** 2
-        factor = 1.0 - (1.0 - self.cyclist_end_on) * end_on
-        return np.where(vru_class == VRU_CLASSES.index("cyclist"), factor, 1.0)
+        factor, is_cyclist = np.ones(len(aspect_deg)), vru_class == VRU_CLASSES.index("cyclist")
+        end_on = np.cos(np.radians(aspect_deg[is_cyclist])) ** 2
+        factor[is_cyclist] = 1.0 - (1.0 - self.cyclist_end_on) * end_on
+        return factor
 
     def _contrast_factor(self, contrast: FloatArray) -> FloatArray:
         half, steepness = self.contrast_half, self.contrast_steepness

@@ -30,7 +30,7 @@ from .standing import (
     shape_caster,
 )
 from .surfaces import Surface
-from .views import HiddenPoints, Places, VruViews, build_places, build_views
+from .views import HiddenPoints, Places, VruViews, build_places, build_views, count_in_rows
 
 
 def build_static_mesh(
@@ -249,7 +249,7 @@ def cast_sight(
     foreseen = None if is_foreseen is None else np.flatnonzero(is_foreseen)
     blocked = _hidden_by_scene(world, eye, near_views, foreseen, near_m=near_m)
     _add_hidden_by_standing(world, eye, near_views, blocked, near_m=near_m)
-    n_blocked = np.count_nonzero(blocked, axis=1)
+    n_blocked = count_in_rows(blocked)
     row_of_view = np.full(len(views.yaw_deg), -1)
     is_left = n_blocked < blocked.shape[1]
     row_of_view[near_views[is_left]] = np.flatnonzero(is_left)
@@ -266,7 +266,8 @@ def cast_sight(
     faces_eye[asked] = _is_self_visible(world, eye, near_views[asked])
 
     is_visible = faces_eye & ~blocked
-    is_seen = np.asarray(is_visible.any(axis=1))
+    n_visible, n_facing = count_in_rows(is_visible), count_in_rows(faces_eye)
+    is_seen = n_visible > 0
     entry_of_row: IntArray = np.full(len(near_views) + 1, -1)  # one more, for frames without a row
     entry_of_row[np.flatnonzero(is_seen)] = np.arange(int(is_seen.sum()))
     entry_of_frame: IntArray = entry_of_row[row_of_frame]
@@ -280,13 +281,13 @@ def cast_sight(
     entry_of_frame[frames[is_more]] = n_seen + np.arange(int(is_more.sum()))
     shown_rows = np.concatenate([np.flatnonzero(is_seen), rows[is_more]])
     shown = np.concatenate([is_visible[is_seen], left_visible[is_more]])
-    is_whole = (is_visible[is_seen] == faces_eye[is_seen]).all(axis=1)
+    is_whole = n_visible[is_seen] == n_facing[is_seen]
+    n_shown = np.concatenate([n_visible[is_seen], count_in_rows(left_visible[is_more])])
     return Sight(
         view_index=near_views[shown_rows],
         is_visible=shown,
         is_whole=np.concatenate([is_whole, np.zeros(int(is_more.sum()), dtype=bool)]),
-        visible_share=np.count_nonzero(shown, axis=1)
-        / np.count_nonzero(faces_eye, axis=1)[shown_rows],
+        visible_share=n_shown / n_facing[shown_rows],
         entry_of_frame=entry_of_frame,
     )
 
@@ -476,7 +477,7 @@ def _cast_to_points(
     """Of the points asked for, (n, n_points), of places, leave those that something hides."""
     from .ray_kernels import fill_rays
 
-    starts, vectors = (np.empty((int(asked.sum()), 3), np.float32) for _ in range(2))
+    starts, vectors = (np.empty((np.count_nonzero(asked), 3), np.float32) for _ in range(2))
     fill_rays(axes_m, index, asked, eye_m, near_m, _OFF_SURFACE_M, starts, vectors)
     asked[asked] = caster.is_blocked(starts, vectors)
 

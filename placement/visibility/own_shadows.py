@@ -46,7 +46,7 @@ def find_own_visible(
         least_m = _FAR * float(np.linalg.norm(points, axis=1).max())
         seen = np.empty((len(rows), len(points)), dtype=bool)
         _find_outside(points, planes_around(surface), eyes, least_m, seen)
-        starts, vectors = (np.empty((int(seen.sum()), 3), np.float32) for _ in range(2))
+        starts, vectors = (np.empty((np.count_nonzero(seen), 3), np.float32) for _ in range(2))
         _fill_rays(points, eyes, seen, _OFF_SURFACE_M, starts, vectors)
         seen[seen] = ~casters[index].is_blocked(starts, vectors)
         visible[rows] = seen

@@ -199,3 +199,9 @@ class HiddenPoints:
             bits[asked] = np.packbits(find(asked), axis=1)
             is_known[asked] = True  # last: another thread may ask
         return np.unpackbits(bits[rows], axis=1, count=self._n_points).view(bool)
+
+
+def count_in_rows(rows: BoolArray) -> IntArray:
+    """How many of each row (n, m) are set, (n,); as bits, in less than half of numpy's time."""
+    count: IntArray = np.bitwise_count(np.packbits(rows, axis=1)).sum(axis=1, dtype=np.int64)
+    return count
