@@ -11,6 +11,7 @@ frame of the reduced problem here: a *tail*. A window whose tails are all seen i
 window has fewer tails, one that is not seen ends all windows of the run up to some number.
 """
 
+from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -22,16 +23,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from scenarios.aeb import TIME_TOLERANCE_S, AebRule, is_in_time
-from scenarios.runs import FrameAxis
 
 from .limits import Limits
 from .objectives import COST_TOLERANCE_EUR, Goal, Objective, objectives_in_order
-from .problem import Measure, PlacementProblem, Requirement
+from .problem import (
+    Measure,
+    PlacementProblem,
+    Requirement,
+    run_of_frames,
+    tails_behind,
+    timely_windows_end,
+)
 from .threads import WORKERS, share_out
 
 WordArray = NDArray[np.uint64]
+PackedArray = WordArray | NDArray[np.uint8]
 _MAX_CELLS = 1 << 28  # poses x merged frames: models take some bytes for each
+_MAX_LOOKED = 256  # words by which poses are told that see less
+_MANY_ROWS = 1 << 12  # so many are worth threads
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,16 +94,9 @@ class Detections:
     @cached_property
     def columns(self) -> WordArray:
         """V[c, f] with bits along the poses, (n_frames, ceil(n_poses / 64)); turned round once."""
-        from .presolve_kernels import turn_round
-
-        rows = np.ascontiguousarray(self.words).view(np.uint8)
-        columns = np.empty((8 * rows.shape[1], -(-len(rows) // 64)), dtype=np.uint64)
-
-        def turn(begin: int, end: int) -> None:
-            turn_round(rows[64 * begin : 64 * end], columns[:, begin:end])
-
-        share_out(turn, columns.shape[1], few=WORKERS)
-        return columns[: self.n_frames]
+        columns = np.empty((self.n_frames, -(-len(self.words) // 64)), dtype=np.uint64)
+        _turn(self.words, np.arange(len(self.words)), np.arange(self.n_frames), columns)
+        return columns
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -225,11 +227,10 @@ def presolve(problem: PlacementProblem) -> ReducedProblem:
         reduced = windows.reduce(poses)
         is_wished = reduced.limits.is_forced
         is_wished = is_wished | limits.is_forced_site[reduced.limits.site_index]
-        sees: BoolArray = np.logical_or.reduce(reduced.words != 0, axis=1)
-        is_needless = ~sees & ~is_wished
+        is_needless = ~_have_bits(reduced.words) & ~is_wished
         left = np.flatnonzero(~is_needless)
         is_needless[left] = is_dominated(
-            reduced.words[left],
+            reduced.words[left] if is_needless.any() else reduced.words,
             reduced.limits.of_poses(left),
             max_units=limits.max_units,
             may_add=None if is_monotone else _settled_frames(reduced, left),
@@ -247,14 +248,14 @@ def is_dominated(
     limits: Limits,
     *,
     max_units: int,
-    may_add: Callable[[int], WordArray] | None = None,
+    may_add: Callable[[IntArray], WordArray] | None = None,
 ) -> BoolArray:
     """Poses without which some best set remains, whatever the stage.
 
     `words`, (n_poses, n_words): what each pose sees. `max_units`: no set has more units. Returns
-    (n_poses,): may be dropped, all together. `may_add` tells what a dominator may see beyond a
-    pose, by default anything: where more runs avoided may be worse, frames of those alone that the
-    pose avoids by itself. In its place the dominator then avoids the same runs, no later.
+    (n_poses,): may be dropped, all together. `may_add` tells what a dominator may see beyond each
+    of some poses, by default anything: where more runs avoided may be worse, frames of those alone
+    that the pose avoids by itself. In its place the dominator then avoids the same runs, no later.
 
     Pose d dominates pose c if it sees all that c sees, costs no more and is bound by nothing that c
     is not: at the same site its price decides; elsewhere its site may have to be paid, too, and
@@ -276,7 +277,12 @@ def is_dominated(
     from .presolve_kernels import find_dominated
 
     n_poses, n_words = words.shape
-    count = np.bitwise_count(words).sum(axis=1, dtype=np.int64)
+    count = np.empty(n_poses, dtype=np.int64)
+
+    def count_bits(begin: int, end: int) -> None:
+        count[begin:end] = np.bitwise_count(words[begin:end]).sum(axis=1, dtype=np.int64)
+
+    share_out(count_bits, n_poses)
     order = np.lexsort((limits.unit_cost_eur, -count))
     sites, price = limits.site_index[order], limits.unit_cost_eur[order]
     is_bound_site = limits.is_forced_site.copy()
@@ -285,14 +291,16 @@ def is_dominated(
         is_bound_site |= limits.site_capacity > 1
     elsewhere = price + limits.site_cost_eur[sites]
     elsewhere[is_bound_site[sites]] = np.inf
-    words = words[order]
-    columns = np.ascontiguousarray(words.T)
+    looked = np.arange(0, n_words, -(-n_words // _MAX_LOOKED) or 1)
+    columns = np.ascontiguousarray(words[np.ix_(order, looked)].T)
     dominated = np.zeros(n_poses, dtype=bool)
 
     def look_at(poses: IntArray, most: WordArray) -> None:
         def look(begin: int) -> None:
             find_dominated(
                 words,
+                order,
+                looked,
                 columns,
                 poses,
                 most,
@@ -314,93 +322,40 @@ def is_dominated(
     look_at(np.arange(n_poses), np.empty((0, n_words), dtype=np.uint64))
     if may_add is not None and dominated.any():  # few, or none: what each may see takes long
         poses = np.flatnonzero(dominated)
-        look_at(poses, np.stack([words[pose] | may_add(int(order[pose])) for pose in poses]))
+        look_at(poses, words[order[poses]] | may_add(order[poses]))
     result = np.zeros(n_poses, dtype=bool)
     result[order] = dominated
     return result & ~limits.is_forced
 
 
-def _settled_frames(reduced: ReducedProblem, poses: IntArray) -> Callable[[int], WordArray]:
-    """What finds the frames that only runs need which a pose avoids alone, (n_words,)."""
-    chains = reduced.chains
-    shortest = np.full(reduced.n_chains, np.iinfo(np.int64).max)
-    np.minimum.at(shortest, reduced.run_chain, (reduced.margin_s > -np.inf).sum(axis=1))
-    frames = chains.window_frames[chains.window]
-    n_links, n_tails = np.diff(chains.start), np.diff(chains.tail_start)
-    number = np.arange(len(frames)) - np.repeat(chains.start[:-1], n_links)
-    is_for_all = number < np.repeat(shortest, n_links)
-    tail_chain = np.repeat(np.arange(reduced.n_chains), n_tails)
+def _settled_frames(reduced: ReducedProblem, poses: IntArray) -> Callable[[IntArray], WordArray]:
+    """What finds the frames that only runs need which each pose avoids alone, (n, n_words)."""
 
-    def find(pose: int) -> WordArray:
-        detected = unpack_words(reduced.words[poses[pose]], reduced.n_frames)
-        lost = np.where(detected[chains.tail_frame], 0, chains.tail_links)
-        n_lost = np.zeros(reduced.n_chains, dtype=np.int64)
-        np.maximum.at(n_lost, tail_chain, lost)
-        is_live = np.logical_and.reduce(detected[frames], axis=1) & is_for_all
-        is_live &= number >= np.repeat(n_lost, n_links)
-        is_open = ~np.logical_or.reduceat(is_live, chains.start[:-1])
-        is_settled = np.ones(reduced.n_frames, dtype=bool)
-        is_settled[frames[np.repeat(is_open, n_links)]] = False
-        is_settled[chains.tail_frame[np.repeat(is_open, n_tails)]] = False
-        return pack_words(is_settled)
+    def find(some: IntArray) -> WordArray:
+        from .frame_kernels import first_live_windows
+        from .presolve_kernels import let_settled
+
+        words = reduced.words[poses[some]]
+        n_common = np.full(reduced.n_chains, np.iinfo(np.int64).max)
+        np.minimum.at(n_common, reduced.run_chain, (reduced.margin_s > -np.inf).sum(axis=1))
+        first = np.empty((len(words), reduced.n_chains), dtype=np.int64)
+        settled = np.full(words.shape, ~np.uint64(0))
+
+        def look(begin: int, end: int) -> None:
+            first_live_windows(words[begin:end], reduced.chains, first[begin:end])
+            let_settled(first[begin:end], n_common, reduced.chains, settled[begin:end])
+
+        share_out(look, len(words), few=WORKERS)
+        return settled
 
     return find
-
-
-def timely_windows_end(axis: FrameAxis, rule: AebRule) -> tuple[IntArray, IntArray, FloatArray]:
-    """Windows of frames in a row that end in time, in runs with weight, each (n_windows,).
-
-    Returns the last frame of each, its run, and the margin that it leaves [s].
-    """
-    run = _run_of_frames(axis)
-    last_brake_s = axis.last_brake_time_s[run]
-    counts = (
-        (np.arange(axis.n_frames) - axis.run_start[run] >= rule.n_confirmations - 1)
-        & is_in_time(axis.time_s, last_brake_s, latency_s=rule.latency_s)
-        & (axis.weight[run] > 0.0)
-    )
-    end = np.flatnonzero(counts)
-    return end, run[end], last_brake_s[end] - (axis.time_s[end] + rule.latency_s)
-
-
-def tails_behind(
-    axis: FrameAxis, rule: AebRule, end: IntArray, run: IntArray
-) -> tuple[IntArray, IntArray]:
-    """Frames behind which a track is lost unless one of the next ones is detected, (n_tails,) each.
-
-    `end` and `run` are those of :func:`timely_windows_end`. Returns the frames, ascending, and the
-    last frame behind each that still comes in time: the frame itself if none does. A window is live
-    if and only if, from its last frame on, a detection follows each of these frames in time. That
-    asks for it behind frames that are not detected, too, which changes nothing: the detection that
-    comes in time for the one before them does so for them. Frames from which the memory reaches the
-    last moment have no tail.
-    """
-    if rule.track_memory_s == np.inf:
-        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
-    memory_s = rule.track_memory_s + TIME_TOLERANCE_S
-    behind, last = [end[:0]], [end[:0]]
-    of_runs, begin = np.unique(run, return_index=True)
-    for of_run, ends in zip(of_runs, np.split(end, begin)[1:], strict=True):
-        time_s = axis.time_s[ends]
-        until_s = axis.last_brake_time_s[of_run] - rule.latency_s
-        ends_too_early = until_s - time_s > memory_s
-        behind.append(ends[ends_too_early])
-        last.append(
-            ends[np.searchsorted(time_s, time_s[ends_too_early] + memory_s, side="right") - 1]
-        )
-    return np.concatenate(behind), np.concatenate(last)
-
-
-def _run_of_frames(axis: FrameAxis) -> IntArray:
-    """Run of each frame, (n_frames,)."""
-    return np.repeat(np.arange(axis.n_runs), np.diff(axis.run_start))
 
 
 class _Windows:
     """Windows of a problem that end in time, and their tails, as columns over the poses."""
 
     def __init__(self, problem: PlacementProblem) -> None:
-        from .presolve_kernels import join_ranges, turn_round
+        from .presolve_kernels import join_ranges
 
         self.problem = problem
         self.measure = problem.measure()
@@ -409,35 +364,42 @@ class _Windows:
         self.end, self.run, self.margin_s = timely_windows_end(axis, rule)
         frames = self.end[:, None] + np.arange(1 - rule.n_confirmations, 1)
         used, self.frames = np.unique(frames, return_inverse=True)
-        packed = problem.table.packed
-        # (8 n_bytes, n_words): who sees each frame
-        columns = np.empty((8 * packed.shape[1], -(-len(packed) // 64)), dtype=np.uint64)
-        turn_round(packed, columns)
-        self.columns = columns[used]
         self.tail_end, last = tails_behind(axis, rule, self.end, self.run)
-        self.tail_run = _run_of_frames(axis)[self.tail_end]
-        self.tail_columns = np.empty((len(last), columns.shape[1]), dtype=np.uint64)
-        join_ranges(columns, self.tail_end + 1, last + 1, self.tail_columns)
+        self.tail_run = run_of_frames(axis)[self.tail_end]
+        packed = problem.table.packed
+        # (n_used + n_tails, n_words): who sees each frame, and each tail
+        self.columns = np.empty((len(used) + len(last), -(-len(packed) // 64)), dtype=np.uint64)
+        self.n_used = len(used)
+        _turn(packed, np.arange(len(packed)), used, self.columns)
+        # Those between frames that are used are used.
+        tail_begin = np.searchsorted(used, self.tail_end, side="right")
+        tail_until = np.searchsorted(used, last, side="right")
+
+        def join(begin: int, end: int) -> None:
+            part = slice(begin, end)
+            tails = self.columns[self.n_used :]
+            join_ranges(self.columns, tail_begin[part], tail_until[part], tails[part])
+
+        share_out(join, len(last))
         if problem.fusion == "single":
             self._let_each_confirm_alone()
 
     def _let_each_confirm_alone(self) -> None:
         """Make a window the statement that a pose alone has a live one up to its end."""
+        tail_columns = self.columns[self.n_used :]
         self.columns = np.bitwise_and.reduce(self.columns[self.frames], axis=1)
-        self.frames = np.arange(len(self.end))[:, None]
+        self.frames, self.n_used = np.arange(len(self.end))[:, None], len(self.end)
         for run in np.unique(self.run):
             windows = self.columns[slice(*np.searchsorted(self.run, [run, run + 1]))]
-            tails = self.tail_columns[slice(*np.searchsorted(self.tail_run, [run, run + 1]))]
+            tails = tail_columns[slice(*np.searchsorted(self.tail_run, [run, run + 1]))]
             # The first windows of a run have tails, one behind the last frame of each.
             windows[: len(tails)] &= np.bitwise_and.accumulate(tails[::-1], axis=0)[::-1]
             np.bitwise_or.accumulate(windows, axis=0, out=windows)
         self.tail_end, self.tail_run = self.tail_end[:0], self.tail_run[:0]
-        self.tail_columns = self.tail_columns[:0]
 
     def sees_any(self) -> BoolArray:
         """Which poses see anything that matters, (n_poses,)."""
         words = np.bitwise_or.reduce(self.columns, axis=0)
-        words |= np.bitwise_or.reduce(self.tail_columns, axis=0)
         return unpack_words(words, self.problem.table.n_poses)
 
     def reduce(self, poses: IntArray) -> ReducedProblem:
@@ -448,10 +410,9 @@ class _Windows:
         is_pose = np.zeros(64 * self.columns.shape[1], dtype=bool)
         is_pose[poses] = True
         mask = pack_words(is_pose)
-        columns = np.concatenate([self.columns, self.tail_columns])
-        first, frame = distinct_rows(columns, mask)
-        frames, tail_frame = frame[: len(self.columns)][self.frames], frame[len(self.columns) :]
-        is_seen: BoolArray = np.logical_or.reduce((columns[first] & mask) != 0, axis=1)
+        first, frame = distinct_rows(self.columns, mask)
+        frames, tail_frame = frame[: self.n_used][self.frames], frame[self.n_used :]
+        is_seen = _have_bits(self.columns, mask)[first]
 
         last_lost = np.full(axis.n_runs, -1)
         is_lost = ~is_seen[tail_frame]
@@ -475,7 +436,11 @@ class _Windows:
         tail_frame, n_links, of_tail = tail_frame[order], n_links[order], of_tail[order]
 
         first_set, window = distinct_rows(sets.astype(np.uint64))
-        kept = np.unique(np.concatenate([sets.ravel(), tail_frame]))
+        is_needed = np.zeros(len(first), dtype=bool)
+        is_needed[sets] = is_needed[tail_frame] = True
+        kept = np.flatnonzero(is_needed)
+        words = np.empty((len(poses), -(-len(kept) // 64)), dtype=np.uint64)
+        _turn(self.columns, first[kept], poses, words)
         begin = np.searchsorted(of_run, np.arange(len(run_index) + 1))
         tail_begin = np.searchsorted(of_tail, np.arange(len(run_index) + 1))
         tail_frame = np.searchsorted(kept, tail_frame)
@@ -502,9 +467,7 @@ class _Windows:
             ),
             objectives=problem.objectives,
             survive=problem.survive,
-            detections=Detections(
-                n_frames=len(kept), words=_words_of(columns[first[kept]], poses), chains=chains
-            ),
+            detections=Detections(n_frames=len(kept), words=words, chains=chains),
             run_chain=run_chain,
             margin_s=margin_s,
             statistics=PresolveStatistics(
@@ -524,32 +487,52 @@ class _Windows:
 
     def _is_needless(self, mask: WordArray) -> BoolArray:
         """Tails that are seen whenever the next one of their run is, which ends more windows."""
+        from .presolve_kernels import lack_nothing
+
         is_needless = np.zeros(len(self.tail_run), dtype=bool)
-        beyond = self.tail_columns[1:] & ~self.tail_columns[:-1] & mask
-        is_needless[:-1] = ~np.logical_or.reduce(beyond != 0, axis=1)
+        lack_nothing(self.columns[self.n_used :], mask, is_needless)
         is_needless[:-1] &= self.tail_run[1:] == self.tail_run[:-1]
         return is_needless
 
 
 def distinct_rows(rows: WordArray, mask: WordArray | None = None) -> tuple[IntArray, IntArray]:
     """First of the rows that are equal within a mask, and the number among them of each row."""
-    from .presolve_kernels import number_rows
+    from .presolve_kernels import mix_rows, number_rows
 
     if mask is None:
         mask = np.full(rows.shape[1], ~np.uint64(0))
-    number = np.empty(len(rows), dtype=np.int64)
+    number, mixed = np.empty(len(rows), dtype=np.int64), np.empty(len(rows), dtype=np.uint64)
+
+    def mix(begin: int, end: int) -> None:
+        mix_rows(rows[begin:end], mask, mixed[begin:end])
+
+    share_out(mix, len(rows), few=_MANY_ROWS)
     slots = np.full(1 << (2 * len(rows)).bit_length(), -1)
-    n_distinct = number_rows(rows, mask, slots, number)
+    n_distinct = number_rows(rows, mask, mixed, slots, number)
     return slots[:n_distinct].copy(), number
 
 
-def _words_of(columns: WordArray, poses: IntArray) -> WordArray:
-    """Who sees each frame as what each of some poses sees, (n_poses, n_words)."""
-    from .presolve_kernels import turn_round
+def _have_bits(rows: WordArray, mask: WordArray | None = None) -> BoolArray:
+    """Which rows have any bit within a mask."""
+    from .presolve_kernels import have_bits
 
-    turned = np.empty((64 * columns.shape[1], -(-len(columns) // 64)), dtype=np.uint64)
-    turn_round(columns.view(np.uint8), turned)
-    return turned[poses]
+    has_bits = np.empty(len(rows), dtype=bool)
+    have_bits(rows, np.full(rows.shape[1], ~np.uint64(0)) if mask is None else mask, has_bits)
+    return has_bits
+
+
+def _turn(rows: PackedArray, chosen: IntArray, bits: IntArray, turned: WordArray) -> None:
+    """Some bits of chosen rows, bits along the rows: the first rows of `turned`, (n, n_words)."""
+    from .presolve_kernels import turn_chosen
+
+    rows = np.ascontiguousarray(rows).view(np.uint8)
+    place = np.full(8 * rows.shape[1], -1)
+    place[bits] = np.arange(len(bits))
+
+    def turn(begin: int, end: int) -> None:
+        turn_chosen(rows, chosen[64 * begin : 64 * end], place, turned[:, begin:end])
+
+    share_out(turn, turned.shape[1], few=WORKERS)
 
 
 def _as_sets(frames: IntArray) -> IntArray:
@@ -575,14 +558,19 @@ def _share_chains(
     """Chains such that every sequence is the beginning of one with its tails; chain of each."""
     chains: list[int] = []
     beginnings: dict[tuple[bytes, bytes, bytes], int] = {}
+    tail_keys = [(frames.tobytes(), n_links.tobytes()) for frames, n_links in tails]
+    heads = [(row[:1].tobytes(), *key) for row, key in zip(sequences, tail_keys, strict=True)]
+    n_alike = Counter(heads)
     sequence_chain = np.zeros(len(sequences), dtype=np.int64)
     for index in sorted(range(len(sequences)), key=lambda index: -len(sequences[index])):
         sequence = sequences[index]
-        tail_key = tails[index][0].tobytes(), tails[index][1].tobytes()
-        key = sequence.tobytes(), *tail_key
+        key = sequence.tobytes(), *tail_keys[index]
         if key not in beginnings:
-            for length in range(1, len(sequence) + 1):
-                beginnings[sequence[:length].tobytes(), *tail_key] = len(chains)
+            # What begins like no other one needs no shorter beginnings.
+            for length in range(
+                1 if n_alike[heads[index]] > 1 else len(sequence), len(sequence) + 1
+            ):
+                beginnings[sequence[:length].tobytes(), *tail_keys[index]] = len(chains)
             chains.append(index)
         sequence_chain[index] = beginnings[key]
     none = np.empty(0, dtype=np.int64)

@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
 
-ByteArray = NDArray[np.uint8]
-WordArray = NDArray[np.uint64]
+from .presolve import Chains, WordArray
 
-_N_LOOK = 24  # words by which poses are told that see less
+ByteArray = NDArray[np.uint8]
+
+_N_TOGETHER = 16  # words turned side by side, which fill lines of memory
+_N_LOOK = 24  # words of a pose by which others are told that see less
 
 
 @kernel
@@ -20,67 +22,128 @@ def turn_round(rows: ByteArray, columns: WordArray) -> None:
     """Bits along the rows of a table as bits along its columns.
 
     (n_rows, n_bytes) -> (8 n_bytes, n_words), n_words * 64 >= n_rows; lowest bits come first.
-    Blocks of 64 x 64 bits are turned by exchanging their quarters, down to single bits (Warren,
-    Hacker's Delight, 7-3).
+    """
+    turn_chosen(rows, np.arange(len(rows)), np.arange(8 * rows.shape[1]), columns)
+
+
+@kernel
+def turn_chosen(rows: ByteArray, chosen: IntArray, place: IntArray, columns: WordArray) -> None:
+    """The same of some rows of a table, and of some of its columns.
+
+    `chosen`, (n,), are rows; `place`, (8 n_bytes,), says which row of `columns`, (n_left, n_words),
+    becomes of each bit, or is negative. Blocks of 64 x 64 bits are turned by exchanging their
+    quarters, down to single bits (Warren, Hacker's Delight, 7-3).
     """
     block = np.empty(64, dtype=np.uint64)
-    n_rows, n_bytes = rows.shape
-    for word in range(columns.shape[1]):
+    n_rows, n_bytes, n_words = len(chosen), rows.shape[1], columns.shape[1]
+    for begin in range(0, n_words, _N_TOGETHER):
         for first in range(0, n_bytes, 8):
             n_there = min(8, n_bytes - first)
-            for bit in range(64):
-                row, value = 64 * word + bit, np.uint64(0)
-                if row < n_rows:
-                    for byte in range(n_there):
-                        value |= np.uint64(rows[row, first + byte]) << np.uint64(8 * byte)
-                block[bit] = value
-            width, mask = 32, np.uint64(0x00000000FFFFFFFF)
-            while width:
-                for one in range(64):
-                    if one & width == 0:
-                        other = one | width
-                        swapped = ((block[one] >> np.uint64(width)) ^ block[other]) & mask
-                        block[one] ^= swapped << np.uint64(width)
-                        block[other] ^= swapped
-                width >>= 1
-                mask ^= mask << np.uint64(width)
-            for bit in range(8 * n_there):
-                columns[8 * first + bit, word] = block[bit]
+            for word in range(begin, min(begin + _N_TOGETHER, n_words)):
+                n_in_block = min(64, n_rows - 64 * word)
+                block[n_in_block:] = 0
+                for bit in range(n_in_block):
+                    row = rows[chosen[64 * word + bit]]
+                    if n_there == 8:  # the compiler makes one load of these
+                        value = (
+                            np.uint64(row[first])
+                            | np.uint64(row[first + 1]) << np.uint64(8)
+                            | np.uint64(row[first + 2]) << np.uint64(16)
+                            | np.uint64(row[first + 3]) << np.uint64(24)
+                            | np.uint64(row[first + 4]) << np.uint64(32)
+                            | np.uint64(row[first + 5]) << np.uint64(40)
+                            | np.uint64(row[first + 6]) << np.uint64(48)
+                            | np.uint64(row[first + 7]) << np.uint64(56)
+                        )
+                    else:
+                        value = np.uint64(0)
+                        for byte in range(n_there):
+                            value |= np.uint64(row[first + byte]) << np.uint64(8 * byte)
+                    block[bit] = value
+                _turn_block(block)
+                for bit in range(8 * n_there):
+                    if place[8 * first + bit] >= 0:
+                        columns[place[8 * first + bit], word] = block[bit]
+
+
+@kernel
+def _turn_block(block: WordArray) -> None:
+    width, mask = 32, np.uint64(0x00000000FFFFFFFF)
+    while width:
+        shift = np.uint64(width)
+        for begin in range(0, 64, 2 * width):
+            for one in range(begin, begin + width):
+                swapped = ((block[one] >> shift) ^ block[one + width]) & mask
+                block[one] ^= swapped << shift
+                block[one + width] ^= swapped
+        width >>= 1
+        mask ^= mask << np.uint64(width)
 
 
 @kernel
 def join_ranges(rows: WordArray, begin: IntArray, end: IntArray, joined: WordArray) -> None:
     """Bits that are set in one of the rows begin .. end - 1: (n_rows, n) -> (n_ranges, n)."""
     for place in range(len(begin)):
-        for word in range(rows.shape[1]):
-            value = np.uint64(0)
-            for row in range(begin[place], end[place]):
-                value |= rows[row, word]
-            joined[place, word] = value
+        joined[place] = 0
+        for row in range(begin[place], end[place]):
+            for word in range(rows.shape[1]):
+                joined[place, word] |= rows[row, word]
 
 
 @kernel
-def number_rows(rows: WordArray, kept: WordArray, slots: IntArray, number: IntArray) -> int:
+def have_bits(rows: WordArray, kept: WordArray, has_bits: BoolArray) -> None:
+    """Whether rows have any of the bits in `kept`, (n_words,)."""
+    for row in range(len(rows)):
+        has_bits[row] = False
+        for word in range(rows.shape[1]):
+            if rows[row, word] & kept[word]:
+                has_bits[row] = True
+                break
+
+
+@kernel
+def lack_nothing(rows: WordArray, kept: WordArray, lacks_nothing: BoolArray) -> None:
+    """Whether rows but the last have all the bits in `kept`, (n_words,), that the next one has."""
+    for row in range(len(rows) - 1):
+        lacks_nothing[row] = True
+        for word in range(rows.shape[1]):
+            if rows[row + 1, word] & ~rows[row, word] & kept[word]:
+                lacks_nothing[row] = False
+                break
+
+
+@kernel
+def mix_rows(rows: WordArray, kept: WordArray, mixed: WordArray) -> None:
+    """A number for each row, equal for rows that are equal within `kept`, (n_words,)."""
+    for row in range(len(rows)):
+        value = np.uint64(0x9E3779B97F4A7C15)
+        for word in range(rows.shape[1]):
+            value = (value ^ (rows[row, word] & kept[word])) * np.uint64(0xFF51AFD7ED558CCD)
+            value ^= value >> np.uint64(32)
+        mixed[row] = value
+
+
+@kernel
+def number_rows(
+    rows: WordArray, kept: WordArray, mixed: WordArray, slots: IntArray, number: IntArray
+) -> int:
     """Number distinct rows by their first appearance; how many there are.
 
-    Only the bits in `kept`, (n_words,), count. `slots`, a power of two of -1, more than rows, is
-    working space: what becomes of it are the first rows with each number, behind one another.
+    Only the bits in `kept`, (n_words,), count; `mixed` are what :func:`mix_rows` makes of them.
+    `slots`, a power of two of -1, more than rows, is working space: what becomes of it are the
+    first rows with each number, behind one another.
     """
     first = np.empty(len(rows), dtype=np.int64)
     n_distinct, n_slots = 0, len(slots)
     for row in range(len(rows)):
-        mixed = np.uint64(0x9E3779B97F4A7C15)
-        for word in range(rows.shape[1]):
-            mixed = (mixed ^ (rows[row, word] & kept[word])) * np.uint64(0xFF51AFD7ED558CCD)
-            mixed ^= mixed >> np.uint64(32)
-        slot = np.int64(mixed & np.uint64(n_slots - 1))
+        slot = np.int64(mixed[row] & np.uint64(n_slots - 1))
         while slots[slot] >= 0:
             other = first[slots[slot]]
-            is_equal = True
+            is_equal = mixed[row] == mixed[other]
             for word in range(rows.shape[1]):
-                if (rows[row, word] ^ rows[other, word]) & kept[word]:
-                    is_equal = False
+                if not is_equal:
                     break
+                is_equal = (rows[row, word] ^ rows[other, word]) & kept[word] == 0
             if is_equal:
                 break
             slot = (slot + 1) & (n_slots - 1)
@@ -96,6 +159,8 @@ def number_rows(rows: WordArray, kept: WordArray, slots: IntArray, number: IntAr
 @kernel
 def find_dominated(
     words: WordArray,
+    order: IntArray,
+    looked: IntArray,
     columns: WordArray,
     poses: IntArray,
     most: WordArray,
@@ -110,42 +175,49 @@ def find_dominated(
     step: int,
     dominated: BoolArray,
 ) -> None:
-    """Poses whose dominators other units cannot use up; poses come in the order of dominance.
+    """Poses whose dominators other units cannot use up.
 
-    Every `step`-th of `poses` from `begin` on is looked at. `columns` are the words turned round,
-    (n_words, n_poses). `most`, what dominators may see, has a row for each of `poses`, or none
-    where they may see anything. A dominator costs no more than `affordable`, by its `price` at the
-    same site, `elsewhere` at another one, if the pose `may_move` there.
+    Poses come in the order of dominance, but for the rows of `words`, which `order` gives. Every
+    `step`-th of `poses` from `begin` on is looked at. `columns`, (n_looked, n_poses), are some of
+    the words, `looked`, by which most poses are told that see less. `most`, what dominators may
+    see, has a row for each of `poses`, or none where they may see anything. A dominator costs no
+    more than `affordable`, by its `price` at the same site, `elsewhere` at another one, if the pose
+    `may_move` there.
     """
     n_words = words.shape[1]
-    needed = np.empty(n_words, dtype=np.int64)
+    needed, has_bits = np.empty(n_words, dtype=np.int64), np.empty(len(looked), dtype=np.int64)
     above = np.empty(len(words), dtype=np.int64)
     at_site = np.zeros(len(capacity), dtype=np.int64)
     for place in range(begin, len(poses), step):
         pose = poses[place]
-        own, n_blockers, n_needed, n_above = site[pose], 0, 0, 0
+        row, own, n_blockers, n_needed, n_above, n_look = order[pose], site[pose], 0, 0, 0, 0
         at_site[:] = 0
         dominated[pose] = capacity[own] <= 0 or max_units <= 0
         if dominated[pose]:
             continue
-        for word in range(n_words):
-            if words[pose, word]:
-                needed[n_needed] = word
-                n_needed += 1
         for other in range(pose - 1, -1, -1):  # those that see little more come first
             if (site[other] == own and price[other] <= affordable[pose]) or (
                 may_move[pose] and elsewhere[other] <= affordable[pose]
             ):
                 above[n_above] = other
                 n_above += 1
-        # A few words tell of most poses that they see less: word by word they lie side by side.
-        for number in range(min(_N_LOOK, n_needed)):
-            word = needed[number * n_needed // min(_N_LOOK, n_needed)]
-            of_pose, column, n_left = words[pose, word], columns[word], 0
+        for number in range(len(looked)):
+            if columns[number, pose]:
+                has_bits[n_look] = number
+                n_look += 1
+        # Word by word they lie side by side.
+        for number in range(min(_N_LOOK, n_look)):
+            column, n_left = columns[has_bits[number * n_look // min(_N_LOOK, n_look)]], 0
             for rank in range(n_above):
                 above[n_left] = above[rank]
-                n_left += of_pose & ~column[above[rank]] == 0
+                n_left += column[pose] & ~column[above[rank]] == 0
             n_above = n_left
+        if n_above == 0:
+            continue
+        for word in range(n_words):
+            if words[row, word]:
+                needed[n_needed] = word
+                n_needed += 1
         for rank in range(n_above):
             other = above[rank]
             there = site[other]
@@ -154,14 +226,14 @@ def find_dominated(
             is_above = True
             for number in range(n_needed):
                 word = needed[number]
-                if words[pose, word] & ~words[other, word]:
+                if words[row, word] & ~words[order[other], word]:
                     is_above = False
                     before = number // 2  # where others fail, too
                     needed[number], needed[before] = needed[before], word
                     break
             if is_above and len(most):
                 for word in range(n_words):
-                    if words[other, word] & ~most[place, word]:
+                    if words[order[other], word] & ~most[place, word]:
                         is_above = False
                         break
             if is_above:
@@ -170,6 +242,27 @@ def find_dominated(
                 dominated[pose] = at_site[own] >= capacity[own] or n_blockers > max_units - 1
                 if dominated[pose]:
                     break
+
+
+@kernel
+def let_settled(first: IntArray, n_common: IntArray, chains: Chains, settled: WordArray) -> None:
+    """Leave those merged frames that only chains need which are settled.
+
+    `first`, (n_sets, n_chains), is the first live window of each chain for some sets, `n_common`,
+    (n_chains,), how many of its windows come in time for all its runs: a chain whose first live one
+    is among these is settled. The frames of others are taken from `settled`, (n_sets, n_words).
+    """
+    window_frames, window, start, tail_frame, _, tail_start = chains
+    for row in range(len(first)):
+        for chain in range(len(n_common)):
+            if first[row, chain] < n_common[chain]:
+                continue
+            for link in range(start[chain], start[chain + 1]):
+                for frame in window_frames[window[link]]:
+                    settled[row, frame >> 6] &= ~(np.uint64(1) << np.uint64(frame & 63))
+            for tail in range(tail_start[chain], tail_start[chain + 1]):
+                frame = tail_frame[tail]
+                settled[row, frame >> 6] &= ~(np.uint64(1) << np.uint64(frame & 63))
 
 
 @kernel

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
-from scenarios.aeb import AebRule
-from scenarios.runs import live_confirmation_times_s
+from scenarios.aeb import TIME_TOLERANCE_S, AebRule, is_in_time
+from scenarios.runs import FrameAxis, live_confirmation_times_s
 
 from ..detection_table import DetectionTable
 from .limits import Limits, cost_eur, is_allowed
@@ -411,3 +411,55 @@ class Requirement:
         return (
             f"Requirement({self.least:g}, margin {self.min_margin_s:g} s, {self.n_failures} fail)"
         )
+
+
+# ---------- windows that end in time, and what keeps them alive
+
+
+def timely_windows_end(axis: FrameAxis, rule: AebRule) -> tuple[IntArray, IntArray, FloatArray]:
+    """Windows of frames in a row that end in time, in runs with weight, each (n_windows,).
+
+    Returns the last frame of each, its run, and the margin that it leaves [s].
+    """
+    run = run_of_frames(axis)
+    last_brake_s = axis.last_brake_time_s[run]
+    counts = (
+        (np.arange(axis.n_frames) - axis.run_start[run] >= rule.n_confirmations - 1)
+        & is_in_time(axis.time_s, last_brake_s, latency_s=rule.latency_s)
+        & (axis.weight[run] > 0.0)
+    )
+    end = np.flatnonzero(counts)
+    return end, run[end], last_brake_s[end] - (axis.time_s[end] + rule.latency_s)
+
+
+def tails_behind(
+    axis: FrameAxis, rule: AebRule, end: IntArray, run: IntArray
+) -> tuple[IntArray, IntArray]:
+    """Frames behind which a track is lost unless one of the next ones is detected, (n_tails,) each.
+
+    `end` and `run` are those of :func:`timely_windows_end`. Returns the frames, ascending, and the
+    last frame behind each that still comes in time: the frame itself if none does. A window is live
+    if and only if, from its last frame on, a detection follows each of these frames in time. That
+    asks for it behind frames that are not detected, too, which changes nothing: the detection that
+    comes in time for the one before them does so for them. Frames from which the memory reaches the
+    last moment have no tail.
+    """
+    if rule.track_memory_s == np.inf:
+        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+    memory_s = rule.track_memory_s + TIME_TOLERANCE_S
+    behind, last = [end[:0]], [end[:0]]
+    of_runs, begin = np.unique(run, return_index=True)
+    for of_run, ends in zip(of_runs, np.split(end, begin)[1:], strict=True):
+        time_s = axis.time_s[ends]
+        until_s = axis.last_brake_time_s[of_run] - rule.latency_s
+        ends_too_early = until_s - time_s > memory_s
+        behind.append(ends[ends_too_early])
+        last.append(
+            ends[np.searchsorted(time_s, time_s[ends_too_early] + memory_s, side="right") - 1]
+        )
+    return np.concatenate(behind), np.concatenate(last)
+
+
+def run_of_frames(axis: FrameAxis) -> IntArray:
+    """Run of each frame, (n_frames,)."""
+    return np.repeat(np.arange(axis.n_runs), np.diff(axis.run_start))

@@ -17,7 +17,7 @@ from placement.optimiser import (
 )
 from placement.optimiser.bitsets import set_values
 from placement.optimiser.presolve import is_dominated, pack_words, unpack_words
-from placement.optimiser.presolve_kernels import number_rows, turn_round
+from placement.optimiser.presolve_kernels import mix_rows, number_rows, turn_chosen, turn_round
 
 ANY_PROBLEM = st.from_type(PlacementProblem)
 BestValue = Callable[[PlacementProblem, Iterable[int]], PlacementValue]
@@ -56,13 +56,33 @@ def test_a_table_turned_round_has_the_same_bits(n_rows: int, n_bytes: int, seed:
     np.testing.assert_array_equal(unpack_words(columns, n_rows), bits.T)
 
 
+@given(st.integers(1, 1200), st.integers(0, 1200), st.integers(1, 20), st.integers(0, 2**32 - 1))
+def test_part_of_a_table_turned_round_has_its_bits(
+    n_rows: int, n_chosen: int, n_bytes: int, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    rows = rng.integers(0, 256, (n_rows, n_bytes), dtype=np.uint8)
+    chosen = rng.integers(0, n_rows, n_chosen)
+    left = np.flatnonzero(rng.random(8 * n_bytes) < 0.7)
+    place = np.full(8 * n_bytes, -1)
+    place[left] = rng.permutation(len(left))
+    columns = np.empty((len(left), -(-n_chosen // 64)), dtype=np.uint64)
+    turn_chosen(rows, chosen, place, columns)
+    bits = np.unpackbits(rows, axis=1, bitorder="little").view(bool)
+    np.testing.assert_array_equal(
+        unpack_words(columns[place[left]], n_chosen), bits[np.ix_(chosen, left)].T
+    )
+
+
 @given(st.integers(0, 60), st.integers(1, 3), st.integers(0, 2**32 - 1))
 def test_rows_are_numbered_by_their_first_appearance(n_rows: int, n_words: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     rows = rng.integers(0, 4, (n_rows, n_words)).astype(np.uint64)
     mask = rng.integers(0, 4, n_words).astype(np.uint64)
     slots, number = np.full(256, -1), np.empty(n_rows, dtype=np.int64)
-    n_distinct = number_rows(rows, mask, slots, number)
+    mixed = np.empty(n_rows, dtype=np.uint64)
+    mix_rows(rows, mask, mixed)
+    n_distinct = number_rows(rows, mask, mixed, slots, number)
     seen = [tuple(row) for row in (rows & mask).tolist()]
     distinct = list(dict.fromkeys(seen))
     assert n_distinct == len(distinct)
