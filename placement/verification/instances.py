@@ -8,10 +8,12 @@ may be missing is missing where it is None. Beside the problem it may have what 
 import hashlib
 import json
 import math
+import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, BinaryIO, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +40,7 @@ KIND_WITH_MOUNTS = "place-rsus/placement-problem/2"
 """What a file says that also has what the poses are, see :mod:`.mounts`."""
 KINDS = (KIND, KIND_WITH_MOUNTS)
 
+_MEMORY_LEVEL = 9  # of zlib, its largest
 _UNPACKED_BYTES = 4  # of memory for each byte of a file, unpacked, while it is read and checked
 Arrays = dict[str, NDArray[Any]]
 
@@ -108,7 +111,25 @@ def save_problem(path: Path, problem: PlacementProblem, mounts: Mounts | None = 
     OSError if the file cannot be written.
     """
     arrays = _to_arrays(problem, mounts)
-    write_atomically(path, lambda file: np.savez_compressed(file, allow_pickle=False, **arrays))
+    write_atomically(path, lambda file: _write_arrays(file, arrays))
+
+
+def _write_arrays(file: BinaryIO, arrays: Arrays) -> None:
+    """What numpy's ``savez_compressed`` writes; bits of detections take a fifth of its time.
+
+    They come in runs of equal bytes. What looks for nothing else makes a smaller file of them than
+    what looks for any repetition.
+    """
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                if name == "packed":
+                    # Python has no other way to say it; without it the file is larger, not wrong.
+                    level, window_bits = zlib.Z_DEFAULT_COMPRESSION, -zlib.MAX_WBITS
+                    member._compressor = zlib.compressobj(  # type: ignore[attr-defined]
+                        level, zlib.DEFLATED, window_bits, _MEMORY_LEVEL, zlib.Z_RLE
+                    )
+                np.lib.format.write_array(member, array, allow_pickle=False)
 
 
 class StoredProblem(NamedTuple):
@@ -175,6 +196,7 @@ def problem_hash(problem: PlacementProblem, mounts: Mounts | None = None) -> str
     alphabetical order; texts are taken as JSON.
     """
     digest = hashlib.sha256()
+    content: bytes | memoryview
     for name, array in sorted(_to_arrays(problem, mounts).items()):
         if array.dtype.kind == "U":
             type_name, content = "str", json.dumps(array.tolist()).encode()
@@ -182,7 +204,8 @@ def problem_hash(problem: PlacementProblem, mounts: Mounts | None = None) -> str
             # Adding zero turns -0.0, which equals 0.0, into it.
             values = array + 0.0 if array.dtype.kind == "f" else array
             type_name = values.dtype.name
-            content = values.astype(values.dtype.newbyteorder("<")).tobytes()
+            little = values.astype(values.dtype.newbyteorder("<"), copy=False)
+            content = np.ascontiguousarray(little).reshape(-1).view(np.uint8).data
         digest.update(f"{name}\0{type_name}\0{array.shape}\0{len(content)}\0".encode())
         digest.update(content)
     return digest.hexdigest()
@@ -219,7 +242,7 @@ def _to_arrays(problem: PlacementProblem, mounts: Mounts | None) -> Arrays:
     if set(axis.positions) == {AT_ZERO.name}:
         del values["positions"]  # the same file, and hash, as before there were others
     arrays = {
-        name: np.array(value, dtype=_FIELDS[name].dtype)
+        name: np.asarray(value, dtype=_FIELDS[name].dtype)
         for name, value in values.items()
         if value is not None
     }
@@ -302,10 +325,12 @@ def _from_arrays(arrays: Arrays) -> PlacementProblem:
 
 def _without_padding(table: DetectionTable) -> NDArray[np.uint8]:
     """The table's bits; those behind the last frame, which mean nothing, are 0."""
-    packed: NDArray[np.uint8] = table.packed.copy()
     n_last = table.axis.n_frames % 8
-    if n_last:
-        packed[:, -1] &= np.uint8((1 << n_last) - 1)
+    padding = np.uint8(0xFF << n_last & 0xFF if n_last else 0)
+    if not table.packed.shape[1] or not (table.packed[:, -1] & padding).any():
+        return table.packed
+    packed: NDArray[np.uint8] = table.packed.copy()
+    packed[:, -1] &= ~padding
     return packed
 
 
