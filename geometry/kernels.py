@@ -12,7 +12,7 @@ import logging
 import os
 import pickle
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -39,6 +39,13 @@ def kernel(function: F) -> F:
     compiled = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True)(function)
     trouble = _trouble(compiled_folder())
     compiled._cache = _Unkept(trouble) if trouble else _Kept(function)
+    of_types = compiled.get_call_template
+
+    def of_any_number(args: Sequence[Any], kws: dict[str, Any]) -> Any:
+        """The same code for numbers that are written out in a call as for any others."""
+        return of_types([numba.types.unliteral(arg) for arg in args], kws)
+
+    compiled.get_call_template = of_any_number
     return cast(F, compiled)
 
 

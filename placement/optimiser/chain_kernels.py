@@ -116,10 +116,9 @@ def set_links(
     """
     n_chains = len(layout.start) - 1
     every = np.arange(n_chains)
-    nothing = np.zeros(layout.bits.shape[1:], dtype=np.uint64)
-    union = nothing.copy()
+    union = np.empty(layout.bits.shape[1:], dtype=np.uint64)
     for row in range(len(sets)):
-        union[:] = nothing
+        union[:] = 0
         n_units = 0
         for unit in range(sets.shape[1]):
             if unit != left_out:
@@ -190,7 +189,9 @@ def totals_with_each(
     every = np.arange(n_chains)
     for number in range(worth.shape[0]):
         of_sum = worth[number]
-        largest = of_sum[:, 0].sum()
+        largest = 0.0
+        for chain in range(n_chains):
+            largest += of_sum[chain, 0]
         n_open = open_chains(layout, of_sum, union, every, still)
         for place in range(begin, end):
             total[place, number] = largest - lost_with(

@@ -186,7 +186,8 @@ def look_at_node(covers: Covers, walk: Walk, n_failures: int) -> bool:
             of_unit = covers.covers[walk.chosen[number]]
             for word in range(len(rows)):
                 rows[word] = of_unit[word] & ~walk.twice[depth, word]
-            beside[:] = gain
+            for pose in range(len(gain)):
+                beside[pose] = gain[pose]
             need = total + add_gains(covers, covers.weight, rows, walk, beside) - walk.may_lose[1]
             if not drop_hopeless(beside, is_open, left - n_failures + 1, need, walk.best):
                 return False
@@ -324,6 +325,14 @@ def can_keep(
 
 
 @kernel
+def put(every: WordArray, row: int, bits: WordArray, place: int) -> None:
+    """A row of words, (n_words, n_phases or more), to its place among others."""
+    for word in range(bits.shape[1]):
+        for phase in range(bits.shape[2]):
+            bits[place, word, phase] = every[row, word, phase]
+
+
+@kernel
 def spell_out(
     layout: Layout,
     widest: WordArray,
@@ -349,23 +358,23 @@ def spell_out(
     unit, n_found = place[n_units], 0
     for number in range(n_units):
         if number < unit:
-            bits[number] = layout.bits[member[place[number]]]
+            put(layout.bits, member[place[number]], bits, number)
         else:
-            bits[number] = widest[classes[number]]
+            put(widest, classes[number], bits, number)
     if unit == 0 and place[0] < start[classes[0]]:
         place[0] = start[classes[0]]
         if not can_keep(layout, bits, worth, chains, may_lose, with_failures, union, first):
             unit = -1
     while unit >= 0:
         if place[unit] == start[classes[unit] + 1]:
-            bits[unit] = widest[classes[unit]]
+            put(widest, classes[unit], bits, unit)
             unit -= 1
             if unit >= 0:
                 place[unit] += 1
             continue
         if n_found == len(out):
             break
-        bits[unit] = layout.bits[member[place[unit]]]
+        put(layout.bits, member[place[unit]], bits, unit)
         if not can_keep(layout, bits, worth, chains, may_lose, with_failures, union, first):
             place[unit] += 1
         elif unit + 1 == n_units:

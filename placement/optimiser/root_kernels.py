@@ -200,7 +200,8 @@ def tighten_prices(
     slope, units = np.zeros(n_rows), np.zeros(n_rows, dtype=np.int64)
     gain, picked = np.empty(len(share)), np.empty(max(n_units, 1), dtype=np.int64)
     table, used = np.empty((covers.shape[1], 256)), np.empty(covers.shape[1], dtype=np.int64)
-    every = np.full(-(-covers.shape[1] // 8), ~np.uint64(0))
+    every = np.empty(-(-covers.shape[1] // 8), dtype=np.uint64)
+    every[:] = ~np.uint64(0)
     for row in range(n_rows, 64 * len(every)):
         every[row >> 6] &= ~(np.uint64(1) << np.uint64(row & 63))
     length, idle = 0.7, 0
@@ -216,19 +217,21 @@ def tighten_prices(
             gain[pose] = weight_of(covers[pose], table, used, n_used)
         of_poses, n_picked = pick_best(gain, site, room, n_units, picked)
         total += of_poses
-        share *= _MEMORY
+        for pose in range(len(share)):
+            share[pose] *= _MEMORY
         for number in range(n_picked):
             share[picked[number]] += 1.0 - _MEMORY
         if total < best * (1.0 - 1.0e-12):
             best, idle = total, 0
-            best_price[:] = price
+            for row in range(n_rows):
+                best_price[row] = price[row]
         else:
             idle += 1
         if step == n_steps:
             break
         if idle > _PATIENCE:
-            price[:] = best_price
-            slope[:] = 0.0
+            for row in range(n_rows):
+                price[row], slope[row] = best_price[row], 0.0
             length, idle = length * _CUT, 0
             continue
         steepness = 0.0
@@ -240,6 +243,8 @@ def tighten_prices(
             steepness += slope[row] * slope[row]
         if steepness < 1.0e-12:
             break
-        price -= length * total / steepness * slope
-    price[:] = best_price
+        for row in range(n_rows):
+            price[row] -= length * total / steepness * slope[row]
+    for row in range(n_rows):
+        price[row] = best_price[row]
     return best

@@ -277,8 +277,10 @@ def mark_covered(
     around, up = _lattice()
     n_rows, n_columns = N_UP // _BLOCK, N_AROUND // _BLOCK
     planes, sines = np.empty((4, 3)), np.empty((4, _BLOCK + 1, _BLOCK + 1))
-    # In each block; nothing is nearer than -1 m: blocks that nobody asks for are left out.
-    farthest = np.where(is_asked, np.float32(np.inf), np.float32(-1.0))
+    farthest = np.empty((n_rows, n_columns), dtype=np.float32)
+    for row in range(n_rows):
+        for column in range(n_columns):  # nothing is nearer than -1 m: what nobody asks is left out
+            farthest[row, column] = np.inf if is_asked[row, column] else -1.0
     for number in range(len(triangles)):
         one, two, three = triangles[number, 0], triangles[number, 1], triangles[number, 2]
         if max(one[2], two[2], three[2]) <= floor or min(one[2], two[2], three[2]) >= ceiling:
@@ -323,14 +325,14 @@ def mark_covered(
                         is_outside = True
                         break
                 if not is_outside:
-                    cells = covered[i:k, j:m]
-                    _mark_block(cells, i, j, planes, height, near_m, sines, around, up)
-                    farthest[row, column] = cells.max()
+                    farthest[row, column] = _mark_block(
+                        covered, i, j, planes, height, near_m, sines, around, up
+                    )
 
 
 @kernel
 def _mark_block(
-    cells: Array,
+    covered: Array,
     row: int,
     column: int,
     planes: Array,
@@ -339,8 +341,12 @@ def _mark_block(
     sines: Array,
     around: Array,
     up: Array,
-) -> None:
-    """Enter a triangle into a block of cells: three planes through the eye, and its own."""
+) -> Any:
+    """Enter a triangle into a block of cells: three planes through the eye, and its own.
+
+    The block begins at a row and a column; returns what is farthest in it.
+    """
+    farthest = np.float32(0.0)
     for plane in range(4):
         px, py, pz = planes[plane, 0], planes[plane, 1], planes[plane, 2]
         for i in range(_BLOCK + 1):
@@ -365,7 +371,11 @@ def _mark_block(
             flat, steep = min(one, two, three, four) - slack, max(one, two, three, four) + slack
             is_filled = (inside >= slack) & (flat >= _FLATTEST) & (height > least_height * steep)
             far = np.float32(height / flat) if is_filled else np.float32(np.inf)
-            cells[i, j] = far if far < cells[i, j] else cells[i, j]
+            before = covered[row + i, column + j]
+            nearer = far if far < before else before
+            covered[row + i, column + j] = nearer
+            farthest = nearer if nearer > farthest else farthest
+    return farthest
 
 
 @kernel
@@ -410,7 +420,10 @@ def find_unclear_points(
     which of them are asked for.
     """
     ex, ey, ez = eye[0], eye[1], eye[2]
-    blocks = np.full((N_UP // _BLOCK, N_AROUND // _BLOCK), np.inf, np.float32)
+    blocks = np.empty((N_UP // _BLOCK, N_AROUND // _BLOCK), np.float32)
+    for up in range(N_UP // _BLOCK):
+        for column in range(N_AROUND // _BLOCK):
+            blocks[up, column] = np.inf
     for up in range(N_UP):
         for column in range(N_AROUND):
             block = blocks[up // _BLOCK, column // _BLOCK]

@@ -16,7 +16,9 @@ def farthest_samples(samples: Array, first: Array, n: int) -> Array:
 
     The points `first` (k, 3) are there from the beginning.
     """
-    distance = np.full(len(samples), np.inf)
+    distance = np.empty(len(samples))
+    for i in range(len(samples)):
+        distance[i] = np.inf
     chosen = np.empty(n, np.int64)
     for step in range(len(first) + n):
         if step < len(first):
