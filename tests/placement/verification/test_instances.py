@@ -3,7 +3,6 @@
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
-from zipfile import ZipFile
 
 import numpy as np
 import pytest
@@ -101,27 +100,6 @@ def test_a_problem_with_every_wish_comes_back_and_makes_the_same_file(problem, t
         save_problem(tmp_path / name, problem)
     assert_same(load_problem(tmp_path / "one.npz"), problem)
     assert (tmp_path / "one.npz").read_bytes() == (tmp_path / "two.npz").read_bytes()
-
-
-def test_detections_that_last_take_less_room_than_any_repetition_would(problem, tmp_path):
-    rng = np.random.default_rng(2)
-    n_frames = 60_000
-    flips = rng.random((3, n_frames)) < rng.choice([0.005, 0.1], (3, n_frames))
-    axis = replace(
-        problem.table.axis,
-        run_start=np.arange(4) * (n_frames // 3),
-        time_s=np.tile(np.arange(n_frames // 3) / 10, 3),
-    )
-    packed = np.packbits(np.cumsum(flips, axis=1) % 2, axis=1, bitorder="little")
-    problem = replace(problem, table=replace(problem.table, axis=axis, packed=packed))
-    save_problem(tmp_path / "ours.npz", problem)
-    with np.load(tmp_path / "ours.npz") as arrays:
-        np.testing.assert_array_equal(arrays["packed"], packed)
-        np.savez_compressed(tmp_path / "numpy.npz", **arrays)
-    with ZipFile(tmp_path / "ours.npz") as ours, ZipFile(tmp_path / "numpy.npz") as theirs:
-        assert ours.namelist() == theirs.namelist()
-        of_ours, of_theirs = ours.getinfo("packed.npy"), theirs.getinfo("packed.npy")
-        assert of_ours.compress_size < of_theirs.compress_size < of_theirs.file_size
 
 
 def variations(problem: PlacementProblem) -> dict[str, PlacementProblem]:
