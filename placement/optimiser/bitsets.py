@@ -2,9 +2,10 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
@@ -261,15 +262,19 @@ def _values(
     """Values from the margins of all runs and what is left after failures."""
     is_avoided = margin > -np.inf
 
+    @cache
+    def share() -> FloatArray:
+        weight: FloatArray = is_avoided @ reduced.weight
+        return weight
+
     def mean_margin() -> FloatArray:
-        share = is_avoided @ reduced.weight
         total = np.where(is_avoided, margin, 0.0) @ reduced.weight
-        mean: FloatArray = np.divide(total, share, out=np.zeros(len(margin)), where=share > 0.0)
+        mean: FloatArray = np.divide(total, share(), out=np.zeros(len(margin)), where=share() > 0.0)
         return mean
 
     def smallest_margin() -> FloatArray:
         smallest = np.where(is_avoided, margin, np.inf).min(axis=1, initial=np.inf)
-        return np.where(is_avoided @ reduced.weight > 0.0, smallest, 0.0)
+        return np.where(share() > 0.0, smallest, 0.0)
 
     values: dict[Objective, Callable[[], FloatArray]] = {
         Objective.UNITS: lambda: np.full(len(margin), float(n_units)),
@@ -318,8 +323,14 @@ def avoided_with_each(reduced: ReducedProblem, units: IntArray) -> BoolArray:
     """Runs that a set of poses together with each pose in turn avoids, (n_poses, n_runs)."""
     in_time = (reduced.margin_s > -np.inf).sum(axis=1)
     first = _first_with_each(reduced, units)
-    avoided: BoolArray = (first[reduced.run_chain] < in_time[:, None]).T
-    return avoided
+    avoided = np.empty((len(in_time), reduced.n_poses), dtype=bool)
+
+    def compare(begin: int, end: int) -> None:
+        for run in range(begin, end):
+            np.less(first[reduced.run_chain[run]], in_time[run], out=avoided[run])
+
+    share_out(compare, len(in_time))
+    return avoided.T
 
 
 def _left_with_each(
@@ -354,12 +365,12 @@ def _margins_with_each(reduced: ReducedProblem, units: IntArray) -> FloatArray:
     return margin
 
 
-def _first_with_each(reduced: ReducedProblem, units: IntArray) -> IntArray:
+def _first_with_each(reduced: ReducedProblem, units: IntArray) -> NDArray[np.int32]:
     """First live window of each chain for a set together with each pose, (n_chains, n_poses)."""
     from .frame_kernels import first_live_with_each
 
     is_seen = unpack_words(unions_of(reduced, units[None, :])[0], reduced.n_frames)
-    first = np.empty((reduced.n_chains, reduced.n_poses), dtype=np.int64)
+    first = np.empty((reduced.n_chains, reduced.n_poses), dtype=np.int32)  # it may be large
 
     def look(begin: int, end: int) -> None:
         first_live_with_each(reduced.detections.columns, is_seen, reduced.chains, begin, end, first)

@@ -4,6 +4,7 @@ Everything here works on plain arrays; :mod:`placement.optimiser.presolve` says 
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
@@ -79,7 +80,12 @@ def first_live_windows(unions: WordArray, chains: Chains, first: IntArray) -> No
 
 @kernel
 def first_live_with_each(
-    columns: WordArray, is_seen: BoolArray, chains: Chains, begin: int, end: int, first: IntArray
+    columns: WordArray,
+    is_seen: BoolArray,
+    chains: Chains,
+    begin: int,
+    end: int,
+    first: NDArray[np.int32],
 ) -> None:
     """First live window of chains begin .. end - 1 for a set with each pose: (n_chains, n_poses).
 
@@ -96,6 +102,7 @@ def first_live_with_each(
     held = np.empty((most + 1, n_words), dtype=np.uint64)
     held[0] = every
     left = np.empty(n_words, dtype=np.uint64)  # poses with which no window has been live so far
+    live = np.empty(n_words, dtype=np.uint64)  # those with which a window is
     for chain in range(begin, end):
         tail, n_tails = tail_start[chain], tail_start[chain + 1] - tail_start[chain]
         for number in range(n_tails):
@@ -111,18 +118,19 @@ def first_live_with_each(
         for link in range(n_links):
             while n_tails > 0 and tail_links[tail + n_tails - 1] <= link:
                 n_tails -= 1
-            of_window = window_frames[window[start[chain] + link]]
+            # Frame by frame the compiler takes several words at a time.
             for word in range(n_words):
-                live = left[word] & held[n_tails, word]
-                for frame in of_window:
-                    if live == 0:
-                        break
-                    if not is_seen[frame]:
-                        live &= columns[frame, word]
-                left[word] &= ~live
-                while live != 0:
-                    first[chain, 64 * word + lowest_bit(live)] = link
-                    live &= live - np.uint64(1)
+                live[word] = left[word] & held[n_tails, word]
+            for frame in window_frames[window[start[chain] + link]]:
+                if not is_seen[frame]:
+                    for word in range(n_words):
+                        live[word] &= columns[frame, word]
+            for word in range(n_words):
+                left[word] &= ~live[word]
+                new = live[word]
+                while new != 0:
+                    first[chain, 64 * word + lowest_bit(new)] = link
+                    new &= new - np.uint64(1)
 
 
 @kernel
