@@ -233,7 +233,7 @@ def presolve(problem: PlacementProblem) -> ReducedProblem:
             reduced.words[left] if is_needless.any() else reduced.words,
             reduced.limits.of_poses(left),
             max_units=limits.max_units,
-            may_add=None if is_monotone else _settled_frames(reduced, left),
+            may_see=None if is_monotone else _settled_frames(reduced, left),
         )
         if len(poses):  # a layout has a unit, even where none avoids anything: the cheapest then
             price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
@@ -248,14 +248,15 @@ def is_dominated(
     limits: Limits,
     *,
     max_units: int,
-    may_add: Callable[[IntArray], WordArray] | None = None,
+    may_see: Callable[[IntArray], WordArray] | None = None,
 ) -> BoolArray:
     """Poses without which some best set remains, whatever the stage.
 
     `words`, (n_poses, n_words): what each pose sees. `max_units`: no set has more units. Returns
-    (n_poses,): may be dropped, all together. `may_add` tells what a dominator may see beyond each
-    of some poses, by default anything: where more runs avoided may be worse, frames of those alone
-    that the pose avoids by itself. In its place the dominator then avoids the same runs, no later.
+    (n_poses,): may be dropped, all together. `may_see` tells what a dominator of each of some poses
+    may see, by default anything: where more runs avoided may be worse, what the pose sees and
+    frames of those runs alone that it avoids by itself. In its place the dominator then avoids the
+    same runs, no later.
 
     Pose d dominates pose c if it sees all that c sees, costs no more and is bound by nothing that c
     is not: at the same site its price decides; elsewhere its site may have to be paid, too, and
@@ -320,32 +321,34 @@ def is_dominated(
             list(threads.map(look, range(WORKERS)))
 
     look_at(np.arange(n_poses), np.empty((0, n_words), dtype=np.uint64))
-    if may_add is not None and dominated.any():  # few, or none: what each may see takes long
+    if may_see is not None and dominated.any():  # few, or none: it takes long for each
         poses = np.flatnonzero(dominated)
-        look_at(poses, words[order[poses]] | may_add(order[poses]))
+        look_at(poses, may_see(order[poses]))
     result = np.zeros(n_poses, dtype=bool)
     result[order] = dominated
     return result & ~limits.is_forced
 
 
 def _settled_frames(reduced: ReducedProblem, poses: IntArray) -> Callable[[IntArray], WordArray]:
-    """What finds the frames that only runs need which each pose avoids alone, (n, n_words)."""
+    """What finds the frames that each of some poses sees, or that only runs need it avoids alone."""
 
     def find(some: IntArray) -> WordArray:
         from .frame_kernels import first_live_windows
         from .presolve_kernels import let_settled
 
-        words = reduced.words[poses[some]]
         n_common = np.full(reduced.n_chains, np.iinfo(np.int64).max)
         np.minimum.at(n_common, reduced.run_chain, (reduced.margin_s > -np.inf).sum(axis=1))
-        first = np.empty((len(words), reduced.n_chains), dtype=np.int64)
-        settled = np.full(words.shape, ~np.uint64(0))
+        settled = np.full((len(some), reduced.words.shape[1]), ~np.uint64(0))
 
         def look(begin: int, end: int) -> None:
-            first_live_windows(words[begin:end], reduced.chains, first[begin:end])
-            let_settled(first[begin:end], n_common, reduced.chains, settled[begin:end])
+            first = np.empty((1, reduced.n_chains), dtype=np.int64)
+            for row in range(begin, end):
+                words = reduced.words[poses[some[row]]][None, :]
+                first_live_windows(words, reduced.chains, first)
+                let_settled(first[0], n_common, reduced.chains, settled[row])
+                settled[row] |= words[0]
 
-        share_out(look, len(words), few=WORKERS)
+        share_out(look, len(some), few=WORKERS)
         return settled
 
     return find

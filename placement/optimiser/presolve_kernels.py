@@ -246,23 +246,21 @@ def find_dominated(
 
 @kernel
 def let_settled(first: IntArray, n_common: IntArray, chains: Chains, settled: WordArray) -> None:
-    """Leave those merged frames that only chains need which are settled.
+    """Take the merged frames of all chains that are not settled from `settled`, (n_words,).
 
-    `first`, (n_sets, n_chains), is the first live window of each chain for some sets, `n_common`,
-    (n_chains,), how many of its windows come in time for all its runs: a chain whose first live one
-    is among these is settled. The frames of others are taken from `settled`, (n_sets, n_words).
+    `first`, (n_chains,), is the first live window of each chain, `n_common`, (n_chains,), how many
+    of its windows come in time for all its runs: a chain is settled if it is among these.
     """
     window_frames, window, start, tail_frame, _, tail_start = chains
-    for row in range(len(first)):
-        for chain in range(len(n_common)):
-            if first[row, chain] < n_common[chain]:
-                continue
-            for link in range(start[chain], start[chain + 1]):
-                for frame in window_frames[window[link]]:
-                    settled[row, frame >> 6] &= ~(np.uint64(1) << np.uint64(frame & 63))
-            for tail in range(tail_start[chain], tail_start[chain + 1]):
-                frame = tail_frame[tail]
-                settled[row, frame >> 6] &= ~(np.uint64(1) << np.uint64(frame & 63))
+    for chain in range(len(first)):
+        if first[chain] < n_common[chain]:
+            continue
+        for link in range(start[chain], start[chain + 1]):
+            for frame in window_frames[window[link]]:
+                settled[frame >> 6] &= ~(np.uint64(1) << np.uint64(frame & 63))
+        for tail in range(tail_start[chain], tail_start[chain + 1]):
+            frame = tail_frame[tail]
+            settled[frame >> 6] &= ~(np.uint64(1) << np.uint64(frame & 63))
 
 
 @kernel
