@@ -14,6 +14,22 @@ from .presolve import Chains, WordArray
 
 
 @kernel
+def turn_blocks(block: WordArray) -> None:
+    """Exchange rows and bits of each column, (64, n): see ``presolve_kernels.turn_round``."""
+    width, mask = 32, np.uint64(0x00000000FFFFFFFF)
+    while width:
+        for row in range(64):
+            if row & width == 0:
+                one, other = block[row], block[row | width]
+                for word in range(len(one)):
+                    swapped = ((one[word] >> np.uint64(width)) ^ other[word]) & mask
+                    one[word] ^= swapped << np.uint64(width)
+                    other[word] ^= swapped
+        width >>= 1
+        mask ^= mask << np.uint64(width)
+
+
+@kernel
 def look_through(
     union: WordArray,
     window_frames: IntArray,

@@ -15,147 +15,121 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
 
-from .chain_kernels import Layout, lowest_bit
-from .presolve import WordArray
-
-
-@kernel
-def ask_for_pieces(
-    layout: Layout,
-    union: WordArray,
-    n_links: IntArray,
-    seen_by: FloatArray,
-    asked: WordArray,
-    missing: WordArray,
-    asked_tail: IntArray,
-    dead_links: IntArray,
-) -> None:
-    """Ask each window for the piece that fewest see of those that a union lacks.
-
-    `seen_by`, (n_phases + 1, 64 n_words), says how many see each frame of each window, and in the
-    last row each tail. `asked` and `missing`, (n_words, n_phases + 1), take the windows that are
-    asked for, and that lack, each phase, or in the last column of `asked` a tail: that of their
-    chain whose bit is at ``asked_tail[chain]``, which the first ``dead_links[chain]`` windows
-    lack; -1 and 0: the union has all tails of the chain.
-    """
-    n_phases = layout.n_phases
-    asked[:] = 0
-    missing[:] = 0
-    for chain in range(len(layout.start) - 1):
-        begin, end = layout.start[chain], layout.start[chain + 1]
-        tail, last_tail = layout.tail_start[chain], layout.tail_start[chain + 1]
-        asked_tail[chain], dead_links[chain] = -1, 0
-        if tail < last_tail:
-            for word in range(begin, end):
-                unseen = ~union[word, n_phases]
-                if unseen != 0:
-                    place = 64 * (word - begin) + lowest_bit(unseen)
-                    asked_tail[chain] = 64 * begin + place
-                    dead_links[chain] = layout.tail_links[tail + place]
-                    break
-        for link in range(n_links[chain]):
-            word, bit = begin + (link >> 6), np.uint64(1) << np.uint64(link & 63)
-            least, choice = np.inf, -1
-            for phase in range(n_phases):
-                if union[word, phase] & bit == 0:
-                    missing[word, phase] |= bit
-                    if seen_by[phase, 64 * begin + link] < least:
-                        least, choice = seen_by[phase, 64 * begin + link], phase
-            if link < dead_links[chain] and seen_by[n_phases, asked_tail[chain]] < least:
-                choice = n_phases
-            if choice >= 0:
-                asked[word, choice] |= bit
+from .chain_kernels import lowest_bit
+from .frame_kernels import turn_blocks
+from .presolve import Chains, WordArray
 
 
 @kernel
 def cover_beside(
-    bits: WordArray,
-    phases: tuple[int, ...],
-    start: IntArray,
-    tail_links: IntArray,
-    tail_start: IntArray,
+    columns: WordArray,
     union: WordArray,
-    asked: WordArray,
-    missing: WordArray,
-    asked_tail: IntArray,
-    dead_links: IntArray,
-    chains: IntArray,
-    row_start: IntArray,
+    seen_by: IntArray,
+    chains: Chains,
+    row_chain: IntArray,
     row_last: IntArray,
-    row_place: IntArray,
-    none: int,
-    poses: IntArray,
+    open_rows: WordArray,
+    begin: int,
+    end: int,
     alone: WordArray,
     may: WordArray,
     part: WordArray,
 ) -> None:
     """Runs that a union avoids with each of some poses, and for which each may be of use.
 
-    Only `chains` are looked at. Rows of chain g are
-    ``row_start[g]`` .. ``row_start[g + 1] - 1``: they end after ``row_last`` windows, falling, and
-    their bits are at ``row_place``. Sets bits, (n_poses, n_row_words): in `alone` where the pose
-    and the union avoid the run, in `may` where it sees a piece that is asked for, in `part` where
-    it sees one that is missing. `phases` are 0, 1, ..: a tuple, so that loops are unrolled.
+    `columns` has bits along the poses, (n_frames, n_words), of which words begin .. end - 1 are
+    looked at; `union` has bits along the frames, and `seen_by`, (n_frames,), says how many see
+    each. Row r is avoided by a live window among the first ``row_last[r]`` of chain
+    ``row_chain[r]``; `open_rows` are looked at. Bits are written along the rows for all poses of
+    those words, (64 n_words, n_row_words): in `alone` where the pose and the union avoid the run,
+    in `may` where it sees a piece that is asked for, in `part` where it sees one that is missing.
+    Of each window, the missing piece is asked for that fewest see. Where `may` and `part` have no
+    rows, `alone` is all that is found.
     """
-    n_phases = len(phases)
-    alone[:] = 0
-    may[:] = 0
-    part[:] = 0
-    for number in range(len(poses)):
-        of_pose = bits[poses[number]]
-        for chain in chains:
-            begin, end, first_row = start[chain], start[chain + 1], row_start[chain]
-            sees_asked_tail, some = False, none
-            place = asked_tail[chain]
-            if place >= 0:
-                seen = of_pose[place >> 6, n_phases] >> np.uint64(place & 63)
-                sees_asked_tail = seen & np.uint64(1) != 0
-                if dead_links[chain] > 0:
-                    for word in range(begin, end):
-                        if of_pose[word, n_phases] & ~union[word, n_phases] != 0:
-                            some = 0
-                            break
-            hopeful = none
-            for word in range(begin, end):
-                seen = asked[word, n_phases] if sees_asked_tail else np.uint64(0)
-                any_seen = np.uint64(0)
-                for phase in phases:
-                    seen |= of_pose[word, phase] & asked[word, phase]
-                    any_seen |= of_pose[word, phase] & missing[word, phase]
-                if some == none and any_seen != 0:
-                    some = 64 * (word - begin) + lowest_bit(any_seen)
-                if seen != 0:
-                    hopeful = 64 * (word - begin) + lowest_bit(seen)
-                    break
-            exact = none
-            if hopeful < row_last[first_row]:
-                lowest, tail = 0, tail_start[chain]
-                if tail < tail_start[chain + 1]:
-                    for word in range(begin, end):
-                        unseen = ~(of_pose[word, n_phases] | union[word, n_phases])
-                        if unseen != 0:
-                            lowest = tail_links[tail + 64 * (word - begin) + lowest_bit(unseen)]
-                            break
-                mask = ~np.uint64(0) << np.uint64(lowest & 63)
-                for word in range(begin + (lowest >> 6), end):
-                    live = mask
-                    for phase in phases:
-                        live &= of_pose[word, phase] | union[word, phase]
-                    if live != 0:
-                        exact = 64 * (word - begin) + lowest_bit(live)
-                        break
-                    mask = ~np.uint64(0)
-            for row in range(first_row, row_start[chain + 1]):
-                last, place = row_last[row], row_place[row]
-                if some >= last and hopeful >= last:
-                    break
-                word, bit = place >> 6, np.uint64(1) << np.uint64(place & 63)
-                if exact < last:
-                    alone[number, word] |= bit
-                if hopeful < last:
-                    may[number, word] |= bit
-                if some < last:
-                    part[number, word] |= bit
+    window_frames, window, start, tail_frame, tail_links, tail_start = chains
+    n_words, n_phases, has_parts = end - begin, window_frames.shape[1], len(may) > 0
+    live, hopeful, some = (
+        np.empty((64, n_words), dtype=np.uint64),
+        np.empty((64, n_words), dtype=np.uint64),
+        np.empty((64, n_words), dtype=np.uint64),
+    )
+    held = np.empty(n_words, dtype=np.uint64)  # poses that see all tails which a window needs
+    # Indices without a sign: loops over words become instructions on many only with these.
+    missing, first, n_all = (
+        np.empty(n_phases, dtype=np.uint64),
+        np.uint64(begin),
+        np.uint64(n_words),
+    )
+    for row_word in range(len(open_rows)):
+        live[:], hopeful[:], some[:] = 0, 0, 0
+        left = open_rows[row_word]
+        while left != 0:
+            bit = np.uint64(lowest_bit(left))
+            left &= left - np.uint64(1)
+            row = 64 * row_word + int(bit)
+            chain = row_chain[row]
+            held[:] = ~np.uint64(0)
+            tail, last_tail = tail_start[chain], tail_start[chain + 1]
+            asked_before, tail_asked = -1, -1
+            for link in range(row_last[row] - 1, -1, -1):
+                while tail < last_tail and tail_links[tail] > link:
+                    frame = tail_frame[tail]
+                    tail += 1
+                    if (union[frame >> 6] >> np.uint64(frame & 63)) & np.uint64(1):
+                        continue
+                    if tail_asked < 0 or seen_by[frame] < seen_by[tail_asked]:
+                        tail_asked = frame
+                    one = np.uint64(frame)
+                    for word in range(n_all):
+                        held[word] &= columns[one, first + word]
+                        some[bit, word] |= columns[one, first + word]
+                asked, n_missing = tail_asked, 0
+                of_window = window[start[chain] + link]
+                for phase in range(n_phases):
+                    frame = window_frames[of_window, phase]
+                    if (union[frame >> 6] >> np.uint64(frame & 63)) & np.uint64(1) == 0:
+                        missing[n_missing] = frame
+                        n_missing += 1
+                        if asked < 0 or seen_by[frame] < seen_by[asked]:
+                            asked = frame
+                if has_parts and asked != asked_before:
+                    asked_before, one = asked, np.uint64(asked)
+                    for word in range(n_all):
+                        hopeful[bit, word] |= columns[one, first + word]
+                if n_missing == 0:
+                    for word in range(n_all):
+                        live[bit, word] |= held[word]
+                    continue
+                # Up to three at a time, one more than once if they are fewer.
+                one, two = missing[0], missing[min(1, n_missing - 1)]
+                three = missing[min(2, n_missing - 1)]
+                if n_missing <= 3:
+                    for word in range(n_all):
+                        a, b = columns[one, first + word], columns[two, first + word]
+                        c = columns[three, first + word]
+                        live[bit, word] |= held[word] & a & b & c
+                        some[bit, word] |= a | b | c
+                    continue
+                for word in range(n_all):
+                    every, any_seen = held[word], np.uint64(0)
+                    for number in range(n_missing):
+                        every &= columns[missing[number], first + word]
+                        any_seen |= columns[missing[number], first + word]
+                    live[bit, word] |= every
+                    some[bit, word] |= any_seen
+        turn_out(live, alone, row_word)
+        if has_parts:
+            turn_out(hopeful, may, row_word)
+            turn_out(some, part, row_word)
+
+
+@kernel
+def turn_out(block: WordArray, turned: WordArray, column: int) -> None:
+    """Write rows of bits along the poses, (64, n_words), as a column of words along the rows."""
+    turn_blocks(block)
+    for bit in range(64):
+        for word in range(block.shape[1]):
+            turned[64 * word + bit, column] = block[bit, word]
 
 
 @kernel
@@ -200,7 +174,6 @@ def find_pairs(
     may: WordArray,
     part: WordArray,
     open_rows: WordArray,
-    words: IntArray,
     table: FloatArray,
     gain: FloatArray,
     need: float,
@@ -214,7 +187,7 @@ def find_pairs(
 ) -> int:
     """Pairs of poses that may lose so little together, (n, 2), and how much; how many they are.
 
-    Bits are as in :func:`cover_beside`; `open_rows` counts, in `words` alone, and a row is worth
+    Bits are as in :func:`cover_beside`; `open_rows` count, and a row is worth
     what `table`, (n_bytes, 256), says of its byte. `gain`, falling, is what each pose may gain at
     most, of which a pair has to gain `need`. `room` is left at each site; two of a kind that has
     `copies` are a pair. `next_pair`, (2,), is where to go on: at (n, ..) all were looked at.
@@ -233,7 +206,7 @@ def find_pairs(
             other += 1
             continue
         lost = 0.0
-        for word in words:
+        for word in range(len(open_rows)):
             lost += lost_in_word(alone, may, part, open_rows, table, word, one, other)
             if lost > may_lose:
                 break
@@ -261,7 +234,6 @@ def find_least_lost(
     may: WordArray,
     part: WordArray,
     open_rows: WordArray,
-    words: IntArray,
     table: FloatArray,
     gain: FloatArray,
     weight: float,
@@ -280,8 +252,8 @@ def find_least_lost(
             if not may_pair(one, other, site, room, copies):
                 continue
             lost = 0.0
-            for number in range(len(words)):
-                lost += lost_in_word(alone, may, part, open_rows, table, words[number], one, other)
+            for word in range(len(open_rows)):
+                lost += lost_in_word(alone, may, part, open_rows, table, word, one, other)
                 if lost >= least:
                     break
             least = min(least, lost)
@@ -294,7 +266,6 @@ def add_lost(
     may: WordArray,
     part: WordArray,
     open_rows: WordArray,
-    words: IntArray,
     table: FloatArray,
     may_lose: float,
     pairs: IntArray,
@@ -302,7 +273,7 @@ def add_lost(
 ) -> None:
     """Add what pairs, (n, 2), lose of some rows, see :func:`find_pairs`, until it is too much."""
     for number in range(len(pairs)):
-        for word in words:
+        for word in range(len(open_rows)):
             if lost[number] > may_lose:
                 break
             lost[number] += lost_in_word(
@@ -319,12 +290,11 @@ def keep_sets(
     tail_start: IntArray,
     worth: FloatArray,
     chains: IntArray,
-    before: WordArray,
     sets: IntArray,
     most: float,
     kept: BoolArray,
 ) -> None:
-    """Which sets, beside what is seen `before`, lose no more than so much, (n_sets,)."""
+    """Which sets lose no more than so much, (n_sets,)."""
     none, n_units = worth.shape[1] - 1, sets.shape[1]
     for number in range(len(sets)):
         lost = 0.0
@@ -333,7 +303,7 @@ def keep_sets(
             lowest, tail = 0, tail_start[chain]
             if tail < tail_start[chain + 1]:
                 for word in range(begin, end):
-                    seen = before[word, n_phases]
+                    seen = np.uint64(0)
                     for unit in range(n_units):
                         seen |= bits[sets[number, unit], word, n_phases]
                     if ~seen != 0:
@@ -343,7 +313,7 @@ def keep_sets(
             for word in range(begin + (lowest >> 6), end):
                 live = mask
                 for phase in range(n_phases):
-                    seen = before[word, phase]
+                    seen = np.uint64(0)
                     for unit in range(n_units):
                         seen |= bits[sets[number, unit], word, phase]
                     live &= seen

@@ -18,6 +18,8 @@ A walk that ends has met every set that reaches the need.
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from copy import copy
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import TypeVar
 
 import numpy as np
@@ -25,17 +27,17 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.clock import now_s
 
-from .limits import Limits
-from .presolve import WordArray, pack_words, unpack_words
+from .presolve import Detections, ReducedProblem, WordArray, pack_words, unpack_words
 from .set_tree import Links, avoided_runs, first_seen
-from .threads import WORKERS
+from .threads import WORKERS, share_out
 
 MAX_UNITS = 3
 _SLACK = 1.0e-9  # relative: rounding of sums
 _CLASS_POSES = 8  # of a class, on average
 _MAX_TOGETHER = 2000  # poses whose likeness is looked at in one go
 _OUT_PAIRS = 1 << 14
-_MANY_PAIRS = 2000  # to be valued beside a class
+_FEW_PAIRS = 200  # to be valued beside a class
+_TOGETHER = 12  # poses that are as likely to avoid a run as a class and two units beside it
 _HARD_ROWS = (192, 576)  # that are looked at first, and then
 
 _T = TypeVar("_T")
@@ -48,25 +50,34 @@ class PairWalk:
     """
 
     def __init__(
-        self, links: Links, limits: Limits, weight: FloatArray, *, n_units: int, need: float
+        self,
+        reduced: ReducedProblem,
+        links: Links,
+        weight: FloatArray,
+        *,
+        n_units: int,
+        need: float,
     ) -> None:
         if not 2 <= n_units <= MAX_UNITS:
             raise ValueError(f"n_units: got {n_units}; expected 2 .. {MAX_UNITS}")
-        usable = np.flatnonzero(
-            ~limits.is_forbidden & (limits.site_capacity > 0)[limits.site_index]
-        )
-        # What is looked at first lies side by side, and what does not count nowhere.
-        chains = _hardest_first(links, weight, usable)
-        weight, links = weight[np.isin(links.run_chain, chains)], links.of_chains(chains)
-        self.links, self.limits, self.n_units = links, limits, n_units
+        limits = reduced.limits
+        self.limits, self.n_units = limits, n_units
         self.total = float(weight.sum())
         self.need = need
         self.is_finished = False  # whether all sets were gone through
-        self.rows = _Rows(links, weight, usable)
-        self.classes = _Classes(links, limits, weight, usable if n_units > 2 else usable[:0])
-        self.seen_by = _seen_by(links)
-        # Of classes by their place: what no set reaches that begins there; infinite: not known yet.
-        self.promise = np.full(len(self.classes.order), np.inf)
+        usable = np.flatnonzero(
+            ~limits.is_forbidden & (limits.site_capacity > 0)[limits.site_index]
+        )
+        self.rows = _Rows(reduced, links, weight, usable)
+        once = np.ones(reduced.n_poses, dtype=np.int64)
+        self.poses = self.rows.units(
+            reduced.words, reduced.detections.columns, limits.site_index, once
+        )
+        self.usable = usable
+        self.classes = _Classes(self.rows, self.poses, usable, weight) if n_units > 2 else None
+        # Of classes: what no set reaches that begins there; infinite: not known yet.
+        n_classes = 0 if self.classes is None else len(self.classes.units.site)
+        self.promise = np.full(n_classes, np.inf)
         self.left_limit = self.total  # no set that was not met is worth more
 
     @property
@@ -121,106 +132,83 @@ class PairWalk:
 
     def _all_pairs(self) -> IntArray:
         """All pairs that reach the need."""
-        beside = _Beside(self, None, np.zeros(0, dtype=np.int64))
-        poses = np.flatnonzero(~self.limits.is_forbidden)
-        pairs = poses[beside.pairs(self.links, poses, self.limits.site_index[poses])]
-        return self.rows.keep(self.links, pairs, self.may_lose)
+        pairs = _Beside(self, None).pairs(self.poses, self.usable)
+        return self.rows.keep(pairs, self.may_lose)
 
     def _promise_of(self, place: int) -> float:
         """No set of a class and those behind it reaches more."""
-        classes = self.classes
-        behind = classes.order[place:]
-        if self.total - classes.together[place] > self.may_lose:
-            return float(classes.together[place])
-        beside = _Beside(self, classes.links, behind[:1])
-        return self.total - beside.least_lost(
-            classes.links, behind, classes.site[behind], copies=classes.size
-        )
+        assert self.classes is not None
+        units, together = self.classes.units, float(self.classes.together[place])
+        if self.total - together > self.may_lose:
+            return together
+        behind = np.arange(place, len(units.site))
+        return self.total - _Beside(self, units, place).least_lost(units, behind)
 
     def _beside_class(self, place: int) -> IntArray:
         """Sets of a class and those behind it that reach the need."""
         classes, limits = self.classes, self.limits
-        one, behind = classes.order[place], classes.order[place:]
-        beside = _Beside(self, classes.links, np.array([one]))
-        pairs = beside.pairs(classes.links, behind, classes.site[behind], copies=classes.size)
-        found = beside.thin(self.links, classes.pairs_of_poses(behind[pairs]))
-        members = np.flatnonzero(classes.class_of == one)
-        if len(found) > _MANY_PAIRS:  # the class promises too much: its poses one by one
+        assert classes is not None
+        behind = np.arange(place, len(classes.units.site))
+        beside, members = _Beside(self, classes.units, place), classes.members(place)
+        pairs = classes.pairs_of_poses(beside.pairs(classes.units, behind))
+        found = beside.thin(self.poses, pairs)
+        if len(found) > _FEW_PAIRS:  # the class promises too much: its poses one by one
             parts = []
             for member in members.tolist():
-                pairs = _Beside(self, self.links, np.array([member])).thin(self.links, found)
-                parts.append(np.column_stack([np.full(len(pairs), member), pairs]))
+                left = _Beside(self, self.poses, member).thin(self.poses, found)
+                parts.append(np.column_stack([np.full(len(left), member), left]))
             sets = np.concatenate(parts)
         else:
-            found = self.rows.keep(self.links, found, self.may_lose, beside.union)
             sets = np.column_stack(
                 [np.repeat(members, len(found)), np.tile(found, (len(members), 1))]
             )
         # Two or three of the class itself: once, in ascending order.
-        is_later = (classes.class_of[sets[:, 1:]] != one) | (sets[:, 1:] > sets[:, :1])
+        is_later = (classes.class_of[sets[:, 1:]] != place) | (sets[:, 1:] > sets[:, :1])
         sets = sets[is_later.all(axis=1)]
         sites = limits.site_index[sets]
         n_beside = (sites[:, :, None] == sites[:, None, :]).sum(axis=2)
         sets = sets[(n_beside <= limits.site_capacity[sites]).all(axis=1)]
-        return self.rows.keep(self.links, sets, self.may_lose)
+        return self.rows.keep(sets, self.may_lose)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Units:
+    """Poses, or classes of poses."""
+
+    words: WordArray  # (n, n_frame_words): what each sees, as bits along the frames
+    columns: WordArray  # (n_frames, n_words): the same as bits along the units
+    site: IntArray  # (n,)
+    copies: IntArray  # (n,): how many poses each one stands for: two of them are a pair, too
+    avoids: WordArray  # (n, n_row_words): rows that each avoids by itself
 
 
 class _Beside:
-    """What stands before the last two units, and the runs that it leaves open."""
+    """What stands before the last two units, if anything, and the runs that it leaves open."""
 
-    def __init__(self, owner: PairWalk, links: Links | None, before: IntArray) -> None:
-        from .pair_kernels import ask_for_pieces
-
-        self.owner = owner
-        layout = owner.links.layout
+    def __init__(self, owner: PairWalk, units: _Units | None, which: int = 0) -> None:
+        self.owner, rows = owner, owner.rows
         self.room = owner.limits.site_capacity.copy()
-        if links is None:
-            self.union = np.zeros(layout.bits.shape[1:], dtype=np.uint64)
-            if layout.bits.shape[2] > layout.n_phases:
-                self.union[:, layout.n_phases] = _padding(owner.links)
-            first = np.full(len(owner.links.n_links), owner.links.longest)
-        else:
-            self.union = links.union(before)
-            first = first_seen(links, before[None, :])[0]
-            site = owner.limits.site_index if links is owner.links else owner.classes.site
-            self.room[site[before]] -= 1
-        self.asked = np.empty((layout.bits.shape[1], layout.n_phases + 1), dtype=np.uint64)
-        self.missing = np.empty_like(self.asked)
-        n_chains = len(owner.links.n_links)
-        self.asked_tail, self.dead_links = (np.empty(n_chains, dtype=np.int64) for _ in range(2))
-        ask_for_pieces(
-            layout,
-            self.union,
-            owner.links.n_links,
-            owner.seen_by,
-            self.asked,
-            self.missing,
-            self.asked_tail,
-            self.dead_links,
-        )
-        self.open_rows = owner.rows.open_after(first)
-        self.parts = owner.rows.hardest_first(self.open_rows)
+        self.union, self.open_rows = np.zeros_like(owner.poses.words[0]), rows.every
+        if units is not None:
+            self.union, self.open_rows = units.words[which], rows.every & ~units.avoids[which]
+            self.room[units.site[which]] -= 1
+        self.parts = rows.hardest_first(self.open_rows)
 
-    def pairs(
-        self, links: Links, poses: IntArray, site: IntArray, *, copies: IntArray | None = None
-    ) -> IntArray:
-        """Pairs of some poses, or classes, that may lose little beside: places, (n, 2).
-
-        `copies`, by class, is how many poses it has: two of them are a pair, too.
-        """
+    def pairs(self, units: _Units, some: IntArray) -> IntArray:
+        """Pairs of some poses, or classes, that may lose little beside, (n, 2)."""
         from .pair_kernels import find_pairs
 
         owner = self.owner
-        table, may_lose = owner.rows.table, owner.may_lose
-        hard_rows, hard_chains = self.parts[0]
-        alone, may, part = self._cover(links, poses, hard_chains)
-        gain = _weigh(may & hard_rows, table)
-        need = float(_weigh(hard_rows[None, :], table)[0]) - may_lose
+        part, may_lose = self.parts[0], owner.may_lose
+        open_rows, table = self.open_rows[part], owner.rows.table_of(part)
+        alone, may, some_of = (bits[some] for bits in self._cover(units, some, part))
+        site, copies = units.site[some], units.copies[some]
+        gain = _weigh(may, table)
+        need = float(_weigh(open_rows[None, :], table)[0]) - may_lose
         has_room = self.room[site] > 0
         most = float(gain[has_room].max(initial=0.0))
         kept = np.flatnonzero(has_room & (gain + most >= need))
         kept = kept[np.argsort(-gain[kept], kind="stable")]
-        n_copies = np.ones(len(kept), dtype=np.int64) if copies is None else copies[poses[kept]]
         found, lost = [np.empty((0, 2), dtype=np.int64)], [np.empty(0)]
         next_pair = np.zeros(2, dtype=np.int64)
         while next_pair[0] < len(kept):
@@ -228,117 +216,94 @@ class _Beside:
             n_found = find_pairs(
                 alone[kept],
                 may[kept],
-                part[kept],
-                hard_rows,
-                np.flatnonzero(hard_rows),
+                some_of[kept],
+                open_rows,
                 table,
                 gain[kept],
                 need,
                 may_lose,
                 site[kept],
                 self.room,
-                n_copies,
+                copies[kept],
                 next_pair,
                 out,
                 of_out,
             )
             found.append(kept[out[:n_found]])
             lost.append(of_out[:n_found])
-        pairs = np.concatenate(found)
-        return pairs[self._may_lose_little(links, poses[pairs], np.concatenate(lost))]
+        pairs = some[np.concatenate(found)]
+        return pairs[self._may_lose_little(units, pairs, np.concatenate(lost), self.parts[1:])]
 
-    def least_lost(
-        self, links: Links, poses: IntArray, site: IntArray, *, copies: IntArray
-    ) -> float:
+    def least_lost(self, units: _Units, some: IntArray) -> float:
         """No pair of some classes loses less of the hardest runs beside."""
         from .pair_kernels import find_least_lost
 
-        table = self.owner.rows.table
-        hard_rows, hard_chains = self.parts[0]
-        alone, may, part = self._cover(links, poses, hard_chains)
-        gain = np.where(self.room[site] > 0, _weigh(may & hard_rows, table), -np.inf)
+        part = self.parts[0]
+        open_rows, table = self.open_rows[part], self.owner.rows.table_of(part)
+        alone, may, some_of = (bits[some] for bits in self._cover(units, some, part))
+        site = units.site[some]
+        gain = np.where(self.room[site] > 0, _weigh(may, table), -np.inf)
         order = np.argsort(-gain, kind="stable")[: np.count_nonzero(gain > -np.inf)]
         return find_least_lost(
             alone[order],
             may[order],
-            part[order],
-            hard_rows,
-            np.flatnonzero(hard_rows),
+            some_of[order],
+            open_rows,
             table,
             gain[order],
-            float(_weigh(hard_rows[None, :], table)[0]),
+            float(_weigh(open_rows[None, :], table)[0]),
             site[order],
             self.room,
-            copies[poses[order]],
+            units.copies[some[order]],
         )
 
-    def thin(self, links: Links, pairs: IntArray) -> IntArray:
-        """Pairs of poses, (n, 2), that may lose little beside."""
-        return pairs[self._may_lose_little(links, pairs)]
+    def thin(self, units: _Units, pairs: IntArray) -> IntArray:
+        """Pairs of poses, or classes, (n, 2), that may lose little beside."""
+        return pairs[self._may_lose_little(units, pairs, np.zeros(len(pairs)), self.parts)]
 
     def _may_lose_little(
-        self, links: Links, pairs: IntArray, lost: FloatArray | None = None
+        self, units: _Units, pairs: IntArray, lost: FloatArray, parts: list[slice]
     ) -> BoolArray:
-        """Which pairs, (n, 2), may lose little beside; `lost`, (n,), of the hardest runs if known.
+        """Which pairs, (n, 2), may lose little beside that have `lost`, (n,), in other parts.
 
         The more runs are looked at, the fewer pairs are left to be laid out for the others.
         """
         from .pair_kernels import add_lost
 
-        parts = self.parts if lost is None else self.parts[1:]
-        lost = np.zeros(len(pairs)) if lost is None else lost.copy()
-        for rows, chains in parts:
-            left = np.flatnonzero(lost <= self.owner.may_lose)
+        may_lose, lost = self.owner.may_lose, lost.copy()
+        left = np.flatnonzero(lost <= may_lose)
+        for part in parts:
             if not len(left):
                 break
-            is_used = np.zeros(links.n_poses, dtype=bool)
-            is_used[pairs[left]] = True
-            place, of_left = np.cumsum(is_used) - 1, lost[left]
+            of_left = lost[left]
             add_lost(
-                *self._cover(links, np.flatnonzero(is_used), chains),
-                rows,
-                np.flatnonzero(rows),
-                self.owner.rows.table,
-                self.owner.may_lose,
-                place[pairs[left]],
+                *self._cover(units, np.unique(pairs[left]), part),
+                self.open_rows[part],
+                self.owner.rows.table_of(part),
+                may_lose,
+                pairs[left],
                 of_left,
             )
             lost[left] = of_left
-        may: BoolArray = lost <= self.owner.may_lose
+            left = left[of_left <= may_lose]
+        may: BoolArray = lost <= may_lose
         return may
 
     def _cover(
-        self, links: Links, poses: IntArray, chains: IntArray
+        self, units: _Units, some: IntArray, part: slice
     ) -> tuple[WordArray, WordArray, WordArray]:
-        """Runs of chains as ``pair_kernels.cover_beside`` finds them: alone, may, part."""
-        from .pair_kernels import cover_beside
+        """Open rows of a part as ``pair_kernels.cover_beside`` finds them: alone, may, part.
 
-        rows = self.owner.rows
-        shape = (len(poses), len(self.open_rows))
-        alone, may, part = (np.empty(shape, dtype=np.uint64) for _ in range(3))
-        layout = links.layout
-        cover_beside(
-            layout.bits,
-            tuple(range(layout.n_phases)),
-            layout.start,
-            layout.tail_links,
-            layout.tail_start,
-            self.union,
-            self.asked,
-            self.missing,
-            self.asked_tail,
-            self.dead_links,
-            chains,
-            rows.start,
-            rows.last,
-            rows.place,
-            links.longest,
-            poses,
-            alone,
-            may,
-            part,
-        )
-        return alone, may, part
+        Rows of all units are there, (64 n_words, n_row_words), but are filled for some alone.
+        """
+        shape = (64 * units.columns.shape[1], part.stop - part.start)
+        bits = np.empty(shape, np.uint64), np.empty(shape, np.uint64), np.empty(shape, np.uint64)
+        is_used = np.zeros(units.columns.shape[1] + 1, dtype=bool)
+        is_used[some >> 6] = True
+        ends = np.flatnonzero(np.diff(is_used, prepend=False))
+        for begin, end in ends.reshape(-1, 2).tolist():
+            self.owner.rows.cover(units.columns, self.union, self.open_rows, part, begin, end, bits)
+        return bits
 
 
 def _in_threads(
@@ -358,68 +323,90 @@ def _in_threads(
             future.cancel()
 
 
-def _hardest_first(links: Links, weight: FloatArray, poses: IntArray) -> IntArray:
-    """Chains that weigh anything, those first with a run that the fewest poses avoid."""
-    some = poses[:: max(1, len(poses) // 256)]
-    count = avoided_runs(links, first_seen(links, some[:, None])).sum(axis=0)
-    hardest = np.full(len(links.n_links), np.inf)
-    counts = weight > 0.0
-    np.minimum.at(hardest, links.run_chain[counts], count[counts])
-    order: IntArray = np.argsort(hardest, kind="stable")
-    return order[: np.count_nonzero(hardest < np.inf)]
-
-
 class _Rows:
     """Runs that weigh anything, as bits: those that the fewest poses avoid come first."""
 
-    def __init__(self, links: Links, weight: FloatArray, poses: IntArray) -> None:
-        order = np.lexsort((-links.last, links.run_chain))
-        order = order[weight[order] > 0.0]
-        self.chain, self.last = links.run_chain[order], links.last[order]
-        self.start = np.searchsorted(self.chain, np.arange(len(links.n_links) + 1))
+    def __init__(
+        self, reduced: ReducedProblem, links: Links, weight: FloatArray, poses: IntArray
+    ) -> None:
+        self.links, self.detections = links, reduced.detections
+        runs = np.flatnonzero(weight > 0.0)
         some = poses[:: max(1, len(poses) // 256)]
-        is_avoided = first_seen(links, some[:, None])[:, self.chain] < self.last
-        hardest_first = np.argsort(is_avoided.sum(axis=0), kind="stable")
-        self.place = np.empty(len(order), dtype=np.int64)
-        self.place[hardest_first] = np.arange(len(order))
-        self.n_words = max(1, -(-len(order) // 64))
-        self.chain_at = np.zeros(64 * self.n_words, dtype=np.int64)  # of each place
-        self.chain_at[self.place] = self.chain
-        self.table = _byte_table(weight[order][hardest_first], self.n_words)
+        is_avoided = avoided_runs(links, first_seen(links, some[:, None]))[:, runs]
+        lost = weight[runs] * (1.0 - is_avoided.mean(axis=0)) ** _TOGETHER
+        runs = runs[np.argsort(-lost, kind="stable")]
+        self.n_words = max(1, -(-len(runs) // 64))
+        self.chain, self.last = (np.zeros(64 * self.n_words, dtype=np.int64) for _ in range(2))
+        self.chain[: len(runs)], self.last[: len(runs)] = links.run_chain[runs], links.last[runs]
+        self.every = pack_words(np.arange(64 * self.n_words) < len(runs))
+        self.weight = weight[runs]
+        self.table = _byte_table(self.weight, self.n_words)
         self.worth = links.chain_worth(weight)
-        self.chains: IntArray = np.unique(self.chain[hardest_first], return_index=True)[1]
-        self.chains = self.chain[hardest_first][np.sort(self.chains)]
+        chains, first = np.unique(links.run_chain[runs], return_index=True)
+        self.chains: IntArray = chains[np.argsort(first)]  # the hardest first
+        self.seen_by = np.bitwise_count(reduced.detections.columns).sum(axis=1, dtype=np.int64)
 
-    def open_after(self, first: IntArray) -> WordArray:
-        """Runs that are not avoided, as bits, given the first live windows."""
-        bits = np.zeros(64 * self.n_words, dtype=bool)
-        bits[self.place[first[self.chain] >= self.last]] = True
-        return pack_words(bits)
+    def units(
+        self, words: WordArray, columns: WordArray, site: IntArray, copies: IntArray
+    ) -> "_Units":
+        """Poses, or classes, with the rows that each of them avoids by itself."""
+        avoids = np.empty((64 * columns.shape[1], self.n_words), dtype=np.uint64)
+        nothing, none = np.zeros_like(words[0]), np.empty((0, self.n_words), dtype=np.uint64)
 
-    def hardest_first(self, open_rows: WordArray) -> list[tuple[WordArray, IntArray]]:
-        """Some rows in parts, as bits, the hardest ones in the first, and their chains."""
+        def look(begin: int, end: int) -> None:
+            part = slice(begin, end)
+            bits = avoids[:, part], none, none
+            self.cover(columns, nothing, self.every, part, 0, columns.shape[1], bits)
+
+        share_out(look, self.n_words, few=WORKERS)
+        return _Units(
+            words=words, columns=columns, site=site, copies=copies, avoids=avoids[: len(words)]
+        )
+
+    def table_of(self, part: slice) -> FloatArray:
+        """What bytes of the words of a part are worth, (8 n_words, 256)."""
+        return self.table[8 * part.start : 8 * part.stop]
+
+    def hardest_first(self, open_rows: WordArray) -> list[slice]:
+        """Words of open rows in parts, the hardest first; the rest says little more of pairs."""
         count = np.bitwise_count(open_rows).cumsum()
-        ends = [*(1 + np.searchsorted(count, _HARD_ROWS)), self.n_words]
-        is_open = unpack_words(open_rows, 64 * self.n_words)
-        parts, begin = [], 0
-        for end in np.clip(ends, 1, self.n_words).tolist():
-            rows = np.zeros_like(open_rows)
-            rows[begin:end] = open_rows[begin:end]
-            chains = self.chain_at[64 * begin : 64 * end][is_open[64 * begin : 64 * end]]
-            parts.append((rows, np.unique(chains)))
-            begin = max(begin, end)
-        return parts
+        ends = 1 + np.searchsorted(count, _HARD_ROWS)
+        ends = np.unique(np.clip(ends, 1, self.n_words)).tolist()
+        return [slice(begin, end) for begin, end in pairwise([0, *ends])]
 
-    def keep(
-        self, links: Links, sets: IntArray, may_lose: float, union: WordArray | None = None
-    ) -> IntArray:
-        """Sets that lose no more than so much, beside a union if there is one."""
+    def cover(
+        self,
+        columns: WordArray,
+        union: WordArray,
+        open_rows: WordArray,
+        part: slice,
+        begin: int,
+        end: int,
+        bits: tuple[WordArray, ...],
+    ) -> None:
+        """Rows that a union avoids with each of some poses: ``pair_kernels.cover_beside``."""
+        from .pair_kernels import cover_beside
+
+        rows = slice(64 * part.start, 64 * part.stop)
+        cover_beside(
+            columns,
+            union,
+            self.seen_by,
+            self.detections.chains,
+            self.chain[rows],
+            self.last[rows],
+            open_rows[part],
+            begin,
+            end,
+            *(bit[64 * begin : 64 * end] for bit in bits),
+        )
+
+    def keep(self, sets: IntArray, may_lose: float) -> IntArray:
+        """Sets that lose no more than so much."""
         from .pair_kernels import keep_sets
 
         kept = np.zeros(len(sets), dtype=bool)
-        if union is None:
-            union = np.zeros(links.layout.bits.shape[1:], dtype=np.uint64)
-        layout = links.layout
+        layout = self.links.layout
         keep_sets(
             layout.bits,
             layout.n_phases,
@@ -428,7 +415,6 @@ class _Rows:
             layout.tail_start,
             self.worth,
             self.chains,
-            union,
             sets,
             may_lose,
             kept,
@@ -437,45 +423,57 @@ class _Rows:
 
 
 class _Classes:
-    """Poses that are looked at together first; see :class:`PairWalk`."""
+    """Poses that are looked at together first, see :class:`PairWalk`: the best classes first."""
 
-    def __init__(self, links: Links, limits: Limits, weight: FloatArray, poses: IntArray) -> None:
-        self.class_of = np.full(links.n_poses, -1)
-        value, n_classes = np.zeros(links.n_poses), 0
-        for site in np.unique(limits.site_index[poses]):
-            here = poses[limits.site_index[poses] == site]
+    def __init__(
+        self, rows: _Rows, poses: _Units, usable: IntArray, run_weight: FloatArray
+    ) -> None:
+        from .frame_kernels import first_live_windows
+
+        weight = rows.weight
+        class_of, n_classes = np.full(len(poses.site), -1), 0
+        value = np.zeros(len(poses.site))
+        for site in np.unique(poses.site[usable]):
+            here = usable[poses.site[usable] == site]
             for alike in np.array_split(here, -(-len(here) // _MAX_TOGETHER)):
-                avoided = avoided_runs(links, first_seen(links, alike[:, None]))
+                avoided = unpack_words(poses.avoids[alike], len(weight)).astype(np.float64)
                 value[alike] = avoided @ weight
-                number = _alike(avoided.astype(np.float64) * np.sqrt(weight))
-                self.class_of[alike] = n_classes + number
+                number = _alike(avoided * np.sqrt(weight))
+                class_of[alike] = n_classes + number
                 n_classes += int(number.max()) + 1
-        self.size = np.bincount(self.class_of[poses], minlength=n_classes)
-        self.start = np.cumsum(self.size) - self.size
-        self.member = poses[np.argsort(self.class_of[poses], kind="stable")]
-        self.site = np.zeros(n_classes, dtype=np.int64)
-        self.site[self.class_of[poses]] = limits.site_index[poses]
-        bits = np.zeros((n_classes, *links.layout.bits.shape[1:]), dtype=np.uint64)
         most = np.zeros(n_classes)
-        for which in range(n_classes):
-            members = np.flatnonzero(self.class_of == which)
-            bits[which] = links.union(members)
-            most[which] = value[members].max()
-        self.links = Links(
-            links.layout._replace(bits=bits), links.last, links.run_chain, links.n_links
+        np.maximum.at(most, class_of[usable], value[usable])
+        place = np.empty(n_classes, dtype=np.int64)
+        place[np.argsort(-most, kind="stable")] = np.arange(n_classes)
+        self.class_of = np.where(class_of < 0, -1, place[class_of])
+        self.size = np.bincount(self.class_of[usable], minlength=n_classes)
+        self.start = np.cumsum(self.size) - self.size
+        self.member = usable[np.argsort(self.class_of[usable], kind="stable")]
+        words = np.array(
+            [
+                np.bitwise_or.reduce(poses.words[self.members(one)], axis=0)
+                for one in range(n_classes)
+            ]
         )
-        self.order: IntArray = np.argsort(-most, kind="stable")
-        self.total = float(weight.sum())
-        # What all from each place of the order on avoid together.
+        chains = rows.detections.chains
+        detections = Detections(n_frames=rows.detections.n_frames, words=words, chains=chains)
+        site_of = poses.site[self.member[self.start]]
+        self.units = rows.units(words, detections.columns, site_of, self.size)
+        # What all from each place on avoid together.
+        behind = np.bitwise_or.accumulate(words[::-1], axis=0)[::-1]
         self.together = np.zeros(n_classes)
-        union = np.zeros_like(bits[:1])
-        for place in range(n_classes - 1, -1, -1):
-            union |= bits[self.order[place]]
-            alone = Links(
-                links.layout._replace(bits=union), links.last, links.run_chain, links.n_links
-            )
-            first = first_seen(alone, np.zeros((1, 1), dtype=np.int64))
-            self.together[place] = float(avoided_runs(alone, first)[0] @ weight)
+
+        def look(begin: int, end: int) -> None:
+            first = np.empty((end - begin, len(chains.start) - 1), dtype=np.int64)
+            first_live_windows(behind[begin:end], chains, first)
+            self.together[begin:end] = avoided_runs(rows.links, first) @ run_weight
+
+        share_out(look, n_classes)
+
+    def members(self, one: int) -> IntArray:
+        """Poses of a class, ascending."""
+        begin = self.start[one]
+        return self.member[begin : begin + self.size[one]]
 
     def pairs_of_poses(self, pairs: IntArray) -> IntArray:
         """All pairs of poses, one of each class of some pairs of them, (n, 2)."""
@@ -502,29 +500,6 @@ def _alike(avoided: FloatArray) -> IntArray:
     tree = linkage(apart[np.triu_indices(len(avoided), 1)], "ward")
     _, number = np.unique(fcluster(tree, n_classes, "maxclust"), return_inverse=True)
     return number
-
-
-def _padding(links: Links) -> WordArray:
-    """Bits behind the tails of each chain, which are set in every pose, (n_words,)."""
-    layout = links.layout
-    is_padding = np.zeros(64 * layout.bits.shape[1], dtype=bool)
-    for chain, n_tails in enumerate(np.diff(layout.tail_start).tolist()):
-        begin, end = 64 * layout.start[chain : chain + 2]
-        is_padding[begin + n_tails : end] = True
-    return pack_words(is_padding)
-
-
-def _seen_by(links: Links) -> FloatArray:
-    """How many poses see each bit of each phase, and of the tails, (n_phases + 1, 64 n_words)."""
-    from .root_kernels import add_up
-
-    layout = links.layout
-    seen = np.full((layout.n_phases + 1, 64 * layout.bits.shape[1]), np.inf)
-    some = np.arange(0, links.n_poses, max(1, links.n_poses // 1024))
-    share = np.full(len(some), 1.0 / len(some))
-    for row in range(layout.bits.shape[2]):
-        add_up(layout.bits, row, some, share, seen[row])
-    return seen
 
 
 def _byte_table(weight: FloatArray, n_words: int) -> FloatArray:

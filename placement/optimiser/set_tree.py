@@ -74,26 +74,6 @@ class Links:
         union: WordArray = np.bitwise_or.reduce(self.layout.bits[units], axis=0)
         return union
 
-    def of_chains(self, chains: IntArray) -> "Links":
-        """The same with some of the chains alone, in this order, and their runs."""
-        layout = self.layout
-        number = np.full(len(self.n_links), -1)
-        number[chains] = np.arange(len(chains))
-        number = number[self.run_chain]
-        words, start = _parts(layout.start, chains)
-        tails, tail_start = _parts(layout.tail_start, chains)
-        return Links(
-            layout=layout._replace(
-                bits=np.take(layout.bits, words, axis=1),  # in rows, as kernels have them
-                start=start,
-                tail_links=layout.tail_links[tails],
-                tail_start=tail_start,
-            ),
-            last=self.last[number >= 0],
-            run_chain=number[number >= 0],
-            n_links=self.n_links[chains],
-        )
-
     def chain_worth(self, weight: FloatArray) -> FloatArray:
         """Weight of avoided runs by chain and first live window, (n_chains, longest + 1)."""
         worth = np.zeros((len(self.n_links), self.longest + 1))
@@ -151,13 +131,6 @@ def _lay_out(detections: Detections) -> "Layout":
         tail_links=chains.tail_links,
         tail_start=chains.tail_start,
     )
-
-
-def _parts(start: IntArray, chosen: IntArray) -> tuple[IntArray, IntArray]:
-    """What some parts consist of, one after the other, and where each begins then."""
-    size = np.diff(start)[chosen]
-    begin = np.cumsum([0, *size])
-    return np.arange(begin[-1]) + np.repeat(start[chosen] - begin[:-1], size), begin
 
 
 def _word_starts(chains: Chains) -> IntArray:

@@ -464,7 +464,7 @@ class SetSearch:
         """A walk pair by pair; what it takes is laid out once."""
         if self._pair_walk is None:
             self._pair_walk = PairWalk(
-                self.links, self.reduced.limits, self.run_weight, n_units=self.n_units, need=need
+                self.reduced, self.links, self.run_weight, n_units=self.n_units, need=need
             )
         return self._pair_walk.again(need)
 

@@ -45,10 +45,10 @@ def test_a_walk_meets_every_set_that_reaches_the_need(
     share = union_apr(reduced, unions_of(reduced, sets))
     need = float(np.quantile(share, place, method="nearest"))
     links = build_links(reduced)
-    walk = PairWalk(links, reduced.limits, weight, n_units=n_units, need=need)
+    walk = PairWalk(reduced, links, weight, n_units=n_units, need=need)
     with pytest.MonkeyPatch.context() as patch:
         if seed % 3 == 0:  # as where a class promises much
-            patch.setattr(pair_walk, "_MANY_PAIRS", 0)
+            patch.setattr(pair_walk, "_FEW_PAIRS", 0)
         parts = [np.empty((0, n_units), dtype=np.int64)]
         for block in walk.blocks(np.inf):
             parts.append(block)
