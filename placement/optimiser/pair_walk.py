@@ -27,8 +27,8 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.clock import now_s
 
-from .presolve import Detections, ReducedProblem, WordArray, pack_words, unpack_words
-from .set_tree import Links, avoided_runs, first_seen
+from .presolve import Detections, ReducedProblem, WordArray, unpack_words
+from .set_tree import Links, avoided_runs, build_rows, first_seen, weigh
 from .threads import WORKERS, share_out
 
 MAX_UNITS = 3
@@ -68,13 +68,13 @@ class PairWalk:
         usable = np.flatnonzero(
             ~limits.is_forbidden & (limits.site_capacity > 0)[limits.site_index]
         )
-        self.rows = _Rows(reduced, links, weight, usable)
+        self.runs = _Counted(reduced, links, weight, usable)
         once = np.ones(reduced.n_poses, dtype=np.int64)
-        self.poses = self.rows.units(
+        self.poses = self.runs.units(
             reduced.words, reduced.detections.columns, limits.site_index, once
         )
         self.usable = usable
-        self.classes = _Classes(self.rows, self.poses, usable, weight) if n_units > 2 else None
+        self.classes = _Classes(self.runs, self.poses, usable, weight) if n_units > 2 else None
         # Of classes: what no set reaches that begins there; infinite: not known yet.
         n_classes = 0 if self.classes is None else len(self.classes.units.site)
         self.promise = np.full(n_classes, np.inf)
@@ -133,7 +133,7 @@ class PairWalk:
     def _all_pairs(self) -> IntArray:
         """All pairs that reach the need."""
         pairs = _Beside(self, None).pairs(self.poses, self.usable)
-        return self.rows.keep(pairs, self.may_lose)
+        return self.runs.keep(pairs, self.may_lose)
 
     def _promise_of(self, place: int) -> float:
         """No set of a class and those behind it reaches more."""
@@ -168,7 +168,7 @@ class PairWalk:
         sites = limits.site_index[sets]
         n_beside = (sites[:, :, None] == sites[:, None, :]).sum(axis=2)
         sets = sets[(n_beside <= limits.site_capacity[sites]).all(axis=1)]
-        return self.rows.keep(sets, self.may_lose)
+        return self.runs.keep(sets, self.may_lose)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -186,13 +186,13 @@ class _Beside:
     """What stands before the last two units, if anything, and the runs that it leaves open."""
 
     def __init__(self, owner: PairWalk, units: _Units | None, which: int = 0) -> None:
-        self.owner, rows = owner, owner.rows
+        self.owner, every = owner, owner.runs.rows.every
         self.room = owner.limits.site_capacity.copy()
-        self.union, self.open_rows = np.zeros_like(owner.poses.words[0]), rows.every
+        self.union, self.open_rows = np.zeros_like(owner.poses.words[0]), every
         if units is not None:
-            self.union, self.open_rows = units.words[which], rows.every & ~units.avoids[which]
+            self.union, self.open_rows = units.words[which], every & ~units.avoids[which]
             self.room[units.site[which]] -= 1
-        self.parts = rows.hardest_first(self.open_rows)
+        self.parts = _hardest_first(self.open_rows)
 
     def pairs(self, units: _Units, some: IntArray) -> IntArray:
         """Pairs of some poses, or classes, that may lose little beside, (n, 2)."""
@@ -200,11 +200,11 @@ class _Beside:
 
         owner = self.owner
         part, may_lose = self.parts[0], owner.may_lose
-        open_rows, table = self.open_rows[part], owner.rows.table_of(part)
+        open_rows, table = self.open_rows[part], owner.runs.table_of(part)
         alone, may, some_of = (bits[some] for bits in self._cover(units, some, part))
         site, copies = units.site[some], units.copies[some]
-        gain = _weigh(may, table)
-        need = float(_weigh(open_rows[None, :], table)[0]) - may_lose
+        gain = weigh(may, table)
+        need = float(weigh(open_rows[None, :], table)[0]) - may_lose
         has_room = self.room[site] > 0
         most = float(gain[has_room].max(initial=0.0))
         kept = np.flatnonzero(has_room & (gain + most >= need))
@@ -239,10 +239,10 @@ class _Beside:
         from .pair_kernels import find_least_lost
 
         part = self.parts[0]
-        open_rows, table = self.open_rows[part], self.owner.rows.table_of(part)
+        open_rows, table = self.open_rows[part], self.owner.runs.table_of(part)
         alone, may, some_of = (bits[some] for bits in self._cover(units, some, part))
         site = units.site[some]
-        gain = np.where(self.room[site] > 0, _weigh(may, table), -np.inf)
+        gain = np.where(self.room[site] > 0, weigh(may, table), -np.inf)
         order = np.argsort(-gain, kind="stable")[: np.count_nonzero(gain > -np.inf)]
         return find_least_lost(
             alone[order],
@@ -251,7 +251,7 @@ class _Beside:
             open_rows,
             table,
             gain[order],
-            float(_weigh(open_rows[None, :], table)[0]),
+            float(weigh(open_rows[None, :], table)[0]),
             site[order],
             self.room,
             units.copies[some[order]],
@@ -279,7 +279,7 @@ class _Beside:
             add_lost(
                 *self._cover(units, np.unique(pairs[left]), part),
                 self.open_rows[part],
-                self.owner.rows.table_of(part),
+                self.owner.runs.table_of(part),
                 may_lose,
                 pairs[left],
                 of_left,
@@ -302,7 +302,9 @@ class _Beside:
         is_used[some >> 6] = True
         ends = np.flatnonzero(np.diff(is_used, prepend=False))
         for begin, end in ends.reshape(-1, 2).tolist():
-            self.owner.rows.cover(units.columns, self.union, self.open_rows, part, begin, end, bits)
+            self.owner.runs.rows.cover(
+                units.columns, self.union, self.open_rows, part, begin, end, bits
+            )
         return bits
 
 
@@ -323,42 +325,30 @@ def _in_threads(
             future.cancel()
 
 
-class _Rows:
-    """Runs that weigh anything, as bits: those that the fewest poses avoid come first."""
+class _Counted:
+    """Runs that weigh anything: those come first in which sets are likely to lose most."""
 
     def __init__(
         self, reduced: ReducedProblem, links: Links, weight: FloatArray, poses: IntArray
     ) -> None:
-        self.links, self.detections = links, reduced.detections
+        self.links = links
         runs = np.flatnonzero(weight > 0.0)
         some = poses[:: max(1, len(poses) // 256)]
         is_avoided = avoided_runs(links, first_seen(links, some[:, None]))[:, runs]
         lost = weight[runs] * (1.0 - is_avoided.mean(axis=0)) ** _TOGETHER
         runs = runs[np.argsort(-lost, kind="stable")]
-        self.n_words = max(1, -(-len(runs) // 64))
-        self.chain, self.last = (np.zeros(64 * self.n_words, dtype=np.int64) for _ in range(2))
-        self.chain[: len(runs)], self.last[: len(runs)] = links.run_chain[runs], links.last[runs]
-        self.every = pack_words(np.arange(64 * self.n_words) < len(runs))
+        self.rows = build_rows(links, reduced.detections, runs)
         self.weight = weight[runs]
-        self.table = _byte_table(self.weight, self.n_words)
+        self.table = self.rows.table(weight)
         self.worth = links.chain_worth(weight)
         chains, first = np.unique(links.run_chain[runs], return_index=True)
-        self.chains: IntArray = chains[np.argsort(first)]  # the hardest first
-        self.seen_by = np.bitwise_count(reduced.detections.columns).sum(axis=1, dtype=np.int64)
+        self.chains: IntArray = chains[np.argsort(first)]
 
     def units(
         self, words: WordArray, columns: WordArray, site: IntArray, copies: IntArray
-    ) -> "_Units":
+    ) -> _Units:
         """Poses, or classes, with the rows that each of them avoids by itself."""
-        avoids = np.empty((64 * columns.shape[1], self.n_words), dtype=np.uint64)
-        nothing, none = np.zeros_like(words[0]), np.empty((0, self.n_words), dtype=np.uint64)
-
-        def look(begin: int, end: int) -> None:
-            part = slice(begin, end)
-            bits = avoids[:, part], none, none
-            self.cover(columns, nothing, self.every, part, 0, columns.shape[1], bits)
-
-        share_out(look, self.n_words, few=WORKERS)
+        avoids = self.rows.avoided_with(columns, np.zeros_like(words[0]), self.rows.every)
         return _Units(
             words=words, columns=columns, site=site, copies=copies, avoids=avoids[: len(words)]
         )
@@ -366,40 +356,6 @@ class _Rows:
     def table_of(self, part: slice) -> FloatArray:
         """What bytes of the words of a part are worth, (8 n_words, 256)."""
         return self.table[8 * part.start : 8 * part.stop]
-
-    def hardest_first(self, open_rows: WordArray) -> list[slice]:
-        """Words of open rows in parts, the hardest first; the rest says little more of pairs."""
-        count = np.bitwise_count(open_rows).cumsum()
-        ends = 1 + np.searchsorted(count, _HARD_ROWS)
-        ends = np.unique(np.clip(ends, 1, self.n_words)).tolist()
-        return [slice(begin, end) for begin, end in pairwise([0, *ends])]
-
-    def cover(
-        self,
-        columns: WordArray,
-        union: WordArray,
-        open_rows: WordArray,
-        part: slice,
-        begin: int,
-        end: int,
-        bits: tuple[WordArray, ...],
-    ) -> None:
-        """Rows that a union avoids with each of some poses: ``pair_kernels.cover_beside``."""
-        from .pair_kernels import cover_beside
-
-        rows = slice(64 * part.start, 64 * part.stop)
-        cover_beside(
-            columns,
-            union,
-            self.seen_by,
-            self.detections.chains,
-            self.chain[rows],
-            self.last[rows],
-            open_rows[part],
-            begin,
-            end,
-            *(bit[64 * begin : 64 * end] for bit in bits),
-        )
 
     def keep(self, sets: IntArray, may_lose: float) -> IntArray:
         """Sets that lose no more than so much."""
@@ -426,11 +382,11 @@ class _Classes:
     """Poses that are looked at together first, see :class:`PairWalk`: the best classes first."""
 
     def __init__(
-        self, rows: _Rows, poses: _Units, usable: IntArray, run_weight: FloatArray
+        self, runs: _Counted, poses: _Units, usable: IntArray, run_weight: FloatArray
     ) -> None:
         from .frame_kernels import first_live_windows
 
-        weight = rows.weight
+        weight = runs.weight
         class_of, n_classes = np.full(len(poses.site), -1), 0
         value = np.zeros(len(poses.site))
         for site in np.unique(poses.site[usable]):
@@ -455,10 +411,10 @@ class _Classes:
                 for one in range(n_classes)
             ]
         )
-        chains = rows.detections.chains
-        detections = Detections(n_frames=rows.detections.n_frames, words=words, chains=chains)
+        chains = runs.rows.detections.chains
+        detections = Detections(n_frames=runs.rows.detections.n_frames, words=words, chains=chains)
         site_of = poses.site[self.member[self.start]]
-        self.units = rows.units(words, detections.columns, site_of, self.size)
+        self.units = runs.units(words, detections.columns, site_of, self.size)
         # What all from each place on avoid together.
         behind = np.bitwise_or.accumulate(words[::-1], axis=0)[::-1]
         self.together = np.zeros(n_classes)
@@ -466,7 +422,7 @@ class _Classes:
         def look(begin: int, end: int) -> None:
             first = np.empty((end - begin, len(chains.start) - 1), dtype=np.int64)
             first_live_windows(behind[begin:end], chains, first)
-            self.together[begin:end] = avoided_runs(rows.links, first) @ run_weight
+            self.together[begin:end] = avoided_runs(runs.links, first) @ run_weight
 
         share_out(look, n_classes)
 
@@ -488,6 +444,14 @@ class _Classes:
         return once
 
 
+def _hardest_first(open_rows: WordArray) -> list[slice]:
+    """Words of open rows in parts, the hardest first; the rest says little more of pairs."""
+    count = np.bitwise_count(open_rows).cumsum()
+    ends = 1 + np.searchsorted(count, _HARD_ROWS)
+    ends = np.unique(np.clip(ends, 1, len(open_rows))).tolist()
+    return [slice(begin, end) for begin, end in pairwise([0, *ends])]
+
+
 def _alike(avoided: FloatArray) -> IntArray:
     """Class of each of some poses, by the weighted runs that they avoid (Ward 1963)."""
     from scipy.cluster.hierarchy import fcluster, linkage
@@ -500,23 +464,3 @@ def _alike(avoided: FloatArray) -> IntArray:
     tree = linkage(apart[np.triu_indices(len(avoided), 1)], "ward")
     _, number = np.unique(fcluster(tree, n_classes, "maxclust"), return_inverse=True)
     return number
-
-
-def _byte_table(weight: FloatArray, n_words: int) -> FloatArray:
-    """What each byte of bits along rows is worth, (8 n_words, 256)."""
-    from .root_kernels import weigh_bytes
-
-    table, used = np.zeros((8 * n_words, 256)), np.empty(8 * n_words, dtype=np.int64)
-    padded = np.zeros(64 * n_words)
-    padded[: len(weight)] = weight
-    weigh_bytes(padded, np.full(n_words, ~np.uint64(0)), table, used)
-    return table
-
-
-def _weigh(bits: WordArray, table: FloatArray) -> FloatArray:
-    """What the bits of each row weigh, (n,)."""
-    from .pair_kernels import weights_of
-
-    total = np.empty(len(bits))
-    weights_of(np.ascontiguousarray(bits), table, total)
-    return total

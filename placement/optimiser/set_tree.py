@@ -15,7 +15,7 @@ C(K, N) takes all n poses that cover a run: G is concave again, so that the same
 """
 
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from math import comb
 from typing import TYPE_CHECKING
 
@@ -34,7 +34,7 @@ from .presolve import (
     pack_words,
     unpack_words,
 )
-from .threads import share_out
+from .threads import WORKERS, share_out
 
 if TYPE_CHECKING:
     from .chain_kernels import Layout
@@ -168,6 +168,118 @@ def avoided_runs(links: Links, first: IntArray) -> BoolArray:
     """Runs that are avoided, (.., n_runs), given the first window seen of each chain."""
     avoided: BoolArray = first[..., links.run_chain] < links.last
     return avoided
+
+
+# ---------- runs as bits
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rows:
+    """Runs as bits, in some order, and who avoids them."""
+
+    detections: Detections
+    run: IntArray  # (64 n_words,): run of each bit; -1: none
+    chain: IntArray  # (64 n_words,): chain of that run
+    last: IntArray  # (64 n_words,): windows of the chain that end in time for it
+
+    @property
+    def n_words(self) -> int:
+        """Words of all rows."""
+        return len(self.run) // 64
+
+    @cached_property
+    def every(self) -> WordArray:
+        """Bits of all rows, (n_words,)."""
+        return pack_words(self.run >= 0)
+
+    @cached_property
+    def seen_by(self) -> IntArray:
+        """How many poses see each frame, (n_frames,)."""
+        count: IntArray = np.bitwise_count(self.detections.columns).sum(axis=1, dtype=np.int64)
+        return count
+
+    def bits(self, is_run: BoolArray) -> WordArray:
+        """Some runs, (n_runs,), as bits, (n_words,)."""
+        return pack_words((self.run >= 0) & is_run[self.run])
+
+    def table(self, weight: FloatArray) -> FloatArray:
+        """What each byte of bits is worth by weights of runs, (8 n_words, 256)."""
+        from .root_kernels import weigh_bytes
+
+        table, used = np.zeros((8 * self.n_words, 256)), np.empty(8 * self.n_words, dtype=np.int64)
+        of_rows = np.where(self.run >= 0, weight[self.run], 0.0)
+        weigh_bytes(of_rows, np.full(self.n_words, ~np.uint64(0)), table, used)
+        return table
+
+    def cover(
+        self,
+        columns: WordArray,
+        union: WordArray,
+        open_rows: WordArray,
+        part: slice,
+        begin: int,
+        end: int,
+        bits: tuple[WordArray, WordArray, WordArray],
+    ) -> None:
+        """Open rows of some words as ``pair_kernels.cover_beside`` finds them: alone, may, part.
+
+        `columns`, (n_frames, n_words), are of poses or of sets of them, of which words begin ..
+        end - 1 are looked at. `bits` have rows for 64 in each of all those words, or, the last
+        two, none.
+        """
+        from .pair_kernels import cover_beside
+
+        rows = slice(64 * part.start, 64 * part.stop)
+        alone, may, some = (bit[64 * begin : 64 * end] for bit in bits)
+        cover_beside(
+            columns,
+            union,
+            self.seen_by,
+            self.detections.chains,
+            self.chain[rows],
+            self.last[rows],
+            open_rows[part],
+            begin,
+            end,
+            alone,
+            may,
+            some,
+        )
+
+    def avoided_with(self, columns: WordArray, union: WordArray, rows: WordArray) -> WordArray:
+        """Which of some rows a union avoids with each of all poses, (64 n_pose_words, n_words)."""
+        avoided = np.empty((64 * columns.shape[1], self.n_words), dtype=np.uint64)
+        none = np.empty((0, self.n_words), dtype=np.uint64)
+
+        def look(begin: int, end: int) -> None:
+            part = slice(begin, end)
+            bits = avoided[:, part], none, none
+            self.cover(columns, union, rows, part, 0, columns.shape[1], bits)
+
+        share_out(look, self.n_words, few=WORKERS)
+        return avoided
+
+
+def build_rows(links: Links, detections: Detections, runs: IntArray) -> Rows:
+    """Runs as bits in this order; -1 leaves a bit out."""
+    padded = np.full(64 * max(1, -(-len(runs) // 64)), -1)
+    padded[: len(runs)] = runs
+    is_run = padded >= 0
+    return Rows(
+        detections=detections,
+        run=padded,
+        chain=np.where(is_run, links.run_chain[padded], 0),
+        last=np.where(is_run, links.last[padded], 0),
+    )
+
+
+def weigh(bits: WordArray, table: FloatArray) -> FloatArray:
+    """What the bits of each row weigh by a table of bytes, (n,)."""
+    from .pair_kernels import weights_of
+
+    total = np.empty(len(bits))
+    weights_of(np.ascontiguousarray(bits), table, total)
+    return total
 
 
 # ---------- prices at the root

@@ -25,11 +25,14 @@ from .problem import Measure
 from .set_tree import (
     Links,
     Root,
+    Rows,
     avoided_runs,
     build_links,
+    build_rows,
     find_root,
     first_seen,
     link_bytes,
+    weigh,
 )
 from .threads import share_out
 
@@ -37,6 +40,7 @@ MAX_WALK_UNITS = 16
 _MAX_BYTES = 5 << 28  # of detections by chains
 _MAX_TIED = 100_000
 _BLOCK_SETS = 1 << 12
+_FEW_POSES = 32  # that are looked at one by one
 _MAX_PARTNERS = 32  # that are valued in all objectives
 _N_RESTARTS = 40
 _SEED = 1
@@ -79,7 +83,7 @@ class SetSearch:
         self.links: Links = build_links(reduced) if links is None else links
         self.n_units = reduced.limits.max_units
         self.survive = reduced.survive
-        self._tables = _world_tables(self.links, reduced.measure)
+        self._rows, self._words_of_world = _rows_by_world(reduced, self.links)
         self._root: Root | None = None
         self._run_weight: FloatArray | None = None
         self._pair_walk: PairWalk | None = None
@@ -95,22 +99,33 @@ class SetSearch:
 
     def shares_with_each(self, units: IntArray, poses: IntArray | None = None) -> FloatArray:
         """APR of a set together with each of some poses, by default of all, (n_poses,)."""
-        return self.reduced.measure.of_worlds(self._totals(self._tables, units, poses))
+        if poses is not None and len(poses) <= _FEW_POSES:
+            return self.shares(np.column_stack([np.tile(units, (len(poses), 1)), poses]))
+        measure = self.reduced.measure
+        share = measure.of_worlds(self._totals(measure.weight, units))
+        return share if poses is None else share[poses]
 
-    def _totals(
-        self, tables: FloatArray, units: IntArray, poses: IntArray | None = None
-    ) -> FloatArray:
-        """What a set is worth with each of some poses by tables of chains, (n_poses, n_tables)."""
-        from .chain_kernels import totals_with_each
+    def _totals(self, weight: FloatArray, units: IntArray) -> FloatArray:
+        """Weight of runs that a set avoids with each pose, by world, (n_poses, n_worlds)."""
+        from .frame_kernels import first_live_windows
 
-        some = np.arange(self.reduced.n_poses) if poses is None else poses
-        total = np.empty((len(some), len(tables)))
-        union = self.links.union(np.asarray(units, dtype=np.int64))
+        reduced, rows = self.reduced, self._rows
+        union = np.bitwise_or.reduce(reduced.words[units], axis=0, keepdims=True)
+        first = np.empty((1, reduced.n_chains), dtype=np.int64)
+        first_live_windows(union, reduced.chains, first)
+        alone = avoided_runs(self.links, first)[0]
+        open_rows = rows.bits((weight > 0.0) & ~alone)
+        avoided = rows.avoided_with(reduced.detections.columns, union[0], open_rows)
+        avoided |= rows.bits(alone)
+        table = rows.table(weight)
+        total = np.empty((reduced.n_poses, len(self._words_of_world)))
 
-        def work(begin: int, end: int) -> None:
-            totals_with_each(self.links.layout, tables, union, some, begin, end, total)
+        def add(begin: int, end: int) -> None:
+            for world, words in enumerate(self._words_of_world):
+                of_bytes = table[8 * words.start : 8 * words.stop]
+                total[begin:end, world] = weigh(avoided[begin:end, words], of_bytes)
 
-        share_out(work, len(some))
+        share_out(add, reduced.n_poses)
         return total
 
     def left_with_each(self, units: IntArray, n_failures: int, poses: IntArray) -> FloatArray:
@@ -321,12 +336,11 @@ class SetSearch:
 
     def _exchanged_by(self, weight: FloatArray, units: IntArray) -> IntArray:
         """Exchange one unit for another while the weight of avoided runs grows."""
-        table = self.links.chain_worth(weight)[None, :, :]
         value, idle, place = -np.inf, 0, 0
         while idle < len(units) and now_s() < self.end_s:
             rest = np.delete(units, place)
             fits = fitting(self.reduced.limits, rest)
-            total = np.where(fits, self._totals(table, rest)[:, 0], -np.inf)
+            total = np.where(fits, self._totals(weight, rest).sum(axis=1), -np.inf)
             best, idle = int(total.argmax()), idle + 1
             if total[best] > value + TOLERANCE:
                 units, value, idle = np.insert(rest, place, best), float(total[best]), 1
@@ -334,13 +348,12 @@ class SetSearch:
         return units
 
     def _greedy_by(self, weight: FloatArray) -> IntArray:
-        table = self.links.chain_worth(weight)[None, :, :]
         units = np.empty(0, dtype=np.int64)
         for _ in range(self.n_units):
             fits = fitting(self.reduced.limits, units)
             if not fits.any():
                 break
-            total = self._totals(table, units)[:, 0]
+            total = self._totals(weight, units).sum(axis=1)
             units = np.append(units, np.where(fits, total, -np.inf).argmax())
         return units
 
@@ -518,13 +531,18 @@ def _least_favourable(measure: Measure, reached: FloatArray) -> FloatArray:
     return result
 
 
-def _world_tables(links: Links, measure: Measure) -> FloatArray:
-    """What chains are worth in each world, (n_worlds, n_chains, longest + 1)."""
-    if measure.is_mean:
-        return links.chain_worth(measure.weight)[None, :, :]
-    return np.stack(
-        [
-            links.chain_worth(np.where(measure.sample_index == sample, measure.weight, 0.0))
-            for sample in range(len(measure.sample_weight))
-        ]
-    )
+def _rows_by_world(reduced: ReducedProblem, links: Links) -> tuple[Rows, list[slice]]:
+    """Runs as bits, world after world, each from a new word on, and the words of each.
+
+    Where the APR is a mean, all of them are one.
+    """
+    measure = reduced.measure
+    of_run = np.zeros_like(measure.sample_index) if measure.is_mean else measure.sample_index
+    parts, words, begin = [], [], 0
+    for world in range(1 if measure.is_mean else len(measure.sample_weight)):
+        runs = np.flatnonzero(of_run == world)
+        n_words = -(-len(runs) // 64)
+        parts.append(np.append(runs, np.full(64 * n_words - len(runs), -1)))
+        words.append(slice(begin, begin + n_words))
+        begin += n_words
+    return build_rows(links, reduced.detections, np.concatenate(parts)), words

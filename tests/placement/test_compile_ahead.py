@@ -16,10 +16,10 @@ STEPS = ("solve_placement", "solve_greedy", "find_next_unit", "front_below", "ev
 COMPILED = """
 from geometry.kernels import is_compiled
 from placement.evaluator import pixels
-from placement.optimiser import bitsets, chain_kernels, cover_kernels, frame_kernels, root_kernels
+from placement.optimiser import cover_kernels, frame_kernels, pair_kernels, root_kernels
 from placement.compile_ahead import compile_ahead
 
-kernels = [pixels.see, cover_kernels.grow, cover_kernels.spell_out, chain_kernels.totals_with_each,
+kernels = [pixels.see, cover_kernels.grow, cover_kernels.spell_out, pair_kernels.cover_beside,
            frame_kernels.first_live_with_each, root_kernels.tighten_prices]
 assert not any(map(is_compiled, kernels))
 compile_ahead()
