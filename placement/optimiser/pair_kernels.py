@@ -16,7 +16,7 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
 
 from .chain_kernels import lowest_bit
-from .frame_kernels import turn_blocks
+from .frame_kernels import look_through, turn_blocks
 from .presolve import Chains, WordArray
 
 
@@ -283,45 +283,39 @@ def add_lost(
 
 @kernel
 def keep_sets(
-    bits: WordArray,
-    n_phases: int,
-    start: IntArray,
-    tail_links: IntArray,
-    tail_start: IntArray,
-    worth: FloatArray,
-    chains: IntArray,
+    words: WordArray,
+    chains: Chains,
+    order: IntArray,
+    lost: FloatArray,
     sets: IntArray,
-    most: float,
+    most_lost: float,
     kept: BoolArray,
 ) -> None:
-    """Which sets lose no more than so much, (n_sets,)."""
-    none, n_units = worth.shape[1] - 1, sets.shape[1]
+    """Which sets lose no more than so much in some chains, looked at in this order, (n_sets,).
+
+    `words`, (n_poses, n_words), has bits along the frames; ``lost[g, k]`` is what is lost in chain
+    g if the k-th of its windows is the first live one.
+    """
+    window_frames, window, start, tail_frame, tail_links, tail_start = chains
+    first = np.empty(len(start) - 1, dtype=np.int64)
+    union = np.empty(words.shape[1], dtype=np.uint64)
     for number in range(len(sets)):
-        lost = 0.0
-        for chain in chains:
-            begin, end = start[chain], start[chain + 1]
-            lowest, tail = 0, tail_start[chain]
-            if tail < tail_start[chain + 1]:
-                for word in range(begin, end):
-                    seen = np.uint64(0)
-                    for unit in range(n_units):
-                        seen |= bits[sets[number, unit], word, n_phases]
-                    if ~seen != 0:
-                        lowest = tail_links[tail + 64 * (word - begin) + lowest_bit(~seen)]
-                        break
-            mask, link = ~np.uint64(0) << np.uint64(lowest & 63), none
-            for word in range(begin + (lowest >> 6), end):
-                live = mask
-                for phase in range(n_phases):
-                    seen = np.uint64(0)
-                    for unit in range(n_units):
-                        seen |= bits[sets[number, unit], word, phase]
-                    live &= seen
-                if live != 0:
-                    link = 64 * (word - begin) + lowest_bit(live)
-                    break
-                mask = ~np.uint64(0)
-            lost += worth[chain, 0] - worth[chain, link]
-            if lost > most:
-                break
-        kept[number] = lost <= most
+        union[:] = 0
+        for unit in range(sets.shape[1]):
+            of_unit = words[sets[number, unit]]
+            for word in range(len(union)):
+                union[word] |= of_unit[word]
+        n_looked = look_through(
+            union,
+            window_frames,
+            window,
+            start,
+            tail_frame,
+            tail_links,
+            tail_start,
+            order,
+            lost,
+            most_lost,
+            first,
+        )
+        kept[number] = n_looked == len(order)

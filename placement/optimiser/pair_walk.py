@@ -28,7 +28,7 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.clock import now_s
 
 from .presolve import Detections, ReducedProblem, WordArray, unpack_words
-from .set_tree import Links, avoided_runs, build_rows, first_seen, weigh
+from .set_tree import Links, avoided_runs, build_rows, weigh
 from .threads import WORKERS, share_out
 
 MAX_UNITS = 3
@@ -68,7 +68,7 @@ class PairWalk:
         usable = np.flatnonzero(
             ~limits.is_forbidden & (limits.site_capacity > 0)[limits.site_index]
         )
-        self.runs = _Counted(reduced, links, weight, usable)
+        self.runs = _Counted(links, weight, usable)
         once = np.ones(reduced.n_poses, dtype=np.int64)
         self.poses = self.runs.units(
             reduced.words, reduced.detections.columns, limits.site_index, once
@@ -328,19 +328,18 @@ def _in_threads(
 class _Counted:
     """Runs that weigh anything: those come first in which sets are likely to lose most."""
 
-    def __init__(
-        self, reduced: ReducedProblem, links: Links, weight: FloatArray, poses: IntArray
-    ) -> None:
-        self.links = links
-        runs = np.flatnonzero(weight > 0.0)
-        some = poses[:: max(1, len(poses) // 256)]
-        is_avoided = avoided_runs(links, first_seen(links, some[:, None]))[:, runs]
-        lost = weight[runs] * (1.0 - is_avoided.mean(axis=0)) ** _TOGETHER
+    def __init__(self, links: Links, weight: FloatArray, poses: IntArray) -> None:
+        runs, columns = np.flatnonzero(weight > 0.0), links.detections.columns
+        rows, nothing = build_rows(links, runs), np.zeros_like(links.detections.words[0])
+        avoided = rows.avoided_with(columns, nothing, rows.every)[poses]
+        share = unpack_words(avoided, len(runs)).sum(axis=0) / max(1, len(poses))
+        lost = weight[runs] * (1.0 - share) ** _TOGETHER
         runs = runs[np.argsort(-lost, kind="stable")]
-        self.rows = build_rows(links, reduced.detections, runs)
-        self.weight = weight[runs]
+        self.links, self.weight = links, weight[runs]
+        self.rows = build_rows(links, runs)
         self.table = self.rows.table(weight)
-        self.worth = links.chain_worth(weight)
+        worth = links.chain_worth(weight)
+        self.lost = worth[:, :1] - worth
         chains, first = np.unique(links.run_chain[runs], return_index=True)
         self.chains: IntArray = chains[np.argsort(first)]
 
@@ -362,19 +361,8 @@ class _Counted:
         from .pair_kernels import keep_sets
 
         kept = np.zeros(len(sets), dtype=bool)
-        layout = self.links.layout
-        keep_sets(
-            layout.bits,
-            layout.n_phases,
-            layout.start,
-            layout.tail_links,
-            layout.tail_start,
-            self.worth,
-            self.chains,
-            sets,
-            may_lose,
-            kept,
-        )
+        detections = self.rows.detections
+        keep_sets(detections.words, detections.chains, self.chains, self.lost, sets, may_lose, kept)
         return sets[kept]
 
 

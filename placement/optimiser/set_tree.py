@@ -39,6 +39,7 @@ from .threads import WORKERS, share_out
 if TYPE_CHECKING:
     from .chain_kernels import Layout
 
+_FEW_SETS = 1000  # more are worth that detections are laid out by chains
 _ROUNDS = 8
 _ROOT_STEPS = 250
 _LATER_STEPS = 120  # in rounds that begin with good prices
@@ -50,24 +51,24 @@ _PRICES_OF_APR = (0.0, 0.3, 1.0, 3.0)
 # ---------- detections by chains
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Links:
-    """Detections of a reduced problem, laid out by chains."""
+    """Detections of a reduced problem by chains, laid out when that is asked for."""
 
-    layout: "Layout"  # for kernels
+    detections: Detections
     last: IntArray  # (n_runs,): windows of its chain that end in time for each run
     run_chain: IntArray  # (n_runs,): chain of each run
     n_links: IntArray  # (n_chains,): windows of each chain
+
+    @cached_property
+    def layout(self) -> "Layout":
+        """Detections for kernels; it takes seconds where they take a gigabyte."""
+        return _lay_out(self.detections)
 
     @property
     def longest(self) -> int:
         """Windows of the longest chain: what stands for none seen."""
         return int(self.n_links.max(initial=0))
-
-    @property
-    def n_poses(self) -> int:
-        """Number of poses."""
-        return int(self.layout.bits.shape[0])
 
     def union(self, units: IntArray) -> WordArray:
         """What a set of poses sees, (n_words, n_phases or one more)."""
@@ -85,7 +86,7 @@ class Links:
 def build_links(reduced: ReducedProblem) -> Links:
     """Lay out the detections of a reduced problem by chains."""
     return Links(
-        layout=_lay_out(reduced.detections),
+        detections=reduced.detections,
         last=(reduced.margin_s > -np.inf).sum(axis=1),
         run_chain=reduced.run_chain,
         n_links=np.diff(reduced.chains.start),
@@ -157,8 +158,14 @@ def first_seen(links: Links, sets: IntArray, *, left_out: int = -1) -> IntArray:
     `left_out` is the place of that unit in each set; negative: none.
     """
     from .chain_kernels import set_links
+    from .frame_kernels import first_live_windows
 
     first = np.empty((len(sets), len(links.n_links)), dtype=np.int64)
+    if "layout" not in links.__dict__ and len(sets) <= _FEW_SETS:
+        units = sets if left_out < 0 else np.delete(sets, left_out, axis=1)
+        unions = np.bitwise_or.reduce(links.detections.words[units], axis=1)
+        first_live_windows(unions, links.detections.chains, first)
+        return np.where(first < links.n_links, first, links.longest)
     nothing = np.zeros((len(links.n_links), links.longest + 1))
     set_links(links.layout, nothing, np.ascontiguousarray(sets), left_out, first)
     return first
@@ -260,13 +267,13 @@ class Rows:
         return avoided
 
 
-def build_rows(links: Links, detections: Detections, runs: IntArray) -> Rows:
+def build_rows(links: Links, runs: IntArray) -> Rows:
     """Runs as bits in this order; -1 leaves a bit out."""
     padded = np.full(64 * max(1, -(-len(runs) // 64)), -1)
     padded[: len(runs)] = runs
     is_run = padded >= 0
     return Rows(
-        detections=detections,
+        detections=links.detections,
         run=padded,
         chain=np.where(is_run, links.run_chain[padded], 0),
         last=np.where(is_run, links.last[padded], 0),

@@ -545,4 +545,4 @@ def _rows_by_world(reduced: ReducedProblem, links: Links) -> tuple[Rows, list[sl
         parts.append(np.append(runs, np.full(64 * n_words - len(runs), -1)))
         words.append(slice(begin, begin + n_words))
         begin += n_words
-    return build_rows(links, reduced.detections, np.concatenate(parts)), words
+    return build_rows(links, np.concatenate(parts)), words
