@@ -330,7 +330,7 @@ def is_dominated(
 
 
 def _settled_frames(reduced: ReducedProblem, poses: IntArray) -> Callable[[IntArray], WordArray]:
-    """What finds the frames that each of some poses sees, or that only runs need it avoids alone."""
+    """What finds the frames that each pose sees, or that only runs need which it avoids alone."""
 
     def find(some: IntArray) -> WordArray:
         from .frame_kernels import first_live_windows
