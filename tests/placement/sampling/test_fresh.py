@@ -12,6 +12,8 @@ from placement.sampling import (
     SampledApr,
     Uncertainty,
     draw_samples,
+    judge_layouts,
+    look_at_fresh_worlds,
     out_of_sample,
     out_of_sample_layouts,
 )
@@ -99,6 +101,17 @@ def test_layouts_are_judged_in_the_same_worlds_alone_or_together(setting, layout
     # More units never do harm, world by world; two units of one name are not confused.
     assert (both.apr_by_sample >= np.maximum(one.apr_by_sample, other.apr_by_sample)).all()
     assert not np.array_equal(one.avoided_share, other.avoided_share)
+
+
+def test_worlds_looked_at_in_parts_are_the_same_worlds(setting, layouts, judged):
+    parts = [
+        look_at_fresh_worlds(setting, layouts, LOSSY, n_worlds=n_worlds, first=first)
+        for first, n_worlds in ((0, 5), (5, 4), (9, 3))
+    ]
+    together = judge_layouts(setting, layouts, LOSSY, parts)
+    for item, same in zip(together, judged, strict=True):
+        assert item.apr_by_sample.tolist() == same.apr_by_sample.tolist()
+        assert item.avoided_share == pytest.approx(same.avoided_share)
 
 
 def test_a_name_is_not_luck(setting, layouts, judged):
