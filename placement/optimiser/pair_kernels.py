@@ -29,25 +29,24 @@ def cover_beside(
     row_chain: IntArray,
     row_last: IntArray,
     open_rows: WordArray,
-    begin: int,
-    end: int,
+    frame_0: int,
     alone: WordArray,
     may: WordArray,
     part: WordArray,
 ) -> None:
     """Runs that a union avoids with each of some poses, and for which each may be of use.
 
-    `columns` has bits along the poses, (n_frames, n_words), of which words begin .. end - 1 are
-    looked at; `union` has bits along the frames, and `seen_by`, (n_frames,), says how many see
-    each. Row r is avoided by a live window among the first ``row_last[r]`` of chain
-    ``row_chain[r]``; `open_rows` are looked at. Bits are written along the rows for all poses of
-    those words, (64 n_words, n_row_words): in `alone` where the pose and the union avoid the run,
-    in `may` where it sees a piece that is asked for, in `part` where it sees one that is missing.
-    Of each window, the missing piece is asked for that fewest see. Where `may` and `part` have no
-    rows, `alone` is all that is found.
+    `columns` has bits along the poses for frames from `frame_0` on, (n_frames, n_words); `union`
+    has bits along all frames, and `seen_by`, (n_frames,), says how many see each. Row r is avoided
+    by a live window among the first ``row_last[r]`` of chain ``row_chain[r]``; `open_rows` are
+    looked at. Bits are written along the rows for 64 poses in each word of columns, (64 n_words,
+    n_row_words): in `alone` where the pose and the union avoid the run, in `may` where it sees a
+    piece that is asked for, in `part` where it sees one that is missing. Of each window, the
+    missing piece is asked for that fewest see. Where `may` and `part` have no rows, `alone` is all
+    that is found.
     """
     window_frames, window, start, tail_frame, tail_links, tail_start = chains
-    n_words, n_phases, has_parts = end - begin, window_frames.shape[1], len(may) > 0
+    n_words, n_phases, has_parts = columns.shape[1], window_frames.shape[1], len(may) > 0
     live, hopeful, some = (
         np.empty((64, n_words), dtype=np.uint64),
         np.empty((64, n_words), dtype=np.uint64),
@@ -55,11 +54,7 @@ def cover_beside(
     )
     held = np.empty(n_words, dtype=np.uint64)  # poses that see all tails which a window needs
     # Indices without a sign: loops over words become instructions on many only with these.
-    missing, first, n_all = (
-        np.empty(n_phases, dtype=np.uint64),
-        np.uint64(begin),
-        np.uint64(n_words),
-    )
+    missing, n_all = np.empty(n_phases, dtype=np.uint64), np.uint64(n_words)
     for row_word in range(len(open_rows)):
         live[:], hopeful[:], some[:] = 0, 0, 0
         left = open_rows[row_word]
@@ -79,23 +74,23 @@ def cover_beside(
                         continue
                     if tail_asked < 0 or seen_by[frame] < seen_by[tail_asked]:
                         tail_asked = frame
-                    one = np.uint64(frame)
+                    one = np.uint64(frame - frame_0)
                     for word in range(n_all):
-                        held[word] &= columns[one, first + word]
-                        some[bit, word] |= columns[one, first + word]
+                        held[word] &= columns[one, word]
+                        some[bit, word] |= columns[one, word]
                 asked, n_missing = tail_asked, 0
                 of_window = window[start[chain] + link]
                 for phase in range(n_phases):
                     frame = window_frames[of_window, phase]
                     if (union[frame >> 6] >> np.uint64(frame & 63)) & np.uint64(1) == 0:
-                        missing[n_missing] = frame
+                        missing[n_missing] = frame - frame_0
                         n_missing += 1
                         if asked < 0 or seen_by[frame] < seen_by[asked]:
                             asked = frame
                 if has_parts and asked != asked_before:
-                    asked_before, one = asked, np.uint64(asked)
+                    asked_before, one = asked, np.uint64(asked - frame_0)
                     for word in range(n_all):
-                        hopeful[bit, word] |= columns[one, first + word]
+                        hopeful[bit, word] |= columns[one, word]
                 if n_missing == 0:
                     for word in range(n_all):
                         live[bit, word] |= held[word]
@@ -105,22 +100,42 @@ def cover_beside(
                 three = missing[min(2, n_missing - 1)]
                 if n_missing <= 3:
                     for word in range(n_all):
-                        a, b = columns[one, first + word], columns[two, first + word]
-                        c = columns[three, first + word]
+                        a, b = columns[one, word], columns[two, word]
+                        c = columns[three, word]
                         live[bit, word] |= held[word] & a & b & c
                         some[bit, word] |= a | b | c
                     continue
                 for word in range(n_all):
                     every, any_seen = held[word], np.uint64(0)
                     for number in range(n_missing):
-                        every &= columns[missing[number], first + word]
-                        any_seen |= columns[missing[number], first + word]
+                        every &= columns[missing[number], word]
+                        any_seen |= columns[missing[number], word]
                     live[bit, word] |= every
                     some[bit, word] |= any_seen
         turn_out(live, alone, row_word)
         if has_parts:
             turn_out(hopeful, may, row_word)
             turn_out(some, part, row_word)
+
+
+@kernel
+def turn_some(words: WordArray, some: IntArray, begin: int, columns: WordArray) -> None:
+    """Bits along some poses of bits along the frames, from word `begin` on, (n_frames, n_words)."""
+    n_together = 32
+    block = np.empty((64, n_together), dtype=np.uint64)
+    for place in range(columns.shape[1]):
+        n_poses = min(64, len(some) - 64 * place)
+        for first in range(0, len(columns) >> 6, n_together):
+            n_words = min(n_together, (len(columns) >> 6) - first)
+            block[:] = 0
+            for bit in range(n_poses):
+                of_pose = words[some[64 * place + bit]]
+                for word in range(n_words):
+                    block[bit, word] = of_pose[begin + first + word]
+            turn_blocks(block)
+            for word in range(n_words):
+                for bit in range(64):
+                    columns[64 * (first + word) + bit, place] = block[bit, word]
 
 
 @kernel

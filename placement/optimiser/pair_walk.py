@@ -18,7 +18,7 @@ A walk that ends has met every set that reaches the need.
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TypeVar
 
@@ -27,7 +27,7 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.clock import now_s
 
-from .presolve import Detections, ReducedProblem, WordArray, unpack_words
+from .presolve import Chains, Detections, ReducedProblem, WordArray, unpack_words
 from .set_tree import Links, avoided_runs, build_rows, weigh
 from .threads import WORKERS, share_out
 
@@ -38,6 +38,7 @@ _MAX_TOGETHER = 2000  # poses whose likeness is looked at in one go
 _OUT_PAIRS = 1 << 14
 _FEW_PAIRS = 200  # to be valued beside a class
 _TOGETHER = 12  # poses that are as likely to avoid a run as a class and two units beside it
+_MANY_WORDS = 16  # of which few are worth to be put side by side
 _HARD_ROWS = (192, 576)  # that are looked at first, and then
 
 _T = TypeVar("_T")
@@ -68,11 +69,10 @@ class PairWalk:
         usable = np.flatnonzero(
             ~limits.is_forbidden & (limits.site_capacity > 0)[limits.site_index]
         )
-        self.runs = _Counted(links, weight, usable)
+        self.runs = _Counted(links, weight, usable, in_order=n_units > 2)
         once = np.ones(reduced.n_poses, dtype=np.int64)
-        self.poses = self.runs.units(
-            reduced.words, reduced.detections.columns, limits.site_index, once
-        )
+        detections = self.runs.rows.detections
+        self.poses = self.runs.units(detections.words, detections.columns, limits.site_index, once)
         self.usable = usable
         self.classes = _Classes(self.runs, self.poses, usable, weight) if n_units > 2 else None
         # Of classes: what no set reaches that begins there; infinite: not known yet.
@@ -275,9 +275,10 @@ class _Beside:
         for part in parts:
             if not len(left):
                 break
-            of_left = lost[left]
+            is_used, of_left = np.zeros(len(units.words), dtype=bool), lost[left]
+            is_used[pairs[left]] = True
             add_lost(
-                *self._cover(units, np.unique(pairs[left]), part),
+                *self._cover(units, np.flatnonzero(is_used), part),
                 self.open_rows[part],
                 self.owner.runs.table_of(part),
                 may_lose,
@@ -294,17 +295,33 @@ class _Beside:
     ) -> tuple[WordArray, WordArray, WordArray]:
         """Open rows of a part as ``pair_kernels.cover_beside`` finds them: alone, may, part.
 
-        Rows of all units are there, (64 n_words, n_row_words), but are filled for some alone.
+        Rows of all units are there, but are filled for some alone, (64 n_words, n_row_words).
         """
-        shape = (64 * units.columns.shape[1], part.stop - part.start)
-        bits = np.empty(shape, np.uint64), np.empty(shape, np.uint64), np.empty(shape, np.uint64)
-        is_used = np.zeros(units.columns.shape[1] + 1, dtype=bool)
-        is_used[some >> 6] = True
-        ends = np.flatnonzero(np.diff(is_used, prepend=False))
-        for begin, end in ends.reshape(-1, 2).tolist():
-            self.owner.runs.rows.cover(
-                units.columns, self.union, self.open_rows, part, begin, end, bits
+        from .pair_kernels import turn_some
+
+        counted, words = self.owner.runs, units.columns.shape[1]
+        n_row_words = part.stop - part.start
+
+        def empty(n_words: int) -> tuple[WordArray, WordArray, WordArray]:
+            shape = 64 * n_words, n_row_words
+            return (
+                np.empty(shape, np.uint64),
+                np.empty(shape, np.uint64),
+                np.empty(shape, np.uint64),
             )
+
+        bits = empty(words)
+        if 2 * len(some) > len(units.words) or words < _MANY_WORDS:
+            counted.rows.cover(units.columns, self.union, self.open_rows, part, bits)
+            return bits
+        # Few poses are put side by side.
+        begin, end = counted.frame_words(part)
+        columns = np.empty((64 * (end - begin), -(-len(some) // 64)), dtype=np.uint64)
+        turn_some(units.words, some, begin, columns)
+        of_some = empty(columns.shape[1])
+        counted.rows.cover(columns, self.union, self.open_rows, part, of_some, frame_0=64 * begin)
+        for of_all, few in zip(bits, of_some, strict=True):
+            of_all[some] = few[: len(some)]
         return bits
 
 
@@ -328,15 +345,18 @@ def _in_threads(
 class _Counted:
     """Runs that weigh anything: those come first in which sets are likely to lose most."""
 
-    def __init__(self, links: Links, weight: FloatArray, poses: IntArray) -> None:
+    def __init__(
+        self, links: Links, weight: FloatArray, poses: IntArray, *, in_order: bool
+    ) -> None:
         runs, columns = np.flatnonzero(weight > 0.0), links.detections.columns
         rows, nothing = build_rows(links, runs), np.zeros_like(links.detections.words[0])
         avoided = rows.avoided_with(columns, nothing, rows.every)[poses]
         share = unpack_words(avoided, len(runs)).sum(axis=0) / max(1, len(poses))
         lost = weight[runs] * (1.0 - share) ** _TOGETHER
         runs = runs[np.argsort(-lost, kind="stable")]
-        self.links, self.weight = links, weight[runs]
-        self.rows = build_rows(links, runs)
+        self.links = _in_order(links, runs) if in_order else links
+        self.rows, self.weight = build_rows(self.links, runs), weight[runs]
+        self.first_frame, self.last_frame = _ends(self.links.detections.chains)
         self.table = self.rows.table(weight)
         worth = links.chain_worth(weight)
         self.lost = worth[:, :1] - worth
@@ -351,6 +371,13 @@ class _Counted:
         return _Units(
             words=words, columns=columns, site=site, copies=copies, avoids=avoids[: len(words)]
         )
+
+    def frame_words(self, part: slice) -> tuple[int, int]:
+        """First and last word, and one more, of the frames that rows of a part are about."""
+        rows = slice(64 * part.start, 64 * part.stop)
+        chains = self.rows.chain[rows][self.rows.run[rows] >= 0]
+        first, last = self.first_frame[chains].min(), self.last_frame[chains].max()
+        return int(first) >> 6, (int(last) >> 6) + 1
 
     def table_of(self, part: slice) -> FloatArray:
         """What bytes of the words of a part are worth, (8 n_words, 256)."""
@@ -430,6 +457,54 @@ class _Classes:
         is_once = (pairs[pair, 0] != pairs[pair, 1]) | (one < other)
         once: IntArray = poses[is_once]
         return once
+
+
+def _ends(chains: Chains) -> tuple[IntArray, IntArray]:
+    """First and last frame of the windows and tails of each chain, (n_chains,)."""
+    n_chains = len(chains.start) - 1
+    of_window = np.repeat(np.arange(n_chains), np.diff(chains.start))
+    of_tail = np.repeat(np.arange(n_chains), np.diff(chains.tail_start))
+    frames = chains.window_frames[chains.window]
+    first, last = np.full(n_chains, np.iinfo(np.int64).max), np.full(n_chains, -1)
+    np.minimum.at(first, of_window, frames.min(axis=1))
+    np.minimum.at(first, of_tail, chains.tail_frame)
+    np.maximum.at(last, of_window, frames.max(axis=1))
+    np.maximum.at(last, of_tail, chains.tail_frame)
+    return first, last
+
+
+def _in_order(links: Links, runs: IntArray) -> Links:
+    """The same where frames come in the order of the runs that they are first of use for.
+
+    Frames of no use for these runs are left out.
+    """
+    from .pair_kernels import turn_some
+
+    chains = links.detections.chains
+    rank = np.full(len(links.n_links), len(runs))
+    np.minimum.at(rank, links.run_chain[runs], np.arange(len(runs)))
+    first = np.full(links.detections.n_frames, len(runs))
+    frames, tails = chains.window_frames[chains.window], np.diff(chains.tail_start)
+    np.minimum.at(first, frames, np.repeat(rank, links.n_links)[:, None])
+    np.minimum.at(first, chains.tail_frame, np.repeat(rank, tails))
+    order = np.argsort(first, kind="stable")[: np.count_nonzero(first < len(runs))]
+    number = np.zeros(len(first), dtype=np.int64)
+    number[order] = np.arange(len(order))
+    columns = links.detections.columns
+    words = np.empty((64 * columns.shape[1], -(-len(order) // 64)), dtype=np.uint64)
+
+    def turn(begin: int, end: int) -> None:
+        turn_some(columns, order[64 * begin : 64 * end], 0, words[:, begin:end])
+
+    share_out(turn, words.shape[1])
+    detections = Detections(
+        n_frames=len(order),
+        words=words[: len(links.detections.words)],
+        chains=chains._replace(
+            window_frames=number[chains.window_frames], tail_frame=number[chains.tail_frame]
+        ),
+    )
+    return replace(links, detections=detections)
 
 
 def _hardest_first(open_rows: WordArray) -> list[slice]:

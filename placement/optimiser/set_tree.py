@@ -224,20 +224,18 @@ class Rows:
         union: WordArray,
         open_rows: WordArray,
         part: slice,
-        begin: int,
-        end: int,
         bits: tuple[WordArray, WordArray, WordArray],
+        *,
+        frame_0: int = 0,
     ) -> None:
         """Open rows of some words as ``pair_kernels.cover_beside`` finds them: alone, may, part.
 
-        `columns`, (n_frames, n_words), are of poses or of sets of them, of which words begin ..
-        end - 1 are looked at. `bits` have rows for 64 in each of all those words, or, the last
-        two, none.
+        `columns`, (n_frames, n_words), have bits along poses, or sets of them, for frames from
+        `frame_0` on. `bits` have rows for 64 in each of those words, or, the last two, none.
         """
         from .pair_kernels import cover_beside
 
         rows = slice(64 * part.start, 64 * part.stop)
-        alone, may, some = (bit[64 * begin : 64 * end] for bit in bits)
         cover_beside(
             columns,
             union,
@@ -246,11 +244,8 @@ class Rows:
             self.chain[rows],
             self.last[rows],
             open_rows[part],
-            begin,
-            end,
-            alone,
-            may,
-            some,
+            frame_0,
+            *bits,
         )
 
     def avoided_with(self, columns: WordArray, union: WordArray, rows: WordArray) -> WordArray:
@@ -261,7 +256,7 @@ class Rows:
         def look(begin: int, end: int) -> None:
             part = slice(begin, end)
             bits = avoided[:, part], none, none
-            self.cover(columns, union, rows, part, 0, columns.shape[1], bits)
+            self.cover(columns, union, rows, part, bits)
 
         share_out(look, self.n_words, few=WORKERS)
         return avoided
