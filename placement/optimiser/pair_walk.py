@@ -78,6 +78,8 @@ class PairWalk:
         # Of classes: what no set reaches that begins there; infinite: not known yet.
         n_classes = 0 if self.classes is None else len(self.classes.units.site)
         self.promise = np.full(n_classes, np.inf)
+        # And the least need for which all sets were met that begin there; infinite: none yet.
+        self.met = np.full(n_classes, np.inf)
         self.left_limit = self.total  # no set that was not met is worth more
 
     @property
@@ -88,8 +90,13 @@ class PairWalk:
     def again(self, need: float) -> "PairWalk":
         """The same walk from its beginning for another need."""
         walk = copy(self)
-        walk.need, walk.is_finished = need, False
+        walk.met = np.full_like(self.met, np.inf)
+        walk.go_on(need)
         return walk
+
+    def go_on(self, need: float) -> None:
+        """Walk for another need, but leave out what was met for that or less."""
+        self.need, self.is_finished = need, False
 
     def raise_needs(self, need: float, left: float = 0.0) -> None:
         """Ask for more from here on; nothing is asked of what is `left` when units fail."""
@@ -105,7 +112,7 @@ class PairWalk:
 
         An empty block says that nothing was found for a while. The order is left to chance.
         """
-        if self.n_units == 2:
+        if self.n_units == 2:  # it takes less than to look for what can be left out
             found = self._all_pairs()
             self._look_at_left(np.empty(0))
             yield found
@@ -118,10 +125,11 @@ class PairWalk:
         limits = np.minimum(self.promise, self.total)
         most_first = np.argsort(-limits, kind="stable")
         places = most_first[limits[most_first] >= self.total - self.may_lose]
+        places = places[self.met[places] > self.need]
         is_left = np.isin(np.arange(len(limits)), places)
         self._look_at_left(limits[is_left])
-        for place, sets in _in_threads(self._beside_class, places.tolist(), end_s):
-            is_left[place] = False
+        for place, (need, sets) in _in_threads(self._beside_class, places.tolist(), end_s):
+            self.met[place], is_left[place] = need, False
             self._look_at_left(limits[is_left])
             yield sets
 
@@ -144,9 +152,9 @@ class PairWalk:
         behind = np.arange(place, len(units.site))
         return self.total - _Beside(self, units, place).least_lost(units, behind)
 
-    def _beside_class(self, place: int) -> IntArray:
-        """Sets of a class and those behind it that reach the need."""
-        classes, limits = self.classes, self.limits
+    def _beside_class(self, place: int) -> tuple[float, IntArray]:
+        """The need, and sets of a class and those behind it that reach it."""
+        classes, limits, need = self.classes, self.limits, self.need
         assert classes is not None
         behind = np.arange(place, len(classes.units.site))
         beside, members = _Beside(self, classes.units, place), classes.members(place)
@@ -168,7 +176,7 @@ class PairWalk:
         sites = limits.site_index[sets]
         n_beside = (sites[:, :, None] == sites[:, None, :]).sum(axis=2)
         sets = sets[(n_beside <= limits.site_capacity[sites]).all(axis=1)]
-        return self.runs.keep(sets, self.may_lose)
+        return need, self.runs.keep(sets, self.may_lose)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -46,6 +46,7 @@ _N_RESTARTS = 40
 _SEED = 1
 _WORLD_ROUNDS = 12
 _STEP_UP = 2.0 * TOLERANCE
+_AT_ONCE_SHARE = 0.3  # of the time, for a walk by pairs to meet all ties
 _NEAR = 0.009  # relative: what is proven at least, before ties are met
 
 
@@ -423,10 +424,12 @@ class SetSearch:
         if now_s() > end_s:
             limit = self.reduced.measure.limit
             return Tied(sets=None, value=best, limit=max(limit, best), is_finished=False)
-        walk = walk_from(best + ahead)
-        limit = self._rounded_down(walk.root_limit)
         is_proven = ahead > 0.0 and not is_near
-        if is_proven or (is_near and limit >= best + ahead):
+        tied, has_all = [np.empty((0, self.n_units), dtype=np.int64)], True
+
+        def look(walk: SetWalk | PairWalk, end_s: float, ahead: float) -> None:
+            """Take better sets, and where nothing more is asked for all that tie."""
+            nonlocal best, tied, has_all
             for block in walk.blocks(end_s):
                 block = within(block)
                 value = value_of(block)
@@ -435,30 +438,38 @@ class SetSearch:
                     best = max(float(value.max()), float(value_of(better[None, :])[0]))
                     need = best + ahead
                     walk.raise_needs(need if least_apr is None else least_apr, need)
+                    tied, has_all = tied[:1], True
+                if has_all and not ahead:
+                    tied.append(block[value >= best - TOLERANCE])
+                    has_all = sum(map(len, tied)) <= _MAX_TIED
+                    if not has_all:
+                        if is_proven:
+                            break
+                        need = best + max(step, _STEP_UP)
+                        walk.raise_needs(need if least_apr is None else least_apr, need)
+
+        walk = walk_from(best + ahead)
+        limit = self._rounded_down(walk.root_limit)
+        if isinstance(walk, PairWalk):  # often there is time to meet all ties at once
+            walk.go_on(best)
+            look(walk, now_s() + _AT_ONCE_SHARE * (end_s - now_s()), 0.0)
+        if not walk.is_finished and (is_proven or (is_near and limit >= best + ahead)):
+            if isinstance(walk, PairWalk):
+                walk.go_on(best + ahead)
+            look(walk, end_s, ahead)
             if not walk.is_finished:
                 limit = max(min(limit, self._left_limit(walk)), best)
                 return Tied(sets=None, value=best, limit=limit, is_finished=False)
             limit = min(limit, self._rounded_down(best + ahead)) if is_near else best
             if now_s() > end_s:
                 return Tied(sets=None, value=best, limit=limit, is_finished=is_proven)
-        walk = walk_from(best)
-        tied, has_all = [np.empty((0, self.n_units), dtype=np.int64)], True
-        for block in walk.blocks(end_s):
-            block = within(block)
-            value = value_of(block)
-            if len(block) and value.max() > best + TOLERANCE:
-                better = on_better(block[value.argmax()])
-                best = max(float(value.max()), float(value_of(better[None, :])[0]))
-                walk.raise_needs(best if least_apr is None else least_apr, best)
-                tied, has_all = tied[:1], True
-            if has_all:
-                tied.append(block[value >= best - TOLERANCE])
-                has_all = sum(map(len, tied)) <= _MAX_TIED
-                if not has_all:
-                    if is_proven:
-                        break
-                    need = best + max(step, _STEP_UP)
-                    walk.raise_needs(need if least_apr is None else least_apr, need)
+            walk.is_finished = False
+        if not walk.is_finished:
+            if isinstance(walk, PairWalk):
+                walk.go_on(best if has_all else best + _STEP_UP)
+            else:
+                walk = walk_from(best)
+            look(walk, end_s, 0.0)
         is_proven |= walk.is_finished
         limit = min(limit, self._left_limit(walk))
         sets = np.unique(np.sort(np.concatenate(tied), axis=1), axis=0)
