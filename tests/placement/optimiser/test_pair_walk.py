@@ -1,7 +1,7 @@
 """The walk through pairs beside a unit against all sets, on small tables."""
 
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, islice
 
 import numpy as np
 import pytest
@@ -129,6 +129,15 @@ def test_many_poses_in_many_runs_are_all_met(
             met = np.concatenate([sets[:0], *walk.again(need).blocks(np.inf)])
             expected = numbered(sets[share >= need])
             assert np.array_equal(np.sort(numbered(met)), np.sort(expected))
+        # Broken off, walked for more, and gone on with: what was met is not met again.
+        walk = walk.again(need)
+        met = [sets[:0], *islice(walk.blocks(np.inf), 100)]
+        walk.go_on(need + 0.5 * (share.max() - need))
+        assert len(np.concatenate([sets[:0], *walk.blocks(np.inf)])) < len(expected)
+        walk.go_on(need)
+        met += walk.blocks(np.inf)
+        assert walk.is_finished
+        assert set(numbered(np.concatenate(met))) == set(expected)
 
 
 def test_more_units_than_three_are_refused() -> None:

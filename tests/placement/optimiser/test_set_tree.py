@@ -11,7 +11,7 @@ from problems import questions
 
 from geometry.arrays import IntArray
 from geometry.clock import now_s
-from placement.optimiser import PlacementProblem, presolve
+from placement.optimiser import PlacementProblem, presolve, tied_sets
 from placement.optimiser.bitsets import left_after_failures, set_values, union_apr, unions_of
 from placement.optimiser.cover_tree import SetWalk, widest_poses
 from placement.optimiser.limits import are_allowed
@@ -50,6 +50,27 @@ def test_chains_tell_which_runs_a_set_avoids(problem: PlacementProblem) -> None:
         others = unions_of(reduced, np.delete(sets, unit, axis=1))
         share = avoided_runs(links, first_seen(links, sets, left_out=unit)) @ reduced.weight
         assert share == pytest.approx(union_apr(reduced, others))
+    laid_out = build_links(reduced)
+    assert laid_out.layout.n_phases > 0  # from here on they are looked at by chains
+    for unit in range(-1, n_units):
+        first = (first_seen(some, sets, left_out=unit) for some in (links, laid_out))
+        np.testing.assert_array_equal(*first)
+
+
+@given(problem=questions(), seed=st.integers(0, 99))
+def test_shares_with_each_pose_are_those_of_the_sets(problem: PlacementProblem, seed: int) -> None:
+    reduced = presolve(problem)
+    if not can_walk(reduced):
+        return
+    search, every = SetSearch(reduced), np.arange(reduced.n_poses)
+    rng = np.random.default_rng(seed)
+    units = rng.choice(every, size=seed % reduced.limits.max_units, replace=False)
+    sets = np.column_stack([np.tile(units, (len(every), 1)), every])
+    assert search.shares_with_each(units) == pytest.approx(search.shares(sets))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tied_sets, "_FEW_POSES", 0)
+        some = every[seed % 2 :: 2]
+        assert search.shares_with_each(units, some) == pytest.approx(search.shares(sets[some]))
 
 
 @given(problem=ANY_PROBLEM, n_failures=st.integers(0, 2), place=st.floats(0.0, 1.0))
@@ -92,8 +113,10 @@ def test_a_walk_meets_every_set_that_meets_its_needs(
         assert len(set(as_tuples(met))) == len(met)
 
 
-@given(problem=questions())
-def test_the_best_of_the_tied_sets_is_the_best_of_all(problem: PlacementProblem) -> None:
+@given(problem=questions(), at_once=st.booleans())
+def test_the_best_of_the_tied_sets_is_the_best_of_all(
+    problem: PlacementProblem, at_once: bool
+) -> None:
     reduced = presolve(replace(problem, floors=(), goal="best"))
     if not can_walk(reduced):
         return
@@ -108,13 +131,16 @@ def test_the_best_of_the_tied_sets_is_the_best_of_all(problem: PlacementProblem)
         best = row if row.exceeds(best) else best
     search = SetSearch(reduced)
     assert search.apr_limit >= max(search.shares(sets).max() for sets in sizes) - 1e-9
-    tied = search.tied(
-        sizes[-1][0],
-        n_failures=reduced.survive,
-        least_apr=None,
-        end_s=END_S,
-        on_better=lambda units: search.climb(units, end_s=END_S),
-    )
+    with pytest.MonkeyPatch.context() as patch:
+        if not at_once:  # as where that takes too long
+            patch.setattr(tied_sets, "_AT_ONCE_SHARE", 0.0)
+        tied = search.tied(
+            sizes[-1][0],
+            n_failures=reduced.survive,
+            least_apr=None,
+            end_s=END_S,
+            on_better=lambda units: search.climb(units, end_s=END_S),
+        )
     assert tied.is_finished
     assert tied.sets is not None
     found = search.best_of(tied.sets, n_failures=reduced.survive, value=tied.value)
