@@ -235,6 +235,61 @@ def find_pairs(
 
 
 @kernel
+def find_pairs_within(
+    class_alone: WordArray,
+    class_may: WordArray,
+    class_part: WordArray,
+    alone: WordArray,
+    may: WordArray,
+    part: WordArray,
+    open_rows: WordArray,
+    table: FloatArray,
+    may_lose: float,
+    pairs: IntArray,
+    start: IntArray,
+    size: IntArray,
+    member: IntArray,
+    begin: int,
+    out: IntArray,
+    of_out: FloatArray,
+) -> tuple[int, int]:
+    """Pairs of poses, one of each class of some pairs, that may lose so little together.
+
+    Poses of class g are ``size[g]`` from ``member[start[g]]`` on; bits of classes and of poses are
+    as in :func:`find_pairs`. Pairs, (n, 2), and what they lose, (n,), are written until there is no
+    room for those of one pair more. Returns the pair of classes to go on at, from `begin` on, and
+    how many pairs of poses were written.
+    """
+    n_found = 0
+    for number in range(begin, len(pairs)):
+        first, second = pairs[number, 0], pairs[number, 1]
+        if n_found + size[first] * size[second] > len(out):
+            return number, n_found
+        for place in range(size[first]):
+            one, lost = member[start[first] + place], 0.0
+            for word in range(len(open_rows)):
+                covered = alone[one, word] | class_alone[second, word]
+                covered |= part[one, word] & class_part[second, word]
+                covered &= may[one, word] | class_may[second, word]
+                lost += weight_of_word(open_rows[word] & ~covered, word, table)
+                if lost > may_lose:
+                    break
+            if lost > may_lose:
+                continue
+            for other_place in range(place + 1 if first == second else 0, size[second]):
+                other, lost = member[start[second] + other_place], 0.0
+                for word in range(len(open_rows)):
+                    lost += lost_in_word(alone, may, part, open_rows, table, word, one, other)
+                    if lost > may_lose:
+                        break
+                if lost <= may_lose:
+                    out[n_found, 0], out[n_found, 1] = one, other
+                    of_out[n_found] = lost
+                    n_found += 1
+    return len(pairs), n_found
+
+
+@kernel
 def weights_of(bits: WordArray, table: FloatArray, total: FloatArray) -> None:
     """What the bits of each row weigh, by a table of bytes, (n,)."""
     for number in range(len(bits)):

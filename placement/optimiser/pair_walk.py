@@ -154,12 +154,11 @@ class PairWalk:
 
     def _beside_class(self, place: int) -> tuple[float, IntArray]:
         """The need, and sets of a class and those behind it that reach it."""
-        classes, limits, need = self.classes, self.limits, self.need
+        classes, limits = self.classes, self.limits
         assert classes is not None
         behind = np.arange(place, len(classes.units.site))
         beside, members = _Beside(self, classes.units, place), classes.members(place)
-        pairs = classes.pairs_of_poses(beside.pairs(classes.units, behind))
-        found = beside.thin(self.poses, pairs)
+        found = beside.pairs_within(classes, beside.pairs(classes.units, behind))
         if len(found) > _FEW_PAIRS:  # the class promises too much: its poses one by one
             parts = []
             for member in members.tolist():
@@ -176,7 +175,8 @@ class PairWalk:
         sites = limits.site_index[sets]
         n_beside = (sites[:, :, None] == sites[:, None, :]).sum(axis=2)
         sets = sets[(n_beside <= limits.site_capacity[sites]).all(axis=1)]
-        return need, self.runs.keep(sets, self.may_lose)
+        sets = self.runs.keep(sets, self.may_lose)
+        return self.need, sets  # it may have been raised meanwhile
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -209,7 +209,8 @@ class _Beside:
         owner = self.owner
         part, may_lose = self.parts[0], owner.may_lose
         open_rows, table = self.open_rows[part], owner.runs.table_of(part)
-        alone, may, some_of = (bits[some] for bits in self._cover(units, some, part))
+        self.hardest = self._cover(units, some, part)
+        alone, may, some_of = (bits[some] for bits in self.hardest)
         site, copies = units.site[some], units.copies[some]
         gain = weigh(may, table)
         need = float(weigh(open_rows[None, :], table)[0]) - may_lose
@@ -241,6 +242,42 @@ class _Beside:
             lost.append(of_out[:n_found])
         pairs = some[np.concatenate(found)]
         return pairs[self._may_lose_little(units, pairs, np.concatenate(lost), self.parts[1:])]
+
+    def pairs_within(self, classes: "_Classes", pairs: IntArray) -> IntArray:
+        """Pairs of poses of classes, (n, 2), that may lose little beside.
+
+        `pairs` of classes are those that were found last.
+        """
+        from .pair_kernels import find_pairs_within
+
+        if not len(pairs):
+            return pairs
+        poses, part, may_lose = self.owner.poses, self.parts[0], self.owner.may_lose
+        is_used = np.isin(classes.class_of, pairs)
+        of_poses = self._cover(poses, np.flatnonzero(is_used), part)
+        most = int(classes.size[pairs].prod(axis=1).max())
+        found, lost, begin = [], [], 0
+        while begin < len(pairs):
+            out = np.empty((_OUT_PAIRS + most, 2), dtype=np.int64)
+            of_out = np.empty(len(out))
+            begin, n_found = find_pairs_within(
+                *self.hardest,
+                *of_poses,
+                self.open_rows[part],
+                self.owner.runs.table_of(part),
+                may_lose,
+                pairs,
+                classes.start,
+                classes.size,
+                classes.member,
+                begin,
+                out,
+                of_out,
+            )
+            found.append(out[:n_found])
+            lost.append(of_out[:n_found])
+        pairs = np.concatenate(found)
+        return pairs[self._may_lose_little(poses, pairs, np.concatenate(lost), self.parts[1:])]
 
     def least_lost(self, units: _Units, some: IntArray) -> float:
         """No pair of some classes loses less of the hardest runs beside."""
@@ -454,18 +491,6 @@ class _Classes:
         begin = self.start[one]
         return self.member[begin : begin + self.size[one]]
 
-    def pairs_of_poses(self, pairs: IntArray) -> IntArray:
-        """All pairs of poses, one of each class of some pairs of them, (n, 2)."""
-        size = self.size[pairs]
-        count = size.prod(axis=1)
-        pair = np.repeat(np.arange(len(pairs)), count)
-        number = np.arange(len(pair)) - np.repeat(np.cumsum(count) - count, count)
-        one, other = np.divmod(number, size[pair, 1])
-        poses: IntArray = self.member[self.start[pairs][pair] + np.column_stack([one, other])]
-        is_once = (pairs[pair, 0] != pairs[pair, 1]) | (one < other)
-        once: IntArray = poses[is_once]
-        return once
-
 
 def _ends(chains: Chains) -> tuple[IntArray, IntArray]:
     """First and last frame of the windows and tails of each chain, (n_chains,)."""
@@ -502,7 +527,9 @@ def _in_order(links: Links, runs: IntArray) -> Links:
     words = np.empty((64 * columns.shape[1], -(-len(order) // 64)), dtype=np.uint64)
 
     def turn(begin: int, end: int) -> None:
-        turn_some(columns, order[64 * begin : 64 * end], 0, words[:, begin:end])
+        of_part = np.empty((len(words), end - begin), dtype=np.uint64)
+        turn_some(columns, order[64 * begin : 64 * end], 0, of_part)
+        words[:, begin:end] = of_part
 
     share_out(turn, words.shape[1])
     detections = Detections(

@@ -251,12 +251,12 @@ class Rows:
     def avoided_with(self, columns: WordArray, union: WordArray, rows: WordArray) -> WordArray:
         """Which of some rows a union avoids with each of all poses, (64 n_pose_words, n_words)."""
         avoided = np.empty((64 * columns.shape[1], self.n_words), dtype=np.uint64)
-        none = np.empty((0, self.n_words), dtype=np.uint64)
+        none = np.empty((0, 0), dtype=np.uint64)
 
         def look(begin: int, end: int) -> None:
-            part = slice(begin, end)
-            bits = avoided[:, part], none, none
-            self.cover(columns, union, rows, part, bits)
+            of_part = np.empty((len(avoided), end - begin), dtype=np.uint64)
+            self.cover(columns, union, rows, slice(begin, end), (of_part, none, none))
+            avoided[:, begin:end] = of_part
 
         share_out(look, self.n_words, few=WORKERS)
         return avoided
