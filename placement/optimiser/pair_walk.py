@@ -7,7 +7,7 @@ another unit is known, since what that one sees is not asked for any more. So
 * poses of a site that avoid much the same runs are a *class*, as good as all of them together;
 * classes are gone through, each with those behind it. Beside each, the other classes are laid out
   by the runs that they avoid with it, and by those where they may be of use
-  (:mod:`placement.optimiser.pair_kernels`): first by the hardest runs alone, which tell of most
+  (:mod:`placement.optimiser.pair_kernels`): first by the runs alone where most is to be lost, which tell of most
   pairs that they lose too much, and which bound all sets that begin with the class;
 * the class that promises most comes first, so that what was not looked at promises less and less.
   Of its pairs that are left, the poses are laid out, and then beside each of the class's own.
@@ -33,13 +33,13 @@ from .threads import WORKERS, share_out
 
 MAX_UNITS = 3
 _SLACK = 1.0e-9  # relative: rounding of sums
-_CLASS_POSES = 8  # of a class, on average
+_CLASS_POSES = 12  # of a class, on average
 _MAX_TOGETHER = 2000  # poses whose likeness is looked at in one go
 _OUT_PAIRS = 1 << 14
 _FEW_PAIRS = 200  # to be valued beside a class
-_TOGETHER = 12  # poses that are as likely to avoid a run as a class and two units beside it
+_TOGETHER = 16  # poses: what they all miss is likely to be lost beside a class, by two more, too
 _MANY_WORDS = 16  # of which few are worth to be put side by side
-_HARD_ROWS = (192, 576)  # that are looked at first, and then
+_HARD_ROWS = (256, 512)  # that are looked at first, and then
 
 _T = TypeVar("_T")
 
