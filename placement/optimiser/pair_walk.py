@@ -7,8 +7,9 @@ another unit is known, since what that one sees is not asked for any more. So
 * poses of a site that avoid much the same runs are a *class*, as good as all of them together;
 * classes are gone through, each with those behind it. Beside each, the other classes are laid out
   by the runs that they avoid with it, and by those where they may be of use
-  (:mod:`placement.optimiser.pair_kernels`): first by the runs alone where most is to be lost, which tell of most
-  pairs that they lose too much, and which bound all sets that begin with the class;
+  (:mod:`placement.optimiser.pair_kernels`): first by the runs alone where most is likely to be
+  lost, which tell of most pairs that they lose too much, and which bound all sets that begin with
+  the class;
 * the class that promises most comes first, so that what was not looked at promises less and less.
   Of its pairs that are left, the poses are laid out, and then beside each of the class's own.
 
