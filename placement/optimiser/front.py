@@ -189,16 +189,15 @@ def one_failed_limit(reduced: ReducedProblem) -> float:
     when it had c, too. So no set keeps more than all poses but c reach, whichever c is.
     """
     words = reduced.words
-    before = np.zeros_like(words)
-    after = np.zeros_like(words)
-    before[1:] = np.bitwise_or.accumulate(words, axis=0)[:-1]
-    after[:-1] = np.bitwise_or.accumulate(words[::-1], axis=0)[::-1][1:]
-    everything = before | after | words
-    others = before | after
-    needed = np.flatnonzero((others != everything).any(axis=1))
-    if not len(needed):
-        return float(union_apr(reduced, everything[:1])[0])
-    return float(union_apr(reduced, others[needed]).min())
+    everything, twice = np.zeros_like(words[0]), np.zeros_like(words[0])
+    for seen in words:
+        twice |= everything & seen
+        everything |= seen
+    once = everything & ~twice
+    needed = [pose for pose, seen in enumerate(words) if (seen & once).any()]
+    if not needed:
+        return float(union_apr(reduced, everything[None, :])[0])
+    return float(union_apr(reduced, everything & ~(words[needed] & once)).min())
 
 
 def tightened(stage: Stage, bound: float) -> Stage:
