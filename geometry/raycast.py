@@ -109,8 +109,7 @@ class EmbreexCaster:
         """See :class:`RayCaster`."""
         if self._is_empty or len(origins_m) == 0:
             return np.zeros(len(origins_m), dtype=bool)
-        ends = np.ones(len(origins_m), dtype=np.float32)
-        hits = self._scene.run(*_contiguous(origins_m, vectors_m), dists=ends, query="OCCLUDED")
+        hits = self._scene.run(*_contiguous(origins_m, vectors_m), dists=1.0, query="OCCLUDED")
         blocked: BoolArray = hits != -1
         return blocked
 
