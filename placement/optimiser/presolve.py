@@ -529,6 +529,7 @@ def _turn(rows: PackedArray, chosen: IntArray, bits: IntArray, turned: WordArray
     from .presolve_kernels import turn_chosen
 
     rows = np.ascontiguousarray(rows).view(np.uint8)
+    rows.flags.writeable = False  # as tables are: there is one kernel for both
     place = np.full(8 * rows.shape[1], -1)
     place[bits] = np.arange(len(bits))
 

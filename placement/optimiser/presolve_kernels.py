@@ -152,7 +152,8 @@ def number_rows(
             first[n_distinct] = row
             n_distinct += 1
         number[row] = slots[slot]
-    slots[:n_distinct] = first[:n_distinct]
+    for slot in range(n_distinct):
+        slots[slot] = first[slot]
     return n_distinct
 
 

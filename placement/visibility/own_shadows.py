@@ -98,14 +98,14 @@ def _find_planes(points: Array, triangles: Array, normals: Array, planes: Array)
             if n_planes == _MOST_PLANES or (height >= 0.0 and not is_on):
                 n_on = 0  # too many, or the way might soon leave the body
                 break
-            planes[point, n_planes] = normal
+            for axis in range(3):
+                planes[point, n_planes, axis] = normal[axis]
             n_planes += 1
             n_on += is_on
-        if n_on == 0:
-            planes[point] = 0.0
-            continue
-        for plane in range(n_planes, _MOST_PLANES):
-            planes[point, plane] = planes[point, 0]
+        # What is not used says nothing new.
+        for plane in range(n_planes if n_on else 0, _MOST_PLANES):
+            for axis in range(3):
+                planes[point, plane, axis] = planes[point, 0, axis] if n_on else 0.0
 
 
 @kernel
