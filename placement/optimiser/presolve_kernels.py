@@ -152,8 +152,8 @@ def number_rows(
             first[n_distinct] = row
             n_distinct += 1
         number[row] = slots[slot]
-    for slot in range(n_distinct):
-        slots[slot] = first[slot]
+    for place in range(n_distinct):
+        slots[place] = first[place]
     return n_distinct
 
 
