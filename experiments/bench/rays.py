@@ -54,16 +54,20 @@ _MAX_DISTANCE_M = 60.0
 _EVERY_MOUNT = 4  # of which the table's verdicts are counted
 
 
-class Recorder:
-    """A caster that keeps the rays it is asked for."""
+Calls = list[tuple[Callable[..., object], Any]]
 
-    def __init__(self, caster: RayCaster) -> None:
-        self.caster = caster
+
+class Recorder:
+    """A caster that keeps the rays it is asked for, and notes the call in the last list of some."""
+
+    def __init__(self, caster: RayCaster, calls: list[Calls]) -> None:
+        self.caster, self.calls = caster, calls
         self.rays: list[tuple[FloatRays, FloatRays]] = []
 
     def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
         """See :class:`geometry.raycast.RayCaster`."""
         self.rays.append((np.array(origins_m), np.array(vectors_m)))
+        self.calls[-1].append((self.caster.is_blocked, self.rays[-1]))
         return self.caster.is_blocked(origins_m, vectors_m)
 
     def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
@@ -81,13 +85,17 @@ class Recorder:
 def measure_casting(setting: Setting, candidates: tuple[CandidatePose, ...]) -> Figures:
     """The table's rays: how many are cast, and how long that takes beside bare Embree.
 
-    Bare Embree gets the same rays in one call per scene and thread, with everything prepared.
+    Ours are cast as when the table is built, all of one mount in one thread. Bare Embree gets the
+    same rays in one call per scene and thread, with everything prepared.
     """
     world = build_world(setting.scene, setting.runs, n_points=N_POINTS, seed=0)
     mounts = list({tuple(c.pose.position_m): c for c in candidates}.values())[:N_MOUNTS]
 
+    of_mounts: list[Calls] = []
+
     def cast(cast_world: World) -> None:
         for mount in mounts:
+            of_mounts.append([])
             cast_sight(
                 cast_world,
                 mount.pose.position_m,
@@ -96,10 +104,10 @@ def measure_casting(setting: Setting, candidates: tuple[CandidatePose, ...]) -> 
                 for_lidar=False,
             )
 
-    scene = Recorder(world.lasting.caster)
-    parked = [Recorder(caster) for caster in world.standing.casters]
-    bodies = [Recorder(body) for body in world.lasting.bodies]
-    vut = Recorder(world.vehicles.casters[0])
+    scene = Recorder(world.lasting.caster, of_mounts)
+    parked = [Recorder(caster, of_mounts) for caster in world.standing.casters]
+    bodies = [Recorder(body, of_mounts) for body in world.lasting.bodies]
+    vut = Recorder(world.vehicles.casters[0], of_mounts)
     vehicles = replace(world.vehicles, casters=(vut,))
     vut_shape = world.vehicles.actors[0].shapes[0]
     standing = replace(world.standing, casters=tuple(parked))
@@ -122,9 +130,7 @@ def measure_casting(setting: Setting, candidates: tuple[CandidatePose, ...]) -> 
     with threadpool_limits(1):
         seconds = {
             n_threads: in_turn(
-                _together(
-                    [(r.caster.is_blocked, rays) for *_, r in cast_to for rays in r.rays], n_threads
-                ),
+                _together([(_in_order, (calls,)) for calls in of_mounts], n_threads),
                 _together(
                     [
                         (bare_embree(vertices, np.asarray(triangles), [part]), ())
@@ -178,7 +184,12 @@ def _split(
     yield from zip(np.array_split(origins, n_parts), np.array_split(vectors, n_parts), strict=True)
 
 
-def _together(calls: list[tuple[Callable[..., object], Any]], n_threads: int) -> Callable[[], None]:
+def _in_order(calls: Calls) -> None:
+    for call, given in calls:
+        call(*given)
+
+
+def _together(calls: Calls, n_threads: int) -> Callable[[], None]:
     """All calls, on some threads."""
 
     def run() -> None:
