@@ -1,7 +1,5 @@
 """A wide open place with two poles, and people who walk by."""
 
-from functools import lru_cache
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,6 @@ from placement.candidates import CandidateGrid, build_candidates
 from placement.detectors import load_detector, load_planning_detector
 from placement.pipeline import place
 from placement.setting import Setting
-from placement.visibility import casting
 from placement.wishes import Wishes
 from scenarios.aeb import Encounter, load_aeb_rule
 from scenarios.cases import load_cases
@@ -154,11 +151,3 @@ def meadow_grid(meadow, narrow_camera):
 @pytest.fixture(scope="session")
 def meadow_placement(meadow, meadow_grid):
     return place(meadow, meadow_grid, wishes=Wishes(budget_units=1))
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _points_are_picked_once():
-    """The points on a body are the same in every scene here: they are not picked again."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(casting, "build_surface", lru_cache(casting.build_surface))
-        yield
