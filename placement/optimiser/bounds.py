@@ -23,8 +23,7 @@ from scenarios.aeb import AebRule
 from scenarios.runs import FrameAxis
 
 from .limits import Limits
-from .presolve import WordArray
-from .problem import tails_behind, timely_windows_end
+from .problem import WordArray, tails_behind, timely_windows_end
 
 # ---------- supply
 

@@ -14,7 +14,7 @@ import numpy as np
 from geometry.arrays import FloatArray, IntArray
 from geometry.kernels import kernel
 
-from .presolve import WordArray
+from .problem import WordArray
 
 
 class Layout(NamedTuple):

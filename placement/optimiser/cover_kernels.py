@@ -11,7 +11,7 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
 
 from .chain_kernels import Layout, join, lost_with, lowest_bit
-from .presolve import WordArray
+from .problem import WordArray
 from .root_kernels import ByteArray, weigh_bytes, weight_of
 
 DONE, PAUSED, FULL, AT_STOP = 0, 1, 2, 3

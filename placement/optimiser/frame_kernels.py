@@ -10,7 +10,7 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
 
 from .chain_kernels import lowest_bit
-from .presolve import Chains, WordArray
+from .problem import Chains, WordArray
 
 
 @kernel

@@ -17,7 +17,7 @@ from geometry.kernels import kernel
 
 from .chain_kernels import lowest_bit
 from .frame_kernels import look_through, turn_blocks
-from .presolve import Chains, WordArray
+from .problem import Chains, WordArray
 
 
 @kernel

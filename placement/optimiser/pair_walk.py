@@ -28,7 +28,8 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.clock import now_s
 
-from .presolve import Chains, Detections, ReducedProblem, WordArray, unpack_words
+from .presolve import Detections, ReducedProblem, unpack_words
+from .problem import Chains, WordArray
 from .set_tree import Links, avoided_runs, build_rows, weigh
 from .threads import WORKERS, share_out
 

@@ -17,7 +17,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,16 +26,17 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from .limits import Limits
 from .objectives import COST_TOLERANCE_EUR, Goal, Objective, objectives_in_order
 from .problem import (
+    Chains,
     Measure,
     PlacementProblem,
     Requirement,
+    WordArray,
     run_of_frames,
     tails_behind,
     timely_windows_end,
 )
 from .threads import WORKERS, share_out
 
-WordArray = NDArray[np.uint64]
 PackedArray = WordArray | NDArray[np.uint8]
 _MAX_CELLS = 1 << 28  # poses x merged frames: models take some bytes for each
 _MAX_LOOKED = 256  # words by which poses are told that see less
@@ -64,23 +64,6 @@ class PresolveStatistics:
                 ("runs", self.n_runs),
             )
         )
-
-
-class Chains(NamedTuple):
-    """Windows of runs in the order of time, and what keeps them alive: plain arrays for kernels.
-
-    Runs that go through the same windows, to different ends, share a chain.
-    """
-
-    # (n_windows, n_confirmations or 1): merged frames that each window needs; one may stand there
-    # twice.
-    window_frames: IntArray
-    window: IntArray  # (n_links,): the windows of all chains, chain after chain
-    start: IntArray  # (n_chains + 1,): links of chain g are start[g] .. start[g + 1] - 1
-    # (n_tails,): merged frames without which the first windows of a chain are not live.
-    tail_frame: IntArray
-    tail_links: IntArray  # (n_tails,): how many windows those are; falling within each chain
-    tail_start: IntArray  # (n_chains + 1,): tails of each chain
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
 
-from .presolve import Chains, WordArray
+from .problem import Chains, WordArray
 
 ByteArray = NDArray[np.uint8]
 

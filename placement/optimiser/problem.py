@@ -6,7 +6,7 @@ from itertools import chain, combinations
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
@@ -414,6 +414,26 @@ class Requirement:
 
 
 # ---------- windows that end in time, and what keeps them alive
+
+
+WordArray = NDArray[np.uint64]
+
+
+class Chains(NamedTuple):
+    """Windows of runs in the order of time, and what keeps them alive: plain arrays for kernels.
+
+    Runs that go through the same windows, to different ends, share a chain.
+    """
+
+    # (n_windows, n_confirmations or 1): merged frames that each window needs; one may stand there
+    # twice.
+    window_frames: IntArray
+    window: IntArray  # (n_links,): the windows of all chains, chain after chain
+    start: IntArray  # (n_chains + 1,): links of chain g are start[g] .. start[g + 1] - 1
+    # (n_tails,): merged frames without which the first windows of a chain are not live.
+    tail_frame: IntArray
+    tail_links: IntArray  # (n_tails,): how many windows those are; falling within each chain
+    tail_start: IntArray  # (n_chains + 1,): tails of each chain
 
 
 def timely_windows_end(axis: FrameAxis, rule: AebRule) -> tuple[IntArray, IntArray, FloatArray]:

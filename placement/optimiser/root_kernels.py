@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from geometry.arrays import FloatArray, IntArray
 from geometry.kernels import kernel
 
-from .presolve import WordArray
+from .problem import WordArray
 
 ByteArray = NDArray[np.uint8]
 

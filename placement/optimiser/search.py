@@ -14,8 +14,8 @@ from .greedy import extend_greedily, improve, solve_heuristically
 from .limits import Limits, is_allowed
 from .model import Cut, entering_poses, last_links, solve_window_model, solver_text
 from .objectives import TOLERANCE, VALUE_OBJECTIVES, Objective
-from .presolve import ReducedProblem, WordArray
-from .problem import PlacementValue, Requirement
+from .presolve import ReducedProblem
+from .problem import PlacementValue, Requirement, WordArray
 from .tied_sets import SetSearch, can_walk
 
 # ---------- cuts

@@ -25,15 +25,8 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.clock import now_s
 
 from .limits import Limits
-from .presolve import (
-    Chains,
-    Detections,
-    ReducedProblem,
-    WordArray,
-    distinct_rows,
-    pack_words,
-    unpack_words,
-)
+from .presolve import Detections, ReducedProblem, distinct_rows, pack_words, unpack_words
+from .problem import Chains, WordArray
 from .threads import WORKERS, share_out
 
 if TYPE_CHECKING:
