@@ -303,9 +303,9 @@ def build_sample_tables(
 
 
 def share_scene(setting: Setting, *, is_still: bool, compute: Compute) -> LastingScene:
-    """What sampled worlds have in common, and keep of one another; in a still one nothing drives.
+    """What sampled worlds have in common, and keep of one another.
 
-    Nothing but the VUT, and what drives by as planned.
+    In worlds that are still nothing drives that was not planned.
     """
     return build_lasting_scene(
         setting.scene,
