@@ -15,16 +15,20 @@ from .problem import Chains, WordArray
 
 @kernel
 def turn_blocks(block: WordArray) -> None:
-    """Exchange rows and bits of each column, (64, n): see ``presolve_kernels.turn_round``."""
-    width, mask = 32, np.uint64(0x00000000FFFFFFFF)
+    """Exchange rows and bits of each column, (64, n).
+
+    Blocks of 64 x 64 bits are turned by exchanging their quarters, down to single bits (Warren,
+    Hacker's Delight, 7-3).
+    """
+    width, mask, n_words = 32, np.uint64(0x00000000FFFFFFFF), np.uint64(block.shape[1])
     while width:
-        for row in range(64):
-            if row & width == 0:
-                one, other = block[row], block[row | width]
-                for word in range(len(one)):
-                    swapped = ((one[word] >> np.uint64(width)) ^ other[word]) & mask
-                    one[word] ^= swapped << np.uint64(width)
-                    other[word] ^= swapped
+        shift = np.uint64(width)
+        for begin in range(0, 64, 2 * width):
+            for one in range(begin, begin + width):
+                for word in range(n_words):
+                    swapped = ((block[one, word] >> shift) ^ block[one + width, word]) & mask
+                    block[one, word] ^= swapped << shift
+                    block[one + width, word] ^= swapped
         width >>= 1
         mask ^= mask << np.uint64(width)
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
 
+from .frame_kernels import turn_blocks
 from .problem import Chains, WordArray
 
 ByteArray = NDArray[np.uint8]
@@ -31,17 +32,19 @@ def turn_chosen(rows: ByteArray, chosen: IntArray, place: IntArray, columns: Wor
     """The same of some rows of a table, and of some of its columns.
 
     `chosen`, (n,), are rows; `place`, (8 n_bytes,), says which row of `columns`, (n_left, n_words),
-    becomes of each bit, or is negative. Blocks of 64 x 64 bits are turned by exchanging their
-    quarters, down to single bits (Warren, Hacker's Delight, 7-3).
+    becomes of each bit, or is negative.
     """
-    block = np.empty(64, dtype=np.uint64)
+    block = np.empty((64, _N_TOGETHER), dtype=np.uint64)
     n_rows, n_bytes, n_words = len(chosen), rows.shape[1], columns.shape[1]
     for begin in range(0, n_words, _N_TOGETHER):
+        n_together = min(_N_TOGETHER, n_words - begin)
         for first in range(0, n_bytes, 8):
             n_there = min(8, n_bytes - first)
-            for word in range(begin, min(begin + _N_TOGETHER, n_words)):
-                n_in_block = min(64, n_rows - 64 * word)
-                block[n_in_block:] = 0
+            for lane in range(n_together):
+                word = begin + lane
+                n_in_block = max(0, min(64, n_rows - 64 * word))
+                for bit in range(n_in_block, 64):
+                    block[bit, lane] = 0
                 for bit in range(n_in_block):
                     row = rows[chosen[64 * word + bit]]
                     if n_there == 8:  # the compiler makes one load of these
@@ -59,25 +62,13 @@ def turn_chosen(rows: ByteArray, chosen: IntArray, place: IntArray, columns: Wor
                         value = np.uint64(0)
                         for byte in range(n_there):
                             value |= np.uint64(row[first + byte]) << np.uint64(8 * byte)
-                    block[bit] = value
-                _turn_block(block)
-                for bit in range(8 * n_there):
-                    if place[8 * first + bit] >= 0:
-                        columns[place[8 * first + bit], word] = block[bit]
-
-
-@kernel
-def _turn_block(block: WordArray) -> None:
-    width, mask = 32, np.uint64(0x00000000FFFFFFFF)
-    while width:
-        shift = np.uint64(width)
-        for begin in range(0, 64, 2 * width):
-            for one in range(begin, begin + width):
-                swapped = ((block[one] >> shift) ^ block[one + width]) & mask
-                block[one] ^= swapped << shift
-                block[one + width] ^= swapped
-        width >>= 1
-        mask ^= mask << np.uint64(width)
+                    block[bit, lane] = value
+            turn_blocks(block)
+            for bit in range(8 * n_there):
+                column = place[8 * first + bit]
+                if column >= 0:
+                    for lane in range(n_together):
+                        columns[column, begin + lane] = block[bit, lane]
 
 
 @kernel
