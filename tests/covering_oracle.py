@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 from hypothesis import strategies as st
 
-from placement.optimiser.covering.instance import CoveringInstance, build_covering_instance
+from placement.covering.instance import CoveringInstance, build_covering_instance
 
 AMOUNTS = (
     st.just(1.0),
@@ -28,35 +28,6 @@ def instances(draw, max_columns: int = 7, max_rows: int = 8) -> CoveringInstance
         for n in (n_columns, n_rows)
     )
     return build_covering_instance(covers, cost=cost, weight=weight)
-
-
-def steiner_triples(n_points: int) -> np.ndarray:
-    """Triples of points such that each pair is in one, (n_triples, 3): 9, 27, 81, 243 .. points.
-
-    Nine points: the lines of the affine plane over three numbers. Three times as many: three copies
-    of a system, all copies of a point, and the three points of a triple from different copies, as
-    the instances of D. R. Fulkerson, G. L. Nemhauser and L. E. Trotter (1974) were made.
-    """
-    if n_points == 3:
-        return np.array([[0, 1, 2]])
-    third = n_points // 3
-    smaller = steiner_triples(third)
-    copies = np.arange(3) * third
-    return np.concatenate(
-        [
-            np.arange(third)[:, None] + copies,
-            *(smaller + copy for copy in copies),
-            *(smaller + copies[list(order)] for order in itertools.permutations(range(3))),
-        ]
-    )
-
-
-def steiner_instance(n_points: int) -> CoveringInstance:
-    """Points that hit all triples."""
-    triples = steiner_triples(n_points)
-    covers = np.zeros((n_points, len(triples)), dtype=bool)
-    covers[triples, np.arange(len(triples))[:, None]] = True
-    return build_covering_instance(covers)
 
 
 class EverySet:

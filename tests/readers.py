@@ -608,8 +608,8 @@ def _recordings() -> Mapping[str, tuple[str, Files]]:
 
 
 def _read_covering(path: Path) -> Any:
-    from placement.optimiser.covering.files import instance_kind, load_instance
-    from placement.optimiser.covering.solve import solve_lscp
+    from placement.covering.files import instance_kind, load_instance
+    from placement.covering.solve import solve_lscp
 
     instance_kind(path)
     instance = load_instance(path)
@@ -619,8 +619,8 @@ def _read_covering(path: Path) -> Any:
 
 
 def _coverings() -> Mapping[str, tuple[str, Files]]:
-    from placement.optimiser.covering.files import save_instance
-    from placement.optimiser.covering.instance import build_covering_instance
+    from placement.covering.files import save_instance
+    from placement.covering.instance import build_covering_instance
 
     covers = np.array([[1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 1, 1]])
     own = _written(lambda f: save_instance(f / "a.npz", build_covering_instance(covers)))
@@ -954,8 +954,8 @@ READERS: Mapping[str, Reader] = {
         read=_read_covering,
         seeds=_coverings,
         covers=(
-            "placement.optimiser.covering.files.load_instance",
-            "placement.optimiser.covering.files.instance_kind",
+            "placement.covering.files.load_instance",
+            "placement.covering.files.instance_kind",
         ),
     ),
     "placement problems": Reader(

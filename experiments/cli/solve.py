@@ -80,8 +80,8 @@ Examples:
     default="auto",
     show_default=True,
     metavar="NAME",
-    help="auto: exact search for a few columns, else HiGHS, with a local search beside it where "
-    "all is to be covered; greedy: local search alone, no proof; HIGHS: that solver alone.",
+    help="Covering problems: auto or HIGHS, HiGHS from the greedy choice on; greedy: no proof. "
+    "Placement problems: auto: what proves soonest; HIGHS: that solver alone; greedy: no proof.",
 )
 @option(
     "--time-limit",
@@ -147,7 +147,7 @@ def solve(
     """
     _check_one_question()
     progress.start(quiet=quiet)
-    from placement.optimiser.covering.files import instance_kind
+    from placement.covering.files import instance_kind
     from placement.verification.instances import KINDS
 
     from ..jobs import solve
@@ -210,7 +210,6 @@ def solution_text(summary: "CoveringResult") -> str:
         "bound": f"{_number(summary.bound)}, {gap}",
         "chosen": f"{chosen}: {', '.join(names)}" if names else "none",
         **_other_side(summary, is_cost=is_cost),
-        "presolve": summary.presolve_effect,
         "solver": f"{summary.solver}; {summary.seconds:.2f} s",
     }
     lines = sentences(f"{summary.file}: {_question_words(summary)}")

@@ -8,6 +8,8 @@ from typing import cast
 import numpy as np
 
 from geometry.errors import InputError
+from placement.covering.files import load_instance, save_instance
+from placement.covering.solve import HIGHS, solve_lscp, solve_mclp
 from placement.optimiser import (
     Effort,
     Floor,
@@ -15,12 +17,6 @@ from placement.optimiser import (
     apr,
     cost_eur,
     solve_placement,
-)
-from placement.optimiser.covering.files import load_instance, save_instance
-from placement.optimiser.covering.solve import (
-    check_solver,
-    solve_lscp,
-    solve_mclp,
 )
 from placement.optimiser.model import SolverName
 from placement.verification.instances import load_problem
@@ -58,7 +54,7 @@ def run_solve(
     target : float or None
         Without a budget: share of the weight to cover; None: all that can be covered.
     solver, time_limit_s, gap
-        See :func:`placement.optimiser.covering.solve.solve_lscp`.
+        See :func:`placement.covering.solve.solve_lscp`.
     out : Path or None
         Where to write the instance in this program's own format.
     progress : StageProgress
@@ -112,12 +108,10 @@ def run_solve(
         solver=solution.solver,
         cost=solution.cost,
         covered_weight=solution.covered_weight,
-        coverable_weight=solution.coverable_weight,
-        total_weight=solution.total_weight,
+        coverable_weight=instance.coverable_weight,
+        total_weight=float(instance.weight.sum()),
         columns=instance.n_columns,
         rows=instance.n_rows,
-        presolve=solution.presolve,
-        presolve_effect=str(solution.presolve),
     )
 
 
@@ -170,9 +164,10 @@ def run_solve_windows(
             raise InputError("--track-memory", error.got, error.expected) from None
         problem = replace(problem, rule=rule)
     problem = _asked(problem, budget_units, budget_cost, target)
-    if solver not in _SEARCHES:
-        check_solver(solver)
+    if solver.upper() == HIGHS:
         solver = "exact"
+    if solver not in _SEARCHES:
+        raise InputError("--solver", solver, f"one of {', '.join(_SEARCHES)}, {HIGHS}")
     effort = Effort(
         solver=cast(SolverName, solver),
         time_limit_s=time_limit_s,

@@ -2,8 +2,6 @@
 
 from msgspec import UNSET, UnsetType
 
-from placement.optimiser.covering.presolve import CoveringPresolve
-
 from .record import Record, StageRecord
 
 
@@ -30,8 +28,6 @@ class CoveringResult(Record, frozen=True, kw_only=True):
     total_weight: float
     columns: int
     rows: int
-    presolve: CoveringPresolve
-    presolve_effect: str
 
 
 class PlacementSolution(Record, frozen=True, kw_only=True):

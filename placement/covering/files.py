@@ -43,7 +43,7 @@ from geometry.errors import InputError, Unquoted
 from geometry.files import write_atomically
 from geometry.untrusted_files import is_text, unpacked_bytes
 
-from ...memory import check_fits
+from ..memory import check_fits
 from .instance import CoveringInstance
 
 # ---------- others' formats
