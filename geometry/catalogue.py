@@ -27,12 +27,12 @@ def load_cameras() -> dict[str, CameraModel]:
     return read_tables(table, CameraModel, "sensors.toml")
 
 
-def load_catalogue(path: Path) -> dict[str, Sensor]:
+def load_catalogue(path: str | Path) -> dict[str, Sensor]:
     """A user's own sensor models, by name.
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
         TOML with tables ``[cameras.NAME]`` and ``[lidars.NAME]``, whose fields are those of
         ``data/sensors.toml`` and ``data/lidars.toml``.
 
@@ -41,7 +41,7 @@ def load_catalogue(path: Path) -> dict[str, Sensor]:
     InputError
         The file cannot be read, has no model, or a field is missing or not of its kind.
     """
-    table = load_toml(path)
+    table = load_toml(Path(path))
     models: dict[str, Sensor] = {}
     expected = "[cameras.NAME] or [lidars.NAME]"
     for group, entries in table.items():

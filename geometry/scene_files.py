@@ -128,7 +128,7 @@ _ROAD_FIELDS = ["name", "point_m", "direction", "lanes_in", "lanes_out"]
 
 
 def save_scene(
-    folder: Path,
+    folder: str | Path,
     scene: Scene,
     *,
     sources: Sequence[str] = (),
@@ -140,7 +140,7 @@ def save_scene(
 
     Parameters
     ----------
-    folder : Path
+    folder : str or Path
         Its ``scene.toml`` and ``things.glb`` are replaced.
     scene : Scene
         What to write; coordinates are rounded to a millimetre, meshes to single precision.
@@ -155,6 +155,7 @@ def save_scene(
     """
     import tomlkit
 
+    folder = Path(folder)
     table = {
         "format": FORMAT,
         "version": VERSION,

@@ -24,6 +24,7 @@ from .pipeline import Placement as Placement
 from .pipeline import place as place
 from .planning import Plan as Plan
 from .planning import build_plan as build_plan
+from .planning import find_layout as find_layout
 from .question import Question as Question
 from .question import load_question as load_question
 from .refinement.refine import refine as refine

@@ -262,12 +262,13 @@ def layout_from_records(
     return Layout(name=name, units=tuple(units))
 
 
-def load_layout(path: Path) -> Layout:
+def load_layout(path: str | Path) -> Layout:
     """Layout from a JSON file: an object with the key "layout", a list of units.
 
     Raises InputError if the file cannot be read, is not JSON, of another version, or a field is
     wrong.
     """
+    path = Path(path)
     check_file(path, max_bytes=MAX_TEXT_BYTES)
     try:
         text = path.read_text(encoding="utf-8")

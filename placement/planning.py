@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import compress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from geometry.arrays import BoolArray
+from geometry.arrays import BoolArray, FloatArray
 from geometry.catalogue import Sensor, load_catalogue, pick_sensor
 from geometry.errors import InputError, Unquoted
 from geometry.files import pick
@@ -27,6 +28,7 @@ from .private_ground import (
     respects_private_ground,
 )
 from .question import BASELINE_NAME, Question
+from .study_layout import find_baseline, load_carlancap_layout
 from .wishes import Wishes, check_wishes
 
 
@@ -58,7 +60,7 @@ class Plan:
     may_look: Callable[[Sequence[CandidatePose]], BoolArray] | None = None
 
 
-def build_plan(question: Question, scene: Scene, *, study: Layout | None = None) -> Plan:
+def build_plan(question: Question, scene: Scene) -> Plan:
     """Find out what a question asks for, and what there is to choose from.
 
     Parameters
@@ -67,14 +69,12 @@ def build_plan(question: Question, scene: Scene, *, study: Layout | None = None)
         A user's words.
     scene : Scene
         Its sites.
-    study : Layout, optional
-        The layout that a user calls carlancap-12. At its own junction, its poses are candidates.
 
     Returns
     -------
     plan : Plan
-        Candidates are the grid's, the study's poses and those kept; or those of `within` and those
-        kept.
+        Candidates are the grid's, at the study's junction its 12 poses, and those kept; or those of
+        `within` and those kept.
 
     Raises
     ------
@@ -92,14 +92,13 @@ def build_plan(question: Question, scene: Scene, *, study: Layout | None = None)
             )
     if question.no_look_share and not question.no_look:
         raise InputError("--no-look-share", question.no_look_share, "--no-look beside it")
-    kept = _layout(question.keep, "--keep", scene, study)
-    within = _layout(question.within, "--within", scene, study)
+    kept = _layout(question.keep, "--keep", scene)
+    within = _layout(question.within, "--within", scene)
     if within is not None:
         candidates = tuple(_distinct([within, kept]))
     else:
-        is_at_home = study is not None and study.scene_name == scene.name
-        extra = _distinct([study if is_at_home else None, kept])
-        candidates = build_candidates(scene, build_grid(question.sensors), extra=extra)
+        extra = _distinct([find_baseline(scene), kept])
+        candidates = build_candidates(scene, build_grid(question), extra=extra)
     private_ground, may_look = None, None
     if question.no_look:
         private_ground = load_private_ground(Path(question.no_look), scene)
@@ -153,14 +152,41 @@ def build_effort(question: Question) -> Effort:
     return Effort(solver=question.solver, time_limit_s=question.time_limit_s, gap=question.gap)
 
 
-def build_grid(sensors: str, *, is_coarse: bool = False) -> CandidateGrid:
-    """The default grid, with sensors by name or from files, commas between; none: its own."""
-    names = _words(sensors)
-    grid = load_candidate_grid(is_coarse=True) if is_coarse else load_candidate_grid()
-    if not names:
-        return grid
-    models = {model.name: model for name in names for model in _sensors(name)}
-    return replace(grid, sensors=tuple(models.values()))
+def build_grid(question: Question, *, is_coarse: bool = False) -> CandidateGrid:
+    """The default grid, with the sensors, heights, yaws and pitches of a question.
+
+    Raises InputError if a sensor is unknown, or a number cannot be.
+    """
+    changes: dict[str, Any] = {}
+    if question.sensors:
+        changes["sensors"] = pick_sensors(question.sensors)
+    if question.heights:
+        changes["heights_m"] = _numbers("--heights", question.heights, "metres", 0.5, 50.0)
+    if question.pitches:
+        changes["pitches_deg"] = _numbers("--pitches", question.pitches, "degrees", -90.0, 90.0)
+    if question.yaw_step_deg is not None:
+        changes["yaw_step_deg"] = question.yaw_step_deg
+    try:
+        return replace(load_candidate_grid(is_coarse=is_coarse), **changes)
+    except InputError as error:
+        if error.where != "grid.yaw_step_deg":
+            raise
+        raise InputError("--yaw-step", error.got, error.expected) from None
+
+
+def _numbers(option: str, text: str, unit: str, low: float, high: float) -> FloatArray:
+    """Numbers with commas between, each once."""
+    expected = f"{unit} with commas between, {low:g} to {high:g}"
+    numbers = [_number(option, word, expected, low, high) for word in _words(text)]
+    if not numbers:
+        raise InputError(option, text, expected)
+    return np.array(numbers)
+
+
+def pick_sensors(text: str) -> tuple[Sensor, ...]:
+    """Sensor models by name or from files, with commas between, each once; else an InputError."""
+    models = {model.name: model for word in _words(text) for model in _sensors(word)}
+    return tuple(models.values())
 
 
 def _sensors(word: str) -> Sequence[Sensor]:
@@ -173,19 +199,19 @@ def _sensors(word: str) -> Sequence[Sensor]:
     return [pick_sensor(word, "--sensors")]
 
 
-def find_layout(name: str, option: str, *, study: Layout | None = None) -> Layout:
-    """A layout from a file, or the study's by the name that a user gives it; else an InputError."""
-    if study is not None and name == BASELINE_NAME:
-        return study
+def find_layout(name: str | Path, option: str = "layout") -> Layout:
+    """A layout by its name (carlancap-12, the study's) or from a file; else an InputError."""
+    if str(name) == BASELINE_NAME:
+        return load_carlancap_layout()
     if not os.path.lexists(name):
-        raise InputError(option, name, f"{BASELINE_NAME}, or a layout file that exists")
+        raise InputError(option, str(name), f"{BASELINE_NAME}, or a layout file that exists")
     return load_layout(Path(name))
 
 
-def _layout(name: str, option: str, scene: Scene, study: Layout | None) -> Layout | None:
+def _layout(name: str, option: str, scene: Scene) -> Layout | None:
     if not name:
         return None
-    layout = find_layout(name, option, study=study)
+    layout = find_layout(name, option)
     check_layout(layout, scene)
     return layout
 

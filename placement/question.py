@@ -5,8 +5,10 @@ its section, its type with the values that it may have, and its default. Imports
 """
 
 import math
+import textwrap
 from dataclasses import dataclass, fields
 from functools import cache
+from inspect import Parameter, Signature
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
@@ -56,8 +58,8 @@ def _positive(of: str) -> Meta:
 class Question:
     """What is asked: what is driven and how it brakes, what may be mounted, how hard to look.
 
-    Each field carries its :class:`Option`, which says what it means. Lists are one text with
-    commas between; an empty text means that nothing is given.
+    Lists are one text with commas between; an empty text means that nothing is given. Raises
+    InputError where a value is of another kind, or out of its range.
     """
 
     budget: Annotated[
@@ -159,6 +161,32 @@ class Question:
             "your own: FILE.toml, FILE.toml:NAME; default: the study's camera.",
             metavar="NAMES",
             is_common=True,
+        ),
+    ] = ""
+    heights: Annotated[
+        str,
+        Option(
+            section=MOUNTED,
+            help="Heights that are tried at every site: 4,5.5,7; default: 5,6.5,8.",
+            metavar="METRES",
+        ),
+    ] = ""
+    yaw_step_deg: Annotated[
+        Annotated[float, Meta(gt=0.0, le=360.0, description="degrees that divide 360 evenly")]
+        | None,
+        Option(
+            section=MOUNTED,
+            help="From one yaw that is tried to the next; default: 15.",
+            metavar="DEGREES",
+            name="yaw-step",
+        ),
+    ] = None
+    pitches: Annotated[
+        str,
+        Option(
+            section=MOUNTED,
+            help="Pitches that are tried, positive up: -30,-15; default: -15,-30,-45.",
+            metavar="DEGREES",
         ),
     ] = ""
     no_look: Annotated[
@@ -280,7 +308,8 @@ class Question:
             section=DRIVEN,
             help="A set - default (the study's cases, along the arms), study (those at the "
             "junction alone), protocol-4.5.1, all - or names with commas between; CPNA stands for "
-            "CPNA-25 and CPNA-75. `place-rsus scenarios list` shows them.",
+            "CPNA-25 and CPNA-75 - or FILE.toml of your own cases. `place-rsus scenarios list` "
+            "shows them.",
             metavar="CASES",
             is_common=True,
         ),
@@ -438,6 +467,12 @@ class Question:
         ),
     ] = None
 
+    def __post_init__(self) -> None:
+        for field in question_fields().values():
+            value = getattr(self, field.name)
+            if value is not field.default and value != field.default:
+                _check_value(field, value, f"question: {field.name}")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QuestionField:
@@ -486,7 +521,7 @@ def load_question_values(path: Path) -> dict[str, Any]:
     Raises InputError if it cannot be read, or has an unknown key or a value that cannot be.
     """
     from geometry.errors import InputError
-    from geometry.files import load_toml, read_table
+    from geometry.files import load_toml
 
     known = {field.key: field for field in question_fields().values()}
     values = {}
@@ -496,19 +531,25 @@ def load_question_values(path: Path) -> dict[str, Any]:
         field = known[key]
         if field.kind is str and isinstance(value, int | float) and not isinstance(value, bool):
             value = str(value)
-        is_endless = field.option.takes_infinity and value == math.inf
-        values[field.name] = (
-            value if is_endless else read_table(value, field.kind, f"{path}: {key}")
-        )
+        values[field.name] = _check_value(field, value, f"{path}: {key}")
     return values
 
 
-def load_question(path: Path) -> Question:
+def _check_value(field: QuestionField, value: Any, where: str) -> Any:
+    """A value of a field, of its kind. Raises InputError if it is of another kind, or too large."""
+    from geometry.files import read_table
+
+    if field.option.takes_infinity and value == math.inf:
+        return value
+    return read_table(value, field.kind, where)
+
+
+def load_question(path: str | Path) -> Question:
     """Read a question file (TOML); what it does not give has its default.
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
         Its keys are the names of the options with underscores, such as ``site_cost = 500.0``.
 
     Raises
@@ -516,13 +557,11 @@ def load_question(path: Path) -> Question:
     InputError
         The file cannot be read, or has an unknown key or a value that cannot be.
     """
-    return Question(**load_question_values(path))
+    return Question(**load_question_values(Path(path)))
 
 
-def save_question(path: Path, question: Question) -> None:
+def save_question(path: str | Path, question: Question) -> None:
     """Write a question file: every field that differs from its default, below its help."""
-    import textwrap
-
     import tomlkit
 
     from geometry.errors import InputError, Unquoted
@@ -538,8 +577,30 @@ def save_question(path: Path, question: Question) -> None:
                 document.add(tomlkit.comment(line))
             document.add(field.key, value)
     try:
-        write_atomically(path, lambda file: file.write(tomlkit.dumps(document).encode()))
+        write_atomically(Path(path), lambda file: file.write(tomlkit.dumps(document).encode()))
     except OSError as error:
         raise InputError(
             str(path), Unquoted(error.strerror or error), "a file that can be written"
         ) from None
+
+
+def _describe_fields() -> None:
+    """Write the fields into the class's docstring, and its signature without annotations."""
+    described, parameters = [], []
+    for field in question_fields().values():
+        kind = get_args(field.kind)[0] if get_origin(field.kind) is Annotated else field.kind
+        words = " or ".join(map(repr, get_args(kind))) or kind.__name__
+        described.append(f"    {field.name} : {words}, default {field.default!r}")
+        described += textwrap.wrap(
+            field.option.help, 88, initial_indent=8 * " ", subsequent_indent=8 * " "
+        )
+        parameters.append(Parameter(field.name, Parameter.KEYWORD_ONLY, default=field.default))
+    Question.__doc__ = "\n".join(
+        [f"{Question.__doc__}".rstrip(), "", "    Attributes", "    ----------", *described, "    "]
+    )
+    Question.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
+    self = Parameter("self", Parameter.POSITIONAL_ONLY)
+    Question.__init__.__signature__ = Signature([self, *parameters])  # type: ignore[attr-defined]
+
+
+_describe_fields()

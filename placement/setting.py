@@ -2,6 +2,7 @@
 
 import logging
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -15,7 +16,7 @@ from geometry.scene_files import load_scene
 from geometry.sensors import CameraModel
 from scenarios.aeb import AebRule, load_aeb_rule, load_track_memory_s
 from scenarios.cases import select_cases
-from scenarios.exposure import check_weights, default_weights, weigh
+from scenarios.exposure import check_weights, default_weights, weigh, weight_by_function
 from scenarios.positions import (
     AT_ZERO,
     Position,
@@ -270,6 +271,7 @@ def build_setting(
     question: Question | None = None,
     scene: Scene | None = None,
     *,
+    weights: Callable[[Run], float] | None = None,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> Setting:
     """All that a layout is placed in and judged by.
@@ -281,6 +283,8 @@ def build_setting(
         case alike.
     scene : Scene, optional
         The junction, in place of the one that the question names.
+    weights : function of a Run, optional
+        How much a run counts, in place of the question's word; only proportions matter.
     compute : Compute
         Where the runs are kept for the next call.
 
@@ -301,13 +305,16 @@ def build_setting(
     runs = drives.runs
     if question.strict or not runs:
         _check_every_case(drives, scene)
+    weight = (
+        weigh(runs, question.weights or default_weights(question.cases))
+        if weights is None
+        else weight_by_function(runs, weights)
+    )
     detector = load_detector(question.detector, where="--detector")
     return Setting(
         scene=scene,
         runs=runs,
-        axis=build_frame_axis(
-            runs, weigh(runs, question.weights or default_weights(question.cases))
-        ),
+        axis=build_frame_axis(runs, weight),
         rule=build_rule(question),
         detector=detector,
         planner=_planner(detector),

@@ -5,8 +5,10 @@ from .aeb import last_brake_time_s as last_brake_time_s
 from .aeb import load_aeb_rule as load_aeb_rule
 from .cases import Case as Case
 from .cases import load_cases as load_cases
+from .cases import load_own_cases as load_own_cases
 from .cases import pick_cases as pick_cases
 from .exposure import weigh as weigh
+from .exposure import weight_by_function as weight_by_function
 from .positions import Position as Position
 from .positions import build_positions as build_positions
 from .runs import FrameAxis as FrameAxis

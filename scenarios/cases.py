@@ -1,10 +1,11 @@
-"""Test cases, from ``data/cases.toml``: a new case is a new table there, not new code."""
+"""Test cases, from ``data/cases.toml`` and files of one's own: a table each, no new code."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -227,14 +228,60 @@ class _Turning(_CaseEntry, frozen=True, kw_only=True, tag="turning", tag_field="
 
 @cache
 def load_cases() -> dict[str, Case]:
-    """All cases, by name."""
-    table = load_toml(files(__package__) / "data" / "cases.toml")
+    """All cases that come with this package, by name."""
+    table = _load_tables()
+    return _read_cases(table, table, "cases.toml")
+
+
+def load_own_cases(path: str | Path) -> dict[str, Case]:
+    """A user's own cases, by name.
+
+    Parameters
+    ----------
+    path : str or Path
+        TOML as ``data/cases.toml``: a table for each case. With ``as = "CPNA-25"`` it is like that
+        case, of this file or of the package's, but for what it says itself.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read or has no case, a case has the name of one of the package's, or a
+        field is missing or not of its kind.
+
+    Examples
+    --------
+    A child that runs, met by cars at 30 and 40 km/h::
+
+        [SCHOOL]
+        as = "CPNA-25"
+        title = "a child runs across"
+        vru = "child"
+        vru_speed_kmh = 10.0
+        vut_speed_kmh = { min = 30, max = 40, step = 10 }
+    """
+    table, known = load_toml(Path(path)), _load_tables()
+    if not table:
+        raise InputError(str(path), Unquoted("no case"), "a table for each case")
+    for name, entry in table.items():
+        if not isinstance(entry, dict):
+            raise InputError(f"{path}: {name}", entry, "a table, which is a case")
+        if name in known or name in load_case_sets() or "," in name or not name.isprintable():
+            raise InputError(f"{path}: {name}", name, "a name that no case or set of ours has")
+    return _read_cases({**known, **table}, table, str(path))
+
+
+def _load_tables() -> Table:
+    return load_toml(files(__package__) / "data" / "cases.toml")
+
+
+def _read_cases(table: Table, names: Iterable[str], where: str) -> dict[str, Case]:
+    """Cases by name, from tables that may be like one another."""
     cases = {}
-    for name in table:
-        where = f"cases.toml: {name}"
+    for name in names:
+        here = f"{where}: {name}"
         # A union is no class to mypy, but the reader takes it.
-        entry = read_table(_whole_entry(table, name), _ANY_CASE, where)
-        cases[name] = _build_case(name, entry, where)
+        entry = read_table(_whole_entry(table, name, where), _ANY_CASE, here)
+        cases[name] = _build_case(name, entry, here)
     return cases
 
 
@@ -269,15 +316,17 @@ def _speeds_kmh(speeds: _Speeds) -> tuple[float, ...]:
     return tuple(np.arange(speeds.min, speeds.max + 0.5 * speeds.step, speeds.step).tolist())
 
 
-def _whole_entry(table: Table, name: str, *, seen: tuple[str, ...] = ()) -> dict[str, Any]:
+def _whole_entry(
+    table: Table, name: str, where: str, *, seen: tuple[str, ...] = ()
+) -> dict[str, Any]:
     """A case's table, on top of the one that it is like."""
     entry = dict(table[name])
     if "as" not in entry:
         return entry
     other = entry.pop("as")
-    if other not in table or other in seen:
-        raise InputError(f"cases.toml: {name}.as", other, "another case, not in a circle")
-    return {**_whole_entry(table, other, seen=(*seen, name)), **entry}
+    if not isinstance(other, str) or other not in table or other in (*seen, name):
+        raise InputError(f"{where}: {name}.as", other, "another case, not in a circle")
+    return {**_whole_entry(table, other, where, seen=(*seen, name)), **entry}
 
 
 def _build_case(name: str, entry: _Crossing | _Longitudinal | _Turning, where: str) -> Case:
@@ -357,8 +406,9 @@ def pick_cases(text: str, where: str) -> tuple[Case, ...]:
     Parameters
     ----------
     text : str
-        A set ("default", "study", "protocol-4.5.1", "all"), or names with commas between. The part
-        of a name before its "-" stands for all cases that share it: "CPNA" for CPNA-25 and CPNA-75.
+        A set ("default", "study", "protocol-4.5.1", "all"), names, or files of one's own cases
+        (.toml), with commas between. The part of a name before its "-" stands for all cases that
+        share it: "CPNA" for CPNA-25 and CPNA-75.
     where : str
         For the error message about an unknown name.
 
@@ -374,7 +424,9 @@ def pick_cases(text: str, where: str) -> tuple[Case, ...]:
     """
     picked: dict[str, Case] = {}
     for word in (part.strip() for part in text.split(",")):
-        if word in load_case_sets():
+        if word.lower().endswith(".toml"):
+            found = tuple(load_own_cases(word).values())
+        elif word in load_case_sets():
             found = load_case_sets()[word]
         elif word in load_cases():
             found = (load_cases()[word],)
@@ -384,7 +436,9 @@ def pick_cases(text: str, where: str) -> tuple[Case, ...]:
             )
         if not found:
             known = ", ".join([*load_case_sets(), *load_cases()])
-            raise InputError(where, word, f"one of {known}, or several with commas between")
+            raise InputError(
+                where, word, f"one of {known}, a .toml file, or several with commas between"
+            )
         for case in found:
             picked.setdefault(case.name, case)
     return tuple(picked.values())

@@ -7,7 +7,7 @@ happen; a table of one's own, by case, approach, position and weather, may know 
 import csv
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -374,6 +374,22 @@ def _weights_file(how: str) -> Path:
     if not how or not path.exists():
         raise InputError("--weights", how, f"{', '.join(_BY_WORD)}, or a CSV file that exists")
     return path
+
+
+def weight_by_function(runs: Sequence[Run], function: Callable[[Run], float]) -> FloatArray:
+    """Weights by a user's own function of a run; they sum to 1.
+
+    Raises InputError if it gives anything but finite numbers >= 0, or 0 for all runs.
+    """
+    weight = np.array([function(run) for run in runs], dtype=np.float64)
+    wrong = np.flatnonzero(~(np.isfinite(weight) & (weight >= 0.0)))
+    if len(wrong):
+        run = runs[int(wrong[0])]
+        raise InputError(f"weights: {run.id}", float(weight[wrong[0]]), "a finite number >= 0")
+    if not weight.any():
+        raise InputError("weights", Unquoted("0 for all runs"), "one weight more than 0")
+    shares: FloatArray = weight / weight.sum()
+    return shares
 
 
 def weight_per_run(runs: Sequence[Run]) -> FloatArray:

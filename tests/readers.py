@@ -700,9 +700,9 @@ def _read_verified(path: Path) -> Any:
 
 @cache
 def _table() -> tuple[Any, Any]:
-    from experiments.study.layout import load_carlancap_layout
     from geometry.study_scene import load_study_scene
     from placement.layout import Layout
+    from placement.study_layout import load_carlancap_layout
     from scenarios.exposure import weight_per_run
     from scenarios.runs import build_frame_axis
 

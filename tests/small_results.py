@@ -9,7 +9,6 @@ import pytest
 
 from experiments.jobs import placement, writing
 from experiments.progress import StageProgress
-from experiments.study.layout import load_carlancap_layout
 from geometry.actors import load_actors
 from geometry.scene import Scene
 from geometry.study_scene import load_study_scene
@@ -21,6 +20,7 @@ from placement.explain.sensitivity import load_assumptions
 from placement.layout import Layout
 from placement.question import Question
 from placement.setting import Setting
+from placement.study_layout import load_carlancap_layout
 from scenarios.aeb import load_aeb_rule
 from scenarios.cases import pick_cases
 from scenarios.exposure import weight_per_run
@@ -51,7 +51,7 @@ def build_small_setting() -> Setting:
     )
 
 
-def build_small_grid() -> CandidateGrid:
+def build_small_grid(*, is_coarse: bool = False) -> CandidateGrid:
     """One height, four directions."""
     return replace(
         load_candidate_grid(),

@@ -28,9 +28,9 @@ from placement.evaluator import evaluate_layout
 from placement.layout import Layout
 from placement.question import Question
 from placement.setting import Setting, build_setting
+from placement.study_layout import load_carlancap_layout
 from placement.visibility.build import build_detection_table
 
-from ..study.layout import load_carlancap_layout
 from .city import measure_city
 from .dragging import measure_dragging
 from .optimiser import (

@@ -37,7 +37,6 @@ from placement.setting import Setting, build_setting
 
 from ..figures.axes import to_png
 from ..figures.scene import plot_scene_plan
-from ..study.layout import load_carlancap_layout
 
 _WORKERS = 2
 _NO_MAPS = ("_16mm.json", "_8mm.json", ".boundary.geojson")  # calibrations, outlines
@@ -168,7 +167,7 @@ def _driven(setting: Setting) -> tuple[str, str, str]:
 
 def _place(setting: Setting, budget: int) -> list[str]:
     """APR of the VUT alone and of the units that are placed, and whether these are proven best."""
-    plan = build_plan(Question(budget=budget), setting.scene, study=load_carlancap_layout())
+    plan = build_plan(Question(budget=budget), setting.scene)
     compute = Compute(workers=_WORKERS)
     placement = place(
         setting, plan.candidates, wishes=plan.wishes, effort=plan.effort, compute=compute

@@ -25,10 +25,10 @@ from placement.imaging import build_backdrop, draw_picture
 from placement.layout import Layout
 from placement.question import Question
 from placement.setting import Setting, build_setting
+from placement.study_layout import load_carlancap_layout
 from placement.visibility import build_detection_table
 from scenarios.runs import Run
 
-from ..study.layout import load_carlancap_layout
 from .rays import REPEATS, Figures, bare_embree, in_turn, one_thread, ratio
 
 _N_UNITS = 2

@@ -74,7 +74,7 @@ def compare(
     if len(names) < 2:
         given = "one layout" if names else "nothing"
         raise click.UsageError(f"LAYOUT: got {given}; expected two layouts or more")
-    from ..study.layout import find_layout
+    from placement.planning import find_layout
 
     found = [find_layout(name, "LAYOUT") for name in names]
     begin(progress, quiet=quiet)

@@ -112,13 +112,13 @@ def plan(
     progress.kept = "nothing was written" if save is None else f"the plan is in {save}"
     from geometry.scene_files import load_scene
     from placement.layout import check_layout
+    from placement.planning import find_layout
     from placement.setting import build_setting
 
     from ..plan.desk import Desk
     from ..plan.server import RunningServer
     from ..plan.session import Plan, Variant, read_plan
     from ..plan.tasks import Work
-    from ..study.layout import find_layout
 
     scene = load_scene(question.scene)
     variants = []

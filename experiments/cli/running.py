@@ -31,7 +31,7 @@ def load_one_layout(names: Sequence[str]) -> "Layout":
     if len(names) != 1:
         given = f"{len(names)} layouts" if names else "nothing"
         raise click.UsageError(f"--layout: got {given}; expected it once")
-    from ..study.layout import find_layout
+    from placement.planning import find_layout
 
     return find_layout(names[0], "--layout")
 

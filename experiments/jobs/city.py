@@ -169,7 +169,7 @@ def run_city(
     """
     check_folder(out)
     progress.kept = f"nothing was written to {out}"
-    grid = build_grid(question.sensors, is_coarse=search.is_coarse)
+    grid = build_grid(question, is_coarse=search.is_coarse)
     check_question(question)
     check_memory(workers.memory)
     progress("read maps", 0, 0)

@@ -30,7 +30,6 @@ from ..results.csv_text import csv_text
 from ..results.drives import build_drives_record, versions
 from ..results.folders import check_folder, write_files
 from ..results.fronts import FrontRecord, FrontResult, build_front_record
-from ..study.layout import load_carlancap_layout
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -84,7 +83,7 @@ def run_pareto(
     if out is not None:
         check_folder(out)
         progress.kept = f"nothing was written to {out}"
-    plan = build_plan(replace(question, budget=1), scene, study=load_carlancap_layout())
+    plan = build_plan(replace(question, budget=1), scene)
     prices = load_prices() if by == "cost" and question.site_cost_eur is None else None
     wishes = replace(plan.wishes, budget_units=max_units, prices=prices)
     progress("setting", 0, 0)

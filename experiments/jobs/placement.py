@@ -41,6 +41,7 @@ from placement.sampling import (
 )
 from placement.sampling.out_of_sample import STAGE as OUT_OF_SAMPLE
 from placement.setting import Setting, build_setting
+from placement.study_layout import find_baseline
 
 from ..progress import StageProgress
 from ..report.beside import Beside, Part, drawing_beside
@@ -69,7 +70,6 @@ from ..results.result import (
     build_placement_result,
 )
 from ..results.sampled_worlds import build_sampled_record
-from ..study.layout import find_baseline, load_carlancap_layout
 from .baselines import build_baselines_record, compare_layout, compare_placement
 from .pareto import describe_front
 from .study_cases import on_study_cases
@@ -101,7 +101,7 @@ def run_placement(
     """
     check_result_folder(out)
     scene = load_scene(question.scene)
-    plan = build_plan(question, scene, study=load_carlancap_layout())
+    plan = build_plan(question, scene)
     progress.kept = left_as_it_was(out)
     progress("setting", 0, 0)
     setting = build_setting(question, scene, compute=compute)

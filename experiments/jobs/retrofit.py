@@ -194,7 +194,7 @@ def run_retrofit(
         progress.kept = f"nothing was written to {out}"
     check_layout(layout, scene)
     plan = build_plan(replace(question, budget=1, budget_cost=None), scene)
-    poses = build_retrofit_poses(layout, build_grid(question.sensors), plan.candidates)
+    poses = build_retrofit_poses(layout, build_grid(question), plan.candidates)
     prices = load_prices() if question.site_cost_eur is None else None
     wishes = replace(plan.wishes, kept=tuple(unit.id for unit in layout.units), prices=prices)
     progress("setting", 0, 0)

@@ -15,11 +15,11 @@ from geometry.catalogue import Sensor, load_cameras
 from geometry.errors import InputError, Unquoted
 from geometry.files import pick, write_atomically
 from geometry.lidar import load_lidars
-from placement.candidates import CandidatePose
+from placement.candidates import CandidatePose, load_candidate_grid
 from placement.compute import Compute
 from placement.layout import Layout, check_layout
 from placement.live import LiveTable, table_verdict
-from placement.planning import build_grid
+from placement.planning import build_grid, pick_sensors
 from placement.private_ground import PrivateGround, PrivateSight, load_private_ground
 from placement.setting import Setting
 
@@ -88,7 +88,7 @@ def _words_of(sensors: str) -> dict[str, str]:
     """By the name of each model that may be mounted, how ``--sensors`` calls it."""
     words = {name: name for name in (*load_cameras(), *load_lidars())}
     for word in filter(None, sensors.split(",")):
-        for model in build_grid(word).sensors:
+        for model in pick_sensors(word):
             words[model.name] = f"{word}:{model.name}" if word.endswith(".toml") else word
     return words
 
@@ -144,11 +144,9 @@ class Desk:
         self._numbers_of_proposals = count(1)
         self._words = _words_of(work.question.sensors)
         self._models: dict[str, Sensor] = {
-            model.name: model for word in self._words.values() for model in build_grid(word).sensors
+            model.name: model for word in self._words.values() for model in pick_sensors(word)
         }
-        self._chosen: list[str] = [
-            sensor.name for sensor in build_grid(work.question.sensors).sensors
-        ]
+        self._chosen: list[str] = [sensor.name for sensor in build_grid(work.question).sensors]
         self._shows_coverage = False
         self._changed, self._rests = asyncio.Event(), asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
@@ -328,7 +326,7 @@ class Desk:
         """A unit that hangs nowhere: with it, all is got ready that the first drag needs."""
         scene = self.setting.scene
         free = [site.id for site in scene.sites if site.use != "forbidden"]
-        model = self._chosen[0] if self._chosen else build_grid("").sensors[0].name
+        model = self._chosen[0] if self._chosen else load_candidate_grid().sensors[0].name
         if not free:
             return ()
         empty = begin_history(()).state

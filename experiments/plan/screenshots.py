@@ -17,9 +17,9 @@ from geometry.study_scene import load_study_scene
 from placement.compute import Compute
 from placement.question import Question
 from placement.setting import Setting, build_setting
+from placement.study_layout import load_carlancap_layout
 
 from ..report.section import with_palette
-from ..study.layout import load_carlancap_layout
 from .desk import Desk
 from .server import RunningServer
 from .session import Plan, Variant

@@ -23,7 +23,7 @@ from placement.evaluator import evaluate_layout
 from placement.explain.sensitivity import find_tolerances
 from placement.explain.unavoided import Look, find_reasons
 from placement.layout import Layout
-from placement.planning import build_grid, build_plan
+from placement.planning import build_grid, build_plan, pick_sensors
 from placement.question import Question
 from placement.setting import Setting, build_setting
 from scenarios.aeb import is_in_time
@@ -195,7 +195,7 @@ class Tasks:
     def choose_sensors(self, sensors: str) -> None:
         """Models that advice may mount, with commas between; none: the grid's own."""
         if sensors != self._sensors:
-            build_grid(sensors)  # names are checked now
+            pick_sensors(sensors)  # names are checked now
             self._sensors, self._adviser = sensors, None
 
     def advise(
@@ -236,7 +236,7 @@ class Tasks:
             self._adviser = Adviser(
                 self.setting,
                 build_plan(question, self.setting.scene),
-                build_grid(self._sensors),
+                build_grid(question),
                 assumes_prices=question.site_cost_eur is None,
                 compute=replace(self._compute, cache_folder=self._work.cache),
             )

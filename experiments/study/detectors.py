@@ -22,12 +22,12 @@ from placement.evaluator import build_surroundings, evaluate_layout, load_vut_ca
 from placement.evaluator.evaluate import Judge
 from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
 from placement.layout import Layout
+from placement.planning import find_layout
 from placement.question import Question
 from placement.setting import Setting, build_setting
 
 from ..progress import StageProgress
 from ..results.numbers import percent
-from .layout import find_layout
 
 CASES = ("CPNC-50", "CBNA", "CBLA")
 DETECTORS = {

@@ -151,7 +151,7 @@ def save_certificate(
     write_atomically(folder / CERTIFICATE_FILE, lambda file: file.write(text.encode()))
 
 
-def load_certificate(path: Path) -> StoredCertificate:
+def load_certificate(path: str | Path) -> StoredCertificate:
     """Read a ``certificate.json``; whether its claims are true is not looked at.
 
     Parameters
@@ -169,7 +169,7 @@ def load_certificate(path: Path) -> StoredCertificate:
     InputError
         The file cannot be read, is no certificate, or a field is missing or not of its kind.
     """
-    where = str(path)
+    path, where = Path(path), str(path)
     check_file(path, max_bytes=MAX_TEXT_BYTES)
     try:
         document = json.loads(path.read_text(encoding="utf-8"))

@@ -127,9 +127,9 @@ class StoredProblem(NamedTuple):
     mounts: Mounts | None  # None: the file does not say what the poses are
 
 
-def load_problem(path: Path) -> PlacementProblem:
+def load_problem(path: str | Path) -> PlacementProblem:
     """Read a problem from a file, without what its poses are."""
-    return load_stored_problem(path).problem
+    return load_stored_problem(Path(path)).problem
 
 
 def load_stored_problem(path: Path) -> StoredProblem:

@@ -15,7 +15,6 @@ from pyproj import Transformer
 
 from experiments.export.cpm import to_cpm
 from experiments.export.json import to_json
-from experiments.study.layout import load_carlancap_layout
 from geometry.actors import load_actors
 from geometry.errors import InputError
 from geometry.lidar import LidarModel, load_lidars
@@ -28,6 +27,7 @@ from placement.layout import (
     layout_records,
     load_layout,
 )
+from placement.study_layout import load_carlancap_layout
 
 
 @pytest.fixture(scope="module")

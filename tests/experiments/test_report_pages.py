@@ -13,10 +13,10 @@ from small_results import vary_few_assumptions
 from experiments.jobs import placement
 from experiments.progress import StageProgress
 from experiments.report.page import write_report
-from experiments.study.layout import load_carlancap_layout
 from placement.compute import Compute
 from placement.layout import Layout, layout_records
 from placement.question import Question
+from placement.study_layout import load_carlancap_layout
 
 pytestmark = pytest.mark.system
 

@@ -16,12 +16,12 @@ from experiments.export.json import to_json, to_json_text
 from experiments.jobs import placement
 from experiments.results.reading import load_result
 from experiments.results.schema import SCHEMA_FILE, schema_text
-from experiments.study.layout import load_carlancap_layout
 from geometry.frames import to_geographic
 from geometry.study_scene import load_study_scene
 from placement.explain.sensitivity import load_assumptions
 from placement.layout import RESULT_SCHEMA, Layout
 from placement.setting import Links
+from placement.study_layout import load_carlancap_layout
 from scenarios.runs import build_frame_axis
 
 DOCUMENT = json.loads(

@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from problems import questions
 
-from experiments.study.layout import load_carlancap_layout
 from geometry.errors import InputError
 from geometry.junction import build_junction, mirrored
 from geometry.poses import Pose
@@ -28,6 +27,7 @@ from placement.candidates import CandidatePose, build_candidates
 from placement.detection_table import pack_table
 from placement.optimiser import Limits, PlacementProblem, apr
 from placement.optimiser.limits import is_allowed
+from placement.study_layout import load_carlancap_layout
 from placement.wishes import Wishes, build_limits
 
 SCENE = load_study_scene()

@@ -5,8 +5,8 @@ import pytest
 
 from geometry.errors import InputError
 from geometry.study_scene import load_study_scene
-from placement import planning
-from placement.candidates import CandidatePose, load_candidate_grid
+from placement import planning, study_layout
+from placement.candidates import CandidatePose, build_candidates, load_candidate_grid
 from placement.layout import Layout
 from placement.planning import build_plan
 from placement.prices import load_prices
@@ -24,48 +24,74 @@ def coarse(monkeypatch):
         yaw_step_deg=90.0,
         pitches_deg=np.array([-20.0]),
     )
-    monkeypatch.setattr(planning, "load_candidate_grid", lambda: grid)
+    monkeypatch.setattr(planning, "load_candidate_grid", lambda *, is_coarse=False: grid)
 
 
 @pytest.fixture
-def study(coarse):
-    """A layout of the study's junction, off the grid."""
+def study(coarse, monkeypatch):
+    """In place of the study's layout: one camera at its junction, off the grid."""
     scene = load_study_scene()
-    (one, *_) = build_plan(Question(budget=1), scene).candidates
+    one = build_candidates(scene, planning.load_candidate_grid())[0]
     turned = replace(one.pose, yaw_deg=one.pose.yaw_deg + 1.0)
-    return Layout(
+    layout = Layout(
         name="study", units=(replace(one, id="mine", pose=turned),), scene_name=scene.name
     )
+    for module in (planning, study_layout):
+        monkeypatch.setattr(module, "load_carlancap_layout", lambda: layout)
+    return layout
 
 
-def ids(question, scene, **options):
-    return {candidate.id for candidate in build_plan(question, scene, **options).candidates}
+def ids(question, scene):
+    return {candidate.id for candidate in build_plan(question, scene).candidates}
 
 
 def test_the_studys_poses_are_candidates_at_its_own_junction(study):
     scene, question = load_study_scene(), Question(budget=1)
-    grid = ids(question, scene)
-    assert ids(question, scene, study=study) - grid == {"mine"}
     elsewhere = replace(scene, name="elsewhere")
-    assert ids(question, elsewhere, study=study) == ids(question, elsewhere) == grid
+    assert ids(question, scene) - ids(question, elsewhere) == {"mine"}
 
 
 def test_a_layout_is_kept_or_chosen_within_by_name(study):
     scene = load_study_scene()
-    plan = build_plan(Question(budget=1, keep="carlancap-12"), scene, study=study)
+    plan = build_plan(Question(budget=1, keep="carlancap-12"), scene)
     assert plan.kept is study
     assert plan.wishes.kept == ("mine",)
-    assert ids(Question(budget=1, within="carlancap-12"), scene, study=study) == {"mine"}
+    assert ids(Question(budget=1, within="carlancap-12"), scene) == {"mine"}
     with pytest.raises(InputError, match="--budget: got 2; expected at most 1, the units of --w"):
-        build_plan(Question(budget=2, within="carlancap-12"), scene, study=study)
-    with pytest.raises(InputError, match="--keep: got 'carlancap-12'; expected carlancap-12, or"):
-        build_plan(Question(budget=1, keep="carlancap-12"), scene)
+        build_plan(Question(budget=2, within="carlancap-12"), scene)
+    with pytest.raises(InputError, match=r"--keep: got 'none\.json'; expected carlancap-12, or"):
+        build_plan(Question(budget=1, keep="none.json"), scene)
+
+
+def test_heights_yaws_and_pitches_are_those_asked_for(coarse):
+    question = Question(budget=1, heights="4, 7.5", yaw_step_deg=180.0, pitches="-40,-10,0")
+    grid = planning.build_grid(question)
+    assert grid.heights_m.tolist() == [4.0, 7.5]
+    assert grid.pitches_deg.tolist() == [-40.0, -10.0, 0.0]
+    assert (grid.n_yaws, grid.sensors) == (2, load_candidate_grid().sensors)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"heights": "4,low"}, "--heights: got 'low'; expected metres with commas between, 0.5 to"),
+        ({"heights": "0"}, "--heights: got '0'; expected metres with commas between, 0.5 to 50"),
+        ({"heights": ","}, "--heights: got ','; expected metres with commas between"),
+        ({"pitches": "nan"}, "--pitches: got 'nan'; expected degrees with commas between, -90 to"),
+        ({"yaw_step_deg": 50.0}, "--yaw-step: got 50.0; expected degrees that divide 360 evenly"),
+    ],
+)
+def test_a_grid_that_cannot_be_is_refused(options, message):
+    with pytest.raises(InputError) as caught:
+        planning.build_grid(Question(budget=1, **options))
+    assert str(caught.value).startswith(message)
 
 
 def test_every_sensor_asked_for_is_tried_at_every_pose(coarse):
     def poses(sensors):
         found: dict[str, set[tuple[float, ...]]] = {}
-        plan = build_plan(Question(budget=1, sensors=sensors), load_study_scene())
+        scene = replace(load_study_scene(), name="elsewhere")  # where the study has no poses
+        plan = build_plan(Question(budget=1, sensors=sensors), scene)
         for pose in plan.candidates:
             found.setdefault(pose.sensor.name, set()).add(_place(pose))
         return found

@@ -1,5 +1,6 @@
 """The question: its file is read and written, and every field stands in it once."""
 
+import inspect
 import math
 import tomllib
 from dataclasses import fields, replace
@@ -115,3 +116,28 @@ def test_a_file_that_is_not_there_or_cannot_be_written_is_told(path):
         load_question(path)
     with pytest.raises(InputError, match="expected a file that can be written"):
         save_question(path / "deep", Question())
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"budget": 0}, "question: budget: got 0; expected a whole number of units, at least 1"),
+        ({"budget": "3"}, "question: budget: got '3'; expected a whole number of units"),
+        ({"fusion": "all"}, "question: fusion: got 'all'; expected one of any, single"),
+        ({"latency_s": math.nan}, "question: latency_s: got nan; expected a finite number"),
+        ({"cases": ["CBNA"]}, "question: cases: got ['CBNA']; expected text"),
+    ],
+)
+def test_a_question_checks_its_values_when_it_is_made(values, message):
+    with pytest.raises(InputError) as caught:
+        Question(**values)
+    assert str(caught.value).startswith(message)
+    assert Question(track_memory_s=math.inf).track_memory_s == math.inf
+
+
+def test_a_question_has_help_that_can_be_read():
+    words = inspect.getdoc(Question)
+    assert "budget : int, default None\n    Most units to mount." in words
+    for shown in (inspect.signature(Question), inspect.signature(Question.__init__)):
+        assert "budget=None" in str(shown)
+        assert "Annotated" not in str(shown)

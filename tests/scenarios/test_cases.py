@@ -182,3 +182,49 @@ def test_unknown_cases_list_sets_and_cases(text):
 def test_the_vru_is_never_read_off_the_letters_of_a_case():
     assert cases.load_cases()["CPNC-50"].vru.name == "adult"
     assert cases.load_cases()["CPNCO-50"].vru.name == "child"
+
+
+OWN = """
+[SCHOOL]
+as = "CPNA-25"
+title = "a child runs across"
+vru = "child"
+vru_speed_kmh = 10.0
+vut_speed_kmh = { min = 30, max = 40, step = 10 }
+
+[SCHOOL-FAR]
+as = "SCHOOL"
+vru_from = "far"
+"""
+
+
+def test_own_cases_are_read_from_a_file_and_may_be_like_ours(tmp_path):
+    path = tmp_path / "own.toml"
+    path.write_text(OWN)
+    near, far, ours = cases.pick_cases(f"{path},CBLA", "--cases")
+    like = cases.load_cases()["CPNA-25"]
+    assert (near.name, far.name, ours.name) == ("SCHOOL", "SCHOOL-FAR", "CBLA")
+    assert (near.vru.name, near.vru_speed_kmh, near.vut_speeds_kmh) == ("child", 10.0, (30.0, 40.0))
+    assert (near.impact_percent, near.vru_line) == (like.impact_percent, like.vru_line)
+    assert (near.vru_side, far.vru_side) == ("near", "far")
+    assert "SCHOOL" not in cases.load_cases()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", ": got no case; expected a table for each case"),
+        ("budget = 3", ": budget: got 3; expected a table, which is a case"),
+        ('["CBLA"]\nas = "CPNA-25"', ": CBLA: got 'CBLA'; expected a name that no case or set"),
+        ('[all]\nas = "CPNA-25"', ": all: got 'all'; expected a name that no case or set"),
+        ('[X]\nas = "CPXX"', ": X.as: got 'CPXX'; expected another case, not in a circle"),
+        ("[X]\nas = 3", ": X.as: got 3; expected another case, not in a circle"),
+        ('[X]\nas = "CBLA"\nvru = "dog"', ": X.vru: got 'dog'; expected one of adult, "),
+    ],
+)
+def test_own_cases_that_are_wrong_are_told_with_file_and_field(tmp_path, text, message):
+    path = tmp_path / "own.toml"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        cases.pick_cases(str(path), "--cases")
+    assert str(caught.value).startswith(f"{path}{message}")

@@ -309,3 +309,14 @@ def test_every_case_of_the_default_set_stands_for_a_type():
     known = {name for kind in load_crash_types().types for name in kind.cases}
     for case in select_cases("default").cases:
         assert case.name.rpartition("-")[0] in known or case.name in known, case.name
+
+
+def test_a_function_weighs_runs(runs):
+    weight = exposure.weight_by_function(runs, lambda run: 3.0 if run.approach == "east" else 1.0)
+    is_east = np.array([run.approach == "east" for run in runs])
+    assert weight.sum() == pytest.approx(1.0)
+    assert weight[is_east] == pytest.approx(3.0 * weight[~is_east].min())
+    with pytest.raises(InputError, match=r": got -1.0; expected a finite number >= 0"):
+        exposure.weight_by_function(runs, lambda run: -1.0)
+    with pytest.raises(InputError, match="weights: got 0 for all runs; expected one weight more"):
+        exposure.weight_by_function(runs, lambda run: 0.0)

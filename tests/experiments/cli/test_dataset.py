@@ -20,8 +20,8 @@ from PIL import Image
 from experiments.export.json import to_json
 from experiments.jobs import drawing as job
 from experiments.jobs import schedulers
-from experiments.study.layout import load_carlancap_layout
 from geometry.sensors import CameraModel
+from placement.study_layout import load_carlancap_layout
 
 ASKED = ("--cases", "CPNC-50", "--approaches", "east", "--speeds", "40", "--along-arms", "0")
 

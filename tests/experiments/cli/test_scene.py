@@ -293,7 +293,7 @@ def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
         yaw_step_deg=45.0,
         pitches_deg=np.array([-20.0]),
     )
-    monkeypatch.setattr(planning, "load_candidate_grid", lambda: grid)
+    monkeypatch.setattr(planning, "load_candidate_grid", lambda **_: grid)
     results = tmp_path / "results"
     question = ["--cases", "CPNA-25,CBNA,CPTAfs-50", "--speeds", "20,40", "--approaches", "north"]
     question += ["--along-arms", "0"]

@@ -4,10 +4,10 @@ import json
 
 from experiments.cli.evaluate import unit_lines
 from experiments.results.record import UnitRecord
-from experiments.study.layout import load_carlancap_layout
 from placement.candidates import build_candidates
 from placement.pipeline import place
 from placement.planning import build_grid
+from placement.study_layout import load_carlancap_layout
 from placement.wishes import Wishes
 
 COSTS_EUR = {"carla-ncap-rgb": 1500.0, "basler-aca1920-50gc-16mm": 1900.0, "carla-ncap-lidar": 4000}

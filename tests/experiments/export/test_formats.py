@@ -12,7 +12,6 @@ from experiments.export.csv import to_csv
 from experiments.export.formats import load_format
 from experiments.export.geojson import to_geojson
 from experiments.export.json import to_json, to_json_text
-from experiments.study.layout import load_carlancap_layout
 from geometry.errors import InputError
 from geometry.frames import from_carla_pose
 from geometry.lidar import load_lidars
@@ -20,6 +19,7 @@ from geometry.poses import Pose
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
 from placement.layout import Layout, layout_records, load_layout
+from placement.study_layout import load_carlancap_layout
 
 CRS = load_study_scene().crs
 

@@ -8,7 +8,6 @@ from matplotlib.path import Path
 
 from experiments.figures.axes import to_png
 from experiments.figures.plan import ground_footprint, plot_plan
-from experiments.study.layout import load_carlancap_layout
 from geometry.catalogue import load_cameras
 from geometry.poses import Pose
 from geometry.sensors import project_points
@@ -17,6 +16,7 @@ from placement.candidates import CandidatePose
 from placement.layout import Layout
 from placement.question import Question
 from placement.setting import build_setting
+from placement.study_layout import load_carlancap_layout
 
 CAMERA = load_cameras()["carla-ncap-rgb"]
 

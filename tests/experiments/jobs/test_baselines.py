@@ -10,10 +10,10 @@ from experiments.cli.options import cache_folder
 from experiments.export.json import to_json_text
 from experiments.jobs import baselines, placement
 from experiments.progress import StageProgress
-from experiments.study.layout import load_carlancap_layout
 from placement.compute import Compute
 from placement.layout import Layout, layout_from_records
 from placement.question import Question
+from placement.study_layout import load_carlancap_layout
 
 pytestmark = pytest.mark.usefixtures("without_figures")
 

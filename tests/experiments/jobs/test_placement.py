@@ -9,12 +9,12 @@ from experiments.export.formats import export_layout
 from experiments.export.json import to_json_text
 from experiments.jobs import placement
 from experiments.progress import StageProgress
-from experiments.study.layout import load_carlancap_layout
 from geometry.errors import InputError
 from placement.compute import Compute
 from placement.layout import Layout, load_layout
 from placement.planning import build_plan
 from placement.question import Question
+from placement.study_layout import load_carlancap_layout
 
 
 def place(out, **options):

@@ -16,13 +16,13 @@ from experiments.jobs.study_cases import (
     study_rows,
 )
 from experiments.results.baselines import build_study_cases_record
-from experiments.study.layout import load_carlancap_layout
 from placement.compute import Compute
 from placement.evaluator import evaluate_layouts
 from placement.evaluator.evaluate import Judge
 from placement.layout import Layout
 from placement.question import Question
 from placement.setting import build_setting
+from placement.study_layout import load_carlancap_layout
 from scenarios.exposure import weight_per_case
 from scenarios.runs import build_frame_axis
 

@@ -18,13 +18,13 @@ from experiments.export.json import to_json_text
 from experiments.plan.session import Variant
 from experiments.results.numbers import percent
 from experiments.results.result import build_evaluation_record
-from experiments.study.layout import load_carlancap_layout
 from geometry.frames import to_geographic
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.evaluator import evaluate_layout
 from placement.layout import load_layout
+from placement.study_layout import load_carlancap_layout
 
 pytestmark = pytest.mark.system
 

@@ -28,7 +28,6 @@ from experiments.plan.worker import DiedError
 from experiments.progress import StageProgress
 from experiments.results.explanations import build_private_ground_record
 from experiments.results.numbers import percent
-from experiments.study.layout import load_carlancap_layout
 from geometry.frames import to_geographic
 from geometry.scene_files import save_scene
 from geometry.study_scene import load_study_scene
@@ -36,6 +35,7 @@ from placement.compute import Compute
 from placement.layout import load_layout
 from placement.private_ground import load_private_ground
 from placement.question import Question
+from placement.study_layout import load_carlancap_layout
 
 TOKEN = "a-token"
 HOST = "127.0.0.1:8000"

@@ -20,12 +20,12 @@ from experiments.plan.session import (
     change_state,
     read_plan,
 )
-from experiments.study.layout import load_carlancap_layout
 from geometry.catalogue import load_cameras
 from geometry.errors import InputError
 from geometry.lidar import load_lidars
 from geometry.study_scene import load_study_scene
 from placement.layout import layout_records, load_layout
+from placement.study_layout import load_carlancap_layout
 
 SCENE = load_study_scene()
 CAMERA = "carla-ncap-rgb"

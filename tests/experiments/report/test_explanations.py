@@ -13,10 +13,10 @@ from experiments.report.explanation import (
 )
 from experiments.results.explanations import build_explained_record
 from experiments.results.record import to_plain
-from experiments.study.layout import load_carlancap_layout
 from placement.detection_table import pack_table
 from placement.explain import find_contributions, find_pool, find_unavoided
 from placement.pipeline import place
+from placement.study_layout import load_carlancap_layout
 from placement.wishes import Wishes
 
 

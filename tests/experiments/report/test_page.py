@@ -16,7 +16,6 @@ from experiments.report.page import render_report, write_report
 from experiments.results.numbers import percent
 from experiments.results.record import StageRecord
 from experiments.results.tables import margin_s
-from experiments.study.layout import load_carlancap_layout
 from geometry.errors import InputError
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
@@ -24,6 +23,7 @@ from placement.evaluation import Evaluation, Verdict, apr
 from placement.layout import Layout, layout_records
 from placement.question import Question
 from placement.setting import build_setting
+from placement.study_layout import load_carlancap_layout
 from scenarios.aeb import is_in_time, live_confirmation_time_s
 from scenarios.runs import Refusal, build_frame_axis
 

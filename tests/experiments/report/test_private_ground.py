@@ -10,13 +10,13 @@ from experiments.report.private_ground import (
     private_ground_sentence,
 )
 from experiments.results.explanations import build_private_ground_record
-from experiments.study.layout import load_carlancap_layout
 from geometry.errors import InputError
 from geometry.frames import to_geographic
 from geometry.study_scene import load_study_scene
 from placement.planning import build_plan
 from placement.private_ground import load_private_ground, private_shares, respects_private_ground
 from placement.question import Question
+from placement.study_layout import load_carlancap_layout
 
 
 def summarise(*given, **options):

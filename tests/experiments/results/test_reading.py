@@ -14,9 +14,9 @@ from experiments.export.json import to_json_text
 from experiments.jobs import placement
 from experiments.results.reading import load_result
 from experiments.results.record import build_unit_records
-from experiments.study.layout import load_carlancap_layout
 from geometry.errors import InputError
 from placement.layout import RESULT_SCHEMA
+from placement.study_layout import load_carlancap_layout
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.study.layout import load_carlancap_layout
 from geometry.study_scene import load_study_scene
 from placement.detection_table import pack_table
 from placement.detectors import load_planning_detector
@@ -11,6 +10,7 @@ from placement.evaluator import evaluate_layout
 from placement.explain.agreement import FUSED, find_disagreements
 from placement.layout import Layout
 from placement.setting import Links, Setting
+from placement.study_layout import load_carlancap_layout
 from placement.visibility import build_detection_table
 from scenarios.exposure import weight_per_run
 from scenarios.runs import build_frame_axis

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from experiments.study.layout import load_carlancap_layout
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidateGrid, build_candidates, load_candidate_grid
 from placement.detection_table import pack_table
 from placement.explain import build_separation, find_refusal
 from placement.setting import Setting
+from placement.study_layout import load_carlancap_layout
 from placement.wishes import Wishes, build_problem
 from scenarios.aeb import load_aeb_rule
 from scenarios.runs import FrameAxis

@@ -1,4 +1,4 @@
-"""The CarlaNCAP study: its setting and its layout of 12 cameras."""
+"""The CarlaNCAP study's layout of 12 cameras, which comparisons are made with."""
 
 from functools import cache
 from importlib.resources import files
@@ -14,16 +14,16 @@ from geometry.files import (
 from geometry.frames import from_carla_pose
 from geometry.scene import Scene
 from geometry.study_scene import load_study_scene
-from placement import planning
-from placement.candidates import CandidatePose
-from placement.layout import Layout
+
+from .candidates import CandidatePose
+from .layout import Layout
 
 
 @cache
 def load_carlancap_layout() -> Layout:
     """The study's 12 roadside cameras, from ``data/carla_ncap_layout.toml``."""
     where = "carla_ncap_layout.toml"
-    table = load_toml(files("experiments") / "data" / where)
+    table = load_toml(files(__package__) / "data" / where)
     camera = pick_camera(take_text(table, "camera", where), f"{where}: camera")
     units = []
     for index, entry in enumerate(take_list(table, "units", where)):
@@ -53,8 +53,3 @@ def find_baseline(scene: Scene) -> Layout | None:
     """What layouts of a scene are compared with: the study's, or at another junction nothing."""
     study = load_carlancap_layout()
     return study if scene.name == study.scene_name else None
-
-
-def find_layout(name: str, option: str) -> Layout:
-    """A layout from a file, or the study's by its name; see :mod:`placement.planning`."""
-    return planning.find_layout(name, option, study=load_carlancap_layout())

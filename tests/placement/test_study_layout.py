@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-from experiments.study.layout import load_carlancap_layout
 from geometry.study_scene import load_study_scene
 from placement.compute import Compute
 from placement.evaluation import apr, apr_by_case, detected_share
@@ -9,6 +8,7 @@ from placement.evaluator import evaluate_layout
 from placement.layout import Layout, check_layout
 from placement.question import BASELINE_NAME, Question
 from placement.setting import build_setting
+from placement.study_layout import load_carlancap_layout
 
 # CarlaNCAP study's released generator (ekut-es/carla_ncap, ncap.py). CARLA's frame.
 GOLDEN_UNITS = {
