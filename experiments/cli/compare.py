@@ -1,5 +1,7 @@
 """``place-rsus compare``: any number of layouts on the same runs."""
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,6 +31,8 @@ from .running import begin, command_line, print_result
 from .terminal import sentences
 
 if TYPE_CHECKING:
+    from placement.layout import Layout
+
     from ..results.baselines import ScoreRecord
     from ..results.evaluations import PartyAprRecord
     from ..results.result import Result
@@ -76,7 +80,7 @@ def compare(
         raise click.UsageError(f"LAYOUT: got {given}; expected two layouts or more")
     from placement.planning import find_layout
 
-    found = [find_layout(name, "LAYOUT") for name in names]
+    found = _by_folder([find_layout(name, "LAYOUT") for name in names], names)
     begin(progress, quiet=quiet)
     from ..jobs import placement
 
@@ -92,6 +96,20 @@ def compare(
         progress=progress,
     )
     print_result(result, progress, as_json, lambda: comparison_text(result, out))
+
+
+def _by_folder(layouts: Sequence["Layout"], files: Sequence[str]) -> list["Layout"]:
+    """Layouts; where the same name stands in other folders, by these: "best-3 of latest"."""
+    folders = [Path(file).resolve().parent.name for file in files]
+    homes: dict[str, set[str]] = {}
+    for layout, folder in zip(layouts, folders, strict=True):
+        homes.setdefault(layout.name, set()).add(folder)
+    return [
+        replace(layout, name=f"{layout.name} of {folder}")
+        if len(homes[layout.name]) > 1
+        else layout
+        for layout, folder in zip(layouts, folders, strict=True)
+    ]
 
 
 def comparison_text(result: "Result", out: Path | None) -> str:

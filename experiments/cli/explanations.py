@@ -12,7 +12,7 @@ from ..report.explanation import (
     pool_sentences,
 )
 from ..results.explanations import ContributionRecord, ExplainedRecord, MissedRunRecord
-from ..results.numbers import count_runs, first_of, number, percent, shortened
+from ..results.numbers import count_runs, first_of, number, percent, points, shortened
 from ..results.sampled_worlds import SampledRecord
 from .terminal import sentences
 
@@ -81,8 +81,7 @@ def _in_short(part: ContributionRecord, *, n_units: int) -> str:
         return f"{unit}: saves {saved}, an APR of {percent(part.marginal_apr)}"
     words = f"{unit}: no run hangs on it alone"
     if runs:
-        points = number(100.0 * part.marginal_apr, 1)
-        words = f"{unit}: only it saves {saved}, {points} points of the APR"
+        words = f"{unit}: only it saves {saved}, {points(part.marginal_apr)} of the APR"
     if part.without.apr == 0.0:
         return words
     what = "the other saves" if n_units == 2 else "the others save"

@@ -1,14 +1,20 @@
 """Text for a terminal: tables and sentences, without colours. Rich is loaded when it is needed."""
 
+import re
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from io import StringIO
+
+from ..results.numbers import several
 
 WIDTH = 80
 """Columns of a terminal; nothing is wider."""
 _GAP = 2
 _MOST_REASONS = 5
 _HEAD_WIDTHS, _WIDEST_WORD = (12, 10, 8), 20
+_NUMBER_AND_UNIT = re.compile(
+    r"(?<=\d) (?=(?:%|m|cm|s|ms|km/h|m/s|EUR|deg|degrees|px|Hz|runs?|points?|units?)(?![\w/]))"
+)
 
 
 def sentences(*texts: str, indent: int = 0, hanging: int = 0, head: str = "") -> list[str]:
@@ -22,10 +28,10 @@ def sentences(*texts: str, indent: int = 0, hanging: int = 0, head: str = "") ->
         Stands before each text, on its first line alone.
     """
     return [
-        line
+        line.replace("\N{NO-BREAK SPACE}", " ")
         for text in texts
         for line in textwrap.wrap(
-            head + text,
+            _NUMBER_AND_UNIT.sub("\N{NO-BREAK SPACE}", head + text),
             WIDTH,
             initial_indent=" " * indent,
             subsequent_indent=" " * (indent + hanging),
@@ -39,7 +45,9 @@ def driven_lines(driven: Sequence[str]) -> list[str]:
     lines = sentences(*driven[:1])
     lines += sentences(*driven[1 : 1 + _MOST_REASONS], indent=2, hanging=2)
     n_left = len(driven) - 1 - _MOST_REASONS
-    return lines + ([f"  and {n_left} more reasons in the report's list"] if n_left > 0 else [])
+    if n_left > 0:
+        lines.append(f"  and {several(n_left, 'more reason', 'more reasons')} in the report's list")
+    return lines
 
 
 def table(

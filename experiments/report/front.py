@@ -13,7 +13,7 @@ from placement.optimiser.objectives import COST_TOLERANCE_EUR, TOLERANCE
 
 from ..figures.front import plot_front
 from ..results.fronts import FrontPointRecord, FrontRecord
-from ..results.numbers import NOTHING, euros, number, percent
+from ..results.numbers import NOTHING, euros, number, percent, points
 from .section import Block, Bullets, Section, Table, build_picture
 
 _VALUES = PlacementValue._fields
@@ -268,7 +268,7 @@ def _bought(before: FrontPoint, point: FrontPoint, front: Front, *, many: bool =
     clauses = []
     gain = new.apr - old.apr
     if gain > TOLERANCE:
-        clauses.append(f"add{s} {100.0 * gain:.1f} points of APR ({percent(new.apr)})")
+        clauses.append(f"add{s} {points(gain)} of APR ({percent(new.apr)})")
     kept = new.apr_one_failed - old.apr_one_failed
     if kept > TOLERANCE and new.apr_one_failed >= new.apr - TOLERANCE:
         clauses.append("the layout then survives any single failure")

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from ..results.baselines import ExchangeRecord
-from ..results.numbers import percent
+from ..results.numbers import percent, points
 from ..results.result import Result
 from .section import Section, Table
 
@@ -19,7 +19,7 @@ def next_unit_sentence(result: Result) -> str:
     if unit.gain < _NOTHING_GAINED:
         return f"One more unit among the candidates would avoid nothing more ({how})"
     return (
-        f"One more unit would add {100.0 * unit.gain:.1f} points of APR: {percent(unit.apr)} with "
+        f"One more unit would add {points(unit.gain)} of APR: {percent(unit.apr)} with "
         f"{unit.pose} ({how})"
     )
 
@@ -40,7 +40,7 @@ def other_sensor_sentence(result: Result) -> str:
         )
         return f"{others} in place of one of these would add anything: {loss} ({how})"
     return (
-        f"{_words(best)} would add {100.0 * best.gain:.1f} points of APR: {percent(best.apr)} for "
+        f"{_words(best)} would add {points(best.gain)} of APR: {percent(best.apr)} for "
         f"{_eur(best.extra_eur)} ({how})"
     )
 

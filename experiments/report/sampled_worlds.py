@@ -14,7 +14,7 @@ from placement.sampling import (
 )
 
 from ..figures.axes import BLUE, GREEN, PINK, VERMILION, WIDTH_IN, finish_axes, literal, new_axes
-from ..results.numbers import or_nan, percent, shortened
+from ..results.numbers import number, or_nan, percent, points, shortened
 from ..results.sampled_worlds import (
     SampledGainRecord,
     SampledLayoutRecord,
@@ -138,12 +138,12 @@ def moving_sentence(found: SampledRecord) -> str:
 
 
 def _gain(name: str, gain: SampledGainRecord) -> str:
-    points, low, high = (100.0 * or_nan(share) for share in (gain.mean, gain.low, gain.high))
-    where = f"95 % interval {low:.1f} to {high:.1f}".replace("-", "\N{MINUS SIGN}")
+    mean, low, high = (or_nan(share) for share in (gain.mean, gain.low, gain.high))
+    where = f"95 % interval {number(100.0 * low, 1)} to {number(100.0 * high, 1)}"
     if is_open(gain):
         return f"Between {name} and {gain.over} there is no sure difference ({where} points)"
-    more = "more" if points > 0.0 else "less"
-    return f"{name} avoids {abs(points):.1f} points {more} than {gain.over} ({where})"
+    more = "more" if mean > 0.0 else "less"
+    return f"{name} avoids {points(abs(mean))} {more} than {gain.over} ({where})"
 
 
 def is_open(difference: SampledGainRecord | SampledPairRecord) -> bool:

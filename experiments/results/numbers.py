@@ -26,6 +26,18 @@ def percent(share: float | None) -> str:
     return f"{100.0 * share:.1f} %"
 
 
+def points(share: float) -> str:
+    """A difference of shares of 1 in points of percent.
+
+    Examples
+    --------
+    >>> points(0.022), points(0.01)
+    ('2.2 points', '1 point')
+    """
+    shown = number(100.0 * share, 1)
+    return "1 point" if shown == "1.0" else f"{shown} points"
+
+
 def number(value: float | None, digits: int = 2) -> str:
     """A number with a typographic minus; a dash where there is none."""
     if value is None or not math.isfinite(value):

@@ -396,6 +396,18 @@ def test_printed_tables_fit_80_columns(run, small_study, layout_file, without_fi
         assert "100.0 %" in out
 
 
+def test_layouts_of_one_name_are_named_by_their_folders(run, small_study, layout_file):
+    path = layout_file()
+    other = Path("other/mine.json")
+    other.parent.mkdir()
+    other.write_bytes(Path(path).read_bytes())
+    code, out, err = run("compare", path, other, "--json", "--quiet")
+    assert (code, err) == (0, "")
+    summary = json.loads(out)
+    home = Path(path).resolve().parent.name
+    assert [summary["name"], summary["baseline_name"]] == [f"mine of {home}", "mine of other"]
+
+
 def test_comparison_of_a_layout_with_itself_finds_no_difference(run, small_study, layout_file):
     path = layout_file()
     code, out, err = run(

@@ -12,6 +12,7 @@ from click.testing import CliRunner
 
 from experiments.cli.main import cli
 from experiments.cli.options import PROGRAM
+from experiments.cli.terminal import sentences
 from experiments.progress import StderrLog
 from placement.question import SECTIONS
 
@@ -136,3 +137,8 @@ def test_quiet_and_verbose_are_one_or_the_other(run):
     assert (code, out) == (2, "")
     assert err == "place-rsus: --quiet, --verbose: got both; expected one of them\n"
     assert not logging.getLogger("placement").isEnabledFor(logging.INFO)  # whatever comes next
+
+
+def test_a_number_is_not_split_from_its_unit():
+    assert sentences("a" * 77 + " 12 % of 3 runs") == ["a" * 77, "12 % of 3 runs"]
+    assert sentences("b" * 76 + " 1,250 EUR") == ["b" * 76, "1,250 EUR"]
