@@ -303,9 +303,9 @@ def test_crosswalks_lead_over_the_road_and_two_metres_farther(tmp_path: Path) ->
     osm.road([(-80.0, 0.0), *crossings, middle, (80.0, 0.0)], width="6")
     osm.road([(0.0, -80.0), middle, (0.0, 80.0)])
     osm.node(30.0, 30.0, highway="crossing")  # on no road
-    # The second one is mapped as a footway too; it is the better line.
+    # The second one is mapped as a footway too, askew; it is the better line.
     osm.way(
-        [osm.node(-10.0, -4.0), crossings[1], osm.node(-10.0, 4.0)],
+        [osm.node(-11.0, -4.0), crossings[1], osm.node(-9.0, 4.0)],
         {"highway": "footway", "footway": "crossing"},
     )
     osm.way(
@@ -314,8 +314,45 @@ def test_crosswalks_lead_over_the_road_and_two_metres_farther(tmp_path: Path) ->
     lines = read(osm, tmp_path).crosswalks_m
     found = sorted(sorted(line.round(1).tolist()) for line in lines)
     np.testing.assert_allclose(
-        found, [[[-20.0, -5.0], [-20.0, 5.0]], [[-10.0, -4.0], [-10.0, 4.0]]], atol=0.11
+        found, [[[-20.0, -5.0], [-20.0, 5.0]], [[-11.25, -4.9], [-8.75, 4.9]]], atol=0.11
     )
+
+
+def test_a_footway_over_two_arms_is_a_crosswalk_over_each(tmp_path: Path) -> None:
+    osm = OsmText()
+    middle = osm.node(0.0, 0.0)
+    osm.road([(-80.0, 0.0), middle, (80.0, 0.0)], width="6")
+    osm.road([(0.0, -80.0), middle, (0.0, 80.0)], width="6")
+    corner = [(10.0, -9.0), (10.0, 10.0), (-9.0, 10.0)]  # over the eastern and the northern arm
+    osm.way(corner, {"highway": "footway", "footway": "crossing"})
+    lines = read(osm, tmp_path).crosswalks_m
+    found = sorted(np.sort(line, axis=0).round(1).tolist() for line in lines)
+    np.testing.assert_allclose(
+        found, [[[-5.0, 10.0], [5.0, 10.0]], [[10.0, -5.0], [10.0, 5.0]]], atol=0.11
+    )
+
+
+def test_two_carriageways_crossed_straight_are_one_crosswalk(tmp_path: Path) -> None:
+    osm = OsmText()
+    for y, along in ((-6.0, 1.0), (6.0, -1.0)):
+        osm.road([(-80.0 * along, y), (80.0 * along, y)], width="6", oneway="yes")
+    osm.way([(0.0, -15.0), (0.0, 15.0)], {"highway": "footway", "footway": "crossing"})
+    # Each half of this one is mapped by itself, to the middle of its carriageway.
+    for end in (1.0, 11.0):
+        osm.way([(20.0, end), (20.0, 6.0)], {"highway": "footway", "footway": "crossing"})
+    lines = read(osm, tmp_path).crosswalks_m
+    found = sorted(np.sort(line, axis=0).round(1).tolist() for line in lines)
+    np.testing.assert_allclose(
+        found, [[[0.0, -11.0], [0.0, 11.0]], [[20.0, 1.0], [20.0, 11.0]]], atol=0.11
+    )
+
+
+def test_a_footway_over_a_bridge_crosses_no_road_below_it(tmp_path: Path) -> None:
+    osm = OsmText()
+    osm.road([(-80.0, 0.0), (80.0, 0.0)], width="6")
+    way = {"highway": "footway", "footway": "crossing", "bridge": "yes", "layer": "1"}
+    osm.way([(0.0, -15.0), (0.0, 15.0)], way)
+    assert not len(read(osm, tmp_path).crosswalks_m)
 
 
 def test_crosswalks_nearer_than_three_metres_are_one(tmp_path: Path) -> None:
