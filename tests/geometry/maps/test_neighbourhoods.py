@@ -46,3 +46,13 @@ def test_a_junctions_surroundings_make_the_scene_of_the_whole_map(city):
         assert same(cut.scene, whole.scene)
         assert cut.roads
         assert same(cut.roads, whole.roads)
+
+
+def test_lanes_through_other_junctions_come_along(real_input):
+    maps, junctions = read_maps([real_input("opendrive/multi_intersections.xodr")], ReadingOptions())
+    part = Neighbourhoods(maps, radius_m=40.0).around(junctions[0].junction)
+    assert len(part[0].connections) < len(maps[0].connections)
+    assert len(part[0].junctions) < len(maps[0].junctions)
+    options = ImportOptions(sites="kerb:15", radius_m=40.0)
+    whole = cut_scene(maps, junctions[0], options)
+    assert same(cut_scene(part, junctions[0], options).scene, whole.scene)
