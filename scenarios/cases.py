@@ -1,6 +1,7 @@
 """Test cases, from ``data/cases.toml``: a new case is a new table there, not new code."""
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -131,6 +132,25 @@ class Case:
     def __repr__(self) -> str:
         speeds = ", ".join(f"{speed:g}" for speed in self.vut_speeds_kmh)
         return f"Case({self.name!r}, {speeds} km/h)"
+
+
+_OTHER_SIDE = {"left": "right", "right": "left"}
+
+
+def worded_for(case: Case, *, keeps_left: bool) -> Case:
+    """The case with its title in the words of a junction's traffic.
+
+    Titles are those of traffic that keeps right; where it keeps left, left and right are exchanged.
+
+    Examples
+    --------
+    >>> worded_for(pick_cases("CPTAfs-50", "--cases")[0], keeps_left=True).title
+    'VUT turns right, adult crosses from the far side, walking as the VUT drove'
+    """
+    if not keeps_left:
+        return case
+    words = (_OTHER_SIDE.get(word, word) for word in re.split(r"\b", case.title))
+    return replace(case, title="".join(words))
 
 
 # ---------- tables of data/cases.toml

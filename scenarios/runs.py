@@ -20,7 +20,7 @@ from geometry.terrain import Terrain, set_down, terrain_of
 from geometry.weather import load_weathers
 
 from .aeb import AebRule, confirmation_mask, held_frames, is_in_time, last_brake_time_s
-from .cases import Case
+from .cases import Case, worded_for
 from .clearance import make_room
 from .encounters import Encounter
 from .positions import AT_ZERO, Position, positions_of, read_position, spread_speeds
@@ -404,6 +404,7 @@ def build_runs(
             if word not in known:
                 raise InputError(where, word, "one of " + ", ".join(known))
     right_hand = mirrored(junction) if junction.keeps_left else junction
+    cases = [worded_for(case, keeps_left=junction.keeps_left) for case in cases]
     runs: list[Run] = []
     refusals: list[Refusal] = []
     for case in cases:
