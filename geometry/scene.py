@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .arrays import FloatArray, Point2, Point3, Points2, float_array, freeze
 from .errors import InputError, Unquoted
+from .notes import Note
 
 HANGING_KINDS = ("mast arm", "gantry", "bridge", "wire")
 """Kinds of sites that hang over the road; all others stand beside it."""
@@ -133,6 +134,8 @@ class Scene:
     zero_height_m : float, optional
         Height of z = 0 as what told the heights of the ground counts them, such as above the sea;
         None: unknown. [m]
+    notes : tuple of Note
+        What was assumed, or left out, when the scene was made of maps.
     """
 
     name: str
@@ -150,6 +153,7 @@ class Scene:
     source_crs: str = ""
     source_origin_m: FloatArray = field(default_factory=lambda: np.zeros(2))
     zero_height_m: float | None = None
+    notes: tuple[Note, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(

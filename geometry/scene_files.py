@@ -23,6 +23,7 @@ from .errors import InputError, Unquoted
 from .files import MAX_TOML_BYTES, Text, check_file, load_toml, read_table, write_atomically
 from .frames import from_gltf_points, to_gltf_points
 from .junction import LeadingRoad
+from .notes import Kind, Note
 from .scene import Instance, Lane, Scene, Site, join_bodies
 from .study_scene import STUDY, CrosswalkEntry, crosswalk_lines, load_study_scene
 from .untrusted_files import check_gltf, refuse_bomb
@@ -99,9 +100,11 @@ class _Thing(Struct, frozen=True, kw_only=True, rename={"class_name": "class"}):
     is_height_assumed: bool = False
 
 
-class _Skipped(Struct, frozen=True, kw_only=True):
+class _Note(Struct, frozen=True, kw_only=True):
     what: Text
     why: Text
+    kind: Kind = "left out"
+    site_ids: tuple[Text, ...] = ()
 
 
 class _FolderScene(Struct, frozen=True, kw_only=True):
@@ -119,7 +122,7 @@ class _FolderScene(Struct, frozen=True, kw_only=True):
     crosswalks: tuple[CrosswalkEntry, ...]
     sites: tuple[Site, ...]
     things: tuple[_Thing, ...]
-    skipped: tuple[_Skipped, ...]
+    skipped: tuple[_Note, ...]
     roads: tuple[LeadingRoad, ...] = ()
 
 
@@ -132,7 +135,6 @@ def save_scene(
     scene: Scene,
     *,
     sources: Sequence[str] = (),
-    skipped: Sequence[tuple[str, str]] = (),
     assumed_heights: Sequence[str] = (),
     roads: Sequence[LeadingRoad] = (),
 ) -> None:
@@ -146,8 +148,6 @@ def save_scene(
         What to write; coordinates are rounded to a millimetre, meshes to single precision.
     sources : sequence of str
         Names of the files that it was made from.
-    skipped : sequence of (str, str)
-        What of them was left out, and why.
     assumed_heights : sequence of str
         Ids of things whose heights the sources do not say.
     roads : sequence of LeadingRoad
@@ -175,7 +175,7 @@ def save_scene(
             | ({"is_height_assumed": True} if thing.id in assumed_heights else {})
             for thing in scene.instances
         ],
-        "skipped": [{"what": what, "why": why} for what, why in skipped],
+        "skipped": [_note_entry(note) for note in scene.notes],
         "roads": [_entry(road, *_ROAD_FIELDS) for road in roads],
     }
     text = _HEAD + tomlkit.dumps(table)
@@ -220,24 +220,25 @@ def load_scene_folder(path: Path) -> Scene:
         source_crs=table.source_crs,
         source_origin_m=table.source_origin_m,
         zero_height_m=table.zero_height_m,
+        notes=tuple(
+            Note(what=note.what, why=note.why, kind=note.kind, site_ids=note.site_ids)
+            for note in table.skipped
+        ),
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImportNotes:
-    """What the import of a scene told of it.
+    """What the import of a scene told of it, beside the scene's own notes.
 
     Attributes
     ----------
-    skipped : tuple of (str, str)
-        What was left out or assumed, and why.
     assumed_heights : frozenset of str
         Ids of the things whose heights the sources do not say.
     roads : tuple of LeadingRoad
         Roads of the map that lead to the junction; none: the map does not say.
     """
 
-    skipped: tuple[tuple[str, str], ...] = ()
     assumed_heights: frozenset[str] = frozenset()
     roads: tuple[LeadingRoad, ...] = ()
 
@@ -247,7 +248,6 @@ def load_notes(path: Path) -> ImportNotes:
     with _as_folder(path) as folder:
         table = _read_scene_file(folder, shown=path)
     return ImportNotes(
-        skipped=tuple((skip.what, skip.why) for skip in table.skipped),
         assumed_heights=frozenset(thing.id for thing in table.things if thing.is_height_assumed),
         roads=table.roads,
     )
@@ -330,6 +330,12 @@ def _entry(value: object, *names: str) -> dict[str, Any]:
         key: _rounded(one) if isinstance(one, np.ndarray) or key.endswith("_m") else one
         for key, one in fields.items()
     }
+
+
+def _note_entry(note: Note) -> dict[str, Any]:
+    assumed = {} if note.kind == "left out" else {"kind": note.kind}
+    sites = {"site_ids": list(note.site_ids)} if note.site_ids else {}
+    return {"what": note.what, "why": note.why, **assumed, **sites}
 
 
 def _rounded(array: FloatArray) -> Any:

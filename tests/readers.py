@@ -410,9 +410,13 @@ def _small_scene() -> Any:
 
 
 def _scenes() -> Mapping[str, tuple[str, Files]]:
+    from dataclasses import replace
+
+    from geometry.notes import Note
     from geometry.scene_files import save_scene
 
-    files = _written(lambda folder: save_scene(folder, _small_scene(), skipped=[("a", "b")]))
+    scene = replace(_small_scene(), notes=(Note(what="a", why="b", kind="sites", site_ids=("c",)),))
+    files = _written(lambda folder: save_scene(folder, scene))
     return {"folder": (".", files), "zip": _one("a.zip", _zipped(files))}
 
 

@@ -17,7 +17,6 @@ from geometry.maps.importing import (
     read_maps,
 )
 from geometry.maps.junctions import sort_junctions
-from geometry.maps.source_map import Skipped
 from geometry.scene import Scene
 from geometry.scene_checks import check_scene
 from geometry.scene_files import (
@@ -99,7 +98,6 @@ def run_import(
             folder,
             scene,
             sources=imported.sources if imported else (),
-            skipped=imported.skipped if imported else (),
             assumed_heights=sorted(imported.assumed_heights) if imported else (),
             roads=imported.roads if imported else (),
         )
@@ -157,8 +155,7 @@ def import_into_cache(
     folder = cache / "scenes" / digest.hexdigest()[:16]
     if (folder / SCENE_FILE).exists():
         try:
-            scene, notes = load_any_scene(str(folder))
-            return str(folder), build_scene_result(scene, skipped=_skipped(notes.skipped))
+            return str(folder), build_scene_result(load_any_scene(str(folder))[0])
         except InputError:
             pass  # damaged: import it again
     folder.mkdir(parents=True, exist_ok=True)
@@ -216,8 +213,8 @@ def run_show(
             skipped=tuple(skip for source in maps for skip in source.skipped),
             crs=roads.source_crs or roads.crs or None,
         )
-    scene, notes = load_any_scene(paths[0] if paths else "")
-    result = build_scene_result(scene, skipped=_skipped(notes.skipped))
+    scene, _ = load_any_scene(paths[0] if paths else "")
+    result = build_scene_result(scene)
     if out is None:
         return result
     progress(WRITING, 0, 0)
@@ -260,7 +257,7 @@ def load_any_scene(path: str) -> tuple[Scene, ImportNotes]:
 
 def _import_result(imported: ImportedScene) -> SceneResult:
     """An imported scene; its junction has the id and the name that it has in the map."""
-    result = build_scene_result(imported.scene, skipped=_skipped(imported.skipped))
+    result = build_scene_result(imported.scene)
     chosen = imported.chosen.junction
     return replace(
         result,
@@ -268,10 +265,6 @@ def _import_result(imported: ImportedScene) -> SceneResult:
         other_junctions=len(imported.junctions) - 1,
         assumed_heights=len(imported.assumed_heights),
     )
-
-
-def _skipped(pairs: Sequence[tuple[str, str]]) -> tuple[Skipped, ...]:
-    return tuple(Skipped(what=what, why=why) for what, why in pairs)
 
 
 def _is_scene(path: Path) -> bool:

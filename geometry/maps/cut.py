@@ -111,7 +111,8 @@ def cut_out(
             things.append(replace(thing, id=thing_id, vertices_m=vertices))
         if n_floating:
             why = "they would float above the ground below them: set down on it"
-            skipped.append(Skipped(what=f"{n_floating} buildings in {source.name}", why=why))
+            what = f"{n_floating} buildings in {source.name}"
+            skipped.append(Skipped(what=what, why=why, kind="heights"))
         skipped += [
             Skipped(what=f"{count} x {name} in {source.name}", why="not above the road")
             for name, count in low.items()
@@ -125,7 +126,7 @@ def cut_out(
     lanes, through = _lanes(roads, junction, frame, outline, half_m)
     if through:
         why = "lanes are led straight on through them on smooth curves: assumed"
-        skipped.append(Skipped(what="other junctions around it", why=why))
+        skipped.append(Skipped(what="other junctions around it", why=why, kind="roads"))
     return Surroundings(
         frame=frame,
         lanes=(*lanes, *through),

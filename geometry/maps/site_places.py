@@ -191,7 +191,8 @@ def settle_poles(surroundings: Surroundings) -> tuple[Surroundings, tuple[Skippe
             told.append(Skipped(what=what, why=f"no site: it stands {place.why}"))
             continue
         if place.why:
-            told.append(Skipped(what=what, why=f"it stood {place.why}"))
+            why = f"it stood {place.why}"
+            told.append(Skipped(what=what, why=why, kind="sites", site_ids=(pole.id,)))
             pole = replace(pole, position_m=np.append(place.position_m, pole.position_m[2]))
         kept.append(pole)
     return replace(surroundings, poles=tuple(kept)), tuple(told)

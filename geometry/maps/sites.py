@@ -267,7 +267,7 @@ def choose_sites(
             )
     else:
         wishes = _kerbs(surroundings, _spacing_m(where), radius_m)
-    placed, moved = _settled(wishes, surroundings)
+    placed, moved = _settled(_with_plain_ids(wishes), surroundings)
     told += [skip for skip in moved if not where.startswith(KERB) and where != AUTO]
     kept, dropped = tidy_sites(placed, things=surroundings.things)
     told += dropped
@@ -278,7 +278,7 @@ def choose_sites(
             f"a site within {radius_m:g} m that stands free ({len(dropped)} do not): kerb:15, or "
             "a list of your own",
         )
-    return tuple(_site(wish) for wish in _with_plain_ids(kept)), tuple(told)
+    return tuple(_site(wish) for wish in kept), tuple(told)
 
 
 def _settled(
@@ -297,7 +297,8 @@ def _settled(
             told.append(Skipped(what=f"site {wish.id}", why=f"it stands {place.why}"))
         else:
             kept.append(replace(wish, position_m=place.position_m))
-            told.append(Skipped(what=f"site {wish.id}", why=f"it stood {place.why}"))
+            why = f"it stood {place.why}"
+            told.append(Skipped(what=f"site {wish.id}", why=why, kind="sites", site_ids=(wish.id,)))
     return tuple(kept), told
 
 

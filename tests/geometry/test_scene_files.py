@@ -1,4 +1,5 @@
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from osm_text import LAT_DEG, LON_DEG, OsmText
 from geometry.errors import InputError
 from geometry.frames import from_gltf_points, to_gltf_points
 from geometry.junction import build_junction
+from geometry.notes import Note
 from geometry.scene_files import (
     SCENE_FILE,
     THINGS_FILE,
@@ -19,15 +21,19 @@ from geometry.scene_files import (
     save_scene,
 )
 
+NOTES = (
+    Note(what="way 1", why='too "short"'),
+    Note(what="2 masts", why="assumed", kind="sites", site_ids=("lamp-s1", "lamp-s2")),
+)
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("scene")
     save_scene(
         path,
-        load_study_scene(),
+        replace(load_study_scene(), notes=NOTES),
         sources=["a.osm"],
-        skipped=[("way 1", 'too "short"')],
         assumed_heights=["wall-ne-1"],
     )
     return path
@@ -65,8 +71,8 @@ def test_a_scene_comes_back_as_it_was(folder, tmp_path):
 
 
 def test_notes_come_back(folder):
+    assert load_scene_folder(folder).notes == NOTES
     notes = load_notes(folder)
-    assert notes.skipped == (("way 1", 'too "short"'),)
     assert notes.assumed_heights == {"wall-ne-1"}
 
 

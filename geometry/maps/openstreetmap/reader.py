@@ -153,6 +153,7 @@ def read_openstreetmap(path: Path, *, keeps_left: bool | None = None) -> SourceM
         assumed = Skipped(
             what="side of the road",
             why="no tag, roundabout or pair of carriageways shows it: taken to keep right",
+            kind="side of the road",
         )
         skipped = (assumed, *skipped)
     return SourceMap(

@@ -389,7 +389,8 @@ def find_poles(
             omissions.add(f"{kind}s", f"node {node_id}", "on a wall or a wire, without a pole")
             continue
         is_on_road = row in network.ends or row in places
-        if is_on_road and kind in ("traffic light", "sign"):
+        is_at_kerbs = is_on_road and kind in ("traffic light", "sign")
+        if is_at_kerbs:
             feet = _at_kerbs(places.get(row, ()), tags, keeps_left=keeps_left)
             if not feet:
                 omissions.add(
@@ -404,9 +405,16 @@ def find_poles(
                     kind=kind,
                     position_m=np.append(foot, 0.0),
                     height_m=_height_m(tags),
+                    assumed=_assumed_place(node_id, len(feet)) if is_at_kerbs else "",
                 )
             )
     return tuple(poles)
+
+
+def _assumed_place(node_id: int, n_poles: int) -> str:
+    if n_poles == 1:
+        return "mapped on the road: a pole at the kerb is assumed"
+    return f"node {node_id} is mapped on the road: {n_poles} poles at the kerbs are assumed"
 
 
 def _kind(tags: Tags) -> str:

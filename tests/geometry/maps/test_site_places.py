@@ -109,7 +109,7 @@ def test_an_import_has_no_site_in_a_lane_and_says_what_it_moved(tmp_path: Path) 
     feet = [shapely.Point(site.position_m[:2]) for site in imported.scene.sites]
     assert len(feet) == 4
     assert min(road.distance(foot) for foot in feet) > 0.4
-    told = dict(imported.skipped)
+    told = {note.what: note.why for note in imported.scene.notes}
     assert sum("moved" in why for why in told.values()) == 3
     assert any(why == "1 m high: too low for sensors" for why in told.values())
     assert not [one for one in check_scene(imported.scene) if one.what.startswith("site")]
