@@ -14,9 +14,8 @@ from .scene import (
     Site,
     containing_instance,
     road_area,
-    thing_footprint,
 )
-from .terrain import ground_height_m
+from .terrain import HEADROOM_M, ground_height_m, standing_footprint
 
 _FLOATING_M = 0.5
 _SUNK_M = 3.0
@@ -211,7 +210,7 @@ def _check_feet(scene: Scene, sites: Sequence[Site]) -> Iterator[Finding]:
 def _check_meshes(scene: Scene) -> Iterator[Finding]:
     import trimesh
 
-    holes, floating, sunk, inverted = [], [], [], []
+    holes, floating, raised, sunk, inverted = [], [], [], [], []
     for index, thing in enumerate(scene.instances):
         faces = scene.triangles[scene.triangle_instance == index]
         if thing.class_name not in _STANDING or not len(faces):
@@ -222,7 +221,8 @@ def _check_meshes(scene: Scene) -> Iterator[Finding]:
         low, high = mesh.bounds[:, 2]
         ground_m = ground_height_m(scene, mesh.vertices[:, :2])
         if low - ground_m.min() > _FLOATING_M and thing.class_name != "vegetation":
-            floating.append(thing.id)
+            is_raised = (mesh.vertices[:, 2] - ground_m).min() >= HEADROOM_M
+            (raised if is_raised else floating).append(thing.id)
         if high < ground_m.min() or (mesh.vertices[:, 2] - ground_m).min() < -_SUNK_M:
             sunk.append(thing.id)
         # A hole in the floor, which stands on the ground, lets nothing be seen through.
@@ -233,6 +233,10 @@ def _check_meshes(scene: Scene) -> Iterator[Finding]:
     for ids, why in (
         (holes, "its surface has holes above the floor"),
         (floating, f"it begins more than {_FLOATING_M:g} m above the road"),
+        (
+            raised,
+            f"it begins {HEADROOM_M:g} m above the ground or higher: taken to be passed below",
+        ),
         (sunk, "it is below the road, or begins far below it"),
         (inverted, "its triangles face inwards"),
     ):
@@ -252,7 +256,7 @@ def _check_footprints(scene: Scene) -> Iterator[Finding]:
     import shapely
 
     shapes = {
-        thing.id: thing_footprint(scene, index)
+        thing.id: standing_footprint(scene, index)
         for index, thing in enumerate(scene.instances)
         if thing.class_name in ("building", "wall")
     }

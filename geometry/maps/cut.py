@@ -18,8 +18,8 @@ from ..junction import (
     distance_to_outline_m,
     lane_line,
 )
-from ..scene import Instance, Lane, Scene, Site, thing_footprint
-from ..terrain import GROUND, Terrain, on_ground
+from ..scene import Instance, Lane, Scene, Site
+from ..terrain import GROUND, Terrain, on_ground, standing_footprint
 from .georeferences import LocalFrame, frame_at
 from .relief import Elevation, find_relief
 from .solids import join
@@ -40,6 +40,7 @@ _LEAST_ASSUMED_M = 5.0
 _MOUTH_M = 4.0  # of a lane next to a junction, whose direction counts there
 _STRAIGHT_ON_DEG = 25.0  # between the way through a junction and the lanes at its ends
 _DIGITS_M = 0.002
+_NEIGHBOURS_BEYOND_M = 20.0
 _LOWEST_M = 0.2  # lower things hide nobody
 _KEPT = ("driving", "parking", "cycling")
 
@@ -59,6 +60,7 @@ class Surroundings:
     roads: tuple[LeadingRoad, ...] = ()  # that lead to the junction
     terrain: Terrain | None = None  # the ground, 0 in the junction's middle; None: a plane
     zero_height_m: float | None = None  # of the middle, as the map counts heights
+    neighbours_m: tuple[FloatArray, ...] = ()  # (n, 2) each, outlines of the junctions around it
 
 
 def cut_out(
@@ -139,7 +141,20 @@ def cut_out(
         roads=tuple(_taken(road, frame, roads) for road in junction.roads),
         terrain=relief.terrain,
         zero_height_m=None if relief.terrain is None else round(relief.zero_m, 3),
+        neighbours_m=tuple(_neighbours(roads, junction, frame, radius_m + _NEIGHBOURS_BEYOND_M)),
     )
+
+
+def _neighbours(
+    roads: SourceMap, junction: MapJunction, frame: LocalFrame, reach_m: float
+) -> Iterator[FloatArray]:
+    """Outlines (n, 2) of the other junctions within reach."""
+    for other in roads.junctions:
+        if other.id != junction.id:
+            outline = frame.take(other.outline_m, roads)
+            nearest = np.clip(0.0, outline.min(axis=0), outline.max(axis=0))
+            if np.hypot(*nearest) <= reach_m:
+                yield outline
 
 
 def _taken(road: LeadingRoad, frame: LocalFrame, source: SourceMap) -> LeadingRoad:
@@ -252,7 +267,7 @@ def _houses(scene: Scene) -> Any:
 
     return shapely.union_all(
         [
-            thing_footprint(scene, index)
+            standing_footprint(scene, index)
             for index, thing in enumerate(scene.instances)
             if thing.class_name in ("building", "wall")
         ]

@@ -212,8 +212,8 @@ class ImportOptions:
     radius_m : float
         Radius around the middle of the junction within which things are kept. [m]
     sites : str
-        "auto": poles of the map, or sites every 15 m along the kerbs if it has no pole within the
-        radius; "map": poles of the map alone; "kerb:SPACING"; or a CSV or GeoJSON file.
+        "auto", "map", "kerb:SPACING", or a CSV or GeoJSON file, see
+        :func:`geometry.maps.sites.choose_sites`.
     ground_m : float, optional
         Height of the road, see :func:`geometry.maps.cut.cut_out`. [m]
     terrain : Path, optional

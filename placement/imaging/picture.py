@@ -454,9 +454,7 @@ def build_shot(
         lamps = backdrop.street_lamps
         if run is not None:
             pose_vut = vut_pose(run, frame_index)
-            lamps += build_headlights(
-                run.encounter.vut, pose_vut, keeps_left=backdrop.keeps_left
-            )
+            lamps += build_headlights(run.encounter.vut, pose_vut, keeps_left=backdrop.keeps_left)
     materials = materials or load_materials()
     return Shot(
         R_world_camera=camera_rotation(pose.yaw_deg, pose.pitch_deg),

@@ -110,9 +110,7 @@ def _direction(line: LineString) -> FloatArray:
     return unit
 
 
-def _from_kerb_to_kerb(
-    part: LineString, carriageway: BaseGeometry, beyond_m: float
-) -> FloatArray:
+def _from_kerb_to_kerb(part: LineString, carriageway: BaseGeometry, beyond_m: float) -> FloatArray:
     """The straight line through a footway's ends on a carriageway, beyond the kerbs.
 
     A footway that is mapped only as far as the middle of the road is led on to the other kerb.

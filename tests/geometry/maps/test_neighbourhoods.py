@@ -49,7 +49,9 @@ def test_a_junctions_surroundings_make_the_scene_of_the_whole_map(city):
 
 
 def test_lanes_through_other_junctions_come_along(real_input):
-    maps, junctions = read_maps([real_input("opendrive/multi_intersections.xodr")], ReadingOptions())
+    maps, junctions = read_maps(
+        [real_input("opendrive/multi_intersections.xodr")], ReadingOptions()
+    )
     part = Neighbourhoods(maps, radius_m=40.0).around(junctions[0].junction)
     assert len(part[0].connections) < len(maps[0].connections)
     assert len(part[0].junctions) < len(maps[0].junctions)

@@ -65,6 +65,14 @@ def heights_m(thing: Thing) -> tuple[float, float]:
         ({"building:levels": "many"}, (0.0, 9.0), True),
         ({"min_height": "10"}, (10.0, 13.0), True),
         ({"building": "roof", "min_height": "4", "height": "5"}, (4.0, 5.0), False),
+        ({"building": "roof", "height": "6"}, (5.5, 6.0), True),
+        ({"building": "roof"}, (4.5, 5.0), True),
+        ({"building": "carport"}, (2.2, 2.7), True),
+        ({"layer": "1"}, (4.5, 9.0), True),
+        ({"layer": "1", "height": "12"}, (4.5, 12.0), True),
+        ({"layer": "2", "building:levels": "4"}, (9.0, 12.0), True),
+        ({"building": "bridge", "height": "6"}, (3.0, 6.0), True),
+        ({"layer": "1", "min_height": "6", "height": "9"}, (6.0, 9.0), False),
     ],
 )
 def test_tags_say_how_high_a_building_is(
@@ -84,8 +92,6 @@ def test_tags_say_how_high_a_building_is(
     [
         ({"height": "3", "min_height": "3"}, "not above its floor"),
         ({"building": "construction"}, "not built yet"),
-        ({"building": "roof"}, "stilts"),
-        ({"building": "carport", "height": "3"}, "stilts"),
         ({"location": "underground"}, "below the ground"),
         ({"layer": "-1"}, "below the ground"),
     ],
@@ -98,6 +104,42 @@ def test_what_does_not_stand_there_is_told(tags: dict[str, str], why: str, tmp_p
     (skipped,) = source.skipped
     assert skipped.what == f"way {way}"
     assert why in skipped.why
+
+
+@pytest.mark.parametrize(
+    ("house", "way", "heights"),
+    [
+        ({}, {"highway": "residential", "width": "6", "tunnel": "building_passage"}, (4.5, 12.0)),
+        ({}, {"highway": "service", "width": "6", "covered": "yes", "maxheight": "3"}, (3, 12.0)),
+        ({}, {"highway": "footway", "covered": "arcade"}, (2.5, 12.0)),
+        ({"historic": "city_gate"}, {"highway": "residential", "width": "6"}, (4.5, 12.0)),
+        ({"building": "gate"}, {"highway": "residential", "width": "6"}, (4.5, 12.0)),
+        ({}, {"highway": "residential", "width": "6"}, None),  # the map is wrong: no way through
+        ({}, {"highway": "residential", "bridge": "yes"}, None),
+    ],
+)
+def test_a_building_begins_above_the_ways_that_lead_through_it(
+    house: dict[str, str],
+    way: dict[str, str],
+    heights: tuple[float, float] | None,
+    tmp_path: Path,
+) -> None:
+    osm = with_road()
+    osm.way(SQUARE, {"building": "yes", "height": "12"} | house)
+    osm.way([(0.0, 15.0), (30.0, 15.0)], way)
+    things = read(osm, tmp_path).things
+    over = [thing for thing in things if "over a passage" in thing.id]
+    assert [heights_m(thing) for thing in over] == ([] if heights is None else [heights])
+    on_ground = [thing for thing in things if thing not in over]
+    assert [heights_m(thing) for thing in on_ground] == [(0.0, 12.0)] * (
+        1 if heights is None else 2
+    )
+    volume = sum(volume_m3(thing) for thing in things)
+    if heights is None:
+        assert volume == pytest.approx(1200.0, rel=0.01)
+    else:
+        width_m = 3.0 if way["highway"] == "footway" else 6.0
+        assert volume == pytest.approx(1200.0 - 10.0 * width_m * heights[0], rel=0.01)
 
 
 @pytest.mark.parametrize("height", ["tall", "-4", "0", "5000", "NaN", "1e9", ""])
