@@ -8,6 +8,7 @@ from typing import TypeVar
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray
+from ..notes import assumptions
 from .cut import LANES_BEYOND_M
 from .georeferences import transform
 from .source_map import MapJunction, SourceMap
@@ -101,7 +102,7 @@ def _within(boxes: _Boxes, square: _Square, *, near: _Square) -> SourceMap:
         poles=_some(source.poles, _inside(poles, *near)),
         crosswalks_m=source.crosswalks_m[_inside(crosswalks, *near)],
         ground_m=source.ground_m[_inside(source.ground_m[:, :2], *square)],
-        skipped=(),
+        skipped=assumptions(source.skipped),
     )
 
 
