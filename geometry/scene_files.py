@@ -11,7 +11,6 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
@@ -22,9 +21,8 @@ from .arrays import FloatArray, Point2, Points2
 from .errors import InputError, Unquoted
 from .files import MAX_TOML_BYTES, Text, check_file, load_toml, read_table, write_atomically
 from .frames import from_gltf_points, to_gltf_points
-from .junction import LeadingRoad
 from .notes import Kind, Note
-from .scene import Instance, Lane, Scene, Site, join_bodies
+from .scene import Instance, Lane, LeadingRoad, Scene, Site, join_bodies
 from .study_scene import STUDY, CrosswalkEntry, crosswalk_lines, load_study_scene
 from .untrusted_files import check_gltf, refuse_bomb
 
@@ -74,7 +72,7 @@ def load_scene(
     path = Path(source)
     if not str(source) or (str(source) == STUDY and not path.exists()):
         return load_study_scene()
-    if path.is_file() and not _has_scene(path):
+    if path.is_file() and not has_scene(path):
         from .maps.importing import SUFFIXES, ImportOptions, import_scene
 
         if path.name.lower().endswith(SUFFIXES):
@@ -82,9 +80,11 @@ def load_scene(
     return load_scene_folder(path)
 
 
-def _has_scene(path: Path) -> bool:
-    """Whether a file is a scene's archive, or a damaged one; a map may be a .zip file, too."""
-    if path.suffix.lower() != ".zip":
+def has_scene(path: Path) -> bool:
+    """Whether a path is a folder, or a scene's archive, if a damaged one; maps may be .zip, too."""
+    if path.is_dir():
+        return True
+    if path.suffix.lower() != ".zip" or not path.exists():
         return False
     check_file(path)
     try:
@@ -135,8 +135,6 @@ def save_scene(
     scene: Scene,
     *,
     sources: Sequence[str] = (),
-    assumed_heights: Sequence[str] = (),
-    roads: Sequence[LeadingRoad] = (),
 ) -> None:
     """Write a scene into a folder that exists.
 
@@ -148,10 +146,6 @@ def save_scene(
         What to write; coordinates are rounded to a millimetre, meshes to single precision.
     sources : sequence of str
         Names of the files that it was made from.
-    assumed_heights : sequence of str
-        Ids of things whose heights the sources do not say.
-    roads : sequence of LeadingRoad
-        Roads of the map that lead to the junction, for ``place-rsus scene check``.
     """
     import tomlkit
 
@@ -172,11 +166,11 @@ def save_scene(
         "sites": [_entry(site, *_SITE_FIELDS) for site in scene.sites],
         "things": [
             {"id": thing.id, "class": thing.class_name}
-            | ({"is_height_assumed": True} if thing.id in assumed_heights else {})
+            | ({"is_height_assumed": True} if thing.is_height_assumed else {})
             for thing in scene.instances
         ],
         "skipped": [_note_entry(note) for note in scene.notes],
-        "roads": [_entry(road, *_ROAD_FIELDS) for road in roads],
+        "roads": [_entry(road, *_ROAD_FIELDS) for road in scene.roads],
     }
     text = _HEAD + tomlkit.dumps(table)
     glb = _to_glb(scene)
@@ -197,7 +191,9 @@ def load_scene_folder(path: Path) -> Scene:
         meshes = _read_glb(folder / THINGS_FILE, shown=f"{path}/{THINGS_FILE}")
     bodies = []
     for index, thing in enumerate(table.things):
-        instance = Instance(id=thing.id, class_name=thing.class_name)
+        instance = Instance(
+            id=thing.id, class_name=thing.class_name, is_height_assumed=thing.is_height_assumed
+        )
         if thing.id not in meshes:
             raise InputError(
                 f"{where}: things[{index}]", thing.id, f"the name of a mesh in {THINGS_FILE}"
@@ -224,31 +220,6 @@ def load_scene_folder(path: Path) -> Scene:
             Note(what=note.what, why=note.why, kind=note.kind, site_ids=note.site_ids)
             for note in table.skipped
         ),
-    )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ImportNotes:
-    """What the import of a scene told of it, beside the scene's own notes.
-
-    Attributes
-    ----------
-    assumed_heights : frozenset of str
-        Ids of the things whose heights the sources do not say.
-    roads : tuple of LeadingRoad
-        Roads of the map that lead to the junction; none: the map does not say.
-    """
-
-    assumed_heights: frozenset[str] = frozenset()
-    roads: tuple[LeadingRoad, ...] = ()
-
-
-def load_notes(path: Path) -> ImportNotes:
-    """What the import of a scene, a folder or .zip file, told of it."""
-    with _as_folder(path) as folder:
-        table = _read_scene_file(folder, shown=path)
-    return ImportNotes(
-        assumed_heights=frozenset(thing.id for thing in table.things if thing.is_height_assumed),
         roads=table.roads,
     )
 

@@ -421,9 +421,8 @@ def _scenes() -> Mapping[str, tuple[str, Files]]:
 
 
 def _read_scene(path: Path) -> Any:
-    from geometry.scene_files import load_notes, load_scene
+    from geometry.scene_files import load_scene
 
-    load_notes(path)
     return load_scene(path)
 
 
@@ -912,7 +911,6 @@ READERS: Mapping[str, Reader] = {
         covers=(
             "geometry.scene_files.load_scene",
             "geometry.scene_files.load_scene_folder",
-            "geometry.scene_files.load_notes",
         ),
     ),
     "scenes of boxes": Reader(

@@ -63,13 +63,7 @@ def run_junction(task: JunctionTask) -> JunctionAnswer:
         imported = cut_scene(task.maps, task.chosen, task.options)
         notes = tuple(str(note) for note in imported.scene.notes)
         with tempfile.TemporaryDirectory() as folder:
-            save_scene(
-                Path(folder),
-                imported.scene,
-                sources=imported.sources,
-                assumed_heights=sorted(imported.assumed_heights),
-                roads=imported.roads,
-            )
+            save_scene(Path(folder), imported.scene, sources=imported.sources)
             files = {path.name: path.read_bytes() for path in sorted(Path(folder).iterdir())}
         solved = solve_junction(
             imported.scene,

@@ -12,13 +12,12 @@ from ..errors import InputError, Unquoted
 from ..junction import (
     ASSUMED,
     CONNECTING,
-    LeadingRoad,
     build_junction,
     curve_between,
     distance_to_outline_m,
     lane_line,
 )
-from ..scene import Instance, Lane, Scene, Site
+from ..scene import Instance, Lane, LeadingRoad, Scene, Site
 from ..terrain import GROUND, Terrain, on_ground, standing_footprint
 from .georeferences import LocalFrame, frame_at
 from .relief import Elevation, find_relief
@@ -190,12 +189,16 @@ def build_scene(
         bodies.append((pole.id, class_name, (body + [0.0, 0.0, foot[2]], body_faces)))
     vertices, triangles = join([mesh for _, _, mesh in bodies])
     n_triangles = [len(faces) for _, _, (_, faces) in bodies]
+    assumed = {thing.id for thing in surroundings.things if thing.is_height_assumed}
     scene = Scene(
         name=name,
         vertices_m=vertices,
         triangles=triangles,
         triangle_instance=np.repeat(np.arange(len(bodies)), n_triangles),
-        instances=tuple(Instance(id=id_, class_name=kind) for id_, kind, _ in bodies),
+        instances=tuple(
+            Instance(id=id_, class_name=kind, is_height_assumed=id_ in assumed)
+            for id_, kind, _ in bodies
+        ),
         sites=tuple(
             replace(site, position_m=on_ground(site.position_m[:2], terrain)) for site in sites
         ),
@@ -207,6 +210,7 @@ def build_scene(
         source_crs=source_crs,
         source_origin_m=surroundings.frame.origin_m,
         zero_height_m=surroundings.zero_height_m,
+        roads=surroundings.roads,
     )
     return replace(scene, lanes=(*scene.lanes, *_lead_on(scene, reach_m=half)))
 

@@ -12,7 +12,6 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
 from ..files import check_file
-from ..junction import LeadingRoad
 from ..notes import Note
 from ..scene import Scene, Site
 from ..scene_checks import arms_that_end
@@ -256,18 +255,12 @@ class ImportedScene:
         The junction of the scene.
     sources : tuple of str
         Names of the files.
-    assumed_heights : frozenset of str
-        Ids of the things whose heights the sources do not give.
-    roads : tuple of LeadingRoad
-        Roads of the map that lead to the junction, in the scene's frame.
     """
 
     scene: Scene
     junctions: tuple[Surveyed, ...]
     chosen: Surveyed
     sources: tuple[str, ...]
-    assumed_heights: frozenset[str]
-    roads: tuple[LeadingRoad, ...] = ()
 
 
 def read_maps(
@@ -410,8 +403,6 @@ def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOption
         junctions=(chosen,),
         chosen=chosen,
         sources=tuple(source.name for source in maps),
-        assumed_heights=frozenset(t.id for t in surroundings.things if t.is_height_assumed),
-        roads=surroundings.roads,
     )
 
 

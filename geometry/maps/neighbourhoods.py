@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
+from ..notes import assumptions
 from .cut import LANES_BEYOND_M
 from .georeferences import transform
 from .source_map import MapJunction, SourceMap
@@ -120,7 +121,7 @@ def _within(indexed: _Indexed, square: _Square, *, near: _Square) -> SourceMap:
         poles=_some(source.poles, indexed.poles, near),
         crosswalks_m=source.crosswalks_m[_meeting(indexed.crosswalks, near)],
         ground_m=ground[is_inside],
-        skipped=(),
+        skipped=assumptions(source.skipped),
     )
 
 

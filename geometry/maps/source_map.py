@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray, float_array, freeze
 from ..errors import InputError
-from ..junction import LeadingRoad
 from ..notes import Note
+from ..scene import LeadingRoad
 
 LANE_KINDS = ("driving", "parking", "cycling", "walking")
 POLE_KINDS = ("lamp post", "traffic light", "sign", "pole")

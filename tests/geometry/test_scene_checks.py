@@ -94,9 +94,10 @@ def test_no_sites_and_no_way_in_are_errors():
 
 
 def test_assumed_heights_are_told_with_few_names():
-    names = frozenset(f"h{number}" for number in range(9))
-    (finding,) = check_scene(load_study_scene(), assumed_heights=names)
-    assert finding.what == "h0, h1, h2, h3, h4, h5 and 3 more"
+    scene = load_study_scene()
+    things = [replace(thing, is_height_assumed=True) for thing in scene.instances[:9]]
+    (finding,) = check_scene(replace(scene, instances=(*things, *scene.instances[9:])))
+    assert finding.what == ", ".join(sorted(t.id for t in things)[:6]) + " and 3 more"
 
 
 def test_a_footprint_is_what_a_thing_covers_from_above():
