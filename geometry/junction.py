@@ -115,6 +115,12 @@ class Arm:
         return tuple(lane for lane in self.lanes_in if lane.kind == "driving")
 
     @property
+    def speed_limit_kmh(self) -> float | None:
+        """The highest speed limit of its entry lanes, in km/h; None: the map gives none."""
+        limits = [lane.speed_limit_kmh for lane in self.entry_lanes]
+        return max((limit for limit in limits if limit is not None), default=None)
+
+    @property
     def exit_lanes(self) -> tuple[Lane, ...]:
         """Lanes that are driven out of the junction, from the kerb to the axis."""
         return tuple(lane for lane in self.lanes_out if lane.kind == "driving")

@@ -241,12 +241,15 @@ class Lane:
         Full width. [m]
     centreline_m : (n, 2) float
         In driving direction. World frame. [m]
+    speed_limit_kmh : float, optional
+        Where it leads into the junction; None: unknown, or there is none. [km/h]
     """
 
     id: str
     kind: Annotated[str, Meta(min_length=1)]
     width_m: Annotated[float, Meta(gt=0.0)]
     centreline_m: Points2
+    speed_limit_kmh: Annotated[float, Meta(gt=0.0)] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(

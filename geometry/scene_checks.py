@@ -181,7 +181,11 @@ def _check_feet(scene: Scene, sites: Sequence[Site]) -> Iterator[Finding]:
 def _check_meshes(scene: Scene) -> Iterator[Finding]:
     import trimesh
 
-    holes, floating, raised, sunk, inverted = [], [], [], [], []
+    holes: list[str] = []
+    floating: list[str] = []
+    raised: list[str] = []
+    sunk: list[str] = []
+    inverted: list[str] = []
     for index, thing in enumerate(scene.instances):
         faces = scene.triangles[scene.triangle_instance == index]
         if thing.class_name not in _STANDING or not len(faces):

@@ -126,6 +126,7 @@ class _FolderScene(Struct, frozen=True, kw_only=True):
     roads: tuple[LeadingRoad, ...] = ()
 
 
+_LANE_FIELDS = ["id", "kind", "width_m", "centreline_m"]
 _SITE_FIELDS = ["id", "kind", "position_m", "height_range_m", "capacity_units", "cost_eur", "use"]
 _ROAD_FIELDS = ["name", "point_m", "direction", "lanes_in", "lanes_out"]
 
@@ -161,7 +162,11 @@ def save_scene(
         "road_network": scene.road_network,
         "sources": list(sources),
         "outline_m": _rounded(scene.outline_m),
-        "lanes": [_entry(lane, "id", "kind", "width_m", "centreline_m") for lane in scene.lanes],
+        "lanes": [
+            _entry(lane, *_LANE_FIELDS)
+            | ({"speed_limit_kmh": lane.speed_limit_kmh} if lane.speed_limit_kmh else {})
+            for lane in scene.lanes
+        ],
         "crosswalks": [{"ends_m": _rounded(line)} for line in scene.crosswalks_m],
         "sites": [_entry(site, *_SITE_FIELDS) for site in scene.sites],
         "things": [

@@ -16,6 +16,7 @@ from geometry.errors import InputError, Unquoted
 from geometry.files import Table, Text, load_toml, pick, read_table
 
 ALL_CASES = "all"
+ALL_SPEEDS = "all"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -433,7 +434,8 @@ def select_cases(cases: str, *, speeds: str | None = None, force: bool = False) 
     """Cases and speeds by the words of a user.
 
     `cases` is as for :func:`pick_cases`; `speeds` are km/h with commas between, or ranges: "20-40"
-    is every speed of the case in it. `force` drives speeds that the protocol does not.
+    is every speed of the case in it; "all" or None: every one. `force` drives speeds that the
+    protocol does not.
 
     Raises
     ------
@@ -446,7 +448,7 @@ def select_cases(cases: str, *, speeds: str | None = None, force: bool = False) 
     (Case('CPNA-25', 20, 30, 35, 40 km/h),)
     """
     picked = pick_cases(cases, "--cases")
-    if speeds is None:
+    if speeds is None or speeds.strip() == ALL_SPEEDS:
         return Selection(cases=picked, left_out=(), beyond=())
     singles, ranges = _read_speeds(speeds)
     if not force:

@@ -94,9 +94,8 @@ class Neighbourhoods:
             low, high = here.min(axis=0), here.max(axis=0)
             less = 0.5 * (1.0 - self._share) * (high - low)
             part = _within(indexed, (low, high), near=(low + less, high - less))
-            if source is roads:
-                parts.append(part)
-            elif part.things or part.poles or len(part.crosswalks_m) or len(part.ground_m):
+            has_any = part.things or part.poles or len(part.crosswalks_m) or len(part.ground_m)
+            if source is roads or has_any:
                 parts.append(part)
         return tuple(parts)
 

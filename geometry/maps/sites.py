@@ -321,7 +321,9 @@ def _own_poles(
     heights_m = {pole.id: pole.height_m for pole in surroundings.poles}
     sign_m = load_pole_kinds()["sign"].height_m
     is_other = (other_m <= rules.neighbour_m) & (other_m < own_m)
-    kept, low, far = [], [], []
+    kept: list[SiteWish] = []
+    low: list[SiteWish] = []
+    far: list[SiteWish] = []
     for wish, is_far in zip(wishes, is_other.tolist(), strict=True):
         is_low = wish.kind == "sign" and (heights_m[wish.id] or sign_m) < rules.min_sign_m
         (far if is_far else low if is_low else kept).append(wish)

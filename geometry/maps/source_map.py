@@ -39,6 +39,8 @@ class MapLane:
         the driving lane beside them. [m]
     from_junction, to_junction : str
         Ids of the junctions at its ends, where it stops at the outline; empty: none.
+    speed_limit_kmh : float, optional
+        Where it leads into a junction, or else out of one; None: the source gives none. [km/h]
     """
 
     id: str
@@ -47,6 +49,7 @@ class MapLane:
     centreline_m: FloatArray
     from_junction: str = ""
     to_junction: str = ""
+    speed_limit_kmh: float | None = None
 
     def __post_init__(self) -> None:
         where = f"lane {self.id}"

@@ -67,15 +67,14 @@ def _over_roads(walk: LineString, edges: Sequence[Edge]) -> Iterator[FloatArray]
     """
     limits = DEFAULTS["crosswalk"]
     joined: list[tuple[LineString, BaseGeometry]] = []  # parts of the footway, and carriageways
-    for part, carriageway in sorted(
-        (
-            (part, carriageway)
-            for edge in edges
-            for carriageway in [_carriageway(edge)]
-            for part in _parts_over(walk, edge, carriageway)
-        ),
-        key=lambda pair: walk.project(shapely.Point(pair[0].coords[0])),
-    ):
+    crossed = [
+        (part, area)
+        for edge in edges
+        for area in [_carriageway(edge)]
+        for part in _parts_over(walk, edge, area)
+    ]
+    crossed.sort(key=lambda pair: walk.project(shapely.Point(pair[0].coords[0])))
+    for part, carriageway in crossed:
         if joined and (
             part.distance(joined[-1][0]) <= limits["median_m"]
             and abs(_direction(part) @ _direction(joined[-1][0])) > _PARALLEL
