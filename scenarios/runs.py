@@ -339,8 +339,8 @@ class Refusal:
     is_possible : bool
         The junction has the roads that the case needs, and it has the speeds asked for: what is
         missing is room.
-    is_too_fast : bool
-        The speeds are above the map's speed limit.
+    limit_kmh : float, optional
+        The map's speed limit, where the speeds are above it; else None. [km/h]
     """
 
     case: Case
@@ -348,7 +348,7 @@ class Refusal:
     speeds_kmh: tuple[float, ...]
     reason: str
     is_possible: bool = True
-    is_too_fast: bool = False
+    limit_kmh: float | None = None
     position: str = AT_ZERO.name
 
 
@@ -449,7 +449,7 @@ def build_runs(
                         speeds_kmh=tuple(speeds),
                         reason=reason,
                         is_possible=is_possible,
-                        is_too_fast=reason == _too_fast(limit_kmh),
+                        limit_kmh=limit_kmh if reason == _too_fast(limit_kmh) else None,
                     )
                     for (reason, is_possible), speeds in reasons.items()
                 ]

@@ -205,7 +205,7 @@ def describe_refusals(setting: Setting) -> list[str]:
     """
     places: dict[tuple[str, tuple[float, ...], str], dict[str, list[str]]] = {}
     for refusal in setting.refusals:
-        if refusal.is_too_fast:
+        if refusal.limit_kmh is not None:
             continue
         speeds = refusal.speeds_kmh if refusal.position == AT_ZERO.name else ()
         of_reason = places.setdefault((refusal.case.name, speeds, refusal.reason), {})

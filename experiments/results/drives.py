@@ -5,7 +5,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import version
 from typing import Annotated
 
-from geometry.junction import build_junction
 from geometry.raycast import caster_name
 from placement.setting import Setting
 from scenarios.positions import AT_ZERO
@@ -88,7 +87,7 @@ def describe_driven(setting: Setting) -> list[str]:
     Nothing where everything that was asked for is driven.
     """
     limits = describe_limits(setting)
-    if all(one.is_too_fast for one in setting.refusals):
+    if all(one.limit_kmh is not None for one in setting.refusals):
         return limits
     n_runs, n_possible = setting.axis.n_runs, _count_possible(setting)
     gaps = list(_gaps(setting))
@@ -108,16 +107,13 @@ def describe_limits(setting: Setting) -> list[str]:
 
     It says which limits these are.
     """
-    found = [one for one in setting.refusals if one.is_too_fast]
+    found = [one for one in setting.refusals if one.limit_kmh is not None]
     if not found:
         return []
-    arms: dict[float | None, list[str]] = {}
-    for name, arm in build_junction(setting.scene).arms.items():
-        if any(one.approach == name for one in found):
-            arms.setdefault(arm.speed_limit_kmh, []).append(name)
-    where = " and ".join(
-        f"{limit:g} km/h from the {joined(names)}" for limit, names in arms.items()
-    )
+    arms: dict[str, dict[str, None]] = {}
+    for one in found:
+        arms.setdefault(f"{one.limit_kmh:g} km/h", {})[one.approach] = None
+    where = joined([f"{limit} from the {joined(list(names))}" for limit, names in arms.items()])
     n_runs = sum(len(one.speeds_kmh) for one in found) * _n_weathers(setting)
     return [
         f"Left out: {count_runs(n_runs)} of the protocol faster than the map's speed limits, "
@@ -142,7 +138,7 @@ def _gaps(setting: Setting) -> Iterator[str]:
     missing: dict[tuple[str, str], Refusal] = {
         (one.case.name, one.approach): one
         for one in setting.refusals
-        if not one.is_too_fast and (one.case.name, one.approach) not in driven
+        if one.limit_kmh is None and (one.case.name, one.approach) not in driven
     }
     nowhere = [name for name, _ in missing if name not in for_speed]
     if nowhere:
@@ -170,7 +166,7 @@ def _reasons(setting: Setting) -> Iterator[str]:
     """A line per reason: those of most possible runs first, last what is not possible."""
     groups: dict[str, list[Refusal]] = {}
     for one in setting.refusals:
-        if not one.is_too_fast:
+        if one.limit_kmh is None:
             groups.setdefault(one.reason, []).append(one)
 
     def count(group: Sequence[Refusal]) -> int:

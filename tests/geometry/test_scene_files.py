@@ -30,6 +30,11 @@ THINGS = tuple(
     replace(thing, is_height_assumed=thing.id == "wall-ne-1")
     for thing in load_study_scene().instances
 )
+LIMITED = load_study_scene().lanes[0].id
+LANES = tuple(
+    replace(lane, speed_limit_kmh=50.0) if lane.id == LIMITED else lane
+    for lane in load_study_scene().lanes
+)
 ROADS = (
     LeadingRoad(
         name="A Street", point_m=[20.0, 0.0], direction=[1.0, 0.0], lanes_in=1, lanes_out=2
@@ -42,7 +47,7 @@ def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("scene")
     save_scene(
         path,
-        replace(load_study_scene(), notes=NOTES, instances=THINGS, roads=ROADS),
+        replace(load_study_scene(), notes=NOTES, instances=THINGS, roads=ROADS, lanes=LANES),
         sources=["a.osm"],
     )
     return path
@@ -71,6 +76,7 @@ def test_a_scene_comes_back_as_it_was(folder, tmp_path):
         assert np.array_equal(again.triangle_instance, scene.triangle_instance)
         for one, other in zip(again.lanes, scene.lanes, strict=True):
             assert (one.id, one.kind, one.width_m) == (other.id, other.kind, other.width_m)
+            assert one.speed_limit_kmh == (50.0 if one.id == LIMITED else None)
             assert one.centreline_m == pytest.approx(other.centreline_m, abs=5e-4)
         for one, other in zip(again.sites, scene.sites, strict=True):
             assert (one.id, one.kind, one.use) == (other.id, other.kind, other.use)
