@@ -501,3 +501,57 @@ def test_the_speed_limit_next_to_the_junction_counts(tmp_path: Path) -> None:
     osm.road([change, (200.0, 0.0)], maxspeed="70")
     source = read(osm, tmp_path)
     assert arms_of(source, source.junctions[0]).arms["east"].speed_limit_kmh == 30.0
+
+
+# ---------------------------------------------------------------- merges
+
+
+@pytest.mark.parametrize(
+    ("tags", "node", "is_junction"),
+    [
+        ({"highway": "motorway_link"}, {}, False),
+        ({"highway": "motorway"}, {}, False),
+        ({"highway": "trunk", "motorroad": "yes"}, {}, False),
+        ({"highway": "motorway_link"}, {"highway": "traffic_signals"}, True),
+        ({"highway": "motorway_link", "sidewalk": "right"}, {}, True),
+        ({"highway": "trunk"}, {}, True),
+        ({"highway": "primary"}, {}, True),
+    ],
+)
+def test_where_motorways_merge_and_part_is_no_junction(
+    tags: dict[str, str], node: dict[str, str], is_junction: bool, tmp_path: Path
+) -> None:
+    osm = OsmText()
+    middle = osm.node(0.0, 0.0, **node)
+    for begin, end in (
+        ((-150.0, 0.0), middle),
+        ((-100.0, -90.0), middle),
+        (middle, (150.0, 0.0)),
+        (middle, (90.0, 120.0)),
+    ):
+        osm.road([begin, end], oneway="yes", **tags)
+    source = read(osm, tmp_path)
+    assert bool(source.junctions) == is_junction
+    told = [note.why for note in source.skipped]
+    assert ("motorways merge or part where nobody walks" in told) == (not is_junction)
+
+
+@pytest.mark.parametrize(
+    ("kind", "roads", "is_junction"),
+    [
+        ("trunk", [((-90.0, 0.0), None), (None, (60.0, 80.0)), (None, (60.0, -80.0))], False),
+        ("trunk", [((-90.0, 0.0), None), (None, (90.0, 0.0)), (None, (0.0, 90.0)), ((0.0, -90.0), None)], True),
+        ("primary", [((-90.0, 0.0), None), (None, (60.0, 80.0)), (None, (60.0, -80.0))], True),
+    ],
+)  # fmt: skip
+def test_trunk_roads_merge_only_where_no_ways_cross(
+    kind: str,
+    roads: list[tuple[tuple[float, float] | None, ...]],
+    is_junction: bool,
+    tmp_path: Path,
+) -> None:
+    osm = OsmText()
+    middle = osm.node(0.0, 0.0)
+    for begin, end in roads:
+        osm.road([begin or middle, end or middle], highway=kind, oneway="yes")
+    assert bool(read(osm, tmp_path).junctions) == is_junction
