@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from osm_text import OsmText, arm_lanes, crossing
+from osm_text import OsmText, arm_lanes, arms_of, crossing
 
 from geometry.errors import InputError, MissingExtraError
 from geometry.junction import distance_to_outline_m
@@ -508,3 +508,16 @@ def test_the_extra_is_named_where_it_is_missing(
     monkeypatch.setitem(sys.modules, "requests", None)
     with pytest.raises(MissingExtraError, match=r"pip install place-rsus\[online\]"):
         fetch_openstreetmap((13.39, 52.49, 13.41, 52.51), tmp_path / "map.osm")
+
+
+def test_garching(real_input: RealInput) -> None:
+    source = read_openstreetmap(real_input("osm/garching_intersection.osm"))
+    lines = source.crosswalks_m
+    assert len(lines) == 5  # one way is an L over two arms
+    assert np.hypot(*(lines[:, 1] - lines[:, 0]).T).max() < 10.1
+    arms = arms_of(source, max(source.junctions, key=lambda one: len(one.roads))).arms
+    for arm in arms.values():  # each is crossed square to its lanes
+        lane = (arm.lanes_in or arm.lanes_out)[0]
+        along = np.diff(lane.centreline_m[-2:] if arm.lanes_in else lane.centreline_m[:2], axis=0)
+        cosine = abs(float((along @ arm.crosswalk.direction)[0])) / float(np.hypot(*along[0]))
+        assert cosine < 0.3
