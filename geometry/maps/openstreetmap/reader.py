@@ -13,6 +13,7 @@ from ...errors import InputError, MissingExtraError, Unquoted
 from ...files import write_atomically
 from ..georeferences import WGS84, local_crs, transform
 from ..source_map import Omissions, Skipped, SourceMap
+from .bridges import find_bridges
 from .buildings import find_buildings
 from .crosswalks import find_crosswalks
 from .elements import DEFAULTS, Elements, Way, parse_length_m, read_elements
@@ -146,6 +147,7 @@ def read_openstreetmap(path: Path, *, keeps_left: bool | None = None) -> SourceM
     crosswalks_m = find_crosswalks(network, elements, omissions)
     things = [
         *find_buildings(network, elements, omissions),
+        *find_bridges(network, reaches, elements, omissions),
         *find_barriers(elements, positions_m, omissions),
         *find_trees(elements, positions_m, omissions),
     ]

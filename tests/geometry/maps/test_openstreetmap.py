@@ -438,7 +438,7 @@ def test_town_in_pbf(real_input: RealInput) -> None:
     source = read_openstreetmap(real_input("osm/test.osm.pbf"))
     assert len(source.junctions) == 109  # two more have roads that the cut-out clips to stubs
     assert sum(_check(source).values()) == 109
-    assert sum(thing.class_name == "building" for thing in source.things) == 2171
+    assert sum(thing.class_name == "building" for thing in source.things) == 2174
     bridges = [lane for lane in source.lanes if lane.centreline_m[:, 2].max() > 4.0]
     assert bridges  # over the motorway
     assert len(source.skipped) < 20

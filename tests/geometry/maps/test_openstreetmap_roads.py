@@ -536,14 +536,14 @@ def test_where_motorways_merge_and_part_is_no_junction(
     assert ("motorways merge or part where nobody walks" in told) == (not is_junction)
 
 
+PARTS = [((-90.0, 0.0), None), (None, (60.0, 80.0)), (None, (60.0, -80.0))]
+CROSSES = [((-90.0, 0.0), None), (None, (90.0, 0.0)), (None, (0.0, 90.0)), ((0.0, -90.0), None)]
+
+
 @pytest.mark.parametrize(
     ("kind", "roads", "is_junction"),
-    [
-        ("trunk", [((-90.0, 0.0), None), (None, (60.0, 80.0)), (None, (60.0, -80.0))], False),
-        ("trunk", [((-90.0, 0.0), None), (None, (90.0, 0.0)), (None, (0.0, 90.0)), ((0.0, -90.0), None)], True),
-        ("primary", [((-90.0, 0.0), None), (None, (60.0, 80.0)), (None, (60.0, -80.0))], True),
-    ],
-)  # fmt: skip
+    [("trunk", PARTS, False), ("trunk", CROSSES, True), ("primary", PARTS, True)],
+)
 def test_trunk_roads_merge_only_where_no_ways_cross(
     kind: str,
     roads: list[tuple[tuple[float, float] | None, ...]],

@@ -268,6 +268,56 @@ def test_trees_stand_along_a_row_and_woods_are_told(tmp_path: Path) -> None:
     assert skipped.what == f"way {wood}"
 
 
+# ---------------------------------------------------------------- bridges
+
+
+@pytest.mark.parametrize(
+    ("tags", "deck"),
+    [
+        ({"highway": "primary", "width": "8"}, (8.0, 4.5)),
+        ({"highway": "primary", "width": "8", "layer": "2"}, (8.0, 9.0)),
+        ({"highway": "footway"}, (3.0, 4.5)),
+        ({"railway": "rail"}, (5.0, 4.5)),
+        ({"railway": "abandoned"}, None),
+        ({"highway": "footway", "layer": "0", "bridge": "no"}, None),
+    ],
+)
+def test_a_bridge_hides_and_is_passed_below(
+    tags: dict[str, str], deck: tuple[float, float] | None, tmp_path: Path
+) -> None:
+    osm = OsmText()
+    osm.road([(0.0, -80.0), (0.0, 80.0)], width="6")
+    osm.road([(200.0, -10.0), (200.0, -80.0)], width="6")  # the one below no bridge
+    osm.way([(-50.0, 0.0), (250.0, 0.0)], {"bridge": "yes"} | tags)
+    things = read(osm, tmp_path).things
+    assert len(things) == (deck is not None)
+    if deck is not None:
+        width_m, bottom_m = deck
+        assert heights_m(things[0]) == (bottom_m, bottom_m + 1.0)
+        assert volume_m3(things[0]) == pytest.approx(300.0 * width_m, rel=0.01)
+        assert is_closed(things[0])
+
+
+def test_a_bridge_over_water_is_no_thing_and_one_with_a_junction_near_is_told(
+    tmp_path: Path,
+) -> None:
+    osm = OsmText()
+    bridge = {"bridge": "yes", "highway": "primary"}
+    osm.way([(0.0, 0.0), (100.0, 0.0)], bridge)
+    assert not read(osm, tmp_path).things
+    for end_m, n_decks in ((130.0, 0), (300.0, 1)):
+        far = OsmText()
+        far.road([(50.0, -80.0), (50.0, 80.0)])
+        begin, middle = far.node(100.0, 0.0), far.node(end_m, 0.0)
+        far.way([far.node(0.0, 0.0), begin], bridge)
+        far.road([begin, middle, (end_m + 90.0, 0.0)], highway="primary")
+        far.road([middle, (end_m, 90.0)])
+        source = read(far, tmp_path)
+        assert len(source.junctions) == 1
+        assert len(source.things) == n_decks
+        assert any("deck is left out" in note.why for note in source.skipped) == (not n_decks)
+
+
 # ---------------------------------------------------------------- poles and crosswalks
 
 
