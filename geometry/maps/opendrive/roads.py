@@ -10,7 +10,7 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ...errors import InputError, Unquoted
-from .attributes import Offset, numbered, take_id, take_number, take_number_or
+from .attributes import Offset, lane_kinds, numbered, take_id, take_number, take_number_or
 from .cross_sections import CrossSections, read_cross_sections
 from .reference_line import PiecewiseCubic, ReferenceLine, read_cubics, read_reference_line
 
@@ -79,6 +79,14 @@ class Road:
     shape: CrossSections  # above the line across that the bank makes
     element: Element  # for objects and signals
     limits: SpeedLimits = ()
+
+    @property
+    def is_motorway(self) -> bool:
+        """Whether it says so all along, and has no sidewalk."""
+        types = [element.get("type", "") for element in self.element.findall("type")]
+        lanes = [lane for one in self.sections for lane in (*one.left, *one.right)]
+        has_walkers = any(lane_kinds().get(lane.type.lower()) == "walking" for lane in lanes)
+        return bool(types) and not has_walkers and all(one.startswith("motorway") for one in types)
 
     def speed_limit_kmh(self, s_m: float, lane: LaneRecord) -> float | None:
         """Limit of a lane at a station in km/h, the lane's own or else the road's; None: none."""

@@ -309,3 +309,17 @@ def test_a_lanes_own_speed_limit_is_before_its_roads(tmp_path):
     text = text.replace('<lane id="1" type="driving" >', own, 1)
     lanes = {lane.id: lane for lane in read_text(tmp_path, text).lanes}
     assert [lanes[name].speed_limit_kmh for name in ("1/1", "1/-1")] == [30.0, 50.0]
+
+
+@pytest.mark.parametrize(
+    ("n_motorways", "sidewalk", "n_junctions"), [(4, False, 0), (4, True, 1), (3, False, 1)]
+)
+def test_where_motorways_meet_is_no_junction(tmp_path, n_motorways, sidewalk, n_junctions):
+    motorway = '<type s="0" type="motorway"/><planView>'
+    text = document(crossing()).replace("<planView>", motorway, n_motorways)
+    if sidewalk:
+        text = text.replace("<left>", f"<left>{lane(2, 'sidewalk')}", 1)
+    source = read_text(tmp_path, text)
+    assert len(source.junctions) == n_junctions
+    assert len(source.connections) == 4
+    assert {note.what for note in source.skipped} == (set() if n_junctions else {"junction 9"})
