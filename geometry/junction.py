@@ -1,5 +1,6 @@
 """A junction as traffic sees it: arms, the lanes that lead in and out, where pedestrians cross."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -7,9 +8,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .arrays import FloatArray, Point2, float_array, freeze
+from .arrays import FloatArray, float_array, freeze
 from .errors import InputError
-from .scene import Lane, Scene
+from .scene import Lane, LeadingRoad, Scene
 
 ARM_NAMES = (
     *("east", "east-north-east", "north-east", "north-north-east"),
@@ -33,6 +34,8 @@ _SAME_ARM_AHEAD_M = 15.0  # between their mouths, along the arm
 _MEDIAN_M = 25.0  # between two carriageways of one arm, from lane to lane: tracks, a row of trees
 _STUB_M = 2.0  # a lane that is shorter, with all that leads to it, is no road
 _CROSSWALK_INSIDE_MOUTH_M = 2.0
+_SAME_ROAD_M = 20.0  # from the middle of a road to a lane of it
+_SAME_WAY = 0.5  # cosine of the angle between them
 # Euro NCAP's junction: arms begin 11.5 m from the centre, pedestrians cross 9.5 m from it.
 
 
@@ -112,42 +115,15 @@ class Arm:
         return tuple(lane for lane in self.lanes_in if lane.kind == "driving")
 
     @property
+    def speed_limit_kmh(self) -> float | None:
+        """The highest speed limit of its entry lanes, in km/h; None: the map gives none."""
+        limits = [lane.speed_limit_kmh for lane in self.entry_lanes]
+        return max((limit for limit in limits if limit is not None), default=None)
+
+    @property
     def exit_lanes(self) -> tuple[Lane, ...]:
         """Lanes that are driven out of the junction, from the kerb to the axis."""
         return tuple(lane for lane in self.lanes_out if lane.kind == "driving")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LeadingRoad:
-    """A road of the map that leads to a junction, counted without looking at its lanes' lines.
-
-    Attributes
-    ----------
-    name : str
-        Of the street, or else the id that the map gives it.
-    point_m : (2,) float
-        Where it meets the junction's outline, or a little farther out. [m]
-    direction : (2,) float
-        Unit vector away from the junction.
-    lanes_in, lanes_out : int
-        Driving lanes into the junction and out of it, by the map's own words.
-    """
-
-    name: str
-    point_m: Point2
-    direction: Point2
-    lanes_in: int
-    lanes_out: int
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "point_m", float_array(self.point_m, (2,), "point_m"))
-        object.__setattr__(self, "direction", float_array(self.direction, (2,), "direction"))
-
-    @property
-    def bearing(self) -> str:
-        """The nearest of eight points of the compass."""
-        angle = float(np.degrees(np.arctan2(self.direction[1], self.direction[0])))
-        return COMPASS[round(angle / 45.0) % 8]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -252,6 +228,31 @@ def build_junction(scene: Scene) -> Junction:
         connections=tuple(lane for lane in scene.lanes if lane.kind == CONNECTING),
         beyond=tuple(lane for lane in scene.lanes if lane.kind == ASSUMED),
     )
+
+
+def arm_of_road(road: LeadingRoad, junction: Junction) -> str | None:
+    """The arm of whose lanes one begins or ends next to a road; None: there is none."""
+    nearest, least_m = None, _SAME_ROAD_M
+    for name, arm in junction.arms.items():
+        tips = [(lane.centreline_m[-1], lane.centreline_m[-2]) for lane in arm.entry_lanes]
+        tips += [(lane.centreline_m[0], lane.centreline_m[1]) for lane in arm.exit_lanes]
+        for tip, beyond in tips:
+            along = (beyond - tip) @ road.direction / np.hypot(*(beyond - tip))
+            distance_m = float(np.hypot(*(tip - road.point_m)))
+            if along > _SAME_WAY and distance_m < least_m:
+                nearest, least_m = name, distance_m
+    return nearest
+
+
+def street_names(scene: Scene) -> dict[str, str]:
+    """Names of the streets of a junction's arms, by the arm; arms without a name are left out."""
+    junction = build_junction(scene)
+    names: dict[str, dict[str, None]] = {}
+    for road in scene.roads:
+        arm = arm_of_road(road, junction)
+        if arm is not None and not re.fullmatch(r"(way|road) \S+", road.name):
+            names.setdefault(arm, {})[road.name] = None
+    return {arm: " / ".join(found) for arm, found in names.items()}
 
 
 def mirrored(junction: Junction) -> Junction:

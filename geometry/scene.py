@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .arrays import FloatArray, Point2, Point3, Points2, float_array, freeze
 from .errors import InputError, Unquoted
+from .notes import Note
 
 HANGING_KINDS = ("mast arm", "gantry", "bridge", "wire")
 """Kinds of sites that hang over the road; all others stand beside it."""
@@ -84,6 +85,7 @@ class Instance:
 
     id: str
     class_name: str
+    is_height_assumed: bool = False  # the sources do not tell it
 
     def __post_init__(self) -> None:
         if self.class_name not in CLASS_NAMES:
@@ -92,6 +94,33 @@ class Instance:
                 self.class_name,
                 "one of " + ", ".join(CLASS_NAMES),
             )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LeadingRoad:
+    """A road of the map that leads to a junction, counted without looking at its lanes' lines.
+
+    Attributes
+    ----------
+    name : str
+        Of the street, or else the id that the map gives it.
+    point_m : (2,) float
+        Where it meets the junction's outline, or a little farther out. [m]
+    direction : (2,) float
+        Unit vector away from the junction.
+    lanes_in, lanes_out : int
+        Driving lanes into the junction and out of it, by the map's own words.
+    """
+
+    name: str
+    point_m: Point2
+    direction: Point2
+    lanes_in: int
+    lanes_out: int
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "point_m", float_array(self.point_m, (2,), "point_m"))
+        object.__setattr__(self, "direction", float_array(self.direction, (2,), "direction"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -133,6 +162,10 @@ class Scene:
     zero_height_m : float, optional
         Height of z = 0 as what told the heights of the ground counts them, such as above the sea;
         None: unknown. [m]
+    notes : tuple of Note
+        What was assumed, or left out, when the scene was made of maps.
+    roads : tuple of LeadingRoad
+        Roads of the map that lead to the junction; none: the map does not say.
     """
 
     name: str
@@ -150,6 +183,8 @@ class Scene:
     source_crs: str = ""
     source_origin_m: FloatArray = field(default_factory=lambda: np.zeros(2))
     zero_height_m: float | None = None
+    notes: tuple[Note, ...] = ()
+    roads: tuple[LeadingRoad, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(
@@ -206,12 +241,15 @@ class Lane:
         Full width. [m]
     centreline_m : (n, 2) float
         In driving direction. World frame. [m]
+    speed_limit_kmh : float, optional
+        Where it leads into the junction; None: unknown, or there is none. [km/h]
     """
 
     id: str
     kind: Annotated[str, Meta(min_length=1)]
     width_m: Annotated[float, Meta(gt=0.0)]
     centreline_m: Points2
+    speed_limit_kmh: Annotated[float, Meta(gt=0.0)] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(

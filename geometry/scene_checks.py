@@ -7,16 +7,16 @@ from typing import Any, Literal
 import numpy as np
 
 from .errors import InputError
-from .junction import ASSUMED, Junction, LeadingRoad, build_junction, lane_length_m
+from .junction import ASSUMED, COMPASS, Junction, arm_of_road, build_junction, lane_length_m
 from .scene import (
     HANGING_KINDS,
+    LeadingRoad,
     Scene,
     Site,
     containing_instance,
     road_area,
-    thing_footprint,
 )
-from .terrain import ground_height_m
+from .terrain import HEADROOM_M, ground_height_m, standing_footprint
 
 _FLOATING_M = 0.5
 _SUNK_M = 3.0
@@ -27,8 +27,6 @@ _ON_ROAD_M2 = 2.0
 _STANDING = ("building", "wall", "vegetation")
 _MAX_NAMES = 6
 _AT_KERB_M = 0.05  # digits of a file
-_SAME_ROAD_M = 20.0  # from the middle of a road to a lane of it
-_SAME_WAY = 0.5  # cosine of the angle between them
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,37 +41,22 @@ class Finding:
     why: str
 
 
-def check_scene(
-    scene: Scene,
-    *,
-    assumed_heights: frozenset[str] = frozenset(),
-    roads: Sequence[LeadingRoad] = (),
-) -> list[Finding]:
-    """What may be wrong with a scene, errors first.
-
-    Parameters
-    ----------
-    scene : Scene
-        What to check.
-    assumed_heights : frozenset of str
-        Ids of things whose heights the sources do not say.
-    roads : sequence of LeadingRoad
-        Roads of the map that lead to the junction, which its arms are compared with; none: the map
-        does not say.
-    """
+def check_scene(scene: Scene) -> list[Finding]:
+    """What may be wrong with a scene, errors first."""
     findings = [
-        *_check_roads(scene, roads),
+        *_check_roads(scene),
         *_check_sites(scene),
         *_check_meshes(scene),
         *_check_footprints(scene),
     ]
+    assumed_heights = sorted(thing.id for thing in scene.instances if thing.is_height_assumed)
     if assumed_heights:
         why = "the sources do not say how high it is: a usual height was taken"
-        findings.append(Finding(level="warning", what=_names(sorted(assumed_heights)), why=why))
+        findings.append(Finding(level="warning", what=_names(assumed_heights), why=why))
     return sorted(findings, key=lambda finding: finding.level)
 
 
-def _check_roads(scene: Scene, roads: Sequence[LeadingRoad]) -> Iterator[Finding]:
+def _check_roads(scene: Scene) -> Iterator[Finding]:
     try:
         junction = build_junction(scene)
     except InputError:
@@ -88,8 +71,8 @@ def _check_roads(scene: Scene, roads: Sequence[LeadingRoad]) -> Iterator[Finding
     if not len(scene.crosswalks_m):
         why = "none: pedestrians cross 2 m inside each arm's mouth"
         yield Finding(level="warning", what="crosswalks", why=why)
-    if roads:
-        yield from compare_arms(junction, roads)
+    if scene.roads:
+        yield from compare_arms(junction, scene.roads)
     for name, why in arms_that_end(scene):
         yield Finding(level="warning", what=f"arm {name}", why=why)
 
@@ -127,10 +110,11 @@ def compare_arms(junction: Junction, roads: Sequence[LeadingRoad]) -> Iterator[F
     """
     found: dict[str, list[LeadingRoad]] = {name: [] for name in junction.arms}
     for road in roads:
-        name = _arm_of(road, junction)
+        name = arm_of_road(road, junction)
         if name is None:
             why = "it leads to the junction, but no arm has a lane of it"
-            what = f"road {road.name} from the {road.bearing}"
+            angle_deg = float(np.degrees(np.arctan2(road.direction[1], road.direction[0])))
+            what = f"road {road.name} from the {COMPASS[round(angle_deg / 45.0) % 8]}"
             yield Finding(level="warning", what=what, why=why)
         else:
             found[name].append(road)
@@ -149,20 +133,6 @@ def compare_arms(junction: Junction, roads: Sequence[LeadingRoad]) -> Iterator[F
                 f"and {said[1]} out"
             )
             yield Finding(level="warning", what=f"arm {name}", why=why)
-
-
-def _arm_of(road: LeadingRoad, junction: Junction) -> str | None:
-    """The arm of whose lanes one begins or ends next to a road; None: there is none."""
-    nearest, least_m = None, _SAME_ROAD_M
-    for name, arm in junction.arms.items():
-        tips = [(lane.centreline_m[-1], lane.centreline_m[-2]) for lane in arm.entry_lanes]
-        tips += [(lane.centreline_m[0], lane.centreline_m[1]) for lane in arm.exit_lanes]
-        for tip, beyond in tips:
-            along = (beyond - tip) @ road.direction / np.hypot(*(beyond - tip))
-            distance_m = float(np.hypot(*(tip - road.point_m)))
-            if along > _SAME_WAY and distance_m < least_m:
-                nearest, least_m = name, distance_m
-    return nearest
 
 
 def _check_sites(scene: Scene) -> Iterator[Finding]:
@@ -211,7 +181,11 @@ def _check_feet(scene: Scene, sites: Sequence[Site]) -> Iterator[Finding]:
 def _check_meshes(scene: Scene) -> Iterator[Finding]:
     import trimesh
 
-    holes, floating, sunk, inverted = [], [], [], []
+    holes: list[str] = []
+    floating: list[str] = []
+    raised: list[str] = []
+    sunk: list[str] = []
+    inverted: list[str] = []
     for index, thing in enumerate(scene.instances):
         faces = scene.triangles[scene.triangle_instance == index]
         if thing.class_name not in _STANDING or not len(faces):
@@ -222,7 +196,8 @@ def _check_meshes(scene: Scene) -> Iterator[Finding]:
         low, high = mesh.bounds[:, 2]
         ground_m = ground_height_m(scene, mesh.vertices[:, :2])
         if low - ground_m.min() > _FLOATING_M and thing.class_name != "vegetation":
-            floating.append(thing.id)
+            is_raised = (mesh.vertices[:, 2] - ground_m).min() >= HEADROOM_M
+            (raised if is_raised else floating).append(thing.id)
         if high < ground_m.min() or (mesh.vertices[:, 2] - ground_m).min() < -_SUNK_M:
             sunk.append(thing.id)
         # A hole in the floor, which stands on the ground, lets nothing be seen through.
@@ -233,6 +208,10 @@ def _check_meshes(scene: Scene) -> Iterator[Finding]:
     for ids, why in (
         (holes, "its surface has holes above the floor"),
         (floating, f"it begins more than {_FLOATING_M:g} m above the road"),
+        (
+            raised,
+            f"it begins {HEADROOM_M:g} m above the ground or higher: taken to be passed below",
+        ),
         (sunk, "it is below the road, or begins far below it"),
         (inverted, "its triangles face inwards"),
     ):
@@ -252,7 +231,7 @@ def _check_footprints(scene: Scene) -> Iterator[Finding]:
     import shapely
 
     shapes = {
-        thing.id: thing_footprint(scene, index)
+        thing.id: standing_footprint(scene, index)
         for index, thing in enumerate(scene.instances)
         if thing.class_name in ("building", "wall")
     }

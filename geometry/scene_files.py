@@ -11,7 +11,6 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
@@ -22,8 +21,8 @@ from .arrays import FloatArray, Point2, Points2
 from .errors import InputError, Unquoted
 from .files import MAX_TOML_BYTES, Text, check_file, load_toml, read_table, write_atomically
 from .frames import from_gltf_points, to_gltf_points
-from .junction import LeadingRoad
-from .scene import Instance, Lane, Scene, Site, join_bodies
+from .notes import Kind, Note
+from .scene import Instance, Lane, LeadingRoad, Scene, Site, join_bodies
 from .study_scene import STUDY, CrosswalkEntry, crosswalk_lines, load_study_scene
 from .untrusted_files import check_gltf, refuse_bomb
 
@@ -73,7 +72,7 @@ def load_scene(
     path = Path(source)
     if not str(source) or (str(source) == STUDY and not path.exists()):
         return load_study_scene()
-    if path.is_file() and not _has_scene(path):
+    if path.is_file() and not has_scene(path):
         from .maps.importing import SUFFIXES, ImportOptions, import_scene
 
         if path.name.lower().endswith(SUFFIXES):
@@ -81,9 +80,11 @@ def load_scene(
     return load_scene_folder(path)
 
 
-def _has_scene(path: Path) -> bool:
-    """Whether a file is a scene's archive, or a damaged one; a map may be a .zip file, too."""
-    if path.suffix.lower() != ".zip":
+def has_scene(path: Path) -> bool:
+    """Whether a path is a folder, or a scene's archive, if a damaged one; maps may be .zip, too."""
+    if path.is_dir():
+        return True
+    if path.suffix.lower() != ".zip" or not path.exists():
         return False
     check_file(path)
     try:
@@ -99,9 +100,11 @@ class _Thing(Struct, frozen=True, kw_only=True, rename={"class_name": "class"}):
     is_height_assumed: bool = False
 
 
-class _Skipped(Struct, frozen=True, kw_only=True):
+class _Note(Struct, frozen=True, kw_only=True):
     what: Text
     why: Text
+    kind: Kind = "left out"
+    site_ids: tuple[Text, ...] = ()
 
 
 class _FolderScene(Struct, frozen=True, kw_only=True):
@@ -119,10 +122,11 @@ class _FolderScene(Struct, frozen=True, kw_only=True):
     crosswalks: tuple[CrosswalkEntry, ...]
     sites: tuple[Site, ...]
     things: tuple[_Thing, ...]
-    skipped: tuple[_Skipped, ...]
+    skipped: tuple[_Note, ...]
     roads: tuple[LeadingRoad, ...] = ()
 
 
+_LANE_FIELDS = ["id", "kind", "width_m", "centreline_m"]
 _SITE_FIELDS = ["id", "kind", "position_m", "height_range_m", "capacity_units", "cost_eur", "use"]
 _ROAD_FIELDS = ["name", "point_m", "direction", "lanes_in", "lanes_out"]
 
@@ -132,9 +136,6 @@ def save_scene(
     scene: Scene,
     *,
     sources: Sequence[str] = (),
-    skipped: Sequence[tuple[str, str]] = (),
-    assumed_heights: Sequence[str] = (),
-    roads: Sequence[LeadingRoad] = (),
 ) -> None:
     """Write a scene into a folder that exists.
 
@@ -146,12 +147,6 @@ def save_scene(
         What to write; coordinates are rounded to a millimetre, meshes to single precision.
     sources : sequence of str
         Names of the files that it was made from.
-    skipped : sequence of (str, str)
-        What of them was left out, and why.
-    assumed_heights : sequence of str
-        Ids of things whose heights the sources do not say.
-    roads : sequence of LeadingRoad
-        Roads of the map that lead to the junction, for ``place-rsus scene check``.
     """
     import tomlkit
 
@@ -168,16 +163,20 @@ def save_scene(
         "road_network": scene.road_network,
         "sources": list(sources),
         "outline_m": _rounded(scene.outline_m),
-        "lanes": [_entry(lane, "id", "kind", "width_m", "centreline_m") for lane in scene.lanes],
+        "lanes": [
+            _entry(lane, *_LANE_FIELDS)
+            | ({"speed_limit_kmh": lane.speed_limit_kmh} if lane.speed_limit_kmh else {})
+            for lane in scene.lanes
+        ],
         "crosswalks": [{"ends_m": _rounded(line)} for line in scene.crosswalks_m],
         "sites": [_entry(site, *_SITE_FIELDS) for site in scene.sites],
         "things": [
             {"id": thing.id, "class": thing.class_name}
-            | ({"is_height_assumed": True} if thing.id in assumed_heights else {})
+            | ({"is_height_assumed": True} if thing.is_height_assumed else {})
             for thing in scene.instances
         ],
-        "skipped": [{"what": what, "why": why} for what, why in skipped],
-        "roads": [_entry(road, *_ROAD_FIELDS) for road in roads],
+        "skipped": [_note_entry(note) for note in scene.notes],
+        "roads": [_entry(road, *_ROAD_FIELDS) for road in scene.roads],
     }
     text = _HEAD + tomlkit.dumps(table)
     glb = _to_glb(scene)
@@ -198,7 +197,9 @@ def load_scene_folder(path: Path) -> Scene:
         meshes = _read_glb(folder / THINGS_FILE, shown=f"{path}/{THINGS_FILE}")
     bodies = []
     for index, thing in enumerate(table.things):
-        instance = Instance(id=thing.id, class_name=thing.class_name)
+        instance = Instance(
+            id=thing.id, class_name=thing.class_name, is_height_assumed=thing.is_height_assumed
+        )
         if thing.id not in meshes:
             raise InputError(
                 f"{where}: things[{index}]", thing.id, f"the name of a mesh in {THINGS_FILE}"
@@ -221,35 +222,10 @@ def load_scene_folder(path: Path) -> Scene:
         source_crs=table.source_crs,
         source_origin_m=table.source_origin_m,
         zero_height_m=table.zero_height_m,
-    )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ImportNotes:
-    """What the import of a scene told of it.
-
-    Attributes
-    ----------
-    skipped : tuple of (str, str)
-        What was left out or assumed, and why.
-    assumed_heights : frozenset of str
-        Ids of the things whose heights the sources do not say.
-    roads : tuple of LeadingRoad
-        Roads of the map that lead to the junction; none: the map does not say.
-    """
-
-    skipped: tuple[tuple[str, str], ...] = ()
-    assumed_heights: frozenset[str] = frozenset()
-    roads: tuple[LeadingRoad, ...] = ()
-
-
-def load_notes(path: Path) -> ImportNotes:
-    """What the import of a scene, a folder or .zip file, told of it."""
-    with _as_folder(path) as folder:
-        table = _read_scene_file(folder, shown=path)
-    return ImportNotes(
-        skipped=tuple((skip.what, skip.why) for skip in table.skipped),
-        assumed_heights=frozenset(thing.id for thing in table.things if thing.is_height_assumed),
+        notes=tuple(
+            Note(what=note.what, why=note.why, kind=note.kind, site_ids=note.site_ids)
+            for note in table.skipped
+        ),
         roads=table.roads,
     )
 
@@ -331,6 +307,12 @@ def _entry(value: object, *names: str) -> dict[str, Any]:
         key: _rounded(one) if isinstance(one, np.ndarray) or key.endswith("_m") else one
         for key, one in fields.items()
     }
+
+
+def _note_entry(note: Note) -> dict[str, Any]:
+    assumed = {} if note.kind == "left out" else {"kind": note.kind}
+    sites = {"site_ids": list(note.site_ids)} if note.site_ids else {}
+    return {"what": note.what, "why": note.why, **assumed, **sites}
 
 
 def _rounded(array: FloatArray) -> Any:

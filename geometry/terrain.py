@@ -7,6 +7,7 @@ plan everything stays as it is: paths, lanes and braking are those of the plane.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,10 +15,12 @@ from numpy.typing import ArrayLike, NDArray
 from .actors import PlacedActor
 from .arrays import FloatArray, float_array
 from .errors import InputError, Unquoted
-from .scene import Scene
+from .scene import Scene, thing_footprint
 
 GROUND = "ground"
 """Id and class of the ground of a scene."""
+HEADROOM_M = 2.0
+"""People, cyclists and cars pass below what begins higher above the ground."""
 _GRID_DECIMALS = 3
 _HALVINGS = 20  # of half a metre
 _MAX_CELLS = 150  # along each side
@@ -162,6 +165,21 @@ def on_ground(points_m: ArrayLike, terrain: Terrain | None) -> FloatArray:
     height = np.zeros(points.shape[:-1]) if terrain is None else terrain.at(points)
     placed: FloatArray = np.concatenate([points, height[..., None]], axis=-1)
     return placed
+
+
+def headroom_m(vertices_m: FloatArray, terrain: Terrain | None) -> float:
+    """Least height of vertices (n, 3) above the ground below them, in metres."""
+    return float((vertices_m - on_ground(vertices_m[:, :2], terrain))[:, 2].min())
+
+
+def standing_footprint(scene: Scene, index: int) -> Any:
+    """What a thing covers on the ground, a shapely geometry; empty where people pass below it."""
+    used = scene.triangles[scene.triangle_instance == index]
+    if len(used) and headroom_m(scene.vertices_m[used.ravel()], terrain_of(scene)) >= HEADROOM_M:
+        from shapely import Polygon
+
+        return Polygon()
+    return thing_footprint(scene, index)
 
 
 def pitch_on_ground_deg(

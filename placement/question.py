@@ -329,7 +329,8 @@ class Question:
         str,
         Option(
             section=DRIVEN,
-            help="VUT speeds: 30,50 or 20-40 (the case's own speeds in that range); default: all.",
+            help="VUT speeds: 30,50; 20-40 (the case's own speeds in that range); or all; default: "
+            "all up to the speed limits of the map.",
             metavar="KMH",
         ),
     ] = ""

@@ -201,6 +201,7 @@ def drive(
 ) -> Drives:
     """Lay the cases of a question on a scene's junction; there may be no runs.
 
+    Without a word on speeds none is driven that is above the speed limits of the scene's lanes.
     With a `position`, every speed is driven at this one alone. In a `cache_folder` the runs are
     kept for the next call.
 
@@ -221,6 +222,7 @@ def drive(
         "weathers": weathers,
         "positions": positions,
         "is_spread": position is None,
+        "keeps_limits": not question.speeds.strip(),
     }
     runs, refused = keep_value(
         cache_folder,

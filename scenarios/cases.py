@@ -1,6 +1,7 @@
 """Test cases, from ``data/cases.toml`` and files of one's own: a table each, no new code."""
 
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -16,6 +17,7 @@ from geometry.errors import InputError, Unquoted
 from geometry.files import Table, Text, load_toml, pick, read_table
 
 ALL_CASES = "all"
+ALL_SPEEDS = "all"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,6 +134,25 @@ class Case:
     def __repr__(self) -> str:
         speeds = ", ".join(f"{speed:g}" for speed in self.vut_speeds_kmh)
         return f"Case({self.name!r}, {speeds} km/h)"
+
+
+_OTHER_SIDE = {"left": "right", "right": "left"}
+
+
+def worded_for(case: Case, *, keeps_left: bool) -> Case:
+    """The case with its title in the words of a junction's traffic.
+
+    Titles are those of traffic that keeps right; where it keeps left, left and right are exchanged.
+
+    Examples
+    --------
+    >>> worded_for(pick_cases("CPTAfs-50", "--cases")[0], keeps_left=True).title
+    'VUT turns right, adult crosses from the far side, walking as the VUT drove'
+    """
+    if not keeps_left:
+        return case
+    words = (_OTHER_SIDE.get(word, word) for word in re.split(r"\b", case.title))
+    return replace(case, title="".join(words))
 
 
 # ---------- tables of data/cases.toml
@@ -467,7 +488,8 @@ def select_cases(cases: str, *, speeds: str | None = None, force: bool = False) 
     """Cases and speeds by the words of a user.
 
     `cases` is as for :func:`pick_cases`; `speeds` are km/h with commas between, or ranges: "20-40"
-    is every speed of the case in it. `force` drives speeds that the protocol does not.
+    is every speed of the case in it; "all" or None: every one. `force` drives speeds that the
+    protocol does not.
 
     Raises
     ------
@@ -480,7 +502,7 @@ def select_cases(cases: str, *, speeds: str | None = None, force: bool = False) 
     (Case('CPNA-25', 20, 30, 35, 40 km/h),)
     """
     picked = pick_cases(cases, "--cases")
-    if speeds is None:
+    if speeds is None or speeds.strip() == ALL_SPEEDS:
         return Selection(cases=picked, left_out=(), beyond=())
     singles, ranges = _read_speeds(speeds)
     if not force:

@@ -12,8 +12,8 @@ from geometry.arrays import BoolArray, FloatArray, freeze
 from geometry.footprints import footprint_corners
 from geometry.junction import CONNECTING
 from geometry.raycast import RayCaster, build_caster
-from geometry.scene import Scene, thing_footprint
-from geometry.terrain import GROUND, on_ground, terrain_of
+from geometry.scene import Scene
+from geometry.terrain import GROUND, on_ground, standing_footprint, terrain_of
 
 from .laying import load_obstruction_rules
 from .obstructions import moved
@@ -195,12 +195,12 @@ def _parking(scene: Scene) -> Any:
 
 @lru_cache(maxsize=8)
 def _houses(scene: Scene) -> Any:
-    """What buildings and walls cover, seen from above: a shapely geometry."""
+    """What buildings and walls cover on the ground: a shapely geometry."""
     import shapely
 
     area = shapely.union_all(
         [
-            thing_footprint(scene, index)
+            standing_footprint(scene, index)
             for index, thing in enumerate(scene.instances)
             if thing.class_name in ("building", "wall")
         ]

@@ -20,7 +20,7 @@ from geometry.terrain import Terrain, set_down, terrain_of
 from geometry.weather import load_weathers
 
 from .aeb import AebRule, confirmation_mask, held_frames, is_in_time, last_brake_time_s
-from .cases import Case
+from .cases import Case, worded_for
 from .clearance import make_room
 from .encounters import Encounter
 from .positions import AT_ZERO, Position, positions_of, read_position, spread_speeds
@@ -339,6 +339,8 @@ class Refusal:
     is_possible : bool
         The junction has the roads that the case needs, and it has the speeds asked for: what is
         missing is room.
+    limit_kmh : float, optional
+        The map's speed limit, where the speeds are above it; else None. [km/h]
     """
 
     case: Case
@@ -346,6 +348,7 @@ class Refusal:
     speeds_kmh: tuple[float, ...]
     reason: str
     is_possible: bool = True
+    limit_kmh: float | None = None
     position: str = AT_ZERO.name
 
 
@@ -359,6 +362,7 @@ def build_runs(
     weathers: Sequence[str] = ("day",),
     positions: Sequence[Position] = (AT_ZERO,),
     is_spread: bool = True,
+    keeps_limits: bool = True,
 ) -> tuple[tuple[Run, ...], tuple[Refusal, ...]]:
     """Lay cases on every approach of a scene's junction.
 
@@ -382,6 +386,9 @@ def build_runs(
     is_spread : bool
         Other positions than 0 take turns with the speeds, see
         :func:`scenarios.positions.spread_speeds`; else each drives all.
+    keeps_limits : bool
+        Nothing is driven faster than the speed limit of the lanes by which the VUT comes, as far as
+        the scene has one.
 
     Returns
     -------
@@ -404,6 +411,7 @@ def build_runs(
             if word not in known:
                 raise InputError(where, word, "one of " + ", ".join(known))
     right_hand = mirrored(junction) if junction.keeps_left else junction
+    cases = [worded_for(case, keeps_left=junction.keeps_left) for case in cases]
     runs: list[Run] = []
     refusals: list[Refusal] = []
     for case in cases:
@@ -415,8 +423,10 @@ def build_runs(
                     if is_spread
                     else case.vut_speeds_kmh
                 )
+                limit_kmh = junction.arms[approach].speed_limit_kmh if keeps_limits else None
+                too_fast = [one for one in speeds_kmh if limit_kmh is not None and one > limit_kmh]
                 reasons: dict[tuple[str, bool], list[float]] = {}
-                for speed_kmh in speeds_kmh:
+                for speed_kmh in speeds_kmh[: len(speeds_kmh) - len(too_fast)]:
                     try:
                         staging = _stage(
                             case, scene, right_hand, approach, position, speed_kmh, vut
@@ -427,6 +437,10 @@ def build_runs(
                         continue
                     run = _build_run(case, scene, approach, position, speed_kmh, staging, rule=rule)
                     runs += [_in_weather(run, weather) for weather in dict.fromkeys(weathers)]
+                if too_fast:  # a road that does not exist is missing at every speed
+                    missing = next((one for one in reasons if not one[1]), None)
+                    reason = missing or (_too_fast(limit_kmh), False)
+                    reasons.setdefault(reason, []).extend(too_fast)
                 refusals += [
                     Refusal(
                         case=case,
@@ -435,10 +449,15 @@ def build_runs(
                         speeds_kmh=tuple(speeds),
                         reason=reason,
                         is_possible=is_possible,
+                        limit_kmh=limit_kmh if reason == _too_fast(limit_kmh) else None,
                     )
                     for (reason, is_possible), speeds in reasons.items()
                 ]
     return tuple(runs), tuple(refusals)
+
+
+def _too_fast(limit_kmh: float | None) -> str:
+    return "" if limit_kmh is None else f"faster than the speed limit of {limit_kmh:g} km/h"
 
 
 def _stage(

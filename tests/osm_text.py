@@ -126,6 +126,7 @@ def arms_of(source: SourceMap, junction: MapJunction) -> Junction:
                 kind=lane.kind,
                 width_m=lane.width_m,
                 centreline_m=lane.centreline_m[:, :2],
+                speed_limit_kmh=lane.speed_limit_kmh,
             )
             for lane in own
             if lane.kind in ("driving", "parking")

@@ -410,16 +410,19 @@ def _small_scene() -> Any:
 
 
 def _scenes() -> Mapping[str, tuple[str, Files]]:
+    from dataclasses import replace
+
+    from geometry.notes import Note
     from geometry.scene_files import save_scene
 
-    files = _written(lambda folder: save_scene(folder, _small_scene(), skipped=[("a", "b")]))
+    scene = replace(_small_scene(), notes=(Note(what="a", why="b", kind="sites", site_ids=("c",)),))
+    files = _written(lambda folder: save_scene(folder, scene))
     return {"folder": (".", files), "zip": _one("a.zip", _zipped(files))}
 
 
 def _read_scene(path: Path) -> Any:
-    from geometry.scene_files import load_notes, load_scene
+    from geometry.scene_files import load_scene
 
-    load_notes(path)
     return load_scene(path)
 
 
@@ -908,7 +911,6 @@ READERS: Mapping[str, Reader] = {
         covers=(
             "geometry.scene_files.load_scene",
             "geometry.scene_files.load_scene_folder",
-            "geometry.scene_files.load_notes",
         ),
     ),
     "scenes of boxes": Reader(

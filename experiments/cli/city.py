@@ -229,8 +229,8 @@ Examples:
     default="auto",
     show_default=True,
     metavar="WHERE",
-    help="map, kerb:15, or a CSV or GeoJSON file, as in `scene import`; auto: map, and where it "
-    "has none kerb:15.",
+    help="map, kerb:15, or a CSV or GeoJSON file, as in `scene import`; auto: map, but for low "
+    "sign posts and poles of other junctions, and kerb:15 where none is within 25 m.",
 )
 @option(
     "--scheduler",

@@ -150,7 +150,8 @@ Examples:
     show_default=True,
     metavar="WHERE",
     help="map: its lamps, signals and poles; kerb:15: every 15 m along the kerbs; a CSV or GeoJSON "
-    "file; auto: map, and where it has none kerb:15.",
+    "file; auto: map, but for low sign posts and poles of other junctions, and kerb:15 where "
+    "none is within 25 m.",
 )
 @option("--ground", "ground_m", type=float, help="Height of the road in city models and meshes.")
 @option(

@@ -61,16 +61,9 @@ def run_junction(task: JunctionTask) -> JunctionAnswer:
     files: dict[str, bytes] = {}
     try:
         imported = cut_scene(task.maps, task.chosen, task.options)
-        notes = tuple(f"{what}: {why}" for what, why in imported.skipped)
+        notes = tuple(str(note) for note in imported.scene.notes)
         with tempfile.TemporaryDirectory() as folder:
-            save_scene(
-                Path(folder),
-                imported.scene,
-                sources=imported.sources,
-                skipped=imported.skipped,
-                assumed_heights=sorted(imported.assumed_heights),
-                roads=imported.roads,
-            )
+            save_scene(Path(folder), imported.scene, sources=imported.sources)
             files = {path.name: path.read_bytes() for path in sorted(Path(folder).iterdir())}
         solved = solve_junction(
             imported.scene,

@@ -17,13 +17,12 @@ from geometry.maps.importing import (
     read_maps,
 )
 from geometry.maps.junctions import sort_junctions
-from geometry.maps.source_map import Skipped
 from geometry.scene import Scene
 from geometry.scene_checks import check_scene
 from geometry.scene_files import (
     SCENE_FILE,
-    ImportNotes,
-    load_notes,
+    has_scene,
+    load_scene,
     load_scene_folder,
     pack_scene,
     save_scene,
@@ -95,14 +94,7 @@ def run_import(
     progress(WRITING, 0, 0)
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        save_scene(
-            folder,
-            scene,
-            sources=imported.sources if imported else (),
-            skipped=imported.skipped if imported else (),
-            assumed_heights=sorted(imported.assumed_heights) if imported else (),
-            roads=imported.roads if imported else (),
-        )
+        save_scene(folder, scene, sources=imported.sources if imported else ())
         if is_zip:
             try:
                 pack_scene(folder, out)
@@ -148,7 +140,7 @@ def import_into_cache(
         There is no map, or it has no such junction.
     """
     path = Path(source)
-    if not source or not path.is_file() or _is_scene(path):
+    if not source or not path.is_file() or has_scene(path):
         got = source or "the study's junction"
         raise InputError("--junction", Unquoted(f"it with {got}"), "--scene FILE, a map with roads")
     check_file(path)
@@ -157,8 +149,7 @@ def import_into_cache(
     folder = cache / "scenes" / digest.hexdigest()[:16]
     if (folder / SCENE_FILE).exists():
         try:
-            scene, notes = load_any_scene(str(folder))
-            return str(folder), build_scene_result(scene, skipped=_skipped(notes.skipped))
+            return str(folder), build_scene_result(load_scene_folder(folder))
         except InputError:
             pass  # damaged: import it again
     folder.mkdir(parents=True, exist_ok=True)
@@ -199,7 +190,7 @@ def run_show(
     if out is not None:
         check_folder(out)
     progress("read", 0, 0)
-    if paths and not (len(paths) == 1 and _is_scene(Path(paths[0]))):
+    if paths and not (len(paths) == 1 and has_scene(Path(paths[0]))):
         if out is not None:
             raise InputError("--out", Unquoted("it with a map"), "a scene: `scene import` first")
         maps, junctions = read_maps([Path(path) for path in paths], reading)
@@ -216,8 +207,8 @@ def run_show(
             skipped=tuple(skip for source in maps for skip in source.skipped),
             crs=roads.source_crs or roads.crs or None,
         )
-    scene, notes = load_any_scene(paths[0] if paths else "")
-    result = build_scene_result(scene, skipped=_skipped(notes.skipped))
+    scene = load_scene(paths[0] if paths else "")
+    result = build_scene_result(scene)
     if out is None:
         return result
     progress(WRITING, 0, 0)
@@ -241,8 +232,8 @@ def run_check(path: str, *, progress: StageProgress) -> SceneCheckResult:
         There is no such scene.
     """
     progress("check", 0, 0)
-    scene, notes = load_any_scene(path)
-    findings = check_scene(scene, assumed_heights=notes.assumed_heights, roads=notes.roads)
+    scene = load_scene(path)
+    findings = check_scene(scene)
     return SceneCheckResult(
         name=scene.name,
         is_sound=all(finding.level != "error" for finding in findings),
@@ -250,40 +241,16 @@ def run_check(path: str, *, progress: StageProgress) -> SceneCheckResult:
     )
 
 
-def load_any_scene(path: str) -> tuple[Scene, ImportNotes]:
-    """A scene with what its import told of it; no path: the study's junction."""
-    if not path:
-        return load_study_scene(), ImportNotes()
-    notes = load_notes(Path(path))
-    return load_scene_folder(Path(path)), notes
-
-
 def _import_result(imported: ImportedScene) -> SceneResult:
     """An imported scene; its junction has the id and the name that it has in the map."""
-    result = build_scene_result(imported.scene, skipped=_skipped(imported.skipped))
+    result = build_scene_result(imported.scene)
     chosen = imported.chosen.junction
     return replace(
         result,
         junctions=(replace(result.junctions[0], id=chosen.id, name=chosen.name),),
         other_junctions=len(imported.junctions) - 1,
-        assumed_heights=len(imported.assumed_heights),
+        assumed_heights=sum(t.is_height_assumed for t in imported.scene.instances),
     )
-
-
-def _skipped(pairs: Sequence[tuple[str, str]]) -> tuple[Skipped, ...]:
-    return tuple(Skipped(what=what, why=why) for what, why in pairs)
-
-
-def _is_scene(path: Path) -> bool:
-    if path.is_dir():
-        return True
-    if path.suffix.lower() != ".zip" or not path.exists():
-        return False
-    try:
-        load_notes(path)
-    except InputError:
-        return False
-    return True
 
 
 def _check_target(out: Path, *, is_zip: bool) -> None:

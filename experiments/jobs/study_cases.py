@@ -15,7 +15,7 @@ from placement.evaluator import evaluate_layouts
 from placement.evaluator.evaluate import Judge, Seen, judge_layouts
 from placement.question import Question
 from placement.setting import Links, Setting
-from scenarios.cases import select_cases
+from scenarios.cases import ALL_SPEEDS, select_cases
 from scenarios.exposure import weight_per_run
 from scenarios.positions import AT_ZERO, pick_positions
 from scenarios.runs import build_frame_axis
@@ -108,7 +108,7 @@ def study_rows(question: Question, asked: Setting) -> IntArray | None:
     wanted = {case.name: case for case in select_cases("study").cases}
     given = {case.name: case for case in select_cases(question.cases, force=question.force).cases}
     is_whole = (
-        not question.speeds
+        question.speeds.strip() in ("", ALL_SPEEDS)
         and not question.approaches
         and "day" in [word.strip() for word in question.weather.split(",")]
         and AT_ZERO in pick_positions(question.along_arms, question.cases)

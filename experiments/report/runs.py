@@ -13,7 +13,7 @@ from scenarios.positions import AT_ZERO
 
 from ..figures.axes import NARROW_IN, describe_run, unit_labels
 from ..figures.evaluation import plot_heatmap, units_in_heatmap
-from ..results.drives import describe_places
+from ..results.drives import describe_limits, describe_places
 from ..results.numbers import count_runs, number, percent
 from ..results.tables import margin_s
 from .accidents import several_weathers
@@ -205,15 +205,18 @@ def describe_refusals(setting: Setting) -> list[str]:
     """
     places: dict[tuple[str, tuple[float, ...], str], dict[str, list[str]]] = {}
     for refusal in setting.refusals:
+        if refusal.limit_kmh is not None:
+            continue
         speeds = refusal.speeds_kmh if refusal.position == AT_ZERO.name else ()
         of_reason = places.setdefault((refusal.case.name, speeds, refusal.reason), {})
         of_reason.setdefault(refusal.approach, []).append(refusal.position)
-    return [
+    told = [
         f"{case} from the {describe_places(positions)}"
         + (f" at {', '.join(f'{speed:g}' for speed in speeds)} km/h" if speeds else "")
         + f": {reason.removesuffix('.')}."
         for (case, speeds, reason), positions in places.items()
     ]
+    return told + describe_limits(setting)
 
 
 def runs_by_case(setting: Setting) -> dict[str, list[int]]:

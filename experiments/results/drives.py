@@ -86,8 +86,9 @@ def describe_driven(setting: Setting) -> list[str]:
 
     Nothing where everything that was asked for is driven.
     """
-    if not setting.refusals:
-        return []
+    limits = describe_limits(setting)
+    if all(one.limit_kmh is not None for one in setting.refusals):
+        return limits
     n_runs, n_possible = setting.axis.n_runs, _count_possible(setting)
     gaps = list(_gaps(setting))
     said = "; ".join(gaps[:_MOST_GAPS])
@@ -98,7 +99,26 @@ def describe_driven(setting: Setting) -> list[str]:
         if n_runs == n_possible
         else f"{n_runs} of {n_possible} possible runs could be driven"
     )
-    return [f"{first}: {said}." if said else f"{first}.", *_reasons(setting)]
+    return [f"{first}: {said}." if said else f"{first}.", *_reasons(setting), *limits]
+
+
+def describe_limits(setting: Setting) -> list[str]:
+    """How many runs are left out since the map has lower speed limits; nothing where none is.
+
+    It says which limits these are.
+    """
+    found = [one for one in setting.refusals if one.limit_kmh is not None]
+    if not found:
+        return []
+    arms: dict[str, dict[str, None]] = {}
+    for one in found:
+        arms.setdefault(f"{one.limit_kmh:g} km/h", {})[one.approach] = None
+    where = joined([f"{limit} from the {joined(list(names))}" for limit, names in arms.items()])
+    n_runs = sum(len(one.speeds_kmh) for one in found) * _n_weathers(setting)
+    return [
+        f"Left out: {count_runs(n_runs)} of the protocol faster than the map's speed limits, "
+        f"{where} (--speeds all drives them)."
+    ]
 
 
 def _count_possible(setting: Setting) -> int:
@@ -118,7 +138,7 @@ def _gaps(setting: Setting) -> Iterator[str]:
     missing: dict[tuple[str, str], Refusal] = {
         (one.case.name, one.approach): one
         for one in setting.refusals
-        if (one.case.name, one.approach) not in driven
+        if one.limit_kmh is None and (one.case.name, one.approach) not in driven
     }
     nowhere = [name for name, _ in missing if name not in for_speed]
     if nowhere:
@@ -146,7 +166,8 @@ def _reasons(setting: Setting) -> Iterator[str]:
     """A line per reason: those of most possible runs first, last what is not possible."""
     groups: dict[str, list[Refusal]] = {}
     for one in setting.refusals:
-        groups.setdefault(one.reason, []).append(one)
+        if one.limit_kmh is None:
+            groups.setdefault(one.reason, []).append(one)
 
     def count(group: Sequence[Refusal]) -> int:
         return sum(len(one.speeds_kmh) for one in group) * _n_weathers(setting)

@@ -6,7 +6,7 @@ from msgspec import UNSET, UnsetType
 from geometry.junction import build_junction
 from geometry.maps.georeferences import transform
 from geometry.maps.junctions import Surveyed
-from geometry.maps.source_map import Skipped
+from geometry.notes import Note
 from geometry.scene import Scene
 from geometry.scene_checks import Finding
 
@@ -65,7 +65,7 @@ class SceneResult(Record, frozen=True, kw_only=True):
     site_list: tuple[SiteRecord, ...] | UnsetType = UNSET
     crosswalks: int
     keeps_left: bool
-    skipped: tuple[Skipped, ...]
+    skipped: tuple[Note, ...]
     crs: str | None
     world_crs: str | UnsetType | None = UNSET
     other_junctions: int | UnsetType = UNSET
@@ -82,8 +82,8 @@ class SceneCheckResult(Record, frozen=True, kw_only=True):
     findings: tuple[Finding, ...]
 
 
-def build_scene_result(scene: Scene, *, skipped: tuple[Skipped, ...] = ()) -> SceneResult:
-    """A scene of one junction; `skipped` is what its import left out."""
+def build_scene_result(scene: Scene) -> SceneResult:
+    """A scene of one junction."""
     junction = build_junction(scene)
     # Digits as scene.toml has them: an import tells what a look at its result does.
     outline = np.round(scene.outline_m, _DIGITS)
@@ -130,7 +130,7 @@ def build_scene_result(scene: Scene, *, skipped: tuple[Skipped, ...] = ()) -> Sc
         ),
         crosswalks=len(scene.crosswalks_m),
         keeps_left=scene.keeps_left,
-        skipped=skipped,
+        skipped=scene.notes,
         crs=scene.source_crs or scene.crs or None,
         world_crs=scene.crs or None,
     )

@@ -12,14 +12,13 @@ from ..errors import InputError, Unquoted
 from ..junction import (
     ASSUMED,
     CONNECTING,
-    LeadingRoad,
     build_junction,
     curve_between,
     distance_to_outline_m,
     lane_line,
 )
-from ..scene import Instance, Lane, Scene, Site, thing_footprint
-from ..terrain import GROUND, Terrain, on_ground
+from ..scene import Instance, Lane, LeadingRoad, Scene, Site
+from ..terrain import GROUND, Terrain, on_ground, standing_footprint
 from .georeferences import LocalFrame, frame_at
 from .relief import Elevation, find_relief
 from .solids import join
@@ -40,6 +39,7 @@ _LEAST_ASSUMED_M = 5.0
 _MOUTH_M = 4.0  # of a lane next to a junction, whose direction counts there
 _STRAIGHT_ON_DEG = 25.0  # between the way through a junction and the lanes at its ends
 _DIGITS_M = 0.002
+_NEIGHBOURS_BEYOND_M = 20.0
 _LOWEST_M = 0.2  # lower things hide nobody
 _KEPT = ("driving", "parking", "cycling")
 
@@ -59,6 +59,7 @@ class Surroundings:
     roads: tuple[LeadingRoad, ...] = ()  # that lead to the junction
     terrain: Terrain | None = None  # the ground, 0 in the junction's middle; None: a plane
     zero_height_m: float | None = None  # of the middle, as the map counts heights
+    neighbours_m: tuple[FloatArray, ...] = ()  # (n, 2) each, outlines of the junctions around it
 
 
 def cut_out(
@@ -111,7 +112,8 @@ def cut_out(
             things.append(replace(thing, id=thing_id, vertices_m=vertices))
         if n_floating:
             why = "they would float above the ground below them: set down on it"
-            skipped.append(Skipped(what=f"{n_floating} buildings in {source.name}", why=why))
+            what = f"{n_floating} buildings in {source.name}"
+            skipped.append(Skipped(what=what, why=why, kind="heights"))
         skipped += [
             Skipped(what=f"{count} x {name} in {source.name}", why="not above the road")
             for name, count in low.items()
@@ -125,7 +127,7 @@ def cut_out(
     lanes, through = _lanes(roads, junction, frame, outline, half_m)
     if through:
         why = "lanes are led straight on through them on smooth curves: assumed"
-        skipped.append(Skipped(what="other junctions around it", why=why))
+        skipped.append(Skipped(what="other junctions around it", why=why, kind="roads"))
     return Surroundings(
         frame=frame,
         lanes=(*lanes, *through),
@@ -138,7 +140,20 @@ def cut_out(
         roads=tuple(_taken(road, frame, roads) for road in junction.roads),
         terrain=relief.terrain,
         zero_height_m=None if relief.terrain is None else round(relief.zero_m, 3),
+        neighbours_m=tuple(_neighbours(roads, junction, frame, radius_m + _NEIGHBOURS_BEYOND_M)),
     )
+
+
+def _neighbours(
+    roads: SourceMap, junction: MapJunction, frame: LocalFrame, reach_m: float
+) -> Iterator[FloatArray]:
+    """Outlines (n, 2) of the other junctions within reach."""
+    for other in roads.junctions:
+        if other.id != junction.id:
+            outline = frame.take(other.outline_m, roads)
+            nearest = np.clip(0.0, outline.min(axis=0), outline.max(axis=0))
+            if np.hypot(*nearest) <= reach_m:
+                yield outline
 
 
 def _taken(road: LeadingRoad, frame: LocalFrame, source: SourceMap) -> LeadingRoad:
@@ -174,12 +189,16 @@ def build_scene(
         bodies.append((pole.id, class_name, (body + [0.0, 0.0, foot[2]], body_faces)))
     vertices, triangles = join([mesh for _, _, mesh in bodies])
     n_triangles = [len(faces) for _, _, (_, faces) in bodies]
+    assumed = {thing.id for thing in surroundings.things if thing.is_height_assumed}
     scene = Scene(
         name=name,
         vertices_m=vertices,
         triangles=triangles,
         triangle_instance=np.repeat(np.arange(len(bodies)), n_triangles),
-        instances=tuple(Instance(id=id_, class_name=kind) for id_, kind, _ in bodies),
+        instances=tuple(
+            Instance(id=id_, class_name=kind, is_height_assumed=id_ in assumed)
+            for id_, kind, _ in bodies
+        ),
         sites=tuple(
             replace(site, position_m=on_ground(site.position_m[:2], terrain)) for site in sites
         ),
@@ -191,6 +210,7 @@ def build_scene(
         source_crs=source_crs,
         source_origin_m=surroundings.frame.origin_m,
         zero_height_m=surroundings.zero_height_m,
+        roads=surroundings.roads,
     )
     return replace(scene, lanes=(*scene.lanes, *_lead_on(scene, reach_m=half)))
 
@@ -251,7 +271,7 @@ def _houses(scene: Scene) -> Any:
 
     return shapely.union_all(
         [
-            thing_footprint(scene, index)
+            standing_footprint(scene, index)
             for index, thing in enumerate(scene.instances)
             if thing.class_name in ("building", "wall")
         ]
@@ -300,7 +320,15 @@ def _lanes(
         points = _apart(points)
         if len(points) < 2:
             continue
-        found.append(Lane(id=lane.id, kind=lane.kind, width_m=lane.width_m, centreline_m=points))
+        found.append(
+            Lane(
+                id=lane.id,
+                kind=lane.kind,
+                width_m=lane.width_m,
+                centreline_m=points,
+                speed_limit_kmh=lane.speed_limit_kmh,
+            )
+        )
         if lane.kind == "driving":
             for others, at, name in ((ends, -1, lane.to_junction), (begins, 0, lane.from_junction)):
                 if name not in ("", junction.id) and (points[at] == whole[at]).all():

@@ -1,7 +1,8 @@
 """Import map files as a scene: read them, choose the junction, cut it out, decide on sites."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,15 +12,16 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
 from ..files import check_file
-from ..junction import LeadingRoad
-from ..scene import Scene
+from ..notes import Note
+from ..scene import Scene, Site
 from ..scene_checks import arms_that_end
 from ..untrusted_files import local_name, read_xml_root, unpacked
 from .cut import LANES_BEYOND_M, build_scene, cut_out
 from .junctions import Surveyed, choose_junction, survey_junctions
+from .site_files import SUFFIXES as LISTS
 from .site_places import settle_poles
 from .sites import choose_sites
-from .source_map import SourceMap
+from .source_map import Pole, SourceMap, Thing
 
 _MESHES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".off")
 _CLOUDS = (".las", ".laz", ".pcd")
@@ -209,8 +211,8 @@ class ImportOptions:
     radius_m : float
         Radius around the middle of the junction within which things are kept. [m]
     sites : str
-        "auto": poles of the map, or sites every 15 m along the kerbs if it has no pole within the
-        radius; "map": poles of the map alone; "kerb:SPACING"; or a CSV or GeoJSON file.
+        "auto", "map", "kerb:SPACING", or a CSV or GeoJSON file, see
+        :func:`geometry.maps.sites.choose_sites`.
     ground_m : float, optional
         Height of the road, see :func:`geometry.maps.cut.cut_out`. [m]
     terrain : Path, optional
@@ -253,21 +255,12 @@ class ImportedScene:
         The junction of the scene.
     sources : tuple of str
         Names of the files.
-    skipped : tuple of (str, str)
-        What was left out or assumed, and why.
-    assumed_heights : frozenset of str
-        Ids of the things whose heights the sources do not give.
-    roads : tuple of LeadingRoad
-        Roads of the map that lead to the junction, in the scene's frame.
     """
 
     scene: Scene
     junctions: tuple[Surveyed, ...]
     chosen: Surveyed
     sources: tuple[str, ...]
-    skipped: tuple[tuple[str, str], ...]
-    assumed_heights: frozenset[str]
-    roads: tuple[LeadingRoad, ...] = ()
 
 
 def read_maps(
@@ -330,12 +323,15 @@ def import_scene(paths: Sequence[Path], options: ImportOptions) -> ImportedScene
     maps, junctions = read_maps(paths, options.reading)
     chosen = choose_junction(maps[0], junctions, name=options.junction, at=options.at)
     imported = cut_scene(maps, chosen, options)
-    skipped = imported.skipped
     if len(junctions) > 1 and not options.junction and options.at is None:
-        what = f"{len(junctions) - 1} other junctions of {maps[0].name}"
-        why = "none was named: the one with the most arms and lanes was taken"
-        skipped = (*skipped, (what, why))
-    return replace(imported, junctions=junctions, skipped=skipped)
+        note = Note(
+            what=f"{len(junctions) - 1} other junctions of {maps[0].name}",
+            why="none was named: the one with the most arms and lanes was taken",
+            kind="junction",
+        )
+        scene = replace(imported.scene, notes=(note, *imported.scene.notes))
+        imported = replace(imported, scene=scene)
+    return replace(imported, junctions=junctions)
 
 
 def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOptions) -> ImportedScene:
@@ -393,17 +389,51 @@ def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOption
         sites=sites,
         radius_m=options.radius_m,
     )
-    skipped = [(skip.what, skip.why) for skip in (*surroundings.skipped, *settled, *told)]
-    skipped += [(f"arm {name}", why) for name, why in arms_that_end(scene)]
+    ends = [Note(what=f"arm {name}", why=why, kind="roads") for name, why in arms_that_end(scene)]
+    notes = (
+        *surroundings.skipped,
+        *settled,
+        *told,
+        *ends,
+        *_site_notes(surroundings.poles, sites, options.sites),
+        *_building_notes(surroundings.things, options.radius_m),
+    )
     return ImportedScene(
-        scene=scene,
+        scene=replace(scene, notes=notes),
         junctions=(chosen,),
         chosen=chosen,
         sources=tuple(source.name for source in maps),
-        skipped=tuple(skipped),
-        assumed_heights=frozenset(t.id for t in surroundings.things if t.is_height_assumed),
-        roads=surroundings.roads,
     )
+
+
+def _site_notes(poles: Sequence[Pole], sites: Sequence[Site], where: str) -> Iterator[Note]:
+    """Notes on sites where the map itself has no pole."""
+    known = {site.id for site in sites}
+    assumed = [pole for pole in poles if pole.assumed and pole.id in known]
+    for kind, why in dict.fromkeys((pole.kind, pole.assumed) for pole in assumed):
+        ids = tuple(pole.id for pole in assumed if (pole.kind, pole.assumed) == (kind, why))
+        what = f"{kind} {ids[0]}" if len(ids) == 1 else f"{len(ids)} x {kind}"
+        yield Note(what=what, why=why, kind="sites", site_ids=ids)
+    masts = tuple(site.id for site in sites if site.kind == "kerb")
+    if masts and Path(where).suffix.lower() not in LISTS:
+        why = "no mast stands there in the map: each is assumed"
+        yield Note(what=f"{len(masts)} sites at the kerb", why=why, kind="sites", site_ids=masts)
+
+
+def _building_notes(things: Sequence[Thing], radius_m: float) -> Iterator[Note]:
+    """Notes on buildings that the map does not have, or whose heights it does not tell."""
+    buildings = [thing for thing in things if thing.class_name == "building"]
+    if not buildings:
+        why = f"none within {radius_m:g} m in the map: none is taken to hide anybody"
+        yield Note(what="buildings", why=why, kind="buildings")
+    assumed = Counter(thing.class_name for thing in things if thing.is_height_assumed)
+    every = Counter(thing.class_name for thing in things)
+    for class_name, number in assumed.most_common():
+        yield Note(
+            what=f"heights of {number} of {every[class_name]} x {class_name}",
+            why="not in the map: the usual ones of their kinds are assumed",
+            kind="heights",
+        )
 
 
 def _crs_of_results(roads: SourceMap) -> str:

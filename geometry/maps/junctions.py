@@ -1,15 +1,20 @@
 """The junctions of a map: list them, and choose one by name or place."""
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from difflib import SequenceMatcher
+from functools import cache
+from importlib.resources import files
 
 import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
+from ..files import load_toml
 from ..junction import build_junction
 from ..scene import Instance, Lane, Scene
-from .georeferences import transform
+from .georeferences import WGS84, transform
 from .source_map import MapJunction, MapLane, SourceMap
 
 _MAX_LISTED = 12
@@ -135,8 +140,9 @@ def choose_junction(
     surveyed : sequence of Surveyed
         Its junctions, as :func:`survey_junctions` returns them.
     name : str
-        Id; or name, streets in any order: "Mannerheimintie / Kaivokatu", or some of them; or a part
-        of the name that no other junction has; empty: any.
+        Id; or name, streets in any order: "Mannerheimintie / Kaivokatu", or some of them, also
+        shortened (St, Ave, Str.); or a part of the name that no other junction has; or "latitude,
+        longitude" within 100 m in degrees; empty: any.
     at : (float, float), optional
         A point within 100 m, in the file's coordinate reference system: longitude and latitude, or
         metres.
@@ -148,30 +154,32 @@ def choose_junction(
     """
     if not surveyed:
         raise InputError(source.name, Unquoted("no junction"), "a map in which roads meet")
+    where = "--at"
     if name:
-        return _by_name(surveyed, name)
+        place = _LAT_LON.fullmatch(name)
+        if place is None or any(one.junction.id == name for one in surveyed):
+            return _by_name(surveyed, name)
+        where, at = "--junction", _from_degrees(source, (float(place[2]), float(place[1])), name)
     if at is None:
         return surveyed[0]
     point = _in_map(source, at)
     if not np.isfinite(point).all():
-        raise InputError(
-            "--at", Unquoted(f"{at[0]:g},{at[1]:g}"), f"a point in {source.source_crs}"
-        )
+        raise InputError(where, Unquoted(f"{at[0]:g},{at[1]:g}"), f"a point in {source.source_crs}")
     distance = [float(np.hypot(*(one.junction.position_m - point))) for one in surveyed]
     nearest = int(np.argmin(distance))
     if not distance[nearest] <= _NEAR_M:
+        got = name or f"{at[0]:.8g},{at[1]:.8g}"
         exchanged = _in_map(source, (at[1], at[0]))
         if min(np.hypot(*(one.junction.position_m - exchanged)) for one in surveyed) <= _NEAR_M:
             order = "longitude,latitude" if source.source_crs == "EPSG:4326" else "X,Y"
-            raise InputError(
-                "--at", Unquoted(f"{at[0]:.8g},{at[1]:.8g}"), f"{order}: it is the other way round"
-            )
-        where = ", ".join(f"{value:.8g}" for value in surveyed[nearest].position)
+            order = "latitude,longitude" if name else order
+            raise InputError(where, Unquoted(got), f"{order}: it is the other way round")
+        place_of = ", ".join(f"{value:.8g}" for value in surveyed[nearest].position)
         raise InputError(
-            "--at",
-            Unquoted(f"{at[0]:.8g},{at[1]:.8g}"),
+            where,
+            Unquoted(got),
             f"a point within {_NEAR_M:g} m of a junction; the nearest one, "
-            f"{surveyed[nearest].junction.id}, is at {where}",
+            f"{surveyed[nearest].junction.id}, is at {place_of}",
         )
     return surveyed[nearest]
 
@@ -183,18 +191,61 @@ def _by_name(surveyed: Sequence[Surveyed], name: str) -> Surveyed:
         [one for one in surveyed if one.junction.name.casefold() == wanted],
         [one for one in surveyed if _streets(one.junction.name) == _streets(name)],
         [one for one in surveyed if _streets(one.junction.name) >= _streets(name)],
+        [one for one in surveyed if _streets(one.junction.name) >= _streets(name, _BETWEEN)],
         [one for one in surveyed if wanted in one.junction.name.casefold()],
     ):
         if len(matches) == 1:
             return matches[0]
         if matches:
             raise InputError("--junction", name, f"one of {_listed(matches)}")
-    raise InputError("--junction", name, f"one of {_listed(surveyed)}")
+    close = {one: SequenceMatcher(None, wanted, one.casefold()).ratio() for one in _names(surveyed)}
+    nearest = sorted(surveyed, key=lambda one: -close[one.junction.name])
+    raise InputError("--junction", name, f"one of {_listed(nearest)}")
 
 
-def _streets(name: str) -> frozenset[str]:
-    """Names of streets that meet, in any order and case."""
-    return frozenset(part.strip().casefold() for part in name.split("/"))
+def _names(surveyed: Sequence[Surveyed]) -> set[str]:
+    return {one.junction.name for one in surveyed}
+
+
+_LAT_LON = re.compile(r"\s*([-+]?\d{1,2}(?:\.\d+)?)\s*,\s*([-+]?\d{1,3}(?:\.\d+)?)\s*")
+_BETWEEN = re.compile(r"\s*[/&+;]\s*|\s+(?:and|und|at|x|@)\s+", re.IGNORECASE)
+
+
+def _streets(name: str, between: re.Pattern[str] = re.compile("/")) -> frozenset[str]:
+    """Names of streets that meet, in any order and case, with all their words shortened."""
+    return frozenset(_shortened(part) for part in between.split(name))
+
+
+def _shortened(street: str) -> str:
+    words, endings = _short_forms()
+    found = []
+    for word in re.findall(r"[^\W_]+", street.casefold()):
+        for long, short in endings.items():
+            if word.endswith(long) and word != long:
+                word = word.removesuffix(long) + short
+        found.append(words.get(word, word))
+    return " ".join(found)
+
+
+@cache
+def _short_forms() -> tuple[dict[str, str], dict[str, str]]:
+    """Words of street names, and their endings, to how they are shortened."""
+    table = load_toml(files(__package__) / "data" / "streets.toml")
+    words, endings = (
+        {long: short for short, longs in table[key].items() for long in longs}
+        for key in ("words", "endings")
+    )
+    return words, endings
+
+
+def _from_degrees(
+    source: SourceMap, lon_lat_deg: tuple[float, float], name: str
+) -> tuple[float, float]:
+    """A point in the map's own coordinates, as ``at`` has it."""
+    if not source.crs:
+        raise InputError("--junction", name, "an id or a name: the map does not say where it lies")
+    x, y = transform(np.array(lon_lat_deg), WGS84, source.source_crs or source.crs)
+    return float(x), float(y)
 
 
 def _listed(surveyed: Sequence[Surveyed]) -> str:

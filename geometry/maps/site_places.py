@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from ..arrays import BoolArray, FloatArray
 from ..scene import covered_area
+from ..terrain import HEADROOM_M, headroom_m
 from .cut import Surroundings
 from .source_map import Pole, Skipped, Thing
 
@@ -54,11 +55,15 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
     road = covered_area(surroundings.outline_m, surroundings.lanes)
     shapely.prepare(road)
     is_on_road = shapely.intersects_xy(road, *positions.T)
+    solid = [
+        thing
+        for thing in standing_things(surroundings)
+        if thing.class_name in ("building", "wall") and len(thing.triangles)
+    ]
     walls: dict[int, Thing] = {}
-    for thing in surroundings.things:
-        if thing.class_name in ("building", "wall") and len(thing.triangles):
-            for hit in np.flatnonzero(is_under(positions, thing)):
-                walls.setdefault(int(hit), thing)
+    for thing in solid:
+        for hit in np.flatnonzero(is_under(positions, thing)):
+            walls.setdefault(int(hit), thing)
     blocked = _without_gaps(shapely.buffer(road, SETBACK_M, quad_segs=4))
     places = []
     for index, position in enumerate(positions):
@@ -68,8 +73,8 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
         most_m = _MAX_MOVE_FROM_WALL_M if index in walls else _MAX_MOVE_M
         near = [
             footprint(thing).buffer(_FROM_WALL_M, join_style="mitre")
-            for thing in surroundings.things
-            if thing.class_name in ("building", "wall") and _is_near(thing, position, most_m)
+            for thing in solid
+            if _is_near(thing, position, most_m)
         ]
         around = shapely.box(*(position - most_m - 1.0), *(position + most_m + 1.0))
         here = _without_gaps(shapely.union_all([blocked.intersection(around), *near]))
@@ -112,10 +117,29 @@ def _without_gaps(area: Any) -> Any:
 
 
 def _is_near(thing: Thing, position: FloatArray, reach_m: float) -> bool:
-    if not len(thing.triangles):
-        return False
     low, high = thing.vertices_m[:, :2].min(axis=0), thing.vertices_m[:, :2].max(axis=0)
     return bool(np.hypot(*(np.clip(position, low, high) - position)) <= reach_m + 1.0)
+
+
+def standing_things(surroundings: Surroundings) -> list[Thing]:
+    """Things that stand on the ground; roofs, bridges and the like are passed below."""
+    return [thing for thing in surroundings.things if _headroom_m(thing, surroundings) < HEADROOM_M]
+
+
+def clear_heights_m(positions_m: FloatArray, surroundings: Surroundings) -> FloatArray:
+    """Height above the ground at which buildings begin over points (n, 2); infinite: none, (n,)."""
+    clear: FloatArray = np.full(len(positions_m), np.inf)
+    for thing in surroundings.things:
+        if thing.class_name == "building" and len(thing.triangles):
+            above_m = _headroom_m(thing, surroundings)
+            if above_m >= HEADROOM_M:
+                under = is_under(positions_m, thing)
+                clear[under] = np.minimum(clear[under], above_m)
+    return clear
+
+
+def _headroom_m(thing: Thing, surroundings: Surroundings) -> float:
+    return headroom_m(thing.vertices_m, surroundings.terrain) if len(thing.vertices_m) else 0.0
 
 
 def footprint(thing: Thing) -> Any:
@@ -191,7 +215,8 @@ def settle_poles(surroundings: Surroundings) -> tuple[Surroundings, tuple[Skippe
             told.append(Skipped(what=what, why=f"no site: it stands {place.why}"))
             continue
         if place.why:
-            told.append(Skipped(what=what, why=f"it stood {place.why}"))
+            why = f"it stood {place.why}"
+            told.append(Skipped(what=what, why=why, kind="sites", site_ids=(pole.id,)))
             pole = replace(pole, position_m=np.append(place.position_m, pole.position_m[2]))
         kept.append(pole)
     return replace(surroundings, poles=tuple(kept)), tuple(told)

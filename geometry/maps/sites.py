@@ -14,9 +14,15 @@ from ..errors import InputError
 from ..scene import HANGING_KINDS, Site
 from .cut import Surroundings
 from .site_files import SUFFIXES, SiteWish, read_sites
-from .site_places import SETBACK_M, find_places, is_under
+from .site_places import SETBACK_M, clear_heights_m, find_places, is_under, standing_things
 from .source_map import MapLane, Skipped, SourceMap, Thing
-from .thing_kinds import MIN_POLE_M, load_pole_kinds, mount_range_m
+from .thing_kinds import (
+    MIN_POLE_M,
+    PoleKind,
+    load_auto_sites,
+    load_pole_kinds,
+    mount_range_m,
+)
 
 if TYPE_CHECKING:
     from shapely import Polygon
@@ -30,6 +36,7 @@ _PARALLEL = np.cos(np.deg2rad(20.0))
 _STEP_M = 0.25
 _LONGER_M = 1.0  # the outline is not square to every lane
 _KINDS = ("driving", "parking")
+_BELOW_ROOF_M = 0.3  # a sensor and its bracket
 
 
 def kerb_sites(
@@ -214,7 +221,6 @@ def tidy_sites(
 
 # ---------- the sites of a scene
 AUTO, MAP, KERB = "auto", "map", "kerb:"
-_AUTO_SPACING_M = 15.0
 _SPACINGS_M = (2.0, 100.0)
 _OCTANTS = ("e", "ne", "n", "nw", "w", "sw", "s", "se")
 
@@ -245,9 +251,10 @@ def choose_sites(
     """Sites of a scene, at least one, and notes on what was left out.
 
     `where` is "map", "kerb:SPACING", a CSV or GeoJSON file (x and y in the coordinates of `roads`),
-    or "auto": "map", or "kerb:15" if the map has no pole. Sites farther than `radius_m` from the
-    middle of the junction are left out. Raises InputError if `where` cannot be read, or no site is
-    left.
+    or "auto": the poles of the map but for low sign posts and what belongs to another junction, and
+    masts along the kerbs where none of them is near the middle, see ``data/sites.toml``. Sites
+    farther than `radius_m` from the middle of the junction are left out. Raises InputError if
+    `where` cannot be read, or no site is left.
     """
     told: list[Skipped] = []
     if _is_list(where):
@@ -256,20 +263,17 @@ def choose_sites(
     elif where in (AUTO, MAP):
         wishes, low = _poles(surroundings)
         told += low
-        if not wishes and where == AUTO:
-            wishes = _kerbs(surroundings, _AUTO_SPACING_M, radius_m)
-            told.append(
-                Skipped(
-                    what="poles of the map",
-                    why=f"none within {radius_m:g} m: masts every {_AUTO_SPACING_M:g} m along the "
-                    "kerbs were taken (--sites)",
-                )
-            )
+        if where == AUTO:
+            wishes, others = _own_poles(wishes, surroundings)
+            masts, why = _masts(wishes, surroundings, radius_m)
+            wishes, told = (*wishes, *masts), [*told, *others, *why]
     else:
         wishes = _kerbs(surroundings, _spacing_m(where), radius_m)
-    placed, moved = _settled(wishes, surroundings)
+    placed, moved = _settled(_with_plain_ids(wishes), surroundings)
     told += [skip for skip in moved if not where.startswith(KERB) and where != AUTO]
-    kept, dropped = tidy_sites(placed, things=surroundings.things)
+    kept, dropped = tidy_sites(placed, things=standing_things(surroundings))
+    kept, too_low = _below_roofs(kept, surroundings)
+    dropped = (*dropped, *too_low)
     told += dropped
     if not kept:
         raise InputError(
@@ -278,7 +282,7 @@ def choose_sites(
             f"a site within {radius_m:g} m that stands free ({len(dropped)} do not): kerb:15, or "
             "a list of your own",
         )
-    return tuple(_site(wish) for wish in _with_plain_ids(kept)), tuple(told)
+    return tuple(_site(wish) for wish in kept), tuple(told)
 
 
 def _settled(
@@ -297,7 +301,90 @@ def _settled(
             told.append(Skipped(what=f"site {wish.id}", why=f"it stands {place.why}"))
         else:
             kept.append(replace(wish, position_m=place.position_m))
-            told.append(Skipped(what=f"site {wish.id}", why=f"it stood {place.why}"))
+            why = f"it stood {place.why}"
+            told.append(Skipped(what=f"site {wish.id}", why=why, kind="sites", site_ids=(wish.id,)))
+    return tuple(kept), told
+
+
+def _own_poles(
+    wishes: Sequence[SiteWish], surroundings: Surroundings
+) -> tuple[tuple[SiteWish, ...], list[Skipped]]:
+    """Poles that are sites by default: no low sign posts, and none of another junction."""
+    import shapely
+
+    rules = load_auto_sites()
+    feet = shapely.points(np.array([wish.position_m for wish in wishes]).reshape(-1, 2))
+    own_m = shapely.distance(feet, _area(surroundings.outline_m))
+    other_m = np.full(len(wishes), np.inf)
+    for outline in surroundings.neighbours_m:
+        other_m = np.minimum(other_m, shapely.distance(feet, _area(outline)))
+    heights_m = {pole.id: pole.height_m for pole in surroundings.poles}
+    sign_m = load_pole_kinds()["sign"].height_m
+    is_other = (other_m <= rules.neighbour_m) & (other_m < own_m)
+    kept: list[SiteWish] = []
+    low: list[SiteWish] = []
+    far: list[SiteWish] = []
+    for wish, is_far in zip(wishes, is_other.tolist(), strict=True):
+        is_low = wish.kind == "sign" and (heights_m[wish.id] or sign_m) < rules.min_sign_m
+        (far if is_far else low if is_low else kept).append(wish)
+    told = [
+        Skipped(what=_several(group, noun), why=f"{why}: no site unless asked for")
+        for group, noun, why in (
+            (far, "poles", f"within {rules.neighbour_m:g} m of another junction, nearer than here"),
+            (low, "sign posts", f"lower than {rules.min_sign_m:g} m"),
+        )
+        if group
+    ]
+    return tuple(kept), told
+
+
+def _area(outline_m: FloatArray) -> "Polygon":
+    import shapely
+
+    area: Polygon = shapely.make_valid(shapely.Polygon(outline_m))
+    return area
+
+
+def _several(wishes: Sequence[SiteWish], noun: str) -> str:
+    if len(wishes) == 1:
+        return f"{wishes[0].kind} {wishes[0].id}"
+    return f"{len(wishes)} {noun}, such as {wishes[0].id}"
+
+
+def _masts(
+    poles: Sequence[SiteWish], surroundings: Surroundings, radius_m: float
+) -> tuple[tuple[SiteWish, ...], list[Skipped]]:
+    """Masts along the kerbs where no pole is near the junction's middle, and why."""
+    rules = load_auto_sites()
+    nearest_m = min((float(np.hypot(*pole.position_m)) for pole in poles), default=np.inf)
+    if nearest_m <= rules.near_m:
+        return (), []
+    where = (
+        f"the nearest one stands {nearest_m:.0f} m from the junction's middle"
+        if poles
+        else f"none within {radius_m:g} m"
+    )
+    why = f"{where}: masts every {rules.spacing_m:g} m along the kerbs were added (--sites)"
+    told = Skipped(what="poles of the map", why=why)
+    return _kerbs(surroundings, rules.spacing_m, radius_m), [told]
+
+
+def _below_roofs(
+    wishes: Sequence[SiteWish], surroundings: Surroundings
+) -> tuple[tuple[SiteWish, ...], list[Skipped]]:
+    """Sites that carry sensors no higher than what is above them lets them."""
+    kept, told = [], []
+    positions = np.array([wish.position_m for wish in wishes]).reshape(-1, 2)
+    for wish, clear_m in zip(wishes, clear_heights_m(positions, surroundings), strict=True):
+        most_m = round(float(clear_m) - _BELOW_ROOF_M, 3)
+        if most_m >= _mounts_m(wish)[1]:
+            kept.append(wish)
+        elif most_m < MIN_POLE_M:
+            why = f"below a roof {clear_m:g} m above the ground: too low for sensors"
+            told.append(Skipped(what=f"site {wish.id}", why=why))
+        else:
+            low_m = min(_mounts_m(wish)[0], most_m)
+            kept.append(replace(wish, min_height_m=low_m, max_height_m=most_m))
     return tuple(kept), told
 
 
@@ -393,13 +480,21 @@ def _with_plain_ids(wishes: Sequence[SiteWish]) -> list[SiteWish]:
     return plain
 
 
-def _site(wish: SiteWish) -> Site:
+def _kind_of(wish: SiteWish) -> PoleKind:
     kinds = load_pole_kinds()
-    kind = kinds.get(wish.kind, kinds["pole"])
-    low_m, high_m = kind.height_range_m
+    return kinds.get(wish.kind, kinds["pole"])
+
+
+def _mounts_m(wish: SiteWish) -> tuple[float, float]:
+    """Lowest and highest mount above the road in metres: as listed, or usual for its kind."""
+    low_m, high_m = _kind_of(wish).height_range_m
     low_m = low_m if wish.min_height_m is None else wish.min_height_m
     high_m = max(high_m, low_m) if wish.max_height_m is None else wish.max_height_m
-    low_m = min(low_m, high_m)
+    return min(low_m, high_m), high_m
+
+
+def _site(wish: SiteWish) -> Site:
+    low_m, high_m = _mounts_m(wish)
     if low_m <= 0.0:
         raise InputError(f"site {wish.id}: mount height", low_m, "metres above the road, > 0")
     return Site(
@@ -407,7 +502,7 @@ def _site(wish: SiteWish) -> Site:
         position_m=np.append(wish.position_m, 0.0),
         kind=wish.kind or "pole",
         height_range_m=np.array([low_m, high_m]),
-        capacity_units=wish.capacity_units or kind.capacity_units,
+        capacity_units=wish.capacity_units or _kind_of(wish).capacity_units,
         cost_eur=wish.cost_eur or 0.0,
         use="forbidden" if wish.is_forbidden else "free",
     )

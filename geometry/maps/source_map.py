@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray, float_array, freeze
 from ..errors import InputError
-from ..junction import LeadingRoad
+from ..notes import Note
+from ..scene import LeadingRoad
 
 LANE_KINDS = ("driving", "parking", "cycling", "walking")
 POLE_KINDS = ("lamp post", "traffic light", "sign", "pole")
@@ -38,6 +39,8 @@ class MapLane:
         the driving lane beside them. [m]
     from_junction, to_junction : str
         Ids of the junctions at its ends, where it stops at the outline; empty: none.
+    speed_limit_kmh : float, optional
+        Where it leads into a junction, or else out of one; None: the source gives none. [km/h]
     """
 
     id: str
@@ -46,6 +49,7 @@ class MapLane:
     centreline_m: FloatArray
     from_junction: str = ""
     to_junction: str = ""
+    speed_limit_kmh: float | None = None
 
     def __post_init__(self) -> None:
         where = f"lane {self.id}"
@@ -147,12 +151,15 @@ class Pole:
         Position of its foot. [m]
     height_m : float, optional
         Height of its top above its foot, if the source gives it. [m]
+    assumed : str
+        Why its position is not that of the source, in words; empty: it is.
     """
 
     id: str
     kind: str
     position_m: FloatArray
     height_m: float | None = None
+    assumed: str = ""
 
     def __post_init__(self) -> None:
         if self.kind not in POLE_KINDS:
@@ -162,12 +169,7 @@ class Pole:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Skipped:
-    """Something of a source that was left out."""
-
-    what: str  # kind and id, as the source has them: "way 4711", "road 5 object 12"
-    why: str  # the reason, in words
+Skipped = Note  # as readers of maps call what they leave out
 
 
 @dataclass(frozen=True, slots=True)

@@ -91,18 +91,18 @@ class HeadLamp:
     colour: FloatArray
     reach_m: float
     radius_m: float
-    R_world_lamp: FloatArray  # (3, 3): columns ahead, left, up
+    R_world_lamp: FloatArray  # (3, 3): columns ahead, to the oncoming lane, up
     beam: Mapping[str, float]  # [head_lamp] of data/lamps.toml
 
     def intensity_cd(self, directions: FloatRays) -> FloatRays:
         """See :class:`Lamp`."""
         beam = self.beam
-        ahead, left, up = self.R_world_lamp.T.astype(np.float32) @ directions
+        ahead, aside, up = self.R_world_lamp.T.astype(np.float32) @ directions
         is_ahead = ahead > 0.05
-        right_deg = np.degrees(np.arctan2(-left, ahead))
-        up_deg = np.degrees(np.arctan2(up, np.hypot(ahead, left)))
+        to_kerb_deg = np.degrees(np.arctan2(-aside, ahead))
+        up_deg = np.degrees(np.arctan2(up, np.hypot(ahead, aside)))
         rise_deg = np.clip(
-            right_deg * np.float32(math.tan(math.radians(beam["kink_deg"]))),
+            to_kerb_deg * np.float32(math.tan(math.radians(beam["kink_deg"]))),
             0.0,
             beam["kink_max_deg"],
         )
@@ -111,7 +111,7 @@ class HeadLamp:
             1.0 + np.exp(np.clip(-below_deg / np.float32(beam["softness_deg"]), -30, 30))
         )
         share *= np.exp(-np.maximum(below_deg, 0.0) / np.float32(beam["depth_deg"]))
-        share *= np.exp(-0.5 * (right_deg / np.float32(beam["width_deg"])) ** 2)
+        share *= np.exp(-0.5 * (to_kerb_deg / np.float32(beam["width_deg"])) ** 2)
         above = np.float32(beam["above_cd"])
         intensity: FloatRays = np.where(
             is_ahead, above + np.float32(beam["peak_cd"] - beam["above_cd"]) * share, np.float32(0)
@@ -144,18 +144,22 @@ def build_street_lamps(scene: Scene) -> tuple[StreetLamp, ...]:
     return tuple(lamps)
 
 
-def build_headlights(vut: Actor, pose: Pose) -> tuple[HeadLamp, ...]:
-    """The two low beams of a vehicle whose body frame is at `pose`, left and right."""
+def build_headlights(vut: Actor, pose: Pose, *, keeps_left: bool) -> tuple[HeadLamp, ...]:
+    """The two low beams of a vehicle whose body frame is at `pose`, left and right.
+
+    They reach farther along the kerb, which is on the side that traffic keeps.
+    """
     beam, colour = _read_lamp("head_lamp")
     ahead_m, side_m = 0.5 * vut.length_m + _AHEAD_M, 0.5 * beam["apart_m"]
     places = to_world([[ahead_m, y, beam["height_m"]] for y in (side_m, -side_m)], pose)
+    to_oncoming = np.array([1.0, -1.0 if keeps_left else 1.0, 1.0])
     return tuple(
         HeadLamp(
             position_m=place,
             colour=colour,
             reach_m=beam["reach_m"],
             radius_m=beam["radius_m"],
-            R_world_lamp=body_rotation(pose.yaw_deg, pose.pitch_deg),
+            R_world_lamp=body_rotation(pose.yaw_deg, pose.pitch_deg) * to_oncoming,
             beam=beam,
         )
         for place in places

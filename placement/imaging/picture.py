@@ -360,6 +360,7 @@ class Backdrop:
     mesh: Mesh  # scene and obstruction
     ground: GroundMap
     street_lamps: tuple[StreetLamp, ...]
+    keeps_left: bool
 
 
 def build_backdrop(scene: Scene, obstruction: Sequence[PlacedActor]) -> Backdrop:
@@ -369,6 +370,7 @@ def build_backdrop(scene: Scene, obstruction: Sequence[PlacedActor]) -> Backdrop
         mesh=mesh,
         ground=build_ground_map(scene, mesh.things, load_materials().markings),
         street_lamps=build_street_lamps(scene),
+        keeps_left=scene.keeps_left,
     )
 
 
@@ -451,7 +453,8 @@ def build_shot(
     if weather.has_lamps:
         lamps = backdrop.street_lamps
         if run is not None:
-            lamps += build_headlights(run.encounter.vut, vut_pose(run, frame_index))
+            pose_vut = vut_pose(run, frame_index)
+            lamps += build_headlights(run.encounter.vut, pose_vut, keeps_left=backdrop.keeps_left)
     materials = materials or load_materials()
     return Shot(
         R_world_camera=camera_rotation(pose.yaw_deg, pose.pitch_deg),

@@ -233,6 +233,9 @@ def scene_hash(scene: Scene) -> str:
             for site in scene.sites
         ],
     }
+    limits = {lane.id: lane.speed_limit_kmh for lane in scene.lanes if lane.speed_limit_kmh}
+    if limits:
+        words["speed_limits"] = limits
     if scene.zero_height_m is not None:  # else as before scenes told it
         words["zero_height_m"] = scene.zero_height_m
     digest.update(json.dumps(words).encode())

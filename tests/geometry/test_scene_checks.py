@@ -59,7 +59,8 @@ def without_floor(mesh):
         ([("a", "building", box(30, 30))], []),
         ([("a", "building", without_floor(box(30, 30)))], []),
         ([("a", "building", without_roof(box(30, 30)))], ["a: its surface has holes"]),
-        ([("a", "building", box(30, 30, bottom_m=2.0))], ["a: it begins more than 0.5 m above"]),
+        ([("a", "building", box(30, 30, bottom_m=1.5))], ["a: it begins more than 0.5 m above"]),
+        ([("a", "building", box(30, 2.0, bottom_m=3.0))], ["a: it begins 2 m above the ground or"]),
         ([("a", "building", box(30, 30, bottom_m=-4.0))], ["a: it is below the road, or begins"]),
         ([("a", "building", box(30, 2.0))], ["a: it stands on a lane or in the junction"]),
         ([("a", "building", box(30, 30)), ("b", "building", box(33, 30))], ["a and b: they over"]),
@@ -93,9 +94,10 @@ def test_no_sites_and_no_way_in_are_errors():
 
 
 def test_assumed_heights_are_told_with_few_names():
-    names = frozenset(f"h{number}" for number in range(9))
-    (finding,) = check_scene(load_study_scene(), assumed_heights=names)
-    assert finding.what == "h0, h1, h2, h3, h4, h5 and 3 more"
+    scene = load_study_scene()
+    things = [replace(thing, is_height_assumed=True) for thing in scene.instances[:9]]
+    (finding,) = check_scene(replace(scene, instances=(*things, *scene.instances[9:])))
+    assert finding.what == ", ".join(sorted(t.id for t in things)[:6]) + " and 3 more"
 
 
 def test_a_footprint_is_what_a_thing_covers_from_above():

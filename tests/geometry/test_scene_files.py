@@ -1,4 +1,5 @@
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,15 +9,36 @@ from osm_text import LAT_DEG, LON_DEG, OsmText
 from geometry.errors import InputError
 from geometry.frames import from_gltf_points, to_gltf_points
 from geometry.junction import build_junction
+from geometry.notes import Note
+from geometry.scene import LeadingRoad
 from geometry.scene_files import (
     SCENE_FILE,
     THINGS_FILE,
-    load_notes,
     load_scene,
     load_scene_folder,
     load_study_scene,
     pack_scene,
     save_scene,
+)
+
+NOTES = (
+    Note(what="way 1", why='too "short"'),
+    Note(what="2 masts", why="assumed", kind="sites", site_ids=("lamp-s1", "lamp-s2")),
+)
+
+THINGS = tuple(
+    replace(thing, is_height_assumed=thing.id == "wall-ne-1")
+    for thing in load_study_scene().instances
+)
+LIMITED = load_study_scene().lanes[0].id
+LANES = tuple(
+    replace(lane, speed_limit_kmh=50.0) if lane.id == LIMITED else lane
+    for lane in load_study_scene().lanes
+)
+ROADS = (
+    LeadingRoad(
+        name="A Street", point_m=[20.0, 0.0], direction=[1.0, 0.0], lanes_in=1, lanes_out=2
+    ),
 )
 
 
@@ -25,10 +47,8 @@ def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("scene")
     save_scene(
         path,
-        load_study_scene(),
+        replace(load_study_scene(), notes=NOTES, instances=THINGS, roads=ROADS, lanes=LANES),
         sources=["a.osm"],
-        skipped=[("way 1", 'too "short"')],
-        assumed_heights=["wall-ne-1"],
     )
     return path
 
@@ -50,12 +70,13 @@ def test_a_scene_comes_back_as_it_was(folder, tmp_path):
     pack_scene(folder, archive)
     for again in (load_scene_folder(folder), load_scene_folder(archive)):
         assert (again.name, again.crs) == (scene.name, scene.crs)
-        assert again.instances == scene.instances
+        assert again.instances == THINGS
         ours, theirs = (one.vertices_m[one.triangles] for one in (again, scene))
         assert ours == pytest.approx(theirs, abs=2e-5)
         assert np.array_equal(again.triangle_instance, scene.triangle_instance)
         for one, other in zip(again.lanes, scene.lanes, strict=True):
             assert (one.id, one.kind, one.width_m) == (other.id, other.kind, other.width_m)
+            assert one.speed_limit_kmh == (50.0 if one.id == LIMITED else None)
             assert one.centreline_m == pytest.approx(other.centreline_m, abs=5e-4)
         for one, other in zip(again.sites, scene.sites, strict=True):
             assert (one.id, one.kind, one.use) == (other.id, other.kind, other.use)
@@ -65,9 +86,10 @@ def test_a_scene_comes_back_as_it_was(folder, tmp_path):
 
 
 def test_notes_come_back(folder):
-    notes = load_notes(folder)
-    assert notes.skipped == (("way 1", 'too "short"'),)
-    assert notes.assumed_heights == {"wall-ne-1"}
+    scene = load_scene_folder(folder)
+    assert scene.notes == NOTES
+    assert [thing.id for thing in scene.instances if thing.is_height_assumed] == ["wall-ne-1"]
+    assert [(road.name, road.lanes_in) for road in scene.roads] == [("A Street", 1)]
 
 
 def test_other_programs_see_things_upright(folder):
@@ -158,7 +180,7 @@ def test_a_scene_is_loaded_from_wherever_it_is(folder, tmp_path):
     archive = tmp_path / "scene.zip"
     pack_scene(folder, archive)
     for path in (folder, str(folder), archive, str(archive)):
-        assert load_scene(path).instances == load_study_scene().instances
+        assert load_scene(path).instances == THINGS
 
 
 def test_a_junction_of_a_map_is_loaded_by_name_by_place_or_as_the_largest(tmp_path):

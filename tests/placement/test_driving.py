@@ -67,6 +67,25 @@ def test_by_default_the_studys_cases_are_driven_along_the_arms_too(study):
     assert plain.axis.weight == pytest.approx([1 / 60] * 60)
 
 
+def test_a_map_bounds_the_speeds_unless_others_are_asked_for():
+    free = t_junction()
+    slow = replace(free, lanes=tuple(replace(lane, speed_limit_kmh=30.0) for lane in free.lanes))
+
+    def speeds(scene, asked):
+        drives = drive(Question(cases="CPNA-25,CPLA-25", speeds=asked, along_arms="0"), scene)
+        return sorted({run.vut_speed_kmh for run in drives.runs}), drives
+
+    bounded, drives = speeds(slow, "")
+    assert bounded[-1] == 30.0
+    assert {one.limit_kmh for one in drives.refused} == {30.0}
+    table = scenario_table(list_rows(drives))
+    assert "faster than the speed limit of 30 km/h" in " ".join(table.split())
+    assert speeds(slow, "all")[0] == speeds(free, "all")[0] == speeds(free, "")[0]
+    assert speeds(slow, "20,50")[0] == [20.0, 50.0]
+    assert drive_one(Question(cases="CPNA-25", approaches="east", speeds="60"), slow)
+    assert all(lane.speed_limit_kmh is None for lane in load_study_scene().lanes)
+
+
 def test_runs_of_an_earlier_call_are_those_that_would_be_laid(tmp_path, monkeypatch):
     question = Question(cases="CPNC-50,CPLA-50,CBTAfs-100", approaches="west")
     scene, compute = load_study_scene(), Compute(cache_folder=tmp_path)

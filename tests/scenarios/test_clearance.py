@@ -86,3 +86,17 @@ def test_where_the_map_has_a_parking_lane_people_park_whatever_is_behind(parked)
     bodies, refusals = parked(replace(near, lanes=(*near.lanes, bay)))
     assert bodies
     assert not refusals
+
+
+@pytest.mark.parametrize(("bottom_m", "is_free"), [(4.5, True), (0.0, False)])
+def test_cars_park_and_people_walk_below_what_is_raised(parked, bottom_m, is_free):
+    free = protocol_scene()
+    scene = protocol_scene(boxes=[("roof", -30.0, 0.0, 40.0, 40.0, 3.0)])
+    is_roof = scene.vertices_m[:, 0] > -100.0
+    is_roof &= np.hypot(*scene.vertices_m[:, :2].T) < 100.0
+    raised = replace(scene, vertices_m=scene.vertices_m + np.outer(is_roof, [0.0, 0.0, bottom_m]))
+    bodies, refusals = parked(raised)
+    assert bool(bodies) == is_free == (not refusals)
+    if is_free:
+        places = [body.pose.position_m.tolist() for body in bodies]
+        assert places == [body.pose.position_m.tolist() for body in parked(free)[0]]

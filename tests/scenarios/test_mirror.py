@@ -60,6 +60,25 @@ def test_where_traffic_keeps_left_every_run_is_the_mirror_image_of_one_where_it_
     assert not ours
 
 
+@pytest.mark.parametrize("is_left_handed", [False, True])
+def test_titles_say_to_which_side_the_vut_turns(is_left_handed):
+    scene = protocol_scene()
+    cases = select_cases("CPTAfs-50,CBTAfs-side,CPTAns-50,CBTAns-0", speeds="10").cases
+    runs, _ = build_runs(
+        left_handed(scene) if is_left_handed else scene,
+        cases,
+        vut=pick_actor("vut", "vut"),
+        rule=load_aeb_rule(),
+    )
+    assert {run.case.name for run in runs} == {case.name for case in cases}
+    for run in runs:
+        turned_deg = (run.vut_yaw_deg[-1] - run.vut_yaw_deg[0] + 180.0) % 360.0 - 180.0
+        side, other = ("left", "right") if turned_deg > 5.0 else ("right", "left")
+        assert abs(turned_deg) > 5.0
+        assert f"turns {side}" in run.case.title
+        assert other not in run.case.title
+
+
 def test_a_junction_in_two_mirrors_is_itself_again():
     junction = build_junction(build_scene(lanes_of("a", 10.0, n_lanes=2)))
     twice = mirrored(mirrored(junction))

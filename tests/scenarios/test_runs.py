@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from junctions import ARMS, LANE_M, protocol_scene, turned
+from junctions import ARMS, LANE_M, build_scene, protocol_scene, turned
 from oracles import separation_m, simulated_track_s
 from strategies import frame_axes, numbers
 
@@ -15,6 +15,7 @@ from geometry.study_scene import load_study_scene
 from scenarios.aeb import has_contact, is_in_time, live_confirmation_time_s
 from scenarios.cases import load_cases, pick_cases
 from scenarios.exposure import weight_per_run
+from scenarios.positions import build_positions
 from scenarios.runs import (
     FrameAxis,
     build_frame_axis,
@@ -184,6 +185,51 @@ def test_things_in_the_way_are_named(actors, rule):
     assert not runs
     assert {refusal.reason for refusal in refusals} == {"shed stands in the VRU's way"}
     assert len(refusals[0].speeds_kmh) == 11
+
+
+# Speed limits
+
+
+def limited(scene, limits_kmh):
+    """A scene whose lanes into the junction have speed limits, by the begin of their ids."""
+    lanes = (
+        dataclasses.replace(lane, speed_limit_kmh=limits_kmh.get(lane.id.partition("-in")[0]))
+        for lane in scene.lanes
+    )
+    return dataclasses.replace(scene, lanes=tuple(lanes))
+
+
+def test_nothing_is_driven_faster_than_the_speed_limit(actors, rule):
+    free = protocol_scene()
+    scene = limited(free, {"east": 42.0, "north": 15.0})
+    cases = pick_cases("CPNA-25,CPLA-25", "cases")
+    positions = build_positions([0.0, 15.0])
+    options = {"vut": actors["vut"], "rule": rule, "positions": positions}
+    every, _ = build_runs(free, cases, **options)
+    runs, refusals = build_runs(scene, cases, **options)
+    limits_kmh = {"east": 42.0, "north": 15.0}
+    slow = [run.id for run in every if run.vut_speed_kmh <= limits_kmh.get(run.approach, np.inf)]
+    assert [run.id for run in runs] == slow
+    assert {run.approach for run in runs if run.case.name == "CPNA-25"} >= {"west", "south", "east"}
+    fast = [one for one in refusals if one.limit_kmh is not None]
+    assert sum(len(one.speeds_kmh) for one in fast) == len(every) - len(slow)
+    assert {(one.approach, one.reason, one.is_possible) for one in fast} == {
+        ("east", "faster than the speed limit of 42 km/h", False),
+        ("north", "faster than the speed limit of 15 km/h", False),
+    }
+    assert [run.id for run in build_runs(scene, cases, keeps_limits=False, **options)[0]] == [
+        run.id for run in every
+    ]
+
+
+def test_a_road_that_is_missing_is_missing_at_every_speed(actors, rule):
+    lanes = [lane for lane in protocol_scene().lanes if not lane.id.startswith("south-out")]
+    scene = limited(build_scene(lanes), {"east": 12.0})
+    cases = pick_cases("CPTAfs-50", "cases")
+    _, refusals = build_runs(scene, cases, vut=actors["vut"], rule=rule, approaches=["east"])
+    (one,) = refusals
+    assert one.limit_kmh is None
+    assert one.speeds_kmh == cases[0].vut_speeds_kmh
 
 
 # The study's own runs

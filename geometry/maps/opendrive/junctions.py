@@ -9,7 +9,7 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ...errors import InputError, Unquoted
-from ...junction import LeadingRoad
+from ...scene import LeadingRoad
 from ..source_map import MapJunction, MapLane, Omissions
 from .attributes import numbered, take_id
 from .lanes import RoadEnds, SampledSection, lane_kind

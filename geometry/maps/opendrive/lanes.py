@@ -263,6 +263,12 @@ def build_lanes(road: Road, sections: Sequence[SampledSection], ends: RoadEnds) 
                 name = f"{name}:{used[name]}"
             junctions = ends.start if at_start else "", ends.end if at_end else ""
             width_m = _width_m(points, widths_m, *map(bool, junctions))
+            # Where it leads into a junction, or else out of one.
+            is_at_end = bool(junctions[1]) if follows else not junctions[0]
+            last = max(chain) if is_at_end else min(chain)
+            limit_kmh = road.speed_limit_kmh(
+                road.length_m if is_at_end else 0.0, sections[last].lanes[chain[last]].record
+            )
             lanes.append(
                 MapLane(
                     id=name,
@@ -271,6 +277,7 @@ def build_lanes(road: Road, sections: Sequence[SampledSection], ends: RoadEnds) 
                     centreline_m=points if follows else points[::-1],
                     from_junction=junctions[0 if follows else 1],
                     to_junction=junctions[1 if follows else 0],
+                    speed_limit_kmh=limit_kmh,
                 )
             )
     return lanes

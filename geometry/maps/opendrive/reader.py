@@ -18,6 +18,7 @@ from .attributes import Offset, numbered, read_crs, read_offset, take_id, take_n
 from .junctions import build_junctions, find_road_ends, leading_roads, read_junction_records
 from .lanes import (
     MAX_POINTS,
+    RoadEnds,
     SampledSection,
     build_lanes,
     connecting_lanes,
@@ -68,6 +69,8 @@ def read_opendrive(path: Path) -> SourceMap:
     junctions, lanes = build_junctions(records, roads, sampled, lanes, omissions, where)
     leading = leading_roads(roads, ends, sampled)
     junctions = [replace(one, roads=leading.get(one.id, ())) for one in junctions]
+    connections = _connections(roads, junctions, where)
+    junctions = _without_merges(junctions, roads, ends, omissions)
     found = read_objects(roads, omissions)
     lanes += [
         lane for road, spaces in found.spaces.items() for lane in build_rows(roads[road], spaces)
@@ -81,7 +84,7 @@ def read_opendrive(path: Path) -> SourceMap:
         source_crs=source_crs,
         heights="absolute",
         lanes=tuple(lanes),
-        connections=_connections(roads, junctions, where),
+        connections=connections,
         junctions=tuple(junctions),
         things=tuple(found.things),
         poles=tuple(merge_poles([*found.poles, *poles])),
@@ -162,6 +165,24 @@ def _connections(
                 raise InputError(where, got, f"at most {MAX_POINTS:,}")
             found += here
     return tuple(found)
+
+
+def _without_merges(
+    junctions: Sequence[MapJunction],
+    roads: Mapping[str, Road],
+    ends: Mapping[str, RoadEnds],
+    omissions: Omissions,
+) -> list[MapJunction]:
+    """Junctions but for those of motorways, where nobody walks; cars are led on through these."""
+    kept = []
+    for junction in junctions:
+        arms = [roads[name] for name, at in ends.items() if junction.id in (at.start, at.end)]
+        if arms and all(road.is_motorway for road in arms):
+            why = "motorways merge or part where nobody walks"
+            omissions.add("junctions", f"junction {junction.id}", why)
+        else:
+            kept.append(junction)
+    return kept
 
 
 def _keeps_left(roads: Mapping[str, Road], omissions: Omissions) -> bool:

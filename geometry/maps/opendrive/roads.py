@@ -1,7 +1,8 @@
 """Roads as a file has them: reference line, elevation, superelevation, lane sections, links."""
 
+import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ...errors import InputError, Unquoted
-from .attributes import Offset, numbered, take_id, take_number
+from .attributes import Offset, lane_kinds, numbered, take_id, take_number, take_number_or
 from .cross_sections import CrossSections, read_cross_sections
 from .reference_line import PiecewiseCubic, ReferenceLine, read_cubics, read_reference_line
 
@@ -28,6 +29,11 @@ class RoadLink:
     contact: str = ""  # end of the other road: "start" or "end"
 
 
+SpeedLimits = tuple[tuple[float, float | None], ...]
+"""Stations from which speed limits hold, ascending, in metres, and these in km/h; None: none."""
+_KMH = {"m/s": 3.6, "km/h": 1.0, "mph": 1.609344}
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LaneRecord:
     """A lane of one lane section."""
@@ -39,6 +45,7 @@ class LaneRecord:
     successors: tuple[int, ...]
     width: PiecewiseCubic  # along the road; without pieces: not given
     border: PiecewiseCubic  # lateral position of its outer edge; without pieces: not given
+    limits: SpeedLimits = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -71,6 +78,23 @@ class Road:
     bank: PiecewiseCubic  # roll around the reference line, its left side upwards. [rad]
     shape: CrossSections  # above the line across that the bank makes
     element: Element  # for objects and signals
+    limits: SpeedLimits = ()
+
+    @property
+    def is_motorway(self) -> bool:
+        """Whether it says so all along, and has no sidewalk."""
+        types = [element.get("type", "") for element in self.element.findall("type")]
+        lanes = [lane for one in self.sections for lane in (*one.left, *one.right)]
+        has_walkers = any(lane_kinds().get(lane.type.lower()) == "walking" for lane in lanes)
+        return bool(types) and not has_walkers and all(one.startswith("motorway") for one in types)
+
+    def speed_limit_kmh(self, s_m: float, lane: LaneRecord) -> float | None:
+        """Limit of a lane at a station in km/h, the lane's own or else the road's; None: none."""
+        for limits in (lane.limits, self.limits):
+            here = [limit_kmh for start_m, limit_kmh in limits if start_m <= s_m + 1e-6]
+            if here:
+                return here[-1]
+        return None
 
     def height_at(self, s_m: FloatArray) -> FloatArray:
         """Height of the reference line, (n,)."""
@@ -141,7 +165,29 @@ def read_road(element: Element, where: str, offset: Offset) -> Road:
         bank=read_cubics(lateral, "superelevation", where),
         shape=read_cross_sections(lateral, where),
         element=element,
+        limits=_read_limits(element.findall("type"), where),
     )
+
+
+def _read_limits(
+    elements: Sequence[Element], where: str, *, start_key: str = "s", first_m: float = 0.0
+) -> SpeedLimits:
+    """Speed limits of a road's types, or of a lane; those that are no numbers are none."""
+    limits = []
+    for element in elements:
+        start_m = first_m + take_number_or(element, start_key, where, 0.0)
+        speed = element if element.tag == "speed" else element.find("speed")
+        limits.append((start_m, None if speed is None else _speed_kmh(speed)))
+    return tuple(sorted(limits, key=lambda limit: limit[0]))
+
+
+def _speed_kmh(speed: Element) -> float | None:
+    """Speed of an element in km/h; None: "no limit", or no number."""
+    try:
+        speed_kmh = float(speed.get("max", "")) * _KMH[speed.get("unit", "m/s")]
+    except (ValueError, KeyError):
+        return None
+    return round(speed_kmh, 1) if math.isfinite(speed_kmh) and speed_kmh > 0.0 else None
 
 
 def read_links(road: Element) -> tuple[RoadLink, RoadLink]:
@@ -203,6 +249,9 @@ def _read_side(section: Element, side: str, where: str, start_m: float) -> tuple
             successors=_linked_lanes(element, "successor"),
             width=read_cubics(element, "width", here, start_key="sOffset", first_m=start_m),
             border=read_cubics(element, "border", here, start_key="sOffset", first_m=start_m),
+            limits=_read_limits(
+                element.findall("speed"), here, start_key="sOffset", first_m=start_m
+            ),
         )
     if len(records) > _MAX_LANES:
         raise InputError(f"{where} {side}", len(records), f"at most {_MAX_LANES} lanes")

@@ -1,24 +1,29 @@
 """Crosswalks: lines on which pedestrians cross roads."""
 
+from collections.abc import Iterator, Sequence
 from itertools import product
 
 import numpy as np
 import shapely
+from shapely import LineString
+from shapely.geometry.base import BaseGeometry
 
 from ...arrays import FloatArray
 from ..source_map import Omissions
 from .elements import DEFAULTS, Elements
-from .network import Network, known_runs
+from .network import Edge, Network, known_runs, level
 
 _FOOTWAYS = ("footway", "path", "pedestrian")
 _PARALLEL = 0.8  # cosine: two lines that differ more are not one crosswalk
+_LEAST_M = 0.5  # of a footway on a carriageway
 
 
 def find_crosswalks(network: Network, elements: Elements, omissions: Omissions) -> FloatArray:
     """Lines (n, 2, 2) on which pedestrians cross the carriageways of roads.
 
-    Mapped footways over a road count as they are; otherwise a line runs across the road at the
-    mapped point. Crossings without a road are noted.
+    Where a mapped footway leads over roads there is a straight line over each of them, along the
+    footway's direction on the carriageway; otherwise a line runs across the road at the mapped
+    point. All end a little beyond the kerbs. Crossings without a road are noted.
     """
     limits = DEFAULTS["crosswalk"]
     taken = _Lines(limits["same_m"])
@@ -28,15 +33,23 @@ def find_crosswalks(network: Network, elements: Elements, omissions: Omissions) 
         if way.tags.get("footway") != "crossing" or way.tags.get("highway") not in _FOOTWAYS:
             continue
         for rows in known_runs(way.rows, network.positions_m):
-            points = network.positions_m[rows]
-            line = points[[0, -1]]
-            length_m = float(np.hypot(*(line[1] - line[0])))
-            over_road = tree.query(shapely.linestrings(points), predicate="intersects")
-            if not len(over_road) or not 1.0 < length_m <= limits["max_length_m"]:
+            walk = LineString(network.positions_m[rows])
+            edges = [
+                network.edges[index]
+                for index in tree.query(walk, predicate="intersects").tolist()
+                if network.edges[index].level == level(way.tags)
+            ]
+            lines = [
+                line
+                for line in _over_roads(walk, edges)
+                if 1.0 < np.hypot(*(line[1] - line[0])) <= limits["max_length_m"]
+            ]
+            if not lines:
                 omissions.add("crossings", f"way {way.id}", "no road for cars below it")
                 continue
             covered.update(rows.tolist())
-            taken.add(line)
+            for line in lines:
+                taken.add(line)
     at_row = _edges_at(network)
     for row, tags in elements.node_tags.items():
         if tags.get("highway") != "crossing" or tags.get("crossing") == "no":
@@ -45,6 +58,73 @@ def find_crosswalks(network: Network, elements: Elements, omissions: Omissions) 
             continue
         taken.add(_across(network, row, at_row[row], limits["beyond_kerb_m"]))
     return np.array(taken.lines).reshape(-1, 2, 2)
+
+
+def _over_roads(walk: LineString, edges: Sequence[Edge]) -> Iterator[FloatArray]:
+    """A line (2, 2) over each road that a footway crosses, from beyond one kerb to the other.
+
+    Carriageways that are crossed one after the other in one direction are one road's.
+    """
+    limits = DEFAULTS["crosswalk"]
+    joined: list[tuple[LineString, BaseGeometry]] = []  # parts of the footway, and carriageways
+    crossed = [
+        (part, area)
+        for edge in edges
+        for area in [_carriageway(edge)]
+        for part in _parts_over(walk, edge, area)
+    ]
+    crossed.sort(key=lambda pair: walk.project(shapely.Point(pair[0].coords[0])))
+    for part, carriageway in crossed:
+        if joined and (
+            part.distance(joined[-1][0]) <= limits["median_m"]
+            and abs(_direction(part) @ _direction(joined[-1][0])) > _PARALLEL
+        ):
+            before, area = joined.pop()
+            whole = LineString([before.coords[0], part.coords[-1]])
+            part, carriageway = whole, area.union(carriageway)
+        joined.append((part, carriageway))
+    for part, carriageway in joined:
+        yield _from_kerb_to_kerb(part, carriageway, limits["beyond_kerb_m"])
+
+
+def _carriageway(edge: Edge) -> BaseGeometry:
+    return LineString(edge.points_m).buffer(0.5 * edge.section.width_m, cap_style="flat")
+
+
+def _parts_over(walk: LineString, edge: Edge, carriageway: BaseGeometry) -> Iterator[LineString]:
+    """Stretches of a footway on a carriageway that meet the road's axis."""
+    axis = LineString(edge.points_m)
+    on_road = shapely.line_merge(shapely.intersection(walk, carriageway))
+    for part in shapely.get_parts(on_road):
+        if isinstance(part, LineString) and part.length > _LEAST_M and part.distance(axis) < 1e-6:
+            is_along = walk.project(shapely.Point(part.coords[0])) <= walk.project(
+                shapely.Point(part.coords[-1])
+            )
+            yield part if is_along else part.reverse()
+
+
+def _direction(line: LineString) -> FloatArray:
+    begin, end = np.asarray(line.coords)[[0, -1], :2]
+    unit: FloatArray = (end - begin) / max(float(np.hypot(*(end - begin))), 1e-9)
+    return unit
+
+
+def _from_kerb_to_kerb(part: LineString, carriageway: BaseGeometry, beyond_m: float) -> FloatArray:
+    """The straight line through a footway's ends on a carriageway, beyond the kerbs.
+
+    A footway that is mapped only as far as the middle of the road is led on to the other kerb.
+    """
+    begin, along = np.asarray(part.coords)[0, :2], _direction(part)
+    reach_m = 2.0 * DEFAULTS["crosswalk"]["max_length_m"]
+    ray = LineString([begin - reach_m * along, begin + reach_m * along])
+    stations = [
+        np.sort((shapely.get_coordinates(piece) - begin) @ along)
+        for piece in shapely.get_parts(shapely.intersection(ray, carriageway))
+    ]
+    own = [ends for ends in stations if ends[0] < part.length and ends[-1] > 0.0]
+    low, high = min(ends[0] for ends in own), max(ends[-1] for ends in own)
+    ends: FloatArray = begin + np.array([[low - beyond_m], [high + beyond_m]]) * along
+    return ends
 
 
 def _edges_at(network: Network) -> dict[int, tuple[int, int]]:

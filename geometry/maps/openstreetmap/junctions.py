@@ -14,6 +14,7 @@ from ...arrays import FloatArray
 from ..source_map import MapJunction, Omissions
 from .elements import DEFAULTS, Elements, Tags
 from .leading_roads import find_leading_roads
+from .merges import is_merge
 from .network import End, Network, Street, axis_points, surface, trace_streets
 
 _STEP_M = 0.5
@@ -408,18 +409,19 @@ def _take_stubs(
 def _drop_small(
     clusters: Clusters, arms: Mapping[int, Sequence[Arm]], elements: Elements, omissions: Omissions
 ) -> bool:
-    """Drop meetings that no driver would call a junction, where two roads merge or end."""
+    """Drop meetings that nobody would call a junction, where roads merge or end."""
     min_arms, least_m = DEFAULTS["junction"]["min_arms"], DEFAULTS["cross_section"]["min_road_m"]
-    small = []
+    small = {}
     for number, here in arms.items():
         long = [arm for arm in here if arm.street.length_m >= least_m]
+        nodes = (elements.node_tags.get(row, {}) for row in clusters.members[number])
         if len(group_arms(long)) < min_arms:
-            small.append(number)
-    for number in small:
+            small[number] = "fewer than three arms: roads merge or end"
+        elif is_merge([arm.street.parts[0] for arm in here], nodes):
+            small[number] = "motorways merge or part where nobody walks"
+    for number, why in small.items():
         node = min(int(elements.node_ids[row]) for row in clusters.members[number])
-        omissions.add(
-            "meetings of roads", f"node {node}", "fewer than three arms: roads merge or end"
-        )
+        omissions.add("meetings of roads", f"node {node}", why)
         clusters.drop(number)
     return bool(small)
 

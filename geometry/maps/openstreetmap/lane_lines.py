@@ -13,6 +13,7 @@ from .elements import DEFAULTS
 from .junctions import Reach
 from .lanes import Strip
 from .network import axis_points, has_no_knot, stations_between
+from .speed_limits import speed_limit_kmh
 
 _BESIDE_END_M = 12.0  # between the end of one carriageway and the lane it leads into
 _MIN_LENGTH_M = 0.5
@@ -31,6 +32,7 @@ class _Piece:
     # its middle, left of the street, at both ends of each part
     ends_left_m: list[tuple[float, float]] = field(default_factory=list)
     levels: list[int] = field(default_factory=list)  # layer of each part
+    limits_kmh: list[float | None] = field(default_factory=list)  # of each part
 
 
 def build_lanes(reaches: Sequence[Reach]) -> tuple[MapLane, ...]:
@@ -54,7 +56,7 @@ def _street_lanes(reach: Reach) -> Iterator[MapLane]:
     open_pieces: dict[tuple[str, str, int], _Piece] = {}
     done: list[_Piece] = []
     for at, index in enumerate(parts):
-        edge, _ = street.parts[index]
+        edge, is_along = street.parts[index]
         strips = street.sections[index].strips
         before = street.sections[parts[at - 1]].strips if at else ()
         after = street.sections[parts[at + 1]].strips if at + 1 < len(parts) else ()
@@ -70,6 +72,8 @@ def _street_lanes(reach: Reach) -> Iterator[MapLane]:
             piece.spans_m.append(spans[index])
             piece.ends_left_m.append((begin_m, end_m))
             piece.levels.append(edge.level)
+            is_forward = strip.is_forward == is_along
+            piece.limits_kmh.append(speed_limit_kmh(edge.tags, is_forward=is_forward))
             following[_key(strip)] = piece
         done += open_pieces.values()
         open_pieces = following
@@ -174,6 +178,7 @@ def _lane(piece: _Piece, reach: Reach) -> MapLane | None:
         centreline_m=points,
         from_junction=from_junction,
         to_junction=to_junction,
+        speed_limit_kmh=piece.limits_kmh[-1 if is_forward == bool(to_junction) else 0],
     )
 
 

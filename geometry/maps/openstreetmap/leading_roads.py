@@ -7,7 +7,7 @@ import numpy as np
 import shapely
 
 from ...arrays import FloatArray
-from ...junction import LeadingRoad
+from ...scene import LeadingRoad
 from .elements import DEFAULTS
 from .network import End, Network
 

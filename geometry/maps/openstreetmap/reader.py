@@ -13,13 +13,15 @@ from ...errors import InputError, MissingExtraError, Unquoted
 from ...files import write_atomically
 from ..georeferences import WGS84, local_crs, transform
 from ..source_map import Omissions, Skipped, SourceMap
+from .bridges import find_bridges
+from .buildings import find_buildings
 from .crosswalks import find_crosswalks
 from .elements import DEFAULTS, Elements, Way, parse_length_m, read_elements
 from .junctions import find_junctions
 from .lane_lines import build_lanes
 from .lanes import is_oneway, runs_backward
 from .network import build_network, is_for_cars, known_runs
-from .things import find_barriers, find_buildings, find_poles, find_trees
+from .things import find_barriers, find_poles, find_trees
 
 _CLEAR = 0.8  # of all that shows a side
 _CARRIAGEWAYS_M = (3.0, 30.0)  # apart
@@ -144,7 +146,8 @@ def read_openstreetmap(path: Path, *, keeps_left: bool | None = None) -> SourceM
     poles = find_poles(network, reaches, elements, keeps_left=keeps_left, omissions=omissions)
     crosswalks_m = find_crosswalks(network, elements, omissions)
     things = [
-        *find_buildings(elements, positions_m, omissions),
+        *find_buildings(network, elements, omissions),
+        *find_bridges(network, reaches, elements, omissions),
         *find_barriers(elements, positions_m, omissions),
         *find_trees(elements, positions_m, omissions),
     ]
@@ -153,6 +156,7 @@ def read_openstreetmap(path: Path, *, keeps_left: bool | None = None) -> SourceM
         assumed = Skipped(
             what="side of the road",
             why="no tag, roundabout or pair of carriageways shows it: taken to keep right",
+            kind="side of the road",
         )
         skipped = (assumed, *skipped)
     return SourceMap(

@@ -20,13 +20,14 @@ def setting(driven, refusals, *, weathers=("day",)):
     return SimpleNamespace(runs=runs, axis=axis, refusals=tuple(refusals))
 
 
-def refused(name, arm, reason="too short", *, n=9, is_possible=True):
+def refused(name, arm, reason="too short", *, n=9, is_possible=True, limit_kmh=None):
     return Refusal(
         case=case(name),
         approach=arm,
         speeds_kmh=tuple(range(n)),
         reason=reason,
-        is_possible=is_possible,
+        is_possible=is_possible and limit_kmh is None,
+        limit_kmh=limit_kmh,
     )
 
 
@@ -68,6 +69,28 @@ def test_nothing_is_said_where_all_that_was_asked_for_is_driven():
             [
                 "All 3 possible runs are driven.",
                 "Not possible: no lane (CPLA from the south).",
+            ],
+        ),
+        (
+            [("CPNA", "north"), ("CPNA", "east")],
+            [
+                refused("CPNA", "north", n=3, limit_kmh=50.0),
+                refused("CPNA", "east", n=4, limit_kmh=50.0),
+                refused("CBNA", "south", n=5, limit_kmh=32.2),
+            ],
+            [
+                "Left out: 12 runs of the protocol faster than the map's speed limits, 50 km/h "
+                "from the north and east and 32.2 km/h from the south (--speeds all drives them).",
+            ],
+        ),
+        (
+            [("CPNA", "north")],
+            [refused("CPNA", "north", n=2), refused("CPNA", "north", n=1, limit_kmh=30.0)],
+            [
+                "1 of 3 possible runs could be driven.",
+                "2 runs: too short (CPNA from the north).",
+                "Left out: 1 run of the protocol faster than the map's speed limits, 30 km/h from "
+                "the north (--speeds all drives them).",
             ],
         ),
         (

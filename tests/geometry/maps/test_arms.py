@@ -7,10 +7,10 @@ import pytest
 from osm_text import OsmText, arm_lanes, arms_of, as_drawn
 
 from geometry.errors import InputError
-from geometry.junction import LeadingRoad
 from geometry.maps.junctions import choose_junction, sort_junctions, survey_junctions
 from geometry.maps.openstreetmap import read_openstreetmap
 from geometry.maps.source_map import SourceMap
+from geometry.scene import LeadingRoad
 from geometry.scene_checks import compare_arms
 
 

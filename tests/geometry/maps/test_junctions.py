@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from geometry.errors import InputError
+from geometry.maps.georeferences import WGS84, transform
 from geometry.maps.importing import ReadingOptions, read_map
 from geometry.maps.junctions import choose_junction, survey_junctions
 from geometry.maps.source_map import MapJunction, MapLane, SourceMap
@@ -60,6 +61,50 @@ def test_junctions_are_listed_by_arms_and_the_first_is_taken(source):
     assert choose_junction(source, found, name="OTHER street").junction.id == "other"
     assert choose_junction(source, found, name="small").junction.id == "small"
     assert choose_junction(source, found, at=(910.0, 30.0)).junction.id == "other"
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("Main St / N 3rd Ave", "3RD AVENUE NORTH & main street", "main st. and 3rd ave n"),
+        *("Hauptstr. / Sankt-Georg-Platz", "St. Georg Pl. x Hauptstraße"),
+    ],
+)
+def test_streets_go_by_their_short_names(source, name):
+    is_german = "aupt" in name
+    named = "Hauptstraße / St.-Georg-Platz" if is_german else "Main Street / North 3rd Avenue"
+    if name.startswith("3RD") or name.endswith(" n"):
+        named = "3rd Avenue North / Main Street"
+    one, *rest = source.junctions
+    found = survey_junctions(replace(source, junctions=(replace(one, name=named), *rest)))
+    assert choose_junction(source, found, name=name).junction.name == named
+
+
+def test_a_name_that_no_junction_has_lists_those_like_it_first(source):
+    with pytest.raises(InputError, match="got 'Othr Street'; expected one of other"):
+        choose_junction(source, survey_junctions(source), name="Othr Street")
+
+
+def test_a_junction_is_chosen_by_latitude_and_longitude(source):
+    crs = "EPSG:32633"
+    moved = replace(
+        source,
+        crs=crs,
+        source_crs=crs,
+        junctions=tuple(
+            replace(one, outline_m=one.outline_m + [500_000.0, 5_800_000.0])
+            for one in source.junctions
+        ),
+        lanes=(),
+    )
+    found = survey_junctions(moved)
+    lon_deg, lat_deg = transform(np.array([500_905.0, 5_800_010.0]), crs, WGS84)
+    chosen = choose_junction(moved, found, name=f"{lat_deg:.6f}, {lon_deg:.6f}")
+    assert chosen.junction.id == "other"
+    with pytest.raises(InputError, match=r"--junction: got 10\.5,20\.5; expected a point within"):
+        choose_junction(moved, found, name="10.5,20.5")
+    with pytest.raises(InputError, match="does not say where it lies"):
+        choose_junction(source, survey_junctions(source), name="52.5,13.4")
 
 
 @pytest.mark.parametrize(

@@ -276,3 +276,50 @@ def test_a_road_without_a_length_is_a_joint_between_its_neighbours(tmp_path, len
     assert any(one.to_junction == "9" for one in joined.lanes)
     (told,) = joined.skipped
     assert (told.what, told.why) == ("road 8", "shorter than 1 mm: its neighbours are joined")
+
+
+@pytest.mark.parametrize(
+    ("types", "limit_kmh"),
+    [
+        ('<type s="0" type="town"><speed max="50" unit="km/h"/></type>', 50.0),
+        ('<type s="0" type="town"><speed max="10"/></type>', 36.0),
+        ('<type s="0" type="town"><speed max="25" unit="mph"/></type>', 40.2),
+        ('<type s="0" type="town"><speed max="no limit"/></type>', None),
+        ('<type s="0" type="town"/>', None),
+        (
+            '<type s="30" type="rural"><speed max="70" unit="km/h"/></type>'
+            '<type s="0" type="town"><speed max="30" unit="km/h"/></type>',
+            30.0,
+        ),
+    ],
+)
+def test_roads_have_speed_limits_where_they_lead_into_the_junction(tmp_path, types, limit_kmh):
+    text = document(crossing()).replace("<planView>", f"{types}<planView>", 1)
+    lanes = {lane.id: lane for lane in read_text(tmp_path, text).lanes}
+    assert lanes["1/1"].to_junction == "9"
+    assert lanes["1/1"].speed_limit_kmh == limit_kmh
+    assert lanes["1/-1"].speed_limit_kmh == limit_kmh  # where it leads out
+    assert lanes["2/1"].speed_limit_kmh is None
+
+
+def test_a_lanes_own_speed_limit_is_before_its_roads(tmp_path):
+    types = '<type s="0" type="town"><speed max="50" unit="km/h"/></type><planView>'
+    own = '<lane id="1" type="driving" ><speed sOffset="0" max="30" unit="km/h"/>'
+    text = document(crossing()).replace("<planView>", types, 1)
+    text = text.replace('<lane id="1" type="driving" >', own, 1)
+    lanes = {lane.id: lane for lane in read_text(tmp_path, text).lanes}
+    assert [lanes[name].speed_limit_kmh for name in ("1/1", "1/-1")] == [30.0, 50.0]
+
+
+@pytest.mark.parametrize(
+    ("n_motorways", "sidewalk", "n_junctions"), [(4, False, 0), (4, True, 1), (3, False, 1)]
+)
+def test_where_motorways_meet_is_no_junction(tmp_path, n_motorways, sidewalk, n_junctions):
+    motorway = '<type s="0" type="motorway"/><planView>'
+    text = document(crossing()).replace("<planView>", motorway, n_motorways)
+    if sidewalk:
+        text = text.replace("<left>", f"<left>{lane(2, 'sidewalk')}", 1)
+    source = read_text(tmp_path, text)
+    assert len(source.junctions) == n_junctions
+    assert len(source.connections) == 4
+    assert {note.what for note in source.skipped} == (set() if n_junctions else {"junction 9"})

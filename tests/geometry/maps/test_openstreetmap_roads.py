@@ -452,3 +452,106 @@ def test_nodes_that_the_file_does_not_have_cut_roads_short(tmp_path: Path) -> No
     source = read(osm, tmp_path)
     assert np.ptp(source.lanes[0].centreline_m[:, 0]) == pytest.approx(50.0, abs=0.05)
     assert any("nodes are missing" in skipped.why for skipped in source.skipped)
+
+
+# ---------------------------------------------------------------- speed limits
+
+
+@pytest.mark.parametrize(
+    ("tags", "limit_kmh"),
+    [
+        ({"maxspeed": "50"}, 50.0),
+        ({"maxspeed": "20 mph"}, 32.2),
+        ({"maxspeed": "DE:zone:30"}, 30.0),
+        ({"maxspeed": "walk"}, 7.0),
+        ({"maxspeed": "none", "source:maxspeed": "DE:urban"}, None),
+        ({"source:maxspeed": "DE:urban"}, 50.0),
+        ({"maxspeed": "signals"}, None),
+        ({"maxspeed": "0"}, None),
+        ({"maxspeed": "50", "maxspeed:conditional": "30 @ (22:00-06:00)"}, 50.0),
+        ({}, None),
+        # The road leads away from the junction: cars come against it.
+        ({"maxspeed:forward": "50", "maxspeed:backward": "30"}, 30.0),
+        ({"maxspeed": "60", "maxspeed:backward": "40"}, 40.0),
+        ({"maxspeed:forward": "50"}, None),
+        ({"oneway": "-1", "maxspeed:backward": "30"}, 30.0),
+    ],
+)
+def test_an_arm_has_the_speed_limit_of_those_who_come(
+    tags: dict[str, str], limit_kmh: float | None, tmp_path: Path
+) -> None:
+    osm = OsmText()
+    middle = crossing(osm, bearings=FOUR[1:])
+    osm.road([middle, (90.0, 0.0)], **tags)
+    source = read(osm, tmp_path)
+    arms = arms_of(source, source.junctions[0]).arms
+    assert {name: arm.speed_limit_kmh for name, arm in arms.items()} == {
+        "east": limit_kmh,
+        "north": None,
+        "west": None,
+        "south": None,
+    }
+
+
+def test_the_speed_limit_next_to_the_junction_counts(tmp_path: Path) -> None:
+    osm = OsmText()
+    middle = crossing(osm, bearings=FOUR[1:])
+    change = osm.node(60.0, 0.0)
+    osm.road([middle, change], maxspeed="30")
+    osm.road([change, (200.0, 0.0)], maxspeed="70")
+    source = read(osm, tmp_path)
+    assert arms_of(source, source.junctions[0]).arms["east"].speed_limit_kmh == 30.0
+
+
+# ---------------------------------------------------------------- merges
+
+
+@pytest.mark.parametrize(
+    ("tags", "node", "is_junction"),
+    [
+        ({"highway": "motorway_link"}, {}, False),
+        ({"highway": "motorway"}, {}, False),
+        ({"highway": "trunk", "motorroad": "yes"}, {}, False),
+        ({"highway": "motorway_link"}, {"highway": "traffic_signals"}, True),
+        ({"highway": "motorway_link", "sidewalk": "right"}, {}, True),
+        ({"highway": "trunk"}, {}, True),
+        ({"highway": "primary"}, {}, True),
+    ],
+)
+def test_where_motorways_merge_and_part_is_no_junction(
+    tags: dict[str, str], node: dict[str, str], is_junction: bool, tmp_path: Path
+) -> None:
+    osm = OsmText()
+    middle = osm.node(0.0, 0.0, **node)
+    for begin, end in (
+        ((-150.0, 0.0), middle),
+        ((-100.0, -90.0), middle),
+        (middle, (150.0, 0.0)),
+        (middle, (90.0, 120.0)),
+    ):
+        osm.road([begin, end], oneway="yes", **tags)
+    source = read(osm, tmp_path)
+    assert bool(source.junctions) == is_junction
+    told = [note.why for note in source.skipped]
+    assert ("motorways merge or part where nobody walks" in told) == (not is_junction)
+
+
+PARTS = [((-90.0, 0.0), None), (None, (60.0, 80.0)), (None, (60.0, -80.0))]
+CROSSES = [((-90.0, 0.0), None), (None, (90.0, 0.0)), (None, (0.0, 90.0)), ((0.0, -90.0), None)]
+
+
+@pytest.mark.parametrize(
+    ("kind", "roads", "is_junction"),
+    [("trunk", PARTS, False), ("trunk", CROSSES, True), ("primary", PARTS, True)],
+)
+def test_trunk_roads_merge_only_where_no_ways_cross(
+    kind: str,
+    roads: list[tuple[tuple[float, float] | None, ...]],
+    is_junction: bool,
+    tmp_path: Path,
+) -> None:
+    osm = OsmText()
+    middle = osm.node(0.0, 0.0)
+    for begin, end in roads:
+        osm.road([begin or middle, end or middle], highway=kind, oneway="yes")
+    assert bool(read(osm, tmp_path).junctions) == is_junction

@@ -65,6 +65,14 @@ def heights_m(thing: Thing) -> tuple[float, float]:
         ({"building:levels": "many"}, (0.0, 9.0), True),
         ({"min_height": "10"}, (10.0, 13.0), True),
         ({"building": "roof", "min_height": "4", "height": "5"}, (4.0, 5.0), False),
+        ({"building": "roof", "height": "6"}, (5.5, 6.0), True),
+        ({"building": "roof"}, (4.5, 5.0), True),
+        ({"building": "carport"}, (2.2, 2.7), True),
+        ({"layer": "1"}, (4.5, 9.0), True),
+        ({"layer": "1", "height": "12"}, (4.5, 12.0), True),
+        ({"layer": "2", "building:levels": "4"}, (9.0, 12.0), True),
+        ({"building": "bridge", "height": "6"}, (3.0, 6.0), True),
+        ({"layer": "1", "min_height": "6", "height": "9"}, (6.0, 9.0), False),
     ],
 )
 def test_tags_say_how_high_a_building_is(
@@ -84,8 +92,6 @@ def test_tags_say_how_high_a_building_is(
     [
         ({"height": "3", "min_height": "3"}, "not above its floor"),
         ({"building": "construction"}, "not built yet"),
-        ({"building": "roof"}, "stilts"),
-        ({"building": "carport", "height": "3"}, "stilts"),
         ({"location": "underground"}, "below the ground"),
         ({"layer": "-1"}, "below the ground"),
     ],
@@ -98,6 +104,42 @@ def test_what_does_not_stand_there_is_told(tags: dict[str, str], why: str, tmp_p
     (skipped,) = source.skipped
     assert skipped.what == f"way {way}"
     assert why in skipped.why
+
+
+@pytest.mark.parametrize(
+    ("house", "way", "heights"),
+    [
+        ({}, {"highway": "residential", "width": "6", "tunnel": "building_passage"}, (4.5, 12.0)),
+        ({}, {"highway": "service", "width": "6", "covered": "yes", "maxheight": "3"}, (3, 12.0)),
+        ({}, {"highway": "footway", "covered": "arcade"}, (2.5, 12.0)),
+        ({"historic": "city_gate"}, {"highway": "residential", "width": "6"}, (4.5, 12.0)),
+        ({"building": "gate"}, {"highway": "residential", "width": "6"}, (4.5, 12.0)),
+        ({}, {"highway": "residential", "width": "6"}, None),  # the map is wrong: no way through
+        ({}, {"highway": "residential", "bridge": "yes"}, None),
+    ],
+)
+def test_a_building_begins_above_the_ways_that_lead_through_it(
+    house: dict[str, str],
+    way: dict[str, str],
+    heights: tuple[float, float] | None,
+    tmp_path: Path,
+) -> None:
+    osm = with_road()
+    osm.way(SQUARE, {"building": "yes", "height": "12"} | house)
+    osm.way([(0.0, 15.0), (30.0, 15.0)], way)
+    things = read(osm, tmp_path).things
+    over = [thing for thing in things if "over a passage" in thing.id]
+    assert [heights_m(thing) for thing in over] == ([] if heights is None else [heights])
+    on_ground = [thing for thing in things if thing not in over]
+    assert [heights_m(thing) for thing in on_ground] == [(0.0, 12.0)] * (
+        1 if heights is None else 2
+    )
+    volume = sum(volume_m3(thing) for thing in things)
+    if heights is None:
+        assert volume == pytest.approx(1200.0, rel=0.01)
+    else:
+        width_m = 3.0 if way["highway"] == "footway" else 6.0
+        assert volume == pytest.approx(1200.0 - 10.0 * width_m * heights[0], rel=0.01)
 
 
 @pytest.mark.parametrize("height", ["tall", "-4", "0", "5000", "NaN", "1e9", ""])
@@ -226,6 +268,56 @@ def test_trees_stand_along_a_row_and_woods_are_told(tmp_path: Path) -> None:
     assert skipped.what == f"way {wood}"
 
 
+# ---------------------------------------------------------------- bridges
+
+
+@pytest.mark.parametrize(
+    ("tags", "deck"),
+    [
+        ({"highway": "primary", "width": "8"}, (8.0, 4.5)),
+        ({"highway": "primary", "width": "8", "layer": "2"}, (8.0, 9.0)),
+        ({"highway": "footway"}, (3.0, 4.5)),
+        ({"railway": "rail"}, (5.0, 4.5)),
+        ({"railway": "abandoned"}, None),
+        ({"highway": "footway", "layer": "0", "bridge": "no"}, None),
+    ],
+)
+def test_a_bridge_hides_and_is_passed_below(
+    tags: dict[str, str], deck: tuple[float, float] | None, tmp_path: Path
+) -> None:
+    osm = OsmText()
+    osm.road([(0.0, -80.0), (0.0, 80.0)], width="6")
+    osm.road([(200.0, -10.0), (200.0, -80.0)], width="6")  # the one below no bridge
+    osm.way([(-50.0, 0.0), (250.0, 0.0)], {"bridge": "yes"} | tags)
+    things = read(osm, tmp_path).things
+    assert len(things) == (deck is not None)
+    if deck is not None:
+        width_m, bottom_m = deck
+        assert heights_m(things[0]) == (bottom_m, bottom_m + 1.0)
+        assert volume_m3(things[0]) == pytest.approx(300.0 * width_m, rel=0.01)
+        assert is_closed(things[0])
+
+
+def test_a_bridge_over_water_is_no_thing_and_one_with_a_junction_near_is_told(
+    tmp_path: Path,
+) -> None:
+    osm = OsmText()
+    bridge = {"bridge": "yes", "highway": "primary"}
+    osm.way([(0.0, 0.0), (100.0, 0.0)], bridge)
+    assert not read(osm, tmp_path).things
+    for end_m, n_decks in ((130.0, 0), (300.0, 1)):
+        far = OsmText()
+        far.road([(50.0, -80.0), (50.0, 80.0)])
+        begin, middle = far.node(100.0, 0.0), far.node(end_m, 0.0)
+        far.way([far.node(0.0, 0.0), begin], bridge)
+        far.road([begin, middle, (end_m + 90.0, 0.0)], highway="primary")
+        far.road([middle, (end_m, 90.0)])
+        source = read(far, tmp_path)
+        assert len(source.junctions) == 1
+        assert len(source.things) == n_decks
+        assert any("deck is left out" in note.why for note in source.skipped) == (not n_decks)
+
+
 # ---------------------------------------------------------------- poles and crosswalks
 
 
@@ -303,9 +395,9 @@ def test_crosswalks_lead_over_the_road_and_two_metres_farther(tmp_path: Path) ->
     osm.road([(-80.0, 0.0), *crossings, middle, (80.0, 0.0)], width="6")
     osm.road([(0.0, -80.0), middle, (0.0, 80.0)])
     osm.node(30.0, 30.0, highway="crossing")  # on no road
-    # The second one is mapped as a footway too; it is the better line.
+    # The second one is mapped as a footway too, askew; it is the better line.
     osm.way(
-        [osm.node(-10.0, -4.0), crossings[1], osm.node(-10.0, 4.0)],
+        [osm.node(-11.0, -4.0), crossings[1], osm.node(-9.0, 4.0)],
         {"highway": "footway", "footway": "crossing"},
     )
     osm.way(
@@ -314,8 +406,45 @@ def test_crosswalks_lead_over_the_road_and_two_metres_farther(tmp_path: Path) ->
     lines = read(osm, tmp_path).crosswalks_m
     found = sorted(sorted(line.round(1).tolist()) for line in lines)
     np.testing.assert_allclose(
-        found, [[[-20.0, -5.0], [-20.0, 5.0]], [[-10.0, -4.0], [-10.0, 4.0]]], atol=0.11
+        found, [[[-20.0, -5.0], [-20.0, 5.0]], [[-11.25, -4.9], [-8.75, 4.9]]], atol=0.11
     )
+
+
+def test_a_footway_over_two_arms_is_a_crosswalk_over_each(tmp_path: Path) -> None:
+    osm = OsmText()
+    middle = osm.node(0.0, 0.0)
+    osm.road([(-80.0, 0.0), middle, (80.0, 0.0)], width="6")
+    osm.road([(0.0, -80.0), middle, (0.0, 80.0)], width="6")
+    corner = [(10.0, -9.0), (10.0, 10.0), (-9.0, 10.0)]  # over the eastern and the northern arm
+    osm.way(corner, {"highway": "footway", "footway": "crossing"})
+    lines = read(osm, tmp_path).crosswalks_m
+    found = sorted(np.sort(line, axis=0).round(1).tolist() for line in lines)
+    np.testing.assert_allclose(
+        found, [[[-5.0, 10.0], [5.0, 10.0]], [[10.0, -5.0], [10.0, 5.0]]], atol=0.11
+    )
+
+
+def test_two_carriageways_crossed_straight_are_one_crosswalk(tmp_path: Path) -> None:
+    osm = OsmText()
+    for y, along in ((-6.0, 1.0), (6.0, -1.0)):
+        osm.road([(-80.0 * along, y), (80.0 * along, y)], width="6", oneway="yes")
+    osm.way([(0.0, -15.0), (0.0, 15.0)], {"highway": "footway", "footway": "crossing"})
+    # Each half of this one is mapped by itself, to the middle of its carriageway.
+    for end in (1.0, 11.0):
+        osm.way([(20.0, end), (20.0, 6.0)], {"highway": "footway", "footway": "crossing"})
+    lines = read(osm, tmp_path).crosswalks_m
+    found = sorted(np.sort(line, axis=0).round(1).tolist() for line in lines)
+    np.testing.assert_allclose(
+        found, [[[0.0, -11.0], [0.0, 11.0]], [[20.0, 1.0], [20.0, 11.0]]], atol=0.11
+    )
+
+
+def test_a_footway_over_a_bridge_crosses_no_road_below_it(tmp_path: Path) -> None:
+    osm = OsmText()
+    osm.road([(-80.0, 0.0), (80.0, 0.0)], width="6")
+    way = {"highway": "footway", "footway": "crossing", "bridge": "yes", "layer": "1"}
+    osm.way([(0.0, -15.0), (0.0, 15.0)], way)
+    assert not len(read(osm, tmp_path).crosswalks_m)
 
 
 def test_crosswalks_nearer_than_three_metres_are_one(tmp_path: Path) -> None:

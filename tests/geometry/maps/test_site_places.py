@@ -1,6 +1,7 @@
 """Poles and sites beside the road, wherever the map has them."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,8 +14,9 @@ from geometry.maps.cut import Surroundings, cut_out
 from geometry.maps.importing import ImportOptions, import_scene
 from geometry.maps.openstreetmap import read_openstreetmap
 from geometry.maps.site_places import find_places, settle_poles
-from geometry.maps.source_map import Pole, Thing
-from geometry.scene import covered_area, road_area
+from geometry.maps.sites import choose_sites
+from geometry.maps.source_map import Pole, SourceMap, Thing
+from geometry.scene import Site, covered_area, road_area
 from geometry.scene_checks import check_scene
 
 FOUR = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
@@ -104,15 +106,105 @@ def test_an_import_has_no_site_in_a_lane_and_says_what_it_moved(tmp_path: Path) 
     for place in ((1.0, 1.0), (30.0, 2.0), (-2.0, 40.0), (20.0, 20.0)):
         osm.node(*place, traffic_sign="DE:206")
     osm.node(25.0, 25.0, man_made="pole", height="1")
-    imported = import_scene([osm.write(tmp_path)], ImportOptions())
+    imported = import_scene([osm.write(tmp_path)], ImportOptions(sites="map"))
     road = road_area(imported.scene)
     feet = [shapely.Point(site.position_m[:2]) for site in imported.scene.sites]
     assert len(feet) == 4
     assert min(road.distance(foot) for foot in feet) > 0.4
-    told = dict(imported.skipped)
+    told = {note.what: note.why for note in imported.scene.notes}
     assert sum("moved" in why for why in told.values()) == 3
     assert any(why == "1 m high: too low for sensors" for why in told.values())
     assert not [one for one in check_scene(imported.scene) if one.what.startswith("site")]
+
+
+def lamps(*positions: tuple[float, float], **about: Any) -> tuple[Pole, ...]:
+    return tuple(
+        Pole(**{"kind": "lamp post", "id": f"p{number}"} | about, position_m=np.array([*at, 0.0]))
+        for number, at in enumerate(positions)
+    )
+
+
+def chosen(around: Surroundings, where: str = "auto") -> tuple[dict[str, Site], str]:
+    sites, told = choose_sites(where, around, SourceMap(name="map", crs=""), radius_m=60.0)
+    return {site.id: site for site in sites}, "; ".join(f"{note.what}: {note.why}" for note in told)
+
+
+def test_masts_are_added_where_no_pole_is_near_the_middle(around: Surroundings) -> None:
+    near = with_parts(around, poles=lamps((17.0, 17.0), (40.0, 17.0)))
+    sites, told = chosen(near)
+    assert (set(sites), told) == ({"p0", "p1"}, "")
+    far = with_parts(around, poles=lamps((20.0, 20.0), (40.0, 17.0)))
+    sites, told = chosen(far)
+    assert {"p0", "p1", "kerb-ne-1", "kerb-sw-1"} < set(sites)
+    assert "the nearest one stands 28 m from the junction's middle: masts every 15 m" in told
+    assert set(chosen(far, "map")[0]) == {"p0", "p1"}
+
+
+def test_poles_of_another_junction_are_no_sites_by_default(around: Surroundings) -> None:
+    square = np.array([[-8.0, -8.0], [8.0, -8.0], [8.0, 8.0], [-8.0, 8.0]])
+    poles = lamps((17.0, 17.0), (30.0, 17.0), (45.0, 17.0))
+    other = with_parts(around, poles=poles, neighbours_m=(square + [55.0, 0.0],))
+    sites, told = chosen(other)
+    assert set(sites) == {"p0", "p1"}
+    assert told == (
+        "lamp post p2: within 15 m of another junction, nearer than here: no site unless asked for"
+    )
+    assert set(chosen(other, "map")[0]) == {"p0", "p1", "p2"}
+
+
+def test_low_sign_posts_are_no_sites_by_default(around: Surroundings) -> None:
+    lamp = lamps((17.0, 17.0))
+    signs = (
+        *lamps((17.0, -17.0), id="unknown", kind="sign"),
+        *lamps((-17.0, 17.0), id="low", kind="sign", height_m=4.4),
+        *lamps((-17.0, -17.0), id="high", kind="sign", height_m=6.0),
+    )
+    posts = with_parts(around, poles=(*lamp, *signs))
+    sites, told = chosen(posts)
+    assert set(sites) == {"p0", "high"}
+    assert told.startswith("2 sign posts, such as unknown: lower than 4.5 m")
+    assert set(chosen(posts, "map")[0]) == {"p0", "unknown", "low", "high"}
+
+
+def test_other_junctions_are_known_to_what_is_cut_out(tmp_path: Path) -> None:
+    osm = OsmText()
+    crossing(osm, bearings=FOUR)
+    other = osm.node(70.0, -70.0)
+    osm.road([(0.0, -100.0), other, (140.0, -40.0)])
+    osm.road([other, (70.0, -170.0)])
+    source = read_openstreetmap(osm.write(tmp_path), keeps_left=False)
+    for junction in source.junctions:
+        for radius_m, n_neighbours in ((80.0, 1), (40.0, 0)):
+            assert len(cut_out([source], junction, radius_m=radius_m).neighbours_m) == n_neighbours
+    assert len(source.junctions) == 2
+
+
+@pytest.mark.parametrize(
+    ("bottom_m", "heights_m"), [(4.5, [4.0, 4.2]), (20.0, [4.0, 8.0]), (2.5, None)]
+)
+def test_sites_stand_below_roofs_but_not_inside_houses(
+    around: Surroundings, bottom_m: float, heights_m: list[float] | None
+) -> None:
+    def house(name: str, position: tuple[float, float], bottom_m: float) -> Thing:
+        body = wall(position, 8.0)
+        up = [0.0, 0.0, bottom_m]
+        return Thing(
+            id=name,
+            class_name="building",
+            vertices_m=body.vertices_m + up,
+            triangles=body.triangles,
+        )
+
+    things = (house("roof", (20.0, 20.0), bottom_m), house("house", (-20.0, 20.0), 0.0))
+    poles = lamps((17.0, 17.0), (17.0, -17.0), (-19.0, 19.0))
+    sites, told = chosen(with_parts(around, things=things, poles=poles), "map")
+    assert "site p2: it stands inside building house" in told
+    assert set(sites) == ({"p1"} if heights_m is None else {"p0", "p1"})
+    if heights_m is None:
+        assert "site p0: below a roof 2.5 m above the ground: too low for sensors" in told
+    else:
+        assert sites["p0"].height_range_m.tolist() == heights_m
+    assert sites["p1"].height_range_m.tolist() == [4.0, 8.0]
 
 
 def test_a_check_finds_every_site_on_the_road(around: Surroundings, tmp_path: Path) -> None:

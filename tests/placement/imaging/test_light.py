@@ -5,15 +5,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from geometry.actors import pick_actor
+from geometry.poses import Pose
 from geometry.raycast import build_caster
 from geometry.weather import load_weathers
 from placement.imaging.light import (
     LUMINANCE,
-    HeadLamp,
     StreetLamp,
+    build_headlights,
     build_sky,
     illuminance,
-    load_lamp_table,
 )
 from placement.imaging.materials import Hits
 
@@ -140,19 +141,13 @@ def test_a_street_lamp_sends_out_its_flux(spill):
     assert flux == pytest.approx(9000.0, rel=1e-3)
 
 
-def test_a_low_beam_keeps_to_the_regulations_limits():
-    beam = load_lamp_table()["head_lamp"]
-    lamp = HeadLamp(
-        position_m=np.zeros(3),
-        colour=np.ones(3),
-        reach_m=90.0,
-        radius_m=0.1,
-        R_world_lamp=np.eye(3),
-        beam=beam,
-    )
+@pytest.mark.parametrize("keeps_left", [False, True])
+def test_a_low_beam_keeps_to_the_regulations_limits(keeps_left):
+    pose = Pose(position_m=np.zeros(3), yaw_deg=0.0)
+    lamp, _ = build_headlights(pick_actor("vut", "vut"), pose, keeps_left=keeps_left)
 
-    def candela(right_deg, up_deg):
-        right, up = np.radians([right_deg, up_deg])
+    def candela(to_kerb_deg, up_deg):
+        right, up = np.radians([-to_kerb_deg if keeps_left else to_kerb_deg, up_deg])
         way = [np.cos(up) * np.cos(right), -np.cos(up) * np.sin(right), np.sin(up)]
         return float(lamp.intensity_cd(np.array(way, dtype=np.float32)[:, None])[0])
 

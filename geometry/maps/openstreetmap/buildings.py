@@ -1,0 +1,289 @@
+"""Buildings: prisms from the ground, or from where they begin above those who pass below."""
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import shapely
+from shapely import LineString, Polygon, STRtree, make_valid
+from shapely.geometry.base import BaseGeometry
+
+from ...arrays import FloatArray
+from ...errors import InputError
+from ..solids import extrude
+from ..source_map import Omissions, Thing
+from .elements import (
+    DEFAULTS,
+    Area,
+    Elements,
+    Tags,
+    find_areas,
+    is_yes,
+    parse_length_m,
+    parse_number,
+)
+from .network import Network, known_runs, level
+
+_NOT_THERE = ("no", "construction", "proposed", "demolished", "razed", "collapsed")
+_COVERED = ("yes", "arcade", "colonnade")
+_GATES = ("gate", "gatehouse", "city_gate")
+
+
+def find_buildings(network: Network, elements: Elements, omissions: Omissions) -> Iterator[Thing]:
+    """Buildings as prisms from the ground, or from their tagged bottom.
+
+    A building with parts is its parts, and the rest of it unless they cover it. Roofs on stilts,
+    and what is mapped above the ground, begin above those who pass below; over ways that lead
+    through it a building begins at the clear height of its passage. Buildings that are left out are
+    noted.
+    """
+    positions_m = network.positions_m
+    areas = [
+        area
+        for area in find_areas(elements, positions_m, ("building", "building:part"), omissions)
+        if _stands(area, omissions)
+    ]
+    parts = [area for area in areas if is_yes(area.tags.get("building:part"))]
+    part_ids = {area.id for area in parts}
+    outlines = [area for area in areas if area.id not in part_ids]
+    passages = _Passages(network, elements)
+    for area in parts:
+        yield from _solid(area, passages, omissions)
+    for area, rest in zip(outlines, _without_parts(outlines, parts), strict=True):
+        if rest is None:
+            yield from _solid(area, passages, omissions)
+        else:
+            for piece in _pieces(area, rest, f"{area.id} beside its parts"):
+                yield from _solid(piece, passages, omissions)
+
+
+def _element(area: Area) -> str:
+    kind = "relation" if area.id.startswith("r") else "way"
+    return f"{kind} {area.id[1:].partition('.')[0]}"
+
+
+def _stands(area: Area, omissions: Omissions) -> bool:
+    """It exists, above the ground, and can be seen."""
+    tags = area.tags
+    kinds = [tags[key] for key in ("building", "building:part") if key in tags]
+    if all(kind == "no" for kind in kinds):
+        return False
+    if any(kind in _NOT_THERE for kind in kinds):
+        omissions.add("buildings", _element(area), "not built yet, or no longer there")
+        return False
+    if tags.get("location") == "underground" or tags.get("layer", "0").startswith("-"):
+        omissions.add("buildings", _element(area), "below the ground")
+        return False
+    return True
+
+
+def _without_parts(outlines: Sequence[Area], parts: Sequence[Area]) -> list[list[Polygon] | None]:
+    """The rest of each outline that no part covers; None: it has no parts."""
+    rests: list[list[Polygon] | None] = [None] * len(outlines)
+    if not outlines or not parts:
+        return rests
+    shapes = [make_valid(area.polygon) for area in outlines]
+    part_shapes = [make_valid(area.polygon) for area in parts]
+    tree = STRtree(shapes)
+    inside = tree.query(
+        [shapely.point_on_surface(shape) for shape in part_shapes], predicate="within"
+    )
+    by_outline: dict[int, list[int]] = defaultdict(list)
+    for part, outline in inside.T.tolist():
+        by_outline[outline].append(part)
+    least = DEFAULTS["building"]["parts_cover"]
+    for outline, members in by_outline.items():
+        covered = shapely.union_all([part_shapes[member] for member in members])
+        rest = shapes[outline].difference(covered)
+        is_covered = rest.area <= (1.0 - least) * shapes[outline].area
+        rests[outline] = [] if is_covered else list(_polygons(rest))
+    return rests
+
+
+def _polygons(shape: BaseGeometry) -> Iterator[Polygon]:
+    for part in getattr(shape, "geoms", [shape]):
+        if isinstance(part, Polygon) and part.area > 1.0:
+            yield part
+
+
+def _pieces(area: Area, shapes: Sequence[Polygon], name: str) -> Iterator[Area]:
+    """Parts of an area."""
+    for number, shape in enumerate(shapes):
+        yield replace(
+            area,
+            id=name + (f" {number}" if number else ""),
+            outer_m=np.asarray(shape.exterior.coords),
+            holes_m=tuple(np.asarray(hole.coords) for hole in shape.interiors),
+        )
+
+
+def _solid(area: Area, passages: "_Passages", omissions: Omissions) -> Iterator[Thing]:
+    span = _span(area, omissions)
+    if span is None:
+        return
+    ways, clear_m = passages.through(area)
+    if ways is None or clear_m <= span.bottom_m:
+        yield from _prism(area, span, omissions)
+        return
+    whole = make_valid(area.polygon)
+    for piece in _pieces(area, list(_polygons(whole.difference(ways))), area.id):
+        yield from _prism(piece, span, omissions)
+    if clear_m < span.top_m:
+        over = replace(span, bottom_m=clear_m)
+        shapes = list(_polygons(whole.intersection(ways)))
+        for piece in _pieces(area, shapes, f"{area.id} over a passage"):
+            yield from _prism(piece, over, omissions)
+
+
+def _prism(area: Area, span: "_Span", omissions: Omissions) -> Iterator[Thing]:
+    try:
+        vertices, triangles = extrude(
+            area.outer_m,
+            bottom_m=span.bottom_m,
+            top_m=span.top_m,
+            holes_m=area.holes_m,
+            where=_element(area),
+        )
+    except InputError as error:
+        omissions.add("buildings", _element(area), f"its outline has {error.got}")
+        return
+    yield Thing(
+        id=area.id,
+        class_name="building",
+        vertices_m=vertices,
+        triangles=triangles,
+        is_height_assumed=span.is_assumed,
+    )
+
+
+# ---------- heights
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Span:
+    """Where a building begins and ends above the ground."""
+
+    bottom_m: float
+    top_m: float
+    is_assumed: bool
+
+
+def _span(area: Area, omissions: Omissions) -> _Span | None:
+    """Heights of a building; None: they make no sense, which is noted."""
+    usual, kind = DEFAULTS["building"], _kind(area.tags)
+    is_roof = kind in usual["clear_heights_m"]
+    least_m = usual["roof_thickness_m" if is_roof else "storey_height_m"]
+    top_m, bottom_m, clear_m = _top_m(area, omissions), _bottom_m(area.tags), 0.0
+    if bottom_m is None:
+        bottom_m = clear_m = _clear_height_m(kind, area.tags)
+        if clear_m > 0.0 and top_m is not None:
+            below_m = max(top_m - least_m, 0.0)
+            bottom_m = below_m if is_roof else min(clear_m, below_m)
+    is_assumed = top_m is None or clear_m > 0.0
+    if top_m is None:
+        default_m = usual["default_heights_m"].get(kind, usual["default_height_m"])
+        top_m = default_m if default_m > bottom_m and not is_roof else bottom_m + least_m
+    if bottom_m >= top_m:
+        omissions.add("buildings", _element(area), "its roof is not above its floor")
+        return None
+    return _Span(bottom_m=bottom_m, top_m=top_m, is_assumed=is_assumed)
+
+
+def _kind(tags: Tags) -> str:
+    kind = tags.get("building:part", "yes")
+    return tags.get("building", "yes") if kind == "yes" else kind
+
+
+def _clear_height_m(kind: str, tags: Tags) -> float:
+    """How high what stands on stilts or above the ground begins; 0: it stands on the ground."""
+    usual = DEFAULTS["building"]
+    clear_m = float(usual["clear_heights_m"].get(kind, usual["clear_height_m"]))
+    above = max(level(tags), int(kind == "bridge"))
+    return clear_m * max(above, int(kind in usual["clear_heights_m"]))
+
+
+def _top_m(area: Area, omissions: Omissions) -> float | None:
+    """Height of the roof in metres, if it is tagged."""
+    tags, usual = area.tags, DEFAULTS["building"]
+    for key in ("height", "building:height", "est_height"):
+        if key in tags:
+            height_m = parse_length_m(tags[key])
+            if height_m is not None and 0.0 < height_m <= usual["max_height_m"]:
+                return height_m
+            omissions.add("buildings", _element(area), f"{key} makes no sense; the next best taken")
+    storey_m = usual["storey_height_m"]
+    levels = _levels(tags, "building:levels")
+    roof_m = parse_length_m(tags["roof:height"]) if "roof:height" in tags else None
+    if roof_m is None or roof_m > usual["max_height_m"]:
+        roof_m = storey_m * (_levels(tags, "roof:levels") or 0.0)
+    if levels is not None and storey_m * levels + roof_m > 0.0:
+        return float(storey_m * levels + roof_m)
+    return None
+
+
+def _bottom_m(tags: Tags) -> float | None:
+    """Height of the floor in metres, if it is tagged."""
+    usual = DEFAULTS["building"]
+    for key in ("min_height", "building:min_height"):
+        height_m = parse_length_m(tags[key]) if key in tags else None
+        if height_m is not None and height_m <= usual["max_height_m"]:
+            return height_m
+    for key in ("building:min_level", "min_level"):
+        storeys = _levels(tags, key)
+        if storeys is not None:
+            return float(usual["storey_height_m"] * storeys)
+    return None
+
+
+def _levels(tags: Tags, key: str) -> float | None:
+    return (
+        parse_number(tags[key], highest=DEFAULTS["building"]["max_levels"]) if key in tags else None
+    )
+
+
+# ---------- passages
+class _Passages:
+    """Ways on the ground that lead through buildings."""
+
+    def __init__(self, network: Network, elements: Elements) -> None:
+        usual = DEFAULTS["building"]
+        self._strips: list[BaseGeometry] = []
+        self._clear_m: list[float] = []
+        self._is_marked: list[bool] = []  # by itself; else only gates are open there
+        for edge in network.edges:
+            if edge.level == 0:
+                self._add(edge.points_m, edge.section.width_m, edge.tags, usual["clear_height_m"])
+        for way in elements.ways:
+            if way.tags.get("highway") in usual["foot_ways"] and _leads_through(way.tags):
+                for rows in known_runs(way.rows, network.positions_m):
+                    line_m, width_m = network.positions_m[rows], usual["foot_way_width_m"]
+                    self._add(line_m, width_m, way.tags, usual["foot_clear_height_m"])
+        self._tree = STRtree(self._strips)
+
+    def _add(self, line_m: FloatArray, width_m: float, tags: Tags, clear_m: float) -> None:
+        tagged_m = parse_length_m(tags["maxheight"]) if "maxheight" in tags else None
+        self._strips.append(LineString(line_m).buffer(0.5 * width_m, cap_style="flat"))
+        self._clear_m.append(tagged_m or clear_m)
+        self._is_marked.append(_leads_through(tags))
+
+    def through(self, area: Area) -> tuple[BaseGeometry | None, float]:
+        """What ways cover of a building that they lead through, and their clear height."""
+        is_gate = _is_gate(area.tags)
+        found = [
+            index
+            for index in self._tree.query(area.polygon).tolist()
+            if is_gate or self._is_marked[index]
+        ]
+        whole = make_valid(area.polygon)
+        found = [index for index in found if whole.intersection(self._strips[index]).area > 1.0]
+        if not found:
+            return None, 0.0
+        ways = shapely.union_all([self._strips[index] for index in found])
+        return ways, max(self._clear_m[index] for index in found)
+
+
+def _leads_through(tags: Tags) -> bool:
+    return tags.get("tunnel") == "building_passage" or tags.get("covered") in _COVERED
+
+
+def _is_gate(tags: Tags) -> bool:
+    return tags.get("historic") in _GATES or _kind(tags) in _GATES

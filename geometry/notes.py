@@ -1,0 +1,56 @@
+"""Notes on how a scene was made: what its maps leave open, what was assumed, what was left out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+Kind = Literal["junction", "side of the road", "sites", "roads", "buildings", "heights", "left out"]
+"""What a note is about, the most important first; all but the last are assumptions."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Note:
+    """Something that was assumed where a map leaves it open, or that was left out.
+
+    Attributes
+    ----------
+    what : str
+        Kind and id, as the source has them: "way 4711", "road 5 object 12".
+    why : str
+        What was assumed, or the reason, in words.
+    kind : Kind
+        What it is about.
+    site_ids : tuple of str
+        Sites of the scene that the map does not have, or not there.
+    """
+
+    what: str
+    why: str
+    kind: Kind = "left out"
+    site_ids: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return f"{self.what}: {self.why}"
+
+
+def assumptions(notes: Sequence[Note]) -> tuple[Note, ...]:
+    """Notes on what was assumed, the most important kind first.
+
+    Examples
+    --------
+    >>> masts = Note(what="masts", why="none in the map", kind="sites")
+    >>> [note.what for note in assumptions([Note(what="way 1", why="no road"), masts])]
+    ['masts']
+    """
+    order = get_args(Kind)
+    found = [note for note in notes if note.kind != "left out"]
+    return tuple(sorted(found, key=lambda note: order.index(note.kind)))
+
+
+def assumed_sites(notes: Sequence[Note]) -> dict[str, str]:
+    """What was assumed of each site that a map does not have where it is, by the site's id."""
+    words: dict[str, list[str]] = {}
+    for note in notes:
+        for site_id in note.site_ids:
+            words.setdefault(site_id, []).append(note.why)
+    return {site_id: "; ".join(whys) for site_id, whys in words.items()}
