@@ -13,6 +13,7 @@ from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 from msgspec import Meta
 
+from geometry.private_folders import user_cache_folder
 from placement.compute import RAYS, Compute
 from placement.question import (
     ASKED,
@@ -386,7 +387,7 @@ _cache_option = option(
     show_default=True,
     section=PROGRAM,
     is_common=False,
-    help="Keep what sensors detect between calls, in PLACE_RSUS_CACHE or the user's cache folder.",
+    help="Cache what sensors detect between calls, in PLACE_RSUS_CACHE or the user's cache folder.",
 )
 
 
@@ -452,13 +453,9 @@ def folder_option(files: str) -> Decorator:
 
 
 def cache_folder() -> Path:
-    """Where detections are kept: PLACE_RSUS_CACHE, or the user's cache folder."""
+    """Where results are cached: PLACE_RSUS_CACHE, or the user's cache folder."""
     folder = os.environ.get("PLACE_RSUS_CACHE")
-    if folder:
-        return Path(folder)
-    from platformdirs import user_cache_path
-
-    return user_cache_path("place-rsus")
+    return Path(folder) if folder else user_cache_folder()
 
 
 layout_option = option(

@@ -16,12 +16,12 @@ from geometry.arrays import FloatArray, IntArray
 from geometry.errors import InputError, Unquoted
 from geometry.maps.importing import DEFAULT_RADIUS_M, ImportOptions, ReadingOptions
 from geometry.maps.sites import check_sites
+from placement.cache import Fingerprints
 from placement.candidates import CandidateGrid
 from placement.city.choose import CityChoice, choose, city_front
 from placement.city.fronts import Options, stack_bounds, stack_fronts
 from placement.city.junction import JunctionWishes
 from placement.city.phases import Phases, plan_phases
-from placement.kept import Fingerprints
 from placement.layout import Layout
 from placement.optimiser.objectives import TOLERANCE
 from placement.planning import build_grid
