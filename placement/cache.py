@@ -313,12 +313,12 @@ _LIBRARIES = ("numpy", "scipy", "numba", "cvxpy", "highspy", "osqp")
 
 def hash_of_code(packages: Sequence[str] = ALL_PACKAGES) -> str:
     """Hash of code and data of packages, and of the libraries that decide their results."""
-    code = (sys.version, *map(version, _LIBRARIES), *map(_hash_of_files, packages))
+    code = (sys.version, *map(version, _LIBRARIES), *map(hash_of_files, packages))
     return Fingerprints().of(code)
 
 
 @cache
-def _hash_of_files(package: str) -> bytes:
+def hash_of_files(package: str) -> bytes:
     """Hash of a package's code and data."""
     digest = hashlib.blake2b(digest_size=16)
     folder = Path(str(files(package)))

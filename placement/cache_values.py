@@ -150,4 +150,4 @@ def _array(dtype: str, shape: list[int], is_writeable: bool, content: bytes) -> 
 def _fields(kind: type) -> tuple[tuple[str, Any], ...]:
     """Names and type hints of the fields with which a dataclass is made."""
     hints = get_type_hints(kind)
-    return tuple((one.name, hints[one.name]) for one in fields(kind) if one.init)  # type: ignore[arg-type]
+    return tuple((one.name, hints[one.name]) for one in fields(kind) if one.init)

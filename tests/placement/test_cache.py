@@ -245,7 +245,7 @@ def test_a_value_from_something_else_or_other_code_is_made_anew(tmp_path, monkey
     keep(tmp_path, make, made_from=("a", 2))
     keep(tmp_path, make, packages=("scenarios", "geometry"))
     assert make.times == 3
-    monkeypatch.setattr(cache, "_hash_of_files", lambda package: b"edited")
+    monkeypatch.setattr(cache, "hash_of_files", lambda package: b"edited")
     keep(tmp_path, make)
     assert make.times == 4
 
@@ -255,7 +255,7 @@ def test_the_hash_of_a_package_is_that_of_its_code_and_data(tmp_path, monkeypatc
     for name in ("code.py", "data/facts.toml", "__pycache__/code.pyc"):
         (tmp_path / "pack" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "pack" / name).write_text("1", encoding="utf-8")
-    hash_now = cache._hash_of_files.__wrapped__
+    hash_now = cache.hash_of_files.__wrapped__
     hashes = [hash_now("pack")]
     for name in ("code.py", "data/facts.toml"):
         (tmp_path / "pack" / name).write_text("2", encoding="utf-8")

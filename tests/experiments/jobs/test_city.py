@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
+from concurrent.futures import Future
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -18,7 +19,7 @@ from city_maps import FEW_RUNS, FEW_RUNS_OPTIONS, solve_here, write_city
 from once import make_once
 
 from experiments.jobs import city as job
-from experiments.jobs import city_workers, schedulers
+from experiments.jobs import city_workers, local_workers, schedulers
 from experiments.jobs.city_inputs import CityWish
 from experiments.progress import StageProgress
 from experiments.results.city import load_front
@@ -328,8 +329,37 @@ def test_maps_that_overlap_or_have_no_junction_are_refused(tiny, never, tmp_path
 
 def test_dask_that_is_missing_is_one_line(tiny, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'place-rsus\[city\]'"):
-        run(tiny / "tiny.osm", tmp_path / "city")
+    workers = job.CityWorkers(scheduler="tcp://127.0.0.1:9")
+    with pytest.raises(MissingExtraError, match=r"pip install 'place-rsus\[cluster\]'"):
+        run(tiny / "tiny.osm", tmp_path / "city", workers=workers)
+
+
+class OtherProgram:
+    """A client of a cluster whose workers have another program."""
+
+    def wait_for_workers(self, n, timeout):
+        pass
+
+    def run(self, function):
+        return {"tcp://worker": "place-rsus 0.0.9 (0123)"}
+
+
+def test_workers_with_another_program_are_refused(monkeypatch):
+    said = r"--scheduler: got tcp://x: tcp://worker with place-rsus 0\.0\.9 \(0123\); expected"
+    with pytest.raises(InputError, match=said):
+        schedulers._check_workers(OtherProgram(), "tcp://x")
+    assert schedulers.run_alike(schedulers.program(), abs, -1) == 1
+    with pytest.raises(InputError, match="joined later with place-rsus 0\\.0\\.9"):
+        schedulers.run_alike("place-rsus 0.0.9 (0123)", abs, -1)
+
+
+def test_the_program_is_told_by_version_and_by_code_and_data(monkeypatch):
+    said = schedulers.program()
+    assert said.startswith("place-rsus ")
+    monkeypatch.setattr(
+        schedulers, "hash_of_files", lambda name: b"other" if name == "scenarios" else b"same"
+    )
+    assert schedulers.program.__wrapped__() != said
 
 
 def test_a_scheduler_that_is_not_there_is_one_line(tiny, tmp_path, monkeypatch):
@@ -411,15 +441,8 @@ def test_a_cluster_of_processes_gives_the_same_fronts(tiny, tmp_path, no_pages):
 
 
 def check_fronts_of(address, tiny, tmp_path):
-    told = []
-    result = run(
-        tiny / "tiny.osm",
-        tmp_path / "city",
-        workers=job.CityWorkers(scheduler=address),
-        told=told,
-    )
+    result = run(tiny / "tiny.osm", tmp_path / "city", workers=job.CityWorkers(scheduler=address))
     assert result.computed == 3
-    assert any(sentence.startswith("Dashboard of the workers: ") for sentence in told)
     for mine, theirs in zip(fronts_of(tiny / "city"), fronts_of(tmp_path / "city"), strict=True):
         assert mine.key == theirs.key
         assert mine.points == theirs.points
@@ -431,44 +454,47 @@ def tasks_of(path):
     return [task for _, task in job._tasks(city, FEW_RUNS, SEARCH, grid, kept={}, seed=0)]
 
 
-def test_a_junction_whose_worker_died_thrice_is_told(tmp_path):
-    distributed = pytest.importorskip("distributed")
+class Dying:
+    """Workers of which each dies, and how often one was asked."""
 
-    class Lost:
-        def result(self):
-            raise distributed.KilledWorker("junction", None, city_workers.TRIES)
+    capacity, times = 1, 0
 
+    def submit(self, function, task):
+        self.times += 1
+        future = Future()
+        future.set_exception(local_workers.WorkerDiedError("more than 1.5 GiB of memory"))
+        return future
+
+    def wait(self, timeout_s):
+        pass
+
+
+def test_a_junction_whose_worker_died_thrice_is_told(tmp_path, monkeypatch):
+    monkeypatch.setattr(city_workers, "LocalWorkers", Dying)
     [task, *_] = tasks_of(write_city(tmp_path))
-    record = city_workers._answer(Lost(), task).record
-    assert record.id == task.chosen.junction.id
-    assert record.reason.startswith("its worker died, 3 times: more --worker-memory")
-    assert not record.is_final
+    workers = Dying()
+    [(_, answer)] = city_workers.run_junctions(workers, [task])
+    assert workers.times == 3
+    assert answer.record.id == task.chosen.junction.id
+    assert answer.record.reason == (
+        "its worker died of more than 1.5 GiB of memory, 3 times: more --worker-memory, or fewer "
+        "poses"
+    )
+    assert not answer.record.is_final
 
 
 @pytest.mark.long
-@pytest.mark.filterwarnings("ignore")
-def test_a_worker_that_is_killed_loses_nothing_and_one_that_always_dies_is_told(
-    tiny, tmp_path, monkeypatch
-):
+def test_a_worker_that_is_killed_loses_nothing(tiny):
     tasks = tasks_of(tiny / "tiny.osm")
     with city_workers.start_workers(
         "", n_workers=2, memory="1.5GiB", tell=lambda sentence: None
-    ) as client:
-        limits = client.run(lambda dask_worker: dask_worker.memory_manager.memory_pause_fraction)
-        assert list(limits.values()) == [False, False]
-        victim = next(iter(client.run(os.getpid).values()))
-        killer = threading.Timer(1.0, os.kill, (victim, signal.SIGKILL))
+    ) as workers:
+        killer = threading.Timer(1.0, lambda: os.kill(workers.pids()[0], signal.SIGKILL))
         killer.start()
-        answers = [answer.record for _, answer in city_workers.run_junctions(client, tasks)]
+        answers = [answer.record for _, answer in city_workers.run_junctions(workers, tasks)]
         killer.join()
         assert [record.reason for record in answers] == [""] * 3
         assert {record.id for record in answers} == {"n1", "n2", "n3"}
-        monkeypatch.setattr(
-            city_workers, "run_junction", lambda task: os.kill(os.getpid(), signal.SIGKILL)
-        )
-        [(_, answer)] = city_workers.run_junctions(client, tasks[:1])
-        assert answer.record.reason.startswith("its worker died, 3 times: more --worker-memory")
-        assert not answer.record.is_final
 
 
 @pytest.mark.long
