@@ -301,7 +301,7 @@ def city(
         )
     begin(progress, quiet=quiet)
     from ..jobs import city as job
-    from ..jobs.city_inputs import CityWish
+    from ..jobs.city_inputs import CitySearch, CityWish
 
     def tell(sentence: str) -> None:
         if not quiet:
@@ -328,7 +328,7 @@ def city(
             units_per_year=units_per_year,
             years=years,
         ),
-        search=job.CitySearch(
+        search=CitySearch(
             is_coarse=is_coarse,
             max_units=max_units,
             max_junction_s=max_junction_s,

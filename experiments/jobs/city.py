@@ -7,7 +7,7 @@ known; started again, only what is missing, or whose inputs have changed, is com
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -317,7 +317,8 @@ class _Tasks:
         sites = Path(search.sites)
         listed = sha256(sites) if sites.is_file() else ""
         code = [hash_of_files(package) for package in ALL_PACKAGES]
-        self._same = Fingerprints().of(
+        self._prints = Fingerprints()
+        self._same = self._prints.of(
             *(CITY_VERSION, code, seed, listed, search.radius_m, search.sites, question, grid)
         )
 
@@ -331,9 +332,11 @@ class _Tasks:
             time_limit_s=search.max_junction_s,
             kept=self._kept.get(one.scene_name),
         )
+        # Lanes and things lie around several junctions and are hashed once; maps are cut out anew.
+        parts = [[getattr(part, field.name) for field in fields(part)] for part in maps]
         limits = (wishes.max_units, wishes.time_limit_s, wishes.kept)
         return JunctionTask(
-            key=Fingerprints().of(self._same, *limits, maps),
+            key=self._prints.of(self._same, *limits, parts),
             maps=maps,
             chosen=one.surveyed,
             options=ImportOptions(

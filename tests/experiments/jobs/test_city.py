@@ -19,16 +19,18 @@ from city_maps import FEW_RUNS, FEW_RUNS_OPTIONS, solve_here, write_city
 from once import make_once
 
 from experiments.jobs import city as job
-from experiments.jobs import city_workers, local_workers, schedulers
-from experiments.jobs.city_inputs import CityWish
-from experiments.progress import StageProgress
+from experiments.jobs import city_answer, city_workers, city_writing, local_workers, schedulers
+from experiments.jobs.city_inputs import CitySearch, CityWish
+from experiments.progress import WRITING, StageProgress
 from experiments.results.city import load_front
 from experiments.results.folders import changed_files
+from experiments.results.numbers import percent
 from geometry.errors import InputError, MissingExtraError
+from placement.city.fronts import Options
 from placement.layout import load_layout
 from placement.question import load_question_values
 
-SEARCH = job.CitySearch(is_coarse=True, max_units=2, max_junction_s=3600.0)
+SEARCH = CitySearch(is_coarse=True, max_units=2, max_junction_s=3600.0)
 LEAST_S = 1.0e-6
 
 
@@ -64,7 +66,8 @@ def tiny(tmp_path_factory):
 @pytest.fixture
 def no_pages(monkeypatch):
     """Draws nothing, and writes no tables."""
-    monkeypatch.setattr(job, "write_city", lambda *args, **settings: None)
+    monkeypatch.setattr(job, "write_city", lambda out, result, *args, **settings: result)
+    monkeypatch.setattr(city_writing, "render_junction_page", lambda *args, **settings: "")
 
 
 @pytest.fixture
@@ -188,12 +191,16 @@ def test_a_junction_that_cannot_be_done_is_a_row_with_its_reason(tiny, here, tmp
     reasons = [one.reason for one in result.junctions]
     assert sum(map(bool, reasons)) == result.not_done == 2
     assert any("--sites: got" in reason for reason in reasons)
-    assert "2 junctions not done" in result.sentences[0]
+    part = percent(result.stages[0].objective)
+    of_all = percent(result.stages[0].objective / 3.0)
+    assert f": {of_all} of the accidents at all of them are prevented" in result.sentences[0]
+    assert result.sentences[0].endswith("; 2 junctions are not done.")
+    assert any(f"of those at the others {part} are prevented" in one for one in result.sentences)
     rows = pd.read_csv(tmp_path / "new" / "junctions.csv")
     assert rows.reason.notna().sum() == 2
     assert "What was not done" in (tmp_path / "new" / "report.html").read_text()
     # More time is another question: what was in time stays in the folder, the rest is told.
-    with pytest.raises(InputError, match=r"no junction with a front.* --max-junction-seconds"):
+    with pytest.raises(InputError, match=r"no junction with a front.*; expected more time or memo"):
         run(tiny / "tiny.osm", city, search=replace(SEARCH, max_junction_s=LEAST_S))
 
 
@@ -262,6 +269,44 @@ def test_a_budget_below_the_cheapest_unit_buys_nothing_and_says_what_it_would(
         assert (result.units, result.stages[0].objective) == (0, 0.0)
         assert result.stages[0].gap == 0.0
         assert result.sentences[1].startswith("The cheapest useful choice is 1 unit at ")
+
+
+def test_the_cheapest_useful_choice_is_that_for_the_least_money(tiny):
+    city = job.load_city([tiny / "tiny.osm"], SEARCH.reading, CityWish(budget_units=1))
+    cost_eur, apr = [0.0, 8_560.0, 0.0, 4_040.0, 5_000.0], [0.0, 0.9, 0.0, 0.2, 0.3]
+    options = Options(
+        junction=[0, 0, 1, 1, 1],
+        units=[0, 1, 0, 1, 1],
+        cost_eur=cost_eur,
+        apr=apr,
+        **{name: np.zeros(5) for name in ("apr_one_failed", "smallest_margin_s", "mean_margin_s")},
+    )
+    said = city_answer._cheapest(city, options, [0, 1], np.array([0.5, 0.5]), np.array([0, 2]))
+    assert said.startswith("The cheapest useful choice is 1 unit at ")
+    assert said.endswith("for 4,040 EUR: it would prevent 10.0 % of the city's accidents.")
+
+
+def test_pages_of_junctions_that_stay_as_they_were_are_not_drawn_again(tiny, city, never):
+    def pages():
+        return {path: path.stat().st_mtime_ns for path in city.glob("junctions/*/report.html")}
+
+    before = pages()
+    assert len(before) == 2
+    run(tiny / "tiny.osm", city)
+    assert pages() == before
+    run(tiny / "tiny.osm", city, budget_units=1)
+    assert len(pages()) == 1
+    run(tiny / "tiny.osm", city, budget_units=0)
+    assert pages() == {}
+    assert not changed_files(city)
+
+
+def test_seconds_are_those_of_all_stages(tiny, city, never):
+    seconds = run(tiny / "tiny.osm", city).seconds
+    assert {"read maps", "choose", job.SERVE, WRITING} < seconds.keys()
+    assert seconds["total"] == pytest.approx(
+        sum(value for name, value in seconds.items() if name != "total"), abs=0.01
+    )
 
 
 def test_what_hangs_there_is_kept_and_paid(tiny, here, tmp_path, no_pages):
@@ -451,7 +496,8 @@ def check_fronts_of(address, tiny, tmp_path):
 def tasks_of(path):
     city = job.load_city([path], SEARCH.reading, CityWish(budget_units=1))
     grid = job.build_grid("", is_coarse=True)
-    return [task for _, task in job._tasks(city, FEW_RUNS, SEARCH, grid, kept={}, seed=0)]
+    tasks = job._Tasks(city, FEW_RUNS, SEARCH, grid, kept={}, seed=0)
+    return [tasks.task(one) for one in city.junctions]
 
 
 class Dying:
