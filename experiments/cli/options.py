@@ -13,6 +13,7 @@ from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 from msgspec import Meta
 
+from geometry.errors import InputError
 from geometry.private_folders import user_cache_folder
 from placement.compute import RAYS, Compute
 from placement.question import (
@@ -233,6 +234,7 @@ def question_options(
         @wraps(command)
         def with_question(*args: Any, save_question_to: Path | None = None, **values: Any) -> Any:
             question = Question(**{name: values.pop(name) for name in (*names, *named_apart)})
+            _refuse_program_of_file(question)
             if save_question_to is not None:
                 save_question(save_question_to, question)
             return command(*args, question=question, **values)
@@ -240,6 +242,18 @@ def question_options(
         return _decorate(with_question, options)
 
     return decorate
+
+
+def _refuse_program_of_file(question: Question) -> None:
+    """Refuse a network that only a question file names: it is a program, and files come by mail."""
+    source = click.get_current_context().get_parameter_source("detector")
+    if source is ParameterSource.DEFAULT_MAP and Path(question.detector).suffix == ".onnx":
+        raise InputError(
+            "--question: detector",
+            question.detector,
+            f"no network, which is a program, or --detector {question.detector} as well if you "
+            "trust it",
+        )
 
 
 def one_run_options() -> Decorator:
