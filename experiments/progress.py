@@ -17,6 +17,9 @@ import click
 WRITING = "write results"
 """The stage in which files are written."""
 
+LINE_EVERY_S = 30.0
+"""Where there is no terminal, a long stage says so often how far it is."""
+
 _OWN_PACKAGES = ("geometry", "scenarios", "placement", "experiments")
 _log = logging.getLogger(__name__)
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -34,8 +37,8 @@ class Interrupted(BaseException):
 class StageProgress:
     """Shows which stage runs and how far it is, and keeps the time of each.
 
-    A bar on a terminal, one line per stage elsewhere, nothing before :meth:`start` or with
-    ``quiet``.
+    A bar on a terminal; elsewhere a line per stage, and in long ones one each half minute; nothing
+    before :meth:`start` or with ``quiet``.
 
     Attributes
     ----------
@@ -55,7 +58,7 @@ class StageProgress:
         self.stage = "start"
         self.seconds: dict[str, float] = {}
         self.kept = "nothing was written"
-        self._began_s = time.perf_counter()
+        self._began_s = self._line_s = time.perf_counter()
         self._prints_lines = False
         self._bar: Any = None
         self.is_verbose = False
@@ -68,8 +71,12 @@ class StageProgress:
             self.stage = stage
             if self._prints_lines:
                 click.echo(f"{stage} ...", err=True)
+                self._line_s = time.perf_counter()
             if self._bar is not None:  # time left is of this stage, not of those before
                 self._bar.reset(self._task)
+        if self._prints_lines and total and time.perf_counter() - self._line_s >= LINE_EVERY_S:
+            click.echo(f"{stage}: {done} of {total}", err=True)
+            self._line_s = time.perf_counter()
         if self._bar is not None:
             self._bar.update(self._task, description=stage, completed=done, total=total or None)
 

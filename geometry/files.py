@@ -303,8 +303,12 @@ def pick(known: Mapping[str, Any], name: str, where: str) -> Any:
     return known[name]
 
 
-def write_atomically(path: Path, write: Callable[[BinaryIO], object]) -> None:
+def write_atomically(
+    path: Path, write: Callable[[BinaryIO], object], *, is_private: bool = False
+) -> None:
     """Write a file under a temporary name beside it and move it into place.
+
+    A private one is readable and writable by this user alone, whatever the umask.
 
     Whatever `write` raises leaves `path` as it was. The folder must exist. Temporary files that a
     killed process left for the same path are removed.
@@ -316,50 +320,14 @@ def write_atomically(path: Path, write: Callable[[BinaryIO], object]) -> None:
     try:
         with os.fdopen(handle, "wb") as file, lock_while_alive(Path(temporary)):
             write(file)
-        # mkstemp makes files private; a result is as readable as any other new file.
-        mask = os.umask(0)
-        os.umask(mask)
-        Path(temporary).chmod(0o666 & ~mask)
+        if not is_private:  # as mkstemp makes files; a result is as readable as any other new file
+            mask = os.umask(0)
+            os.umask(mask)
+            Path(temporary).chmod(0o666 & ~mask)
         Path(temporary).replace(path)
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise
-
-
-# ---------- folders whose content is believed: who else may write there?
-
-
-def writable_by_others(folder: Path) -> bool:
-    """Whether other users may put files into a folder, or another folder in its place.
-
-    A user's own group, which has the user's name and no other members, is nobody else; root may do
-    anything. False where the system has no such rights, or there is no such folder.
-    """
-    try:
-        import grp
-        import pwd
-    except ImportError:  # Windows
-        return False
-    me = os.getuid()
-    for index, path in enumerate([folder.absolute(), *folder.absolute().parents]):
-        try:
-            found = path.stat()
-        except OSError:
-            continue
-        if found.st_uid not in (me, 0):
-            return True
-        # What lies in a folder like /tmp can be moved by its owner alone.
-        is_kept = index > 0 and found.st_mode & stat.S_ISVTX
-        if found.st_mode & stat.S_IWOTH and not is_kept:
-            return True
-        if found.st_mode & stat.S_IWGRP and not is_kept and found.st_gid != 0:
-            try:
-                owner, group = pwd.getpwuid(found.st_uid).pw_name, grp.getgrgid(found.st_gid)
-            except KeyError:
-                return True
-            if group.gr_name != owner or set(group.gr_mem) - {owner}:
-                return True
-    return False
 
 
 # ---------- temporary files and folders: whose process is alive?

@@ -1,29 +1,36 @@
 """Machine code for loops over numbers: numba's compiler, and what it compiled before.
 
-The code is kept in the user's cache, where anything may happen to it: a file that is damaged, a
-folder that cannot be written to, or a full disk costs the time to compile, and never more. Loading
-numba takes half a second: modules that hold kernels are imported by the function that calls them,
-when it is called.
+The code is cached in a folder of the user alone, where anything may happen to it: a file that is
+damaged or somebody else's, or a full disk costs the time to compile, and never more. Where the
+user's cache is no such folder, a private temporary one takes its place. Loading numba takes half a
+second: modules that hold kernels are imported by the function that calls them, when it is called.
 """
 
 import gc
 import hashlib
+import io
 import logging
 import os
 import pickle
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
-from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
-from platformdirs import user_cache_path
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 from .clock import stand_still_s
-from .files import writable_by_others
+from .files import write_atomically
+from .private_folders import (
+    open_own,
+    private_temporary_folder,
+    trouble_with,
+    user_cache_folder,
+    writable_by_others,
+)
 
 F = TypeVar("F", bound=Callable[..., Any])
 _log = logging.getLogger(__name__)
@@ -33,12 +40,11 @@ def kernel(function: F) -> F:
     """Compile a function of numbers and arrays when it is first called; it then runs in any thread.
 
     Kernels may call kernels of the same file, and of files ``*_kernels.py`` beside it. Division by
-    zero gives infinity or NaN, as in numpy. The machine code is kept for the next process; where
-    that cannot be, each process compiles.
+    zero gives infinity or NaN, as in numpy. The machine code is cached for the next process.
     """
+    numba.config.CACHE_DIR = str(compiled_folder())
     compiled = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True)(function)
-    trouble = _trouble(compiled_folder())
-    compiled._cache = _Unkept(trouble) if trouble else _Kept(function)
+    compiled._cache = _Cached(function)
     of_types = compiled.get_call_template
 
     def of_any_number(args: Sequence[Any], kws: dict[str, Any]) -> Any:
@@ -50,28 +56,27 @@ def kernel(function: F) -> F:
 
 
 def is_compiled(function: Callable[..., Any]) -> bool:
-    """Whether machine code of a kernel is kept, for whatever types, or cannot be kept at all."""
-    kept = cast(Any, function)._cache
-    return not isinstance(kept, _Kept) or kept.has_any
-
-
-def compiled_folder() -> Path:
-    """Where machine code is kept: NUMBA_CACHE_DIR, or a folder in the user's cache."""
-    chosen = os.environ.get("NUMBA_CACHE_DIR")
-    return Path(chosen) if chosen else user_cache_path("place-rsus") / "compiled"
+    """Whether machine code of a kernel is cached, for whatever types."""
+    return cast(bool, cast(Any, function)._cache.has_any)
 
 
 @cache
-def _trouble(folder: Path) -> str:
-    """Why code is not kept in a folder; empty: it is. Code of others would run as ours."""
-    with suppress(OSError):
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if not os.access(folder, os.W_OK):
-        return "cannot be written to"
-    return "can be written to by other users" if writable_by_others(folder) else ""
+def compiled_folder() -> Path:
+    """Where machine code is cached: NUMBA_CACHE_DIR, or the user's cache, or a temporary folder.
 
-
-numba.config.CACHE_DIR = str(compiled_folder())
+    Code of others would run as ours: a folder into which they may write is not used. Processes
+    that this one starts use the same folder.
+    """
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    folder = Path(chosen) if chosen else user_cache_folder() / "compiled"
+    trouble = trouble_with(folder)
+    if not trouble and any(map(writable_by_others, folder.iterdir())):
+        trouble = "holds folders of other users"
+    if trouble:
+        unusable, folder = folder, private_temporary_folder()
+        os.environ["NUMBA_CACHE_DIR"] = str(folder)
+        _tell_once(f"compiled code is cached in {folder}: {unusable} {trouble}")
+    return folder
 
 
 class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]
@@ -82,11 +87,12 @@ class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]
         return hashlib.blake2b(data).digest() + data
 
     def _load_data(self, name: str) -> Any:
-        return pickle.loads(_checked(Path(self._data_path(name)).read_bytes()))
+        with open_own(Path(self._data_path(name))) as file:
+            return pickle.loads(_checked(file.read()))
 
     def _load_index(self) -> dict[Any, str]:
         try:
-            with Path(self._index_path).open("rb") as file:
+            with open_own(Path(self._index_path)) as file:
                 version, data = pickle.load(file), file.read()
         except FileNotFoundError:
             return {}
@@ -94,6 +100,12 @@ class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]
             return {}
         stamp, names = pickle.loads(_checked(data))
         return cast(dict[Any, str], names) if stamp == self._source_stamp else {}
+
+    @contextmanager
+    def _open_for_write(self, path: str) -> Iterator[io.BytesIO]:
+        content = io.BytesIO()
+        yield content
+        write_atomically(Path(path), lambda file: file.write(content.getvalue()), is_private=True)
 
 
 def _checked(content: bytes) -> bytes:
@@ -103,7 +115,7 @@ def _checked(content: bytes) -> bytes:
     return content[size:]
 
 
-class _Kept(FunctionCache):  # type: ignore[misc]
+class _Cached(FunctionCache):  # type: ignore[misc]
     """A function's machine code on disk, or what it takes to do without."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
@@ -127,7 +139,8 @@ class _Kept(FunctionCache):  # type: ignore[misc]
         try:
             found = super().load_overload(signature, target_context)
         except Exception as error:  # damaged pickles raise anything
-            _tell_once(f"kept machine code not used, made anew: {error}")
+            reason = getattr(error, "strerror", None) or error
+            _tell_once(f"cached machine code not used, made anew: {reason}")
             with suppress(OSError):
                 self.flush()
             found = None
@@ -137,13 +150,13 @@ class _Kept(FunctionCache):  # type: ignore[misc]
         return found
 
     def save_overload(self, signature: Any, data: Any) -> None:
-        """Keep code, or say why not."""
+        """Cache code, or say why not."""
         _stop_clock()
         try:
             super().save_overload(signature, data)
         except Exception as error:  # a disk that is full, a folder that went, a damaged index
             reason = getattr(error, "strerror", None) or error
-            _tell_once(f"machine code not kept: {compiled_folder()}: {reason}")
+            _tell_once(f"machine code not cached: {compiled_folder()}: {reason}")
 
 
 def _stamps_beside(function: Callable[..., Any]) -> list[tuple[str, int, int]]:
@@ -151,23 +164,6 @@ def _stamps_beside(function: Callable[..., Any]) -> list[tuple[str, int, int]]:
     files = sorted(Path(function.__code__.co_filename).parent.glob("*_kernels.py"))
     status = [(file.name, file.stat()) for file in files]
     return [(name, of_file.st_mtime_ns, of_file.st_size) for name, of_file in status]
-
-
-class _Unkept(NullCache):  # type: ignore[misc]
-    """Where nothing can be kept, and why."""
-
-    def __init__(self, trouble: str) -> None:
-        super().__init__()
-        self._trouble = trouble
-
-    def load_overload(self, signature: Any, target_context: Any) -> None:
-        """None; says that there is none."""
-        _tell_once(f"compiling in every call, some seconds: {compiled_folder()} {self._trouble}")
-        _start_clock()
-
-    def save_overload(self, signature: Any, data: Any) -> None:
-        """Keeps nothing."""
-        _stop_clock()
 
 
 _begun_s: list[float] = []  # compiling one function may begin with others that it calls

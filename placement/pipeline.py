@@ -9,11 +9,11 @@ from itertools import count
 
 from geometry.errors import InputError, Unquoted
 
+from .cache import cached_value
 from .candidates import CandidatePose
 from .compute import DEFAULT_COMPUTE, Compute
 from .detection_table import DetectionTable
 from .explain import NextUnit, find_next_unit, find_refusal
-from .kept import keep_value
 from .layout import Certificate, Layout
 from .memory import check_memory
 from .optimiser import (
@@ -169,12 +169,13 @@ def place(
 
     compute.progress("optimise", 0, 0)
     try:
-        solution, greedy_index, next_unit = keep_value(
+        solution, greedy_index, next_unit = cached_value(
             compute.cache_folder,
             "answer",
             answer,
+            kind=tuple[Solution, tuple[int, ...], NextUnit | None],
             made_from=(problem, effort),
-            is_kept=lambda found: found[0].certificate.is_proven,
+            is_worth_it=lambda found: found[0].certificate.is_proven,
         )
     except UnmetError as error:
         compute.progress("what has to give way", 0, 0)

@@ -561,12 +561,9 @@ def load_question(path: str | Path) -> Question:
     return Question(**load_question_values(Path(path)))
 
 
-def save_question(path: str | Path, question: Question) -> None:
-    """Write a question file: every field that differs from its default, below its help."""
+def question_text(question: Question) -> str:
+    """A question file's text: every field that differs from its default, below its help."""
     import tomlkit
-
-    from geometry.errors import InputError, Unquoted
-    from geometry.files import write_atomically
 
     document = tomlkit.document()
     document.add(tomlkit.comment("A question for place-rsus --question FILE."))
@@ -577,8 +574,17 @@ def save_question(path: str | Path, question: Question) -> None:
             for line in textwrap.wrap(field.option.help, 96, break_on_hyphens=False):
                 document.add(tomlkit.comment(line))
             document.add(field.key, value)
+    return tomlkit.dumps(document)
+
+
+def save_question(path: str | Path, question: Question) -> None:
+    """Write a question file: every field that differs from its default, below its help."""
+    from geometry.errors import InputError, Unquoted
+    from geometry.files import write_atomically
+
+    text = question_text(question).encode()
     try:
-        write_atomically(Path(path), lambda file: file.write(tomlkit.dumps(document).encode()))
+        write_atomically(Path(path), lambda file: file.write(text))
     except OSError as error:
         raise InputError(
             str(path), Unquoted(error.strerror or error), "a file that can be written"

@@ -17,6 +17,7 @@ from geometry.sensors import CameraModel
 from scenarios.aeb import AebRule, load_aeb_rule, load_track_memory_s
 from scenarios.cases import select_cases
 from scenarios.exposure import check_weights, default_weights, weigh, weight_by_function
+from scenarios.paths import CoursePath, StraightPath, TowedPath, TurnPath
 from scenarios.positions import (
     AT_ZERO,
     Position,
@@ -27,10 +28,10 @@ from scenarios.positions import (
 )
 from scenarios.runs import WEATHERS, FrameAxis, Refusal, Run, build_frame_axis, build_runs
 
+from .cache import cached_value
 from .compute import DEFAULT_COMPUTE, Compute
 from .detectors import Detector, PlanningDetector, load_detector, load_planning_detector
 from .detectors.network import NetworkDetector
-from .kept import keep_value
 from .latency import load_latency_budget
 from .question import Question
 
@@ -224,10 +225,12 @@ def drive(
         "is_spread": position is None,
         "keeps_limits": not question.speeds.strip(),
     }
-    runs, refused = keep_value(
+    runs, refused = cached_value(
         cache_folder,
         "runs",
         partial(build_runs, scene, selection.cases, **laid),
+        kind=tuple[tuple[Run, ...], tuple[Refusal, ...]],
+        classes=(StraightPath, TurnPath, CoursePath, TowedPath),
         made_from=(scene, selection.cases, laid),
         packages=("geometry", "scenarios"),
     )

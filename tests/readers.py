@@ -989,6 +989,6 @@ READERS: Mapping[str, Reader] = {
     "cached tables": Reader(
         _read_table,
         _tables,
-        ("placement.visibility.build.load_table", "placement.kept.load_arrays"),
+        ("placement.visibility.build.load_table", "placement.cache.load_arrays"),
     ),
 }

@@ -43,7 +43,7 @@ _MAX_LISTED = 12
     cls=SectionedCommand,
     epilog="""\b
 Examples:
-  place-rsus city town.osm.pbf --budget-eur 400000 --coarse --out city
+  place-rsus city town.osm.pbf --budget-eur 400000 --out city
   place-rsus city town.osm.pbf --budget 60 --within centre.geojson --out city
   place-rsus city town.osm.pbf --budget-eur 400000 --out city \\
       --junction-weights accidents.csv --snap 40
@@ -51,7 +51,7 @@ Examples:
       --districts districts.geojson --min-district-apr 0.3
   place-rsus city roads.osm houses.gpkg --budget 60 --signals-only --out city
   place-rsus city town.osm.pbf --budget 60 --out city \\
-      --scheduler tcp://10.0.0.1:8786""",
+      --scheduler tls://10.0.0.1:8786""",
 )
 @click.argument("maps", nargs=-1, required=True, metavar="MAP...", type=click.Path(path_type=Path))
 @option(
@@ -190,7 +190,7 @@ Examples:
     "--coarse",
     "is_coarse",
     is_flag=True,
-    help="Try a ninth of the poses: one height, every 30 degrees.",
+    help="Try a ninth of the poses: one height, every 30 degrees. Less memory, worse layouts.",
 )
 @option(
     "--max-units",
@@ -301,7 +301,7 @@ def city(
         )
     begin(progress, quiet=quiet)
     from ..jobs import city as job
-    from ..jobs.city_inputs import CityWish
+    from ..jobs.city_inputs import CitySearch, CityWish
 
     def tell(sentence: str) -> None:
         if not quiet:
@@ -328,7 +328,7 @@ def city(
             units_per_year=units_per_year,
             years=years,
         ),
-        search=job.CitySearch(
+        search=CitySearch(
             is_coarse=is_coarse,
             max_units=max_units,
             max_junction_s=max_junction_s,

@@ -13,6 +13,8 @@ from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 from msgspec import Meta
 
+from geometry.errors import InputError
+from geometry.private_folders import user_cache_folder
 from placement.compute import RAYS, Compute
 from placement.question import (
     ASKED,
@@ -232,6 +234,7 @@ def question_options(
         @wraps(command)
         def with_question(*args: Any, save_question_to: Path | None = None, **values: Any) -> Any:
             question = Question(**{name: values.pop(name) for name in (*names, *named_apart)})
+            _refuse_program_of_file(question)
             if save_question_to is not None:
                 save_question(save_question_to, question)
             return command(*args, question=question, **values)
@@ -239,6 +242,18 @@ def question_options(
         return _decorate(with_question, options)
 
     return decorate
+
+
+def _refuse_program_of_file(question: Question) -> None:
+    """Refuse a network that only a question file names: it is a program, and files come by mail."""
+    source = click.get_current_context().get_parameter_source("detector")
+    if source is ParameterSource.DEFAULT_MAP and Path(question.detector).suffix == ".onnx":
+        raise InputError(
+            "--question: detector",
+            question.detector,
+            f"no network, which is a program, or --detector {question.detector} as well if you "
+            "trust it",
+        )
 
 
 def one_run_options() -> Decorator:
@@ -386,7 +401,7 @@ _cache_option = option(
     show_default=True,
     section=PROGRAM,
     is_common=False,
-    help="Keep what sensors detect between calls, in PLACE_RSUS_CACHE or the user's cache folder.",
+    help="Cache what sensors detect between calls, in PLACE_RSUS_CACHE or the user's cache folder.",
 )
 
 
@@ -452,13 +467,9 @@ def folder_option(files: str) -> Decorator:
 
 
 def cache_folder() -> Path:
-    """Where detections are kept: PLACE_RSUS_CACHE, or the user's cache folder."""
+    """Where results are cached: PLACE_RSUS_CACHE, or the user's cache folder."""
     folder = os.environ.get("PLACE_RSUS_CACHE")
-    if folder:
-        return Path(folder)
-    from platformdirs import user_cache_path
-
-    return user_cache_path("place-rsus")
+    return Path(folder) if folder else user_cache_folder()
 
 
 layout_option = option(

@@ -3,7 +3,7 @@
 import hashlib
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
 from geometry.maps.city_layers import areas_of, read_areas, read_counts, snap
 from geometry.maps.georeferences import transform
-from geometry.maps.importing import ReadingOptions, read_map
+from geometry.maps.importing import DEFAULT_RADIUS_M, ReadingOptions, read_map
 from geometry.maps.junctions import Surveyed, choose_junction, survey_junctions
 from geometry.maps.neighbourhoods import Neighbourhoods
 from geometry.maps.source_map import SourceMap
@@ -89,6 +89,37 @@ class CityWish:
         if self.weight_column and self.weights is None:
             got = self.weight_column
             raise InputError("--weight-column", got, "--junction-weights beside it")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CitySearch:
+    """How the fronts of the junctions are looked for.
+
+    Attributes
+    ----------
+    is_coarse : bool
+        Whether a ninth of the poses is tried.
+    max_units : int
+        Most new units at a junction.
+    max_junction_s : float
+        For each junction. [s]
+    radius_m : float
+        Of what is kept around a junction. [m]
+    sites : str
+        See :class:`geometry.maps.importing.ImportOptions`.
+    reading : ReadingOptions
+        What map files do not say of themselves.
+    gap : float
+        Relative gap at which the city's choice counts as settled.
+    """
+
+    is_coarse: bool = False
+    max_units: int = 6
+    max_junction_s: float = 300.0
+    radius_m: float = DEFAULT_RADIUS_M
+    sites: str = "auto"
+    reading: ReadingOptions = field(default_factory=ReadingOptions)
+    gap: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -1,16 +1,17 @@
-"""Junctions of a city, each a task for a worker of dask: here, or of a cluster."""
+"""Junctions of a city, each a task for a process of this machine or for a worker of dask."""
 
-import logging
+import re
 import resource
-import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from geometry.errors import InputError, MissingExtraError, Unquoted
+from geometry.errors import InputError, MissingExtraError
 from geometry.maps.importing import ImportOptions, cut_scene
 from geometry.maps.junctions import Surveyed
 from geometry.maps.source_map import SourceMap
@@ -20,18 +21,15 @@ from placement.compute import Compute
 from placement.question import Question
 
 from ..results.city import CityFrontRecord, build_points
-from .schedulers import ANSWER_S, connect_to_scheduler
+from ..results.numbers import several
+from .local_workers import LocalWorkers, WorkerDiedError
+from .schedulers import connect_to_scheduler, program, run_alike
 
 TRIES = 3
 """Of a junction whose worker dies, or that fails for no reason of its own."""
 
-_NO_WARNING = "ignore:resource_tracker:UserWarning"
-_SETTINGS = {
-    "distributed.scheduler.allowed-failures": TRIES - 1,
-    # A junction needs its memory now: a worker that waits for some to be free waits for ever.
-    **{f"distributed.worker.memory.{what}": False for what in ("target", "spill", "pause")},
-}
-_AHEAD = 2  # tasks per worker that are handed over before their turn
+_AHEAD = 2  # tasks per worker of a cluster that are handed over before their turn
+_WATCH_S = 0.2  # the memory of processes is looked at as often
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -129,151 +127,127 @@ def _peak_mib() -> float:
 # ---------- workers
 
 
+class DaskWorkers:
+    """The workers of a dask scheduler, which tries a task again that failed."""
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+        self._executor = client.get_executor(retries=TRIES - 1, pure=False)
+        self._pending: set[Future[Any]] = set()
+
+    @property
+    def capacity(self) -> int:
+        """Tasks that are handed over at a time: some more than there are workers."""
+        return _AHEAD * max(len(self._client.scheduler_info(n_workers=-1)["workers"]), 1)
+
+    def submit(self, function: Callable[[Any], Any], task: Any) -> Future[Any]:
+        """Hand a task over."""
+        future: Future[Any] = self._executor.submit(run_alike, program(), function, task)
+        self._pending.add(future)
+        return future
+
+    def wait(self, timeout_s: float) -> None:
+        """Wait for answers, no longer than a time."""
+        _, self._pending = wait(self._pending, timeout_s, FIRST_COMPLETED)
+
+    def cancel(self) -> None:
+        """Give up what is not done."""
+        for future in self._pending:
+            future.cancel()
+        self._executor.shutdown(wait=False)
+
+
 @contextmanager
 def start_workers(
     scheduler: str, *, n_workers: int, memory: str, tell: Callable[[str], None]
-) -> Iterator[Any]:
-    """A dask client: of processes on this machine, or of a scheduler by its address.
-
-    Raises
-    ------
-    InputError
-        The scheduler does not answer, has no workers, or these lack this program.
-    """
-    import dask
-    from distributed import Client, LocalCluster
-
-    if scheduler:
-        with connect_to_scheduler(scheduler) as client:
-            _check_workers(client, scheduler)
-            tell(f"Dashboard of the workers: {client.dashboard_link}")
-            yield client
-        return
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # deaths are told by us
-    # Where this process is ended at once (see `ending_on_signals`), its helper would warn of what
-    # is left for it to clean up.
-    sys.warnoptions.append(_NO_WARNING)
-    with (
-        dask.config.set(_SETTINGS),
-        LocalCluster(
-            n_workers=n_workers,
-            threads_per_worker=1,
-            processes=True,
-            memory_limit=check_memory(memory),
-            dashboard_address="127.0.0.1:0",
-            silence_logs=logging.CRITICAL,
-        ) as cluster,
-        Client(cluster, set_as_default=False) as client,
-    ):
-        tell(
-            f"{n_workers} worker{'s' if n_workers > 1 else ''} of at most {memory} memory each; "
-            f"dashboard: {client.dashboard_link}"
-        )
-        yield client
-    sys.warnoptions.remove(_NO_WARNING)
-
-
-def check_memory(text: str) -> int:
-    """The memory of a worker, in bytes.
+) -> Iterator[LocalWorkers | DaskWorkers]:
+    """Processes on this machine, or the workers of a dask scheduler by its address.
 
     Raises
     ------
     MissingExtraError
-        dask is not installed.
+        A scheduler is asked for, and dask is not installed.
     InputError
-        That is no amount, or too little.
+        The scheduler does not answer, has no workers, or these lack this program.
     """
+    if not scheduler:
+        with LocalWorkers(n_workers, max_bytes=check_memory(memory)) as processes:
+            tell(f"{several(n_workers, 'worker', 'workers')} of at most {memory} memory each.")
+            yield processes
+        return
     try:
-        import distributed  # noqa: F401
-        from dask.utils import parse_bytes
+        connected = connect_to_scheduler(scheduler)
     except ImportError:
         raise MissingExtraError(
-            "place-rsus city needs dask: pip install 'place-rsus[city]'"
+            "place-rsus city --scheduler needs dask: pip install 'place-rsus[cluster]'"
         ) from None
+    with connected as client:
+        workers = DaskWorkers(client)
+        try:
+            yield workers
+        finally:
+            workers.cancel()
+
+
+_UNITS = {"": 1, "B": 1, **{f"{unit}B": 1000**power for power, unit in enumerate("kMGT", start=1)}}
+_UNITS |= {f"{unit}iB": 1024**power for power, unit in enumerate("KMGT", start=1)}
+
+
+def check_memory(text: str) -> int:
+    """The memory of a worker, in bytes; InputError if that is no amount, or too little."""
+    found = re.fullmatch(r"([0-9.]+) *([a-zA-Z]*)", text.strip())
+    units = {unit.lower(): size for unit, size in _UNITS.items()}
     try:
-        size = int(parse_bytes(text))
-    except ValueError:
-        size = 0
-    if size < 2**28:
+        size = float(found[1]) * units[found[2].lower()] if found else 0.0
+    except (ValueError, KeyError):
+        size = 0.0
+    if not 2**28 <= size <= 2**60:
         raise InputError("--worker-memory", text, "an amount such as 1.5GiB, at least 0.25GiB")
-    return size
-
-
-def _check_workers(client: Any, address: str) -> None:
-    from distributed import TimeoutError as DaskTimeoutError
-
-    try:
-        client.wait_for_workers(1, timeout=ANSWER_S)
-    except DaskTimeoutError:
-        raise InputError(
-            "--scheduler", Unquoted(f"{address} without workers"), "a scheduler with workers"
-        ) from None
-    try:
-        client.run(_hello)
-    except Exception as error:  # whatever their Python says
-        raise InputError(
-            "--scheduler",
-            Unquoted(f"{address}: {type(error).__name__} on a worker: {str(error)[:120]}"),
-            "workers with this version of place-rsus",
-        ) from None
-
-
-def _hello() -> str:
-    """Whether a worker has this program."""
-    return __name__
+    return int(size)
 
 
 def run_junctions(
-    client: Any, tasks: Iterable[JunctionTask]
+    workers: LocalWorkers | DaskWorkers, tasks: Iterable[JunctionTask]
 ) -> Iterator[tuple[JunctionTask, JunctionAnswer]]:
     """Run tasks on workers, in the order in which they end.
 
-    Only some are handed over at a time. What fails without a reason of its own, and what a worker
-    takes along that dies, is tried three times in all; then it is a record that says so.
+    Tasks are taken when there is a worker for them. What fails without a reason of its own, and
+    what a worker takes along that dies, is tried three times in all; then it is a record that says
+    so.
     """
-    from distributed import as_completed
-
     waiting = iter(tasks)
-    running: dict[Any, JunctionTask] = {}
-    with client.as_current():
-        done = as_completed()
+    running: dict[Future[Any], tuple[JunctionTask, int]] = {}
 
-    def hand_over(most: int) -> None:
-        while len(running) < most:
-            task = next(waiting, None)
-            if task is None:
-                return
-            future = client.submit(
-                run_junction, task, key=f"junction-{task.key}", retries=TRIES - 1, pure=False
-            )
-            running[future] = task
-            done.add(future)
+    def hand_over(task: JunctionTask, attempt: int) -> None:
+        running[workers.submit(run_junction, task)] = (task, attempt)
 
-    def most() -> int:
-        return _AHEAD * max(len(client.scheduler_info(n_workers=-1)["workers"]), 1)
-
-    try:
-        hand_over(most())
-        for future in done:
-            task = running.pop(future)
-            yield task, _answer(future, task)
-            future.release()
-            hand_over(most())
-    finally:
-        for future in running:
-            future.cancel()
+    while True:
+        for task in islice(waiting, max(workers.capacity - len(running), 0)):
+            hand_over(task, 1)
+        if not running:
+            return
+        workers.wait(_WATCH_S)
+        for future in [one for one in running if one.done()]:
+            task, attempt = running.pop(future)
+            try:
+                answer: JunctionAnswer = future.result()
+            except InputError:  # a worker with another program
+                raise
+            except Exception as error:  # of a task, or of a worker that died
+                if isinstance(workers, LocalWorkers) and attempt < TRIES:
+                    hand_over(task, attempt + 1)
+                    continue
+                answer = _failed(error, task)
+            yield task, answer
 
 
-def _answer(future: Any, task: JunctionTask) -> JunctionAnswer:
-    from distributed import KilledWorker
-
-    try:
-        answer: JunctionAnswer = future.result()
-    except KilledWorker:
-        reason = f"its worker died, {TRIES} times: more --worker-memory, or fewer poses (--coarse)"
-    except Exception as error:  # of a task, tried again and again
-        told = " ".join(str(error).split())[:200]
-        reason = f"an unexpected error, {TRIES} times: {type(error).__name__}: {told}"
+def _failed(error: Exception, task: JunctionTask) -> JunctionAnswer:
+    if isinstance(error, WorkerDiedError) or type(error).__name__ == "KilledWorker":
+        cause = f" of {error}" if isinstance(error, WorkerDiedError) and str(error) else ""
+        reason = f"its worker died{cause}, {TRIES} times: more --worker-memory, or fewer poses"
     else:
-        return answer
+        told = " ".join(str(error).split())[:200]
+        if type(error) is not RuntimeError:  # those of processes here begin with the kind
+            told = f"{type(error).__name__}: {told}"
+        reason = f"an unexpected error, {TRIES} times: {told}"
     return JunctionAnswer(record=failed_record(task, reason, is_final=False), files={})

@@ -1,8 +1,8 @@
-"""What a city's folder holds beside the fronts: layouts, what to order, tables, map, report."""
+"""What a city's folder holds next to the fronts: layouts, what to order, tables, map, report."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from geometry.scene import Scene
 from geometry.scene_files import load_scene_folder
 from placement.layout import Layout, layout_from_records
 from placement.prices import load_prices
-from placement.question import Question, save_question
+from placement.question import Question, question_text, save_question
 
 from ..export.city import to_city_geopackage
 from ..export.json import to_json, to_json_text
@@ -21,8 +21,9 @@ from ..export.places import placed_records
 from ..figures.axes import to_png
 from ..figures.city import plot_city_front, plot_city_map
 from ..report.bill_of_materials import build_bill
-from ..report.city import render_city_report, render_junction_page
+from ..report.city import MAX_ROWS, render_city_report, render_junction_page
 from ..results.city import (
+    FRONT,
     FRONTS,
     JUNCTIONS,
     SUMMARY,
@@ -31,6 +32,8 @@ from ..results.city import (
     CityPurchaseRecord,
     CityResult,
     fronts_table,
+    load_front,
+    load_summary,
 )
 from ..results.csv_text import csv_text
 from ..results.folders import LAYOUT_FILE, write_files, write_manifest
@@ -41,50 +44,73 @@ REPORT, GEOPACKAGE, QUESTION = "report.html", "city.gpkg", "question.toml"
 JUNCTION_TABLE, POLE_TABLE = "junctions.csv", "poles.csv"
 
 
-def complete_result(
-    out: Path,
-    result: CityResult,
-    *,
-    question: Question,
-    kept: Mapping[str, Layout],
-    sensors: Mapping[str, Sensor],
-) -> CityResult:
-    """A result with what has to be ordered."""
-    count: Counter[tuple[str, str]] = Counter()
-    cost: Counter[tuple[str, str]] = Counter()
-    for one in result.junctions:
-        if not one.units:
-            continue
-        scene = load_scene_folder(out / one.folder)
-        layout = junction_layout(one, scene, sensors)
-        names = [unit.id for unit in layout.units]
+# ---------- the junctions that get units
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ServedTask:
+    """A junction with units, to be equipped by any process that sees the folder."""
+
+    out: Path
+    one: CityJunctionRecord
+    sensors: tuple[Sensor, ...]
+    question: Question
+    kept: Layout | None
+    has_page: bool
+    is_new: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Served:
+    """What a junction adds to the city's tables.
+
+    Attributes
+    ----------
+    items : tuple of (part, name, count, sum_eur)
+        What has to be ordered.
+    units, poles : tuple of dict
+        Rows.
+    """
+
+    items: tuple[tuple[str, str, int, float | None], ...]
+    units: tuple[dict[str, Any], ...]
+    poles: tuple[dict[str, Any], ...]
+
+
+def write_served(task: ServedTask) -> Served:
+    """Write layout, question and page of a junction, if they are new; its rows."""
+    one, question = task.one, task.question
+    folder = task.out / one.folder
+    scene = load_scene_folder(folder)
+    layout = junction_layout(one, scene, {sensor.name: sensor for sensor in task.sensors})
+    names = [unit.id for unit in layout.units]
+    kept = () if task.kept is None else task.kept.units
+    items: list[tuple[str, str, int, float | None]] = []
+    if one.units:
         bill = build_bill(
             layout,
             scene,
             site_cost_eur=question.site_cost_eur,
             prices=load_prices() if question.site_cost_eur is None else None,
-            kept_ids=_kept_ids(one, kept, names),
+            kept_ids=[unit.id for unit in kept if unit.id in names],
         )
-        for item in (*bill.sensors, *bill.sites):
-            if item.count:
-                key = (item.part, item.name if item.part == "sensor" else item.kind)
-                count[key] += item.count
-                cost[key] += round(100.0 * (item.sum_eur or 0.0))  # cents
-    return msgspec.structs.replace(
-        result,
-        purchases=tuple(
-            CityPurchaseRecord(part=key[0], name=key[1], count=n, sum_eur=cost[key] / 100.0)  # type: ignore[arg-type]
-            for key, n in count.most_common()
-        ),
-    )
-
-
-def _kept_ids(
-    one: CityJunctionRecord, kept: Mapping[str, Layout], names: Sequence[str]
-) -> list[str]:
-    """Units that hang there already: their ids are their own."""
-    stem = f"{Path(one.map).stem}/{one.id}"
-    return [unit.id for unit in kept[stem].units if unit.id in names] if stem in kept else []
+        items = [
+            (item.part, item.name if item.part == "sensor" else item.kind, item.count, item.sum_eur)
+            for item in (*bill.sensors, *bill.sites)
+            if item.count
+        ]
+    if task.is_new:
+        save_question(folder / QUESTION, question)
+        files = {LAYOUT_FILE: to_json(layout).encode()}
+        if task.has_page:
+            record = load_front(folder / FRONT)
+            assert record is not None
+            page = render_junction_page(one, record, scene, layout, question=QUESTION)
+            files[REPORT] = page.encode()
+        write_files(folder, files)
+    head = {"junction": one.id, "name": one.name, "year": one.year}
+    placed = [head | unit for unit in placed_records(layout, scene)]
+    return Served(items=tuple(items), units=tuple(placed), poles=tuple(_poles(one, scene, placed)))
 
 
 def junction_layout(one: CityJunctionRecord, scene: Scene, sensors: Mapping[str, Sensor]) -> Layout:
@@ -98,39 +124,102 @@ def junction_layout(one: CityJunctionRecord, scene: Scene, sensors: Mapping[str,
     return replace(layout, scene_name=scene.name)
 
 
+def served_tasks(
+    out: Path,
+    result: CityResult,
+    *,
+    question: Question,
+    kept: Mapping[str, Layout],
+    sensors: Mapping[str, Sensor],
+    same_fronts: Container[str],
+) -> list[ServedTask]:
+    """A task for each junction with units; what others had is removed.
+
+    `same_fronts` are folders whose fronts are those of the last call: where it chose the same,
+    nothing is written again. Those that gain most, which the report lists, get pages.
+    """
+    last = load_summary(out / SUMMARY)
+    chosen = () if last is None or last.versions != result.versions else last.junctions
+    same = {one.folder: one for one in chosen if one.folder in same_fronts}
+    asked = question_text(question).encode()
+    served = [one for one in result.junctions if one.layout and not one.reason]
+    by_gain = sorted(served, key=lambda one: -one.gain)[:MAX_ROWS]
+    paged = {one.folder for one in by_gain}
+    right = {
+        one.folder
+        for one in served
+        if same.get(one.folder) == one and _content(out / one.folder / QUESTION) == asked
+    }
+    for path in (out / JUNCTIONS).glob("*/" + REPORT):
+        folder = path.parent.relative_to(out).as_posix()
+        if folder not in right or folder not in paged:
+            path.unlink()
+    for path in (out / JUNCTIONS).glob("*/" + LAYOUT_FILE):
+        if path.parent.relative_to(out).as_posix() not in right:
+            path.unlink()
+    return [
+        ServedTask(
+            out=out,
+            one=one,
+            sensors=tuple(sensors.values()),
+            question=question,
+            kept=kept.get(f"{Path(one.map).stem}/{one.id}"),
+            has_page=one.folder in paged,
+            is_new=one.folder not in right
+            or (one.folder in paged and not (out / one.folder / REPORT).exists()),
+        )
+        for one in served
+    ]
+
+
+def _content(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError:
+        return b""
+
+
+def build_purchases(served: Iterable[Served]) -> tuple[CityPurchaseRecord, ...]:
+    """What has to be ordered for all junctions."""
+    count: Counter[tuple[str, str]] = Counter()
+    cents: Counter[tuple[str, str]] = Counter()
+    for one in served:
+        for part, name, n, sum_eur in one.items:
+            count[part, name] += n
+            cents[part, name] += round(100.0 * (sum_eur or 0.0))
+    return tuple(
+        CityPurchaseRecord(part=key[0], name=key[1], count=n, sum_eur=cents[key] / 100.0)  # type: ignore[arg-type]
+        for key, n in count.most_common()
+    )
+
+
+# ---------- the city
+
+
 def write_city(
     out: Path,
     result: CityResult,
     city: City,
     records: Sequence[CityFrontRecord],
+    served: Sequence[Served],
     *,
-    sensors: Mapping[str, Sensor],
-    question: Question,
-) -> None:
-    """Write all that is known of a city; the hashes of all files come last."""
-    units: list[dict[str, Any]] = []
-    poles: list[dict[str, Any]] = []
-    for name in (LAYOUT_FILE, REPORT):  # of an earlier choice, maybe among other junctions
-        for path in (out / JUNCTIONS).glob(f"*/{name}"):
-            path.unlink()
-    for one, record in zip(result.junctions, records, strict=True):
-        folder = out / one.folder
-        if record.reason or not one.layout:
-            continue
-        scene = load_scene_folder(folder)
-        layout = junction_layout(one, scene, sensors)
-        page = render_junction_page(one, record, scene, layout, question=QUESTION)
-        save_question(folder / QUESTION, question)
-        write_files(folder, {REPORT: page.encode(), LAYOUT_FILE: to_json(layout).encode()})
-        head = {"junction": one.id, "name": one.name, "year": one.year}
-        placed = [head | unit for unit in placed_records(layout, scene)]
-        units += placed
-        poles += _poles(one, scene, placed)
+    finish: Callable[[], dict[str, float]],
+) -> CityResult:
+    """Write tables, map and report; the hashes of all files come last.
+
+    `records` are without layouts, which are read again where they are needed. `finish` gives the
+    seconds of all stages, when all but the summary is written.
+    """
+    units = [row for one in served for row in one.units]
+    poles = [row for one in served for row in one.poles]
+    fronts = (
+        load_front(out / one.folder / FRONT) or record
+        for one, record in zip(result.junctions, records, strict=True)
+    )
     tables = {
         JUNCTION_TABLE: csv_text(_junction_table(result, records)).encode(),
         POLE_TABLE: csv_text(_frame(poles, _POLE_COLUMNS)).encode(),
-        FRONTS: fronts_table(records),
-        SUMMARY: to_json_text(result).encode(),
+        FRONTS: fronts_table(fronts),
     }
     (out / GEOPACKAGE).unlink(missing_ok=True)
     if city.roads[0].crs:
@@ -141,9 +230,13 @@ def write_city(
     front = plot_city_front(result)
     tables["map.png"] = to_png(drawn)
     tables["front.png"] = to_png(front)
-    tables[REPORT] = render_city_report(result, drawn, front, poles=poles).encode()
     write_files(out, tables)
+    paged = {one.folder for one in result.junctions if (out / one.folder / REPORT).exists()}
+    report = render_city_report(result, drawn, front, poles=poles, paged=paged)
+    result = msgspec.structs.replace(result, seconds=finish())
+    write_files(out, {REPORT: report.encode(), SUMMARY: to_json_text(result).encode()})
     write_manifest(out)
+    return result
 
 
 _POLE_COLUMNS = (

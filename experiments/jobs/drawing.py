@@ -35,7 +35,7 @@ from scenarios.runs import Run
 
 from ..progress import StageProgress, follow_parent
 from .render import cloud_bytes, depth_image, instance_image
-from .schedulers import connect_to_scheduler
+from .schedulers import connect_to_scheduler, program, run_alike
 
 DRAW = "draw"
 """The stage in which pictures are drawn."""
@@ -229,7 +229,7 @@ def start_executors(scheduler: str, workers: int) -> Iterator[NewExecutor | None
                 "--scheduler", scheduler, "dask installed: pip install 'place-rsus[cluster]'"
             ) from None
         with connected as client:
-            yield lambda: client.get_executor(retries=_TRIES - 1, pure=False)
+            yield lambda: _AlikeExecutor(client.get_executor(retries=_TRIES - 1, pure=False))
     elif workers == 1:
         yield None
     else:
@@ -238,6 +238,21 @@ def start_executors(scheduler: str, workers: int) -> Iterator[NewExecutor | None
             mp_context=multiprocessing.get_context("spawn"),
             initializer=follow_parent,
         )
+
+
+class _AlikeExecutor(Executor):
+    """Runs tasks on workers that have the same program."""
+
+    def __init__(self, executor: Executor) -> None:
+        self._executor = executor
+
+    def submit(self, function: Callable[..., Any], /, *args: Any, **options: Any) -> Future[Any]:
+        """Hand a task over."""
+        return self._executor.submit(run_alike, program(), function, *args, **options)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Give up what is left."""
+        self._executor.shutdown(wait)
 
 
 def draw_all(

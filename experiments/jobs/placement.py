@@ -15,6 +15,7 @@ from geometry.catalogue import load_cameras
 from geometry.errors import InputError
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
+from placement.cache import cached_value
 from placement.compute import Compute, silent
 from placement.evaluation import Evaluation, apr
 from placement.evaluator import evaluate_layouts
@@ -22,7 +23,6 @@ from placement.explain.other_sensors import STAGE as OTHER_SENSORS
 from placement.explain.other_sensors import find_other_sensors
 from placement.explain.sensitivity import STAGE as WHAT_IF
 from placement.explain.sensitivity import find_sensitivity, prepare_sensitivity
-from placement.kept import keep_value
 from placement.layout import Layout, check_layout
 from placement.optimiser.front import Front, front_below
 from placement.pipeline import Placement, place
@@ -322,7 +322,7 @@ def _front_below(
     n_kept = len(plan.wishes.kept)
     if len(chosen) > max(n_kept, 1):
         progress("fewer units", 0, 0)
-    return keep_value(
+    return cached_value(
         compute.cache_folder,
         "front",
         lambda: front_below(
@@ -334,8 +334,9 @@ def _front_below(
             on_point=lambda point: progress(f"fewer units: {point.units}", 0, 0),
             reduced=None if placement.presolved is None else placement.presolved(),
         ),
+        kind=Front,
         made_from=(problem, chosen, placement.certificate, n_kept, plan.effort),
-        is_kept=lambda front: front.is_proven,
+        is_worth_it=lambda front: front.is_proven,
     )
 
 

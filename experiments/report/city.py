@@ -1,6 +1,6 @@
 """Pages of a city: the report of all junctions, and one for each."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,9 @@ from ..results.numbers import euros, number, percent
 from .page import page_template
 from .section import Block, Bullets, Code, Section, Table, build_picture
 
-_MAX_ROWS = 400
+MAX_ROWS = 400
+"""Junctions and poles that are listed, and junctions that get pages."""
+
 _MAX_STEPS = 60
 _ARROW_M = 9.0
 _STAGES = {
@@ -31,12 +33,17 @@ _STAGES = {
 
 
 def render_city_report(
-    result: CityResult, city_map: Axes, front: Axes, *, poles: Sequence[Mapping[str, Any]]
+    result: CityResult,
+    city_map: Axes,
+    front: Axes,
+    *,
+    poles: Sequence[Mapping[str, Any]],
+    paged: Container[str],
 ) -> str:
-    """The city's report as one HTML page; junctions' pages are linked by relative names."""
+    """The city's report as one HTML page; it links the pages of the folders that have one."""
     sections = [
         _map_section(result, city_map),
-        _junction_section(result),
+        _junction_section(result, paged),
         _front_section(result, front),
         _proof_section(result),
         _order_section(result, poles),
@@ -67,14 +74,14 @@ def _map_section(result: CityResult, city_map: Axes) -> Section:
     return Section("map", "Where", [picture])
 
 
-def _junction_section(result: CityResult) -> Section:
+def _junction_section(result: CityResult, paged: Container[str]) -> Section:
     served = sorted((one for one in result.junctions if one.units), key=lambda one: -one.gain)
     has_years = any(one.year for one in served)
     has_districts = any(one.district for one in served)
     rows = [
         [
             str(rank),
-            _link(one),
+            _link(one, paged),
             *([one.district] if has_districts else []),
             str(one.units),
             *([str(one.year)] if has_years else []),
@@ -85,7 +92,7 @@ def _junction_section(result: CityResult) -> Section:
             percent(one.apr_one_failed),
             percent(one.gain),
         ]
-        for rank, one in enumerate(served[:_MAX_ROWS], start=1)
+        for rank, one in enumerate(served[:MAX_ROWS], start=1)
     ]
     columns = [
         "rank",
@@ -121,11 +128,11 @@ def _junction_section(result: CityResult) -> Section:
                 columns=["junction", "weight", "APR"],
                 rows=[
                     [
-                        _link(one) if one.layout else one.label,
+                        _link(one, paged),
                         percent(one.weight),
                         percent(one.apr),
                     ]
-                    for one in rest[:_MAX_ROWS]
+                    for one in rest[:MAX_ROWS]
                 ],
                 numeric=(1, 2),
             )
@@ -133,8 +140,10 @@ def _junction_section(result: CityResult) -> Section:
     return Section("junctions", "What each junction gets", blocks)
 
 
-def _link(one: CityJunctionRecord) -> str:
-    """The name of a junction that leads to its page."""
+def _link(one: CityJunctionRecord, paged: Container[str]) -> str:
+    """The name of a junction that leads to its page, if it has one."""
+    if one.folder not in paged:
+        return one.label
     return Markup('<a href="{}">{}</a>').format(f"{one.folder}/report.html", one.label)
 
 
@@ -228,7 +237,7 @@ def _order_section(result: CityResult, poles: Sequence[Mapping[str, Any]]) -> Se
                 str(pole["units"]),
                 *([f"{pole['map_x']:.6f}", f"{pole['map_y']:.6f}"] if has_map else []),
             ]
-            for pole in poles[:_MAX_ROWS]
+            for pole in poles[:MAX_ROWS]
         ],
         numeric=(3, 4, 5),
     )
@@ -246,7 +255,7 @@ def _not_done_section(result: CityResult) -> Section | None:
     table = Table(
         caption="Junctions without a front",
         columns=["junction", "weight", "why"],
-        rows=[[one.label, percent(one.weight), one.reason] for one in failed[:_MAX_ROWS]],
+        rows=[[one.label, percent(one.weight), one.reason] for one in failed[:MAX_ROWS]],
         numeric=(1,),
     )
     return Section("not-done", "What was not done", [table])

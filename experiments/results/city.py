@@ -108,6 +108,12 @@ def load_front(path: Path) -> CityFrontRecord | None:
         return None
 
 
+def without_layouts(record: CityFrontRecord) -> CityFrontRecord:
+    """A front without what takes memory: its layouts and notes."""
+    points = tuple(msgspec.structs.replace(point, layout=()) for point in record.points)
+    return msgspec.structs.replace(record, points=points, notes=())
+
+
 def fronts_table(records: Iterable[CityFrontRecord]) -> bytes:
     """All fronts as Parquet: a row for each point, and one for each junction that has none."""
     import pandas as pd
@@ -277,3 +283,12 @@ class CityResult(Record, frozen=True, kw_only=True):
     notes: Annotated[tuple[str, ...], says("What was left out or assumed.")]
     seconds: dict[str, float]
     versions: dict[str, str]
+
+
+def load_summary(path: Path) -> CityResult | None:
+    """Read ``city.json``; None if there is none, or it is of another program."""
+    try:
+        check_file(path, max_bytes=MAX_TEXT_BYTES)
+        return msgspec.json.decode(path.read_bytes(), type=CityResult)
+    except (OSError, InputError, msgspec.DecodeError, UnicodeDecodeError):
+        return None

@@ -22,10 +22,10 @@ from geometry.poses import Pose
 from geometry.sensors import CameraModel
 from geometry.weather import pick_weather
 
+from ..cache import CachedArrays, Fingerprints
 from ..candidates import CandidatePose
 from ..compute import Compute
 from ..detectors import Evidence, is_matched, load_min_iou
-from ..kept import Fingerprints, Kept
 from ..setting import Setting
 from .surroundings import build_surroundings, draw_index, load_vut_camera, load_vut_lidar
 
@@ -64,7 +64,7 @@ def watch(
     pictures, with pictures. What is kept of an earlier call is not looked at again.
     """
     names = _names(setting, units)
-    kept = _open_kept(setting, compute)
+    kept = _open_cache(setting, compute)
     new = {key: unit for key, unit in units.items() if names[key] not in kept.arrays}
     nothing = np.zeros(setting.axis.n_frames, dtype=bool)
     if new or names[VUT_KEY] not in kept.arrays:
@@ -96,10 +96,10 @@ def _names(setting: Setting, units: Mapping[UnitKey, CandidatePose]) -> dict[Uni
     }
 
 
-def _open_kept(setting: Setting, compute: Compute) -> Kept:
+def _open_cache(setting: Setting, compute: Compute) -> CachedArrays:
     """Frames that are known already; none where a network looks at pictures."""
     is_kept = compute.cache_folder is not None and not setting.detector.needs_pictures
-    return Kept(
+    return CachedArrays(
         compute.cache_folder if is_kept else None,
         "views",
         kind=_KIND,

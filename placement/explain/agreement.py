@@ -10,13 +10,13 @@ from geometry.image_boxes import box_height_px, iou
 from geometry.lidar import LidarModel
 from scenarios.runs import find_onsets
 
+from ..cache import cached_value
 from ..candidates import CandidatePose
 from ..compute import DEFAULT_COMPUTE, Compute
 from ..detection_table import DetectionTable
 from ..detectors import Evidence
 from ..evaluation import Evaluation, earliest_arrival_s
 from ..evaluator import build_surroundings, perceive_from_roadside
-from ..kept import keep_value
 from ..setting import Setting
 from ..visibility import table_fingerprint
 
@@ -53,10 +53,11 @@ def find_disagreements(
     if folder is not None:
         runs, planner, units = setting.runs, setting.planner, evaluation.layout.units
         seen = table_fingerprint(setting.scene, units, runs, planner, seed=compute.seed)
-    return keep_value(
+    return cached_value(
         folder,
         "disagreements",
         lambda: _find_disagreements(setting, detected, evaluation),
+        kind=tuple[Disagreement, ...],
         made_from=(seen, setting.detector, setting.rule, detected, evaluation),
     )
 

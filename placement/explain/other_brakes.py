@@ -8,8 +8,8 @@ import numpy as np
 from geometry.arrays import FloatArray
 from scenarios.aeb import AebRule, last_brake_time_s
 
+from ..cache import CachedArrays, Fingerprints
 from ..compute import Compute
-from ..kept import Fingerprints, Kept
 from ..setting import Setting
 
 _KIND = "place-rsus/braking/1"  # raise it whenever the same encounters give other brake times
@@ -30,7 +30,7 @@ def find_last_brake_times(
     fingerprint = ""
     if compute.cache_folder is not None:
         fingerprint = hashes.of(_KIND, [run.encounter for run in setting.runs])
-    kept = Kept(compute.cache_folder, "braking", kind=_KIND, fingerprint=fingerprint)
+    kept = CachedArrays(compute.cache_folder, "braking", kind=_KIND, fingerprint=fingerprint)
     kept.add(
         {
             name: _last_brake_times_s(setting, rules[value])

@@ -17,10 +17,10 @@ from geometry.terrain import on_ground
 from scenarios.aeb import confirmation_mask, is_in_time, live_confirmation_time_s
 from scenarios.runs import Run
 
+from ..cache import cached_value
 from ..candidates import CandidatePose, is_in_view
 from ..compute import DEFAULT_COMPUTE, Compute
 from ..detection_table import DetectionTable
-from ..kept import keep_value
 from ..optimiser import PlacementProblem, run_margins_s
 from ..optimiser.limits import fitting
 from ..setting import Setting
@@ -322,10 +322,11 @@ def find_unavoided(
     seen = ""
     if compute.cache_folder is not None:
         seen = table_fingerprint(scene, candidates, setting.runs, setting.planner, seed=seed)
-    return keep_value(
+    return cached_value(
         compute.cache_folder,
         "unavoided",
         lambda: _find_unavoided(setting, problem, candidates, chosen, compute),
+        kind=tuple[Unavoided, ...],
         made_from=(
             *(problem, chosen, seen, scene.instances, scene.triangle_instance),
             [candidate.site_id for candidate in candidates],

@@ -19,11 +19,11 @@ from geometry.scene import Scene
 from geometry.weather import pick_weather
 from scenarios.runs import FrameAxis, Run
 
+from ..cache import CachedArrays, Fingerprints, load_arrays, save_arrays, tell_unused
 from ..candidates import CandidatePose
 from ..compute import DEFAULT_COMPUTE, Compute
 from ..detection_table import DetectionTable
 from ..detectors import PlanningDetector
-from ..kept import Fingerprints, Kept, load_arrays, save_arrays, tell_unused
 from ..setting import Setting
 from .casting import LastingScene, World, build_world
 from .sensing import build_sensing, cast_for
@@ -115,7 +115,7 @@ def detected_frames(
         scene_hash = table_fingerprint(
             setting.scene, (), setting.runs, setting.planner, seed=compute.seed
         )
-    kept = Kept(compute.cache_folder, "looks", kind=_FORMAT, fingerprint=scene_hash)
+    kept = CachedArrays(compute.cache_folder, "looks", kind=_FORMAT, fingerprint=scene_hash)
     new = {name: look for name, look in zip(names, looks, strict=True) if name not in kept.arrays}
     if new:
         frames = _look_from(setting, [*new.values()], pool=pool, compute=compute)

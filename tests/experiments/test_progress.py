@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from experiments import progress as progress_module
 from experiments.progress import (
     Interrupted,
     StageProgress,
@@ -215,3 +216,21 @@ def test_what_does_not_listen_is_ended(prepare, work, tmp_path):
     assert process.returncode == 130
     assert message == "place-rsus: interrupted in stage 'solve': nothing was written\n"
     assert time.monotonic() - began_s < 5.0  # 0.7 s, and a busy machine
+
+
+def test_without_a_terminal_a_long_stage_says_how_far_it_is(monkeypatch, capsys):
+    monkeypatch.setattr(progress_module, "LINE_EVERY_S", 0.0)
+    progress = StageProgress()
+    progress.start(quiet=False)
+    for done in range(3):
+        progress("junctions", done, 3)
+    progress.stop()
+    lines = ["junctions ...", "junctions: 0 of 3", "junctions: 1 of 3", "junctions: 2 of 3"]
+    assert capsys.readouterr().err.splitlines() == lines
+    monkeypatch.setattr(progress_module, "LINE_EVERY_S", 60.0)
+    progress = StageProgress()
+    progress.start(quiet=False)
+    for done in range(3):
+        progress("junctions", done, 3)
+    progress.stop()
+    assert capsys.readouterr().err.splitlines() == lines[:1]

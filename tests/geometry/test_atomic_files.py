@@ -3,7 +3,7 @@ import stat
 
 import pytest
 
-from geometry.files import writable_by_others, write_atomically
+from geometry.files import write_atomically
 
 
 def _names(folder):
@@ -81,45 +81,5 @@ def test_a_file_is_as_readable_as_any_other_new_one(tmp_path, mask, mode):
     finally:
         os.umask(before)
     assert found == [mode, mode]
-
-
-# ---------- who else may write
-
-
-@pytest.mark.skipif(not hasattr(os, "getuid"), reason="the system has no such rights")
-@pytest.mark.parametrize(
-    ("mode", "is_shared"),
-    [(0o700, False), (0o755, False), (0o707, True), (0o777, True), (0o1777, True)],
-)
-def test_who_else_may_write_is_told_by_the_rights_of_a_folder(tmp_path, mode, is_shared):
-    folder = tmp_path / "cache"
-    folder.mkdir()
-    folder.chmod(mode)
-    assert writable_by_others(folder) is is_shared
-    inside = folder / "own"
-    inside.mkdir(mode=0o700)  # others may put another in its place, but where that is forbidden
-    assert writable_by_others(inside) is (is_shared and not mode & 0o1000)
-
-
-@pytest.mark.skipif(not hasattr(os, "getuid"), reason="the system has no such rights")
-@pytest.mark.parametrize(
-    ("group", "members", "is_shared"),
-    [("ann", [], False), ("ann", ["ann"], False), ("ann", ["bob"], True), ("staff", [], True)],
-)
-def test_a_users_own_group_is_nobody_else(tmp_path, monkeypatch, group, members, is_shared):
-    import grp
-    import pwd
-    from types import SimpleNamespace
-
-    folder = tmp_path / "cache"
-    folder.mkdir()
-    folder.chmod(0o770)
-    if os.getuid() == 0:
-        os.chown(folder, 0, 12345)
-    monkeypatch.setattr(pwd, "getpwuid", lambda uid: SimpleNamespace(pw_name="ann"))
-    found = SimpleNamespace(gr_name=group, gr_mem=members)
-    monkeypatch.setattr(grp, "getgrgid", lambda gid: found)
-    assert writable_by_others(folder) is is_shared
-    if os.getuid() == 0:
-        os.chown(folder, 4321, 0)
-        assert writable_by_others(folder)
+    write_atomically(tmp_path / "c.bin", lambda file: file.write(b"new"), is_private=True)
+    assert stat.S_IMODE((tmp_path / "c.bin").stat().st_mode) == 0o600

@@ -17,7 +17,8 @@ from experiments.results.city import CityResult, load_manifest
 def solved_here(monkeypatch):
     """Solves junctions in this process, and draws nothing."""
     solve_here(monkeypatch)
-    monkeypatch.setattr(job, "write_city", lambda *args, **settings: None)
+    monkeypatch.setattr(job, "write_city", lambda out, result, *args, **settings: result)
+    monkeypatch.setattr(job, "_write_served", lambda *args: [])
 
 
 def test_the_first_line_says_what_matters_and_json_says_all(run, solved_here, tmp_path):
@@ -84,7 +85,7 @@ def test_what_cannot_be_asked_is_one_line(run, tmp_path, arguments, message):
 def test_the_help_has_examples(run):
     code, out, _ = run("city", "--help")
     assert code == 0
-    assert "place-rsus city town.osm.pbf --budget-eur 400000 --coarse --out city" in out
+    assert "place-rsus city town.osm.pbf --budget-eur 400000 --out city" in out
     assert command.name == "city"
 
 

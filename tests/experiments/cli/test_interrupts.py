@@ -96,12 +96,12 @@ def test_ctrl_c_ends_the_program_in_every_stage_and_leaves_nothing(ends, stage):
     assert end["last"].startswith("place-rsus: interrupted in stage '")
     assert f": nothing was written to {OUT}" in end["last"]
     assert end["left"] == []
-    assert set(end["kept"]) <= {".npz", ".pickle"}  # whole tables and runs: no temporary file
+    assert set(end["kept"]) <= {".npz", ".msgpack"}  # whole tables and runs: no temporary file
 
 
 def test_a_table_that_is_done_is_kept_for_the_next_call(ends):
-    assert ends["detection table"]["kept"] == [".pickle"]  # the runs
+    assert ends["detection table"]["kept"] == [".msgpack"]  # the runs
     # The table, the runs, and the proven answers: the best layout, the front below, what is lost.
     assert ends["evaluate"]["kept"].count(".npz") == 1
-    assert ".pickle" in ends["evaluate"]["kept"]
+    assert ".msgpack" in ends["evaluate"]["kept"]
     assert ends["evaluate"]["last"].endswith("; the detection table is kept for the next call\n")

@@ -8,6 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from experiments.cli.options import JUDGED, PLANNED, SectionedCommand, question_options
+from geometry.errors import InputError
 from placement.question import Question, load_question
 
 
@@ -102,3 +103,18 @@ def test_an_option_that_is_gone_is_none(run, option):
     code, out, err = run("--budget", 1, option, "1")
     assert (code, out) == (2, "")
     assert err.startswith(f"place-rsus: No such option '{option}'.")
+
+
+@pytest.mark.parametrize("command", [_plan, _judge])
+def test_a_network_that_only_the_file_names_is_refused(path, command):
+    path.write_text('detector = "mail/net.onnx"\n')
+    said = (
+        r"--question: detector: got 'mail/net.onnx'; expected no network, which is a program, or "
+        r"--detector mail/net.onnx as well if you trust it"
+    )
+    with pytest.raises(InputError, match=said):
+        asked(command, "--question", str(path))
+    trusted = asked(command, "--question", str(path), "--detector", "mail/net.onnx")
+    assert "detector='mail/net.onnx'" in trusted
+    path.write_text('detector = "response.toml"\n')
+    assert "detector='response.toml'" in asked(command, "--question", str(path))

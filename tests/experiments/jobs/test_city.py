@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
+from concurrent.futures import Future
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -18,16 +19,18 @@ from city_maps import FEW_RUNS, FEW_RUNS_OPTIONS, solve_here, write_city
 from once import make_once
 
 from experiments.jobs import city as job
-from experiments.jobs import city_workers, schedulers
-from experiments.jobs.city_inputs import CityWish
-from experiments.progress import StageProgress
+from experiments.jobs import city_answer, city_workers, city_writing, local_workers, schedulers
+from experiments.jobs.city_inputs import CitySearch, CityWish
+from experiments.progress import WRITING, StageProgress
 from experiments.results.city import load_front
 from experiments.results.folders import changed_files
+from experiments.results.numbers import percent
 from geometry.errors import InputError, MissingExtraError
+from placement.city.fronts import Options
 from placement.layout import load_layout
 from placement.question import load_question_values
 
-SEARCH = job.CitySearch(is_coarse=True, max_units=2, max_junction_s=3600.0)
+SEARCH = CitySearch(is_coarse=True, max_units=2, max_junction_s=3600.0)
 LEAST_S = 1.0e-6
 
 
@@ -63,7 +66,8 @@ def tiny(tmp_path_factory):
 @pytest.fixture
 def no_pages(monkeypatch):
     """Draws nothing, and writes no tables."""
-    monkeypatch.setattr(job, "write_city", lambda *args, **settings: None)
+    monkeypatch.setattr(job, "write_city", lambda out, result, *args, **settings: result)
+    monkeypatch.setattr(city_writing, "render_junction_page", lambda *args, **settings: "")
 
 
 @pytest.fixture
@@ -187,12 +191,16 @@ def test_a_junction_that_cannot_be_done_is_a_row_with_its_reason(tiny, here, tmp
     reasons = [one.reason for one in result.junctions]
     assert sum(map(bool, reasons)) == result.not_done == 2
     assert any("--sites: got" in reason for reason in reasons)
-    assert "2 junctions not done" in result.sentences[0]
+    part = percent(result.stages[0].objective)
+    of_all = percent(result.stages[0].objective / 3.0)
+    assert f": {of_all} of the accidents at all of them are prevented" in result.sentences[0]
+    assert result.sentences[0].endswith("; 2 junctions are not done.")
+    assert any(f"of those at the others {part} are prevented" in one for one in result.sentences)
     rows = pd.read_csv(tmp_path / "new" / "junctions.csv")
     assert rows.reason.notna().sum() == 2
     assert "What was not done" in (tmp_path / "new" / "report.html").read_text()
     # More time is another question: what was in time stays in the folder, the rest is told.
-    with pytest.raises(InputError, match=r"no junction with a front.* --max-junction-seconds"):
+    with pytest.raises(InputError, match=r"no junction with a front.*; expected more time or memo"):
         run(tiny / "tiny.osm", city, search=replace(SEARCH, max_junction_s=LEAST_S))
 
 
@@ -263,6 +271,44 @@ def test_a_budget_below_the_cheapest_unit_buys_nothing_and_says_what_it_would(
         assert result.sentences[1].startswith("The cheapest useful choice is 1 unit at ")
 
 
+def test_the_cheapest_useful_choice_is_that_for_the_least_money(tiny):
+    city = job.load_city([tiny / "tiny.osm"], SEARCH.reading, CityWish(budget_units=1))
+    cost_eur, apr = [0.0, 8_560.0, 0.0, 4_040.0, 5_000.0], [0.0, 0.9, 0.0, 0.2, 0.3]
+    options = Options(
+        junction=[0, 0, 1, 1, 1],
+        units=[0, 1, 0, 1, 1],
+        cost_eur=cost_eur,
+        apr=apr,
+        **{name: np.zeros(5) for name in ("apr_one_failed", "smallest_margin_s", "mean_margin_s")},
+    )
+    said = city_answer._cheapest(city, options, [0, 1], np.array([0.5, 0.5]), np.array([0, 2]))
+    assert said.startswith("The cheapest useful choice is 1 unit at ")
+    assert said.endswith("for 4,040 EUR: it would prevent 10.0 % of the city's accidents.")
+
+
+def test_pages_of_junctions_that_stay_as_they_were_are_not_drawn_again(tiny, city, never):
+    def pages():
+        return {path: path.stat().st_mtime_ns for path in city.glob("junctions/*/report.html")}
+
+    before = pages()
+    assert len(before) == 2
+    run(tiny / "tiny.osm", city)
+    assert pages() == before
+    run(tiny / "tiny.osm", city, budget_units=1)
+    assert len(pages()) == 1
+    run(tiny / "tiny.osm", city, budget_units=0)
+    assert pages() == {}
+    assert not changed_files(city)
+
+
+def test_seconds_are_those_of_all_stages(tiny, city, never):
+    seconds = run(tiny / "tiny.osm", city).seconds
+    assert {"read maps", "choose", job.SERVE, WRITING} < seconds.keys()
+    assert seconds["total"] == pytest.approx(
+        sum(value for name, value in seconds.items() if name != "total"), abs=0.01
+    )
+
+
 def test_what_hangs_there_is_kept_and_paid(tiny, here, tmp_path, no_pages):
     before = json.loads((tiny / "city" / "city.json").read_text())
     served = next(one for one in before["junctions"] if one["units"])
@@ -328,8 +374,37 @@ def test_maps_that_overlap_or_have_no_junction_are_refused(tiny, never, tmp_path
 
 def test_dask_that_is_missing_is_one_line(tiny, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'place-rsus\[city\]'"):
-        run(tiny / "tiny.osm", tmp_path / "city")
+    workers = job.CityWorkers(scheduler="tcp://127.0.0.1:9")
+    with pytest.raises(MissingExtraError, match=r"pip install 'place-rsus\[cluster\]'"):
+        run(tiny / "tiny.osm", tmp_path / "city", workers=workers)
+
+
+class OtherProgram:
+    """A client of a cluster whose workers have another program."""
+
+    def wait_for_workers(self, n, timeout):
+        pass
+
+    def run(self, function):
+        return {"tcp://worker": "place-rsus 0.0.9 (0123)"}
+
+
+def test_workers_with_another_program_are_refused(monkeypatch):
+    said = r"--scheduler: got tcp://x: tcp://worker with place-rsus 0\.0\.9 \(0123\); expected"
+    with pytest.raises(InputError, match=said):
+        schedulers._check_workers(OtherProgram(), "tcp://x")
+    assert schedulers.run_alike(schedulers.program(), abs, -1) == 1
+    with pytest.raises(InputError, match="joined later with place-rsus 0\\.0\\.9"):
+        schedulers.run_alike("place-rsus 0.0.9 (0123)", abs, -1)
+
+
+def test_the_program_is_told_by_version_and_by_code_and_data(monkeypatch):
+    said = schedulers.program()
+    assert said.startswith("place-rsus ")
+    monkeypatch.setattr(
+        schedulers, "hash_of_files", lambda name: b"other" if name == "scenarios" else b"same"
+    )
+    assert schedulers.program.__wrapped__() != said
 
 
 def test_a_scheduler_that_is_not_there_is_one_line(tiny, tmp_path, monkeypatch):
@@ -411,15 +486,8 @@ def test_a_cluster_of_processes_gives_the_same_fronts(tiny, tmp_path, no_pages):
 
 
 def check_fronts_of(address, tiny, tmp_path):
-    told = []
-    result = run(
-        tiny / "tiny.osm",
-        tmp_path / "city",
-        workers=job.CityWorkers(scheduler=address),
-        told=told,
-    )
+    result = run(tiny / "tiny.osm", tmp_path / "city", workers=job.CityWorkers(scheduler=address))
     assert result.computed == 3
-    assert any(sentence.startswith("Dashboard of the workers: ") for sentence in told)
     for mine, theirs in zip(fronts_of(tiny / "city"), fronts_of(tmp_path / "city"), strict=True):
         assert mine.key == theirs.key
         assert mine.points == theirs.points
@@ -428,47 +496,51 @@ def check_fronts_of(address, tiny, tmp_path):
 def tasks_of(path):
     city = job.load_city([path], SEARCH.reading, CityWish(budget_units=1))
     grid = job.build_grid("", is_coarse=True)
-    return [task for _, task in job._tasks(city, FEW_RUNS, SEARCH, grid, kept={}, seed=0)]
+    tasks = job._Tasks(city, FEW_RUNS, SEARCH, grid, kept={}, seed=0)
+    return [tasks.task(one) for one in city.junctions]
 
 
-def test_a_junction_whose_worker_died_thrice_is_told(tmp_path):
-    distributed = pytest.importorskip("distributed")
+class Dying:
+    """Workers of which each dies, and how often one was asked."""
 
-    class Lost:
-        def result(self):
-            raise distributed.KilledWorker("junction", None, city_workers.TRIES)
+    capacity, times = 1, 0
 
+    def submit(self, function, task):
+        self.times += 1
+        future = Future()
+        future.set_exception(local_workers.WorkerDiedError("more than 1.5 GiB of memory"))
+        return future
+
+    def wait(self, timeout_s):
+        pass
+
+
+def test_a_junction_whose_worker_died_thrice_is_told(tmp_path, monkeypatch):
+    monkeypatch.setattr(city_workers, "LocalWorkers", Dying)
     [task, *_] = tasks_of(write_city(tmp_path))
-    record = city_workers._answer(Lost(), task).record
-    assert record.id == task.chosen.junction.id
-    assert record.reason.startswith("its worker died, 3 times: more --worker-memory")
-    assert not record.is_final
+    workers = Dying()
+    [(_, answer)] = city_workers.run_junctions(workers, [task])
+    assert workers.times == 3
+    assert answer.record.id == task.chosen.junction.id
+    assert answer.record.reason == (
+        "its worker died of more than 1.5 GiB of memory, 3 times: more --worker-memory, or fewer "
+        "poses"
+    )
+    assert not answer.record.is_final
 
 
 @pytest.mark.long
-@pytest.mark.filterwarnings("ignore")
-def test_a_worker_that_is_killed_loses_nothing_and_one_that_always_dies_is_told(
-    tiny, tmp_path, monkeypatch
-):
+def test_a_worker_that_is_killed_loses_nothing(tiny):
     tasks = tasks_of(tiny / "tiny.osm")
     with city_workers.start_workers(
         "", n_workers=2, memory="1.5GiB", tell=lambda sentence: None
-    ) as client:
-        limits = client.run(lambda dask_worker: dask_worker.memory_manager.memory_pause_fraction)
-        assert list(limits.values()) == [False, False]
-        victim = next(iter(client.run(os.getpid).values()))
-        killer = threading.Timer(1.0, os.kill, (victim, signal.SIGKILL))
+    ) as workers:
+        killer = threading.Timer(1.0, lambda: os.kill(workers.pids()[0], signal.SIGKILL))
         killer.start()
-        answers = [answer.record for _, answer in city_workers.run_junctions(client, tasks)]
+        answers = [answer.record for _, answer in city_workers.run_junctions(workers, tasks)]
         killer.join()
         assert [record.reason for record in answers] == [""] * 3
         assert {record.id for record in answers} == {"n1", "n2", "n3"}
-        monkeypatch.setattr(
-            city_workers, "run_junction", lambda task: os.kill(os.getpid(), signal.SIGKILL)
-        )
-        [(_, answer)] = city_workers.run_junctions(client, tasks[:1])
-        assert answer.record.reason.startswith("its worker died, 3 times: more --worker-memory")
-        assert not answer.record.is_final
 
 
 @pytest.mark.long

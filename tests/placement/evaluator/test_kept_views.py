@@ -157,7 +157,7 @@ def test_what_a_network_finds_is_not_kept(setting, tmp_path):
     class Network:
         needs_pictures = True
 
-    kept = watch_module._open_kept(
+    kept = watch_module._open_cache(
         replace(setting, detector=Network()), Compute(cache_folder=tmp_path)
     )
     kept.add({"a": np.zeros(1)})

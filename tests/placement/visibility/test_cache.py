@@ -1,6 +1,5 @@
 import logging
 import os
-import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -11,16 +10,19 @@ from geometry.actors import PlacedActor
 from geometry.lidar import load_lidar_detection, load_lidars
 from geometry.poses import Pose
 from geometry.weather import load_weathers
-from placement import kept
+from placement import cache
+from placement.cache import content_hash
+from placement.cache_values import from_bytes, to_bytes
 from placement.detection_table import pack_table
 from placement.detectors import GeometricDetector, load_planning_detector
-from placement.kept import content_hash
 from placement.visibility import build as build_module
 from placement.visibility import (
     load_table,
     save_table,
     table_fingerprint,
 )
+from scenarios.paths import StraightPath
+from scenarios.runs import Run
 
 LIDAR = load_lidars()["carla-ncap-lidar"]
 THIN_FOG = replace(load_weathers()["fog"], visibility_m=51.0)
@@ -78,7 +80,7 @@ def test_runs_that_were_kept_on_disk_have_the_same_fingerprint(inputs, actors):
         actor=actors["parked-van"], pose=Pose(position_m=[3.0, 2.0, 0.0], yaw_deg=0.0)
     )
     runs = tuple(replace(run, obstruction=(van,)) for run in inputs["runs"])
-    kept = pickle.loads(pickle.dumps(runs[0]))  # with a van of its own
+    kept = from_bytes(to_bytes(runs[0]), Run, classes=(StraightPath,))  # with a van of its own
     assert kept.obstruction[0].actor is not van.actor
     fresh = _fingerprint(inputs | {"runs": runs})
     assert _fingerprint(inputs | {"runs": (kept, runs[1])}) == fresh
@@ -228,16 +230,23 @@ def test_a_new_folder_is_the_users_own(stored):
 
 
 @pytest.mark.parametrize("mode", [0o777, 0o1777, 0o755])
-def test_a_folder_into_which_others_may_write_is_told_once(stored, caplog, mode):
+def test_a_table_where_others_may_write_is_not_believed_which_is_told_once(stored, caplog, mode):
     _, path, _ = stored
     path.parent.chmod(mode)
-    kept._tell_if_shared.cache_clear()
-    assert _load(stored) is not None
-    assert _load(stored) is not None
-    told = [text for text in caplog.messages if "where other users may write" in text]
-    assert len(told) == (mode != 0o755)
-    assert all(str(path.parent) in text for text in told)
-    kept._tell_if_shared.cache_clear()
+    cache._is_usable.cache_clear()
+    assert [_load(stored) is not None for _ in range(2)] == [mode == 0o755] * 2
+    told = [f"nothing is cached: {path.parent} can be written to by other users"]
+    assert caplog.messages == (told if mode != 0o755 else [])
+    cache._is_usable.cache_clear()
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid") or os.getuid() != 0, reason="only root gives away")
+def test_a_table_of_another_user_is_not_believed(stored, caplog):
+    _, path, _ = stored
+    os.chown(path, 4321, 4321)
+    assert _load(stored) is None
+    _assert_one_line(caplog, path)
+    assert "another user may have written it" in caplog.messages[0]
 
 
 # Folders that cannot be written to
@@ -250,10 +259,9 @@ def test_a_folder_that_cannot_be_made_is_logged_and_no_error(stored, caplog, tmp
     path = in_the_way / "table.npz"
     save_table(path, table, fingerprint=FINGERPRINT)
     (message,) = caplog.messages
-    assert message == f"detection table not cached: {path}: File exists"
-    caplog.clear()
+    assert message == f"nothing is cached: {in_the_way} cannot be made (File exists)"
     assert load_table(path, fingerprint=FINGERPRINT, **rest) is None
-    assert "Not a directory" in caplog.messages[0]
+    assert len(caplog.messages) == 1  # told once
 
 
 def test_a_full_disk_is_logged_and_leaves_the_old_table(stored, caplog, monkeypatch):
@@ -264,7 +272,7 @@ def test_a_full_disk_is_logged_and_leaves_the_old_table(stored, caplog, monkeypa
         file.write(b"half")
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(kept.np, "savez", full)
+    monkeypatch.setattr(cache.np, "savez", full)
     save_table(path, table, fingerprint="f" * 32)
     assert caplog.messages == [f"detection table not cached: {path}: No space left on device"]
     assert path.read_bytes() == before

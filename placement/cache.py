@@ -1,9 +1,11 @@
-"""What is kept on disk for the next call, under a hash of all that it was made from."""
+"""Results cached on disk for the next call, under a hash of all that they were made from.
+
+What is read is data: arrays without pickles, and values along their type hints. It is neither read
+nor written in a folder into which other users may write.
+"""
 
 import hashlib
-import io
 import logging
-import pickle
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
@@ -16,7 +18,10 @@ from typing import Any, BinaryIO, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.files import writable_by_others, write_atomically
+from geometry.files import write_atomically
+from geometry.private_folders import open_own, trouble_with
+
+from .cache_values import from_bytes, to_bytes
 
 _log = logging.getLogger(__name__)
 
@@ -89,20 +94,32 @@ def save_arrays(
 
 def _write(path: Path, write: Callable[[BinaryIO], object], *, what: str) -> bool:
     """Write a file, whole or not at all; what cannot be written is only logged."""
+    if not _is_usable(path.parent):
+        return False
     try:
-        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        write_atomically(path, write)
+        write_atomically(path, write, is_private=True)
     except OSError as error:
         _log.warning("%s not cached: %s: %s", what, path, error.strerror or error)
         return False
     return True
 
 
+@cache
+def _is_usable(folder: Path) -> bool:
+    """Whether a folder can hold a cache, made if it is missing; says once if it cannot."""
+    trouble = trouble_with(folder)
+    if trouble:
+        _log.warning("nothing is cached: %s %s", folder, trouble)
+    return not trouble
+
+
 def load_arrays(path: Path, *, what: str, kind: str, fingerprint: str) -> Arrays | None:
     """Read arrays of a fingerprint; None, and logged, if the file is damaged or foreign."""
+    if not path.parent.is_dir() or not _is_usable(path.parent):
+        return None
     try:
         # Opened here: numpy does not close a file that turns out to be no archive.
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+        with open_own(path) as file, np.load(file, allow_pickle=False) as stored:
             if str(stored["format"]) != kind or str(stored["fingerprint"]) != fingerprint:
                 raise ValueError("made from other inputs")
             content = str(stored["content"])
@@ -110,7 +127,6 @@ def load_arrays(path: Path, *, what: str, kind: str, fingerprint: str) -> Arrays
             arrays = {name: stored[name] for name in names}
             if content != content_hash(arrays, fingerprint):
                 raise ValueError("its content is not what was written")
-        _tell_if_shared(path.parent)
     except FileNotFoundError:
         return None
     except Exception as error:  # damaged archives raise many kinds: zipfile's, zlib's, tokenize's
@@ -137,25 +153,14 @@ def content_hash(arrays: Mapping[str, NDArray[Any]], fingerprint: str) -> str:
     return digest.hexdigest()
 
 
-@cache
-def _tell_if_shared(folder: Path) -> None:
-    """Say once that files of a folder are believed into which other users may write."""
-    if writable_by_others(folder):
-        _log.warning(
-            "detection tables are read from %s, where other users may write: PLACE_RSUS_CACHE "
-            "names another folder, --no-cache uses none",
-            folder,
-        )
-
-
 # ---------- many small results of one question
 
 
-class Kept:
+class CachedArrays:
     """Small arrays by key that belong to one fingerprint, such as the frames that units detect.
 
-    Without a folder nothing is kept. Where two processes write at once, what one of them found may
-    be lost and made anew later.
+    Without a folder nothing is cached. Where two processes write at once, what one of them found
+    may be lost and made anew later.
 
     Attributes
     ----------
@@ -169,16 +174,16 @@ class Kept:
         self.arrays = self._load()
 
     def add(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Keep what is new, too; the oldest is given up where there are many."""
+        """Cache what is new, too; the oldest is given up where there are many."""
         if arrays.keys() <= self.arrays.keys():
             return
         self.arrays |= arrays
         if self._path is None:
             return
         known = self._load() | self.arrays  # another process may have added some
-        kept = dict([*known.items()][-MAX_KEPT:])
+        newest = dict([*known.items()][-MAX_ARRAYS:])
         save_arrays(
-            *(self._path, kept),
+            *(self._path, newest),
             what=self._what,
             kind=self._kind,
             fingerprint=self._fingerprint,
@@ -195,7 +200,7 @@ class Kept:
         return found or {}
 
 
-MAX_KEPT = 500
+MAX_ARRAYS = 500
 """Arrays in a file; a question has some thirty units, each of a few kilobytes."""
 
 MAX_FILES = 100
@@ -209,8 +214,8 @@ MAX_VALUES = 20
 def _prune(path: Path, *, most: int) -> None:
     pattern = f"{path.name.split('-')[0]}-*{path.suffix}"
     try:
-        kept = sorted(path.parent.glob(pattern), key=lambda file: file.stat().st_mtime)
-        for file in kept[:-most]:
+        files_by_age = sorted(path.parent.glob(pattern), key=lambda file: file.stat().st_mtime)
+        for file in files_by_age[:-most]:
             file.unlink(missing_ok=True)
     except OSError as error:  # somebody else tidies up, or nothing may be removed
         _log.info("%s: %s", path.parent, error)
@@ -223,88 +228,97 @@ ALL_PACKAGES = ("geometry", "scenarios", "placement")
 """All whose code may decide an answer."""
 
 
-def keep_value(
+def cached_value(
     folder: Path | None,
     name: str,
     make: Callable[[], _T],
     *,
+    kind: Any,
     made_from: Sequence[object],
     packages: Sequence[str] = ALL_PACKAGES,
-    is_kept: Callable[[_T], bool] = lambda value: True,
+    classes: Sequence[type] = (),
+    is_worth_it: Callable[[_T], bool] = lambda value: True,
 ) -> _T:
     """What `make` gives, from the last call that asked for the same.
 
     Parameters
     ----------
     folder : Path, optional
-        Where it is kept; None: nowhere. Nothing is believed or kept in a folder into which other
-        users may write, for reading it back runs what it says.
+        Where it is cached; None: nowhere.
     name : str
         Of the value, in messages and in the file's name.
     make : function
         Makes it, from nothing but `made_from` and what the packages hold.
+    kind : type hint
+        Of the value; see :mod:`placement.cache_values`.
     made_from : sequence of object
         See :class:`Fingerprints`.
     packages : sequence of str
         Whose code and data make it: any change of their files makes it anew.
-    is_kept : function
-        Whether a value is worth keeping, such as one that needed no more time than it was given.
+    classes : sequence of type
+        Dataclasses that stand where the hints of `kind` name a protocol.
+    is_worth_it : function
+        Whether a value is cached, such as one that needed no more time than it was given.
 
     Returns
     -------
     value : object
         Equal to what `make` gives, and arrays that are read-only there are so here.
     """
-    if folder is None or writable_by_others(folder):
+    if folder is None:
         return make()
-    code = (sys.version, *map(version, _LIBRARIES), *map(_hash_of_files, packages))
-    fingerprint = Fingerprints().of(code, *made_from)
-    path = folder / f"{name}-{fingerprint}.pickle"
-    try:
-        stored = path.read_bytes()
-        key, content = stored[:_HASH_SIZE], stored[_HASH_SIZE:]
-        if hashlib.blake2b(content, digest_size=_HASH_SIZE).digest() != key:
-            raise ValueError("its content is not what was written")
-        kept = cast(_T, pickle.loads(content))
-        _log.info("%s (cached): read from %s", name, path)
-        return kept
-    except FileNotFoundError:
-        pass
-    except Exception as error:  # damaged pickles raise anything
-        tell_unused(path, error, what=name)
+    fingerprint = Fingerprints().of(hash_of_code(packages), *made_from)
+    path = folder / f"{name}-{fingerprint}.msgpack"
+    found = _load_value(path, name, kind, fingerprint, classes)
+    if found is not None:
+        return cast(_T, found)
     value = make()
-    if not is_kept(value):
-        return value
-    buffer = io.BytesIO()
-    _Pickler(buffer, pickle.HIGHEST_PROTOCOL).dump(value)
-    content = buffer.getvalue()
-    key = hashlib.blake2b(content, digest_size=_HASH_SIZE).digest()
-    if _write(path, lambda file: file.write(key + content), what=name):
-        _prune(path, most=MAX_VALUES)
+    if is_worth_it(value):
+        content = to_bytes(value)
+        key = _key(content, fingerprint)
+        if _write(path, lambda file: file.write(key + content), what=name):
+            _prune(path, most=MAX_VALUES)
     return value
+
+
+def _load_value(
+    path: Path, name: str, kind: Any, fingerprint: str, classes: Sequence[type]
+) -> object:
+    """A value from a file; None, and logged, if that is damaged or foreign."""
+    if not path.parent.is_dir() or not _is_usable(path.parent):
+        return None
+    try:
+        with open_own(path) as file:
+            stored = file.read()
+        if _key(stored[_HASH_SIZE:], fingerprint) != stored[:_HASH_SIZE]:
+            raise ValueError("its content is not what was written")
+        found: object = from_bytes(stored[_HASH_SIZE:], kind, classes=classes)
+    except FileNotFoundError:
+        return None
+    except Exception as error:  # what is damaged raises anything
+        tell_unused(path, error, what=name)
+        return None
+    _log.info("%s (cached): read from %s", name, path)
+    return found
+
+
+def _key(content: bytes, fingerprint: str) -> bytes:
+    """Hash of a file's content, which fits one fingerprint only."""
+    return hashlib.blake2b(content, key=fingerprint.encode(), digest_size=_HASH_SIZE).digest()
 
 
 _HASH_SIZE = 32
 _LIBRARIES = ("numpy", "scipy", "numba", "cvxpy", "highspy", "osqp")
 
 
-class _Pickler(pickle.Pickler):
-    """Keeps arrays read-only, which pickles otherwise forget."""
-
-    def reducer_override(self, value: object) -> Any:
-        """How an object is made anew; arrays that may be written to, and all else, as always."""
-        if type(value) is np.ndarray and not value.flags.writeable:
-            return _read_only, (value.copy(),)
-        return NotImplemented
-
-
-def _read_only(array: NDArray[Any]) -> NDArray[Any]:
-    array.setflags(write=False)
-    return array
+def hash_of_code(packages: Sequence[str] = ALL_PACKAGES) -> str:
+    """Hash of code and data of packages, and of the libraries that decide their results."""
+    code = (sys.version, *map(version, _LIBRARIES), *map(hash_of_files, packages))
+    return Fingerprints().of(code)
 
 
 @cache
-def _hash_of_files(package: str) -> bytes:
+def hash_of_files(package: str) -> bytes:
     """Hash of a package's code and data."""
     digest = hashlib.blake2b(digest_size=16)
     folder = Path(str(files(package)))

@@ -5,8 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from placement import kept
-from placement.kept import MAX_FILES, MAX_KEPT, Fingerprints, Kept, keep_value
+from geometry.arrays import FloatArray
+from placement import cache
+from placement.cache import MAX_ARRAYS, MAX_FILES, CachedArrays, Fingerprints, cached_value
+from placement.cache_values import to_bytes
 
 FINGERPRINT = "0123456789abcdef" * 2
 ROWS = {"a": np.array([True, False, True]), "b": np.arange(3.0)}
@@ -19,7 +21,7 @@ class Thing:
 
 
 def opened(folder, *, kind="test/1", fingerprint=FINGERPRINT):
-    return Kept(folder, "rows", kind=kind, fingerprint=fingerprint)
+    return CachedArrays(folder, "rows", kind=kind, fingerprint=fingerprint)
 
 
 def file_in(folder):
@@ -154,10 +156,10 @@ def test_a_folder_that_cannot_be_made_costs_a_line(tmp_path, caplog):
     in_the_way = tmp_path / "file"
     in_the_way.write_text("not a folder", encoding="utf-8")
     notes = opened(in_the_way)
-    caplog.clear()
     notes.add(ROWS)
     assert notes.arrays.keys() == ROWS.keys()
-    assert any(message.startswith("rows not cached: ") for message in caplog.messages)
+    assert keep(in_the_way, a_thing).name == "made"
+    assert caplog.messages == [f"nothing is cached: {in_the_way} cannot be made (File exists)"]
 
 
 # Bounds
@@ -165,16 +167,16 @@ def test_a_folder_that_cannot_be_made_costs_a_line(tmp_path, caplog):
 
 def test_of_many_arrays_the_oldest_are_given_up(tmp_path):
     notes = opened(tmp_path)
-    notes.add({f"{number}": np.zeros(1) for number in range(MAX_KEPT)})
+    notes.add({f"{number}": np.zeros(1) for number in range(MAX_ARRAYS)})
     notes.add({"new": np.zeros(1)})
     names = list(opened(tmp_path).arrays)
-    assert len(names) == MAX_KEPT
+    assert len(names) == MAX_ARRAYS
     assert (names[0], names[-1]) == ("1", "new")
     assert "0" in notes.arrays  # this call may still need it
 
 
 def test_of_many_files_of_a_name_the_oldest_are_removed(tmp_path, monkeypatch):
-    monkeypatch.setattr(kept, "MAX_FILES", 3)
+    monkeypatch.setattr(cache, "MAX_FILES", 3)
     assert MAX_FILES > 3
     other = tmp_path / "table-0.npz"
     other.write_bytes(b"")
@@ -188,10 +190,16 @@ def test_of_many_files_of_a_name_the_oldest_are_removed(tmp_path, monkeypatch):
 # Values of any kind
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pair:
+    name: str
+    part: tuple[FloatArray, FloatArray]
+
+
 def a_thing():
     part = np.arange(3.0)
     part.setflags(write=False)
-    return Thing(name="made", part=(part, np.arange(2)))
+    return Pair(name="made", part=(part, np.arange(2.0)))
 
 
 class Made:
@@ -206,7 +214,7 @@ class Made:
 
 
 def keep(folder, make, *, made_from=("a", 1), packages=("scenarios",)):
-    return keep_value(folder, "things", make, made_from=made_from, packages=packages)
+    return cached_value(folder, "things", make, kind=Pair, made_from=made_from, packages=packages)
 
 
 def test_a_value_is_made_once_and_read_back_as_it_was(tmp_path):
@@ -221,7 +229,12 @@ def test_a_value_is_made_once_and_read_back_as_it_was(tmp_path):
 def test_a_value_that_is_not_worth_it_is_made_again(tmp_path):
     make = Made()
     for _ in range(2):
-        keep_value(tmp_path, "things", make, made_from=(), is_kept=lambda value: False)
+        cached_value(
+            *(tmp_path, "things", make),
+            kind=Pair,
+            made_from=(),
+            is_worth_it=lambda value: False,
+        )
     assert make.times == 2
     assert not any(tmp_path.iterdir())
 
@@ -232,17 +245,17 @@ def test_a_value_from_something_else_or_other_code_is_made_anew(tmp_path, monkey
     keep(tmp_path, make, made_from=("a", 2))
     keep(tmp_path, make, packages=("scenarios", "geometry"))
     assert make.times == 3
-    monkeypatch.setattr(kept, "_hash_of_files", lambda package: b"edited")
+    monkeypatch.setattr(cache, "hash_of_files", lambda package: b"edited")
     keep(tmp_path, make)
     assert make.times == 4
 
 
 def test_the_hash_of_a_package_is_that_of_its_code_and_data(tmp_path, monkeypatch):
-    monkeypatch.setattr(kept, "files", lambda package: tmp_path / package)
+    monkeypatch.setattr(cache, "files", lambda package: tmp_path / package)
     for name in ("code.py", "data/facts.toml", "__pycache__/code.pyc"):
         (tmp_path / "pack" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "pack" / name).write_text("1", encoding="utf-8")
-    hash_now = kept._hash_of_files.__wrapped__
+    hash_now = cache.hash_of_files.__wrapped__
     hashes = [hash_now("pack")]
     for name in ("code.py", "data/facts.toml"):
         (tmp_path / "pack" / name).write_text("2", encoding="utf-8")
@@ -262,6 +275,19 @@ def test_nothing_is_kept_without_a_folder_or_where_others_may_write(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_value_of_another_kind_under_the_right_hash_is_made_anew(tmp_path, caplog):
+    make = Made()
+    keep(tmp_path, make)
+    (path,) = tmp_path.iterdir()
+    for content in (to_bytes(7), to_bytes((1, 2)), to_bytes(Thing(name="a", part=1)), b"\xc1"):
+        key = cache._key(content, path.stem.removeprefix("things-"))
+        path.write_bytes(key + content)
+        assert keep(tmp_path, make).name == "made"
+        assert caplog.messages.pop().startswith(f"cached things not used, made anew: {path}: ")
+        caplog.clear()
+    assert make.times == 5
+
+
 @pytest.mark.parametrize("content", [b"", b"short", b"x" * 400], ids=["empty", "cut off", "other"])
 def test_a_damaged_value_is_told_and_made_anew(tmp_path, caplog, content):
     make = Made()
@@ -276,15 +302,8 @@ def test_a_damaged_value_is_told_and_made_anew(tmp_path, caplog, content):
     assert make.times == 2
 
 
-def test_values_that_cannot_be_written_cost_a_line(tmp_path, caplog):
-    in_the_way = tmp_path / "file"
-    in_the_way.write_text("not a folder", encoding="utf-8")
-    assert keep(in_the_way, a_thing).name == "made"
-    assert any(message.startswith("things not cached: ") for message in caplog.messages)
-
-
 def test_of_many_values_the_oldest_are_removed(tmp_path, monkeypatch):
-    monkeypatch.setattr(kept, "MAX_VALUES", 3)
+    monkeypatch.setattr(cache, "MAX_VALUES", 3)
     for number in range(5):
         keep(tmp_path, a_thing, made_from=(number,))
     assert len(list(tmp_path.iterdir())) == 3

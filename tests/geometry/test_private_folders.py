@@ -1,0 +1,130 @@
+import os
+import struct
+import tempfile
+
+import pytest
+
+from geometry import private_folders
+from geometry.private_folders import (
+    open_own,
+    private_temporary_folder,
+    trouble_with,
+    user_cache_folder,
+    writable_by_others,
+)
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="the system has no such rights")
+@pytest.mark.parametrize(
+    ("mode", "is_shared"),
+    [(0o700, False), (0o755, False), (0o707, True), (0o777, True), (0o1777, True)],
+)
+def test_who_else_may_write_is_told_by_the_rights_of_a_folder(tmp_path, mode, is_shared):
+    folder = tmp_path / "cache"
+    folder.mkdir()
+    folder.chmod(mode)
+    assert writable_by_others(folder) is is_shared
+    inside = folder / "own"
+    inside.mkdir(mode=0o700)  # others may put another in its place, but where that is forbidden
+    assert writable_by_others(inside) is (is_shared and not mode & 0o1000)
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="the system has no such rights")
+@pytest.mark.parametrize(
+    ("group", "members", "is_shared"),
+    [("ann", [], False), ("ann", ["ann"], False), ("ann", ["bob"], True), ("staff", [], True)],
+)
+def test_a_users_own_group_is_nobody_else(tmp_path, monkeypatch, group, members, is_shared):
+    import grp
+    import pwd
+    from types import SimpleNamespace
+
+    folder = tmp_path / "cache"
+    folder.mkdir()
+    folder.chmod(0o770)
+    if os.getuid() == 0:
+        os.chown(folder, 0, 12345)
+    monkeypatch.setattr(pwd, "getpwuid", lambda uid: SimpleNamespace(pw_name="ann"))
+    found = SimpleNamespace(gr_name=group, gr_mem=members)
+    monkeypatch.setattr(grp, "getgrgid", lambda gid: found)
+    assert writable_by_others(folder) is is_shared
+    if os.getuid() == 0:
+        os.chown(folder, 4321, 0)
+        assert writable_by_others(folder)
+
+
+def _acl(*named):
+    """An access control list: owner, owning group, others, and named users with their rights."""
+    plain = [(0x01, 7, 0xFFFFFFFF), (0x04, 0, 0xFFFFFFFF), (0x10, 7, 0xFFFFFFFF)]
+    entries = [*plain, *((0x02, rights, who) for who, rights in named), (0x20, 0, 0xFFFFFFFF)]
+    entries.sort()
+    return struct.pack("<I", 2) + b"".join(struct.pack("<HHI", *one) for one in entries)
+
+
+@pytest.mark.skipif(not hasattr(os, "setxattr"), reason="the system has no such lists")
+@pytest.mark.parametrize("name", ["system.posix_acl_access", "system.posix_acl_default"])
+def test_whom_an_access_control_list_lets_write_is_somebody_else(tmp_path, name):
+    folder = tmp_path / "cache"
+    folder.mkdir(mode=0o700)
+    try:
+        for rights, is_shared in ((5, False), (7, True)):
+            os.setxattr(folder, name, _acl((4321, rights)))
+            assert writable_by_others(folder) is is_shared
+    except OSError as error:
+        pytest.skip(f"the file system: {error}")
+    assert trouble_with(folder) == "can be written to by other users"
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="the system has no such rights")
+def test_a_folder_behind_links_is_judged_by_all_that_leads_there(tmp_path):
+    (tmp_path / "open").mkdir()
+    target = tmp_path / "open" / "own"
+    target.mkdir(mode=0o700)
+    (tmp_path / "first").symlink_to("open")
+    (tmp_path / "link").symlink_to(tmp_path / "first" / "own")
+    assert not writable_by_others(tmp_path / "link")
+    (tmp_path / "open").chmod(0o777)
+    assert writable_by_others(tmp_path / "link")
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid") or os.getuid() != 0, reason="only root gives away")
+def test_links_and_files_of_another_user_are_not_believed(tmp_path):
+    target = tmp_path / "own"
+    target.mkdir(mode=0o700)
+    link = tmp_path / "link"
+    link.symlink_to(target)
+    os.lchown(link, 4321, 4321)
+    assert writable_by_others(link)
+    path = target / "file"
+    path.write_bytes(b"mine")
+    path.chmod(0o600)
+    with open_own(path) as file:
+        assert file.read() == b"mine"
+    os.chown(path, 4321, 4321)
+    with pytest.raises(PermissionError, match="another user may have written it"):
+        open_own(path)
+
+
+def test_a_relative_cache_home_does_not_count(monkeypatch, tmp_path):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for value in ("here", "../there", ""):
+        monkeypatch.setenv("XDG_CACHE_HOME", value)
+        assert user_cache_folder().is_relative_to(tmp_path)
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="the system has no such rights")
+def test_a_temporary_folder_is_the_same_unless_somebody_else_holds_its_name(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    find = private_temporary_folder.__wrapped__
+    first = find()
+    assert find() == first == tmp_path / f"place-rsus-{os.getuid()}"
+    assert first.stat().st_mode & 0o777 == 0o700
+    first.chmod(0o777)
+    removed = []
+    monkeypatch.setattr(
+        private_folders.atexit, "register", lambda remove, folder, **_: removed.append(folder)
+    )
+    other = find()
+    assert other != first
+    assert other.stat().st_mode & 0o777 == 0o700
+    assert removed == [other]
