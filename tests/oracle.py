@@ -33,8 +33,10 @@ class Oracle:
         self.sample = [0] * self.n_runs if samples is None else samples.tolist()
         self._margins: dict[tuple[int, tuple[int, ...]], float] = {}
         self._of_units: dict[tuple[int, ...], list[float]] = {}
-        self._sees = [[self._frames_seen(pose, run) for run in range(self.n_runs)]
-                      for pose in range(self.n_poses)]
+        self._sees = [
+            [self._frames_seen(pose, run) for run in range(self.n_runs)]
+            for pose in range(self.n_poses)
+        ]
         self.names = self._stages()
         self.layouts = {poses: self.values(poses) for poses in self._feasible()}
 
@@ -98,7 +100,9 @@ class Oracle:
         if self.problem.tail == 1.0:
             return sum(avoided) / all_worlds
         result, left = 0.0, self.problem.tail
-        for ratio, share in sorted((a / t, t / all_worlds) for a, t in zip(avoided, total)):
+        for ratio, share in sorted(
+            (a / t, t / all_worlds) for a, t in zip(avoided, total, strict=True)
+        ):
             counted = min(share, left)
             result += counted * ratio
             left -= counted

@@ -23,7 +23,7 @@ from placement.city.junction import JunctionWishes
 from placement.city.phases import Phases, plan_phases
 from placement.kept import Fingerprints
 from placement.layout import Layout
-from placement.optimiser.objectives import TOLERANCE
+from placement.optimiser.tolerances import TOLERANCE
 from placement.planning import build_grid
 from placement.question import Question
 from placement.setting import check_question

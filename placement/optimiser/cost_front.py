@@ -23,11 +23,12 @@ from .front import (
 from .greedy import to_full
 from .limits import Limits
 from .model import Effort
-from .objectives import COST_TOLERANCE_EUR, TOLERANCE, Objective
+from .objectives import Objective
 from .presolve import ReducedProblem, presolve
 from .problem import Floor, PlacementProblem, Requirement
 from .solve import build_stage, check_floors, check_limits, check_reach
 from .stages import Stages
+from .tolerances import COST_TOLERANCE_EUR, TOLERANCE
 
 # ---------- price levels
 
@@ -81,7 +82,9 @@ def level_beyond_eur(levels_eur: FloatArray | None, amount_eur: float) -> float:
 def _cents(amounts_eur: FloatArray) -> list[int] | None:
     cents = np.unique(amounts_eur) * _CENTS
     whole = np.rint(cents)
-    is_whole = len(cents) <= _MAX_LEVELS and bool((np.abs(cents - whole) <= 1.0e-6 * _CENTS).all())
+    is_whole = len(cents) <= _MAX_LEVELS and bool(
+        (np.abs(cents - whole) <= COST_TOLERANCE_EUR * _CENTS).all()
+    )
     return [int(number) for number in whole] if is_whole else None
 
 

@@ -9,7 +9,9 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
 
-from .objectives import COST_TOLERANCE_EUR
+from .tolerances import COST_TOLERANCE_EUR, ROUNDING
+
+_CENTS, _MAX_CENTS = 100.0, 2.0**53
 
 Failing = Literal["unit", "site"]
 """What fails at once: a unit, or a site (a pole) with everything that it carries."""
@@ -171,6 +173,15 @@ def cost_eur(limits: Limits, pose_index: Sequence[int] | IntArray) -> float:
     poses = np.asarray(pose_index, dtype=np.int64)
     sites = np.unique(limits.site_index[poses])
     return float(limits.unit_cost_eur[poses].sum() + limits.site_cost_eur[sites].sum())
+
+
+def price_step_eur(limits: Limits) -> float:
+    """What the cost of every set is a whole multiple of, in cents at least; 0 where that fails."""
+    prices = np.concatenate([limits.unit_cost_eur, limits.site_cost_eur])
+    cents = np.rint(prices * _CENTS)
+    if cents.max(initial=0.0) > _MAX_CENTS or (np.abs(cents / _CENTS - prices) > ROUNDING).any():
+        return 0.0
+    return float(np.gcd.reduce(cents.astype(np.int64), initial=0)) / _CENTS
 
 
 def costs_eur(limits: Limits, sets: IntArray) -> FloatArray:

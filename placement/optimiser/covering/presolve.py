@@ -23,7 +23,8 @@ from scipy.sparse.csgraph import connected_components
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
-from .instance import TOLERANCE, CoveringInstance
+from ..tolerances import ROUNDING
+from .instance import CoveringInstance
 
 # ---------- containment
 
@@ -327,7 +328,7 @@ def dear_columns(covers: sp.csr_array, cost: FloatArray) -> BoolArray:
     cheapest = np.full(covers.shape[1], np.inf)
     np.minimum.at(cheapest, covers.indices, np.repeat(cost, np.diff(covers.indptr)))
     together = np.asarray(covers @ cheapest, dtype=np.float64)
-    return cost > together * (1.0 + TOLERANCE)  # the same prices, summed up in another order
+    return cost > together * (1.0 + ROUNDING)  # the same prices, summed up in another order
 
 
 def equal_rows(covers: sp.csr_array) -> BoolArray:

@@ -31,7 +31,8 @@ import scipy.sparse as sp
 
 from geometry.arrays import FloatArray, IntArray
 
-from .instance import TOLERANCE, is_whole
+from ..tolerances import ROUNDING
+from .instance import is_whole
 
 if TYPE_CHECKING:
     from .kernels import Matrix
@@ -101,7 +102,7 @@ class RowWeighting:
             self.best = np.sort(self._state.chosen[: counters[N_CHOSEN]])
             self.cost = float(self._matrix.cost[self.best].sum())
             # Whole costs differ by 1 or not at all; others by more than rounding.
-            self._limit = self.cost - (0.5 if self._is_whole else TOLERANCE * self.cost)
+            self._limit = self.cost - (0.5 if self._is_whole else ROUNDING * self.cost)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -142,7 +143,7 @@ def lagrangian_bound(
             length, n_idle = 0.5 * length, 0
         price = np.maximum(price + (length * (known_cost - value) / norm) * excess, 0.0)
     # The sums of prices are off by rounding.
-    return LagrangianBound(bound=best - TOLERANCE * abs(best), reduced_cost=best_reduced_cost)
+    return LagrangianBound(bound=best - ROUNDING * abs(best), reduced_cost=best_reduced_cost)
 
 
 def _matrix(covers: sp.csr_array, cost: FloatArray) -> "Matrix":

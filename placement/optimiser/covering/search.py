@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
 from ...memory import available_bytes
-from .instance import TOLERANCE, CoveringBudget
+from ..tolerances import ROUNDING
+from .instance import CoveringBudget
 
 _TRACE = 1.0e-3  # of the tolerance: what running sums may be off
 _MIN_RUINED_SHARE, _MAX_RUINED_SHARE = 0.05, 0.35
@@ -102,7 +103,7 @@ def cover_cheaply(
     can be left out.
     """
     cover = _Cover(covers, weight)
-    slack = TOLERANCE * float(weight.sum())
+    slack = ROUNDING * float(weight.sum())
     _complete(cover, cost, needed_weight, slack)
     _drop_redundant(cover, cost, needed_weight, slack)
     best = cover.chosen()
@@ -161,7 +162,7 @@ def drop_redundant(
     cover = _Cover(covers[chosen], weight)
     for column in range(len(chosen)):
         cover.add(column)
-    _drop_redundant(cover, cost[chosen], needed_weight, TOLERANCE * float(weight.sum()))
+    _drop_redundant(cover, cost[chosen], needed_weight, ROUNDING * float(weight.sum()))
     return chosen[cover.is_chosen]
 
 
@@ -229,7 +230,7 @@ def _drop_redundant(cover: _Cover, cost: FloatArray, needed_weight: float, slack
 
 def _fill(cover: _Cover, cost: FloatArray, price: FloatArray, budget: CoveringBudget) -> None:
     """Add columns as long as the budget allows and they cover something more."""
-    least = TOLERANCE * _TRACE * float(cover.weight.sum())
+    least = ROUNDING * _TRACE * float(cover.weight.sum())
     while budget.units is None or cover.is_chosen.sum() < budget.units:
         is_open = ~cover.is_chosen & (cost <= budget.money - cost[cover.is_chosen].sum())
         ratio = _ratio(cover.gain, price, is_open & (cover.gain > least))
@@ -241,7 +242,7 @@ def _fill(cover: _Cover, cost: FloatArray, price: FloatArray, budget: CoveringBu
 
 def _exchange(cover: _Cover, cost: FloatArray, price: FloatArray, budget: CoveringBudget) -> None:
     """Exchange one column for another as long as more is covered."""
-    least = TOLERANCE * float(cover.weight.sum())
+    least = ROUNDING * float(cover.weight.sum())
     goes_on, n_exchanges = True, 0
     while goes_on and n_exchanges < _MAX_EXCHANGES:
         goes_on = False

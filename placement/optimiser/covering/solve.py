@@ -26,8 +26,8 @@ from geometry.errors import InputError
 
 from ...layout import relative_gap
 from ...memory import available_bytes, check_fits, gib
+from ..tolerances import ROUNDING, SOLVER_TOLERANCE
 from .instance import (
-    TOLERANCE,
     CoveringBudget,
     CoveringInstance,
     build_covering_instance,
@@ -81,7 +81,6 @@ _WORK_PER_ENTRY = 2000  # of the local search where it comes first, or alone
 _BOUND_SHARE = 0.1  # of the time
 _LOOK_S = 0.05
 _MODEL_BYTES = 300  # of the solver's memory for each entry of the matrix; measured: 200 to 240
-_SOLVER_TOLERANCE = 1.0e-6  # of proven bounds, relative
 _MIN_PART = 100  # columns: smaller independent parts are solved together
 
 
@@ -174,8 +173,8 @@ def solve_lscp(
     cost = float(instance.cost[chosen].sum())
     bound += float(instance.cost[reduced.essential].sum())
     if is_whole(instance.cost):
-        bound = max(bound, float(np.ceil(bound - _SOLVER_TOLERANCE * max(1.0, abs(bound)))))
-    if bound >= cost * (1.0 - _SOLVER_TOLERANCE):
+        bound = max(bound, float(np.ceil(bound - SOLVER_TOLERANCE * max(1.0, abs(bound)))))
+    if bound >= cost * (1.0 - SOLVER_TOLERANCE):
         bound = cost
     return _solution(instance, chosen, cost, bound, reduced.statistics, names, began_s)
 
@@ -217,7 +216,7 @@ def solve_mclp(
                 found, best = columns, weight
 
     def is_open() -> bool:
-        return bound > best * (1.0 + gap + TOLERANCE)
+        return bound > best * (1.0 + gap + ROUNDING)
 
     def left_s() -> float:
         return time_limit_s - (time.perf_counter() - began_s)
@@ -246,8 +245,8 @@ def solve_mclp(
     chosen = np.sort(reduced.column_index[found])
     covered = instance.covered_weight(chosen)
     if is_whole(instance.weight):
-        bound = min(bound, float(np.floor(bound + _SOLVER_TOLERANCE * max(1.0, bound))))
-    if bound <= covered * (1.0 + _SOLVER_TOLERANCE):
+        bound = min(bound, float(np.floor(bound + SOLVER_TOLERANCE * max(1.0, bound))))
+    if bound <= covered * (1.0 + SOLVER_TOLERANCE):
         bound = covered
     names = names or [GREEDY if units else "presolve"]
     return _solution(instance, chosen, covered, bound, reduced.statistics, names, began_s)
@@ -294,7 +293,7 @@ def _cover_enough(
     least, bound = float(cost[found].sum()), 0.0
     if len(found):
         bound = least_cost_bound(covers, cost, weight, needed_weight=needed)
-    is_open = least > bound * (1.0 + gap + TOLERANCE)
+    is_open = least > bound * (1.0 + gap + ROUNDING)
     left_s = time_limit_s - (time.perf_counter() - began_s)
     if solver == GREEDY or not is_open or left_s <= 0.0 or not _fits(covers):
         return MilpAnswer(chosen=found, bound=min(bound, least)), GREEDY
@@ -303,7 +302,7 @@ def _cover_enough(
     )
     if answer.chosen is not None and cost[answer.chosen].sum() < least:
         covered = np.unique(covers[answer.chosen].indices)
-        if weight[covered].sum() >= needed - TOLERANCE * weight.sum():
+        if weight[covered].sum() >= needed - ROUNDING * weight.sum():
             found, least = answer.chosen, float(cost[answer.chosen].sum())
     return MilpAnswer(chosen=found, bound=min(max(bound, answer.bound), least)), solver_text()
 
@@ -331,7 +330,7 @@ class _FullCover:
         """What a bound says: sums of whole costs are whole."""
         if not is_whole(self.cost):
             return bound
-        return float(np.ceil(bound - _SOLVER_TOLERANCE * max(1.0, abs(bound))))
+        return float(np.ceil(bound - SOLVER_TOLERANCE * max(1.0, abs(bound))))
 
     def take(self, columns: IntArray) -> None:
         """Note a cover, if it is one, and cheaper than what is known."""
@@ -346,7 +345,7 @@ class _FullCover:
         return self.deadline_s - time.perf_counter()
 
     def is_open(self) -> bool:
-        return self.least > self.bound * (1.0 + self.gap + TOLERANCE)
+        return self.least > self.bound * (1.0 + self.gap + ROUNDING)
 
     def search_first(self) -> None:
         """Local search as far as the size is worth it; it does not stop without a cover."""
@@ -373,7 +372,7 @@ class _FullCover:
                 return True
             self.search = RowWeighting(self.covers, self.cost)
         self.search.go_on()
-        return self.search.cost > self.bound * (1.0 + self.gap + TOLERANCE)
+        return self.search.cost > self.bound * (1.0 + self.gap + ROUNDING)
 
     def raise_bound(self) -> LagrangianBound:
         relaxed = lagrangian_bound(
@@ -388,7 +387,7 @@ class _FullCover:
     def worth_a_look(self, relaxed: LagrangianBound) -> IntArray:
         """Columns of the cover that is known, and those that a cheaper one can have."""
         least_step = 1.0 if is_whole(self.cost) else 0.0
-        limit = self.least - least_step + _SOLVER_TOLERANCE * self.least
+        limit = self.least - least_step + SOLVER_TOLERANCE * self.least
         is_kept = relaxed.bound + relaxed.reduced_cost <= limit
         is_kept[self.found] = True
         return np.flatnonzero(is_kept)
