@@ -114,7 +114,7 @@ def solve_heuristically(
         if best.units is not None and now_s() >= end_s:
             break
         units = extend_greedily(reduced, start)
-        if not len(units) or not is_allowed(reduced.limits, units):
+        if not is_allowed(reduced.limits, units):
             continue
         units = improve(reduced, units, limit, end_s=end_s)
         best.offer(units[None, :], set_values(reduced, units[None, :]))
@@ -126,7 +126,7 @@ def solve_heuristically(
 def _without(reduced: ReducedProblem, left: IntArray, removed: int) -> tuple[IntArray, SetValues]:
     """The set itself, if it is allowed, and its value."""
     sets = left[None, :]
-    if not len(left) or not are_allowed(reduced.limits, sets)[0]:
+    if not are_allowed(reduced.limits, sets)[0]:
         sets = sets[:0]
     return sets, set_values(reduced, sets)
 

@@ -195,9 +195,13 @@ def costs_eur(limits: Limits, sets: IntArray) -> FloatArray:
 
 
 def are_allowed(limits: Limits, sets: IntArray) -> BoolArray:
-    """Which sets of distinct poses are within all limits: (n_sets, n_units) -> (n_sets,)."""
+    """Which sets of distinct poses, one at least, are within all limits, (n_sets,).
+
+    `sets` is (n_sets, n_units).
+    """
     n_sets, n_units = sets.shape
-    allowed = np.full(n_sets, limits.budget_units is None or n_units <= limits.budget_units)
+    most = np.inf if limits.budget_units is None else limits.budget_units
+    allowed = np.full(n_sets, 1 <= n_units <= most)
     sites = limits.site_index[sets]
     n_beside = (sites[:, :, None] == sites[:, None, :]).sum(axis=2)
     allowed &= (n_beside <= limits.site_capacity[sites]).all(axis=1)
