@@ -179,7 +179,7 @@ def test_a_forced_unit_that_leaves_no_room_for_what_avoids_is_told() -> None:
     full = replace(
         problem.limits,
         site_index=np.array([0, 0]),
-        site_capacity=np.array([1]),
+        site_capacity=np.array([1, 0]),
         is_forced=np.array([True, False]),
     )
     expected = "candidates: got no layout that avoids anything; expected one within the limits"

@@ -56,7 +56,7 @@ def random_axis(rng: np.random.Generator) -> FrameAxis:
         "alike": np.ones(n_runs),
         "whole": rng.integers(1, 4, n_runs).astype(np.float64),
         "any": rng.random(n_runs) + 0.01,
-        "magnitudes": 10.0 ** -rng.integers(0, 7, n_runs),
+        "magnitudes": 10.0 ** -rng.integers(0, 9, n_runs),
     }[kind.item()]
     weight[rng.random(n_runs) < rng.choice([0.0, 0.2, 0.5])] = 0.0
     weight[rng.integers(n_runs)] += 1.0
