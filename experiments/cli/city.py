@@ -43,7 +43,7 @@ _MAX_LISTED = 12
     cls=SectionedCommand,
     epilog="""\b
 Examples:
-  place-rsus city town.osm.pbf --budget-eur 400000 --coarse --out city
+  place-rsus city town.osm.pbf --budget-eur 400000 --out city
   place-rsus city town.osm.pbf --budget 60 --within centre.geojson --out city
   place-rsus city town.osm.pbf --budget-eur 400000 --out city \\
       --junction-weights accidents.csv --snap 40

@@ -84,7 +84,7 @@ def test_what_cannot_be_asked_is_one_line(run, tmp_path, arguments, message):
 def test_the_help_has_examples(run):
     code, out, _ = run("city", "--help")
     assert code == 0
-    assert "place-rsus city town.osm.pbf --budget-eur 400000 --coarse --out city" in out
+    assert "place-rsus city town.osm.pbf --budget-eur 400000 --out city" in out
     assert command.name == "city"
 
 
