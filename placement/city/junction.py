@@ -209,10 +209,10 @@ def find_front(
         return by_units, by_sites
 
     few: list[tuple[int, ...]] = []
-    if first is not None and len(first) < limits.n_poses:
+    if first is not None and 0 < len(first) < limits.n_poses:
         begin("front of few poses")
         part = of_pool(problem, first)
-        if rooms_of(part.limits).any():
+        if (rooms_of(part.limits) > 0).any():
             _, found = find_front(part, effort=effort, begin=lambda _: None)
             few = [tuple(first[list(layout)].tolist()) for layout in found]
     fronts, by_cost = [fronts_of(problem, begin)], None
