@@ -151,8 +151,8 @@ class Certificate:
         return pd.DataFrame([asdict(stage) for stage in self.stages]).set_index("name")
 
 
-def relative_gap(objective: float, bound: float) -> float:
-    """Relative distance of objective and bound as HiGHS defines it; 0 where they agree.
+def relative_gap(objective: float, bound: float, *, tolerance: float = 1.0e-9) -> float:
+    """Relative distance of objective and bound as HiGHS defines it; 0 up to a `tolerance`.
 
     Examples
     --------
@@ -160,9 +160,9 @@ def relative_gap(objective: float, bound: float) -> float:
     0.2
     """
     distance = abs(bound - objective)
-    if distance <= 1.0e-9 * max(1.0, abs(objective)):
+    if distance <= tolerance:
         return 0.0
-    return round(distance / abs(objective), 12) if objective != 0.0 else math.inf
+    return max(round(distance / abs(objective), 12), 1.0e-12) if objective != 0.0 else math.inf
 
 
 def layout_records(layout: Layout) -> list[dict[str, Any]]:

@@ -17,7 +17,8 @@ from geometry.errors import InputError, Unquoted
 
 from ..layout import Certificate, Stage, relative_gap
 from ..optimiser.model import solver_text
-from ..optimiser.objectives import COST_TOLERANCE_EUR, TOLERANCE, Objective
+from ..optimiser.objectives import Objective
+from ..optimiser.tolerances import COST_TOLERANCE_EUR, TOLERANCE
 from .fronts import Options
 from .knapsack import Knapsack, best_prices, priced_choice, solve_knapsack
 
@@ -183,13 +184,12 @@ def _values(taken: Options, share: FloatArray) -> dict[Objective, float]:
 
 
 def _stage(objective: Objective, value: float, bound: float, seconds: float) -> Stage:
-    if abs(bound - value) <= objective.tolerance:
-        bound = value
+    gap = relative_gap(value, bound, tolerance=objective.tolerance)
     return Stage(
         name=str(objective),
         objective=value,
-        bound=bound,
-        gap=relative_gap(value, bound),
+        bound=value if gap == 0.0 else bound,
+        gap=gap,
         seconds=seconds,
     )
 

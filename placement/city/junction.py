@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from geometry.arrays import IntArray
 from geometry.clock import now_s
 from geometry.errors import InputError, Unquoted
 from geometry.scene import Scene
 
-from ..candidates import CandidateGrid, CandidatePose, build_candidates
+from ..candidates import CandidateGrid, CandidatePose, build_candidates, load_candidate_grid
 from ..compute import Compute
 from ..layout import Layout, check_layout
 from ..optimiser import Effort, PlacementProblem, UnmetError, presolve
@@ -20,13 +21,14 @@ from ..optimiser.front import Front, FrontPoint, largest_values, pareto_front
 from ..optimiser.limits import Limits
 from ..optimiser.objectives import Objective
 from ..optimiser.problem import PlacementValue, placement_value
+from ..optimiser.solve import of_pool
 from ..pipeline import obtain_table, pick_layout
 from ..prices import load_prices
 from ..question import Question
 from ..setting import build_setting
 from ..wishes import Wishes, build_problem, check_wishes
 from .fronts import JunctionFront, Point, Steps, build_junction_front, lowered, lowest
-from .site_front import SiteFront, bounds_by_money, front_by_sites, price_tiers_eur
+from .site_front import SiteFront, bounds_by_money, front_by_sites, price_tiers_eur, rooms_of
 
 _log = logging.getLogger(__name__)
 
@@ -141,8 +143,12 @@ def solve_junction(
         left_s = max(end_s - now_s(), _LEAST_OPTIMISER_S)
         return Effort(solver=question.solver, gap=question.gap, time_limit_s=_SHARE * left_s)
 
+    rule = replace(load_candidate_grid(is_coarse=True), sensors=wishes.grid.sensors)
+    extra = () if kept is None else kept.units
+    coarse = {candidate.id for candidate in build_candidates(scene, rule, extra=extra)}
+    first = np.flatnonzero([candidate.id in coarse for candidate in candidates])
     try:
-        front, chosen = find_front(problem, effort=effort, begin=watch.begin)
+        front, chosen = find_front(problem, effort=effort, begin=watch.begin, first=first)
     except UnmetError as error:
         raise InputError(error.where, error.got, error.expected) from None
     return SolvedJunction(
@@ -157,7 +163,11 @@ def solve_junction(
 
 
 def find_front(
-    problem: PlacementProblem, *, effort: Callable[[], Effort], begin: Callable[[str], None]
+    problem: PlacementProblem,
+    *,
+    effort: Callable[[], Effort],
+    begin: Callable[[str], None],
+    first: IntArray | None = None,
 ) -> tuple[JunctionFront, list[tuple[int, ...]]]:
     """What units and money buy, and the layout of each point.
 
@@ -169,6 +179,9 @@ def find_front(
         What the next step may take.
     begin : callable
         Is told each step.
+    first : (n,) int, optional
+        Few of the poses, those that are kept among them, whose own front is found first: no point
+        is worse than what they can do.
 
     Returns
     -------
@@ -195,6 +208,13 @@ def find_front(
         by_sites = front_by_sites(part, base_apr=base.apr, max_units=most, effort=effort)
         return by_units, by_sites
 
+    few: list[tuple[int, ...]] = []
+    if first is not None and 0 < len(first) < limits.n_poses:
+        begin("front of few poses")
+        part = of_pool(problem, first)
+        if (rooms_of(part.limits) > 0).any():
+            _, found = find_front(part, effort=effort, begin=lambda _: None)
+            few = [tuple(first[list(layout)].tolist()) for layout in found]
     fronts, by_cost = [fronts_of(problem, begin)], None
     tiers = price_tiers_eur(limits)
     if _has_prices(limits):
@@ -205,7 +225,7 @@ def find_front(
         begin("front by money")
         by_cost = _cost_front(problem, effort())
     lowest_eur = [least_eur for least_eur, _ in reversed(tiers)] or [0.0]
-    return _merge(problem, list(zip(lowest_eur, fronts, strict=True)), by_cost, base, n_kept)
+    return _merge(problem, list(zip(lowest_eur, fronts, strict=True)), by_cost, few, base, n_kept)
 
 
 def _most_units(scene: Scene, question: Question, wishes: JunctionWishes) -> int:
@@ -261,16 +281,19 @@ def _merge(
     problem: PlacementProblem,
     tiers: list[tuple[float, tuple[Front, SiteFront]]],
     by_cost: Front | None,
+    others: list[tuple[int, ...]],
     base: PlacementValue,
     n_kept: int,
 ) -> tuple[JunctionFront, list[tuple[int, ...]]]:
     """The points of all fronts that no other one beats, and the poses of each.
 
-    `tiers` are fronts with all sites, then with cheaper ones alone, and the least of their prices.
+    `tiers` are fronts with all sites, then with cheaper ones alone, and the least of their prices;
+    `others` are more layouts.
     """
     forced = tuple(np.flatnonzero(problem.limits.is_forced).tolist())
     poses = {_point(base, 0, 0.0): forced}
-    layouts = [(found.value, found.pose_index) for found in by_cost.points] if by_cost else []
+    layouts = [(placement_value(problem, layout), layout) for layout in others]
+    layouts += [(found.value, found.pose_index) for found in by_cost.points] if by_cost else []
     for _, (by_units, by_sites) in tiers:
         layouts += [(found.value, found.pose_index) for found in by_units.points]
         layouts += [(placement_value(problem, layout), layout) for layout in by_sites.layouts]

@@ -19,9 +19,9 @@ from geometry.clock import now_s
 
 from ..detection_table import DetectionTable
 from ..optimiser import Effort, Limits, PlacementProblem, presolve
-from ..optimiser.bitsets import set_values
+from ..optimiser.bitsets import set_values, values_with_each
 from ..optimiser.front import pareto_front, without_margins
-from ..optimiser.greedy import extend_greedily, improve, to_full
+from ..optimiser.greedy import extend_greedily, forced_units, improve, to_full
 from ..optimiser.objectives import Objective
 from ..optimiser.presolve import ReducedProblem
 from ..optimiser.search import Search
@@ -52,7 +52,7 @@ class SiteFront:
         return self.limits[n_sites] if n_sites < len(self.limits) else 1.0
 
 
-def _rooms_of(limits: Limits) -> IntArray:
+def rooms_of(limits: Limits) -> IntArray:
     """New units that each site can carry, (n_sites,)."""
     sites = limits.site_index
     n_kept = np.bincount(sites[limits.is_forced], minlength=limits.n_sites)
@@ -86,7 +86,7 @@ def front_by_sites(
         to confirm alone.
     """
     limits = problem.limits
-    room = _rooms_of(limits)
+    room = rooms_of(limits)
     if room.max(initial=0) < 2:
         return SiteFront(limits=(base_apr,), layouts=())
     # A site counts 1, in place of money.
@@ -105,7 +105,7 @@ def front_by_sites(
     if not is_free.any():  # what is left hangs already, or where there is no more room
         return SiteFront(limits=(base_apr,), layouts=())
     most = int(room.max())
-    bounds, full = _front_of_full_sites(
+    bounds, full, are_best = _front_of_full_sites(
         counted, reduced, room, max_sites=-(-max_units // most), effort=effort
     )
     layouts: dict[tuple[int, int], tuple[int, ...]] = {}
@@ -118,7 +118,7 @@ def front_by_sites(
             )
             at = replace(reduced, limits=within.of_poses(reduced.pose_index))
             parts = _parts_of(full.get(n_sites, ()), limits, n_units + n_kept)
-            if n_units == widest[:n_sites].sum() and parts:
+            if are_best and n_units == widest[:n_sites].sum() and parts:
                 layouts[n_sites, n_units] = parts[0]  # the best one there is
                 continue
             fewer = [layouts.get(key) for key in _fewer(n_sites, n_units)]
@@ -132,7 +132,7 @@ def front_by_sites(
 
 def price_tiers_eur(limits: Limits) -> list[tuple[float, float]]:
     """Lowest and highest price of the sites in each tier, cheap ones first; three tiers at most."""
-    prices = np.unique(limits.site_cost_eur[_rooms_of(limits) > 0]).tolist()
+    prices = np.unique(limits.site_cost_eur[rooms_of(limits) > 0]).tolist()
     own = [(price, price) for price in prices[:_MAX_TIERS]]
     return own if len(prices) <= _MAX_TIERS else [*own[:-1], (prices[_MAX_TIERS - 1], prices[-1])]
 
@@ -157,7 +157,7 @@ def bounds_by_money(limits: Limits, tiers: Sequence[tuple[float, Steps, SiteFron
         Steps that rise. [EUR]
     """
     free = ~limits.is_forbidden & ~limits.is_forced
-    room = _rooms_of(limits)
+    room = rooms_of(limits)
     units = np.cumsum(np.sort(limits.unit_cost_eur[free]))
     cheapest = np.cumsum([0.0, *np.sort(limits.site_cost_eur[room > 0])])
     carried = np.cumsum(np.sort(room[room > 0])[::-1])
@@ -182,18 +182,21 @@ def _front_of_full_sites(
     *,
     max_sites: int,
     effort: Callable[[], Effort],
-) -> tuple[list[float], dict[int, tuple[int, ...]]]:
-    """Bounds for 1, 2 .. full sites, and the layout of each number."""
+) -> tuple[list[float], dict[int, tuple[int, ...]], bool]:
+    """Bounds for 1, 2 .. full sites, the layout of each number, and whether those are the best.
+
+    They are where poses are columns one by one; of a class the pose that adds most is taken.
+    """
     limits, table = problem.limits, problem.table
     free = reduced.pose_index[~limits.is_forced[reduced.pose_index]]
     at_site = [free[limits.site_index[free] == site].tolist() for site in range(limits.n_sites)]
     sizes = [min(len(here), int(room[site])) for site, here in enumerate(at_site)]
     if problem.fusion != "any" or not len(free):
-        return [], {}
+        return [], {}, False
     classes = _classes_of(table, at_site, sizes)
     kept = np.flatnonzero(limits.is_forced).tolist()
     sets = [
-        (site, [*chain.from_iterable(chosen), *kept])
+        (site, chosen)
         for site, (here, size) in enumerate(zip(classes, sizes, strict=True))
         for chosen in combinations(here, min(size, len(here)))
         if size
@@ -201,7 +204,8 @@ def _front_of_full_sites(
     n_sets = len(sets)
     packed = np.empty((n_sets, table.packed.shape[1]), dtype=np.uint8)
     for row, (_, chosen) in enumerate(sets):
-        np.bitwise_or.reduce(table.packed[chosen], axis=0, out=packed[row])
+        together = [*chain.from_iterable(chosen), *kept]
+        np.bitwise_or.reduce(table.packed[together], axis=0, out=packed[row])
     of_sets = replace(
         problem,
         table=DetectionTable(
@@ -219,9 +223,19 @@ def _front_of_full_sites(
         stage = point.stage(Objective.APR)
         assert stage is not None  # the first of all fronts
         bounds.append(stage.bound)
-        layouts[point.units] = tuple(sorted({p for row in point.pose_index for p in sets[row][1]}))
-    is_real = all(len(each) == 1 for here in classes for each in here)
-    return bounds, layouts if is_real else {}
+        chosen_classes = chain.from_iterable(sets[row][1] for row in point.pose_index)
+        layouts[point.units] = _one_of_each(reduced, list(chosen_classes))
+    return bounds, layouts, all(len(each) == 1 for here in classes for each in here)
+
+
+def _one_of_each(reduced: ReducedProblem, classes: list[tuple[int, ...]]) -> tuple[int, ...]:
+    """What is kept, and of each class the pose that adds most to those before it."""
+    units = forced_units(reduced)
+    for poses in classes:
+        members = np.searchsorted(reduced.pose_index, poses)
+        values = values_with_each(reduced, units)[members]
+        units = np.append(units, members[values.best_row()])
+    return to_full(reduced, units)
 
 
 def _classes_of(
@@ -271,8 +285,8 @@ def _improved(
 ) -> tuple[int, ...]:
     """A good layout within the limits, from the best of some smaller ones."""
     plain = without_margins(reduced)
-    forced = np.flatnonzero(plain.limits.is_forced)
-    begin = [np.searchsorted(plain.pose_index, layout) for layout in starts] or [forced]
+    begin = [np.searchsorted(plain.pose_index, layout) for layout in starts]
+    begin = begin or [forced_units(plain)]
     sets = [extend_greedily(plain, units) for units in begin]
     values = [set_values(plain, units[None, :]) for units in sets]
     best = 0

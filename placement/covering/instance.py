@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike
 from geometry.arrays import FloatArray, float_array, freeze
 from geometry.errors import InputError, Unquoted
 
+from ..optimiser.tolerances import ROUNDING
+
 # ---------- instances
 
 
@@ -132,10 +134,6 @@ def _amounts(values: FloatArray, n: int, name: str) -> FloatArray:
 # ---------- targets and budgets
 
 
-TOLERANCE = 1.0e-9
-"""Of sums of weights and of costs, relative to the largest sum there can be."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CoveringBudget:
     """What may be chosen."""
@@ -154,7 +152,7 @@ class CoveringBudget:
     @property
     def money(self) -> float:
         """Most that may be spent, with what sums may be off by; infinite if there is no limit."""
-        return math.inf if self.cost is None else self.cost * (1.0 + TOLERANCE)
+        return math.inf if self.cost is None else self.cost * (1.0 + ROUNDING)
 
     def allows(self, cost: ArrayLike) -> bool:
         """Whether columns at these costs may be chosen together."""
@@ -194,7 +192,7 @@ def needed_weight(instance: CoveringInstance, target: float | None) -> float | N
     if not 0.0 <= target <= 1.0:
         raise InputError("--target", target, "max, or a share of the weight, 0 to 1")
     total, coverable = float(instance.weight.sum()), instance.coverable_weight
-    needed = (target - TOLERANCE) * total
+    needed = (target - ROUNDING) * total
     if needed > coverable:
         most = math.floor(1.0e6 * coverable / total) / 1.0e6
         raise InputError(

@@ -29,8 +29,8 @@ from geometry.errors import InputError
 
 from ..layout import relative_gap
 from ..memory import check_fits
+from ..optimiser.tolerances import ROUNDING, common_step, settle
 from .instance import (
-    TOLERANCE,
     CoveringBudget,
     CoveringInstance,
     check_effort,
@@ -48,7 +48,6 @@ _LONGEST_S = 1.0e6  # eleven days: HiGHS takes no infinite limit
 _GRACE_S = 1.0  # beyond its time limit, after which HiGHS is cancelled
 _POLL_S = 0.05  # so that Ctrl-C is noticed
 _MODEL_BYTES = 300  # of HiGHS' memory for each entry of the matrix; measured: 200 to 240
-_SOLVER_TOLERANCE = 1.0e-6  # of HiGHS' bounds, relative
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -137,14 +136,11 @@ def solve_lscp(
             model, chosen, time_limit_s - (time.perf_counter() - began_s), gap
         )
         bound = max(bound, bound_found * unit)
-        if found is not None and _covered(covers, weight, found) >= enough * (1.0 - TOLERANCE):
+        if found is not None and _covered(covers, weight, found) >= enough * (1.0 - ROUNDING):
             found = _drop_redundant(covers, cost, weight, found, enough)
             chosen = min((chosen, found), key=lambda columns: float(cost[columns].sum()))
     least = float(cost[chosen].sum())
-    if is_whole(cost):
-        bound = float(np.ceil(bound - _SOLVER_TOLERANCE * max(1.0, bound)))
-    if bound >= least * (1.0 - _SOLVER_TOLERANCE):
-        bound = least
+    bound = -settle(-least, -bound, -bound, step=common_step(cost))
     return _solution(instance, chosen, least, bound, has_proof, began_s)
 
 
@@ -186,10 +182,7 @@ def solve_mclp(
             found = _drop_redundant(covers, cost, weight, found, _covered(covers, weight, found))
             chosen = max((chosen, found), key=lambda columns: _covered(covers, weight, columns))
     covered = instance.covered_weight(chosen)
-    if is_whole(weight):
-        bound = float(np.floor(bound + _SOLVER_TOLERANCE * max(1.0, bound)))
-    if bound <= covered * (1.0 + _SOLVER_TOLERANCE):
-        bound = covered
+    bound = settle(covered, bound, bound, step=common_step(weight))
     return _solution(instance, chosen, covered, bound, has_proof, began_s)
 
 
@@ -256,7 +249,7 @@ def _cheap_cover(
     """Columns that cover a weight: each the one with the most new weight for its cost."""
     left = weight.copy()
     chosen: list[int] = []
-    slack = TOLERANCE * float(weight.sum())
+    slack = ROUNDING * float(weight.sum())
     while weight.sum() - left.sum() < needed_weight - slack:
         # Beyond what is needed nothing counts: no large column for a small remainder.
         missing = needed_weight - (weight.sum() - left.sum())
@@ -306,7 +299,7 @@ def _drop_redundant(
 ) -> IntArray:
     """Those of some columns that are needed to cover a weight; the dearest are left out first."""
     times = np.bincount(covers[chosen].indices, minlength=covers.shape[1])
-    spare = float(weight[times > 0].sum()) - needed_weight + TOLERANCE * float(weight.sum())
+    spare = float(weight[times > 0].sum()) - needed_weight + ROUNDING * float(weight.sum())
     is_needed = np.ones(len(chosen), dtype=np.bool_)
     for position in np.argsort(-cost[chosen], kind="stable"):
         rows = covers[[chosen[position]]].indices

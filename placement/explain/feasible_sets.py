@@ -24,10 +24,11 @@ from ..optimiser.enumeration import best_of_few
 from ..optimiser.failures import least_left_with_each
 from ..optimiser.greedy import forced_units, improve, to_full
 from ..optimiser.limits import fitting
-from ..optimiser.objectives import COST_TOLERANCE_EUR, TOLERANCE, Objective
+from ..optimiser.objectives import Objective
 from ..optimiser.problem import Measure, Requirement
 from ..optimiser.search import Search
 from ..optimiser.solve import check_limits
+from ..optimiser.tolerances import COST_TOLERANCE_EUR, TOLERANCE
 
 _MAX_REMEMBERED = 4_000_000  # numbers: 32 MB
 _BLOCK_RUNS = 32

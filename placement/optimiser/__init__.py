@@ -10,7 +10,8 @@ code. Bounds come from ``bounds`` (Lagrangian), ``relaxation`` (subgradient step
 ``window_cover`` (branch and bound) and ``model`` (HiGHS), and ``promises`` says what they mean for
 sets. ``stages`` takes the objectives in order with ``search``. ``solve`` calls it all, says which
 wish cannot be met, and solves tables that are too large for models. ``threads`` shares work out.
-``front`` and ``cost_front`` say what more units or more money buy.
+``front`` and ``cost_front`` say what more units or more money buy. ``tolerances`` says which values
+are equal, and how far a solver's bound can be believed.
 """
 
 from .greedy import solve_greedy

@@ -11,10 +11,11 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 
 from .failures import least_left, least_left_with_each
 from .limits import cost_eur, costs_eur
-from .objectives import TOLERANCE, Objective
+from .objectives import Objective
 from .presolve import ReducedProblem, unpack_words
 from .problem import Measure, WordArray
 from .threads import share_out
+from .tolerances import TOLERANCE
 
 _DECIMALS = 8  # differences below are rounding noise
 

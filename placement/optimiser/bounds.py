@@ -24,11 +24,11 @@ from scenarios.runs import FrameAxis
 
 from .limits import Limits
 from .problem import WordArray, tails_behind, timely_windows_end
+from .tolerances import COST_TOLERANCE_EUR, ROUNDING
 
 # ---------- supply
 
 
-_MONEY_TOLERANCE_EUR = 1.0e-6
 _MAX_LINES = 60  # of the search for the price of money: it ends long before
 
 
@@ -71,7 +71,7 @@ class Supply:
     @property
     def money_eur(self) -> float:
         """The budget and what sums of prices may err by."""
-        return self.budget_eur + _MONEY_TOLERANCE_EUR
+        return self.budget_eur + COST_TOLERANCE_EUR
 
     @property
     def n_poses(self) -> int:
@@ -179,7 +179,7 @@ class Supply:
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = np.where((prices > 0.0) & (worth > 0.0), worth / prices, 0.0)
         highest = float(ratio.max(initial=0.0))
-        rising = line(highest * (1.0 + 1e-9))
+        rising = line(highest * (1.0 + ROUNDING))
         if rising[2] < 0.0:  # rounding: nothing that costs is worth it
             return Pick(falling[1], falling[0], np.ones(len(falling[0])))
         limit = np.inf

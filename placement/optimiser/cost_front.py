@@ -23,11 +23,12 @@ from .front import (
 from .greedy import to_full
 from .limits import Limits
 from .model import Effort
-from .objectives import COST_TOLERANCE_EUR, TOLERANCE, Objective
+from .objectives import Objective
 from .presolve import ReducedProblem, presolve
 from .problem import Floor, PlacementProblem, Requirement
-from .solve import build_stage, check_floors, check_limits, check_reach
+from .solve import UnmetError, build_stage, check_floors, check_limits, check_reach
 from .stages import Stages
+from .tolerances import COST_TOLERANCE_EUR, TOLERANCE
 
 # ---------- price levels
 
@@ -81,7 +82,9 @@ def level_beyond_eur(levels_eur: FloatArray | None, amount_eur: float) -> float:
 def _cents(amounts_eur: FloatArray) -> list[int] | None:
     cents = np.unique(amounts_eur) * _CENTS
     whole = np.rint(cents)
-    is_whole = len(cents) <= _MAX_LEVELS and bool((np.abs(cents - whole) <= 1.0e-6 * _CENTS).all())
+    is_whole = len(cents) <= _MAX_LEVELS and bool(
+        (np.abs(cents - whole) <= COST_TOLERANCE_EUR * _CENTS).all()
+    )
     return [int(number) for number in whole] if is_whole else None
 
 
@@ -99,6 +102,7 @@ def _sums(prices: Iterable[int], most: int) -> list[set[int]] | None:
 
 
 DEFAULT_MAX_POINTS = 40
+_ASKED = "APR"  # what a point asks for, in place of a wish
 _SHARES = 2  # a point may take this part of the time that is left: most leave some of it
 
 
@@ -214,7 +218,16 @@ class _Climb:
 
     def first(self) -> FrontPoint:
         """The cheapest layout that avoids anything."""
-        step = self._cheapest([(self.step, 0)], None)
+        try:
+            step = self._cheapest([(self.step, 0)], None)
+        except UnmetError as error:
+            if error.where != _ASKED:
+                raise
+            raise InputError(
+                "candidates",
+                Unquoted("no layout that avoids anything"),
+                "one within the limits and the time",
+            ) from None
         assert step.pose_index is not None  # check_floors has seen to it
         return self.point(step, step.least_eur)
 
@@ -302,7 +315,7 @@ class _Climb:
         return (
             *self.problem.floors,
             *(
-                Floor(name="APR", share=min(share, 1.0), n_failures=failed)
+                Floor(name=_ASKED, share=min(share, 1.0), n_failures=failed)
                 for share, failed in asked
             ),
         )

@@ -30,11 +30,11 @@ from .limits import Limits
 from .presolve import pack_words, unpack_words
 from .set_tree import Links, Root, chains_hardest_first, failure_limit
 from .threads import WORKERS
+from .tolerances import ROUNDING
 
 if TYPE_CHECKING:
     from .cover_kernels import Walk
 
-_SLACK = 1.0e-9  # relative: rounding of sums
 _OUT_SETS = 1 << 8
 _WORK = 30_000_000  # bytes looked at between two looks at the clock
 _TURN_S = 0.1  # of spelling out
@@ -108,7 +108,7 @@ class SetWalk:
         """Ask for more from here on."""
         scale = max(self.total, 1.0)
         self.may_lose[:] = [self.total - need, self.total - left]
-        self.may_lose += _SLACK * scale
+        self.may_lose += ROUNDING * scale
 
     def blocks(self, end_s: float) -> Iterator[IntArray]:
         """Sets that meet the needs, many at a time, until `end_s` of `geometry.clock`.

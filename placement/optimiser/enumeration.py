@@ -31,8 +31,9 @@ from .bitsets import (
 )
 from .bounds import Coverage, ValueArray
 from .limits import Limits, are_allowed, costs_eur
-from .objectives import COST_TOLERANCE_EUR, TOLERANCE, Objective
+from .objectives import Objective
 from .presolve import ReducedProblem
+from .tolerances import COST_TOLERANCE_EUR, ROUNDING_SINGLE, TOLERANCE
 
 # ---------- all sets, or all that keep an APR
 
@@ -160,7 +161,6 @@ def _triples(table: FloatArray, max_sets: int) -> IntArray | None:
 
 
 MAX_POSES = 6000  # the table of pairs takes 4 bytes each: 144 MB
-_SLACK = 2.0e-6  # relative: the table of pairs, in float32, errs by less
 _FIRST_ROWS = 8
 _BLOCK_SETS = 1 << 15
 _BATCH_TRIPLES = 1 << 25
@@ -200,7 +200,7 @@ def best_sets(
     single = values.sum(axis=1, dtype=np.float64)
     order = np.argsort(-single, kind="stable")
     best = float(values.max(axis=0, initial=0.0).sum(dtype=np.float64))
-    rough, rough_need = values[order].astype(np.float32), need - _SLACK * best
+    rough, rough_need = values[order].astype(np.float32), need - ROUNDING_SINGLE * best
     if n_units == 1:
         candidates = np.flatnonzero(single[order] > rough_need)[:, None]
     else:

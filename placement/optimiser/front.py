@@ -21,7 +21,7 @@ from .bitsets import set_values, union_apr
 from .enumeration import best_affordable
 from .greedy import improve, to_full
 from .model import Effort
-from .objectives import COST_TOLERANCE_EUR, TOLERANCE, VALUE_OBJECTIVES, Objective
+from .objectives import VALUE_OBJECTIVES, Objective
 from .presolve import PresolveStatistics, ReducedProblem, presolve
 from .problem import PlacementProblem, PlacementValue, is_better, placement_value
 from .search import Search
@@ -37,6 +37,7 @@ from .solve import (
     solve_placement,
 )
 from .stages import Stages
+from .tolerances import COST_TOLERANCE_EUR, TOLERANCE
 
 # ---------- fronts
 

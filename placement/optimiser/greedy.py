@@ -12,6 +12,7 @@ from .bounds import Coverage, ValueArray, gains
 from .limits import are_allowed, fitting, is_allowed
 from .presolve import ReducedProblem, presolve
 from .problem import PlacementProblem
+from .tolerances import COST_TOLERANCE_EUR, ROUNDING
 
 # ---------- on the reduced problem
 
@@ -113,7 +114,7 @@ def solve_heuristically(
         if best.units is not None and now_s() >= end_s:
             break
         units = extend_greedily(reduced, start)
-        if not len(units) or not is_allowed(reduced.limits, units):
+        if not is_allowed(reduced.limits, units):
             continue
         units = improve(reduced, units, limit, end_s=end_s)
         best.offer(units[None, :], set_values(reduced, units[None, :]))
@@ -125,7 +126,7 @@ def solve_heuristically(
 def _without(reduced: ReducedProblem, left: IntArray, removed: int) -> tuple[IntArray, SetValues]:
     """The set itself, if it is allowed, and its value."""
     sets = left[None, :]
-    if not len(left) or not are_allowed(reduced.limits, sets)[0]:
+    if not are_allowed(reduced.limits, sets)[0]:
         sets = sets[:0]
     return sets, set_values(reduced, sets)
 
@@ -145,7 +146,6 @@ def _exchanged(reduced: ReducedProblem, left: IntArray, removed: int) -> tuple[I
 _LAZY_BLOCK = 64
 _SWAP_BLOCK = 1 << 18  # values at a time
 _SLACK = 1.0e-5  # of exchanges that are summed in float32: looked at closely
-_LEAST_GAIN = 1.0e-9  # relative; what is smaller is rounding
 
 
 def lazy_greedy(
@@ -178,7 +178,7 @@ def lazy_greedy(
     while True:
         room = coverage.supply.has_room(np.array(chosen, dtype=np.int64))
         price = coverage.supply.extra_cost_eur(np.array(chosen, dtype=np.int64))
-        price = np.maximum(price, 1e-9) if per_euro else np.ones(len(limit))
+        price = np.maximum(price, COST_TOLERANCE_EUR) if per_euro else np.ones(len(limit))
         candidates = np.flatnonzero(room & (limit > 0.0))
         candidates = candidates[np.argsort(-limit[candidates] / price[candidates], kind="stable")]
         best, best_ratio = -1, 0.0
@@ -221,7 +221,7 @@ def swap(coverage: Coverage, chosen: IntArray, pool: IntArray | None = None) -> 
             trial = poses.copy()
             trial[unit] = pool[newcomer]
             better = coverage.value(trial)
-            if better > value * (1.0 + _LEAST_GAIN):
+            if better > value * (1.0 + ROUNDING):
                 poses, value = trial, better
                 break
         else:
@@ -310,7 +310,7 @@ def search_around(
             if coverage.supply.has_room(trial)[pose]:
                 trial = np.append(trial, pose)
         trial = swap(coverage, fill(coverage, trial, pool), pool)
-        if coverage.value(trial) > value * (1.0 + _LEAST_GAIN):
+        if coverage.value(trial) > value * (1.0 + ROUNDING):
             best, value = trial, coverage.value(trial)
     return best
 

@@ -9,7 +9,9 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
 
-from .objectives import COST_TOLERANCE_EUR
+from .tolerances import COST_TOLERANCE_EUR, ROUNDING
+
+_CENTS, _MAX_CENTS = 100.0, 2.0**53
 
 Failing = Literal["unit", "site"]
 """What fails at once: a unit, or a site (a pole) with everything that it carries."""
@@ -173,6 +175,15 @@ def cost_eur(limits: Limits, pose_index: Sequence[int] | IntArray) -> float:
     return float(limits.unit_cost_eur[poses].sum() + limits.site_cost_eur[sites].sum())
 
 
+def price_step_eur(limits: Limits) -> float:
+    """What the cost of every set is a whole multiple of, in cents at least; 0 where that fails."""
+    prices = np.concatenate([limits.unit_cost_eur, limits.site_cost_eur])
+    cents = np.rint(prices * _CENTS)
+    if cents.max(initial=0.0) > _MAX_CENTS or (np.abs(cents / _CENTS - prices) > ROUNDING).any():
+        return 0.0
+    return float(np.gcd.reduce(cents.astype(np.int64), initial=0)) / _CENTS
+
+
 def costs_eur(limits: Limits, sets: IntArray) -> FloatArray:
     """What many sets of poses cost: (n_sets, n_units) -> (n_sets,), in euros."""
     cost = limits.unit_cost_eur[sets].sum(axis=1)
@@ -184,9 +195,13 @@ def costs_eur(limits: Limits, sets: IntArray) -> FloatArray:
 
 
 def are_allowed(limits: Limits, sets: IntArray) -> BoolArray:
-    """Which sets of distinct poses are within all limits: (n_sets, n_units) -> (n_sets,)."""
+    """Which sets of distinct poses, one at least, are within all limits, (n_sets,).
+
+    `sets` is (n_sets, n_units).
+    """
     n_sets, n_units = sets.shape
-    allowed = np.full(n_sets, limits.budget_units is None or n_units <= limits.budget_units)
+    most = np.inf if limits.budget_units is None else limits.budget_units
+    allowed = np.full(n_sets, 1 <= n_units <= most)
     sites = limits.site_index[sets]
     n_beside = (sites[:, :, None] == sites[:, None, :]).sum(axis=2)
     allowed &= (n_beside <= limits.site_capacity[sites]).all(axis=1)

@@ -22,9 +22,10 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError
 
 from .limits import Limits
-from .objectives import COST_TOLERANCE_EUR, TOLERANCE, Objective
+from .objectives import Objective
 from .presolve import ReducedProblem
 from .problem import Measure, Requirement
+from .tolerances import COST_TOLERANCE_EUR, HELD_SLACK, SOLVER_SUM, TOLERANCE
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -111,12 +112,6 @@ class Effort:
             raise InputError("--time-limit", self.time_limit_s, "seconds, more than 0")
         if not 0.0 <= self.gap < 1.0:
             raise InputError("--gap", self.gap, "a share, 0 <= gap < 1")
-
-
-# Of the mean weight. What is held is relaxed by it, well above HiGHS's own 1e-6: asking for a sum
-# to the last digit made it call feasible problems infeasible. Answers are checked exactly anyway.
-_SLACK = 1.0e-3
-_OBJECTIVE_SUM = 1.0e4  # HiGHS's tolerances are absolute, 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -249,7 +244,7 @@ def requirement_constraints(
     if requirement.sums_margins:
         row = margin_weights(reduced, weight)
         unit = max(float(row.sum()), TOLERANCE)
-        return [(row / unit) @ a >= requirement.least / unit - _SLACK * TOLERANCE]
+        return [(row / unit) @ a >= requirement.least / unit - HELD_SLACK * TOLERANCE]
     link = last_links(reduced, min_margin_s=requirement.min_margin_s)
     can = (link >= 0) & (weight > 0.0)
     if requirement.needs_all and weight[can].sum() >= requirement.least - TOLERANCE:
@@ -257,9 +252,9 @@ def requirement_constraints(
         return [a[np.unique(link[can])] == 1.0]
     if requirement.measure.is_mean and can.any():
         unit = float(weight.mean())
-        return [(weight[can] / unit) @ a[link[can]] >= requirement.least / unit - _SLACK]
+        return [(weight[can] / unit) @ a[link[can]] >= requirement.least / unit - HELD_SLACK]
     expression, constraints = _tail_share(a, requirement.measure, link)
-    return [*constraints, expression >= requirement.least - _SLACK * TOLERANCE]
+    return [*constraints, expression >= requirement.least - HELD_SLACK * TOLERANCE]
 
 
 def _tail_share(
@@ -395,7 +390,7 @@ def solve_window_model(
                 if objective is Objective.APR
                 else margin_weights(reduced, reduced.weight)
             )
-            unit = max(float(weights.sum()), TOLERANCE) / _OBJECTIVE_SUM
+            unit = max(float(weights.sum()), TOLERANCE) / SOLVER_SUM
             goal = (weights / unit) @ a
     if cuts:
         constraints += cut_constraints(x, cuts, limits)

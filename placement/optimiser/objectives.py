@@ -7,12 +7,9 @@ objective is its value, such as "apr_one_failed".
 from enum import StrEnum
 from typing import Literal
 
-Goal = Literal["best", "fewest", "cheapest"]
+from .tolerances import COST_TOLERANCE_EUR, TOLERANCE
 
-TOLERANCE = 1.0e-9
-"""Shares and times that differ by no more count as equal: they carry rounding noise."""
-COST_TOLERANCE_EUR = 1.0e-6
-"""Sums of prices that differ by no more are equal."""
+Goal = Literal["best", "fewest", "cheapest"]
 
 
 class Objective(StrEnum):

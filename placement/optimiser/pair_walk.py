@@ -32,9 +32,9 @@ from .presolve import Detections, ReducedProblem, unpack_words
 from .problem import Chains, WordArray
 from .set_tree import Links, avoided_runs, build_rows, weigh
 from .threads import WORKERS, share_out
+from .tolerances import ROUNDING
 
 MAX_UNITS = 3
-_SLACK = 1.0e-9  # relative: rounding of sums
 _CLASS_POSES = 12  # of a class, on average
 _MAX_TOGETHER = 2000  # poses whose likeness is looked at in one go
 _OUT_PAIRS = 1 << 14
@@ -107,7 +107,7 @@ class PairWalk:
     @property
     def may_lose(self) -> float:
         """Weight of runs that a set may lose."""
-        return self.total - self.need + _SLACK * max(self.total, 1.0)
+        return self.total - self.need + ROUNDING * max(self.total, 1.0)
 
     def blocks(self, end_s: float) -> Iterator[IntArray]:
         """Sets that reach the need, many at a time, until `end_s` of `geometry.clock`.

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
 from .limits import Limits
-from .objectives import COST_TOLERANCE_EUR, Goal, Objective, objectives_in_order
+from .objectives import Goal, Objective, objectives_in_order
 from .problem import (
     Chains,
     Measure,
@@ -36,6 +36,7 @@ from .problem import (
     timely_windows_end,
 )
 from .threads import WORKERS, share_out
+from .tolerances import COST_TOLERANCE_EUR
 
 PackedArray = WordArray | NDArray[np.uint8]
 _MAX_CELLS = 1 << 28  # poses x merged frames: models take some bytes for each

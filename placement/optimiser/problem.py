@@ -15,7 +15,8 @@ from scenarios.runs import FrameAxis, live_confirmation_times_s
 
 from ..detection_table import DetectionTable
 from .limits import Limits, cost_eur, is_allowed
-from .objectives import TOLERANCE, VALUE_OBJECTIVES, Goal, Objective, objectives_in_order
+from .objectives import VALUE_OBJECTIVES, Goal, Objective, objectives_in_order
+from .tolerances import TOLERANCE, common_step
 
 # ---------- the accident prevention ratio
 
@@ -80,6 +81,11 @@ class Measure:
     def limit(self) -> float:
         """Ratio where all runs that can be avoided are."""
         return float(self.of(np.ones(len(self.weight), dtype=bool)))
+
+    @property
+    def step(self) -> float:
+        """What all ratios are whole multiples of; 0 where that is not known."""
+        return common_step(self.weight) if self.is_mean else 0.0
 
     def of_runs(self, runs: IntArray) -> "Measure":
         """The same where all other runs are out of reach."""

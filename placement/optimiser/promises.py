@@ -19,11 +19,12 @@ from .bitsets import (
 from .bounds import Coverage, build_supply, timely_windows
 from .enumeration import MAX_POSES, MAX_UNITS, best_sets
 from .greedy import lazy_greedy, swap
-from .objectives import TOLERANCE, Objective
+from .objectives import Objective
 from .presolve import ReducedProblem
 from .problem import PlacementProblem
 from .relaxation import first_multipliers, polish, tighten
 from .threads import WORKERS
+from .tolerances import TOLERANCE, common_step
 from .window_cover import WindowCover, find_window_cover
 
 _MAX_TRIPLES = 3e8
@@ -111,9 +112,10 @@ def cover_windows(
     weight = problem.table.axis.weight[windows.run_index, None]
     in_time = np.arange(windows.margin_s.shape[1]) < windows.n_windows[:, None]
     # Runs of equal weight count 1: no rounding, and limits may be rounded down to whole numbers.
-    unit = float(weight.min())
+    step = common_step(weight)
+    unit = step or float(weight.max())
     amount, gap = weight / unit, 0.0
-    is_whole = worth is Objective.APR and bool((np.abs(amount - amount.round()) < 1.0e-9).all())
+    is_whole = worth is Objective.APR and step > 0.0
     if is_whole:
         amount = amount.round()
         gap = _WHOLE_GAP / float(amount.sum())

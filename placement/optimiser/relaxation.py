@@ -29,6 +29,7 @@ from geometry.arrays import FloatArray, IntArray
 from geometry.clock import now_s
 
 from .bounds import Bound, Coverage, ValueArray, prove
+from .tolerances import COST_TOLERANCE_EUR, TINY
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -156,7 +157,7 @@ def generate_columns(
     separation, Ben-Ameur, Neto 2007).
     """
     sizes = PoolSizes() if sizes is None else sizes
-    slack = tolerance * max(coverage.value(incumbent), 1e-300)
+    slack = tolerance * max(coverage.value(incumbent), TINY)
     start = first_multipliers(coverage, incumbent) if multipliers is None else multipliers
     ceiling = np.maximum(coverage.values.max(axis=0, initial=0.0), coverage.floor)
     best = origin = prove(coverage, np.minimum(start, ceiling), workers=workers)
@@ -211,12 +212,12 @@ def _too_good(
     """
     score = bound.worth
     if np.isfinite(coverage.supply.budget_eur):
-        score = score / np.maximum(coverage.supply.prices_eur, 1e-9)
+        score = score / np.maximum(coverage.supply.prices_eur, COST_TOLERANCE_EUR)
     least = score[picked].min(initial=np.inf)
     outside = score.copy()
     outside[pool] = -np.inf
     top = worthiest(outside, n_poses)
-    joining: IntArray = top[outside[top] >= max(least, 1e-300)]
+    joining: IntArray = top[outside[top] >= max(least, TINY)]
     return joining
 
 

@@ -13,10 +13,11 @@ from .bitsets import SetValues, no_values, set_values, union_margins_s, unions_o
 from .greedy import extend_greedily, improve, solve_heuristically
 from .limits import Limits, is_allowed
 from .model import Cut, entering_poses, last_links, solve_window_model, solver_text
-from .objectives import TOLERANCE, VALUE_OBJECTIVES, Objective
+from .objectives import VALUE_OBJECTIVES, Objective
 from .presolve import ReducedProblem
 from .problem import PlacementValue, Requirement, WordArray
 from .tied_sets import SetSearch, can_walk
+from .tolerances import TOLERANCE
 
 # ---------- cuts
 
@@ -129,7 +130,6 @@ def _cut(reduced: ReducedProblem, union: WordArray, fails: Fails, *, n_units: in
 
 
 _START_SHARE = 0.1  # of the time left
-_SOLVER_TOLERANCE = 1.0e-6  # rows, whole numbers and gaps are met up to this
 
 
 class Search:
@@ -289,11 +289,3 @@ class Search:
         if key not in self._cuts:
             self._cuts[key] = first_cuts(problem, requirement)
         return self._cuts[key]
-
-
-def settle(objective: float, bound: float, limit: float) -> float:
-    """Upper bound of a stage from what a solver says; `limit` holds without it."""
-    tolerance = _SOLVER_TOLERANCE * max(1.0, abs(objective))
-    if bound < objective - tolerance:
-        return limit  # the solver errs: a set with this objective is at hand
-    return objective if bound <= objective + tolerance else min(limit, bound)

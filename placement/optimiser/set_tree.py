@@ -28,6 +28,7 @@ from .limits import Limits
 from .presolve import Detections, ReducedProblem, distinct_rows, pack_words, unpack_words
 from .problem import Chains, WordArray
 from .threads import WORKERS, share_out
+from .tolerances import TINY
 
 if TYPE_CHECKING:
     from .chain_kernels import Layout
@@ -348,7 +349,7 @@ def find_root(
             seen_sum[phase] += seen
         tails.look(share, used)
         sums = np.concatenate([seen_sum, tails.seen_sum[None, :]])
-        rounded = np.round(sums / max(float(seen_sum.max()), 1.0e-300), _SHARE_DIGITS)
+        rounded = np.round(sums / max(float(seen_sum.max()), TINY), _SHARE_DIGITS)
         least = rounded.argmin(axis=0)
         for phase in range(n_phases):
             asked[phase] = pack_words((least == phase) & bits)
@@ -429,7 +430,7 @@ def _tighten(
         n_steps,
         share,
     )
-    share *= n_units / max(float(share.sum()), 1.0e-300)
+    share *= n_units / max(float(share.sum()), TINY)
     return Root(covers=covers, weight=weight, price=price, limit=limit, share=share)
 
 

@@ -22,13 +22,14 @@ from .bounds import Coverage, TimelyWindows, build_supply, first_seen_values, ti
 from .greedy import lazy_greedy, swap, to_full
 from .limits import Limits, cost_eur
 from .model import Effort
-from .objectives import COST_TOLERANCE_EUR, TOLERANCE, Objective
+from .objectives import Objective
 from .presolve import PresolveStatistics, ReducedProblem, presolve
 from .problem import Measure, PlacementProblem, objective_values, run_margins_s
 from .relaxation import Columns, generate_columns, polish, relaxation_text
 from .search import Search
 from .stages import Stages
 from .threads import WORKERS
+from .tolerances import COST_TOLERANCE_EUR, ROUNDING, TOLERANCE
 
 # ---------- wishes that cannot be met
 
@@ -238,7 +239,7 @@ def _promise(coverage: Coverage) -> tuple[IntArray, Columns]:
     chosen = lazy_greedy(coverage, workers=WORKERS)
     columns = generate_columns(coverage, chosen, improve=polish, workers=WORKERS)
     better = swap(coverage, chosen, pool=columns.pool)
-    if coverage.value(better) <= coverage.value(chosen) + 1.0e-9:
+    if coverage.value(better) <= coverage.value(chosen) * (1.0 + ROUNDING):
         return chosen, columns
     columns = generate_columns(
         coverage,
@@ -437,7 +438,7 @@ def build_certificate(
 def build_stage(objective: Objective, value: float, bound: float, seconds: float) -> Stage:
     """A stage of a certificate; a bound that is worse than the value itself is not believed."""
     bound = objective.better(bound, value)
-    gap = relative_gap(value, bound)
+    gap = relative_gap(value, bound, tolerance=objective.tolerance)
     return Stage(
         name=objective.value,
         objective=value,

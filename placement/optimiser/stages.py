@@ -11,14 +11,15 @@ from geometry.clock import now_s
 
 from .bitsets import left_after_failures, set_values
 from .enumeration import best_of_all, best_of_few
-from .limits import are_allowed
+from .limits import are_allowed, price_step_eur
 from .model import Effort
-from .objectives import COST_TOLERANCE_EUR, TOLERANCE, Objective
+from .objectives import Objective
 from .presolve import ReducedProblem
 from .problem import PlacementProblem, Requirement
 from .promises import best_beyond, can_cover, can_enumerate, cover_windows, relaxed_limit
 from .relaxation import relaxation_text
-from .search import Search, settle
+from .search import Search
+from .tolerances import COST_TOLERANCE_EUR, SOLVER_TOLERANCE, TOLERANCE, settle
 
 _COVER_SHARE = 0.5  # of the time left
 _WALK_SHARE = 0.6  # of the time left
@@ -66,7 +67,7 @@ class Stages:
             if n_units > 1 and not self._one_unit_does():
                 bound = 2.0
             if n_units > bound:
-                bound = max(bound, np.ceil(search.look_for(Objective.UNITS, ()) - 1.0e-6))
+                bound = max(bound, np.ceil(search.look_for(Objective.UNITS, ()) - SOLVER_TOLERANCE))
         n_units = len(self._units())
         search.restrict(replace(search.reduced.limits, budget_units=n_units))
         if self.is_complete:
@@ -103,12 +104,12 @@ class Stages:
                 self.apr_limit = search.value.apr
             else:
                 limit = min(self.apr_limit, self.walk_limit[0])
-                self.apr_limit = settle(search.value.apr, limit, self.apr_limit)
+                self.apr_limit = self._settle(search.value.apr, limit, self.apr_limit)
                 promised = self._promised(Objective.APR)
-                self.apr_limit = settle(search.value.apr, promised, self.apr_limit)
+                self.apr_limit = self._settle(search.value.apr, promised, self.apr_limit)
                 if not self._is_settled(search.value.apr, self.apr_limit):
                     bound = search.look_for(Objective.APR, self.held)
-                    self.apr_limit = settle(search.value.apr, bound, self.apr_limit)
+                    self.apr_limit = self._settle(search.value.apr, bound, self.apr_limit)
         self._hold(Requirement(measure=search.reduced.measure, least=search.value.apr))
         return self.apr_limit
 
@@ -121,8 +122,6 @@ class Stages:
     def bound_smallest_margin_s(self) -> float:
         """No layout that holds the stages before has a larger smallest margin."""
         search = self.search
-        if search.value.apr == 0.0:
-            return self._undefined_margin_s()
         reduced = search.reduced
         limit = self._smallest_margin_limit_s()
         if self._is_settled(search.value.smallest_margin_s, limit):
@@ -152,15 +151,18 @@ class Stages:
     def bound_mean_margin_s(self) -> float:
         """No layout that holds the stages before has a larger mean margin."""
         search = self.search
-        if search.value.apr == 0.0:
-            return self._undefined_margin_s()
-        reduced = search.reduced
-        total_s = float(reduced.weight @ np.maximum(self.search.margin_limit_s, 0.0))
-        limit = min(float(search.margin_limit_s.max()), total_s / search.value.apr)
+        if self._avoids_nothing():
+            return 0.0
+        limit = float(search.margin_limit_s.max())
+        if search.value.apr > 0.0:  # what avoids as much has no larger sum of margins to share out
+            total_s = float(search.reduced.weight @ np.maximum(search.margin_limit_s, 0.0))
+            limit = min(limit, total_s / search.value.apr)
         if self._is_settled(search.value.mean_margin_s, limit):
             return limit
         if self._is_complete() or self._enumerate():
             return search.value.mean_margin_s
+        if search.value.apr == 0.0:  # what is avoided at least is not known: sums bound no mean
+            return limit
         value = search.value.mean_margin_s * self._avoided_weight()
         if self._beats_all_promises(Objective.MEAN_MARGIN, value):
             return search.value.mean_margin_s
@@ -299,12 +301,14 @@ class Stages:
             ),
         )
         if can_cover(self.problem, fewer) and search.left_s() > 0.0:
-            limit = settle(self._left(n_failures), self._covered(fewer, Objective.APR), limit)
+            limit = self._settle(self._left(n_failures), self._covered(fewer, Objective.APR), limit)
         elif search.sets is not None and search.sets.goes_by_pairs and n_left > 1:
-            limit = settle(self._left(n_failures), self._best_of_fewer(fewer, n_failures), limit)
+            limit = self._settle(
+                self._left(n_failures), self._best_of_fewer(fewer, n_failures), limit
+            )
         if not self._is_settled(self._left(n_failures), limit):
             bound = search.look_for(Objective.APR, (), fewer)
-            limit = settle(self._left(n_failures), bound, limit)
+            limit = self._settle(self._left(n_failures), bound, limit)
         step = 2.0 * TOLERANCE
         all_runs = reduced.measure.limit
         if limit >= all_runs - TOLERANCE > self._left(n_failures) and reduced.measure.is_mean:
@@ -368,19 +372,32 @@ class Stages:
     def _is_settled(self, value: float, limit: float) -> bool:
         return limit - value <= max(TOLERANCE, self.effort.gap * abs(value))
 
+    def _settle(self, apr: float, bound: float, limit: float) -> float:
+        return settle(apr, bound, limit, step=self.search.reduced.measure.step)
+
     def _settled_from_below(self, cost: float, bound: float) -> float:
-        return cost if bound >= cost * (1.0 - 1.0e-6) - COST_TOLERANCE_EUR else bound
+        """Lower bound of a cost; the solver's own has an error."""
+        error = SOLVER_TOLERANCE * max(1.0, cost)
+        step = price_step_eur(self.search.reduced.limits)
+        return cost if bound >= cost - max(COST_TOLERANCE_EUR, step - error) else bound
 
     def _smallest_margin_limit_s(self) -> float:
         search = self.search
+        if self._avoids_nothing():
+            return 0.0
         order = np.argsort(-search.margin_limit_s)
         share = np.cumsum(search.reduced.weight[order])
         enough = np.argmax(share >= search.value.apr - TOLERANCE)
         return float(search.margin_limit_s[order[enough]])
 
-    def _undefined_margin_s(self) -> float:
-        """Bound of a margin while nothing is avoided: 0 if that is proven."""
-        return 0.0 if self.apr_limit == 0.0 else float(self.search.margin_limit_s.max())
+    def _avoids_nothing(self) -> bool:
+        """Whether it is proven that no layout that holds the stages before avoids anything.
+
+        Where only the worst worlds count, an APR of 0 does not say so: others may avoid something.
+        """
+        reduced = self.search.reduced
+        is_none = reduced.measure.is_mean and self.apr_limit == 0.0
+        return is_none or not len(reduced.weight)
 
     def _cheapest_unit_eur(self) -> float:
         limits = self.search.reduced.limits

@@ -18,7 +18,6 @@ from .bitsets import BestSet, SetValues, set_values
 from .cover_tree import SetWalk
 from .failures import least_left, least_left_with_each
 from .limits import Limits, fitting, is_allowed
-from .objectives import TOLERANCE
 from .pair_walk import MAX_UNITS, PairWalk
 from .presolve import ReducedProblem
 from .problem import Measure
@@ -35,6 +34,7 @@ from .set_tree import (
     weigh,
 )
 from .threads import share_out
+from .tolerances import ROUNDING, SOLVER_TOLERANCE, TINY, TOLERANCE
 
 MAX_WALK_UNITS = 16
 _MAX_BYTES = 5 << 28  # of detections by chains
@@ -233,7 +233,7 @@ class SetSearch:
         best = BestSet()
         none = np.empty(0, dtype=np.int64)
         begin = [*starts, none]
-        chance, idle = self._chance() + 1.0e-9, 0
+        chance, idle = self._chance() + ROUNDING, 0
         for number in range(len(begin) + _N_RESTARTS):
             if best.units is not None and (idle > self.n_units or now_s() > end_s):
                 break
@@ -262,7 +262,7 @@ class SetSearch:
         if not self.goes_by_pairs:
             return self.root.share
         alone = self.shares_with_each(np.empty(0, dtype=np.int64))
-        share: FloatArray = alone**2 / max(float((alone**2).sum()), 1.0e-300)
+        share: FloatArray = alone**2 / max(float((alone**2).sum()), TINY)
         return share
 
     def _drawn(
@@ -358,21 +358,12 @@ class SetSearch:
             units = np.append(units, np.where(fits, total, -np.inf).argmax())
         return units
 
-    def _unit(self) -> float:
-        """What all shares are whole multiples of; 0 where that is not known."""
-        measure = self.reduced.measure
-        unit = float(measure.weight.min())
-        if not measure.is_mean or unit <= 0.0:
-            return 0.0
-        count = measure.weight / unit
-        return 0.0 if (np.abs(count - count.round()) > 1.0e-9 * count).any() else unit
-
     def _rounded_down(self, limit: float) -> float:
         """A limit of shares; where all runs weigh the same, a whole number of them."""
-        limit, unit = min(limit, self.reduced.measure.limit), self._unit()
-        if unit:
-            limit = min(float(np.floor(limit / unit + 1.0e-6) * unit), self.reduced.measure.limit)
-        return limit
+        measure = self.reduced.measure
+        if measure.step:
+            limit = float(np.floor(limit / measure.step + SOLVER_TOLERANCE)) * measure.step
+        return min(limit, measure.limit)
 
     def tied(
         self,
@@ -418,7 +409,7 @@ class SetSearch:
         # It takes much less to prove that nothing is better by a step, where values are so far
         # apart, or that little more would be left when units fail, than to meet all ties.
         # And of drawn detections, at first all that can be said is a limit a little above.
-        step = (1.0 - 1.0e-6) * self._unit()
+        step = (1.0 - SOLVER_TOLERANCE) * self.reduced.measure.step
         is_near = n_failures > 0 or self.goes_by_pairs or not self.reduced.measure.is_mean
         ahead = _NEAR * best if is_near else step
         if now_s() > end_s:

@@ -39,6 +39,7 @@ from .bounds import (
 )
 from .greedy import fill, lazy_greedy, round_shares, search_around, swap
 from .relaxation import Columns, Tightened, generate_columns, polish, tighten, worthiest
+from .tolerances import ROUNDING, TINY
 
 _POOL_POSES = 5000
 _EXCHANGE_POSES = 1000
@@ -47,7 +48,6 @@ _N_PASSES = 3
 _N_STEPS = 200
 _N_LONGER = 12
 _N_RESTARTS = 15
-_LEAST_GAIN = 1.0e-9
 _SETTLED = 2.0e-4  # relative
 _SMALL_SHARE = 1.0e-3
 _MAX_BRANCH_VALUES = 1 << 26
@@ -122,7 +122,7 @@ class _State:
                 others = np.bitwise_or.reduce(self.packed[rest], axis=0)
                 trial = np.where(can, self.values_of_unions(bits | others), -np.inf)
                 place = int(trial.argmax())
-                if trial[place] > value * (1.0 + _LEAST_GAIN):
+                if trial[place] > value * (1.0 + ROUNDING):
                     poses = np.append(rest, pool[place])
                     value, is_better = float(trial[place]), True
                     break
@@ -242,7 +242,7 @@ def _sharpen(
         for pose in used:
             seen += shares[pose] * np.unpackbits(bits[pose], bitorder="little")
         state.seen += np.minimum(seen, 1.0)
-        frames = hardest_frames(state.seen / state.seen.max(initial=1e-300), state.windows)
+        frames = hardest_frames(state.seen / state.seen.max(initial=TINY), state.windows)
         part = Coverage(
             values=first_seen_values(
                 bits, state.windows, state.worth, frames=frames, workers=workers
@@ -441,7 +441,7 @@ class _Tree:
     def enough(self) -> float:
         """Sets worth no more are not looked for."""
         rounding = 4.0 * float(np.finfo(self.coverage.values.dtype).eps)
-        return self.value * (1.0 + max(self.gap, rounding, _LEAST_GAIN))
+        return self.value * (1.0 + max(self.gap, rounding, ROUNDING))
 
     @property
     def is_open(self) -> bool:
@@ -496,10 +496,10 @@ class _Tree:
 
     def _offer(self, poses: IntArray, promise: float) -> None:
         """Keep a set if it is better; what it promises is a limit of its value."""
-        if promise <= self.value * (1.0 + _LEAST_GAIN) or not self.coverage.supply.allows(poses):
+        if promise <= self.value * (1.0 + ROUNDING) or not self.coverage.supply.allows(poses):
             return
         value = self.evaluate(poses)
-        if value > self.value * (1.0 + _LEAST_GAIN):
+        if value > self.value * (1.0 + ROUNDING):
             self.best, self.value = poses, value
 
 

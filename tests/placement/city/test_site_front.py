@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from problems import problems
+from problems import problems, random_problem
 
 from placement.city import site_front
 from placement.city.fronts import value_at
 from placement.city.junction import find_front
-from placement.optimiser import Effort, apr
+from placement.detection_table import pack_table
+from placement.optimiser import Effort, Limits, PlacementProblem, apr, presolve
 from placement.optimiser.limits import cost_eur, is_allowed
+from placement.optimiser.solve import of_pool
 
 TOLERANCE = 1.0e-9
 
@@ -72,3 +74,63 @@ def test_no_layout_exceeds_the_front_of_a_junction(problem, max_sets):
         found = max(point.apr for point in front.points if point.units <= n_new)
         assert found == pytest.approx(max(best[n] for n in best if n <= n_new))
         assert value_at(front.by_units, n_new) >= most - TOLERANCE
+
+
+def many_poses(rng):
+    """Two sites with room for two units each, and ten poses at each."""
+    problem = next(
+        found
+        for number in range(100)
+        if (found := random_problem(np.random.default_rng([1, number]))).table.axis.n_frames > 20
+    )
+    axis = problem.table.axis
+    detected = rng.random((20, axis.n_frames)) < 0.3
+    limits = Limits(
+        site_index=np.arange(20) % 2,
+        site_capacity=np.array([2, 2]),
+        budget_units=4,
+        unit_cost_eur=np.full(20, 1500.0),
+        site_cost_eur=np.full(2, 7060.0),
+    )
+    table = pack_table(tuple(map(str, range(20))), axis, detected)
+    rule = replace(problem.rule, n_confirmations=2, track_memory_s=0.3)
+    return PlacementProblem(table=table, limits=limits, fusion="any", rule=rule)
+
+
+def test_poses_that_see_alike_and_go_together_still_give_a_layout_for_each_number_of_sites():
+    problem = many_poses(np.random.default_rng(1))
+    reduced = presolve(problem)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(site_front, "_MAX_SETS", 3)
+        bounds, layouts, are_best = site_front._front_of_full_sites(
+            problem, reduced, site_front.rooms_of(problem.limits), max_sites=2, effort=Effort
+        )
+    assert not are_best
+    assert sorted(layouts) == [1, 2]
+    for n_sites, layout in layouts.items():
+        assert len(layout) == 2 * n_sites
+        assert is_allowed(problem.limits, layout)
+        assert apr(problem, layout) <= bounds[n_sites - 1] + TOLERANCE
+
+
+def test_a_front_is_no_worse_than_that_of_few_of_its_poses():
+    problem = many_poses(np.random.default_rng(2))
+    first = np.array([0, 1, 2, 3, 10, 11, 12, 13])
+    ask = {"effort": lambda: Effort(time_limit_s=60.0), "begin": lambda step: None}
+    few, _ = find_front(of_pool(problem, first), **ask)
+
+    def finds_nothing(part, **options):
+        found = site_front.front_by_sites(part, **options)
+        return found if part.limits.n_poses == len(first) else replace(found, layouts=())
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("placement.city.junction.front_by_sites", finds_nothing)
+        front, layouts = find_front(problem, **ask, first=first)
+    for point in few.points:
+        assert any(
+            other.units <= point.units
+            and other.cost_eur <= point.cost_eur + TOLERANCE
+            and other.apr >= point.apr - TOLERANCE
+            for other in front.points
+        )
+    assert all(is_allowed(problem.limits, layout) for layout in layouts[1:])

@@ -1,6 +1,7 @@
 from dataclasses import replace
 from itertools import combinations, pairwise
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -171,3 +172,16 @@ def test_points_closer_than_the_step_are_left_out_and_points_are_told() -> None:
 def test_what_cannot_be_is_told(rows: list[str], options: dict[str, int], message: str) -> None:
     with pytest.raises(InputError, match=message):
         cost_front(avoiding_problem(rows), **options)
+
+
+def test_a_forced_unit_that_leaves_no_room_for_what_avoids_is_told() -> None:
+    problem = avoiding_problem(["00", "11"])
+    full = replace(
+        problem.limits,
+        site_index=np.array([0, 0]),
+        site_capacity=np.array([1, 0]),
+        is_forced=np.array([True, False]),
+    )
+    expected = "candidates: got no layout that avoids anything; expected one within the limits"
+    with pytest.raises(InputError, match=expected):
+        cost_front(replace(problem, limits=full))

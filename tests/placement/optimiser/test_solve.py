@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracle_checks import check
+from small_tables import avoiding_problem
 
 from geometry.arrays import FloatArray, IntArray
 from geometry.errors import InputError
@@ -20,6 +22,7 @@ from placement.optimiser import (
     solve_placement,
 )
 from placement.optimiser.presolve import ReducedProblem
+from placement.optimiser.tolerances import settle
 
 ANY_PROBLEM = st.from_type(PlacementProblem)
 BestValue = Callable[[PlacementProblem, Iterable[int]], PlacementValue]
@@ -104,6 +107,35 @@ def test_stages_are_named_in_order_as_they_begin(problem: PlacementProblem) -> N
     solution = solve_placement(problem, on_stage=begun.append)
     names = [stage.name for stage in solution.certificate.stages]
     assert begun == names == list(PlacementValue._fields)
+
+
+@pytest.mark.parametrize("solver", ["auto", "relax", "greedy"])
+def test_an_apr_of_0_in_the_worst_worlds_proves_no_margin(solver: str) -> None:
+    # No pose avoids the run of the first world; of the second world's, one leaves more time.
+    problem = avoiding_problem(["010", "001"], budget_units=1)
+    axis = replace(problem.table.axis, last_brake_time_s=np.array([-0.01, -0.01, 0.1]))
+    table = replace(problem.table, axis=axis)
+    worlds = replace(problem, table=table, sample_index=np.array([0, 1, 1]), tail=0.5)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("placement.optimiser.search.solve_heuristically", first_units)
+        solution = solve_placement(worlds, effort=Effort(solver=solver))
+    for stage in solution.certificate.stages[2:4]:
+        assert stage.bound == pytest.approx(0.175)
+        assert stage.objective == pytest.approx(0.175 if solver == "auto" else 0.065)
+        assert (stage.gap == 0.0) == (solver == "auto")
+
+
+@pytest.mark.parametrize("solver", ["relax", "models"])
+def test_weights_of_any_magnitude_are_solved_without_overflow(solver: str) -> None:
+    weights = [1.0, 3.0, 2.0, 1.0e-302]
+    check(avoiding_problem(["1001", "0110", "1100"], weights=weights, budget_units=2), solver)
+
+
+def test_nothing_is_proven_that_a_solvers_error_may_hide() -> None:
+    assert settle(0.5, 0.5 + 3e-7, 1.0) > 0.5
+    assert settle(0.5, 0.5 + 3e-7, 1.0, step=0.25) == 0.5
+    assert settle(0.5, 0.75, 1.0, step=0.25) == 0.75
+    assert settle(0.5, 0.4, 1.0) == 1.0  # the solver errs
 
 
 def test_effort_says_what_a_time_limit_is() -> None:
