@@ -23,6 +23,7 @@ from .records import (
     run_record,
     to_script_json,
     unit_records,
+    view_paths,
 )
 from .view import view_record
 
@@ -139,7 +140,14 @@ def interactive_part(
     units_m = np.array([unit.pose.position_m[:2] for unit in subject.layout.units])
     player = {
         "plan": plan_record(setting.scene, units_m),
-        "units": unit_records(subject.layout, setting.scene),
+        "units": [
+            record | {"view": view}
+            for record, view in zip(
+                unit_records(subject.layout, setting.scene),
+                view_paths(subject.layout.units, GroundViews(setting)),
+                strict=True,
+            )
+        ],
         "parties": party_records(evaluations),
         "runs": records,
     }
