@@ -3,21 +3,20 @@
 import asyncio
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from typing import Any
 
-from geometry.catalogue import Sensor, load_cameras
+from geometry.catalogue import Sensor
 from geometry.errors import InputError, Unquoted
 from geometry.files import pick, write_atomically
-from geometry.lidar import load_lidars
 from placement.candidates import CandidatePose
 from placement.layout import Layout
 from placement.planning import build_grid
 from placement.setting import Setting
 
-from ..report.interactive.records import unit_records, view_paths
+from ..report.interactive.records import view_paths
 from .background import MAX_BYTES as MAX_IMAGE_BYTES
 from .background import Background, background_message
 from .messages import (
@@ -39,7 +38,9 @@ from .numbers import (
     state_record,
 )
 from .place import Key, Place, Visit, build_place, free_path
+from .proposals import Proposal, sensor_words
 from .session import (
+    MAX_PLAN_BYTES,
     AddUnit,
     ChangeUnit,
     History,
@@ -59,34 +60,12 @@ from .worker import Cancelled, DiedError, TaskError, Worker
 
 Listener = Callable[[dict[str, Any]], None]
 
-MAX_PLAN_BYTES = 16_000_000
 MAX_MAP_BYTES = 300_000_000
-"""Of files that browsers send."""
+"""Of a file that a browser sends."""
 
 _REST_S = 0.3  # without a change, before pixels are asked
 _MAX_PROPOSALS = 12
 _MAX_PLACES = 4  # scenes that Undo leads back to
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Proposal:
-    """An answer of the optimiser, beside one's own plan."""
-
-    number: int
-    title: str
-    words: str
-    units: tuple[CandidatePose, ...]
-    views: tuple[str, ...]  # of each unit, as an SVG path
-    fields: dict[str, Any]
-
-
-def _words_of(sensors: str) -> dict[str, str]:
-    """By the name of each model that may be mounted, how ``--sensors`` calls it."""
-    words = {name: name for name in (*load_cameras(), *load_lidars())}
-    for word in filter(None, sensors.split(",")):
-        for model in build_grid(word).sensors:
-            words[model.name] = f"{word}:{model.name}" if word.endswith(".toml") else word
-    return words
 
 
 class Desk:
@@ -130,7 +109,7 @@ class Desk:
         self._exact, self._advice = make_worker(work), make_worker(work)
         self._proposals: list[Proposal] = []
         self._numbers_of_proposals = count(1)
-        self._words = _words_of(work.question.sensors)
+        self._words = sensor_words(work.question.sensors)
         self._models: dict[str, Sensor] = {
             model.name: model for word in self._words.values() for model in build_grid(word).sensors
         }
@@ -178,6 +157,10 @@ class Desk:
         """Tell every browser."""
         for listener in [*self.listeners]:
             listener(message)
+
+    def _notice(self, text: str) -> None:
+        if text:
+            self.tell({"type": "notice", "text": text})
 
     def join(self, listener: Listener) -> None:
         """A browser comes: it is told all that there is."""
@@ -242,6 +225,7 @@ class Desk:
             self._ask(message)
         elif isinstance(message, Cancel):
             self._spawn(asyncio.to_thread(self._advice.stop))
+            self.tell(self._proposals_message())
         elif isinstance(message, TakeProposal):
             self._take(message)
         elif isinstance(message, DropProposal):
@@ -314,7 +298,7 @@ class Desk:
 
     def _enter(self, visit: Visit, exact: Worker | None = None) -> None:
         """Go on in another scene; `exact` has read it already."""
-        self.keep_plan()
+        self._notice(self.keep_plan())
         self.stop_processes()
         self.place, self.history, self.background = visit.place, visit.history, visit.background
         self._exact = self._make_worker(self.work) if exact is None else exact
@@ -352,7 +336,7 @@ class Desk:
                     found = await asyncio.to_thread(coverage_record, scene, units)
                     self.tell({"type": "coverage", "revision": revision, **found})
             except Exception as error:  # the next change may be one that can be counted
-                self.tell({"type": "notice", "text": f"no numbers: {error}"})
+                self._notice(f"no numbers: {error}")
             self._rests.set()
 
     async def _look(self) -> None:
@@ -405,7 +389,7 @@ class Desk:
             await asyncio.sleep(_REST_S)
             if self._rests.is_set() or self._changed.is_set():
                 continue
-            self.keep_plan()
+            self._notice(self.keep_plan())
             for units in self._unknown():
                 await self._evaluate(units)
                 if self._rests.is_set():
@@ -437,11 +421,11 @@ class Desk:
         except TaskError as error:
             if isinstance(error, DiedError) and key not in place.died:
                 place.died.add(key)  # once more, by a new process
-                self.tell({"type": "notice", "text": f"{error}; it is tried again"})
+                self._notice(f"{error}; it is tried again")
                 self._rests.set()
                 return
             place.failed[key] = str(error)
-            self.tell({"type": "notice", "text": f"not evaluated: {error}"})
+            self._notice(f"not evaluated: {error}")
             return
         finally:
             self._do("evaluator", "")
@@ -484,17 +468,26 @@ class Desk:
             "problem": self.place.failed.get(key, ""),
         }
 
-    def keep_plan(self) -> None:
-        """Write the plan to its file, if there is one; nothing makes no file."""
+    def keep_plan(self) -> str:
+        """Write the plan to its file, if there is one; returns what went wrong.
+
+        An empty plan makes no file.
+        """
         save = self.place.save
         is_empty = self.background is None and not any(v.units for v in self.history.state.variants)
         if save is None or (is_empty and not save.exists()):
-            return
+            return ""
         text = self.plan_text()
         try:
             write_atomically(save, lambda file: file.write(text))
         except OSError as error:
-            self.tell({"type": "notice", "text": f"not saved: {error.strerror or error}"})
+            return f"not saved: {save}: {error.strerror or error}"
+        return ""
+
+    def saved_files(self) -> list[str]:
+        """Files of the plans of this session, in the order of their scenes."""
+        places = [visit.place for visit in (*self._earlier, self._visit(), *self._later[::-1])]
+        return [str(place.save) for place in places if place.save and place.save.exists()]
 
     # ---------- the optimiser
 
@@ -513,10 +506,10 @@ class Desk:
                 "advise", units, ask.request, n_units=ask.units, site=ask.site, on_progress=tell
             )
         except Cancelled:
-            self.tell({"type": "notice", "text": "The optimiser was stopped."})
+            self._notice("The optimiser was stopped.")
             return
         except TaskError as error:
-            self.tell({"type": "notice", "text": str(error)})
+            self._notice(str(error))
             return
         finally:
             self._do("optimiser", "")
@@ -539,31 +532,8 @@ class Desk:
 
     def _proposals_message(self) -> dict[str, Any]:
         scene = self.setting.scene
-        return {
-            "type": "proposals",
-            "proposals": [
-                {
-                    "number": each.number,
-                    "title": each.title,
-                    "words": each.words,
-                    **each.fields,
-                    **self._summary(each.units),
-                    "onTable": each.fields["apr"],
-                    "drawn": [
-                        {"place": record["place"], "view": view}
-                        for record, view in zip(
-                            unit_records(
-                                Layout(name=each.title, units=each.units, scene_name=scene.name),
-                                scene,
-                            ),
-                            each.views,
-                            strict=True,
-                        )
-                    ],
-                }
-                for each in self._proposals
-            ],
-        }
+        records = [each.record(self._summary(each.units), scene) for each in self._proposals]
+        return {"type": "proposals", "proposals": records}
 
     def _take(self, message: TakeProposal) -> None:
         proposal = next((each for each in self._proposals if each.number == message.number), None)
@@ -600,9 +570,10 @@ class Desk:
             self._do(who, "")
 
     async def open_scene(self, path: str, title: str = "") -> None:
-        """Go on in another scene, from nothing; Undo leads back. Raises TaskError if it has no runs.
+        """Go on in another scene, from nothing; Undo leads back.
 
-        Where the plan is kept in a file, that of the new scene gets another one.
+        Raises TaskError if it has no runs. Where the plan is kept in a file, the new scene's gets
+        another one.
         """
         work = replace(self.work, question=replace(self.work.question, scene=path))
         exact = self._make_worker(work)
@@ -620,16 +591,13 @@ class Desk:
         if notice:
             exact.stop()
             exact = self._make_worker(place.work)
-            self.tell({"type": "notice", "text": notice})
+        self._notice(notice)
         self._later.clear()
         self._earlier = [*self._earlier, self._visit()][-_MAX_PLACES:]
         self._enter(Visit(place=place, history=begin_history(()), background=None), exact)
         if save is not None:
             before = self._earlier[-1].place
-            self.tell(
-                {
-                    "type": "notice",
-                    "text": f"The plan at {before.title} is in {before.save}; "
-                    f"that of {place.title} will be in {save}.",
-                }
+            self._notice(
+                f"The plan at {before.title} is in {before.save}; "
+                f"that of {place.title} will be in {save}."
             )

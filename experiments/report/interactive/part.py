@@ -15,6 +15,7 @@ from placement.evaluation import Evaluation
 from placement.layout import Layout
 from placement.setting import Setting
 
+from ...figures.views import GroundViews
 from ...results.tables import margin_s
 from .records import (
     is_playable,
