@@ -27,6 +27,7 @@ MAX_RANGE_M = 150.0
 
 _N_BEARINGS = 360
 _FINE_M, _FINE_UP_TO_M, _COARSE_M = 1.0, 50.0, 2.0  # between the places that are asked of
+_HAIR_M = 0.05
 _STEP_M = 0.5  # of the reach
 _MAX_MOUNTS = 256
 
@@ -159,7 +160,10 @@ class GroundViews:
             axis=1,
         )
         sectors = shapely.polygons(eye_m[:2] + corners)
-        return shapely.union_all(sectors, grid_size=0.01)  # or hairs would be left between them
+        joined = shapely.union_all(sectors)
+        for width_m in (_HAIR_M, -_HAIR_M):  # or rounding would leave gaps between sectors
+            joined = shapely.buffer(joined, width_m, join_style="mitre", mitre_limit=1.5)
+        return shapely.simplify(joined, _HAIR_M)
 
 
 def _mount_key(unit: CandidatePose) -> tuple[float, ...]:

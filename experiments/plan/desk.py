@@ -225,7 +225,6 @@ class Desk:
             self._ask(message)
         elif isinstance(message, Cancel):
             self._spawn(asyncio.to_thread(self._advice.stop))
-            self.tell(self._proposals_message())
         elif isinstance(message, TakeProposal):
             self._take(message)
         elif isinstance(message, DropProposal):

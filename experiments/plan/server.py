@@ -214,7 +214,7 @@ class Pages:
         self._desk.join(listen)
         code = 1006
         try:
-            while True:
+            for number in count(1):
                 text = await socket.receive_text()
                 try:
                     if len(text) > _MAX_MESSAGE_BYTES:
@@ -222,6 +222,7 @@ class Pages:
                     self._desk.handle(text.encode())
                 except InputError as error:
                     listen({"type": "problem", "text": str(error)})
+                listen({"type": "heard", "number": number})
         except WebSocketDisconnect as ended:
             code = ended.code
         except (RuntimeError, KeyError):  # it is closed already, or bytes came in place of text

@@ -4,17 +4,17 @@ const FIRST_WAIT_MS = 400, LONGEST_WAIT_MS = 5000, PATIENCE_MS = 1500, SILENCE_M
 
 export function openLine({ onMessage, onState, onSilence }) {
   let socket = null, wait = FIRST_WAIT_MS, sentAt = 0, waiting = null;
-  let unanswered = 0, isSilent = false; // since when nothing came after something was sent
+  let nSent = 0, unanswered = 0, isSilent = false; // since when what was sent is not answered
   const address = new URL("live", location.href);
   address.protocol = "ws:";
 
   function connect() {
     socket = new WebSocket(address);
-    socket.addEventListener("open", () => { wait = FIRST_WAIT_MS; sentAt = 0; waiting = null; heard(); onState(true); });
+    socket.addEventListener("open", () => { wait = FIRST_WAIT_MS; sentAt = 0; waiting = null; heard(); nSent = 0; onState(true); });
     socket.addEventListener("message", (event) => {
-      heard();
       const message = JSON.parse(event.data);
       if (message.type === "state" || message.type === "problem") flush();
+      if (message.type === "heard") heard(message.number < nSent);
       onMessage(message);
     });
     socket.addEventListener("close", () => {
@@ -25,8 +25,8 @@ export function openLine({ onMessage, onState, onSilence }) {
     });
   }
 
-  function heard() {
-    unanswered = 0;
+  function heard(isMoreSent = false) {
+    unanswered = isMoreSent ? performance.now() : 0;
     if (isSilent) onSilence(0);
     isSilent = false;
   }
@@ -46,6 +46,7 @@ export function openLine({ onMessage, onState, onSilence }) {
   function put(message, isStep) {
     if (socket.readyState !== WebSocket.OPEN) return;
     if (isStep) sentAt = performance.now();
+    nSent += 1;
     unanswered ||= performance.now();
     socket.send(JSON.stringify(message));
   }
