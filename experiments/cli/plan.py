@@ -174,7 +174,15 @@ def plan(
 def _begun_plan(layout_names: Sequence[str], save: Path | None, scene: "Scene") -> "Plan":
     """What is planned to begin with: the saved plan, then layouts that it does not have yet."""
     from ..plan.numbers import key_of
-    from ..plan.session import MAX_PLAN_BYTES, Plan, Variant, check_plan, read_plan
+    from ..plan.session import (
+        MAX_PLAN_BYTES,
+        MAX_UNITS,
+        Plan,
+        Variant,
+        check_count,
+        check_plan,
+        read_plan,
+    )
     from ..study.layout import find_layout
 
     begun = Plan(variants=())
@@ -186,6 +194,7 @@ def _begun_plan(layout_names: Sequence[str], save: Path | None, scene: "Scene") 
     variants = [variant for variant in begun.variants if variant.units]
     for name in layout_names:
         layout = find_layout(name, "--layout")
+        check_count(len(layout.units), f"--layout {name}: units", MAX_UNITS)
         check_layout(layout, scene)
         if key_of(layout.units) not in known:
             variants.append(Variant(name=layout.name, units=layout.units))

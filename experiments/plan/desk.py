@@ -41,7 +41,6 @@ from .place import Key, Place, Visit, build_place, free_path
 from .proposals import Proposal, sensor_words
 from .session import (
     MAX_PLAN_BYTES,
-    AddUnit,
     ChangeUnit,
     History,
     Plan,
@@ -54,6 +53,7 @@ from .session import (
     begin_history,
     change_state,
     check_plan,
+    first_units,
 )
 from .tasks import Work
 from .worker import Cancelled, DiedError, TaskError, Worker
@@ -71,7 +71,7 @@ _MAX_PLACES = 4  # scenes that Undo leads back to
 class Desk:
     """One session: what is planned, who looks at it, and the processes that work for it.
 
-    All methods but :meth:`stop_processes` are called from the server's event loop.
+    All methods but :meth:`stop` are called from the server's event loop.
 
     Parameters
     ----------
@@ -140,6 +140,11 @@ class Desk:
             self._spawn(loop)
         self._changed.set()
         self._moved.set()
+
+    def stop(self) -> None:
+        """End all work, here and in other processes; from any thread."""
+        self.place.is_over.set()
+        self.stop_processes()
 
     def stop_processes(self) -> None:
         """End everything that works in other processes; from any thread."""
@@ -334,6 +339,8 @@ class Desk:
                     scene = place.setting.scene
                     found = await asyncio.to_thread(coverage_record, scene, units)
                     self.tell({"type": "coverage", "revision": revision, **found})
+            except Cancelled:
+                return
             except Exception as error:  # the next change may be one that can be counted
                 self._notice(f"no numbers: {error}")
             self._rests.set()
@@ -354,21 +361,13 @@ class Desk:
     def _without_view(self) -> list[CandidatePose]:
         units = {unit.id: unit for unit in self.history.state.variant.units}
         self._views = {name: view for name, view in self._views.items() if name in units}
-        return [
-            unit
-            for name, unit in units.items()
-            if name not in self._views or self._views[name][0] != key_of([unit])
-        ]
+        drawn = {key for key, _ in self._views.values()}
+        return [unit for unit in units.values() if key_of([unit]) not in drawn]
 
     def _first_units(self) -> tuple[CandidatePose, ...]:
         """A unit that is mounted nowhere: with it, all is got ready that the first drag needs."""
-        scene = self.setting.scene
-        free = [site.id for site in scene.sites if site.use != "forbidden"]
         model = self._chosen[0] if self._chosen else build_grid("").sensors[0].name
-        if not free:
-            return ()
-        empty = begin_history(()).state
-        return change_state(empty, AddUnit(site=free[0], sensor=model), self._stock()).variant.units
+        return first_units(self._stock(), model)
 
     async def private_view(self, unit_id: str) -> list[list[int]]:
         """Places of private ground that a unit has in its picture, see :class:`.place.Place`.
@@ -473,7 +472,7 @@ class Desk:
         An empty plan makes no file.
         """
         save = self.place.save
-        is_empty = self.background is None and not any(v.units for v in self.history.state.variants)
+        is_empty = self.background is None and self.history.state.is_empty
         if save is None or (is_empty and not save.exists()):
             return ""
         text = self.plan_text()
@@ -596,7 +595,4 @@ class Desk:
         self._enter(Visit(place=place, history=begin_history(()), background=None), exact)
         if save is not None:
             before = self._earlier[-1].place
-            self._notice(
-                f"The plan at {before.title} is in {before.save}; "
-                f"that of {place.title} will be in {save}."
-            )
+            self._notice(f"The plan at {before.title} is in {before.save}; this one: {save}.")

@@ -22,10 +22,12 @@ from .background import Background
 from .numbers import key_of, private_record, table_numbers
 from .session import History
 from .tasks import Work
+from .worker import Cancelled
 
 MAX_ALONE = 60
 """Units of which each one's own APR is shown while something is dragged."""
 
+_AT_ONCE = 16  # units between two looks whether anybody waits
 _MAX_KNOWN = 300  # layouts by the evaluator
 
 Key = tuple[object, ...]
@@ -65,6 +67,7 @@ class Place:
         compute = Compute(seed=work.seed, workers=work.workers, rays=work.rays)
         self.live = LiveTable(setting, compute=compute)
         self.views = GroundViews(setting)
+        self.is_over = threading.Event()  # nobody waits for numbers any more
         self.known: OrderedDict[Key, dict[str, Any]] = OrderedDict()  # by the evaluator
         self.failed: dict[Key, str] = {}
         self.died: set[Key] = set()  # layouts at which the evaluator's process died
@@ -77,10 +80,18 @@ class Place:
             self.known.popitem(last=False)
 
     def numbers_by_table(self, units: Sequence[CandidatePose]) -> dict[str, Any]:
-        """Numbers by the detection table; not for several threads at once."""
+        """Numbers by the detection table; not for several threads at once.
+
+        Raises Cancelled soon after `is_over` was set.
+        """
         if not units:
             return {"source": "none"}
-        detected = self.live.detected(units)
+        rows = []
+        for first in range(0, len(units), _AT_ONCE):
+            if self.is_over.is_set():
+                raise Cancelled
+            rows.append(self.live.detected(units[first : first + _AT_ONCE]))
+        detected = np.concatenate(rows)
         together = table_verdict(units, detected, self.setting)
         alone = {
             unit.id: table_verdict([unit], detected[index : index + 1], self.setting)

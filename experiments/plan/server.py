@@ -428,7 +428,7 @@ def build_app(desk: Desk, *, token: str, hosts: frozenset[str] | None) -> ASGIAp
     async def life(app: Starlette) -> Any:
         desk.start()
         yield
-        desk.stop_processes()
+        desk.stop()
 
     inner = Starlette(routes=[Mount(f"/{token}", routes=Pages(desk).routes())], lifespan=life)
     return Guard(inner, token=token, hosts=hosts)
@@ -492,7 +492,7 @@ class RunningServer:
         if self._server is not None:
             self._server.should_exit = self._server.force_exit = True
         if self.desk is not None:
-            self.desk.stop_processes()
+            self.desk.stop()
         self._thread.join(_PATIENCE_S)
         with suppress(OSError):
             self._socket.close()

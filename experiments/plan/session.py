@@ -72,6 +72,11 @@ class PlanState:
         """The one that is worked on."""
         return self.variants[self.current]
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing is mounted in any variant."""
+        return not any(variant.units for variant in self.variants)
+
     def with_units(self, units: Sequence[CandidatePose]) -> "PlanState":
         """The same with other units in the variant that is worked on.
 
@@ -189,6 +194,15 @@ def _add_unit(state: PlanState, change: AddUnit, stock: Stock) -> PlanState:
         sensor=sensor,
     )
     return state.with_units([*units, unit])
+
+
+def first_units(stock: Stock, sensor: str) -> tuple[CandidatePose, ...]:
+    """A unit alone at the first site that may carry one; none where there is no such site."""
+    free = [site.id for site in stock.scene.sites if site.use != "forbidden"]
+    if not free:
+        return ()
+    empty = begin_history(()).state
+    return _add_unit(empty, AddUnit(site=free[0], sensor=sensor), stock).variant.units
 
 
 def _change_unit(state: PlanState, change: ChangeUnit, stock: Stock) -> PlanState:
@@ -325,7 +339,7 @@ def _find(units: Sequence[CandidatePose], unit_id: str) -> int:
     for index, unit in enumerate(units):
         if unit.id == unit_id:
             return index
-    raise InputError("unit", unit_id, "one that hangs there")
+    raise InputError("unit", unit_id, "one that is mounted there")
 
 
 def _free_site(site_id: str, units: Sequence[CandidatePose], scene: Scene) -> Site:

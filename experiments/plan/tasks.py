@@ -381,7 +381,7 @@ def _proof(advice: Advice) -> str:
     first = None if advice.certificate is None else advice.certificate.stages[0]
     by_cost = first is not None and first.name == "cost_eur"
     if advice.is_proven:
-        best, equal = ("none costs less", "price") if by_cost else ("none has more", "APR")
+        best, equal = ("none costs less", "price") if by_cost else ("no APR is higher", "APR")
         return f"proven: {best}; of those with the same {equal} not all were compared in time"
     limit = (
         f"nothing for less than {euros(first.bound)} is possible there"

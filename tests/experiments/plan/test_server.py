@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from plan_desks import InThread, few_poses, small_desk  # noqa: F401
+from plan_desks import InThread, few_poses, small_desk, small_work  # noqa: F401
 from shapely import box
 
 pytest.importorskip("starlette", reason="place-rsus[plan] is not installed")
@@ -25,9 +25,10 @@ from starlette.websockets import WebSocketDisconnect
 from experiments.export.json import to_json_text
 from experiments.jobs.placement import run_evaluation
 from experiments.plan import server
+from experiments.plan.place import Place
 from experiments.plan.server import build_app
 from experiments.plan.session import Variant
-from experiments.plan.worker import DiedError
+from experiments.plan.worker import Cancelled, DiedError
 from experiments.progress import StageProgress
 from experiments.results.explanations import build_private_ground_record
 from experiments.results.numbers import percent
@@ -638,6 +639,23 @@ def test_a_plan_is_not_lost_when_another_scene_is_opened(open_client, join, tmp_
         time.sleep(0.1)
     assert json.loads(other.read_text())["scene"] == "other"
     assert json.loads(path.read_text()) == kept
+
+
+def test_a_count_of_many_units_ends_when_nobody_waits_for_it(tmp_path, small_setting):
+    place = Place(small_work(tmp_path), small_setting)
+    (unit,) = load_carlancap_layout().units[:1]
+    asked = []
+
+    def detected(units):
+        asked.append(len(units))
+        if len(asked) == 2:
+            place.is_over.set()
+        return np.zeros((len(units), small_setting.axis.n_frames), dtype=bool)
+
+    place.live.detected = detected
+    with pytest.raises(Cancelled):
+        place.numbers_by_table([replace(unit, id=f"U{index}") for index in range(1000)])
+    assert len(asked) == 2
 
 
 def test_views_are_told_for_every_unit_and_follow_what_is_turned(open_client, join):

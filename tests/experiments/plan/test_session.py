@@ -146,7 +146,7 @@ def test_a_plan_of_another_scene_is_refused():
     [
         (AddUnit(site="nowhere", sensor=CAMERA), "site: got 'nowhere'; expected a site of town05"),
         (AddUnit(site="corner-ne", sensor="x"), "sensor: got 'x'; expected one of"),
-        (ChangeUnit(unit="U9", yaw_deg=0.0), "unit: got 'U9'; expected one that hangs there"),
+        (ChangeUnit(unit="U9", yaw_deg=0.0), "unit: got 'U9'; expected one that is mounted there"),
         (ChangeUnit(unit="U1", height_m=99.0), r"height: got 99.0; expected 4 \.\. 8.5 m, the ran"),
         (ChangeUnit(unit="U1", pitch_deg=91.0), r"tilt: got 91.0; expected -90 \.\. 90 degrees"),
         (ChangeUnit(unit="U1", yaw_deg=float("nan")), "direction: got nan; expected a finite"),
