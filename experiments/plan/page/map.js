@@ -208,7 +208,7 @@ export function createMap(holder, on) {
       const mark = element("g", { class: "unit", tabindex: 0, role: "button", "aria-pressed": isSelected, "aria-label": unit.title, "data-unit": unit.id }, marked.units);
       const yaw = radians(unit.yawDeg);
       const ahead = element("g", { transform: `translate(${(MARK_PX * Math.cos(yaw)).toFixed(1)} ${(-MARK_PX * Math.sin(yaw)).toFixed(1)})` }, mark);
-      element("path", { d: `M0 0L${(MARK_PX * Math.cos(yaw)).toFixed(1)} ${(-MARK_PX * Math.sin(yaw)).toFixed(1)}`, stroke: "#000", "stroke-width": 1.6, "pointer-events": "none" }, mark);
+      element("line", { x2: (MARK_PX * Math.cos(yaw)).toFixed(1), y2: (-MARK_PX * Math.sin(yaw)).toFixed(1), stroke: "#000", "stroke-width": 1.6, "pointer-events": "none" }, mark);
       mark.append(ahead);
       element("circle", { r: 12, fill: "transparent" }, ahead);
       element("title", { text: unit.title }, ahead);
