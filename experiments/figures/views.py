@@ -160,7 +160,10 @@ class GroundViews:
             axis=1,
         )
         sectors = shapely.polygons(eye_m[:2] + corners)
-        joined = shapely.union_all(sectors)
+        # The innermost sectors are one star; to join it with the few others is quick.
+        is_inner = first == 0
+        star = shapely.Polygon(eye_m[:2] + corners[is_inner, 1:3].reshape(-1, 2))
+        joined = shapely.union_all([star, *sectors[~is_inner]])
         for width_m in (_HAIR_M, -_HAIR_M):  # or rounding would leave gaps between sectors
             joined = shapely.buffer(joined, width_m, join_style="mitre", mitre_limit=1.5)
         return shapely.simplify(joined, _HAIR_M)
