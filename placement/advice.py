@@ -61,7 +61,14 @@ class Advice:
 
     @property
     def is_proven(self) -> bool:
-        """Whether nothing of its kind is better."""
+        """Whether nothing of its kind is better by what is asked for, the first objective."""
+        if self.certificate is None:
+            return self.n_compared > 0
+        return self.certificate.stages[0].gap == 0.0
+
+    @property
+    def is_all_proven(self) -> bool:
+        """Whether nothing of its kind is better by any objective."""
         return self.n_compared > 0 or (self.certificate is not None and self.certificate.is_proven)
 
     @property
@@ -128,12 +135,18 @@ class Adviser:
     def complete(self, units: Sequence[CandidatePose], *, n_units: int) -> Advice:
         """The best layout of `n_units` that has the units that hang; costs are of what is new.
 
-        Raises InputError if so many hang already, or the sites cannot carry them.
+        One unit more is found as :meth:`best_next` finds it, by trying all. Raises InputError if so
+        many hang already, the sites cannot carry them, or one unit more is no improvement.
         """
         if n_units <= len(units):
             raise InputError(
                 "units in all", n_units, f"more than the {len(units)} that hang already"
             )
+        is_forced = self._wishes.forced_sites or any(
+            site.use == "forced" for site in self._setting.scene.sites
+        )
+        if units and n_units == len(units) + 1 and not is_forced:
+            return self.best_next(units)
         wishes = replace(
             self._wishes,
             budget_units=n_units - len(units),

@@ -3,11 +3,16 @@
 import signal
 import tempfile
 import webbrowser
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
+from geometry.files import check_file
 from placement.compute import Compute
+from placement.layout import check_layout
 from placement.question import MOUNTED, Question
 
 from ..progress import Interrupted, StageProgress
@@ -22,6 +27,11 @@ from .options import (
     quiet_option,
 )
 from .running import begin
+
+if TYPE_CHECKING:
+    from geometry.scene import Scene
+
+    from ..plan.session import Plan
 
 _ASKED = (
     *fields_in(MOUNTED, but=("keep", "within", "force_site")),
@@ -111,27 +121,14 @@ def plan(
     begin(progress, quiet=quiet)
     progress.kept = "nothing was written" if save is None else f"the plan is in {save}"
     from geometry.scene_files import load_scene
-    from placement.layout import check_layout
-    from placement.planning import find_layout
     from placement.setting import build_setting
 
     from ..plan.desk import Desk
     from ..plan.server import RunningServer
-    from ..plan.session import Plan, Variant, read_plan
     from ..plan.tasks import Work
 
     scene = load_scene(question.scene)
-    variants = []
-    for name in layout_names:
-        layout = find_layout(name, "--layout")
-        check_layout(layout, scene)
-        variants.append(Variant(name=layout.name, units=layout.units))
-    begun = Plan(variants=tuple(variants))
-    if save is not None and save.exists() and not variants:
-        begun = read_plan(save.read_bytes(), str(save))
-        for variant in begun.variants:
-            if variant.units:
-                check_layout(variant.layout(scene), scene)
+    begun = _begun_plan(layout_names, save, scene)
     progress("setting", 0, 0)
     setting = build_setting(question, scene, compute=compute)
     with tempfile.TemporaryDirectory(prefix="place-rsus-plan-") as folder:
@@ -159,7 +156,7 @@ def plan(
                     f"--host {host}: whoever has this address can change the plan.", err=True
                 )
             if opens:
-                webbrowser.open(server.address)
+                webbrowser.open(_redirect(server.address, Path(folder)))
             server.wait()
             ended = "The page was closed: ended"
         except Interrupted as interrupted:
@@ -167,5 +164,56 @@ def plan(
                 raise
             ended = "Ended"
         finally:
-            server.stop()
-        click.echo(f"{ended}." if save is None else f"{ended}; the plan is in {save}.")
+            problem = server.stop()
+        if problem:
+            click.echo(f"place-rsus: {problem}", err=True)
+        saved = [] if server.desk is None else server.desk.saved_files()
+        click.echo("; the plan is in ".join([ended, *filter(None, [" and ".join(saved)])]) + ".")
+
+
+def _begun_plan(layout_names: Sequence[str], save: Path | None, scene: "Scene") -> "Plan":
+    """What is planned to begin with: the saved plan, then layouts that it does not have yet."""
+    from placement.planning import find_layout
+
+    from ..plan.numbers import key_of
+    from ..plan.session import (
+        MAX_PLAN_BYTES,
+        MAX_UNITS,
+        Plan,
+        Variant,
+        check_count,
+        check_plan,
+        read_plan,
+    )
+
+    begun = Plan(variants=())
+    if save is not None and save.exists():
+        check_file(save, max_bytes=MAX_PLAN_BYTES)
+        begun = read_plan(save.read_bytes(), str(save))
+        check_plan(begun, scene)
+    known = {key_of(variant.units) for variant in begun.variants}
+    variants = [variant for variant in begun.variants if variant.units]
+    for name in layout_names:
+        layout = find_layout(name, "--layout")
+        check_count(len(layout.units), f"--layout {name}: units", MAX_UNITS)
+        check_layout(layout, scene)
+        if key_of(layout.units) not in known:
+            variants.append(Variant(name=layout.name, units=layout.units))
+    return replace(begun, variants=tuple(variants))
+
+
+def _redirect(address: str, folder: Path) -> str:
+    """Address of a file that leads to the page and that only its owner can read.
+
+    Programs' command lines can be read by everybody on the machine: the token is not for them.
+    """
+    path = folder / "open.html"
+    path.touch(mode=0o600)
+    path.write_text(
+        f'<!DOCTYPE html><meta charset="utf-8"><title>place-rsus plan</title>'
+        f'<meta name="referrer" content="no-referrer">'
+        f'<meta http-equiv="refresh" content="0; url={address}">'
+        f'<a href="{address}">To the page</a>\n',
+        encoding="utf-8",
+    )
+    return path.as_uri()

@@ -228,12 +228,14 @@ _LEGEND_ROW_IN = 0.17
 _MAX_NAME = 18  # letters that the legend has room for
 
 
-def ground_footprint(unit: CandidatePose, *, max_range_m: float) -> FloatArray:
+def ground_footprint(
+    unit: CandidatePose, *, max_range_m: float, max_depth_m: float = math.inf
+) -> FloatArray:
     """What a unit's image shows of the road plane, if nothing stood on it.
 
-    A convex polygon, (n, 2), counter-clockwise, up to `max_range_m` from the foot of the camera;
-    empty if it sees no ground there. Of a LiDAR that opens half a turn or more it is the outer one
-    of :func:`.sensors.ground_rings`. World frame. [m]
+    A convex polygon, (n, 2), counter-clockwise, up to `max_range_m` from the foot of the camera and
+    up to `max_depth_m` along its axis; empty if it sees no ground there. Of a LiDAR that opens half
+    a turn or more it is the outer one of :func:`.sensors.ground_rings`. World frame. [m]
     """
     if is_wide(unit):
         return ground_rings(unit, max_range_m=max_range_m)[0]
@@ -253,6 +255,10 @@ def ground_footprint(unit: CandidatePose, *, max_range_m: float) -> FloatArray:
         ]
     )
     R_world_camera = camera_rotation(unit.pose.yaw_deg, unit.pose.pitch_deg)
+    if np.isfinite(max_depth_m):
+        axis = R_world_camera[:, 2]
+        depth_m = (corners - position[:2]) @ axis[:2] - position[2] * axis[2]
+        corners = _clip(corners, max_depth_m - depth_m)
     for normal in normals_camera @ R_world_camera.T:
         inside = (corners - position[:2]) @ normal[:2] - position[2] * normal[2]
         corners = _clip(corners, inside)

@@ -2,28 +2,21 @@
 
 import asyncio
 import time
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from geometry.catalogue import Sensor, load_cameras
+from geometry.catalogue import Sensor
 from geometry.errors import InputError, Unquoted
 from geometry.files import pick, write_atomically
-from geometry.lidar import load_lidars
 from placement.candidates import CandidatePose, load_candidate_grid
-from placement.compute import Compute
-from placement.layout import Layout, check_layout
-from placement.live import LiveTable, table_verdict
+from placement.layout import Layout
 from placement.planning import build_grid, pick_sensors
-from placement.private_ground import PrivateGround, PrivateSight, load_private_ground
 from placement.setting import Setting
 
-from ..report.interactive.records import unit_records
+from ..report.interactive.records import view_paths
 from .background import MAX_BYTES as MAX_IMAGE_BYTES
 from .background import Background, background_message
 from .messages import (
@@ -31,6 +24,7 @@ from .messages import (
     Cancel,
     ChooseSensors,
     DropProposal,
+    Revert,
     ShowCoverage,
     TakeProposal,
     read_message,
@@ -40,16 +34,17 @@ from .numbers import (
     coverage_record,
     key_of,
     plan_text,
-    private_record,
     scene_record,
     state_record,
-    table_numbers,
 )
+from .place import Key, Place, Visit, build_place, free_path
+from .proposals import Proposal, sensor_words
 from .session import (
-    AddUnit,
+    MAX_PLAN_BYTES,
     ChangeUnit,
     History,
     Plan,
+    PlanState,
     Redo,
     Stock,
     Undo,
@@ -57,49 +52,26 @@ from .session import (
     add_variant,
     begin_history,
     change_state,
+    check_plan,
+    first_units,
 )
 from .tasks import Work
 from .worker import Cancelled, DiedError, TaskError, Worker
 
 Listener = Callable[[dict[str, Any]], None]
 
-MAX_PLAN_BYTES = 16_000_000
 MAX_MAP_BYTES = 300_000_000
-"""Of files that browsers send."""
+"""Of a file that a browser sends."""
 
 _REST_S = 0.3  # without a change, before pixels are asked
-_MAX_KNOWN = 300  # of layouts by the evaluator
 _MAX_PROPOSALS = 12
-_MAX_ALONE = 60  # units of which each one's own APR is told while something is dragged
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Proposal:
-    """An answer of the optimiser, beside one's own plan."""
-
-    number: int
-    title: str
-    words: str
-    units: tuple[CandidatePose, ...]
-    fields: dict[str, Any]
-
-
-def _words_of(sensors: str) -> dict[str, str]:
-    """By the name of each model that may be mounted, how ``--sensors`` calls it."""
-    words = {name: name for name in (*load_cameras(), *load_lidars())}
-    for word in filter(None, sensors.split(",")):
-        for model in pick_sensors(word):
-            words[model.name] = f"{word}:{model.name}" if word.endswith(".toml") else word
-    return words
-
-
-_Private = tuple[PrivateGround | None, PrivateSight | None]
+_MAX_PLACES = 4  # scenes that Undo leads back to
 
 
 class Desk:
     """One session: what is planned, who looks at it, and the processes that work for it.
 
-    All methods but :meth:`stop_processes` are called from the server's event loop.
+    All methods but :meth:`stop` are called from the server's event loop.
 
     Parameters
     ----------
@@ -124,53 +96,53 @@ class Desk:
         save: Path | None = None,
         make_worker: Callable[[Work], Worker] = Worker,
     ) -> None:
-        self.work, self.setting, self._make_worker = work, setting, make_worker
+        self.place = Place(work, setting, save=save)
+        self._make_worker = make_worker
         self.history: History = begin_history(plan.variants if plan else ())
         self.background: Background | None = plan.background if plan else None
+        self._earlier: list[Visit] = []  # other scenes that Undo and Redo lead to
+        self._later: list[Visit] = []
         self.revision = 0
         self.listeners: set[Listener] = set()
         self.left_at_s: float | None = None  # since when nobody looks, who looked before
         self.is_lost = False
-        self._ground, self._sight = self._private_ground(work, setting)
-        self._sight_turn = asyncio.Lock()
-        self._save = save
         self._exact, self._advice = make_worker(work), make_worker(work)
-        self._live = self._new_table()
-        self._known: OrderedDict[tuple[object, ...], dict[str, Any]] = OrderedDict()
-        self._failed: dict[tuple[object, ...], str] = {}
-        self._died: set[tuple[object, ...]] = set()
-        self._by_table: dict[tuple[object, ...], str] = {}
         self._proposals: list[Proposal] = []
         self._numbers_of_proposals = count(1)
-        self._words = _words_of(work.question.sensors)
+        self._words = sensor_words(work.question.sensors)
         self._models: dict[str, Sensor] = {
             model.name: model for word in self._words.values() for model in pick_sensors(word)
         }
         self._chosen: list[str] = [sensor.name for sensor in build_grid(work.question).sensors]
         self._shows_coverage = False
-        self._changed, self._rests = asyncio.Event(), asyncio.Event()
+        self._changed, self._rests, self._moved = asyncio.Event(), asyncio.Event(), asyncio.Event()
+        self._views: dict[str, tuple[Key, dict[str, Any]]] = {}  # by unit, with its pose
         self._tasks: set[asyncio.Task[None]] = set()
         self._doing: dict[str, Any] = {}
 
-    @staticmethod
-    def _private_ground(work: Work, setting: Setting) -> _Private:
-        """Areas of ``--no-look`` in a scene. Raises InputError if they cannot lie there."""
-        if not work.question.no_look:
-            return None, None
-        ground = load_private_ground(Path(work.question.no_look), setting.scene)
-        return ground, PrivateSight(setting.scene, ground)
+    @property
+    def work(self) -> Work:
+        """What is asked, and where files of the session are."""
+        return self.place.work
 
-    def _new_table(self) -> LiveTable:
-        compute = Compute(seed=self.work.seed, workers=self.work.workers, rays=self.work.rays)
-        return LiveTable(self.setting, compute=compute)
+    @property
+    def setting(self) -> Setting:
+        """Scene and runs."""
+        return self.place.setting
 
     # ---------- life
 
     def start(self) -> None:
         """Begin to count and to judge."""
-        for loop in (self._count(), self._judge()):
+        for loop in (self._count(), self._judge(), self._look()):
             self._spawn(loop)
         self._changed.set()
+        self._moved.set()
+
+    def stop(self) -> None:
+        """End all work, here and in other processes; from any thread."""
+        self.place.is_over.set()
+        self.stop_processes()
 
     def stop_processes(self) -> None:
         """End everything that works in other processes; from any thread."""
@@ -189,6 +161,10 @@ class Desk:
         for listener in [*self.listeners]:
             listener(message)
 
+    def _notice(self, text: str) -> None:
+        if text:
+            self.tell({"type": "notice", "text": text})
+
     def join(self, listener: Listener) -> None:
         """A browser comes: it is told all that there is."""
         self.listeners.add(listener)
@@ -197,6 +173,8 @@ class Desk:
         listener(self._state_message())
         listener(self._proposals_message())
         listener(background_message(self.background))
+        for _, view in self._views.values():
+            listener(view)
         if self._doing:
             listener(self._doing)
         self._changed.set()
@@ -214,9 +192,10 @@ class Desk:
                 self.setting,
                 models=[*self._models.values()],
                 chosen=self._chosen,
-                ground=self._ground,
+                ground=self.place.ground,
             ),
-            "isKept": self._save is not None,
+            "title": self.place.title,
+            "isKept": self.place.save is not None,
             "mostBytes": {"plan": MAX_PLAN_BYTES, "map": MAX_MAP_BYTES, "image": MAX_IMAGE_BYTES},
         }
 
@@ -225,6 +204,8 @@ class Desk:
 
     def _state_message(self) -> dict[str, Any]:
         record = state_record(self.history, self.setting.scene)
+        record["canUndo"] |= bool(self._earlier)
+        record["canRedo"] |= bool(self._later)
         return {"type": "state", "revision": self.revision, **record}
 
     def _do(self, who: str, stage: str, done: int = 0, total: int = 0) -> None:
@@ -238,9 +219,11 @@ class Desk:
         """Do what a browser asks for. Raises InputError if it cannot be done."""
         message = read_message(text)
         if isinstance(message, Undo):
-            self._go_to(self.history.undone())
+            self._undo()
         elif isinstance(message, Redo):
-            self._go_to(self.history.redone())
+            self._redo()
+        elif isinstance(message, Revert):
+            self._go_to(self.history.reverted(message.gesture))
         elif isinstance(message, Ask):
             self._ask(message)
         elif isinstance(message, Cancel):
@@ -261,7 +244,7 @@ class Desk:
         else:
             state = change_state(self.history.state, message, self._stock())
             gesture = message.gesture if isinstance(message, ChangeUnit) else ""
-            self._go_to(self.history.went_on(state, gesture=gesture))
+            self._go_on(state, gesture=gesture)
 
     def lay_background(self, background: Background | None) -> None:
         """Show another image below the plan, or none."""
@@ -269,30 +252,65 @@ class Desk:
         self.tell(background_message(self.background))
         self._changed.set()  # it is kept when the plan rests
 
-    def open_plan(self, plan: Plan) -> None:
+    def open_plan(self, plan: Plan, source: str) -> None:
         """Add variants from a file; an only one that is empty gives way to them.
 
-        Raises InputError if a unit cannot hang in this scene, or there are too many.
+        `source` is the file's name, for variants whose own name is taken. Raises InputError if a
+        unit cannot be mounted in this scene, or there are too many.
         """
-        variants = plan.variants
-        for variant in variants:
-            if variant.units:
-                check_layout(variant.layout(self.setting.scene), self.setting.scene)
+        check_plan(plan, self.setting.scene)
         state = self.history.state
         if len(state.variants) == 1 and not state.variant.units:
-            state = begin_history(variants).state
+            state = begin_history(plan.variants).state
         else:
-            for variant in variants:
-                state = add_variant(state, variant)
+            for variant in plan.variants:
+                state = add_variant(state, variant, source=source)
         if plan.background is not None:
             self.lay_background(plan.background)
-        self._go_to(self.history.went_on(state))
+        self._go_on(state)
+
+    def _go_on(self, state: PlanState, *, gesture: str = "") -> None:
+        """One state further."""
+        self._later.clear()
+        self._go_to(self.history.went_on(state, gesture=gesture))
 
     def _go_to(self, history: History) -> None:
         self.history = history
         self.revision += 1
         self.tell(self._state_message())
         self._changed.set()
+        self._moved.set()
+
+    def _undo(self) -> None:
+        if self.history.can_undo or not self._earlier:
+            self._go_to(self.history.undone())
+        else:
+            self._later.append(self._visit())
+            self._enter(self._earlier.pop())
+
+    def _redo(self) -> None:
+        if self.history.can_redo or not self._later:
+            self._go_to(self.history.redone())
+        else:
+            self._earlier.append(self._visit())
+            self._enter(self._later.pop())
+
+    def _visit(self) -> Visit:
+        return Visit(place=self.place, history=self.history, background=self.background)
+
+    def _enter(self, visit: Visit, exact: Worker | None = None) -> None:
+        """Go on in another scene; `exact` has read it already."""
+        self._notice(self.keep_plan())
+        self.stop_processes()
+        self.place, self.history, self.background = visit.place, visit.history, visit.background
+        self._exact = self._make_worker(self.work) if exact is None else exact
+        self._advice = self._make_worker(self.work)
+        self._proposals = []
+        self._views.clear()
+        self.tell(self._scene_message())
+        self._go_to(self.history)
+        self.tell(self._proposals_message())
+        self.tell(background_message(self.background))
 
     # ---------- numbers
 
@@ -301,76 +319,63 @@ class Desk:
         while True:
             await self._changed.wait()
             self._changed.clear()
-            live = self._live
-            if live.n_mounts == 0:
+            place = self.place
+            if place.live.n_mounts == 0:
                 self._do("rays", "prepare the rays")
-                await asyncio.to_thread(self._by_rays, live, self._first_units())
+                await asyncio.to_thread(place.numbers_by_table, self._first_units())
                 self._do("rays", "")
             revision, units = self.revision, self.history.state.variant.units
             try:
-                numbers = self._known.get(key_of(units))
+                numbers = place.known.get(key_of(units))
                 if numbers is None:
-                    numbers = await asyncio.to_thread(self._by_rays, live, units)
-                private = await self._private(units)
-                numbers = self._known.get(key_of(units), numbers)  # the evaluator was no slower
+                    numbers = await asyncio.to_thread(place.numbers_by_table, units)
+                private = await asyncio.to_thread(place.private_areas, units)
+                numbers = place.known.get(key_of(units), numbers)  # the evaluator was no slower
                 self.tell({"type": "numbers", "revision": revision, **numbers, **private})
                 self._tell_variants()
                 if self._shows_coverage and not self._changed.is_set():
-                    found = await asyncio.to_thread(coverage_record, self.setting.scene, units)
+                    scene = place.setting.scene
+                    found = await asyncio.to_thread(coverage_record, scene, units)
                     self.tell({"type": "coverage", "revision": revision, **found})
+            except Cancelled:
+                return
             except Exception as error:  # the next change may be one that can be counted
-                self.tell({"type": "notice", "text": f"no numbers: {error}"})
+                self._notice(f"no numbers: {error}")
             self._rests.set()
 
+    async def _look(self) -> None:
+        """Views of all units that are shown; first of those whose rays have been cast."""
+        while True:
+            await self._moved.wait()
+            self._moved.clear()
+            while todo := self._without_view():
+                place = self.place
+                unit = next((each for each in todo if place.views.has_rays(each)), todo[0])
+                found = await asyncio.to_thread(place.view_record, unit)
+                if place is self.place:
+                    self._views[unit.id] = key_of([unit]), {"type": "view", **found}
+                    self.tell(self._views[unit.id][1])
+
+    def _without_view(self) -> list[CandidatePose]:
+        units = {unit.id: unit for unit in self.history.state.variant.units}
+        self._views = {name: view for name, view in self._views.items() if name in units}
+        drawn = {key for key, _ in self._views.values()}
+        return [unit for unit in units.values() if key_of([unit]) not in drawn]
+
     def _first_units(self) -> tuple[CandidatePose, ...]:
-        """A unit that hangs nowhere: with it, all is got ready that the first drag needs."""
-        scene = self.setting.scene
-        free = [site.id for site in scene.sites if site.use != "forbidden"]
+        """A unit that is mounted nowhere: with it, all is got ready that the first drag needs."""
         model = self._chosen[0] if self._chosen else load_candidate_grid().sensors[0].name
-        if not free:
-            return ()
-        empty = begin_history(()).state
-        return change_state(empty, AddUnit(site=free[0], sensor=model), self._stock()).variant.units
-
-    def _by_rays(self, live: LiveTable, units: Sequence[CandidatePose]) -> dict[str, Any]:
-        if not units:
-            return {"source": "none"}
-        detected = live.detected(units)
-        together = table_verdict(units, detected, self.setting)
-        alone = {
-            unit.id: table_verdict([unit], detected[index : index + 1], self.setting)
-            for index, unit in enumerate(units[:_MAX_ALONE])
-        }
-        numbers = table_numbers(units[:_MAX_ALONE], together, alone, self.setting)
-        self._by_table[key_of(units)] = numbers["apr"]
-        return numbers
-
-    async def _private(self, units: Sequence[CandidatePose]) -> dict[str, Any]:
-        """Private areas in view, as a part of the numbers; nothing without any area."""
-        ground, sight = self._ground, self._sight
-        if ground is None or sight is None:
-            return {}
-        allowed = self.work.question.no_look_share or 0.0
-        async with self._sight_turn:
-            found = await asyncio.to_thread(private_record, units, ground, sight, max_share=allowed)
-        return {"private": found}
+        return first_units(self._stock(), model)
 
     async def private_view(self, unit_id: str) -> list[list[int]]:
-        """Places of private ground that a unit has in its picture, a metre apart, centimetres.
+        """Places of private ground that a unit has in its picture, see :class:`.place.Place`.
 
         Raises InputError if there is no such unit.
         """
         unit = next((u for u in self.history.state.variant.units if u.id == unit_id), None)
         if unit is None:
-            raise InputError("unit", unit_id, "one that hangs there")
-        if self._ground is None or self._sight is None:
-            return []
-        async with self._sight_turn:
-            seen = await asyncio.to_thread(self._sight.seen, unit)
-        places: list[list[int]] = (
-            np.rint(100.0 * self._ground.points_m[seen, :2]).astype(int).tolist()
-        )
-        return places
+            raise InputError("unit", unit_id, "one that is mounted there")
+        return await asyncio.to_thread(self.place.private_places, unit)
 
     async def _judge(self) -> None:
         """Numbers by the evaluator, of whatever is shown and rests: the newest first."""
@@ -380,7 +385,7 @@ class Desk:
             await asyncio.sleep(_REST_S)
             if self._rests.is_set() or self._changed.is_set():
                 continue
-            self._write_plan()
+            self._notice(self.keep_plan())
             for units in self._unknown():
                 await self._evaluate(units)
                 if self._rests.is_set():
@@ -396,12 +401,12 @@ class Desk:
         return [
             units
             for key, units in found.items()
-            if key not in self._known and key not in self._failed
+            if key not in self.place.known and key not in self.place.failed
         ]
 
     async def _evaluate(self, units: tuple[CandidatePose, ...]) -> None:
-        key, setting = key_of(units), self.setting
-        layout = Layout(name="plan", units=units, scene_name=setting.scene.name)
+        key, place = key_of(units), self.place
+        layout = Layout(name="plan", units=units, scene_name=self.setting.scene.name)
         self._do("evaluator", "evaluate")
         try:
             numbers = await self._exact.call(
@@ -410,23 +415,22 @@ class Desk:
         except Cancelled:
             return
         except TaskError as error:
-            if isinstance(error, DiedError) and key not in self._died:
-                self._died.add(key)  # once more, by a new process
-                self.tell({"type": "notice", "text": f"{error}; it is tried again"})
+            if isinstance(error, DiedError) and key not in place.died:
+                place.died.add(key)  # once more, by a new process
+                self._notice(f"{error}; it is tried again")
                 self._rests.set()
                 return
-            self._failed[key] = str(error)
-            self.tell({"type": "notice", "text": f"not evaluated: {error}"})
+            place.failed[key] = str(error)
+            self._notice(f"not evaluated: {error}")
             return
         finally:
             self._do("evaluator", "")
-        if setting is not self.setting:  # another scene was opened meanwhile
+        place.learn(units, numbers)
+        if place is not self.place:  # another scene was opened meanwhile
             return
-        self._known[key] = numbers
-        while len(self._known) > _MAX_KNOWN:
-            self._known.popitem(last=False)
         if key == key_of(self.history.state.variant.units):
-            revision, private = self.revision, await self._private(units)
+            revision = self.revision
+            private = await asyncio.to_thread(place.private_areas, units)
             self.tell({"type": "numbers", "revision": revision, **numbers, **private})
         self._tell_variants()
         self.tell(self._proposals_message())
@@ -448,26 +452,38 @@ class Desk:
 
     def _summary(self, units: Sequence[CandidatePose]) -> dict[str, Any]:
         key = key_of(units)
-        numbers = self._known.get(key)
+        numbers = self.place.known.get(key)
         cost = cost_record(units, self.setting.scene)
         return {
             "units": len(units),
             "cost": cost["all"] if cost else "",
-            "apr": numbers["apr"] if numbers else self._by_table.get(key, ""),
-            "source": "evaluator" if numbers else "table" if key in self._by_table else "none",
+            "apr": numbers["apr"] if numbers else self.place.by_table.get(key, ""),
+            "source": "evaluator" if numbers else "table" if key in self.place.by_table else "none",
             "byCase": numbers["byCase"] if numbers else {},
             "oneFails": numbers["oneFails"] if numbers else "",
-            "problem": self._failed.get(key, ""),
+            "problem": self.place.failed.get(key, ""),
         }
 
-    def _write_plan(self) -> None:
-        if self._save is None:
-            return
+    def keep_plan(self) -> str:
+        """Write the plan to its file, if there is one; returns what went wrong.
+
+        An empty plan makes no file.
+        """
+        save = self.place.save
+        is_empty = self.background is None and self.history.state.is_empty
+        if save is None or (is_empty and not save.exists()):
+            return ""
         text = self.plan_text()
         try:
-            write_atomically(self._save, lambda file: file.write(text))
+            write_atomically(save, lambda file: file.write(text))
         except OSError as error:
-            self.tell({"type": "notice", "text": f"not saved: {error.strerror or error}"})
+            return f"not saved: {save}: {error.strerror or error}"
+        return ""
+
+    def saved_files(self) -> list[str]:
+        """Files of the plans of this session, in the order of their scenes."""
+        places = [visit.place for visit in (*self._earlier, self._visit(), *self._later[::-1])]
+        return [str(place.save) for place in places if place.save and place.save.exists()]
 
     # ---------- the optimiser
 
@@ -486,19 +502,24 @@ class Desk:
                 "advise", units, ask.request, n_units=ask.units, site=ask.site, on_progress=tell
             )
         except Cancelled:
-            self.tell({"type": "notice", "text": "The optimiser was stopped."})
+            self._notice("The optimiser was stopped.")
             return
         except TaskError as error:
-            self.tell({"type": "notice", "text": str(error)})
+            self._notice(str(error))
             return
         finally:
             self._do("optimiser", "")
+        place = self.place
         for answer in answers:
+            views = await asyncio.to_thread(view_paths, answer["units"], place.views)
+            if place is not self.place:
+                return
             proposal = Proposal(
                 number=next(self._numbers_of_proposals),
                 title=answer["title"],
                 words=answer["words"],
                 units=answer["units"],
+                views=tuple(views),
                 fields={name: answer[name] for name in ("apr", "bound", "isProven")},
             )
             self._proposals = [*self._proposals, proposal][-_MAX_PROPOSALS:]
@@ -507,23 +528,8 @@ class Desk:
 
     def _proposals_message(self) -> dict[str, Any]:
         scene = self.setting.scene
-        return {
-            "type": "proposals",
-            "proposals": [
-                {
-                    "number": each.number,
-                    "title": each.title,
-                    "words": each.words,
-                    **each.fields,
-                    **self._summary(each.units),
-                    "onTable": each.fields["apr"],
-                    "drawn": unit_records(
-                        Layout(name=each.title, units=each.units, scene_name=scene.name), scene
-                    ),
-                }
-                for each in self._proposals
-            ],
-        }
+        records = [each.record(self._summary(each.units), scene) for each in self._proposals]
+        return {"type": "proposals", "proposals": records}
 
     def _take(self, message: TakeProposal) -> None:
         proposal = next((each for each in self._proposals if each.number == message.number), None)
@@ -535,7 +541,7 @@ class Desk:
         else:
             state = state.with_units(proposal.units)
         self._proposals = [each for each in self._proposals if each is not proposal]
-        self._go_to(self.history.went_on(state))
+        self._go_on(state)
         self.tell(self._proposals_message())
 
     # ---------- what is asked for by address
@@ -559,38 +565,32 @@ class Desk:
         finally:
             self._do(who, "")
 
-    async def open_scene(self, path: str) -> None:
-        """Go on in another scene, from nothing. Raises TaskError if it has no runs."""
+    async def open_scene(self, path: str, title: str = "") -> None:
+        """Go on in another scene, from nothing; Undo leads back.
+
+        Raises TaskError if it has no runs. Where the plan is kept in a file, the new scene's gets
+        another one.
+        """
         work = replace(self.work, question=replace(self.work.question, scene=path))
         exact = self._make_worker(work)
         try:
             setting: Setting = await exact.call("open_setting", on_progress=self._stages("scene"))
-            ground, sight = None, None
-            try:
-                ground, sight = await asyncio.to_thread(self._private_ground, work, setting)
-            except InputError as error:  # of another place: the scene can be planned without them
-                question = replace(work.question, no_look="", no_look_share=None)
-                work = replace(work, question=question)
-                exact.stop()
-                exact = self._make_worker(work)
-                self.tell({"type": "notice", "text": f"without private areas: {error}"})
+            save = None if self.place.save is None else free_path(self.place.save)
+            place, notice = await asyncio.to_thread(
+                build_place, work, setting, title=title, save=save
+            )
         except BaseException:
             exact.stop()
             raise
         finally:
             self._do("scene", "")
-        self.stop_processes()
-        self.work, self.setting = work, setting
-        self._ground, self._sight = ground, sight
-        self._exact, self._advice = exact, self._make_worker(work)
-        self._live = self._new_table()
-        for known in (self._known, self._failed, self._by_table, self._died):
-            known.clear()
-        self._proposals = []
-        self.history, self.background = begin_history(()), None
-        self.revision += 1
-        self.tell(self._scene_message())
-        self.tell(self._state_message())
-        self.tell(self._proposals_message())
-        self.tell(background_message(self.background))
-        self._changed.set()
+        if notice:
+            exact.stop()
+            exact = self._make_worker(place.work)
+        self._notice(notice)
+        self._later.clear()
+        self._earlier = [*self._earlier, self._visit()][-_MAX_PLACES:]
+        self._enter(Visit(place=place, history=begin_history(()), background=None), exact)
+        if save is not None:
+            before = self._earlier[-1].place
+            self._notice(f"The plan at {before.title} is in {before.save}; this one: {save}.")

@@ -16,6 +16,12 @@ class Ask(Struct, tag_field="do", tag="ask", forbid_unknown_fields=True):
     site: str = ""
 
 
+class Revert(Struct, tag_field="do", tag="revert", forbid_unknown_fields=True):
+    """Take a gesture back that is given up, as if it had not been begun."""
+
+    gesture: str
+
+
 class Cancel(Struct, tag_field="do", tag="cancel", forbid_unknown_fields=True):
     """Let the optimiser stop."""
 
@@ -46,7 +52,16 @@ class ChooseSensors(Struct, tag_field="do", tag="sensors", forbid_unknown_fields
 
 
 Message = (
-    Change | Undo | Redo | Ask | Cancel | TakeProposal | DropProposal | ShowCoverage | ChooseSensors
+    Change
+    | Undo
+    | Redo
+    | Revert
+    | Ask
+    | Cancel
+    | TakeProposal
+    | DropProposal
+    | ShowCoverage
+    | ChooseSensors
 )
 _DECODER = msgspec.json.Decoder(Message)
 

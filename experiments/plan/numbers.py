@@ -69,7 +69,12 @@ def scene_record(
             for site in scene.sites
         ],
         "sensors": [
-            {"name": model.name, "kind": sensor_kind(model), "price": model.price_eur}
+            {
+                "name": model.name,
+                "kind": sensor_kind(model),
+                "price": model.price_eur,
+                "isRing": is_ring(model),
+            }
             for model in models
         ],
         "grid": list(chosen),

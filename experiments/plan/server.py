@@ -2,12 +2,15 @@
 
 import asyncio
 import json
+import re
 import secrets
+import shutil
 import socket
 import threading
 import time
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from itertools import count
@@ -19,9 +22,9 @@ from geometry.errors import InputError, MissingExtraError, Unquoted
 
 from .background import MAX_BYTES as MAX_IMAGE_BYTES
 from .background import build_background
-from .desk import MAX_MAP_BYTES, MAX_PLAN_BYTES, Desk
+from .desk import MAX_MAP_BYTES, Desk
 from .numbers import layout_text
-from .session import read_plan
+from .session import MAX_PLAN_BYTES, read_plan
 from .tasks import turn_page
 from .worker import Cancelled, TaskError
 
@@ -40,8 +43,10 @@ except ModuleNotFoundError as error:
 
 _MAX_MESSAGE_BYTES = 64_000
 _MAX_NAME_BYTES = 500
+_EACH = ("problem", "notice", "view")  # messages of which not only the newest counts
 _MAX_WAITING = 2000  # messages for a browser that does not read
 _CLOSED_CODES = (1000, 1001, 1005)  # the page was closed or is loaded again; others: it was lost
+_PATIENCE_S = 2.0  # with a server that is told to end
 LINGER_S = 8.0
 """After the last page was closed: it may be loaded again."""
 LINGER_LOST_S = 180.0
@@ -124,10 +129,19 @@ def page_files() -> dict[str, tuple[bytes, str]]:
         (report / name).read_text(encoding="utf-8")
         for name in ("run_numbers.js", "plan_drawing.js")
     ]
-    names = ("element", "drawGround", "drawScale", "outline", "addPatterns", "MARKS")
+    names = ("element", "drawGround", "drawScale", "addPatterns", "MARKS")
     exported = f"export {{ {', '.join(names)} }};\n"
     found["shared.js"] = ("\n".join([*shared, exported]).encode(), "text/javascript")
     return found
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Received:
+    """A map or a scene that a browser has sent."""
+
+    path: Path
+    name: str
+    found: dict[str, Any]  # as :meth:`.tasks.Tasks.survey` tells
 
 
 class Pages:
@@ -136,7 +150,7 @@ class Pages:
     def __init__(self, desk: Desk) -> None:
         self._desk = desk
         self._numbers = count(1)
-        self._map: tuple[Path, str] | None = None  # a map that was sent, and its name
+        self._map: _Received | None = None  # the map or scene that was sent last
 
     def routes(self) -> list[Route | WebSocketRoute]:
         """All of them."""
@@ -200,7 +214,7 @@ class Pages:
         self._desk.join(listen)
         code = 1006
         try:
-            while True:
+            for number in count(1):
                 text = await socket.receive_text()
                 try:
                     if len(text) > _MAX_MESSAGE_BYTES:
@@ -208,6 +222,7 @@ class Pages:
                     self._desk.handle(text.encode())
                 except InputError as error:
                     listen({"type": "problem", "text": str(error)})
+                listen({"type": "heard", "number": number})
         except WebSocketDisconnect as ended:
             code = ended.code
         except (RuntimeError, KeyError):  # it is closed already, or bytes came in place of text
@@ -241,9 +256,9 @@ class Pages:
         """The image below the plan; or another one, or with an empty body none any more."""
         desk = self._desk
         if request.method == "POST":
-            path = await self._received(request, ".image", MAX_IMAGE_BYTES)
+            path = await self._received(request, "image", MAX_IMAGE_BYTES)
             content = path.read_bytes()
-            path.unlink()
+            _remove(path)
             points = request.headers.get("x-points", "")[:2000].encode("latin-1", "replace")
             desk.lay_background(build_background(content, points, "image") if content else None)
             return JSONResponse({})
@@ -279,58 +294,61 @@ class Pages:
     # ---------- files in
 
     async def _open(self, request: Request) -> Response:
-        """A layout, a plan, a scene or a map: what it is, is told by its name."""
+        """Open a layout or a plan; look what a map or a scene has: its name says what it is."""
         name = unquote(request.headers.get("x-file-name", ""))[:200]
         lower = name.lower()
         if lower.endswith(".json"):
-            path = await self._received(request, ".json", MAX_PLAN_BYTES)
+            path = await self._received(request, "layout.json", MAX_PLAN_BYTES)
             try:
                 plan = read_plan(path.read_bytes(), name)
             finally:
-                path.unlink()
-            self._desk.open_plan(plan)
+                _remove(path)
+            self._desk.open_plan(plan, Path(name).stem)
             return JSONResponse({"opened": [variant.name for variant in plan.variants]})
         suffix = next((end for end in _MAP_SUFFIXES if lower.endswith(end)), None)
         if suffix is None:
             expected = "a name that ends in .json, " + ", ".join(_MAP_SUFFIXES)
             raise InputError("file", name, expected)
-        path = await self._received(request, suffix, MAX_MAP_BYTES)
+        path = await self._received(request, _plain_name(name, suffix), MAX_MAP_BYTES)
         try:
             found = await self._desk.call("survey", str(path), is_long=True)
-            if found["isScene"]:
-                await self._desk.open_scene(str(path))
-                return JSONResponse({"scene": found["name"]})
         except TaskError as error:
-            path.unlink(missing_ok=True)
+            _remove(path)
             raise TaskError(str(error).replace(str(path), name)) from None
-        before, self._map = self._map, (path, name)
-        if before is not None:  # one map at a time is kept
-            before[0].unlink(missing_ok=True)
+        before, self._map = self._map, _Received(path=path, name=name, found=found)
+        if before is not None:  # one at a time is kept
+            _remove(before.path)
         return JSONResponse({"map": name, **found})
 
     async def _import(self, request: Request) -> Response:
-        """The junction that was chosen of the map that was sent last."""
+        """Go on at the junction that was chosen of the map that was sent last, or in that scene."""
         if self._map is None:
             raise InputError("map", Unquoted("none"), "one that was dropped on the page before")
-        path, name = self._map
+        sent = self._map
         named = bytearray()
         async for chunk in request.stream():
             named += chunk
             if len(named) > _MAX_NAME_BYTES:
                 raise InputError("junction", Unquoted("a longer name"), "one that is shown")
         junction = named.decode("utf-8", errors="replace")
-        folder = self._desk.work.scratch / f"scene-{next(self._numbers)}"
-        given = (str(path), junction, str(folder))
         try:
-            await self._desk.call("import_junction", *given, is_long=True)
-            await self._desk.open_scene(str(folder))
+            if sent.found["isScene"]:
+                await self._desk.open_scene(str(sent.path))
+                self._map = None  # the session's file from here on
+            else:
+                folder = str(self._desk.work.scratch / f"scene-{next(self._numbers)}")
+                given = (str(sent.path), junction, folder)
+                await self._desk.call("import_junction", *given, is_long=True)
+                named_so = [one["name"] for one in sent.found["junctions"] if one["id"] == junction]
+                await self._desk.open_scene(folder, title=named_so[0] if named_so else "")
         except TaskError as error:
-            raise TaskError(str(error).replace(str(path), name)) from None
-        return JSONResponse({"scene": self._desk.setting.scene.name})
+            raise TaskError(str(error).replace(str(sent.path), sent.name)) from None
+        return JSONResponse({"scene": self._desk.place.title})
 
-    async def _received(self, request: Request, suffix: str, max_bytes: int) -> Path:
-        """A file of the session with what is sent; its name is ours."""
-        path = self._desk.work.scratch / f"received-{next(self._numbers)}{suffix}"
+    async def _received(self, request: Request, name: str, max_bytes: int) -> Path:
+        """A file of the session with what is sent, in a folder of its own."""
+        path = self._desk.work.scratch / f"received-{next(self._numbers)}" / name
+        path.parent.mkdir()
         n_bytes = 0
         try:
             with path.open("wb") as file:
@@ -342,9 +360,25 @@ class Pages:
                         )
                     file.write(chunk)
         except BaseException:
-            path.unlink(missing_ok=True)
+            _remove(path)
             raise
         return path
+
+
+def _remove(received: Path) -> None:
+    shutil.rmtree(received.parent, ignore_errors=True)
+
+
+def _plain_name(name: str, suffix: str) -> str:
+    """A file's own name as one that is safe to write: scenes that are cut from it are named so.
+
+    Examples
+    --------
+    >>> _plain_name("../My town: north.osm", ".osm")
+    'My_town_north.osm'
+    """
+    stem = re.sub(r"[^\w-]+", "_", Path(name).name[: -len(suffix)]).strip("_")[:60]
+    return (stem or "map") + suffix
 
 
 async def _send_all(
@@ -357,7 +391,7 @@ async def _send_all(
             messages.append(waiting.get_nowait())
         newest = {message["type"]: index for index, message in enumerate(messages)}
         for index, message in enumerate(messages):
-            if message["type"] in ("problem", "notice") or newest[message["type"]] == index:
+            if message["type"] in _EACH or newest[message["type"]] == index:
                 await socket.send_text(json.dumps(message, separators=(",", ":"), allow_nan=False))
         if is_lost.is_set():
             await socket.close(1013)
@@ -394,7 +428,7 @@ def build_app(desk: Desk, *, token: str, hosts: frozenset[str] | None) -> ASGIAp
     async def life(app: Starlette) -> Any:
         desk.start()
         yield
-        desk.stop_processes()
+        desk.stop()
 
     inner = Starlette(routes=[Mount(f"/{token}", routes=Pages(desk).routes())], lifespan=life)
     return Guard(inner, token=token, hosts=hosts)
@@ -453,15 +487,16 @@ class RunningServer:
         while self._thread.is_alive():
             self._thread.join(0.5)
 
-    def stop(self) -> None:
-        """End it and every process that it has started."""
+    def stop(self) -> str:
+        """End it and every process that it has started; what could not be saved, in words."""
         if self._server is not None:
             self._server.should_exit = self._server.force_exit = True
         if self.desk is not None:
-            self.desk.stop_processes()
-        self._thread.join(2.0)
+            self.desk.stop()
+        self._thread.join(_PATIENCE_S)
         with suppress(OSError):
             self._socket.close()
+        return "" if self.desk is None else self.desk.keep_plan()
 
     def _run(self) -> None:
         try:

@@ -3,12 +3,14 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 from msgspec import UNSET, Struct, UnsetType
 
+from geometry.arrays import FloatArray
 from geometry.catalogue import Sensor
 from geometry.errors import InputError, Unquoted
 from geometry.files import pick
@@ -18,25 +20,40 @@ from geometry.sensors import CameraModel, with_fov
 from geometry.terrain import ground_height_m
 from placement.advice import free_name
 from placement.candidates import CandidatePose, is_ring, load_candidate_grid
-from placement.layout import Layout, read_layout
+from placement.layout import Layout, check_layout, read_layout
 
 from .background import Background, read_background
 
 MAX_UNITS = 1000
 MAX_VARIANTS = 12
+_MAX_NAME = 80
 MAX_STEPS = 500
 """Steps that can be undone."""
 
 _DEFAULT_PITCH_DEG = -15.0
+_LEVEL_DEG = 0.5  # an axis less steep meets the ground too far away to be aimed at it
+_FAR_M = 45.0
 _DECIMALS = 6  # of degrees and metres: finer than anybody mounts
+
+
+def check_count(n: int, where: str, most: int) -> None:
+    """Raise InputError for more than there may be."""
+    if n > most:
+        raise InputError(where, Unquoted(f"{n:,}"), f"at most {most:,}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Variant:
-    """A layout that is being planned; unlike a :class:`placement.layout.Layout` it may be empty."""
+    """A layout that is being planned; unlike a :class:`placement.layout.Layout` it may be empty.
+
+    Raises InputError if it has too many units.
+    """
 
     name: str
     units: tuple[CandidatePose, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_count(len(self.units), "units", MAX_UNITS)
 
     def layout(self, scene: Scene) -> Layout:
         """It as a layout of a scene. Raises InputError if nothing hangs."""
@@ -55,8 +72,16 @@ class PlanState:
         """The one that is worked on."""
         return self.variants[self.current]
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing is mounted in any variant."""
+        return not any(variant.units for variant in self.variants)
+
     def with_units(self, units: Sequence[CandidatePose]) -> "PlanState":
-        """The same with other units in the variant that is worked on."""
+        """The same with other units in the variant that is worked on.
+
+        Raises InputError if there are too many.
+        """
         changed = replace(self.variant, units=tuple(units))
         variants = [*self.variants]
         variants[self.current] = changed
@@ -151,8 +176,6 @@ def change_state(state: PlanState, change: Change, stock: Stock) -> PlanState:
 
 def _add_unit(state: PlanState, change: AddUnit, stock: Stock) -> PlanState:
     units, scene = state.variant.units, stock.scene
-    if len(units) >= MAX_UNITS:
-        raise InputError("units", len(units) + 1, f"at most {MAX_UNITS}")
     site = _free_site(change.site, units, scene)
     sensor = pick(stock.models, change.sensor, "sensor")
     height_m = float(np.clip(load_candidate_grid().heights_m.max(), *site.height_range_m))
@@ -173,6 +196,15 @@ def _add_unit(state: PlanState, change: AddUnit, stock: Stock) -> PlanState:
     return state.with_units([*units, unit])
 
 
+def first_units(stock: Stock, sensor: str) -> tuple[CandidatePose, ...]:
+    """A unit alone at the first site that may carry one; none where there is no such site."""
+    free = [site.id for site in stock.scene.sites if site.use != "forbidden"]
+    if not free:
+        return ()
+    empty = begin_history(()).state
+    return _add_unit(empty, AddUnit(site=free[0], sensor=sensor), stock).variant.units
+
+
 def _change_unit(state: PlanState, change: ChangeUnit, stock: Stock) -> PlanState:
     units, scene = state.variant.units, stock.scene
     index = _find(units, change.unit)
@@ -180,6 +212,8 @@ def _change_unit(state: PlanState, change: ChangeUnit, stock: Stock) -> PlanStat
     pose, sensor = unit.pose, unit.sensor
     if change.sensor is not UNSET:
         sensor = pick(stock.models, change.sensor, "sensor")
+        if is_ring(sensor) != is_ring(unit.sensor):  # what scans all round is level by default
+            pose = replace(pose, pitch_deg=0.0 if is_ring(sensor) else _DEFAULT_PITCH_DEG)
     if change.fov_deg is not UNSET:
         if not isinstance(sensor, CameraModel):
             raise InputError("lens", change.fov_deg, "nothing: only cameras have lenses")
@@ -190,7 +224,7 @@ def _change_unit(state: PlanState, change: ChangeUnit, stock: Stock) -> PlanStat
         site = _free_site(change.site, others, scene)
         ground_m = float(ground_height_m(scene, pose.position_m[:2]))
         above_m = float(np.clip(pose.position_m[2] - ground_m, *site.height_range_m))
-        pose = replace(pose, position_m=site.position_m + [0.0, 0.0, above_m])
+        pose = _moved(pose, site.position_m + [0.0, 0.0, above_m], sensor, scene)
         site_id = site.id
     if change.height_m is not UNSET:
         pose = _raised(pose, site_id, _finite("height", change.height_m), scene)
@@ -200,6 +234,26 @@ def _change_unit(state: PlanState, change: ChangeUnit, stock: Stock) -> PlanStat
         pose = replace(pose, pitch_deg=_pitch(change.pitch_deg))
     changed = replace(unit, site_id=site_id, pose=pose, sensor=sensor)
     return state.with_units([*units[:index], changed, *units[index + 1 :]])
+
+
+def _moved(pose: Pose, position_m: FloatArray, sensor: Sensor, scene: Scene) -> Pose:
+    """A pose at another place that looks at the same point of the ground.
+
+    One whose axis does not meet the ground keeps its tilt and turns to where it looked.
+    """
+    eye_m = pose.position_m
+    up_m = float(eye_m[2] - ground_height_m(scene, eye_m[:2]))
+    is_tilted = pose.pitch_deg < -_LEVEL_DEG and not is_ring(sensor)
+    reach_m = up_m / math.tan(math.radians(-pose.pitch_deg)) if is_tilted else _FAR_M
+    yaw = math.radians(pose.yaw_deg)
+    target_m = eye_m[:2] + reach_m * np.array([math.cos(yaw), math.sin(yaw)])
+    east, north = target_m - position_m[:2]
+    pitch_deg = pose.pitch_deg
+    if is_tilted:
+        above_m = float(position_m[2] - ground_height_m(scene, target_m))
+        pitch_deg = -math.degrees(math.atan2(above_m, math.hypot(east, north)))
+    yaw_deg = math.degrees(math.atan2(north, east)) if east or north else pose.yaw_deg
+    return Pose(position_m=position_m, yaw_deg=_yaw(yaw_deg), pitch_deg=_pitch(pitch_deg))
 
 
 def _raised(pose: Pose, site_id: str, height_m: float, scene: Scene) -> Pose:
@@ -229,17 +283,20 @@ def _add_variant(state: PlanState, change: AddVariant, stock: Stock) -> PlanStat
     return add_variant(state, Variant(name=name, units=state.variant.units))
 
 
-def add_variant(state: PlanState, variant: Variant) -> PlanState:
-    """The state with a further variant, which is worked on from here; its name is made unique.
+def add_variant(state: PlanState, variant: Variant, *, source: str = "") -> PlanState:
+    """The state with a further variant, which is worked on from here.
 
+    Where its name is taken, `source`, such as the file's name, is added, and then a number.
     Raises InputError if there are too many, or the name cannot be printed.
     """
-    if len(state.variants) >= MAX_VARIANTS:
-        raise InputError("variants", len(state.variants) + 1, f"at most {MAX_VARIANTS}")
+    check_count(len(state.variants) + 1, "variants", MAX_VARIANTS)
     names = {each.name for each in state.variants}
     name, number = _printable(variant.name), 2
+    if name in names and source:
+        name = _printable(f"{source}: {name}"[:_MAX_NAME])
+    base = name
     while name in names:
-        name, number = f"{variant.name} ({number})", number + 1
+        name, number = f"{base} ({number})", number + 1
     variants = (*state.variants, replace(variant, name=name))
     return PlanState(variants=variants, current=len(variants) - 1)
 
@@ -282,7 +339,7 @@ def _find(units: Sequence[CandidatePose], unit_id: str) -> int:
     for index, unit in enumerate(units):
         if unit.id == unit_id:
             return index
-    raise InputError("unit", unit_id, "one that hangs there")
+    raise InputError("unit", unit_id, "one that is mounted there")
 
 
 def _free_site(site_id: str, units: Sequence[CandidatePose], scene: Scene) -> Site:
@@ -320,8 +377,8 @@ def _pitch(pitch_deg: float) -> float:
 
 def _printable(name: str) -> str:
     name = " ".join(name.split())
-    if not name or len(name) > 80 or not name.isprintable():
-        raise InputError("name", name, "1 to 80 letters")
+    if not name or len(name) > _MAX_NAME or not name.isprintable():
+        raise InputError("name", name, f"1 to {_MAX_NAME} letters")
     return name
 
 
@@ -358,6 +415,12 @@ class History:
         states = (*before, state)[-MAX_STEPS:]
         return History(states=states, now=len(states) - 1, gesture=gesture)
 
+    def reverted(self, gesture: str) -> "History":
+        """Without the newest step, if it belongs to a gesture."""
+        if not gesture or gesture != self.gesture or not self.can_undo:
+            return self
+        return History(states=self.states[:-1], now=self.now - 1)
+
     def undone(self) -> "History":
         """One state back, where there is one."""
         return replace(self, now=max(self.now - 1, 0), gesture="")
@@ -368,13 +431,22 @@ class History:
 
 
 def begin_history(variants: Sequence[Variant]) -> History:
-    """A history of one state with these variants, or with an empty one."""
-    return History(states=(PlanState(variants=tuple(variants) or (Variant(name="Variant 1"),)),))
+    """A history of one state with these variants, the first one worked on; or with an empty one.
+
+    Raises InputError as :func:`add_variant`.
+    """
+    first = variants[0] if variants else Variant(name="Variant 1")
+    state = PlanState(variants=(first,))
+    for variant in variants[1:]:
+        state = add_variant(state, variant)
+    return History(states=(replace(state, current=0),))
 
 
 # ---------- plans as files
 
 SCHEMA = "place-rsus/plan/1"
+MAX_PLAN_BYTES = 16_000_000
+"""Of a plan's file."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -382,7 +454,16 @@ class Plan:
     """What a plan's file has."""
 
     variants: tuple[Variant, ...]
+    scene_name: str = ""  # that it was made for; empty: any
     background: Background | None = None
+
+
+def check_plan(plan: Plan, scene: Scene) -> None:
+    """Raise InputError unless all variants of a plan can be mounted in a scene."""
+    for variant in plan.variants:
+        if variant.units:
+            layout = Layout(name=variant.name, units=variant.units, scene_name=plan.scene_name)
+            check_layout(layout, scene)
 
 
 def read_plan(text: bytes, where: str) -> Plan:
@@ -395,27 +476,40 @@ def read_plan(text: bytes, where: str) -> Plan:
     except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
         raise InputError(where, Unquoted(error), "a layout or a plan as JSON") from None
     if not (isinstance(document, dict) and document.get("schema") == SCHEMA):
-        layout = read_layout(text, where=where, name="layout")
-        return Plan(variants=(Variant(name=layout.name, units=layout.units),))
+        variants = [_read_variant(document, text, where, Path(where).stem)]
+        return Plan(variants=tuple(variants), scene_name=_scene_of(document))
     records = document.get("variants")
     if not isinstance(records, list) or not 1 <= len(records) <= MAX_VARIANTS:
         raise InputError(f"{where}: variants", Unquoted("none"), f"a list of 1 to {MAX_VARIANTS}")
     variants = []
     for index, record in enumerate(records):
+        at = f"{where}: variants[{index}]"
         if not isinstance(record, dict):
-            raise InputError(f"{where}: variants[{index}]", record, "a layout")
+            raise InputError(at, record, "a layout")
         name = record.get("name")
         if record.get("layout") == [] and isinstance(name, str):
             variants.append(Variant(name=_printable(name)))
-            continue
-        layout = read_layout(
-            msgspec.json.encode(record), where=f"{where}: variants[{index}]", name=f"{index + 1}"
-        )
-        variants.append(Variant(name=layout.name, units=layout.units))
+        else:
+            encoded = msgspec.json.encode(record)
+            variants.append(_read_variant(record, encoded, at, f"{index + 1}"))
     background = document.get("background")
     return Plan(
         variants=tuple(variants),
+        scene_name=_scene_of(document),
         background=None
         if background is None
         else read_background(background, f"{where}: background"),
     )
+
+
+def _read_variant(document: Any, text: bytes, where: str, name: str) -> Variant:
+    """A layout as a variant; too many units are refused before they are read."""
+    records = document.get("layout") if isinstance(document, dict) else None
+    if isinstance(records, list):
+        check_count(len(records), f"{where}: units", MAX_UNITS)
+    layout = read_layout(text, where=where, name=name)
+    return Variant(name=_printable(layout.name), units=layout.units)
+
+
+def _scene_of(document: Any) -> str:
+    return str(document.get("scene", "")) if isinstance(document, dict) else ""

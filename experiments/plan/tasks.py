@@ -362,17 +362,30 @@ def _answer(title: str, advice: Advice, *, costs: str) -> dict[str, Any]:
         said += f", {euros(after.cost_eur)} {costs}"
         if costs == "in all" and before is not None:
             said += f" (now {euros(before.cost_eur)})"
-    if advice.n_compared:
-        proof = f"the best of {advice.n_compared} tried, all that there are"
-    elif advice.is_proven:
-        proof = "proven: nothing of its kind is better"
-    else:
-        proof = f"not proven in the time given: no APR above {percent(advice.bound)} is possible"
     return {
         "title": title,
-        "words": f"{said}; {proof}. On the detection table.",
+        "words": f"On the detection table: {said}; {_proof(advice)}.",
         "apr": percent(after.apr),
         "bound": percent(advice.bound),
         "isProven": advice.is_proven,
         "units": advice.units,
     }
+
+
+def _proof(advice: Advice) -> str:
+    """How sure an answer is, in words; bounds are those of the detection table."""
+    if advice.n_compared:
+        return f"the best of {advice.n_compared} tried, all that there are"
+    if advice.is_all_proven:
+        return "proven: nothing of its kind is better"
+    first = None if advice.certificate is None else advice.certificate.stages[0]
+    by_cost = first is not None and first.name == "cost_eur"
+    if advice.is_proven:
+        best, equal = ("none costs less", "price") if by_cost else ("no APR is higher", "APR")
+        return f"proven: {best}; of those with the same {equal} not all were compared in time"
+    limit = (
+        f"nothing for less than {euros(first.bound)} is possible there"
+        if first is not None and by_cost
+        else f"no APR above {percent(advice.bound)} is possible there"
+    )
+    return f"not proven in the time given: {limit}"

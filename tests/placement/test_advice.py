@@ -1,5 +1,6 @@
 """Advice against brute force on a table that is made up: every pose tried, every set priced."""
 
+from dataclasses import replace
 from itertools import combinations
 
 import pytest
@@ -12,6 +13,7 @@ from placement import planning
 from placement.advice import Adviser, free_name
 from placement.candidates import CandidatePose
 from placement.compute import Compute
+from placement.layout import Certificate, Stage
 from placement.live import LiveTable, table_verdict
 from placement.planning import build_plan
 from placement.question import Question
@@ -87,6 +89,19 @@ def test_to_complete_keeps_what_hangs_and_reaches_its_bound(adviser, weak, apr_o
     assert len(found.units) == 3
     assert found.after.apr == pytest.approx(apr_of(found.units))
     assert found.after.apr == pytest.approx(adviser.best_next(weak).after.apr)
+    assert found.n_compared == adviser.best_next(weak).n_compared  # all tried: proven at once
+
+
+def test_an_answer_is_proven_by_what_is_asked_for(adviser, weak):
+    found = adviser.best_next(weak)
+    stages = (
+        Stage(name="cost_eur", objective=4040.0, bound=4040.0, gap=0.0, seconds=1.0),
+        Stage(name="apr", objective=0.8, bound=0.9, gap=0.1, seconds=1.0),
+    )
+    cheap = replace(found, n_compared=0, certificate=Certificate(stages=stages, solver=""))
+    assert (cheap.is_proven, cheap.is_all_proven, cheap.bound) == (True, False, 0.9)
+    open_ = replace(cheap, certificate=Certificate(stages=stages[::-1], solver=""))
+    assert (open_.is_proven, open_.is_all_proven) == (False, False)
     with pytest.raises(InputError, match="units in all: got 2; expected more than the 2"):
         adviser.complete(weak, n_units=2)
 

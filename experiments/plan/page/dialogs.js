@@ -79,10 +79,11 @@ export function openDialogs({ map, notice, scene, state, saved }) {
     notice(`${file.name} is being read \u2026`);
     try {
       const told = await give("open", file, { headers: { "X-File-Name": encodeURIComponent(file.name) }, most: PLANS.some((end) => file.name.toLowerCase().endsWith(end)) ? scene().mostBytes.plan : scene().mostBytes.map });
-      if (told.map) chooseJunction(told);
-      notice(told.opened ? `Opened: ${told.opened.join(", ")}.` : told.scene ? `The scene is ${told.scene}.` : "");
+      notice(told.opened ? `Opened: ${told.opened.join(", ")}.` : "");
+      if (told.isScene && !hasUnits()) await take("");
+      else if (told.map) chooseJunction(told);
     } catch (error) {
-      notice(`${file.name}: ${error.message}`);
+      notice(error.message); // it begins with the file's name
     }
   }
   find("open").addEventListener("click", () => find("open-file").click());
@@ -117,14 +118,19 @@ export function openDialogs({ map, notice, scene, state, saved }) {
   }
   for (const id of ["save-layout", "save-plan"]) {
     find(id).addEventListener("click", (event) => {
-      if (id === "save-layout" && !state()?.units.length) { event.preventDefault(); notice("Nothing hangs yet: there is no layout to save."); } else saved();
+      if (id === "save-layout" && !state()?.units.length) { event.preventDefault(); notice("Nothing is mounted yet: there is no layout to save."); } else saved();
     });
   }
 
   // ---------- a map
 
+  const hasUnits = () => state()?.variants.some((variant) => variant.units);
+
   function chooseJunction(told) {
-    find("map-text").textContent = `${told.map} has ${told.junctions.length + (told.left || 0)} junctions${told.left ? `; here are ${told.junctions.length}` : ""}.`;
+    const has = told.isScene ? `${told.map} is the scene ${told.name}.` : `${told.map} has ${told.junctions.length + (told.left || 0)} junctions${told.left ? `; here are ${told.junctions.length}` : ""}.`;
+    find("map-text").textContent = hasUnits() ? `${has} Planning there begins with nothing mounted; Undo leads back to the plan at ${scene().title}.` : has;
+    find("map-choice").hidden = told.isScene;
+    if (told.isScene) { find("map-dialog").showModal(); return; }
     const select = find("map-junction");
     fill(select, told.junctions.map((one) => [one.id, `${one.name || one.id}: ${one.arms} arms, ${one.lanes} lanes`]));
     select.selectedIndex = 0;
@@ -147,18 +153,20 @@ export function openDialogs({ map, notice, scene, state, saved }) {
     mark();
     find("map-dialog").showModal();
   }
+  async function take(junction) {
+    const told = await give("import", junction);
+    if (!find("notice").textContent) notice(`The scene is ${told.scene}.`);
+  }
   find("map-take").addEventListener("click", async () => {
-    const take = find("map-take");
-    take.disabled = true;
-    find("map-text").textContent = "The junction is being imported \u2026";
+    find("map-take").disabled = true;
+    find("map-text").textContent = "The scene is being read \u2026";
     try {
-      const told = await give("import", find("map-junction").value);
-      notice(`The scene is ${told.scene}.`);
+      await take(find("map-choice").hidden ? "" : find("map-junction").value);
       find("map-dialog").close();
     } catch (error) {
       find("map-text").textContent = error.message;
     } finally {
-      take.disabled = false;
+      find("map-take").disabled = false;
     }
   });
 

@@ -1,12 +1,14 @@
 // The junction from above: poles, sensors and their views, arms by the share that is avoided.
 
-import { addPatterns, drawGround, drawScale, element, MARKS, outline } from "./shared.js";
+import { addPatterns, drawGround, drawScale, element, MARKS } from "./shared.js";
 
 const THIN = { "vector-effect": "non-scaling-stroke" };
 // What a band of pixel density looks like: the finest first, then those that are coarser or unseen.
 export const bandColour = (band) => (band === 255 ? UNSEEN_COLOUR : BAND_COLOURS[band] || COARSE_COLOUR);
 
 const FARTHEST_AIM_CM = 4500, NEAREST_AIM_CM = 150, SITE_REACH_PX = 26, DRAG_PX = 5;
+const MARK_PX = 21; // a sensor is drawn so far ahead of its pole, which stays free to press
+const WHEEL_STEP = 1.2, WHEEL_NOTCH = { 0: 100, 1: 3, 2: 1 }; // zoom of a notch; what a notch is in pixels, lines, pages
 const BAND_COLOURS = ["#08306b", "#0b559f", "#2b7bba", "#539ecd", "#89bedc", "#bad6eb"];
 const COARSE_COLOUR = "#e3e3c0", UNSEEN_COLOUR = "#f3a59a";
 const AVOIDED_COLOUR = "#0072B2", LOST_COLOUR = "#D55E00";
@@ -69,13 +71,14 @@ export function createMap(holder, on) {
   marked.scale.setAttribute("font-size", 11);
   let scene = null, units = [], selected = null, chosenSite = null;
   let middle = [0, 0], half = 5000, width = 600, height = 400, perCm = 0.05, origin = [0, 0];
-  let drawn = [], placed = [], pickPoint = null;
+  let drawn = [], placed = [], pickPoint = null, views = new Map();
   const at = ([x, y]) => [origin[0] + x * perCm, origin[1] - y * perCm];
   const put = (mark, place) => { const [x, y] = at(place); mark.setAttribute("transform", `translate(${x.toFixed(1)} ${y.toFixed(1)})`); };
-  const groundOf = (event) => {
+  const placeOf = ([x, y]) => {
     const box = svg.getBoundingClientRect();
-    return [(event.clientX - box.left - origin[0]) / perCm, (origin[1] - (event.clientY - box.top)) / perCm];
+    return [(x - box.left - origin[0]) / perCm, (origin[1] - (y - box.top)) / perCm];
   };
+  const groundOf = (event) => placeOf([event.clientX, event.clientY]);
 
   function layOut() {
     [width, height] = [Math.max(holder.clientWidth, 200), Math.max(holder.clientHeight, 200)];
@@ -95,6 +98,12 @@ export function createMap(holder, on) {
     layOut();
   }
 
+  // Bring the ground at one place to another.
+  function shift(from, to) {
+    middle = middle.map((value, axis) => value + from[axis] - to[axis]);
+    layOut();
+  }
+
   // The window that holds the junction and every place of an impact.
   function whole() {
     middle = [...scene.plan.middle];
@@ -107,6 +116,7 @@ export function createMap(holder, on) {
 
   function showScene(next) {
     scene = next;
+    views = new Map();
     whole();
     for (const layer of ["still", "coverage", "private", "ways", "seen"]) layers[layer].replaceChildren();
     for (const layer of ["arms", "names", "sites"]) marked[layer].replaceChildren();
@@ -193,13 +203,17 @@ export function createMap(holder, on) {
     const faint = Math.min(0.14, 1.2 / Math.max(units.length, 1));
     units.forEach((unit) => {
       const isSelected = unit.id === selected;
-      element("path", { d: outline(unit.sees) + outline(unit.blind), "fill-rule": "evenodd", fill: unit.colour, "fill-opacity": isSelected ? 0.3 : faint, stroke: unit.colour, "stroke-width": isSelected ? 2.2 : 0.9, "stroke-dasharray": unit.dash, ...THIN }, layers.views);
+      const view = element("path", { "fill-rule": "evenodd", fill: unit.colour, "fill-opacity": isSelected ? 0.3 : faint, stroke: unit.colour, "stroke-width": isSelected ? 2.2 : 0.9, "stroke-dasharray": unit.dash, "data-view": unit.id, ...THIN }, layers.views);
+      if (isSeenFrom(unit, views.get(unit.id))) view.setAttribute("d", views.get(unit.id).view);
       const mark = element("g", { class: "unit", tabindex: 0, role: "button", "aria-pressed": isSelected, "aria-label": unit.title, "data-unit": unit.id }, marked.units);
-      element("circle", { r: 13, fill: "transparent" }, mark);
-      element("title", { text: unit.title }, mark);
-      element("path", { d: MARKS[unit.kind], transform: `rotate(${-unit.yawDeg})`, fill: isSelected ? unit.colour : "#fff", stroke: "#000", "stroke-width": isSelected ? 2 : 1.2 }, mark);
       const yaw = radians(unit.yawDeg);
-      if (units.length <= 40) element("text", { text: unit.name, x: -16 * Math.cos(yaw), y: 16 * Math.sin(yaw) + 4, "font-size": 12, "font-weight": 700, "text-anchor": Math.cos(yaw) > 0.3 ? "end" : Math.cos(yaw) < -0.3 ? "start" : "middle", "paint-order": "stroke", stroke: "#fff", "stroke-width": 3 }, mark);
+      const ahead = element("g", { transform: `translate(${(MARK_PX * Math.cos(yaw)).toFixed(1)} ${(-MARK_PX * Math.sin(yaw)).toFixed(1)})` }, mark);
+      element("line", { x2: (MARK_PX * Math.cos(yaw)).toFixed(1), y2: (-MARK_PX * Math.sin(yaw)).toFixed(1), stroke: "#000", "stroke-width": 1.6, "pointer-events": "none" }, mark);
+      mark.append(ahead);
+      element("circle", { r: 12, fill: "transparent" }, ahead);
+      element("title", { text: unit.title }, ahead);
+      element("path", { d: MARKS[unit.kind], transform: `rotate(${-unit.yawDeg})`, fill: isSelected ? unit.colour : "#fff", stroke: "#000", "stroke-width": isSelected ? 2 : 1.2 }, ahead);
+      if (units.length <= 40) element("text", { text: unit.name, x: 13 * Math.cos(yaw), y: -15 * Math.sin(yaw) + 4, "font-size": 12, "font-weight": 700, "text-anchor": Math.cos(yaw) > 0.3 ? "start" : Math.cos(yaw) < -0.3 ? "end" : "middle", "pointer-events": "none", "paint-order": "stroke", stroke: "#fff", "stroke-width": 3 }, ahead);
       mark.addEventListener("keydown", (event) => { if (event.key === "Enter" || event.key === " ") { event.preventDefault(); on.unit(unit.id); } });
       drawn.push({ place: unit.place, mark });
     });
@@ -223,10 +237,19 @@ export function createMap(holder, on) {
     if (focused) marked.units.querySelector(`[data-unit="${CSS.escape(focused)}"]`)?.focus({ preventScroll: true });
   }
 
+  // A view that came before the unit was moved elsewhere is not drawn.
+  const isSeenFrom = (unit, view) => Boolean(view) && view.place.every((value, axis) => value === unit.place[axis]);
+
+  function showView(view) {
+    views.set(view.unit, view);
+    const unit = units.find((item) => item.id === view.unit);
+    if (unit && isSeenFrom(unit, view)) layers.views.querySelector(`[data-view="${CSS.escape(unit.id)}"]`)?.setAttribute("d", view.view);
+  }
+
   function showOffered(proposed) {
     layers.offered.replaceChildren();
     (proposed || []).forEach((unit) => {
-      element("path", { d: outline(unit.sees) + outline(unit.blind), "fill-rule": "evenodd", fill: "#CC79A7", "fill-opacity": 0.25, stroke: "#8c3b6b", "stroke-width": 2, "stroke-dasharray": "6 3", ...THIN }, layers.offered);
+      element("path", { d: unit.view, "fill-rule": "evenodd", fill: "#CC79A7", "fill-opacity": 0.25, stroke: "#8c3b6b", "stroke-width": 2, "stroke-dasharray": "6 3", ...THIN }, layers.offered);
       element("circle", { cx: unit.place[0], cy: unit.place[1], r: 8 / perCm, fill: "#CC79A7", stroke: "#000", "stroke-width": 1, ...THIN }, layers.offered);
     });
   }
@@ -248,10 +271,23 @@ export function createMap(holder, on) {
     return near && near.away <= SITE_REACH_PX ? near.site : null;
   }
 
+  // Escape, or a second finger: what was begun is as if it had not been.
+  function giveUp() {
+    const given = drag;
+    drag = null;
+    marked.drag.replaceChildren();
+    if (given?.kind === "pan") { middle = given.middle; layOut(); }
+    if (given?.kind === "aim" && given.isMoved) on.giveUp(given.gesture);
+    if (!given && !pickPoint) return false;
+    pickPoint = null;
+    return true;
+  }
+
   function begin(event) {
     if (!scene || (event.pointerType === "mouse" && event.button !== 0)) return;
     pointers.set(event.pointerId, [event.clientX, event.clientY]);
-    if (pointers.size === 2) { drag = { kind: "pinch", spread: spread() }; return; }
+    if (pointers.size > 2) return;
+    if (pointers.size === 2) { giveUp(); drag = { kind: "pinch", ground: placeOf(between()), spread: spread() }; return; }
     const [aim, unit, site] = ["aim", "unit", "site"].map((name) => event.target.closest(`[data-${name}]`)?.dataset[name]);
     drag = { from: [event.clientX, event.clientY], start: groundOf(event), middle: [...middle], isMoved: false, gesture: `${Date.now()}-${Math.random()}` };
     if (pickPoint) drag.kind = "pick";
@@ -262,6 +298,7 @@ export function createMap(holder, on) {
     svg.setPointerCapture(event.pointerId);
   }
 
+  const between = () => { const [a, b] = [...pointers.values()]; return [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2]; };
   const spread = () => { const [a, b] = [...pointers.values()]; return Math.hypot(a[0] - b[0], a[1] - b[1]); };
 
   function line(from, to) {
@@ -285,6 +322,7 @@ export function createMap(holder, on) {
       const now = spread();
       zoomBy(now / drag.spread);
       drag.spread = now;
+      shift(drag.ground, placeOf(between())); // the ground between the fingers stays there
       return;
     }
     const [dx, dy] = [event.clientX - drag.from[0], event.clientY - drag.from[1]];
@@ -323,18 +361,24 @@ export function createMap(holder, on) {
     }
   }
 
+  function wheel(event) {
+    const notches = [event.deltaX, event.deltaY].map((delta) => delta / WHEEL_NOTCH[event.deltaMode]);
+    if (Math.abs(notches[0]) > Math.abs(notches[1])) shift([60 * notches[0] / perCm, 0], [0, 0]);
+    else zoomBy(WHEEL_STEP ** -Math.min(Math.max(notches[1], -1), 1), groundOf(event));
+  }
+
   svg.addEventListener("pointerdown", begin);
   svg.addEventListener("pointermove", move);
   svg.addEventListener("pointerup", end);
   svg.addEventListener("pointercancel", end);
-  svg.addEventListener("wheel", (event) => { event.preventDefault(); zoomBy(event.deltaY < 0 ? 1.2 : 1 / 1.2, groundOf(event)); }, { passive: false });
+  svg.addEventListener("wheel", (event) => { event.preventDefault(); wheel(event); }, { passive: false });
   new ResizeObserver(layOut).observe(holder);
 
   return {
-    showScene, showShares, showSeen, showCoverage, showImage, showUnits, showOffered, showSite, zoomBy,
+    showScene, showShares, showSeen, showCoverage, showImage, showUnits, showView, showOffered, showSite, zoomBy, giveUp,
     select(id) { selected = id; showUnits(units); },
     whole,
     pick(then) { pickPoint = then; },
-    isDragging: () => Boolean(drag && drag.isMoved),
+    viewOf: (id) => views.get(id),
   };
 }

@@ -18,13 +18,14 @@ const FIELDS = {
 let scene = null, state = null, numbers = null, proposals = [], selected = null, offered = null;
 let isConnected = false, timer = 0, coverage = null, savedRevision = 0;
 
-const line = openLine({ onMessage: read, onState: connected });
+const line = openLine({ onMessage: read, onState: connected, onSilence: silent });
 const map = createMap(find("plan"), {
   site: chooseSite,
   unit: chooseUnit,
   aim: (unit, aim, gesture) => put({ do: "change", unit, yaw_deg: aim.yaw, ...(aim.pitch === undefined ? {} : { pitch_deg: Math.max(-90, aim.pitch) }), gesture }),
   move: (unit, site) => line.send({ do: "change", unit, site }),
   hang: (site, aim) => hang(site, aim),
+  giveUp: (gesture) => line.send({ do: "revert", gesture }),
   heightOf: (site) => Math.min(Math.max(8, site.low), site.high),
 });
 const dialogs = openDialogs({ map, notice, scene: () => scene, state: () => state, saved: () => { savedRevision = state.revision; } });
@@ -38,7 +39,7 @@ window.addEventListener("beforeunload", (event) => {
 
 function read(message) {
   const readers = {
-    scene: readScene, state: readState, numbers: readNumbers, variants: readVariants, proposals: readProposals,
+    scene: readScene, state: readState, numbers: readNumbers, variants: readVariants, proposals: readProposals, view: readView,
     coverage: readCoverage, doing: readDoing, background: dialogs.readBackground, sensors: (told) => { scene.grid = told.grid; fillGrid(); },
     problem: (told) => notice(told.text), notice: (told) => notice(told.text),
   };
@@ -52,6 +53,14 @@ function connected(isOpen) {
   banner.textContent = isOpen ? "" : "The connection to place-rsus plan is lost; trying again. What you do now is not kept.";
   find("main").inert = !isOpen;
   if (!isOpen) { numbers = null; showNumbers(); }
+}
+
+// What was asked for is not answered: no number is taken for that of what is shown.
+function silent(seconds) {
+  find("silence").hidden = !seconds;
+  find("silence").textContent = seconds ? `place-rsus plan has not answered for ${Math.floor(seconds)} s: plan and numbers are old.` : "";
+  if (seconds) find("apr").classList.add("old");
+  else showNumbers();
 }
 
 let noticeTimer = 0;
@@ -74,8 +83,9 @@ function options(select, values, chosen) {
 function readScene(message) {
   const isOther = scene && scene.name !== message.name;
   scene = message;
-  find("scene-name").textContent = `at ${scene.name}, ${scene.runs.length} runs`;
-  document.title = `Plan at ${scene.name} - place-rsus`;
+  find("scene-name").textContent = `at ${scene.title}, ${scene.runs.length} runs`;
+  find("scene-name").title = scene.name;
+  document.title = `Plan at ${scene.title} - place-rsus`;
   map.showScene(scene);
   map.showShares(null);
   if (isOther) selected = null;
@@ -138,12 +148,12 @@ function showNumbers() {
   source.textContent = !isCurrent() ? "computing" : {
     table: "by the detection table; the evaluator follows",
     evaluator: "by the evaluator, as place-rsus evaluate",
-    none: "nothing hangs",
+    none: "nothing is mounted",
   }[numbers.source];
   find("main").setAttribute("aria-busy", String(!isCurrent()));
   output.dataset.revision = isKnown ? numbers.revision : "";
   const isExact = isKnown && numbers.source === "evaluator";
-  find("beside").textContent = isExact ? `With the car's own sensors ${numbers.withVut}; these alone ${numbers.vut}.${numbers.oneFails ? ` If the worst unit fails, ${numbers.oneFails} are left.` : ""}` : "";
+  find("beside").textContent = isExact ? `Together with the car's own sensors ${numbers.withVut}; by the car's own sensors alone ${numbers.vut}.${numbers.oneFails ? ` If the worst unit fails, ${numbers.oneFails} are left.` : ""}` : "";
   fillShares("by-case", isKnown ? numbers.byCase : null);
   fillShares("by-approach", isKnown ? numbers.byApproach : null);
   map.showShares(isKnown ? numbers.byArm : null);
@@ -232,7 +242,8 @@ function fillUnit() {
   const unit = current();
   find("unit").hidden = !unit;
   if (!unit) return;
-  find("unit-text").textContent = `${unit.title}${unit.site ? `, at ${unit.site}` : ""}`;
+  const reach = map.viewOf(unit.id)?.reachM;
+  find("unit-text").textContent = `${unit.title}${unit.site ? `, at ${unit.site}` : ""}${reach ? `; its detector reaches ${reach.toFixed(0)} m` : ""}`;
   for (const [id, field] of Object.entries(FIELDS)) {
     const value = Number(field.of(unit).toFixed(field.digits));
     for (const input of [find(id), find(`${id}-slide`)]) {
@@ -245,6 +256,11 @@ function fillUnit() {
   find("fov-row").hidden = !unit.fovRange;
   find("unit-site").value = unit.site;
   find("unit-sensor").value = unit.sensor;
+}
+
+function readView(view) {
+  map.showView(view);
+  if (view.unit === selected) fillUnit();
 }
 
 function chooseUnit(id) {
@@ -282,13 +298,14 @@ function showSiteText() {
   const site = scene?.sites.find((item) => item.id === find("site").value);
   if (!site) return;
   const n = state ? state.units.filter((unit) => unit.site === site.id).length : 0;
-  find("site-text").textContent = `${site.kind}, ${site.low} to ${site.high} m; ${n} of ${site.capacity} units hang there.`;
+  find("site-text").textContent = `${site.kind}, ${site.low} to ${site.high} m; ${n} of ${site.capacity} units are mounted there.`;
   find("hang").disabled = site.isForbidden || n >= site.capacity;
 }
 
 function hang(site, aim) {
   const message = { do: "add", site, sensor: find("sensor").value };
-  if (aim) Object.assign(message, { yaw_deg: aim.yaw, pitch_deg: Math.max(-90, aim.pitch) });
+  const isRing = scene.sensors.find((model) => model.name === message.sensor)?.isRing;
+  if (aim) Object.assign(message, { yaw_deg: aim.yaw }, isRing ? {} : { pitch_deg: Math.max(-90, aim.pitch) }); // what scans all round stays level
   selected = null; // the new one is the last
   line.send(message);
 }
@@ -438,15 +455,20 @@ function turnBy(changes, key) {
   line.step({ do: "change", unit: selected, ...ahead, gesture: held.gesture });
 }
 
+// Sliders, boxes and lists take arrows and letters, but nothing that could be undone or deleted there; so do numbers that are done.
+const takesKeys = (field) => field.matches("input, select, textarea, [contenteditable]") || field.closest("dialog[open]");
+const takesText = (field) => field.closest("dialog[open]") || (field.matches("input:not([type=range], [type=checkbox]), textarea, [contenteditable]") && !(field.id in FIELDS && !typing.id));
+
 document.addEventListener("keydown", (event) => {
-  const isWriting = event.target.matches("input, select, textarea, [contenteditable]") || event.target.closest("dialog[open]");
-  const key = event.key;
-  if ((event.ctrlKey || event.metaKey) && !event.altKey && !isWriting) {
+  const isWriting = takesKeys(event.target), key = event.key;
+  if (key === "Escape" && map.giveUp()) { event.preventDefault(); notice(""); return; }
+  if ((event.ctrlKey || event.metaKey) && !event.altKey && !takesText(event.target)) {
     const isRedo = key.toLowerCase() === "y" || (key.toLowerCase() === "z" && event.shiftKey);
     if (isRedo || key.toLowerCase() === "z") { event.preventDefault(); held.at = 0; line.send({ do: isRedo ? "redo" : "undo" }); }
     return;
   }
-  if (isWriting || event.altKey || event.metaKey || !isConnected) return;
+  const isDelete = key === "Delete" && !event.target.matches("input:not([type=range], [type=checkbox]), textarea") && !event.target.closest("dialog[open]");
+  if ((isWriting && !isDelete) || event.altKey || event.metaKey || !isConnected) return;
   const step = event.shiftKey ? 10 : 1;
   const within = (value, [low, high]) => Math.min(Math.max(value, low), high);
   const acts = {

@@ -15,6 +15,7 @@ from placement.evaluation import Evaluation
 from placement.layout import Layout
 from placement.setting import Setting
 
+from ...figures.views import GroundViews
 from ...results.tables import margin_s
 from .records import (
     is_playable,
@@ -23,6 +24,7 @@ from .records import (
     run_record,
     to_script_json,
     unit_records,
+    view_paths,
 )
 from .view import view_record
 
@@ -139,7 +141,14 @@ def interactive_part(
     units_m = np.array([unit.pose.position_m[:2] for unit in subject.layout.units])
     player = {
         "plan": plan_record(setting.scene, units_m),
-        "units": unit_records(subject.layout, setting.scene),
+        "units": [
+            record | {"view": view}
+            for record, view in zip(
+                unit_records(subject.layout, setting.scene),
+                view_paths(subject.layout.units, GroundViews(setting)),
+                strict=True,
+            )
+        ],
         "parties": party_records(evaluations),
         "runs": records,
     }

@@ -24,8 +24,9 @@ from placement.layout import Layout
 from scenarios.runs import Run
 
 from ...figures.axes import BLUE, GREEN, ORANGE, PINK, SKY, VERMILION, describe_run, unit_labels
-from ...figures.plan import CLASS_STYLES, ground_footprint
-from ...figures.sensors import blind_footprint, ground_rings
+from ...figures.plan import CLASS_STYLES
+from ...figures.sensors import ground_rings
+from ...figures.views import GroundViews
 
 # ---------- values as text within a script
 
@@ -257,11 +258,14 @@ def unit_records(layout: Layout, scene: Scene) -> list[dict[str, Any]]:
             "yaw": round(10.0 * unit.pose.yaw_deg),
             "colour": COLOURS[index % len(COLOURS)],
             "dash": DASHES[index % len(DASHES)],
-            "sees": _outline_cm(ground_footprint(unit, max_range_m=RANGE_M)),
-            "blind": _outline_cm(blind_footprint(unit, max_range_m=RANGE_M)),
         }
         for index, unit in enumerate(above_ground(unit, scene) for unit in layout.units)
     ]
+
+
+def view_paths(units: Iterable[CandidatePose], views: GroundViews) -> list[str]:
+    """Ground on which each unit can detect a road user, as SVG paths in centimetres."""
+    return [svg_path(views.shape(unit)) for unit in units]
 
 
 def describe_unit(label: str, unit: CandidatePose) -> str:
@@ -341,19 +345,6 @@ def _border_directions(sensor: Sensor) -> FloatArray:
     )
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     return directions
-
-
-def _outline_cm(corners_m: FloatArray) -> list[list[int]]:
-    """Corners without those that nobody would miss."""
-    import shapely
-
-    if len(corners_m) < 3:
-        return []
-    simple = shapely.Polygon(corners_m).simplify(0.1)
-    outline: list[list[int]] = (
-        np.rint(100.0 * np.asarray(simple.exterior.coords)[:-1]).astype(int).tolist()
-    )
-    return outline
 
 
 # ---------- the ground and what stands on it, as SVG paths

@@ -7,7 +7,6 @@ const MARKS = {
   ring: "M7 0A7 7 0 1 1 -7 0A7 7 0 1 1 7 0ZM2 0A2 2 0 1 1 -2 0A2 2 0 1 1 2 0Z",
 };
 const points = (corners) => corners.map((corner) => corner.join(" ")).join(",");
-const outline = (corners) => corners.length ? `M${corners.map((corner) => corner.join(" ")).join("L")}Z` : "";
 
 function bodyCorners(motion, size, frame) {
   const yaw = motion.yaw[frame] * Math.PI / 1800;
@@ -63,7 +62,7 @@ function createPlan(holder, data) {
   const marks = element("g", {}, svg);
   const thin = { "vector-effect": "non-scaling-stroke" };
   drawGround(ground, data.plan);
-  const views = data.units.map((unit) => element("path", { d: outline(unit.sees) + outline(unit.blind), "fill-rule": "evenodd", fill: unit.colour, stroke: unit.colour, "stroke-dasharray": unit.dash, ...thin }, ground));
+  const views = data.units.map((unit) => element("path", { d: unit.view, "fill-rule": "evenodd", fill: unit.colour, stroke: unit.colour, "stroke-dasharray": unit.dash, ...thin }, ground));
   const parked = element("g", {}, ground);
   const carWay = element("path", { fill: "none", stroke: "#000", "stroke-width": 1.2, ...thin }, ground);
   const roadWay = element("path", { fill: "none", stroke: "#000", "stroke-width": 1.6, "stroke-dasharray": "4 3", ...thin }, ground);

@@ -1,5 +1,8 @@
 import json
+import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -7,6 +10,7 @@ from hypothesis import strategies as st
 from experiments.plan.numbers import layout_text, plan_text
 from experiments.plan.session import (
     MAX_STEPS,
+    MAX_UNITS,
     MAX_VARIANTS,
     AddUnit,
     AddVariant,
@@ -16,8 +20,11 @@ from experiments.plan.session import (
     RenameVariant,
     SelectVariant,
     Stock,
+    Variant,
+    add_variant,
     begin_history,
     change_state,
+    check_plan,
     read_plan,
 )
 from geometry.catalogue import load_cameras
@@ -58,7 +65,6 @@ def test_a_unit_is_turned_tilted_raised_moved_and_exchanged():
         state=ONE,
     )
     (unit,) = state.variant.units
-    assert (unit.pose.yaw_deg, unit.pose.pitch_deg) == (-170.0, -33.25)
     assert unit.pose.position_m[2] == 5.5
     assert unit.site_id == "corner-sw"
     site = next(site for site in SCENE.sites if site.id == "corner-sw")
@@ -68,12 +74,79 @@ def test_a_unit_is_turned_tilted_raised_moved_and_exchanged():
     assert changed(RemoveUnit(unit="U1"), state=state).variant.units == ()
 
 
+def target_m(unit):
+    """Where the axis of a unit meets the ground."""
+    pose = unit.pose
+    reach_m = pose.position_m[2] / math.tan(math.radians(-pose.pitch_deg))
+    yaw = math.radians(pose.yaw_deg)
+    return pose.position_m[:2] + reach_m * np.array([math.cos(yaw), math.sin(yaw)])
+
+
+@pytest.mark.parametrize("pitch_deg", [-60.0, -20.0, -7.0])
+def test_a_unit_that_is_moved_to_another_pole_looks_where_it_looked(pitch_deg):
+    before = changed(ChangeUnit(unit="U1", pitch_deg=pitch_deg), state=ONE)
+    for site in ("corner-sw", "signal-n"):
+        after = changed(ChangeUnit(unit="U1", site=site), state=before)
+        (one,), (other,) = before.variant.units, after.variant.units
+        np.testing.assert_allclose(target_m(other), target_m(one), atol=1e-3)
+    level = changed(ChangeUnit(unit="U1", pitch_deg=0.0), state=ONE)
+    (unit,) = changed(ChangeUnit(unit="U1", site="corner-sw"), state=level).variant.units
+    assert unit.pose.pitch_deg == 0.0
+
+
+def test_what_scans_all_round_is_level_however_it_comes():
+    (unit,) = changed(ChangeUnit(unit="U1", sensor="ouster-os1-128"), state=ONE).variant.units
+    assert unit.pose.pitch_deg == 0.0
+    state = changed(AddUnit(site="corner-sw", sensor="ouster-os1-128"), state=ONE)
+    assert state.variant.units[1].pose.pitch_deg == 0.0
+    state = changed(ChangeUnit(unit="U2", sensor=CAMERA), state=state)
+    assert state.variant.units[1].pose.pitch_deg == ONE.variant.units[0].pose.pitch_deg
+
+
+def test_no_way_leads_to_more_units_than_the_limit():
+    unit = ONE.variant.units[0]
+    many = [replace(unit, id=f"U{index}", site_id="") for index in range(MAX_UNITS + 1)]
+    full = ONE.with_units(many[:-1])
+    with pytest.raises(InputError, match="units: got 1,001; expected at most 1,000"):
+        changed(AddUnit(site="corner-ne", sensor=CAMERA), state=full)
+    with pytest.raises(InputError, match="units: got 1,001"):
+        Variant(name="many", units=tuple(many))
+    record = json.dumps({"layout": [{}] * (MAX_UNITS + 1)}).encode()
+    with pytest.raises(InputError, match=r"x\.json: units: got 1,001; expected at most 1,000"):
+        read_plan(record, "x.json")
+    plan = b'{"schema": "place-rsus/plan/1", "variants": [' + record + b"]}"
+    with pytest.raises(InputError, match=r"x\.json: variants\[0\]: units: got 1,001"):
+        read_plan(plan, "x.json")
+    with pytest.raises(InputError, match="variants: got 13; expected at most 12"):
+        begin_history([Variant(name="x")] * (MAX_VARIANTS + 1))
+
+
+def test_variants_from_files_are_told_apart():
+    state = begin_history([Variant(name="layout")] * 2).state
+    assert [each.name for each in state.variants] == ["layout", "layout (2)"]
+    for source in ("north", "south", "south"):
+        state = add_variant(state, Variant(name="layout"), source=source)
+    names = [each.name for each in state.variants[2:]]
+    assert names == ["north: layout", "south: layout", "south: layout (2)"]
+    (unnamed,) = read_plan(
+        json.dumps({"layout": layout_records(load_carlancap_layout())}).encode(), "../a/north.json"
+    ).variants
+    assert unnamed.name == "north"
+
+
+def test_a_plan_of_another_scene_is_refused():
+    text = plan_text(ONE, replace(SCENE, name="elsewhere")).encode()
+    with pytest.raises(InputError, match="got one made for elsewhere; expected one of town05"):
+        check_plan(read_plan(text, "plan.json"), SCENE)
+    check_plan(read_plan(plan_text(ONE, SCENE).encode(), "plan.json"), SCENE)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (AddUnit(site="nowhere", sensor=CAMERA), "site: got 'nowhere'; expected a site of town05"),
         (AddUnit(site="corner-ne", sensor="x"), "sensor: got 'x'; expected one of"),
-        (ChangeUnit(unit="U9", yaw_deg=0.0), "unit: got 'U9'; expected one that hangs there"),
+        (ChangeUnit(unit="U9", yaw_deg=0.0), "unit: got 'U9'; expected one that is mounted there"),
         (ChangeUnit(unit="U1", height_m=99.0), r"height: got 99.0; expected 4 \.\. 8.5 m, the ran"),
         (ChangeUnit(unit="U1", pitch_deg=91.0), r"tilt: got 91.0; expected -90 \.\. 90 degrees"),
         (ChangeUnit(unit="U1", yaw_deg=float("nan")), "direction: got nan; expected a finite"),
@@ -142,6 +215,11 @@ def test_a_drag_is_one_step():
     assert history.undone().state is ONE
     other = history.went_on(ONE, gesture="drag 2")
     assert other.undone().state is history.state
+    for _ in range(3):
+        other = other.went_on(ONE, gesture="drag 2")
+    given_up = other.reverted("drag 2")
+    assert (given_up.state, given_up.can_redo) == (history.state, False)
+    assert given_up.reverted("drag 2") is given_up
 
 
 def test_the_oldest_steps_are_forgotten():

@@ -9,13 +9,17 @@ import sys
 import time
 import urllib.error
 import urllib.request
+from dataclasses import replace
+from itertools import cycle
 from pathlib import Path
 
 import pytest
 from plan_desks import small_work
 
+from experiments.export.json import to_json
 from experiments.plan.worker import Cancelled, DiedError, TaskError, Worker
 from placement.compute import silent
+from placement.study_layout import load_carlancap_layout
 
 ROOT = Path(__file__).parents[3]
 MAP = str(ROOT / "docs" / "maps" / "crossing.osm")
@@ -105,6 +109,46 @@ def test_the_command_serves_until_it_ends_and_leaves_nothing_behind(tmp_path, is
         time.sleep(0.1)
     else:
         raise AssertionError("a process is left")
+    assert not list(tmp_path.glob("place-rsus-plan-*"))
+
+
+@pytest.mark.long
+def test_ctrl_c_ends_it_at_once_while_a_thousand_units_are_counted(tmp_path):
+    pytest.importorskip("starlette", reason="place-rsus[plan] is not installed")
+    from websockets.sync.client import connect
+
+    study = load_carlancap_layout()
+    units = [
+        replace(
+            unit,
+            id=f"U{index}",
+            pose=replace(unit.pose, position_m=unit.pose.position_m + [0.0, 0.0, 0.001 * index]),
+        )
+        for index, unit in zip(range(1000), cycle(study.units), strict=False)
+    ]
+    layout = tmp_path / "many.json"
+    layout.write_text(to_json(replace(study, units=tuple(units))))
+    words = ["plan", "--no-open", "--cases", "CPNC-50", "--along-arms", "0", "--speeds", "50"]
+    with subprocess.Popen(
+        [sys.executable, "-m", "experiments.cli.main", *words, "--layout", str(layout)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        cwd=ROOT,
+        env=os.environ | {"TMPDIR": str(tmp_path)},
+        start_new_session=True,
+    ) as process:
+        address = process.stdout.readline().removeprefix("The page is at ").strip()
+        origin = "/".join(address.split("/")[:3])
+        live = address.replace("http:", "ws:") + "live"
+        with connect(live, origin=origin, max_size=None) as line:
+            for text in line:
+                told = json.loads(text)
+                if told["type"] == "doing" and (told["who"], told["stage"]) == ("rays", ""):
+                    break  # it is ready to count
+            process.send_signal(signal.SIGINT)
+            assert process.wait(timeout=15) == 0
+        assert "Ended." in process.stdout.read()
     assert not list(tmp_path.glob("place-rsus-plan-*"))
 
 

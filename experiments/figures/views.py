@@ -1,0 +1,185 @@
+"""Ground on which a sensor can detect a road user: up to its detector's reach, and up to walls."""
+
+import threading
+from collections import OrderedDict
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from geometry.arrays import FloatArray
+from geometry.catalogue import Sensor
+from geometry.lidar import LidarModel
+from geometry.raycast import build_caster
+from geometry.sensors import CameraModel
+from geometry.terrain import on_ground, terrain_of
+from geometry.weather import load_weathers
+from placement.candidates import CandidatePose, above_ground
+from placement.detectors import VRU_CLASSES, Evidence, vru_class
+from placement.ground_coverage import LOOK_AT_M, is_in_sight
+from placement.setting import Setting
+
+from .plan import ground_footprint
+from .sensors import ground_rings, is_wide
+
+MAX_RANGE_M = 150.0
+"""Views are drawn up to here: nothing that is driven starts farther from a junction's poles."""
+
+_N_BEARINGS = 360
+_FINE_M, _FINE_UP_TO_M, _COARSE_M = 1.0, 50.0, 2.0  # between the places that are asked of
+_HAIR_M = 0.05
+_STEP_M = 0.5  # of the reach
+_MAX_MOUNTS = 256
+
+
+class GroundViews:
+    """Views in one setting; rays are cast once per mount position. For several threads.
+
+    Parameters
+    ----------
+    setting : Setting
+        Scene, road users, weathers, and the planning detector.
+    """
+
+    def __init__(self, setting: Setting) -> None:
+        self._setting = setting
+        self._open: OrderedDict[tuple[float, ...], Any] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def reach_m(self, sensor: Sensor) -> float:
+        """Distance up to which a sensor detects the tallest road user, if nothing occludes it.
+
+        Of a camera, depth along its axis: where the box is as high as the planning detector asks
+        for at the contrast of the clearest weather that is driven. At most `MAX_RANGE_M`.
+        """
+        if not isinstance(sensor, CameraModel):
+            return min(sensor.range_m, MAX_RANGE_M)
+        setting = self._setting
+        tallest = max((run.encounter.vru for run in setting.runs), key=lambda vru: vru.height_m)
+        depth_m = np.arange(_STEP_M, MAX_RANGE_M + _STEP_M, _STEP_M)
+        height_px = sensor.focal_length_px * tallest.height_m / depth_m
+        known = load_weathers()
+        is_high = np.zeros(len(depth_m), dtype=bool)
+        for name in set(setting.axis.weathers):
+            weather = known[name]
+            evidence = Evidence(
+                visible_px=np.empty((len(depth_m), 0)),
+                amodal_px=np.empty((len(depth_m), 0)),
+                contrast=weather.contrast * weather.transmission(depth_m),
+                visible_share=np.ones(1),
+                inside_share=np.ones(1),
+                aspect_deg=np.full(1, 90.0),
+                vru_class=np.array([VRU_CLASSES.index(vru_class(tallest))]),
+                draw_index=np.arange(len(depth_m)),
+            )
+            is_high |= height_px >= setting.planner.least_height_px(evidence)
+        return float(depth_m[is_high].max(initial=0.0))
+
+    def shape(self, unit: CandidatePose) -> Any:
+        """Ground in a unit's view as a shapely shape, maybe in parts or empty. World frame, metres.
+
+        What its image shows of the ground within its reach, without what the scene occludes one
+        metre above it. Shadows of poles, narrower than two degrees, are left out.
+        """
+        import shapely
+
+        reach_m = self.reach_m(unit.sensor)
+        level = above_ground(unit, self._setting.scene)
+        if is_wide(unit):
+            far, near = ground_rings(level, max_range_m=reach_m)
+            image = shapely.difference(_polygon(far), _polygon(near))
+        elif isinstance(unit.sensor, LidarModel):
+            image = _polygon(ground_footprint(level, max_range_m=reach_m))
+        else:
+            corners_m = ground_footprint(level, max_range_m=MAX_RANGE_M, max_depth_m=reach_m)
+            image = _polygon(corners_m)
+        return shapely.intersection(shapely.make_valid(image), self._open_ground(unit))
+
+    def has_rays(self, unit: CandidatePose) -> bool:
+        """Whether rays have been cast from where a unit is."""
+        return _mount_key(unit) in self._open
+
+    @cached_property
+    def _caster(self) -> Any:
+        scene = self._setting.scene
+        return build_caster(scene.vertices_m - self._origin_m, scene.triangles)
+
+    @cached_property
+    def _origin_m(self) -> FloatArray:
+        return np.append(self._setting.scene.outline_m.mean(axis=0), 0.0)
+
+    def _open_ground(self, unit: CandidatePose) -> Any:
+        """Ground that nothing hides from where a unit is, in all directions."""
+        key = _mount_key(unit)
+        with self._lock:
+            if key not in self._open:
+                self._open[key] = self._cast(unit)
+                while len(self._open) > _MAX_MOUNTS:
+                    self._open.popitem(last=False)
+            self._open.move_to_end(key)
+            return self._open[key]
+
+    def _cast(self, unit: CandidatePose) -> Any:
+        import shapely
+
+        eye_m = unit.pose.position_m
+        edges_m = np.concatenate(
+            [
+                np.arange(0.0, _FINE_UP_TO_M, _FINE_M),
+                np.arange(_FINE_UP_TO_M, MAX_RANGE_M + _COARSE_M, _COARSE_M),
+            ]
+        )
+        bearings = np.radians(np.arange(_N_BEARINGS) * (360.0 / _N_BEARINGS))
+        middles = _polar(
+            0.5 * (edges_m[1:] + edges_m[:-1])[None, :],
+            (bearings + 0.5 * bearings[1])[:, None],
+        )
+        places_m = on_ground(
+            eye_m[:2] + middles.reshape(-1, 2), terrain_of(self._setting.scene)
+        ) + [0.0, 0.0, LOOK_AT_M]
+        is_open = is_in_sight(
+            self._caster,
+            eye_m - self._origin_m,
+            places_m - self._origin_m,
+            near_m=unit.sensor.near_m,
+        ).reshape(_N_BEARINGS, -1)
+        is_open[:, 0] = True  # rays do not begin nearer
+        is_open |= np.roll(is_open, 1, axis=0) & np.roll(is_open, -1, axis=0)
+        change = np.diff(np.pad(is_open.astype(np.int8), ((0, 0), (1, 1))), axis=1)
+        row, first = np.nonzero(change == 1)
+        last = np.nonzero(change == -1)[1]
+        low_m, high_m = edges_m[first], edges_m[last]
+        left, right = bearings[row], bearings[row] + bearings[1]
+        corners = np.stack(
+            [
+                _polar(low_m, left),
+                _polar(high_m, left),
+                _polar(high_m, right),
+                _polar(low_m, right),
+            ],
+            axis=1,
+        )
+        sectors = shapely.polygons(eye_m[:2] + corners)
+        # The innermost sectors are one star; to join it with the few others is quick.
+        is_inner = first == 0
+        star = shapely.Polygon(eye_m[:2] + corners[is_inner, 1:3].reshape(-1, 2))
+        joined = shapely.union_all([star, *sectors[~is_inner]])
+        for width_m in (_HAIR_M, -_HAIR_M):  # or rounding would leave gaps between sectors
+            joined = shapely.buffer(joined, width_m, join_style="mitre", mitre_limit=1.5)
+        return shapely.simplify(joined, _HAIR_M)
+
+
+def _mount_key(unit: CandidatePose) -> tuple[float, ...]:
+    return (*unit.pose.position_m.tolist(), unit.sensor.near_m)
+
+
+def _polar(radius_m: FloatArray, bearing_rad: FloatArray) -> FloatArray:
+    ways = np.stack(np.broadcast_arrays(np.cos(bearing_rad), np.sin(bearing_rad)), axis=-1)
+    corners: FloatArray = radius_m[..., None] * ways
+    return corners
+
+
+def _polygon(corners_m: FloatArray) -> Any:
+    import shapely
+
+    return shapely.Polygon(corners_m) if len(corners_m) >= 3 else shapely.Polygon()

@@ -1,0 +1,73 @@
+"""Views on the ground: up to the detector's reach, cut where something hides the ground."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+from small_results import build_small_setting
+
+from experiments.figures.plan import ground_footprint
+from experiments.figures.views import MAX_RANGE_M, GroundViews
+from geometry.catalogue import load_cameras
+from geometry.lidar import load_lidars
+from geometry.poses import Pose
+from geometry.raycast import build_caster
+from geometry.scene import thing_footprint
+from placement.candidates import CandidatePose, is_in_view
+
+SETTING = build_small_setting()
+VIEWS = GroundViews(SETTING)
+CAMERA = load_cameras()["carla-ncap-rgb"]
+
+
+def mounted(sensor=CAMERA, *, yaw_deg=90.0, pitch_deg=-12.0, site="corner-sw"):
+    foot_m = next(each for each in SETTING.scene.sites if each.id == site).position_m
+    pose = Pose(position_m=foot_m + [0.0, 0.0, 8.0], yaw_deg=yaw_deg, pitch_deg=pitch_deg)
+    return CandidatePose(id="U1", site_id=site, pose=pose, sensor=sensor)
+
+
+def test_a_camera_reaches_as_far_as_the_tallest_road_user_is_high_enough_in_the_image():
+    tallest_m = max(run.encounter.vru.height_m for run in SETTING.runs)
+    for fov_deg in (40.0, 70.0, 110.0):
+        camera = replace(CAMERA, horizontal_fov_deg=fov_deg)
+        reach_m = camera.focal_length_px * tallest_m / SETTING.planner.min_box_height_px
+        assert VIEWS.reach_m(camera) == pytest.approx(min(reach_m, MAX_RANGE_M), abs=0.5)
+    blind = replace(SETTING, planner=replace(SETTING.planner, min_contrast=1.0))
+    foggy = replace(blind, axis=replace(SETTING.axis, weathers=("fog",) * SETTING.axis.n_runs))
+    assert GroundViews(foggy).reach_m(CAMERA) == 0.0
+    assert VIEWS.reach_m(load_lidars()["ouster-os1-128"]) == 120.0
+
+
+@pytest.mark.parametrize("yaw_deg", [45.0, 180.0, -90.0])
+def test_no_view_runs_through_houses(yaw_deg):
+    houses = shapely.union_all(
+        [
+            thing_footprint(SETTING.scene, index)
+            for index, thing in enumerate(SETTING.scene.instances)
+            if thing.class_name == "building"
+        ]
+    ).buffer(-2.0)
+    unit = mounted(replace(CAMERA, horizontal_fov_deg=50.0), yaw_deg=yaw_deg)
+    image = shapely.Polygon(ground_footprint(unit, max_range_m=VIEWS.reach_m(unit.sensor)))
+    assert shapely.area(shapely.intersection(image, houses)) > 50.0
+    assert shapely.area(shapely.intersection(VIEWS.shape(unit), houses)) == 0.0
+
+
+@pytest.mark.parametrize("name", ["camera", *load_lidars()])
+def test_a_view_is_what_rays_reach(name):
+    unit = mounted(CAMERA if name == "camera" else load_lidars()[name], pitch_deg=-10.0)
+    rng, eye_m = np.random.default_rng(0), unit.pose.position_m
+    points_m = np.column_stack([eye_m[:2] + rng.uniform(-60.0, 60.0, (4000, 2)), np.zeros(4000)])
+    away_m = points_m - eye_m
+    reach_m = VIEWS.reach_m(unit.sensor)
+    axis = np.array([0.0, np.cos(np.radians(10.0)), -np.sin(np.radians(10.0))])
+    depth_m = away_m @ axis if name == "camera" else np.hypot(*away_m[:, :2].T)
+    caster = build_caster(SETTING.scene.vertices_m - eye_m, SETTING.scene.triangles)
+    vectors_m = (away_m + [0.0, 0.0, 1.0]).astype(np.float32)
+    is_hidden = caster.is_blocked(0.05 * vectors_m, 0.94 * vectors_m)
+    is_seen = is_in_view(unit, points_m) & (depth_m <= reach_m) & ~is_hidden
+    shape = VIEWS.shape(unit)
+    is_drawn = shapely.contains_xy(shape, points_m[:, :2])
+    assert is_seen.sum() > 100
+    assert (is_drawn != is_seen).mean() < 0.03  # a degree and a metre wide are the borders
