@@ -306,7 +306,12 @@ def build_setting(
         scene=scene,
         runs=runs,
         axis=build_frame_axis(
-            runs, weigh(runs, question.weights or default_weights(question.cases))
+            runs,
+            weigh(
+                runs,
+                question.weights or default_weights(question.cases),
+                refused=drives.refused,
+            ),
         ),
         rule=build_rule(question),
         detector=detector,
