@@ -5,7 +5,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import version
 from typing import Annotated
 
+import numpy as np
+
 from geometry.raycast import caster_name
+from geometry.weather import pick_weather
+from placement.detectors import GeometricDetector
 from placement.setting import Setting
 from scenarios.positions import AT_ZERO
 from scenarios.runs import Refusal
@@ -47,6 +51,7 @@ class DrivesRecord(Record, frozen=True, kw_only=True):
     not_driven: tuple[RefusalRecord, ...]
     possible_runs: int
     driven: tuple[str, ...]
+    without_effect: tuple[str, ...] = ()
 
 
 def build_drives_record(setting: Setting) -> DrivesRecord:
@@ -72,7 +77,34 @@ def build_drives_record(setting: Setting) -> DrivesRecord:
         ),
         possible_runs=_count_possible(setting),
         driven=tuple(describe_driven(setting)),
+        without_effect=tuple(_without_effect(setting)),
     )
+
+
+def _without_effect(setting: Setting) -> Iterator[str]:
+    """What was asked for and changes nothing: light, for a detector that knows none."""
+    detector = setting.detector
+    weathers = [name for name in dict.fromkeys(setting.axis.weathers) if name != "day"]
+    if not weathers or not isinstance(detector, GeometricDetector):
+        return
+    points_m = np.concatenate(
+        [
+            *(run.vru_position_m[:, :2] for run in setting.runs),
+            *(site.position_m[None, :2] for site in setting.scene.sites),
+        ]
+    )
+    farthest_m = float(np.hypot(*np.ptp(points_m, axis=0)))
+    alike = []
+    for name in weathers:
+        weather = pick_weather(name, "run: weather")
+        if weather.contrast * weather.transmission(farthest_m) >= detector.min_contrast:
+            alike.append(name)
+    if alike:
+        changes = "changes" if len(alike) == 1 else "change"
+        yield (
+            f"{joined(alike).capitalize()} {changes} nothing for cameras here: the "
+            f"{detector.name} detector knows no light. --detector response does."
+        )
 
 
 # ---------- how much of what is possible was driven, in words

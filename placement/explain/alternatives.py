@@ -17,9 +17,10 @@ from ..optimiser import (
     run_margins_s,
     solve_placement,
 )
-from ..optimiser.objectives import TOLERANCE, Objective
+from ..optimiser.objectives import TOLERANCE
 from ..optimiser.solve import is_large
 
+STAGE = "other priorities"
 TIME_LIMIT_S = 10.0
 """Most time for each alternative: it is told of in passing."""
 
@@ -78,8 +79,7 @@ def find_by_runs(
         return None
     alike = replace(axis, weight=np.full(axis.n_runs, 1.0 / axis.n_runs))
     by_runs = replace(problem, table=replace(problem.table, axis=alike))
-    found = _solve("by-runs", by_runs, pose_index, effort, cache_folder)
-    stages = {stage.name: stage for stage in found.certificate.stages}
+    found = _solve("by-runs", by_runs, pose_index, effort, cache_folder, n_stages=1)
     here, there = (
         int(np.isfinite(run_margins_s(problem, rows)).sum())
         for rows in (pose_index, found.pose_index)
@@ -88,7 +88,7 @@ def find_by_runs(
         pose_index=found.pose_index if there > here else tuple(pose_index),
         n_avoided=max(here, there),
         n_avoided_here=here,
-        is_proven=stages[Objective.APR].gap == 0.0,
+        is_proven=found.certificate.is_proven,
     )
 
 
@@ -105,7 +105,8 @@ def find_sturdier(
     """
     if not _is_plain(problem) or len(pose_index) < 2:
         return None
-    found = _solve("sturdier", replace(problem, survive=1), pose_index, effort, cache_folder)
+    survives = replace(problem, survive=1)
+    found = _solve("sturdier", survives, pose_index, effort, cache_folder, n_stages=2)
     return Sturdier(
         pose_index=found.pose_index,
         value=placement_value(problem, found.pose_index),
@@ -125,6 +126,8 @@ def _solve(
     start: Sequence[int],
     effort: Effort,
     cache_folder: Path | None,
+    *,
+    n_stages: int,
 ) -> Solution:
     limit_s = min(effort.time_limit_s, TIME_LIMIT_S)
     effort = replace(effort, time_limit_s=limit_s)
@@ -132,7 +135,9 @@ def _solve(
     return keep_value(
         cache_folder,
         name,
-        lambda: solve_placement(problem, presolve(problem), effort=effort, starts=[rows]),
-        made_from=(problem, effort, rows),
+        lambda: solve_placement(
+            problem, presolve(problem), effort=effort, starts=[rows], n_stages=n_stages
+        ),
+        made_from=(problem, effort, rows, n_stages),
         is_kept=lambda found: found.certificate.is_proven,
     )

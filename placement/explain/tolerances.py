@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -20,7 +21,8 @@ STAGE = "tolerances"
 TURNS_DEG = (0.5, 1.0, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0)
 LIFTS_M = (0.05, 0.1, 0.2, 0.3, 0.5, 0.75, 1.0)
 
-Steps = Mapping[str, tuple[float, ...]]
+Kind = Literal["yaw", "pitch", "height"]
+Steps = Mapping[Kind, tuple[float, ...]]
 STEPS: Steps = {"yaw": TURNS_DEG, "pitch": TURNS_DEG, "height": LIFTS_M}
 
 USUAL_DEG, USUAL_M = 1.0, 0.05
@@ -31,7 +33,7 @@ _QUICK_STEPS: Steps = {
     "pitch": (0.5, USUAL_DEG, 2.0),
     "height": (USUAL_M,),
 }
-_USUAL = {"yaw": USUAL_DEG, "pitch": USUAL_DEG, "height": USUAL_M}
+_USUAL: Mapping[Kind, float] = {"yaw": USUAL_DEG, "pitch": USUAL_DEG, "height": USUAL_M}
 
 MAX_UNITS = 30
 """Of larger layouts nobody asks what a usual error loses: one look for each takes too long."""
@@ -93,7 +95,7 @@ class MountingError:
     """
 
     unit_id: str
-    kind: str
+    kind: Kind
     step: float
     apr: float
     lost_run_ids: tuple[str, ...]
@@ -150,9 +152,9 @@ class _Errors:
     units: Sequence[CandidatePose]
     steps: Steps
     planned: Outcome
-    outcomes: Mapping[tuple[int, str, float], Outcome]
+    outcomes: Mapping[tuple[int, Kind, float], Outcome]
 
-    def error(self, number: int, kind: str, step: float) -> MountingError:
+    def error(self, number: int, kind: Kind, step: float) -> MountingError:
         outcome = self.outcomes[number, kind, step]
         run_ids = self.setting.axis.run_ids
         lost = tuple(run_ids[run] for run in runs_lost(self.planned, outcome))
@@ -171,10 +173,10 @@ class _Errors:
             for number, unit in enumerate(self.units)
         )
 
-    def _both(self, number: int, kind: str) -> tuple[float, float]:
+    def _both(self, number: int, kind: Kind) -> tuple[float, float]:
         return self._last_good(number, kind, -1), self._last_good(number, kind, 1)
 
-    def _last_good(self, number: int, kind: str, sign: int) -> float:
+    def _last_good(self, number: int, kind: Kind, sign: int) -> float:
         """The largest step before the first one that loses a run."""
         good = 0.0
         for step in self.steps[kind]:
@@ -230,7 +232,7 @@ def _find_errors(
     )
 
 
-def _moved(unit: CandidatePose, kind: str, step: float) -> CandidatePose:
+def _moved(unit: CandidatePose, kind: Kind, step: float) -> CandidatePose:
     """The unit, off by one error; at no site: it is mounted wrongly, not somewhere else."""
     pose = unit.pose
     position = pose.position_m + [0.0, 0.0, step if kind == "height" else 0.0]
