@@ -5,8 +5,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import version
 from typing import Annotated
 
-import numpy as np
-
 from geometry.raycast import caster_name
 from geometry.weather import pick_weather
 from placement.detectors import GeometricDetector
@@ -81,23 +79,19 @@ def build_drives_record(setting: Setting) -> DrivesRecord:
     )
 
 
+_FARTHEST_M = 300.0  # from there no camera of the catalogue sees a road user 40 px high
+
+
 def _without_effect(setting: Setting) -> Iterator[str]:
     """What was asked for and changes nothing: light, for a detector that knows none."""
     detector = setting.detector
     weathers = [name for name in dict.fromkeys(setting.axis.weathers) if name != "day"]
     if not weathers or not isinstance(detector, GeometricDetector):
         return
-    points_m = np.concatenate(
-        [
-            *(run.vru_position_m[:, :2] for run in setting.runs),
-            *(site.position_m[None, :2] for site in setting.scene.sites),
-        ]
-    )
-    farthest_m = float(np.hypot(*np.ptp(points_m, axis=0)))
     alike = []
     for name in weathers:
         weather = pick_weather(name, "run: weather")
-        if weather.contrast * weather.transmission(farthest_m) >= detector.min_contrast:
+        if weather.contrast * float(weather.transmission(_FARTHEST_M)) >= detector.min_contrast:
             alike.append(name)
     if alike:
         changes = "changes" if len(alike) == 1 else "change"
