@@ -33,7 +33,9 @@ class ByRunsRecord(Record, frozen=True, kw_only=True):
 
     units: Annotated[tuple[str, ...], says("Names of the candidate poses.")]
     runs_avoided: Annotated[int, says("Runs that it avoids.", ge=0)]
-    runs_avoided_here: Annotated[int, says("Runs that the layout of this result avoids.", ge=0)]
+    runs_avoided_here: Annotated[
+        int, says("Runs that the layout found avoids (with --refine: before that).", ge=0)
+    ]
     is_proven: Annotated[bool, says("Whether no layout is proven to avoid more.")]
 
 
@@ -43,7 +45,7 @@ class SturdierRecord(Record, frozen=True, kw_only=True):
     units: Annotated[tuple[str, ...], says("Names of the candidate poses.")]
     apr: Annotated[Share, says("Its APR.")]
     apr_one_failed: Annotated[Share, says("Its APR if the unit that is needed most fails.")]
-    apr_here: Annotated[Share, says("APR of the layout of this result.")]
+    apr_here: Annotated[Share, says("APR of the layout found (with --refine: before that).")]
     apr_one_failed_here: Annotated[Share, says("The same if the unit needed most fails.")]
 
 
