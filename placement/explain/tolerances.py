@@ -8,14 +8,16 @@ from typing import Literal
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from geometry.arrays import BoolArray
 from geometry.poses import Pose, wrap_deg
+from scenarios.exposure import weight_share
+from scenarios.runs import find_onsets
 
 from ..candidates import CandidatePose
 from ..compute import DEFAULT_COMPUTE, Compute
 from ..optimiser.problem import Fusion
 from ..setting import Setting
 from ..visibility.build import detected_frames
-from .sensitivity import Outcome, Watched, find_outcome, runs_lost
 
 STAGE = "tolerances"
 TURNS_DEG = (0.5, 1.0, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0)
@@ -146,21 +148,27 @@ def find_standing(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Errors:
-    """Outcomes with one unit off, by its number, what is off and by how much."""
+    """Runs that are avoided with one unit off, by its number, what is off and by how much."""
 
     setting: Setting
     units: Sequence[CandidatePose]
     steps: Steps
-    planned: Outcome
-    outcomes: Mapping[tuple[int, Kind, float], Outcome]
+    planned: BoolArray  # (n_runs,)
+    avoided: Mapping[tuple[int, Kind, float], BoolArray]  # (n_runs,) each
 
     def error(self, number: int, kind: Kind, step: float) -> MountingError:
-        outcome = self.outcomes[number, kind, step]
-        run_ids = self.setting.axis.run_ids
-        lost = tuple(run_ids[run] for run in runs_lost(self.planned, outcome))
+        axis = self.setting.axis
         return MountingError(
-            unit_id=self.units[number].id, kind=kind, step=step, apr=outcome.apr, lost_run_ids=lost
+            unit_id=self.units[number].id,
+            kind=kind,
+            step=step,
+            apr=weight_share(self.avoided[number, kind, step], axis.weight),
+            lost_run_ids=tuple(axis.run_ids[run] for run in self._lost(number, kind, step)),
         )
+
+    def _lost(self, number: int, kind: Kind, step: float) -> list[int]:
+        lost: list[int] = np.flatnonzero(self.planned & ~self.avoided[number, kind, step]).tolist()
+        return lost
 
     def tolerances(self) -> tuple[Tolerance, ...]:
         return tuple(
@@ -180,7 +188,7 @@ class _Errors:
         """The largest step before the first one that loses a run."""
         good = 0.0
         for step in self.steps[kind]:
-            if runs_lost(self.planned, self.outcomes[number, kind, sign * step]):
+            if self._lost(number, kind, sign * step):
                 break
             good = step
         return good
@@ -210,25 +218,35 @@ def _find_errors(
             pool=pool,
             compute=compute.within(STAGE),
         )
-    as_planned = Watched(
-        units=tuple(units),
-        detected=frames[: len(units)],
-        axis=setting.axis,
-        rule=setting.rule,
-        fusion=fusion,
+    arrival_s = np.stack(
+        [
+            np.where(row, setting.axis.time_s + unit.latency(setting.rule), np.inf)
+            for row, unit in zip(
+                frames, [*units, *(units[number] for number, _, _ in keys)], strict=True
+            )
+        ]
     )
 
-    def outcome(number: int, row: int) -> Outcome:
-        detected = as_planned.detected.copy()
-        detected[number] = frames[row]
-        return find_outcome(replace(as_planned, detected=detected))
+    def avoided(rows: Sequence[int]) -> BoolArray:
+        parties = arrival_s[rows]
+        if fusion == "any":
+            parties = parties.min(axis=0, keepdims=True)
+        in_time = [
+            find_onsets(party, setting.axis, rule=setting.rule).is_in_time for party in parties
+        ]
+        is_avoided: BoolArray = np.any(in_time, axis=0)
+        return is_avoided
 
+    numbers = list(range(len(units)))
     return _Errors(
         setting=setting,
         units=units,
         steps=steps,
-        planned=find_outcome(as_planned),
-        outcomes={key: outcome(key[0], row) for row, key in enumerate(keys, start=len(units))},
+        planned=avoided(numbers),
+        avoided={
+            key: avoided([row if number == key[0] else number for number in numbers])
+            for row, key in enumerate(keys, start=len(units))
+        },
     )
 
 
