@@ -46,6 +46,8 @@ class Placement:
         The best layout.
     greedy : Layout
         The layout that plain greedy search finds within the same limits.
+    greedy_index : tuple of int
+        Rows of the table that make `greedy`, where it was found; a refinement has its own table.
     certificate : Certificate
         Proof of `layout`.
     presolve : PresolveStatistics
@@ -68,6 +70,7 @@ class Placement:
 
     layout: Layout
     greedy: Layout
+    greedy_index: tuple[int, ...]
     certificate: Certificate
     presolve: PresolveStatistics
     problem: PlacementProblem
@@ -191,6 +194,7 @@ def place(
     return Placement(
         layout=pick_layout(candidates, solution.pose_index, f"best-{len(solution.pose_index)}"),
         greedy=pick_layout(candidates, greedy_index, f"greedy-{len(greedy_index)}"),
+        greedy_index=greedy_index,
         certificate=solution.certificate,
         presolve=solution.presolve,
         problem=problem,

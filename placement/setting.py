@@ -311,7 +311,7 @@ def build_setting(
     if question.strict or not runs:
         _check_every_case(drives, scene)
     weight = (
-        weigh(runs, question.weights or default_weights(question.cases))
+        weigh(runs, question.weights or default_weights(question.cases), refused=drives.refused)
         if weights is None
         else weight_by_function(runs, weights)
     )

@@ -22,7 +22,7 @@ from geometry.errors import InputError, MissingExtraError, Unquoted
 from geometry.files import MAX_TEXT_BYTES, Text, check_file, load_toml, read_table
 
 from .positions import is_study_set, read_position
-from .runs import Run
+from .runs import Refusal, Run
 
 # ---------- weights from a CSV file
 
@@ -316,7 +316,7 @@ def default_weights(cases: str) -> str:
     return "run" if is_study_set(cases) else "case"
 
 
-def weigh(runs: Sequence[Run], how: str) -> FloatArray:
+def weigh(runs: Sequence[Run], how: str, *, refused: Sequence[Refusal] = ()) -> FloatArray:
     """Weights by the word of a user.
 
     Parameters
@@ -329,6 +329,8 @@ def weigh(runs: Sequence[Run], how: str) -> FloatArray:
         :func:`scenarios.exposure.weight_by_crash_types`; "euroncap-rating-2026": by its points,
         see :func:`scenarios.exposure.weight_by_rating`; else a CSV file, see
         :func:`scenarios.exposure.weight_from_csv`.
+    refused : sequence of Refusal
+        What was asked for beside the runs, and could not be laid: "case" alone looks at it.
 
     Returns
     -------
@@ -345,7 +347,7 @@ def weigh(runs: Sequence[Run], how: str) -> FloatArray:
     if how == "run":
         return weight_per_run(runs)
     if how == "case":
-        return weight_per_case(runs)
+        return weight_per_case(runs, refused=refused)
     if how == CRASH_TYPES:
         return weight_by_crash_types(runs)
     if how == RATING:
@@ -397,11 +399,23 @@ def weight_per_run(runs: Sequence[Run]) -> FloatArray:
     return np.full(len(runs), 1.0 / len(runs))
 
 
-def weight_per_case(runs: Sequence[Run]) -> FloatArray:
-    """Equal weight for every case; within it for every approach; within that for every position.
+def weight_per_case(runs: Sequence[Run], *, refused: Sequence[Refusal] = ()) -> FloatArray:
+    """Equal weight for every case, as far as the junction carries it.
 
-    The runs of a case at one position of one approach - speeds and weathers - share its weight
-    equally: position 0, where every speed is driven, weighs no more than another one.
+    A case that is driven in full has as much weight as any other, shared equally by its approaches,
+    in these by positions, in these by runs - speeds and weathers: position 0, where every speed is
+    driven, weighs no more than another one. Runs that have no room, and approaches that do not
+    carry the case at all, take their shares away with them: the case weighs less, and the few runs
+    that remain of it no more than they would among all others. Otherwise the only turn that a map
+    allows would weigh as much as a hundred crossings. Positions that the mapped lanes do not reach
+    have no share.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        At least one.
+    refused : sequence of Refusal
+        What was asked for beside them, and could not be laid.
 
     Returns
     -------
@@ -409,13 +423,20 @@ def weight_per_case(runs: Sequence[Run]) -> FloatArray:
         Sums to 1.
     """
     keys = [(run.case.name, run.approach, run.position) for run in runs]
-    weight = np.full(len(runs), 1.0 / len({case for case, _, _ in keys}))
-    n_approaches = Counter(case for case, _ in {key[:2] for key in keys})
-    n_positions = Counter(key[:2] for key in set(keys))
+    n_weathers = len({run.weather for run in runs})
     n_runs = Counter(keys)
-    for index, key in enumerate(keys):
-        weight[index] /= n_approaches[key[0]] * n_positions[key[:2]] * n_runs[key]
-    return weight
+    for one in refused:
+        if one.is_possible:
+            key = (one.case.name, one.approach, one.position)
+            n_runs[key] += len(one.speeds_kmh) * n_weathers
+    n_positions = Counter(key[:2] for key in n_runs)
+    asked = {(one.case.name, one.approach) for one in refused} | set(n_positions)
+    n_approaches = Counter(case for case, _ in asked)
+    weight = np.array(
+        [1.0 / (n_approaches[key[0]] * n_positions[key[:2]] * n_runs[key]) for key in keys]
+    )
+    shares: FloatArray = weight / weight.sum()
+    return shares
 
 
 def weight_share(mask: ArrayLike, weight: ArrayLike) -> float:

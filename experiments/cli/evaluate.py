@@ -232,9 +232,11 @@ def study_cases_lines(record: "StudyCasesRecord | UnsetType") -> list[str]:
 def additions(result: "Result") -> list[str]:
     """What a result has beside layout, proof and evaluation, each part before an empty line.
 
-    First of all how many runs are not avoided, whether another layout does better in fresh worlds,
-    and what one more unit or another lens would buy.
+    First of all how many runs are not avoided, whether another layout does better by the evaluator
+    or in fresh worlds, what one more unit or another lens would buy, and what would change the
+    answer.
     """
+    from ..report.alternatives import doubt_sentences, recommended_sentences
     from ..report.answer import danger_sentences
     from ..report.next_unit import next_unit_sentence, other_sensor_sentence
     from ..report.private_ground import private_ground_sentences
@@ -242,10 +244,17 @@ def additions(result: "Result") -> list[str]:
     from ..report.sampled_worlds import overtaken_sentences
     from .explanations import explanation_text, uncertainty_text
 
-    parts: list[list[str]] = [driven_lines(result.driven)] if result.driven else []
+    driven = driven_lines(result.driven, result.without_effect)
+    parts: list[list[str]] = [driven] if driven else []
     further = [f"{said}." for said in (next_unit_sentence(result), other_sensor_sentence(result))]
     overtaken = overtaken_sentences(result.sampled) if result.sampled else []
-    told = [*danger_sentences(result), *overtaken, *(said for said in further if said != ".")]
+    told = [
+        *danger_sentences(result),
+        *recommended_sentences(result),
+        *overtaken,
+        *(said for said in further if said != "."),
+        *doubt_sentences(result),
+    ]
     head = sentences(*told)
     parts += [head] if head else []
     if result.front is not UNSET:

@@ -125,7 +125,7 @@ def latency_text(summary: "LatencyResult", out: Path | None) -> str:
         for row, entry in enumerate(parties["rsu_all"].longest)
     ]
     lines = [
-        *driven_lines(summary.driven),
+        *driven_lines(summary.driven, summary.without_effect),
         *sentences(f"{summary.name} on {summary.runs} runs:"),
         *table(["APR at a latency of", *_COLUMNS.values()], at),
         "",

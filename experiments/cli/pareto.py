@@ -139,7 +139,7 @@ def front_text(summary: "FrontResult", out: Path | None) -> str:
     heads = ["units", "APR", "one fails", "smallest" + star, "mean" + star, eur, "proof"]
     buys = "money buys" if by == "cost" else "units buy"
     lines = [
-        *driven_lines(summary.driven),
+        *driven_lines(summary.driven, summary.without_effect),
         *sentences(
             f"The best of {summary.candidates} poses on {summary.runs} runs (fusion "
             f"{summary.fusion}), and what more {buys}:"

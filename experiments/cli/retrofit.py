@@ -103,7 +103,7 @@ def retrofit_text(summary: "RetrofitResult", out: Path | None) -> str:
         for change in known:
             rows += _change_rows(change)
     lines = [
-        *driven_lines(summary.driven),
+        *driven_lines(summary.driven, summary.without_effect),
         *sentences(
             f"What to change about {summary.name} "
             f"({several(len(summary.layout), 'unit', 'units')}) on {summary.runs} runs, on "

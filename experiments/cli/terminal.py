@@ -40,14 +40,17 @@ def sentences(*texts: str, indent: int = 0, hanging: int = 0, head: str = "") ->
     ]
 
 
-def driven_lines(driven: Sequence[str]) -> list[str]:
-    """What is driven of what is possible, first of all; below it the reasons of most runs."""
+def driven_lines(driven: Sequence[str], without_effect: Sequence[str] = ()) -> list[str]:
+    """What is driven of what is possible, first of all; below it the reasons of most runs.
+
+    Last what was asked for and changes nothing.
+    """
     lines = sentences(*driven[:1])
     lines += sentences(*driven[1 : 1 + _MOST_REASONS], indent=2, hanging=2)
     n_left = len(driven) - 1 - _MOST_REASONS
     if n_left > 0:
         lines.append(f"  and {several(n_left, 'more reason', 'more reasons')} in the report's list")
-    return lines
+    return lines + sentences(*without_effect)
 
 
 def table(

@@ -11,9 +11,9 @@ from msgspec.structs import replace as replace_fields
 from geometry.scene_files import load_scene
 from placement.candidates import CandidatePose
 from placement.compute import Compute
-from placement.optimiser import PlacementProblem
+from placement.optimiser import PlacementProblem, apr_one_failed
 from placement.optimiser.cost_front import cost_front
-from placement.optimiser.front import Front, StageChoice, pareto_front
+from placement.optimiser.front import Front, FrontPoint, StageChoice, pareto_front
 from placement.pipeline import obtain_table
 from placement.planning import Plan, build_plan
 from placement.prices import assumed_prices, load_prices
@@ -159,10 +159,15 @@ def describe_front(
     n_kept: int = 0,
 ) -> FrontRecord:
     """A front with the sentences that say what each unit, or more money, buys."""
+    by_pole = replace(problem, limits=replace(problem.limits, failing="site"))
+
+    def pole_failed(point: FrontPoint) -> float:
+        return apr_one_failed(by_pole, point.pose_index)
+
     if front.by == "units":
-        sentences = describe_units(front, n_kept=n_kept)
+        sentences = describe_units(front, n_kept=n_kept, pole_failed=pole_failed)
     else:
-        sentences = describe_money(front)
+        sentences = describe_money(front, pole_failed=pole_failed)
     return build_front_record(front, problem, candidates, sentences=sentences, n_kept=n_kept)
 
 

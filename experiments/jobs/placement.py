@@ -19,6 +19,7 @@ from placement.cache import cached_value
 from placement.compute import Compute, silent
 from placement.evaluation import Evaluation, apr
 from placement.evaluator import evaluate_layouts
+from placement.explain import find_pool
 from placement.explain.other_sensors import STAGE as OTHER_SENSORS
 from placement.explain.other_sensors import find_other_sensors
 from placement.explain.sensitivity import STAGE as WHAT_IF
@@ -70,6 +71,12 @@ from ..results.result import (
     build_placement_result,
 )
 from ..results.sampled_worlds import build_sampled_record
+from .alternatives import (
+    begin_standing,
+    build_recommendation,
+    leading_layouts,
+    other_priorities,
+)
 from .baselines import build_baselines_record, compare_layout, compare_placement
 from .pareto import describe_front
 from .study_cases import on_study_cases
@@ -134,7 +141,7 @@ def run_placement(
             n_samples=question.samples,
             compute=replace(compute, progress=report),
         )
-        refinement = None
+        refinement, on_grid = None, placement
         if question.refine:
             refinement = refine(
                 setting,
@@ -152,6 +159,7 @@ def run_placement(
             fusion=question.fusion,
             compute=compute,
         )
+        standing = begin_standing(beside, setting, placement.layout, question, compute)
         asked = {unit.sensor.name: unit.sensor for unit in plan.candidates}
         other_sensors = beside.begin(
             OTHER_SENSORS,
@@ -177,24 +185,34 @@ def run_placement(
             beside, question, setting, [*layouts.values()], uncertainty, compute
         )
         progress("explain", 0, 0)
-        explained = build_explained_record(
-            placement,
-            setting,
-            poses,
-            n_pool=question.pool,
-            compute=compute,
-        )
+        pool = None
+        if question.pool:
+            pool = find_pool(placement.problem, placement.pose_index, n_sets=question.pool)
+        explained = build_explained_record(placement, setting, poses, pool=pool, compute=compute)
         subject = placement.layout
         others = [] if study is None else [study]
         beside.begin("plans", build_plans, setting, {subject.name: subject}, others)
         beside.begin("coverage", coverage_section, scene, subject)
         front = _front_below(placement, plan, compute, progress)
-        verdicts = evaluate_layouts([*layouts.values()], setting, compute=compute)
+        priorities = other_priorities(on_grid, question, plan, compute=compute, progress=progress)
+        leading = leading_layouts(on_grid, placement, poses, pool)
+        pooled = [layout for layout in leading if layout is not placement.greedy]
+        judged_all = evaluate_layouts([*layouts.values(), *pooled], setting, compute=compute)
+        verdicts = judged_all[: len(layouts)]
         evaluations = dict(zip(layouts, verdicts, strict=True))
         found, greedy = evaluations[placement.layout.name], evaluations[GREEDY]
         baseline = None if study is None else evaluations[study.name]
         next_unit = build_next_unit_record(placement, poses)
         study_cases = _on_study_cases(question, scene, setting, evaluations, compute)
+        by_name = {item.layout.name: item for item in judged_all}
+        recommendation = build_recommendation(
+            [found, *(by_name[layout.name] for layout in leading)],
+            standing,
+            setting,
+            question,
+            compute=compute,
+            progress=progress,
+        )
         exchanged = other_sensors.result(partial(progress, OTHER_SENSORS, 0, 0))
         sensitivity = what_if.result(partial(progress, WHAT_IF, 0, 0))
         result = build_placement_result(
@@ -202,6 +220,8 @@ def run_placement(
         )
         result = replace_fields(
             result,
+            **priorities,
+            **recommendation.fields,
             explained=explained,
             assumed_prices=(
                 UNSET
@@ -252,6 +272,7 @@ def run_placement(
             progress=progress,
             placement=placement,
             candidates=poses,
+            recommended=recommendation.layout,
             bill=build_bill(
                 placement.layout,
                 scene,

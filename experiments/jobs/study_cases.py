@@ -15,6 +15,7 @@ from placement.evaluator import evaluate_layouts
 from placement.evaluator.evaluate import Judge, Seen, judge_layouts
 from placement.question import Question
 from placement.setting import Links, Setting
+from placement.study_layout import find_baseline
 from scenarios.cases import ALL_SPEEDS, select_cases
 from scenarios.exposure import weight_per_run
 from scenarios.positions import AT_ZERO, pick_positions
@@ -54,7 +55,10 @@ def on_study_cases(
     build: Callable[[Question], Setting],
     compute: Compute,
 ) -> StudyCasesRecord | None:
-    """What layouts prevent in the study's cases; None where these are what was asked about.
+    """What layouts prevent in the study's cases, where these are a part of what was asked about.
+
+    None at another junction than the study's, where some of its cases are left out, and where its
+    runs are all that was asked about.
 
     Parameters
     ----------
@@ -74,11 +78,19 @@ def on_study_cases(
     InputError
         No arm of the junction carries any of the study's cases.
     """
+    if find_baseline(asked.scene) is None or not _has_cases(question):
+        return None
     rows = study_rows(question, asked)
     study = build(study_question(question)) if rows is None else _part(asked, rows)
     if is_same_question(asked, study):
         return None
     return score_on(study, asked, rows, evaluations, compute=compute)
+
+
+def _has_cases(question: Question) -> bool:
+    """Whether all cases of the study are asked about."""
+    given = select_cases(question.cases, force=question.force).cases
+    return {case.name for case in select_cases("study").cases} <= {case.name for case in given}
 
 
 def score_on(

@@ -13,7 +13,7 @@ from geometry.errors import InputError, Unquoted
 from geometry.files import write_atomically
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation
-from placement.layout import layout_records
+from placement.layout import Layout, layout_records
 from placement.pipeline import Placement
 from placement.setting import Setting
 from placement.verification.certificates import build_certificate, save_certificate
@@ -28,7 +28,14 @@ from ..report.beside import Beside
 from ..report.bill_of_materials import BillOfMaterials, bill_of_materials_csv, build_bill
 from ..report.page import begin_parts, write_report
 from ..results.csv_text import csv_text
-from ..results.folders import APR_FILE, LAYOUT_FILE, MARKER, RUNS_FILE, new_result_folder
+from ..results.folders import (
+    APR_FILE,
+    LAYOUT_FILE,
+    MARKER,
+    RECOMMENDED_FILE,
+    RUNS_FILE,
+    new_result_folder,
+)
 from ..results.result import Result
 from ..results.tables import apr_table, runs_table
 
@@ -43,6 +50,7 @@ def write_results(
     progress: StageProgress,
     placement: Placement | None = None,
     candidates: Sequence[CandidatePose] = (),
+    recommended: Layout | None = None,
     bill: BillOfMaterials | None = None,
     sampled_figure: Axes | None = None,
     beside: Beside | None = None,
@@ -67,6 +75,8 @@ def write_results(
         Where the subject was found: its certificate is written, too.
     candidates : sequence of CandidatePose
         The rows of the table in which it was found.
+    recommended : Layout, optional
+        What the evaluator prefers to the subject.
     bill : BillOfMaterials, optional
         Of the subject, where more is known of its costs than the scene tells.
     sampled_figure : Axes, optional
@@ -91,6 +101,9 @@ def write_results(
         "layout.csv": to_csv(layout, setting.scene),
         MARKER: to_json_text(result),
     }
+    if recommended is not None:
+        recommended = replace(recommended, scene_name=setting.scene.name)
+        answer[RECOMMENDED_FILE] = to_json(recommended)
     with _kept_elsewhere(folder, answer), new_result_folder(folder) as new:
         for name, text in answer.items():
             _write_text(new / name, text)

@@ -20,6 +20,7 @@ from ..results.dangers import DangerGroupRecord, DangersRecord, avoided_runs
 from ..results.numbers import NOTHING, count_runs, joined, number, or_nan, percent, several
 from ..results.record import StageRecord
 from ..results.result import Result
+from .alternatives import doubt_sentences, recommended_sentences
 from .next_unit import next_unit_sentence
 from .private_ground import private_ground_sentences
 from .refinement import refinement_sentences
@@ -79,9 +80,12 @@ def answer(result: Result, shown: Mapping[str, Evaluation]) -> list[str]:
         ]
     return [
         *result.driven[:1],
+        *result.without_effect,
         *danger_sentences(result),
+        *recommended_sentences(result),
         *(overtaken_sentences(result.sampled) if result.sampled else []),
         *(f"{sentence}." for sentence in sentences if sentence),
+        *doubt_sentences(result),
         *private_ground_sentences(result),
         *(refinement_sentences(result.refinement) if result.refinement else []),
         *(uncertainty_sentences(result.sampled) if result.sampled else []),

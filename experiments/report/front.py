@@ -1,7 +1,7 @@
 """The front that ends with the layout of a report: what each further unit buys, and its proof."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 from msgspec import UnsetType
@@ -189,13 +189,18 @@ _ORDINALS = (
     *("ninth", "tenth", "eleventh", "twelfth"),
 )
 
+PoleFailed = Callable[[FrontPoint], float]
 
-def describe_units(front: Front, *, n_kept: int = 0) -> list[str]:
+
+def describe_units(
+    front: Front, *, n_kept: int = 0, pole_failed: PoleFailed | None = None
+) -> list[str]:
     """What each further unit buys.
 
     A sentence for the first point, one for each that differs from the one before, one for what
     follows; such as "The second unit adds no APR; the layout then survives any single failure."
-    `n_kept` units hang there already, and count.
+    `n_kept` units hang there already, and count. `pole_failed` gives the APR that is left of a
+    point when the worst pole fails with all its units; without it only units are told of.
     """
     points = front.points
     sentences = [_first_units(points[0], n_kept)]
@@ -203,7 +208,7 @@ def describe_units(front: Front, *, n_kept: int = 0) -> list[str]:
     for before, point in pairwise(points):
         if front.settled is not None and point.units > front.settled:
             break
-        bought = _bought(before, point, front)
+        bought = _bought(before, point, front, pole_failed)
         if not bought:
             idle.append(point.units)
             continue
@@ -218,7 +223,7 @@ def describe_units(front: Front, *, n_kept: int = 0) -> list[str]:
     return sentences
 
 
-def describe_money(front: Front) -> list[str]:
+def describe_money(front: Front, *, pole_failed: PoleFailed | None = None) -> list[str]:
     """What more money buys: a sentence for every point, and one for what follows."""
     first = front.points[0]
     sentences = [
@@ -227,7 +232,7 @@ def describe_money(front: Front) -> list[str]:
     ]
     for before, point in pairwise(front.points):
         more = point.value.cost_eur - before.value.cost_eur
-        verbs = _bought(before, point, front, many=True)
+        verbs = _bought(before, point, front, pole_failed, many=True)
         sentences.append(
             f"{euros(more)} more ({euros(point.value.cost_eur)} in all) {verbs}"
             f"{_doubt(point, front)}."
@@ -261,7 +266,14 @@ def _left(point: FrontPoint) -> str:
     return f", {percent(value.apr_one_failed)} when the most needed one fails"
 
 
-def _bought(before: FrontPoint, point: FrontPoint, front: Front, *, many: bool = False) -> str:
+def _bought(
+    before: FrontPoint,
+    point: FrontPoint,
+    front: Front,
+    pole_failed: PoleFailed | None,
+    *,
+    many: bool = False,
+) -> str:
     """What one point has that the one before has not, as verbs and objects; empty if nothing."""
     old, new = before.value, point.value
     s = "" if many else "s"
@@ -271,7 +283,7 @@ def _bought(before: FrontPoint, point: FrontPoint, front: Front, *, many: bool =
         clauses.append(f"add{s} {points(gain)} of APR ({percent(new.apr)})")
     kept = new.apr_one_failed - old.apr_one_failed
     if kept > TOLERANCE and new.apr_one_failed >= new.apr - TOLERANCE:
-        clauses.append("the layout then survives any single failure")
+        clauses.append(f"the layout then survives {_survived(point, pole_failed)}")
     elif abs(kept) > TOLERANCE:
         less = "only " if kept < 0.0 else ""
         not_before = f", not {percent(old.apr_one_failed)}" if len(before.pose_index) > 1 else ""
@@ -285,6 +297,16 @@ def _bought(before: FrontPoint, point: FrontPoint, front: Front, *, many: bool =
     if gain <= TOLERANCE and not clauses[0].startswith(("buy", "save", "cost")):
         clauses.insert(0, f"add{s} no APR")
     return "; ".join(clauses)
+
+
+def _survived(point: FrontPoint, pole_failed: PoleFailed | None) -> str:
+    """What may fail of a layout that loses nothing with any one unit: poles carry several."""
+    left = None if pole_failed is None else pole_failed(point)
+    if left is None:
+        return "the failure of any one unit"
+    if left >= point.value.apr - TOLERANCE:
+        return "any single failure"
+    return f"the failure of any one unit, but not that of a pole ({percent(left)} are then left)"
 
 
 def _time_bought(before: FrontPoint, point: FrontPoint, s: str) -> list[str]:

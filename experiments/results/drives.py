@@ -6,6 +6,8 @@ from importlib.metadata import version
 from typing import Annotated
 
 from geometry.raycast import caster_name
+from geometry.weather import pick_weather
+from placement.detectors import GeometricDetector
 from placement.setting import Setting
 from scenarios.positions import AT_ZERO
 from scenarios.runs import Refusal
@@ -47,6 +49,7 @@ class DrivesRecord(Record, frozen=True, kw_only=True):
     not_driven: tuple[RefusalRecord, ...]
     possible_runs: int
     driven: tuple[str, ...]
+    without_effect: tuple[str, ...] = ()
 
 
 def build_drives_record(setting: Setting) -> DrivesRecord:
@@ -72,7 +75,30 @@ def build_drives_record(setting: Setting) -> DrivesRecord:
         ),
         possible_runs=_count_possible(setting),
         driven=tuple(describe_driven(setting)),
+        without_effect=tuple(_without_effect(setting)),
     )
+
+
+_FARTHEST_M = 300.0  # from there no camera of the catalogue sees a road user 40 px high
+
+
+def _without_effect(setting: Setting) -> Iterator[str]:
+    """What was asked for and changes nothing: light, for a detector that knows none."""
+    detector = setting.detector
+    weathers = [name for name in dict.fromkeys(setting.axis.weathers) if name != "day"]
+    if not weathers or not isinstance(detector, GeometricDetector):
+        return
+    alike = []
+    for name in weathers:
+        weather = pick_weather(name, "run: weather")
+        if weather.contrast * float(weather.transmission(_FARTHEST_M)) >= detector.min_contrast:
+            alike.append(name)
+    if alike:
+        changes = "changes" if len(alike) == 1 else "change"
+        yield (
+            f"{joined(alike).capitalize()} {changes} nothing for cameras here: the "
+            f"{detector.name} detector knows no light. --detector response does."
+        )
 
 
 # ---------- how much of what is possible was driven, in words

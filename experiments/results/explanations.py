@@ -15,7 +15,6 @@ from placement.explain import (
     Rescue,
     Unavoided,
     find_contributions,
-    find_pool,
     find_unavoided,
 )
 from placement.explain.pool import sites_in_order
@@ -251,7 +250,7 @@ def build_explained_record(
     setting: Setting,
     candidates: Sequence[CandidatePose],
     *,
-    n_pool: int = 0,
+    pool: Pool | None = None,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> ExplainedRecord:
     """What a placement rests on.
@@ -263,8 +262,8 @@ def build_explained_record(
     ----------
     candidates : sequence of CandidatePose
         Rows of the placement's table: a refinement's own, if there was one.
-    n_pool : int
-        How many other layouts to list; 0: none are looked for.
+    pool : Pool, optional
+        Other layouts that are as good, where they were asked for.
     compute : Compute
         With the seed of the table.
     """
@@ -283,9 +282,6 @@ def build_explained_record(
             placement.nominal_index,
             compute=compute,
         )
-    pool = None
-    if n_pool:
-        pool = find_pool(problem, chosen, n_sets=n_pool)
     return ExplainedRecord(
         contributions=tuple(
             _contribution(problem, part, names) for part in find_contributions(problem, chosen)

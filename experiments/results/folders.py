@@ -25,6 +25,7 @@ from ..progress import signals_held
 
 MARKER = "summary.json"
 LAYOUT_FILE = "layout.json"
+RECOMMENDED_FILE = "recommended.json"  # where the evaluator prefers another layout
 RUNS_FILE = "runs.parquet"
 APR_FILE = "apr.csv"
 MANIFEST = "SHA256SUMS"

@@ -78,6 +78,7 @@ class LatencyResult(Record, frozen=True, kw_only=True):
     not_driven: tuple[RefusalRecord, ...]
     possible_runs: int
     driven: tuple[str, ...]
+    without_effect: tuple[str, ...] = ()
     seconds: dict[str, float]
     versions: dict[str, str]
 

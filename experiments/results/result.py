@@ -21,6 +21,14 @@ from placement.optimiser import Failing, placement_value, run_margins_s
 from placement.pipeline import Placement
 from placement.setting import Setting
 
+from .alternatives import (
+    ByRunsRecord,
+    FrontRunnersRecord,
+    HeavyRunRecord,
+    StandingRecord,
+    SturdierRecord,
+    build_heavy_records,
+)
 from .baselines import BaselinesRecord, ExchangeRecord, NextUnitRecord, StudyCasesRecord
 from .dangers import DangersRecord, avoided_runs, build_dangers_record
 from .drives import RefusalRecord, build_drives_record, versions
@@ -314,6 +322,35 @@ class Result(Record, frozen=True, kw_only=True):
         ]
         | UnsetType
     ) = UNSET
+    heavy_runs: Annotated[
+        tuple[HeavyRunRecord, ...],
+        says("Runs that count more than 2 % of the APR, and more than others; the heaviest first."),
+    ] = ()
+    by_runs: (
+        Annotated[
+            ByRunsRecord,
+            says("Whether the layout is the best, too, if every run counts the same."),
+        ]
+        | UnsetType
+    ) = UNSET
+    sturdier: (
+        Annotated[
+            SturdierRecord,
+            says("What --survive 1 gives; missing where that costs 3 points of APR or more."),
+        ]
+        | UnsetType
+    ) = UNSET
+    mounting: Annotated[StandingRecord, says("What errors of mounting cost.")] | UnsetType = UNSET
+    front_runners: (
+        Annotated[
+            FrontRunnersRecord,
+            says("Which of the layouts that lead on the table the evaluator recommends."),
+        ]
+        | UnsetType
+    ) = UNSET
+    without_effect: Annotated[
+        tuple[str, ...], says("What was asked for and changes nothing, in sentences.")
+    ] = ()
     sensitivity: (
         Annotated[
             SensitivityRecord,
@@ -366,6 +403,7 @@ def build_layout_result(setting: Setting, evaluation: Evaluation) -> Result:
         seconds={},
         versions=versions(),
         dangers=build_dangers_record(evaluation.rsu_all.is_avoided, evaluation.axis),
+        heavy_runs=build_heavy_records(evaluation.axis),
         **fields_of(build_drives_record(setting)),
     )
 

@@ -83,6 +83,7 @@ class RetrofitResult(Record, frozen=True, kw_only=True):
     not_driven: tuple[RefusalRecord, ...]
     possible_runs: int
     driven: tuple[str, ...]
+    without_effect: tuple[str, ...] = ()
     sentences: tuple[str, ...]
     seconds: dict[str, float]
     versions: dict[str, str]

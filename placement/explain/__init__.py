@@ -2,9 +2,10 @@
 
 ``contributions`` takes one or two units away, ``next_unit`` adds one, ``other_sensors`` exchanges
 them; ``unavoided`` says why runs are not avoided, ``agreement`` where detection table and evaluator
-differ, ``sensitivity`` what wrong assumptions and mounting errors do. ``pool`` lists other sets
-that are as good; ``conflicts`` finds the smallest set of ``demands`` that no layout meets, with the
-search of ``feasible_sets``.
+differ, ``sensitivity`` what wrong assumptions do, ``tolerances`` what mounting errors do. ``pool``
+lists other sets that are as good, ``alternatives`` those that other priorities would choose, and
+``front_runners`` picks one of several by the evaluator. ``conflicts`` finds the smallest set of
+``demands`` that no layout meets, with the search of ``feasible_sets``.
 """
 
 from .conflicts import Conflict, build_separation, find_conflicts, find_refusal

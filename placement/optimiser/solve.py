@@ -290,13 +290,15 @@ def solve_placement(
     *,
     effort: Effort | None = None,
     starts: Sequence[IntArray] = (),
+    n_stages: int | None = None,
     on_stage: Callable[[str], None] | None = None,
 ) -> Solution:
     """Best poses: by APR, then APR when one unit fails, smallest margin, mean margin, cost.
 
     `reduced` is the presolved problem, where that is at hand; `starts` are rows of the table that
-    are tried first, (n,) each, such as a good layout for a unit less; `on_stage` is called with the
-    name of every stage when it begins. By default the effort is a minute.
+    are tried first, (n,) each, such as a good layout for a unit less; of tables of usual size only
+    the first `n_stages` objectives are bounded, by default all; `on_stage` is called with the name
+    of every stage when it begins. By default the effort is a minute.
 
     The bound of a stage is what no layout can exceed that is as good in all stages before. A
     problem whose goal is "fewest" or "cheapest" begins with the stage "units" or "cost_eur", one
@@ -321,7 +323,7 @@ def solve_placement(
     check_floors(problem, search)
     stages = Stages(problem, search, effort)
     records = []
-    for objective, find_bound in stages.plan():
+    for objective, find_bound in stages.plan()[:n_stages]:
         if on_stage is not None:
             on_stage(objective.value)
         began_s = now_s()

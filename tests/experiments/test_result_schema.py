@@ -268,6 +268,12 @@ def test_what_is_changed_in_a_summary_is_noticed(run, tmp_path, monkeypatch):
         "other_sensors",
         "baselines",
         "study_cases",
+        "heavy_runs",
+        "without_effect",
+        "sturdier",
+        "mounting",
+        "front_runners",
+        "by_runs",
     }
     for key in summary:
         less = {name: value for name, value in summary.items() if name != key}

@@ -17,6 +17,7 @@ from scenarios.exposure import (
     weight_per_run,
     weight_share,
 )
+from scenarios.runs import Refusal
 
 
 def run(case, approach="north", weather="day", speed_kmh=20, position="0"):
@@ -90,6 +91,41 @@ def test_weights_by_case_are_those_of_sharing_out_level_by_level(runs):
         list(expected), 1.0, [lambda r: r.case.name, lambda r: r.approach, lambda r: r.position]
     )
     assert weight_per_case(runs) == pytest.approx(list(expected.values()))
+
+
+def refused(name, approach, *speeds_kmh, position="0", is_possible=True):
+    return Refusal(
+        case=run(name).case,
+        approach=approach,
+        position=position,
+        speeds_kmh=speeds_kmh,
+        reason="",
+        is_possible=is_possible,
+    )
+
+
+def test_the_only_turn_that_a_map_allows_weighs_no_more_than_one_of_four():
+    arms = ("north", "east", "south", "west")
+    crossings = [run("CBNA", arm) for arm in arms]
+    missing = [refused("CBTAno-50", arm, 10.0, is_possible=False) for arm in arms[1:]]
+    weight = weigh([*crossings, run("CBTAno-50", "north")], "case", refused=missing)
+    assert weight == pytest.approx([1 / 5] * 5)
+    assert weight_per_case([*crossings, run("CBTAno-50", "north")])[-1] == pytest.approx(1 / 2)
+
+
+def test_what_has_no_room_takes_its_share_away_and_what_no_map_shows_does_not():
+    runs = [run("CBNA", speed_kmh=20), run("CBNA", position="-15"), run("CBLA")]
+    whole = weight_per_case(runs)
+    assert whole == pytest.approx([1 / 4, 1 / 4, 1 / 2])
+    off_the_map = refused("CBNA", "north", 20.0, position="-45", is_possible=False)
+    elsewhere = refused("CPLA-50", "north", 20.0)
+    assert weight_per_case(runs, refused=[off_the_map, elsewhere]) == pytest.approx(whole)
+    no_room = refused("CBNA", "north", 30.0, 40.0, 50.0)  # one of four speeds is left
+    by_room = np.array([1 / 16, 1 / 4, 1 / 2])
+    weight = weight_per_case(runs, refused=[no_room])
+    assert weight == pytest.approx(by_room / by_room.sum())
+    twice = [*runs, run("CBNA", weather="night", speed_kmh=20)]
+    assert weight_per_case(twice, refused=[no_room])[[0, 3]].sum() == pytest.approx(weight[0])
 
 
 @pytest.mark.parametrize(

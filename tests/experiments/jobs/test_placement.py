@@ -73,7 +73,9 @@ def test_a_placement_is_written_as_it_is_returned(small_study, tmp_path):
     assert list(summary["seconds"]) == [
         "start",
         *stages,
+        "other priorities",
         "evaluate",
+        "tolerances",
         "what if",
         "write results",
         "total",

@@ -110,6 +110,23 @@ def test_nothing_is_said_twice(asked, part, expected):
     assert not is_same_question(part, replace(part, axis=heavy))
 
 
+def test_the_block_is_shown_of_the_studys_cases_at_its_junction_alone(asked, monkeypatch):
+    monkeypatch.setattr(study_cases, "study_rows", lambda *given: None)
+    monkeypatch.setattr(study_cases, "score_on", lambda *given, **options: "told")
+
+    def told(setting, **changes):
+        return on_study_cases(
+            Question(**changes), setting, {}, build=lambda question: asked, compute=COMPUTE
+        )
+
+    other_rule = replace(asked, rule=replace(asked.rule, latency_s=0.2))
+    elsewhere = replace(other_rule, scene=replace(asked.scene, name="elsewhere"))
+    assert told(other_rule) == told(other_rule, cases="all", speeds="20-40") == "told"
+    assert told(other_rule, cases="CPLA-50") is None
+    assert told(other_rule, cases="protocol-4.5.1") is None
+    assert told(elsewhere) is None
+
+
 @pytest.mark.parametrize(
     "changes",
     [

@@ -36,7 +36,8 @@ def placement(small_setting, candidates):
 
 @pytest.fixture(scope="module")
 def summary(placement, small_setting, candidates):
-    found = to_plain(explain(placement, small_setting, candidates, n_pool=4))
+    pool = find_pool(placement.problem, placement.pose_index, n_sets=4)
+    found = to_plain(explain(placement, small_setting, candidates, pool=pool))
     return json.loads(json.dumps(found, allow_nan=False))
 
 

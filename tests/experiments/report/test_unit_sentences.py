@@ -48,7 +48,8 @@ FOUR = point(4, 1.0, 1.0, 2.3, 6.72, 6000.0)
 
 def test_each_unit_is_said_to_buy_what_it_buys():
     five = replace(FOUR, units=5)
-    assert describe_units(front(ONE, TWO, THREE, FOUR, five, settled=4)) == [
+    found = front(ONE, TWO, THREE, FOUR, five, settled=4)
+    assert describe_units(found, pole_failed=lambda point: point.value.apr) == [
         "The first unit reaches an APR of 100.0 %.",
         "The second unit adds no APR; the layout then survives any single failure; buys 1.07 s of "
         "time to spare in the tightest run and 1.20 s of mean time to spare.",
@@ -62,7 +63,7 @@ def test_each_unit_is_said_to_buy_what_it_buys():
 def test_a_front_of_first_stages_says_nothing_of_time():
     assert describe_units(front(ONE, TWO, replace(TWO, units=3), settled=2, stages="first")) == [
         "The first unit reaches an APR of 100.0 %.",
-        "The second unit adds no APR; the layout then survives any single failure.",
+        "The second unit adds no APR; the layout then survives the failure of any one unit.",
         "From K = 2 on nothing grows: no layout of any size avoids more, or keeps more when one "
         "unit fails. Time to spare was not optimised.",
     ]
@@ -130,7 +131,8 @@ def test_a_saving_is_told_where_nothing_else_grows():
 
 def test_money_is_told_by_steps():
     problem = avoiding_problem(["1100", "0011", "1111"], price_eur=[1000.0, 2000.0, 7000.0])
-    assert describe_money(cost_front(problem)) == [
+    told = describe_money(cost_front(problem), pole_failed=lambda point: point.value.apr)
+    assert told == [
         "1,000 EUR buy an APR of 50.0 %.",
         "2,000 EUR more (3,000 EUR in all) add 50.0 points of APR (100.0 %); 50.0 % are then left "
         "when any one unit fails.",
@@ -150,6 +152,14 @@ def test_money_that_is_not_proven_to_be_the_least_is_told():
     )
 
 
+def test_what_hangs_on_one_pole_does_not_survive_any_single_failure():
+    for describe in (describe_units, describe_money):
+        assert (
+            "survives the failure of any one unit, but not that of a pole (0.0 % are then "
+            in (describe(front(ONE, TWO), pole_failed=lambda point: 0.0)[1])
+        )
+
+
 @pytest.mark.parametrize("stages", ["first", "all"])
 def test_every_point_of_a_real_front_has_its_sentence(stages):
     problem = avoiding_problem(["1100", "0110", "0011", "1001"])
@@ -161,6 +171,6 @@ def test_every_point_of_a_real_front_has_its_sentence(stages):
         "The third unit adds no APR; 75.0 % are then left when any one unit fails, not 50.0 %"
     )
     assert sentences[3].startswith(
-        "The fourth unit adds no APR; the layout then survives any single failure"
+        "The fourth unit adds no APR; the layout then survives the failure of any one unit"
     )
     assert sentences[-1].startswith("From K = 4 on nothing grows")

@@ -197,7 +197,23 @@ def test_drives_are_cases_weathers_perception_and_what_is_not_driven(axis):
             f"{N_RUNS} of {N_RUNS + 4} possible runs could be driven: no C at all.",
             "4 runs: no room (C from the north).",
         ],
+        "without_effect": [
+            "Night changes nothing for cameras here: the geometric detector knows no light. "
+            "--detector response does."
+        ],
     }
+
+
+def test_fog_and_other_detectors_are_not_said_to_change_nothing(axis):
+    def said(detector="geometric", *weathers):
+        changed = replace(axis, weathers=weathers + ("day",) * (N_RUNS - len(weathers)))
+        setting = setting_of(changed)
+        setting.detector = load_detector(detector)
+        return build_drives_record(setting).without_effect
+
+    assert said("geometric", "fog") == said("response", "night") == said() == ()
+    (text,) = said("geometric", "night", "rain", "fog")
+    assert text.startswith("Night and rain change nothing for cameras here:")
 
 
 def test_a_result_says_what_was_driven(evaluation_of, axis):

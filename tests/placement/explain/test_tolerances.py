@@ -8,7 +8,7 @@ from geometry.poses import Pose, wrap_deg
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
 from placement.detectors import load_detector, load_planning_detector
-from placement.explain.sensitivity import LIFTS_M, TURNS_DEG, find_tolerances
+from placement.explain.tolerances import LIFTS_M, TURNS_DEG, find_standing, find_tolerances
 from placement.optimiser import run_margins_s
 from placement.setting import Setting
 from placement.visibility import build_detection_table
@@ -88,3 +88,25 @@ def test_a_twin_lets_a_unit_be_off_by_all_that_is_tried(setting):
     for found in find_tolerances(setting, twins):
         assert found.yaw_deg == found.pitch_deg == (TURNS_DEG[-1], TURNS_DEG[-1])
         assert found.height_m == (LIFTS_M[-1], LIFTS_M[-1])
+
+
+def test_usual_errors_cost_what_a_layout_built_so_has(setting):
+    one = unit("a", -135.0)
+    found = find_standing(setting, [one])
+    planned = avoided(setting, [one])
+    cost = {}
+    for kind, name, size in (
+        ("yaw", "yaw_deg", 1.0),
+        ("pitch", "pitch_deg", 1.0),
+        ("height", "height_m", 0.05),
+    ):
+        for step in (-size, size):
+            left = avoided(setting, [moved(one, **{name: step})])
+            cost[kind, step] = (left.mean(), int((planned & ~left).sum()))
+    worst = found.worst
+    assert worst.apr == pytest.approx(min(apr for apr, _ in cost.values()))
+    assert (worst.apr, len(worst.lost_run_ids)) == pytest.approx(cost[worst.kind, worst.step])
+    assert (found.aim_deg >= 1.0 and found.height_m >= 0.05) == (not worst.lost_run_ids)
+    (tolerance,) = find_tolerances(setting, [one])
+    assert found.aim_deg == min(2.0, *tolerance.yaw_deg, *tolerance.pitch_deg)
+    assert found.height_m == min(0.05, *tolerance.height_m)

@@ -1,0 +1,60 @@
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from small_tables import avoiding_problem
+
+from placement.explain.alternatives import find_by_runs, find_sturdier
+from placement.optimiser import Effort, apr, apr_one_failed, run_margins_s, solve_placement
+
+EFFORT = Effort()
+RUNS = ["1000000", "0100000", "0011111", "1000001"]
+WEIGHT = np.array([0.45, 0.35, 0.04, 0.04, 0.04, 0.04, 0.04])
+
+
+@pytest.fixture(scope="module")
+def problem():
+    found = avoiding_problem(RUNS)
+    axis = replace(found.table.axis, weight=WEIGHT)
+    limits = replace(found.limits, budget_units=2)
+    return replace(found, table=replace(found.table, axis=axis), limits=limits)
+
+
+@pytest.fixture(scope="module")
+def chosen(problem):
+    return solve_placement(problem, effort=EFFORT).pose_index
+
+
+def n_avoided(problem, rows):
+    return int(np.isfinite(run_margins_s(problem, rows)).sum())
+
+
+def pairs(problem):
+    return combinations(range(problem.table.n_poses), 2)
+
+
+def test_the_layout_by_runs_avoids_as_many_as_any_pair(problem, chosen):
+    found = find_by_runs(problem, chosen, effort=EFFORT)
+    most = max(n_avoided(problem, rows) for rows in pairs(problem))
+    assert found.is_proven
+    assert found.n_avoided == most == n_avoided(problem, found.pose_index)
+    assert found.n_avoided_here == n_avoided(problem, chosen) < most
+
+
+def test_the_sturdier_layout_keeps_as_much_as_any_pair(problem, chosen):
+    found = find_sturdier(problem, chosen, effort=EFFORT)
+    most = max(apr_one_failed(problem, rows) for rows in pairs(problem))
+    assert found.value.apr_one_failed == pytest.approx(most)
+    assert found.value_here.apr == pytest.approx(apr(problem, chosen))
+    assert found.value_here.apr_one_failed < most
+
+
+def test_nobody_looks_where_there_is_nothing_to_compare(problem, chosen):
+    alike = replace(problem.table.axis, weight=np.full(7, 1 / 7))
+    by_runs = replace(problem, table=replace(problem.table, axis=alike))
+    assert find_by_runs(by_runs, chosen, effort=EFFORT) is None
+    assert find_sturdier(problem, chosen[:1], effort=EFFORT) is None
+    for asked in (replace(problem, survive=1), replace(problem, goal="cheapest")):
+        assert find_by_runs(asked, chosen, effort=EFFORT) is None
+        assert find_sturdier(asked, chosen, effort=EFFORT) is None

@@ -1,0 +1,50 @@
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from placement.explain.front_runners import (
+    EQUAL_APR,
+    FrontRunner,
+    build_front_runner,
+    recommend,
+)
+
+
+def runner(apr, left):
+    return FrontRunner(layout=None, apr=apr, apr_one_failed=left)
+
+
+@pytest.mark.parametrize(
+    ("values", "wrongly", "expected"),
+    [
+        ([(0.900, 0.365), (0.902, 0.482)], {}, (1, "apr")),
+        ([(0.900, 0.365), (0.900 + 0.9 * EQUAL_APR, 0.3)], {}, (0, "order")),
+        ([(0.900, 0.365), (0.9005, 0.482)], {}, (1, "apr_one_failed")),
+        ([(0.9, 0.4), (0.9, 0.4), (0.9, 0.4)], {0: 0.7, 1: 0.88, 2: 0.9}, (2, "mounting")),
+        ([(0.9, 0.4), (0.9, 0.4)], {0: 0.8, 1: 0.8}, (0, "order")),
+        ([(0.8, 0.9), (0.9, 0.3), (0.9, 0.4)], {}, (2, "apr")),
+        ([(0.9, 0.4)], {}, (0, "order")),
+    ],
+)
+def test_the_evaluator_decides_by_apr_then_failures_then_errors_of_mounting(
+    values, wrongly, expected
+):
+    """What mounting errors leave is looked at only where it decides."""
+    assert recommend([runner(*pair) for pair in values], wrongly.__getitem__) == expected
+
+
+def test_a_front_runner_has_the_shares_of_its_fusion():
+    axis = SimpleNamespace(weight=np.array([0.5, 0.25, 0.25]))
+
+    def verdict(*avoided):
+        return SimpleNamespace(is_avoided=np.array(avoided, dtype=bool))
+
+    evaluation = SimpleNamespace(
+        axis=axis,
+        layout=None,
+        units={"a": verdict(1, 0, 0), "b": verdict(1, 1, 0)},
+        rsu_all=verdict(1, 1, 1),
+    )
+    found = build_front_runner(evaluation, None, fusion="single")
+    assert (found.apr, found.apr_one_failed) == (0.75, 0.5)
