@@ -31,7 +31,7 @@ from .detectors import Detector, PlanningDetector, load_detector, load_planning_
 from .detectors.network import NetworkDetector
 from .kept import keep_value
 from .latency import load_latency_budget
-from .question import Question
+from .question import Question, map_options
 
 # ---------- radio links
 
@@ -296,7 +296,7 @@ def build_setting(
         weights do not fit the runs.
     """
     question = question or Question()
-    scene = scene or load_scene(question.scene)
+    scene = scene or load_scene(question.scene, **map_options(question))
     drives = drive(question, scene, cache_folder=compute.cache_folder)
     runs = drives.runs
     if question.strict or not runs:

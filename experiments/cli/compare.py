@@ -77,7 +77,7 @@ def compare(
     from ..study.layout import find_layout
 
     found = [find_layout(name, "LAYOUT") for name in names]
-    begin(progress, quiet=quiet)
+    question = begin(progress, question, quiet=quiet)
     from ..jobs import placement
 
     result = placement.run_comparison(

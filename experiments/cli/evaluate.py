@@ -77,7 +77,7 @@ def evaluate(
         print_result(summary, progress, as_json, lambda: recording_table(summary, out))
         return
     layout = load_one_layout(layout_names)
-    begin(progress, quiet=quiet)
+    question = begin(progress, question, quiet=quiet)
     from ..jobs import placement
 
     result = placement.run_evaluation(

@@ -85,7 +85,7 @@ def latency(
     message (CPM), radio, decision.
     """
     layout = load_one_layout(layout_names)
-    begin(progress, quiet=quiet)
+    question = begin(progress, question, quiet=quiet)
     from ..jobs.latency import run_latency
 
     summary = run_latency(

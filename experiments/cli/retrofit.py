@@ -69,7 +69,7 @@ def retrofit(
     re-aims and additions together for the money, too.
     """
     layout = load_one_layout(layout_names)
-    begin(progress, quiet=quiet)
+    question = begin(progress, question, quiet=quiet)
     from ..jobs.retrofit import run_retrofit
 
     summary = run_retrofit(

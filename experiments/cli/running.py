@@ -3,19 +3,61 @@
 import shlex
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from ..progress import StageProgress
+from ..results.numbers import several
+from .options import cache_folder
+from .terminal import sentences
 
 if TYPE_CHECKING:
     from placement.layout import Layout
+    from placement.question import Question
+
+    from ..results.scenes import SceneResult
 
 
-def begin(progress: StageProgress, *, quiet: bool) -> None:
-    """Show what happens from here on."""
+def begin(progress: StageProgress, question: "Question", *, quiet: bool) -> "Question":
+    """Show what happens from here on; the question, with a map imported and told of on stderr.
+
+    Raises
+    ------
+    InputError
+        Options of a map stand with a scene, or the map has no such junction.
+    """
+    from placement.question import map_options
+
     progress.start(quiet=quiet)
+    if not (map_options(question) or Path(question.scene).is_file()):
+        return question
+    from dataclasses import replace
+
+    from geometry.scene_files import has_scene
+
+    if has_scene(Path(question.scene)) and not map_options(question):
+        return question
+    from ..jobs.scene import import_into_cache
+
+    folder, told = import_into_cache(question, cache=cache_folder(), progress=progress)
+    if not quiet:
+        click.echo(_imported_text(told, folder), err=True)
+    return replace(question, scene=folder, junction="", at="", sites="", driving_side="map")
+
+
+def _imported_text(summary: "SceneResult", folder: str) -> str:
+    """What a map was cut down to on the way to an answer, and where that lies."""
+    (junction,) = summary.junctions
+    side = "left" if summary.keeps_left else "right"
+    return "\n".join(
+        sentences(
+            f"Imported {junction.name}: {several(junction.arms, 'arm', 'arms')}, "
+            f"{several(summary.sites, 'site', 'sites')}, {several(summary.buildings, 'building', 'buildings')}; traffic "
+            f"keeps {side}. The scene is in {folder}."
+        )
+    )
 
 
 def load_one_layout(names: Sequence[str]) -> "Layout":

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 from msgspec import UNSET
 
+from placement.question import read_point
+
 from ..progress import StageProgress
 from .options import json_option, option, quiet_option
 from .running import print_result
@@ -20,14 +22,6 @@ if TYPE_CHECKING:
     from ..results.scenes import JunctionRecord, SceneCheckResult, SceneResult, SiteRecord
 
 _EXIT_FAILED = 1
-
-
-def _point(text: str) -> tuple[float, float]:
-    """Two finite numbers with a comma between."""
-    x, y = (float(word) for word in text.split(","))
-    if not (abs(x) < float("inf") and abs(y) < float("inf")):
-        raise ValueError
-    return x, y
 
 
 # Where a command lists its options in sections, --help-all alone shows these.
@@ -54,10 +48,12 @@ _READING_OPTIONS = (
         help="Of meshes, point clouds and footprints that do not say.",
     ),
     option(
-        "--traffic",
+        "--driving-side",
         is_common=False,
-        type=click.Choice(("left", "right")),
-        help="Side on which it keeps; default: what the map says or shows.",
+        type=click.Choice(("map", "left", "right")),
+        default="map",
+        show_default=True,
+        help="On which traffic keeps; map: as it says or shows.",
     ),
     option(
         "--crs",
@@ -71,7 +67,7 @@ _READING_OPTIONS = (
         "--offset",
         "offset_m",
         is_common=False,
-        type=_point,
+        type=lambda text: read_point(text, "--offset"),
         metavar="X,Y",
         expected="two numbers: X,Y",
         help="Metres by which buildings, meshes and clouds are moved, into the coordinates "
@@ -87,10 +83,10 @@ def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
     def with_reading(*args: Any, **values: Any) -> Any:
         from geometry.maps.importing import ReadingOptions
 
-        traffic = values.pop("traffic")
+        side = values.pop("driving_side")
         names = ("unit", "up", "class_name", "crs", "layer", "offset_m")
         reading = ReadingOptions(
-            keeps_left=None if traffic is None else traffic == "left",
+            keeps_left=None if side == "map" else side == "left",
             **{name: values.pop(name) for name in names},
         )
         return command(*args, reading=reading, **values)
@@ -129,7 +125,7 @@ Examples:
 )
 @option(
     "--at",
-    type=_point,
+    type=lambda text: read_point(text, "--at"),
     metavar="X,Y",
     expected="two numbers: X,Y",
     help="A point near the junction, in the file's own coordinates: longitude,latitude or metres.",

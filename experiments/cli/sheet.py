@@ -52,7 +52,7 @@ def sheet(
     nearest landmarks, and how many degrees and centimetres it may be off before a run is lost.
     """
     layout = load_one_layout(layout_names)
-    begin(progress, quiet=quiet)
+    question = begin(progress, question, quiet=quiet)
     from ..jobs.sheet import run_sheet
 
     summary = run_sheet(question, layout=layout, out=out, compute=compute, progress=progress)

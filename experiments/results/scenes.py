@@ -3,7 +3,7 @@
 import numpy as np
 from msgspec import UNSET, UnsetType
 
-from geometry.junction import build_junction
+from geometry.junction import build_junction, street_names
 from geometry.maps.georeferences import transform
 from geometry.maps.junctions import Surveyed
 from geometry.notes import Note
@@ -105,7 +105,7 @@ def build_scene_result(scene: Scene) -> SceneResult:
         junctions=(
             JunctionRecord(
                 id=scene.name.rpartition("/")[2],
-                name=scene.name,
+                name=" / ".join(dict.fromkeys(street_names(scene).values())) or scene.name,
                 x_m=float(position[0]),
                 y_m=float(position[1]),
                 arms=len(arms),
