@@ -11,7 +11,7 @@ from placement.compute import Compute
 from placement.question import Question
 
 from ..progress import StageProgress
-from ..results.numbers import percent, shortened
+from ..results.numbers import percent
 from .options import (
     JUDGED,
     SectionedCommand,
@@ -22,7 +22,7 @@ from .options import (
 )
 from .recording import check_recording_options, recording_options, recording_table
 from .running import begin, command_line, load_one_layout, print_result
-from .terminal import driven_lines, sentences, table, wide_table
+from .terminal import driven_lines, listing, sentences, table, wide_table
 
 if TYPE_CHECKING:
     from ..results.baselines import ScoreRecord, StudyCasesRecord
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from ..results.record import UnitRecord
     from ..results.result import Result
 
-_MAX_ID_WIDTH, _MAX_SITE_WIDTH = 22, 11
 _MAX_UNITS = 24
 TOGETHER = "fused: in each frame, any of the units may detect"
 
@@ -145,6 +144,7 @@ def failure_lines(evaluation: "EvaluationRecord") -> list[str]:
 
 def unit_lines(units: Sequence["UnitRecord"]) -> list[str]:
     """A table of units, where they hang and look; below it what they are, if not the default."""
+    from geometry.whereabouts import compass_bearing_deg
     from placement.candidates import load_candidate_grid
 
     units_of: dict[str, list[str]] = {}
@@ -154,19 +154,51 @@ def unit_lines(units: Sequence["UnitRecord"]) -> list[str]:
     is_default = set(units_of) == {sensor.name for sensor in load_candidate_grid().sensors}
     rows = [
         [
-            shortened(unit.id, _MAX_ID_WIDTH),  # heads of columns further down: cut if they must be
-            shortened(unit.site or "-", _MAX_SITE_WIDTH),
+            unit.id,
+            unit.kind or "-",
+            f"{unit.z_m:.2f}",
+            f"{compass_bearing_deg(unit.yaw_deg):.1f}",
+            _tilt(unit.pitch_deg),
             f"{unit.x_m:.2f}",
             f"{unit.y_m:.2f}",
-            f"{unit.z_m:.2f}",
-            f"{unit.yaw_deg:.1f}",
-            f"{unit.pitch_deg:.1f}",
         ]
         for unit in units
     ]
+    heads = ["unit", "kind", "height m", "bearing", "tilt", "east m", "north m"]
     return [
-        *table(["unit", "site", "x m", "y m", "z m", "yaw", "pitch"], rows, n_left=2),
+        *listing(heads, rows, [_where(unit) for unit in units]),
+        "  bearing: degrees clockwise from north",
         *([] if is_default else sentences(f"models: {'; '.join(models)}", indent=2, hanging=2)),
+    ]
+
+
+def _tilt(pitch_deg: float) -> str:
+    return f"{abs(pitch_deg):.1f} {'down' if pitch_deg < 0.0 else 'up'}" if pitch_deg else "level"
+
+
+def _where(unit: "UnitRecord") -> str:
+    """The whole name of a unit's site, where it is, and what is assumed of it."""
+    known = [text for text in (unit.site, unit.place) if text]
+    assumed = f"; assumed: {unit.assumed}" if unit.assumed else ""
+    return f"at {', '.join(known)}{assumed}" if known else ""
+
+
+_MOST_ASSUMED = 4
+
+
+def assumption_lines(result: "Result") -> list[str]:
+    """The most important of what was assumed of the map, and how much more there is."""
+    from ..report.assumptions import assumption_sentences
+
+    found = assumption_sentences(result)
+    if not found:
+        return []
+    n_left = len(found) - _MOST_ASSUMED
+    more = [f"  and {n_left} more: in the report and `scene show`"] if n_left > 0 else []
+    return [
+        "Assumed, for the map does not say it:",
+        *sentences(*found[:_MOST_ASSUMED], indent=2, hanging=2),
+        *more,
     ]
 
 
@@ -242,7 +274,9 @@ def additions(result: "Result") -> list[str]:
     from ..report.sampled_worlds import overtaken_sentences
     from .explanations import explanation_text, uncertainty_text
 
-    parts: list[list[str]] = [driven_lines(result.driven)] if result.driven else []
+    assumed = assumption_lines(result)
+    parts = [assumed] if assumed else []
+    parts += [driven_lines(result.driven)] if result.driven else []
     further = [f"{said}." for said in (next_unit_sentence(result), other_sensor_sentence(result))]
     overtaken = overtaken_sentences(result.sampled) if result.sampled else []
     told = [*danger_sentences(result), *overtaken, *(said for said in further if said != ".")]

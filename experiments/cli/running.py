@@ -51,10 +51,11 @@ def _imported_text(summary: "SceneResult", folder: str) -> str:
     """What a map was cut down to on the way to an answer, and where that lies."""
     (junction,) = summary.junctions
     side = "left" if summary.keeps_left else "right"
+    buildings = several(summary.buildings, "building", "buildings")
     return "\n".join(
         sentences(
             f"Imported {junction.name}: {several(junction.arms, 'arm', 'arms')}, "
-            f"{several(summary.sites, 'site', 'sites')}, {several(summary.buildings, 'building', 'buildings')}; traffic "
+            f"{several(summary.sites, 'site', 'sites')}, {buildings}; traffic "
             f"keeps {side}. The scene is in {folder}."
         )
     )

@@ -14,7 +14,7 @@ from placement.question import read_point
 from ..progress import StageProgress
 from .options import json_option, option, quiet_option
 from .running import print_result
-from .terminal import WIDTH, sentences, table
+from .terminal import listing, sentences, table
 
 if TYPE_CHECKING:
     from geometry.maps.importing import ReadingOptions
@@ -341,7 +341,7 @@ def _junction_lines(junctions: "Sequence[JunctionRecord]") -> list[str]:
         )
         names.append(one.name)
     heads = ["junction", "arms", "lanes", "signals", "crossings", "x", "y"]
-    return [*_listing(heads, rows, names), *_more(len(junctions))]
+    return [*listing(heads, rows, names), *_more(len(junctions))]
 
 
 def _site_lines(sites: "Sequence[SiteRecord]") -> list[str]:
@@ -359,32 +359,7 @@ def _site_lines(sites: "Sequence[SiteRecord]") -> list[str]:
             ]
         )
     heads = ["site", "kind", "x m", "y m", "mount m", "units"]
-    return [*_listing(heads, rows), *_more(len(sites))]
-
-
-def _listing(
-    heads: "Sequence[str]", rows: "Sequence[Sequence[str]]", below: "Sequence[str]" = ()
-) -> list[str]:
-    """A table in which nothing is cut.
-
-    An id that is too long has a line of its own, and `below` stand texts under the rows.
-    """
-    widths = [max(len(row[column]) for row in (heads, *rows)) for column in range(1, len(heads))]
-    left = WIDTH - 2 - sum(widths) - 2 * len(widths)
-    first = min(max(len(row[0]) for row in (heads, *rows)), left)
-
-    def line(head: str, cells: "Sequence[str]") -> str:
-        ends = (f"  {cell:>{width}}" for cell, width in zip(cells, widths, strict=True))
-        return f"  {head:<{first}}{''.join(ends)}".rstrip()
-
-    lines = [line(heads[0], heads[1:])]
-    for index, row in enumerate(rows):
-        is_long = len(row[0]) > first
-        lines += [f"  {row[0]}"] if is_long else []
-        lines.append(line("" if is_long else row[0], row[1:]))
-        if below and below[index]:
-            lines += sentences(below[index], indent=4)
-    return lines
+    return [*listing(heads, rows), *_more(len(sites))]
 
 
 def _more(count: int) -> list[str]:

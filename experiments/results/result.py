@@ -11,6 +11,7 @@ from msgspec.structs import asdict as fields_of
 from msgspec.structs import replace
 
 from geometry.arrays import BoolArray
+from geometry.notes import assumptions
 from placement import optimiser
 from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.evaluation import (
@@ -41,6 +42,7 @@ from .explanations import (
 )
 from .fronts import FrontRecord, RefinementRecord
 from .record import (
+    AssumptionRecord,
     Record,
     RunId,
     Share,
@@ -168,6 +170,10 @@ class Result(Record, frozen=True, kw_only=True):
         ]
         | UnsetType
     ) = UNSET
+    assumptions: Annotated[
+        tuple[AssumptionRecord, ...],
+        says("What the map of the junction leaves open and was assumed, what matters most first."),
+    ] = ()
     evaluation: Annotated[EvaluationRecord, says("The layout by the evaluator.")]
     baseline: Annotated[EvaluationRecord | None, says("That layout by the evaluator; null: none.")]
     surrogate_disagreement: Annotated[
@@ -351,7 +357,10 @@ def build_layout_result(setting: Setting, evaluation: Evaluation) -> Result:
     return Result(
         schema="place-rsus/result/1",
         name=evaluation.layout.name,
-        layout=build_unit_records(evaluation.layout),
+        layout=build_unit_records(evaluation.layout, setting.scene),
+        assumptions=tuple(
+            AssumptionRecord(**asdict(note)) for note in assumptions(setting.scene.notes)
+        ),
         cost_eur=price_eur(evaluation),
         budget=None,
         fusion="any",

@@ -3,12 +3,13 @@
 import numpy as np
 from msgspec import UNSET, UnsetType
 
-from geometry.junction import build_junction, street_names
+from geometry.junction import build_junction
 from geometry.maps.georeferences import transform
 from geometry.maps.junctions import Surveyed
 from geometry.notes import Note
 from geometry.scene import Scene
 from geometry.scene_checks import Finding
+from geometry.whereabouts import street_names
 
 from .record import Record
 
