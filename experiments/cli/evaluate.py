@@ -11,7 +11,7 @@ from placement.compute import Compute
 from placement.question import Question
 
 from ..progress import StageProgress
-from ..results.numbers import percent
+from ..results.numbers import percent, several
 from .options import (
     JUDGED,
     SectionedCommand,
@@ -113,7 +113,7 @@ def evaluation_text(result: "Result", out: Path | None) -> str:
         place = "apr.csv" if out is not None else "apr.csv with --out"
         lines.append(f"  and {n_left} more units, none of a higher APR by itself: in {place}")
     lines += [
-        cost_line(result),
+        *cost_lines(result),
         "",
         *apr_lines(
             {
@@ -177,10 +177,10 @@ def _tilt(pitch_deg: float) -> str:
 
 
 def _where(unit: "UnitRecord") -> str:
-    """The whole name of a unit's site, where it is, and what is assumed of it."""
-    known = [text for text in (unit.site, unit.place) if text]
-    assumed = f"; assumed: {unit.assumed}" if unit.assumed else ""
-    return f"at {', '.join(known)}{assumed}" if known else ""
+    """The whole name of a unit's site, whether it is assumed, and where it is."""
+    site = f"{unit.site} (assumed)" if unit.assumed else unit.site
+    known = [text for text in (site, unit.place) if text]
+    return f"at {', '.join(known)}" if known else ""
 
 
 _MOST_ASSUMED = 4
@@ -228,9 +228,16 @@ def announced(evaluation: "EvaluationRecord") -> "dict[str, PartyAprRecord]":
     return {name: party for name, party in parties.items() if party is not UNSET}
 
 
-def cost_line(result: "Result") -> str:
-    """What the sensors cost."""
-    return f"  sensors: {result.cost_eur:,.0f} EUR by the catalogue, without poles or mounting"
+def cost_lines(result: "Result") -> list[str]:
+    """What the sensors cost, and making their sites ready as far as a price is known."""
+    sensors = f"sensors {result.cost_eur:,.0f} EUR by the catalogue"
+    if result.sites_eur is UNSET:
+        return [f"  {sensors}, without poles or mounting"]
+    n_sites = len({unit.site for unit in result.layout})
+    by = "by prices assumed for their kinds" if result.assumed_prices else "by their own prices"
+    sites = f"{several(n_sites, 'site', 'sites')} {result.sites_eur:,.0f} EUR {by}"
+    whole = result.cost_eur + result.sites_eur
+    return sentences(f"cost: {whole:,.0f} EUR: {sensors}, {sites}", indent=2, hanging=2)
 
 
 def written(out: Path | None) -> list[str]:

@@ -19,7 +19,7 @@ from .evaluate import (
     announced,
     apr_lines,
     baseline_lines,
-    cost_line,
+    cost_lines,
     failure_lines,
     study_cases_lines,
     unit_lines,
@@ -188,12 +188,8 @@ def placement_text(result: "Result", out: Path) -> str:
         f"Best {len(result.layout)} of {result.candidates} poses on {result.runs} runs "
         f"(fusion {result.fusion}):",
         *unit_lines(result.layout),
-        cost_line(result),
-        *(
-            line
-            for text in result.assumed_prices or ()
-            for line in sentences(text, indent=2, hanging=2)
-        ),
+        *cost_lines(result),
+        *sentences(*(result.assumed_prices or ()), indent=2, hanging=2),
         "",
         *table(["on the detection table", "found", "bound", "gap"], stages),
         "",

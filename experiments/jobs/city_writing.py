@@ -12,7 +12,6 @@ from geometry.catalogue import Sensor
 from geometry.scene import Scene
 from geometry.scene_files import load_scene_folder
 from placement.layout import Layout, layout_from_records
-from placement.prices import load_prices
 from placement.question import Question, save_question
 
 from ..export.city import to_city_geopackage
@@ -62,7 +61,6 @@ def complete_result(
             layout,
             scene,
             site_cost_eur=question.site_cost_eur,
-            prices=load_prices() if question.site_cost_eur is None else None,
             kept_ids=_kept_ids(one, kept, names),
         )
         for item in (*bill.sensors, *bill.sites):
@@ -121,7 +119,7 @@ def write_city(
         layout = junction_layout(one, scene, sensors)
         page = render_junction_page(one, record, scene, layout, question=QUESTION)
         save_question(folder / QUESTION, question)
-        write_files(folder, {REPORT: page.encode(), LAYOUT_FILE: to_json(layout).encode()})
+        write_files(folder, {REPORT: page.encode(), LAYOUT_FILE: to_json(layout, scene).encode()})
         head = {"junction": one.id, "name": one.name, "year": one.year}
         placed = [head | unit for unit in placed_records(layout, scene)]
         units += placed
@@ -148,7 +146,7 @@ def write_city(
 
 _POLE_COLUMNS = (
     *("junction", "name", "year", "site", "kind", "units", "x_m", "y_m"),
-    *("map_x", "map_y", "map_crs"),
+    *("map_x", "map_y", "map_crs", "assumed"),
 )
 
 

@@ -197,14 +197,21 @@ def run_placement(
         study_cases = _on_study_cases(question, scene, setting, evaluations, compute)
         exchanged = other_sensors.result(partial(progress, OTHER_SENSORS, 0, 0))
         sensitivity = what_if.result(partial(progress, WHAT_IF, 0, 0))
+        bill = build_bill(
+            placement.layout,
+            scene,
+            site_cost_eur=question.site_cost_eur,
+            kept_ids=plan.wishes.kept,
+        )
         result = build_placement_result(
             placement, setting, found=found, greedy=greedy, baseline=baseline, compute=compute
         )
         result = replace_fields(
             result,
             explained=explained,
+            sites_eur=UNSET if bill.sites_eur is None else bill.sites_eur,
             assumed_prices=(
-                UNSET
+                bill.assumed
                 if plan.wishes.prices is None
                 else assumed_prices(plan.wishes.prices, scene.sites)
             ),
@@ -252,13 +259,7 @@ def run_placement(
             progress=progress,
             placement=placement,
             candidates=poses,
-            bill=build_bill(
-                placement.layout,
-                scene,
-                site_cost_eur=question.site_cost_eur,
-                prices=plan.wishes.prices,
-                kept_ids=plan.wishes.kept,
-            ),
+            bill=bill,
             sampled_figure=sampled_figure,
             beside=beside,
         )
@@ -438,6 +439,7 @@ def run_comparison(
             else build_private_ground_record(layout.units, setting.scene, private)
             for layout in layouts
         ]
+        bill = build_bill(layouts[0], scene, site_cost_eur=question.site_cost_eur)
         if len(verdicts) == 1:
             result = build_layout_result(setting, verdicts[0])
         else:
@@ -448,6 +450,8 @@ def run_comparison(
         evaluations |= dict(zip((EXPERT,), of_expert, strict=False))
         result = replace_fields(
             result,
+            sites_eur=UNSET if bill.sites_eur is None else bill.sites_eur,
+            assumed_prices=bill.assumed,
             private_ground=seen[0],
             baselines=UNSET
             if compared is None
@@ -482,6 +486,7 @@ def run_comparison(
             evaluations,
             command=command,
             progress=progress,
+            bill=bill,
             sampled_figure=sampled_figure,
             beside=beside,
         )

@@ -9,7 +9,7 @@ from placement.setting import Links, Setting
 from scenarios.aeb import AebRule
 
 from ..results.numbers import count_runs, joined, percent, several
-from ..results.record import AssumptionRecord
+from ..results.record import NoteRecord
 from ..results.result import Result
 from .answer import is_weighted
 from .sampled_worlds import moving_sentence
@@ -21,7 +21,7 @@ def assumption_sentences(result: Result) -> list[str]:
 
     Sites of which the same is assumed share a sentence.
     """
-    groups: dict[tuple[str, ...], list[AssumptionRecord]] = {}
+    groups: dict[tuple[str, ...], list[NoteRecord]] = {}
     for index, one in enumerate(result.assumptions):
         key = (one.kind, _NUMBER.sub("#", one.why)) if one.site_ids else (str(index),)
         groups.setdefault(key, []).append(one)
@@ -32,7 +32,7 @@ _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 _MAX_NAMES = 3
 
 
-def _together(group: Sequence[AssumptionRecord]) -> str:
+def _together(group: Sequence[NoteRecord]) -> str:
     """One sentence; of several with other numbers, these are the lowest and the highest."""
     first = group[0]
     if len(group) == 1:

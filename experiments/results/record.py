@@ -130,7 +130,7 @@ class UnitRecord(Record, frozen=True, kw_only=True):
     ) = UNSET
 
 
-class AssumptionRecord(Record, frozen=True, kw_only=True):
+class NoteRecord(Record, frozen=True, kw_only=True):
     """Something that the map leaves open, and what was assumed."""
 
     kind: Annotated[str, says("What it is about: junction, sites, buildings and so on.")]

@@ -42,7 +42,7 @@ from .explanations import (
 )
 from .fronts import FrontRecord, RefinementRecord
 from .record import (
-    AssumptionRecord,
+    NoteRecord,
     Record,
     RunId,
     Share,
@@ -115,6 +115,17 @@ class Result(Record, frozen=True, kw_only=True):
     cost_eur: Annotated[
         float, says("Price of the units by the catalogue, in EUR, without poles or mounting.", ge=0)
     ]
+    sites_eur: (
+        Annotated[
+            float,
+            says(
+                "Making their sites ready: their own prices, or those assumed by kind "
+                "(assumed_prices), in EUR; missing: unknown.",
+                ge=0,
+            ),
+        ]
+        | UnsetType
+    ) = UNSET
     budget: Annotated[
         Annotated[int, Meta(ge=0)] | None,
         says("Most units that were allowed; null: not limited, or nothing was optimised."),
@@ -171,7 +182,7 @@ class Result(Record, frozen=True, kw_only=True):
         | UnsetType
     ) = UNSET
     assumptions: Annotated[
-        tuple[AssumptionRecord, ...],
+        tuple[NoteRecord, ...],
         says("What the map of the junction leaves open and was assumed, what matters most first."),
     ] = ()
     evaluation: Annotated[EvaluationRecord, says("The layout by the evaluator.")]
@@ -207,7 +218,8 @@ class Result(Record, frozen=True, kw_only=True):
         Annotated[
             tuple[str, ...],
             says(
-                "What is assumed of sites without a price, in sentences; only where money counts."
+                "What is assumed of sites without a price, in sentences: of those used, or of all "
+                "where money counts."
             ),
         ]
         | UnsetType
@@ -358,9 +370,7 @@ def build_layout_result(setting: Setting, evaluation: Evaluation) -> Result:
         schema="place-rsus/result/1",
         name=evaluation.layout.name,
         layout=build_unit_records(evaluation.layout, setting.scene),
-        assumptions=tuple(
-            AssumptionRecord(**asdict(note)) for note in assumptions(setting.scene.notes)
-        ),
+        assumptions=tuple(NoteRecord(**asdict(note)) for note in assumptions(setting.scene.notes)),
         cost_eur=price_eur(evaluation),
         budget=None,
         fusion="any",
