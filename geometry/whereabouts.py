@@ -66,7 +66,7 @@ def whereabouts(scene: Scene, positions_m: ArrayLike) -> list[str]:
     streets = street_names(scene)
     middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
     lines = {name: _lanes(arm) for name, arm in arms.items()}
-    bearings = {name: _bearing(_mouth(arm) - middle) for name, arm in arms.items()}
+    bearings = {name: _bearing(arm_mouth(arm) - middle) for name, arm in arms.items()}
     found = []
     for position in positions:
         away_m = distance_to_outline_m(position, scene.outline_m)
@@ -87,7 +87,7 @@ def _lanes(arm: Arm) -> shapely.Geometry:
     return shapely.MultiLineString([lane.centreline_m for lane in lanes])
 
 
-def _mouth(arm: Arm) -> FloatArray:
+def arm_mouth(arm: Arm) -> FloatArray:
     """Middle of an arm's lanes where they meet the junction, (2,)."""
     ends = [lane.centreline_m[-1] for lane in arm.lanes_in]
     middle: FloatArray = np.mean([*ends, *(lane.centreline_m[0] for lane in arm.lanes_out)], axis=0)
