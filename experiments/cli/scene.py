@@ -221,12 +221,15 @@ Examples:
   place-rsus scene show                            the study's junction
   place-rsus scene show scene --out pictures
   place-rsus scene show city.osm --sort signals    all junctions of a map
+  place-rsus scene show city.osm --out pictures    .. drawn with their names
   place-rsus scene show city.osm --json --quiet | jq .junctions"""
 )
 @click.argument("paths", nargs=-1, metavar="[SCENE | FILE...]")
 @reading_options
 @option(
-    "--out", type=click.Path(path_type=Path), help="Folder for plan.png and view.png; else none."
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Folder for plan.png and view.png; of a map for junctions.png; else none.",
 )
 @option(
     "--sort",
@@ -339,7 +342,7 @@ def _junction_lines(junctions: "Sequence[JunctionRecord]") -> list[str]:
                 f"{one.y_m:.6f}",
             ]
         )
-        names.append(one.name)
+        names.append(f"{len(rows)}. {one.name}")
     heads = ["junction", "arms", "lanes", "signals", "crossings", "x", "y"]
     return [*listing(heads, rows, names), *_more(len(junctions))]
 

@@ -5,6 +5,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+from msgspec import UNSET, UnsetType
 from msgspec.structs import replace
 
 from geometry.errors import InputError, Unquoted
@@ -32,6 +33,7 @@ from geometry.study_scene import load_study_scene
 from placement.question import Question, map_options
 
 from ..figures.axes import to_png
+from ..figures.city import plot_junctions
 from ..figures.scene import plot_scene_plan, plot_scene_view
 from ..progress import WRITING, StageProgress
 from ..results.folders import check_folder, write_files
@@ -42,7 +44,7 @@ from ..results.scenes import (
     build_scene_result,
 )
 
-PLAN_NAME, VIEW_NAME = "plan.png", "view.png"
+PLAN_NAME, VIEW_NAME, JUNCTIONS_NAME = "plan.png", "view.png", "junctions.png"
 _STUDY = "town05"
 IMPORT_VERSION = 2
 """Counts up when the same map gives another scene; older ones in the cache are not taken."""
@@ -180,7 +182,7 @@ def run_show(
     reading : ReadingOptions
         What map files do not say of themselves.
     out : Path, optional
-        Folder for pictures of a scene.
+        Folder for pictures of a scene, or one of all junctions of a map.
     progress : StageProgress
         Is told the stages.
     sort : str
@@ -189,20 +191,27 @@ def run_show(
     Raises
     ------
     InputError
-        A file cannot be read; pictures of a map are asked for, of which nothing is cut out yet.
+        A file cannot be read; a picture of a map without junctions is asked for.
     """
     if out is not None:
         check_folder(out)
     progress("read", 0, 0)
     if paths and not (len(paths) == 1 and has_scene(Path(paths[0]))):
-        if out is not None:
-            raise InputError("--out", Unquoted("it with a map"), "a scene: `scene import` first")
         maps, junctions = read_maps([Path(path) for path in paths], reading)
         roads = maps[0]
         things = [thing for source in maps for thing in source.things]
+        listed = sort_junctions(junctions, sort)
+        written: str | UnsetType = UNSET
+        if out is not None:
+            if not listed:
+                raise InputError(roads.name, Unquoted("no junction"), "a map in which roads meet")
+            progress(WRITING, 0, 0)
+            write_files(out, {JUNCTIONS_NAME: to_png(plot_junctions(maps, listed))})
+            written = str(out)
         return SceneResult(
             name=roads.name,
-            junctions=tuple(build_junction_record(one) for one in sort_junctions(junctions, sort)),
+            written=written,
+            junctions=tuple(build_junction_record(one) for one in listed),
             buildings=sum(thing.class_name == "building" for thing in things),
             things=len(things),
             sites=sum(len(source.poles) for source in maps),
