@@ -92,8 +92,10 @@ def build_plan(question: Question, scene: Scene, *, study: Layout | None = None)
             )
     if question.no_look_share and not question.no_look:
         raise InputError("--no-look-share", question.no_look_share, "--no-look beside it")
-    kept = _layout(question.keep, "--keep", scene, study)
-    within = _layout(question.within, "--within", scene, study)
+    kept, within = (
+        _layout(name, option, scene, study, question.sensors)
+        for name, option in ((question.keep, "--keep"), (question.within, "--within"))
+    )
     if within is not None:
         candidates = tuple(_distinct([within, kept]))
     else:
@@ -155,12 +157,15 @@ def build_effort(question: Question) -> Effort:
 
 def build_grid(sensors: str, *, is_coarse: bool = False) -> CandidateGrid:
     """The default grid, with sensors by name or from files, commas between; none: its own."""
-    names = _words(sensors)
     grid = load_candidate_grid(is_coarse=True) if is_coarse else load_candidate_grid()
-    if not names:
+    if not _words(sensors):
         return grid
-    models = {model.name: model for name in names for model in _sensors(name)}
-    return replace(grid, sensors=tuple(models.values()))
+    return replace(grid, sensors=tuple(own_models(sensors).values()))
+
+
+def own_models(sensors: str) -> dict[str, Sensor]:
+    """Models by name, as a user lists them: of the catalogue, or of files."""
+    return {model.name: model for word in _words(sensors) for model in _sensors(word)}
 
 
 def _sensors(word: str) -> Sequence[Sensor]:
@@ -173,19 +178,32 @@ def _sensors(word: str) -> Sequence[Sensor]:
     return [pick_sensor(word, "--sensors")]
 
 
-def find_layout(name: str, option: str, *, study: Layout | None = None) -> Layout:
-    """A layout from a file, or the study's by the name that a user gives it; else an InputError."""
+def find_layout(
+    name: str,
+    option: str,
+    *,
+    study: Layout | None = None,
+    scene: Scene | None = None,
+    sensors: str = "",
+) -> Layout:
+    """A layout from a file, or the study's by the name that a user gives it; else an InputError.
+
+    A list of units with places on earth takes the `scene`; `sensors` are models beside those of the
+    catalogue, as a user lists them.
+    """
     if study is not None and name == BASELINE_NAME:
         return study
     if not os.path.lexists(name):
         raise InputError(option, name, f"{BASELINE_NAME}, or a layout file that exists")
-    return load_layout(Path(name))
+    return load_layout(Path(name), scene=scene, sensors=own_models(sensors))
 
 
-def _layout(name: str, option: str, scene: Scene, study: Layout | None) -> Layout | None:
+def _layout(
+    name: str, option: str, scene: Scene, study: Layout | None, sensors: str
+) -> Layout | None:
     if not name:
         return None
-    layout = find_layout(name, option, study=study)
+    layout = find_layout(name, option, study=study, scene=scene, sensors=sensors)
     check_layout(layout, scene)
     return layout
 

@@ -297,23 +297,25 @@ def build_setting(
     """
     question = question or Question()
     scene = scene or load_scene(question.scene, **map_options(question))
+    # Names first: what is misspelt is refused before anything is driven.
+    vut_sensors = _words(question.vut_sensors, "--vut-sensors", VUT_SENSORS) or ("",)
+    rule, detector = build_rule(question), load_detector(question.detector, where="--detector")
     drives = drive(question, scene, cache_folder=compute.cache_folder)
     runs = drives.runs
     if question.strict or not runs:
         _check_every_case(drives, scene)
-    detector = load_detector(question.detector, where="--detector")
     return Setting(
         scene=scene,
         runs=runs,
         axis=build_frame_axis(
             runs, weigh(runs, question.weights or default_weights(question.cases))
         ),
-        rule=build_rule(question),
+        rule=rule,
         detector=detector,
         planner=_planner(detector),
         refusals=(*drives.refused, *drives.left_out),
         links=Links(packet_loss=question.packet_loss, vam_rate=question.vam_rate),
-        vut_sensors=_words(question.vut_sensors, "--vut-sensors", VUT_SENSORS) or ("",),
+        vut_sensors=vut_sensors,
     )
 
 

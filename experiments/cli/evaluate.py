@@ -75,8 +75,8 @@ def evaluate(
         )
         print_result(summary, progress, as_json, lambda: recording_table(summary, out))
         return
-    layout = load_one_layout(layout_names)
     question = begin(progress, question, quiet=quiet)
+    layout = load_one_layout(layout_names, question)
     from ..jobs import placement
 
     result = placement.run_evaluation(

@@ -61,8 +61,10 @@ def _imported_text(summary: "SceneResult", folder: str) -> str:
     )
 
 
-def load_one_layout(names: Sequence[str]) -> "Layout":
+def load_one_layout(names: Sequence[str], question: "Question | None" = None) -> "Layout":
     """The layout of a command that takes ``--layout`` once.
+
+    With a question, a list of units with places on earth may stand in its place: CSV, or JSON.
 
     Raises
     ------
@@ -76,7 +78,12 @@ def load_one_layout(names: Sequence[str]) -> "Layout":
         raise click.UsageError(f"--layout: got {given}; expected it once")
     from ..study.layout import find_layout
 
-    return find_layout(names[0], "--layout")
+    if question is None:
+        return find_layout(names[0], "--layout")
+    from geometry.scene_files import load_scene
+
+    scene = load_scene(question.scene)
+    return find_layout(names[0], "--layout", scene=scene, sensors=question.sensors)
 
 
 def command_line() -> str:

@@ -91,8 +91,14 @@ def plot_junctions(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed]) -> A
     axes.set_yticks([])
     axes.plot(*places.T, "o", markersize=11.0, color=BLUE, zorder=5)
     for number, (x, y) in enumerate(places, start=1):
-        style: Style = {"color": "white", "fontsize": 6.0, "ha": "center", "va": "center", "zorder": 6}
-        axes.annotate(str(number), (x, y), **style)
+        style: Style = {
+            "color": "white",
+            "fontsize": 6.0,
+            "ha": "center",
+            "va": "center",
+            "zorder": 6,
+        }
+        axes.annotate(str(number), (x, y), zorder=6, **style)
     names = [
         Label(
             text=one.junction.name or one.junction.id,

@@ -102,6 +102,9 @@ def run_placement(
     check_result_folder(out)
     scene = load_scene(question.scene)
     plan = build_plan(question, scene, study=load_carlancap_layout())
+    uncertainty = load_drawn(question, scene, n_samples=question.samples)
+    if question.packet_loss:
+        uncertainty = replace(uncertainty, packet_loss=question.packet_loss)
     progress.kept = left_as_it_was(out)
     progress("setting", 0, 0)
     setting = build_setting(question, scene, compute=compute)
@@ -111,9 +114,6 @@ def run_placement(
         else drawing_beside(_is_large(setting, compute))
     ) as beside:
         study = find_baseline(scene)
-        uncertainty = load_drawn(question, scene, n_samples=question.samples)
-        if question.packet_loss:
-            uncertainty = replace(uncertainty, packet_loss=question.packet_loss)
 
         def report(stage: str, done: int, total: int) -> None:
             cache = compute.cache_folder

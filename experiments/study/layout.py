@@ -55,6 +55,7 @@ def find_baseline(scene: Scene) -> Layout | None:
     return study if scene.name == study.scene_name else None
 
 
-def find_layout(name: str, option: str) -> Layout:
+def find_layout(name: str, option: str, *, scene: Scene | None = None, sensors: str = "") -> Layout:
     """A layout from a file, or the study's by its name; see :mod:`placement.planning`."""
-    return planning.find_layout(name, option, study=load_carlancap_layout())
+    study = load_carlancap_layout()
+    return planning.find_layout(name, option, study=study, scene=scene, sensors=sensors)
