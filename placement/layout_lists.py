@@ -37,11 +37,8 @@ _OF_PEOPLE = {"lat", "lon", "height", "bearing", "tilt"}
 
 def is_list(records: Sequence[Any]) -> bool:
     """Whether units are given as people write them, not as a layout file has them."""
-    return any(
-        isinstance(one, Mapping)
-        and _OF_PEOPLE & set(known_columns(list(one), "", _FIELDS).values())
-        for one in records
-    )
+    named = [list(one) for one in records if isinstance(one, Mapping)]
+    return any(_OF_PEOPLE & set(known_columns(names, "", _FIELDS).values()) for names in named)
 
 
 def read_layout_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:

@@ -76,7 +76,7 @@ _FIELDS = PLACE_FIELDS | {
 }
 _UNITS = {"m", "eur", "units", "deg", "degrees", "metres", "meters", "euro", "euros"}
 _UNITS |= {"grad", "meter"}
-_OTHER_UNITS = {"ft", "feet", "cm", "mm", "km", "usd", "gbp"}
+_OTHER_UNITS = {"ft", "feet", "in", "inch", "inches", "cm", "mm", "km", "usd", "gbp"}
 _YES_NO = {"yes": True, "y": True, "true": True, "1": True, "ja": True}
 _YES_NO |= {"no": False, "n": False, "false": False, "0": False, "nein": False}
 
@@ -125,6 +125,8 @@ def known_columns(
         words = re.findall(r"[^\W\d_]+", name.strip().lower()[:60])
         while words and words[-1] in _UNITS and len(words) > 1:
             words.pop()
+            if words[-1] == "in" and len(words) > 1:  # "height in m"
+                words.pop()
         if len(words) > 1 and words[-1] in _OTHER_UNITS and "_".join(words[:-1]) in field_of:
             raise InputError(f"{where}: column {name!r:.60}", words[-1], "metres and euros")
         field = field_of.get("_".join(words))
