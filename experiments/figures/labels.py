@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.patheffects import withStroke
 
 from geometry.arrays import FloatArray
+from geometry.errors import InputError
 from geometry.junction import build_junction
 from geometry.notes import assumed_sites
 from geometry.scene import Scene
@@ -191,9 +192,12 @@ def looks_alike(unit: CandidatePose, other: CandidatePose) -> bool:
 
 def arm_names(scene: Scene, middle_m: FloatArray, half_size_m: float) -> list[Label]:
     """Names of the junction's arms and their streets, next to their lanes towards the frame."""
-    streets = street_names(scene)
+    try:
+        streets, arms = street_names(scene), build_junction(scene).arms
+    except InputError:  # no lane ends at the junction
+        return []
     labels = []
-    for name, arm in build_junction(scene).arms.items():
+    for name, arm in arms.items():
         lanes = [lane.centreline_m for lane in (*arm.lanes_in, *arm.lanes_out)]
         points = shapely.get_coordinates(shapely.MultiLineString(lanes).segmentize(2.0))
         ways, ahead = points - middle_m, arm_mouth(arm) - middle_m

@@ -54,7 +54,8 @@ def test_json_by_hand_stands_at_its_site_and_takes_models_of_a_file(tmp_path, sc
     models = tmp_path / "mine.toml"
     model = load_cameras()["carla-ncap-rgb"]
     models.write_text(
-        "[cameras.mine]\nsource = 'mine'\nprice_eur = 9\nwidth_px = 640\nheight_px = 480\nnear_m = 0.1\n"
+        "[cameras.mine]\nsource = 'mine'\nprice_eur = 9\nwidth_px = 640\nheight_px = 480\n"
+        "near_m = 0.1\n"
         f"horizontal_fov_deg = 70.0\nframe_rate_hz = {model.frame_rate_hz}\n"
     )
     path = tmp_path / "kept.json"

@@ -283,7 +283,7 @@ def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
 ):
     out = tmp_path / "scene"
     for keeps in ("right", "left"):
-        asked = ("scene", "import", str(city), "--traffic", keeps, "-o", str(out), "--quiet")
+        asked = ("scene", "import", str(city), "--driving-side", keeps, "-o", str(out), "--quiet")
         imported = command(*asked)
         assert imported.code == 0
         assert f"traffic keeps {keeps}" in " ".join(imported.out.split())
@@ -393,7 +393,7 @@ def test_a_junction_of_a_map_is_imported_once_and_told(command, tmp_path, monkey
     for _ in range(2):
         result = command("--scene", city, "--junction", "Street 2 / Street 0", "--budget", "2")
         assert result.code == 2
-        assert "Left out, or assumed:" in result.err
+        assert "Imported Street 0 / Street 1 / Street 2: 3 arms, 24 sites" in result.err
     assert len(list((tmp_path / "cache" / "scenes").iterdir())) == 1
     assert {one.scene for one in asked} == {str(next((tmp_path / "cache" / "scenes").iterdir()))}
     assert len(build_junction(load_scene_folder(Path(asked[0].scene))).arms) == 3
