@@ -2,9 +2,9 @@
 
 import re
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-import shapely
 from numpy.typing import ArrayLike
 
 from .arrays import FloatArray, float_array
@@ -58,6 +58,8 @@ def whereabouts(scene: Scene, positions_m: ArrayLike) -> list[str]:
         Within 15 m of the junction's outline a corner, with the streets of the arms on either
         side; farther out the nearest arm, with its street. Empty where the scene has no arms.
     """
+    import shapely
+
     positions = float_array(positions_m, (-1, 2), "positions_m")
     try:
         arms = build_junction(scene).arms
@@ -82,7 +84,9 @@ def whereabouts(scene: Scene, positions_m: ArrayLike) -> list[str]:
     return found
 
 
-def _lanes(arm: Arm) -> shapely.Geometry:
+def _lanes(arm: Arm) -> Any:
+    import shapely
+
     lanes = (*arm.lanes_in, *arm.lanes_out)
     return shapely.MultiLineString([lane.centreline_m for lane in lanes])
 
