@@ -1,6 +1,5 @@
 """A junction as traffic sees it: arms, the lanes that lead in and out, where pedestrians cross."""
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -242,17 +241,6 @@ def arm_of_road(road: LeadingRoad, junction: Junction) -> str | None:
             if along > _SAME_WAY and distance_m < least_m:
                 nearest, least_m = name, distance_m
     return nearest
-
-
-def street_names(scene: Scene) -> dict[str, str]:
-    """Names of the streets of a junction's arms, by the arm; arms without a name are left out."""
-    junction = build_junction(scene)
-    names: dict[str, dict[str, None]] = {}
-    for road in scene.roads:
-        arm = arm_of_road(road, junction)
-        if arm is not None and not re.fullmatch(r"(way|road) \S+", road.name):
-            names.setdefault(arm, {})[road.name] = None
-    return {arm: " / ".join(found) for arm, found in names.items()}
 
 
 def mirrored(junction: Junction) -> Junction:

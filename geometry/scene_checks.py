@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from .errors import InputError
-from .junction import ASSUMED, COMPASS, Junction, arm_of_road, build_junction, lane_length_m
+from .junction import ASSUMED, Junction, arm_of_road, build_junction, lane_length_m
 from .scene import (
     HANGING_KINDS,
     LeadingRoad,
@@ -17,6 +17,7 @@ from .scene import (
     road_area,
 )
 from .terrain import HEADROOM_M, ground_height_m, standing_footprint
+from .whereabouts import compass_point
 
 _FLOATING_M = 0.5
 _SUNK_M = 3.0
@@ -113,8 +114,7 @@ def compare_arms(junction: Junction, roads: Sequence[LeadingRoad]) -> Iterator[F
         name = arm_of_road(road, junction)
         if name is None:
             why = "it leads to the junction, but no arm has a lane of it"
-            angle_deg = float(np.degrees(np.arctan2(road.direction[1], road.direction[0])))
-            what = f"road {road.name} from the {COMPASS[round(angle_deg / 45.0) % 8]}"
+            what = f"road {road.name} from the {compass_point(road.direction)}"
             yield Finding(level="warning", what=what, why=why)
         else:
             found[name].append(road)

@@ -38,7 +38,12 @@ _HEAD = """\
 
 
 def load_scene(
-    source: str | Path = "", *, junction: str = "", at: tuple[float, float] | None = None
+    source: str | Path = "",
+    *,
+    junction: str = "",
+    at: tuple[float, float] | None = None,
+    sites: str = "auto",
+    keeps_left: bool | None = None,
 ) -> Scene:
     """Load the scene of a junction from wherever it is.
 
@@ -49,10 +54,15 @@ def load_scene(
         ``place-rsus scene import`` has written. Or a map with roads, such as "city.osm" or
         "city.xodr", of which one junction is cut out.
     junction : str
-        Id or name of the junction in a map; by default the one with the most arms and lanes.
+        Id, streets or "latitude,longitude" of the junction in a map; by default the one with the
+        most arms and lanes.
     at : (float, float), optional
         Instead of a name, a point within 100 m of the junction in the map's own coordinates:
         longitude and latitude, or metres.
+    sites : str
+        Where a map's sensors may hang, see :class:`geometry.maps.importing.ImportOptions`.
+    keeps_left : bool, optional
+        Whether traffic keeps left; by default what the map says.
 
     Returns
     -------
@@ -73,10 +83,12 @@ def load_scene(
     if not str(source) or (str(source) == STUDY and not path.exists()):
         return load_study_scene()
     if path.is_file() and not has_scene(path):
-        from .maps.importing import SUFFIXES, ImportOptions, import_scene
+        from .maps.importing import SUFFIXES, ImportOptions, ReadingOptions, import_scene
 
         if path.name.lower().endswith(SUFFIXES):
-            return import_scene([path], ImportOptions(junction=junction, at=at)).scene
+            reading = ReadingOptions(keeps_left=keeps_left)
+            options = ImportOptions(junction=junction, at=at, sites=sites, reading=reading)
+            return import_scene([path], options).scene
     return load_scene_folder(path)
 
 

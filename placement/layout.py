@@ -25,6 +25,7 @@ from geometry.scene import Scene, containing_instance
 from geometry.sensors import CameraModel, with_fov
 
 from .candidates import CandidatePose, above_ground
+from .layout_lists import is_list, read_layout_rows, unit_record
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -262,24 +263,58 @@ def layout_from_records(
     return Layout(name=name, units=tuple(units))
 
 
-def load_layout(path: str | Path) -> Layout:
-    """Layout from a JSON file: an object with the key "layout", a list of units.
+def load_layout(
+    path: str | Path,
+    *,
+    scene: Scene | None = None,
+    sensors: Mapping[str, Sensor] | None = None,
+) -> Layout:
+    """Layout from a JSON file: an object with the key "layout", a list of units; or from a CSV.
 
-    Raises InputError if the file cannot be read, is not JSON, of another version, or a field is
-    wrong.
+    In a CSV, and in JSON that is written by hand, units may lie at latitudes and longitudes and
+    look along compass bearings, see :func:`placement.layout_lists.unit_record`: that takes the
+    `scene`. `sensors` are models beside those of the catalogue. Raises InputError if the file
+    cannot be read, is of another version, or a field is wrong.
     """
     path = Path(path)
     check_file(path, max_bytes=MAX_TEXT_BYTES)
+    if path.suffix.lower() == ".csv":
+        rows = read_layout_rows(path)
+        return _from_list(path.stem, rows, str(path), scene, sensors or {})
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
     except UnicodeDecodeError as error:
         raise InputError(str(path), Unquoted(error), "JSON in UTF-8") from None
-    return read_layout(text, where=str(path), name=path.stem)
+    return read_layout(text, where=str(path), name=path.stem, scene=scene, sensors=sensors)
 
 
-def read_layout(text: str | bytes, *, where: str, name: str) -> Layout:
+def _from_list(
+    name: str,
+    rows: Sequence[tuple[str, Any]],
+    where: str,
+    scene: Scene | None,
+    sensors: Mapping[str, Sensor],
+) -> Layout:
+    """Layout from what people write, row by row with where each stands."""
+    if scene is None:
+        raise InputError(where, Unquoted("a list of units"), "a layout file of place-rsus here")
+    for here, row in rows:
+        if not isinstance(row, Mapping):
+            raise InputError(here, row, "an object with the fields of a unit")
+    records = [unit_record(row, here, scene, sensors) for here, row in rows]
+    return layout_from_records(name, records, where, sensors=sensors)
+
+
+def read_layout(
+    text: str | bytes,
+    *,
+    where: str,
+    name: str,
+    scene: Scene | None = None,
+    sensors: Mapping[str, Sensor] | None = None,
+) -> Layout:
     """Layout from the text of a layout file; see :func:`load_layout`.
 
     `where` is what is read, for error messages; `name` is for a layout that has none.
@@ -296,12 +331,13 @@ def read_layout(text: str | bytes, *, where: str, name: str) -> Layout:
         )
     if not isinstance(document, dict) or not isinstance(document.get("layout"), list):
         raise InputError(where, Unquoted("no list 'layout'"), 'an object {"layout": [units]}')
-    layout = layout_from_records(
-        str(document.get("name", name)),
-        document["layout"],
-        where,
-        sensors=_read_own_sensors(document.get("sensors", {}), f"{where}: sensors"),
-    )
+    own = _read_own_sensors(document.get("sensors", {}), f"{where}: sensors")
+    models, called = {**(sensors or {}), **own}, str(document.get("name", name))
+    if scene is not None and is_list(document["layout"]):
+        rows = [(f"{where}: layout[{i}]", row) for i, row in enumerate(document["layout"])]
+        layout = _from_list(called, rows, where, scene, models)
+    else:
+        layout = layout_from_records(called, document["layout"], where, sensors=models)
     return replace(layout, scene_name=str(document.get("scene", "")))
 
 

@@ -92,8 +92,10 @@ def build_plan(question: Question, scene: Scene) -> Plan:
             )
     if question.no_look_share and not question.no_look:
         raise InputError("--no-look-share", question.no_look_share, "--no-look beside it")
-    kept = _layout(question.keep, "--keep", scene)
-    within = _layout(question.within, "--within", scene)
+    kept, within = (
+        _layout(name, option, scene, question.sensors)
+        for name, option in ((question.keep, "--keep"), (question.within, "--within"))
+    )
     if within is not None:
         candidates = tuple(_distinct([within, kept]))
     else:
@@ -158,8 +160,8 @@ def build_grid(question: Question, *, is_coarse: bool = False) -> CandidateGrid:
     Raises InputError if a sensor is unknown, or a number cannot be.
     """
     changes: dict[str, Any] = {}
-    if question.sensors:
-        changes["sensors"] = pick_sensors(question.sensors)
+    if _words(question.sensors):
+        changes["sensors"] = tuple(own_models(question.sensors).values())
     if question.heights:
         changes["heights_m"] = _numbers("--heights", question.heights, "metres", 0.5, 50.0)
     if question.pitches:
@@ -183,10 +185,9 @@ def _numbers(option: str, text: str, unit: str, low: float, high: float) -> Floa
     return np.array(numbers)
 
 
-def pick_sensors(text: str) -> tuple[Sensor, ...]:
-    """Sensor models by name or from files, with commas between, each once; else an InputError."""
-    models = {model.name: model for word in _words(text) for model in _sensors(word)}
-    return tuple(models.values())
+def own_models(sensors: str) -> dict[str, Sensor]:
+    """Models by name, as a user lists them: of the catalogue, or of files."""
+    return {model.name: model for word in _words(sensors) for model in _sensors(word)}
 
 
 def _sensors(word: str) -> Sequence[Sensor]:
@@ -199,19 +200,29 @@ def _sensors(word: str) -> Sequence[Sensor]:
     return [pick_sensor(word, "--sensors")]
 
 
-def find_layout(name: str | Path, option: str = "layout") -> Layout:
-    """A layout by its name (carlancap-12, the study's) or from a file; else an InputError."""
+def find_layout(
+    name: str | Path,
+    option: str = "layout",
+    *,
+    scene: Scene | None = None,
+    sensors: str = "",
+) -> Layout:
+    """A layout by its name (carlancap-12, the study's) or from a file; else an InputError.
+
+    A list of units with places on earth takes the `scene`; `sensors` are models beside those of the
+    catalogue, as a user lists them.
+    """
     if str(name) == BASELINE_NAME:
         return load_carlancap_layout()
     if not os.path.lexists(name):
         raise InputError(option, str(name), f"{BASELINE_NAME}, or a layout file that exists")
-    return load_layout(Path(name))
+    return load_layout(Path(name), scene=scene, sensors=own_models(sensors))
 
 
-def _layout(name: str, option: str, scene: Scene) -> Layout | None:
+def _layout(name: str, option: str, scene: Scene, sensors: str) -> Layout | None:
     if not name:
         return None
-    layout = find_layout(name, option)
+    layout = find_layout(name, option, scene=scene, sensors=sensors)
     check_layout(layout, scene)
     return layout
 

@@ -302,6 +302,39 @@ class Question:
             is_path=True,
         ),
     ] = ""
+    junction: Annotated[
+        str,
+        Option(
+            section=DRIVEN,
+            help='Of a map: streets ("A St / B Ave"), id, or "latitude,longitude"; default: the '
+            "one with the most arms. `place-rsus scene show MAP` lists them.",
+            metavar="NAME",
+            is_common=True,
+        ),
+    ] = ""
+    at: Annotated[
+        str,
+        Option(
+            section=DRIVEN,
+            help="Of a map: a point near the junction, in the file's own coordinates: "
+            "longitude,latitude or metres.",
+            metavar="X,Y",
+        ),
+    ] = ""
+    sites: Annotated[
+        str,
+        Option(
+            section=DRIVEN,
+            help="Of a map, where sensors may hang: map (its poles), kerb:15 (every 15 m along the "
+            "kerbs), a CSV or GeoJSON file; default: map, and where it has none kerb:15.",
+            metavar="WHERE",
+            is_common=True,
+        ),
+    ] = ""
+    driving_side: Annotated[
+        Literal["map", "left", "right"],
+        Option(section=DRIVEN, help="Of a map, on which traffic keeps; map: as it says or shows."),
+    ] = "map"
     cases: Annotated[
         str,
         Option(
@@ -473,6 +506,36 @@ class Question:
             value = getattr(self, field.name)
             if value is not field.default and value != field.default:
                 _check_value(field, value, f"question: {field.name}")
+
+
+def map_options(question: Question) -> dict[str, Any]:
+    """What a question says of the map that its scene is cut out of; empty: nothing.
+
+    Keywords of :func:`geometry.load_scene`. Raises InputError if the point is no point.
+    """
+    options: dict[str, Any] = {}
+    if question.junction:
+        options["junction"] = question.junction
+    if question.at:
+        options["at"] = read_point(question.at, "--at")
+    if question.sites:
+        options["sites"] = question.sites
+    if question.driving_side != "map":
+        options["keeps_left"] = question.driving_side == "left"
+    return options
+
+
+def read_point(text: str, where: str) -> tuple[float, float]:
+    """Two finite numbers with a comma between; raises InputError for anything else."""
+    from geometry.errors import InputError
+
+    try:
+        x, y = (float(word) for word in text.split(","))
+    except ValueError:
+        x = y = math.nan
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise InputError(where, text, "two numbers: X,Y")
+    return x, y
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

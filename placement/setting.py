@@ -33,7 +33,7 @@ from .compute import DEFAULT_COMPUTE, Compute
 from .detectors import Detector, PlanningDetector, load_detector, load_planning_detector
 from .detectors.network import NetworkDetector
 from .latency import load_latency_budget
-from .question import Question
+from .question import Question, map_options
 
 # ---------- radio links
 
@@ -305,7 +305,10 @@ def build_setting(
         weights do not fit the runs.
     """
     question = question or Question()
-    scene = scene or load_scene(question.scene)
+    scene = scene or load_scene(question.scene, **map_options(question))
+    # Names first: what is misspelt is refused before anything is driven.
+    vut_sensors = _words(question.vut_sensors, "--vut-sensors", VUT_SENSORS) or ("",)
+    rule, detector = build_rule(question), load_detector(question.detector, where="--detector")
     drives = drive(question, scene, cache_folder=compute.cache_folder)
     runs = drives.runs
     if question.strict or not runs:
@@ -315,17 +318,16 @@ def build_setting(
         if weights is None
         else weight_by_function(runs, weights)
     )
-    detector = load_detector(question.detector, where="--detector")
     return Setting(
         scene=scene,
         runs=runs,
         axis=build_frame_axis(runs, weight),
-        rule=build_rule(question),
+        rule=rule,
         detector=detector,
         planner=_planner(detector),
         refusals=(*drives.refused, *drives.left_out),
         links=Links(packet_loss=question.packet_loss, vam_rate=question.vam_rate),
-        vut_sensors=_words(question.vut_sensors, "--vut-sensors", VUT_SENSORS) or ("",),
+        vut_sensors=vut_sensors,
     )
 
 

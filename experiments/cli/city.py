@@ -12,6 +12,7 @@ from ..progress import StageProgress
 from ..results.numbers import percent
 from .options import (
     JUDGED,
+    OF_SCENE,
     SectionedCommand,
     compute_options,
     json_option,
@@ -19,7 +20,7 @@ from .options import (
     question_options,
     quiet_option,
 )
-from .running import begin, command_line, print_result
+from .running import command_line, print_result
 from .scene import reading_options
 from .terminal import sentences, table
 
@@ -34,7 +35,7 @@ _TIME_LIMIT_S = 30.0  # for the optimiser at each junction
 _DRIVEN = tuple(
     name
     for name in JUDGED
-    if name not in ("scene", "vut_sensors", "packet_loss", "vam_rate", "strict")
+    if name not in (*OF_SCENE, "vut_sensors", "packet_loss", "vam_rate", "strict")
 )
 _MAX_LISTED = 12
 
@@ -299,7 +300,7 @@ def city(
         raise click.UsageError(
             "--budget: got nothing; expected a whole number of units, at least 0, or --budget-eur"
         )
-    begin(progress, quiet=quiet)
+    progress.start(quiet=quiet)
     from ..jobs import city as job
     from ..jobs.city_inputs import CitySearch, CityWish
 

@@ -81,7 +81,7 @@ def compare(
     from placement.planning import find_layout
 
     found = _by_folder([find_layout(name, "LAYOUT") for name in names], names)
-    begin(progress, quiet=quiet)
+    question = begin(progress, question, quiet=quiet)
     from ..jobs import placement
 
     result = placement.run_comparison(

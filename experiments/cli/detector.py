@@ -105,7 +105,7 @@ def fit(
     """
     _check_one_source(layout_names, recording, labels, results)
     layout = load_one_layout(layout_names) if layout_names else None
-    begin(progress, quiet=quiet)
+    question = begin(progress, question, quiet=quiet)
     from ..jobs import detector as job
 
     result = job.run_detector_fit(

@@ -11,7 +11,7 @@ from placement.compute import Compute
 from placement.question import Question
 
 from ..progress import StageProgress
-from ..results.numbers import percent, shortened
+from ..results.numbers import percent, several
 from .options import (
     JUDGED,
     SectionedCommand,
@@ -22,7 +22,7 @@ from .options import (
 )
 from .recording import check_recording_options, recording_options, recording_table
 from .running import begin, command_line, load_one_layout, print_result
-from .terminal import driven_lines, sentences, table, wide_table
+from .terminal import driven_lines, listing, sentences, table, wide_table
 
 if TYPE_CHECKING:
     from ..results.baselines import ScoreRecord, StudyCasesRecord
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from ..results.record import UnitRecord
     from ..results.result import Result
 
-_MAX_ID_WIDTH, _MAX_SITE_WIDTH = 22, 11
 _MAX_UNITS = 24
 TOGETHER = "fused: in each frame, any of the units may detect"
 
@@ -76,8 +75,8 @@ def evaluate(
         )
         print_result(summary, progress, as_json, lambda: recording_table(summary, out))
         return
-    layout = load_one_layout(layout_names)
-    begin(progress, quiet=quiet)
+    question = begin(progress, question, quiet=quiet)
+    layout = load_one_layout(layout_names, question)
     from ..jobs import placement
 
     result = placement.run_evaluation(
@@ -114,7 +113,7 @@ def evaluation_text(result: "Result", out: Path | None) -> str:
         place = "apr.csv" if out is not None else "apr.csv with --out"
         lines.append(f"  and {n_left} more units, none of a higher APR by itself: in {place}")
     lines += [
-        cost_line(result),
+        *cost_lines(result),
         "",
         *apr_lines(
             {
@@ -145,6 +144,7 @@ def failure_lines(evaluation: "EvaluationRecord") -> list[str]:
 
 def unit_lines(units: Sequence["UnitRecord"]) -> list[str]:
     """A table of units, where they hang and look; below it what they are, if not the default."""
+    from geometry.whereabouts import compass_bearing_deg
     from placement.candidates import load_candidate_grid
 
     units_of: dict[str, list[str]] = {}
@@ -154,19 +154,51 @@ def unit_lines(units: Sequence["UnitRecord"]) -> list[str]:
     is_default = set(units_of) == {sensor.name for sensor in load_candidate_grid().sensors}
     rows = [
         [
-            shortened(unit.id, _MAX_ID_WIDTH),  # heads of columns further down: cut if they must be
-            shortened(unit.site or "-", _MAX_SITE_WIDTH),
+            unit.id,
+            unit.kind or "-",
+            f"{unit.z_m:.2f}",
+            f"{compass_bearing_deg(unit.yaw_deg):.1f}",
+            _tilt(unit.pitch_deg),
             f"{unit.x_m:.2f}",
             f"{unit.y_m:.2f}",
-            f"{unit.z_m:.2f}",
-            f"{unit.yaw_deg:.1f}",
-            f"{unit.pitch_deg:.1f}",
         ]
         for unit in units
     ]
+    heads = ["unit", "kind", "height m", "bearing", "tilt", "east m", "north m"]
     return [
-        *table(["unit", "site", "x m", "y m", "z m", "yaw", "pitch"], rows, n_left=2),
+        *listing(heads, rows, [_where(unit) for unit in units]),
+        "  bearing: degrees clockwise from north",
         *([] if is_default else sentences(f"models: {'; '.join(models)}", indent=2, hanging=2)),
+    ]
+
+
+def _tilt(pitch_deg: float) -> str:
+    return f"{abs(pitch_deg):.1f} {'down' if pitch_deg < 0.0 else 'up'}" if pitch_deg else "level"
+
+
+def _where(unit: "UnitRecord") -> str:
+    """The whole name of a unit's site, whether it is assumed, and where it is."""
+    site = f"{unit.site} (assumed)" if unit.assumed else unit.site
+    known = [text for text in (site, unit.place) if text]
+    return f"at {', '.join(known)}" if known else ""
+
+
+_MOST_ASSUMED = 4
+
+
+def assumption_lines(result: "Result") -> list[str]:
+    """The most important of what was assumed of the map, and how much more there is."""
+    from ..report.assumptions import assumption_sentences
+
+    found = assumption_sentences(result)
+    if not found:
+        return []
+    n_left = len(found) - _MOST_ASSUMED
+    more = [f"  and {n_left} more: in the report and `scene show`"] if n_left > 0 else []
+    return [
+        "Assumed, for the map does not say it:",
+        *sentences(*found[:_MOST_ASSUMED], indent=2, hanging=2),
+        *more,
     ]
 
 
@@ -196,9 +228,16 @@ def announced(evaluation: "EvaluationRecord") -> "dict[str, PartyAprRecord]":
     return {name: party for name, party in parties.items() if party is not UNSET}
 
 
-def cost_line(result: "Result") -> str:
-    """What the sensors cost."""
-    return f"  sensors: {result.cost_eur:,.0f} EUR by the catalogue, without poles or mounting"
+def cost_lines(result: "Result") -> list[str]:
+    """What the sensors cost, and making their sites ready as far as a price is known."""
+    sensors = f"sensors {result.cost_eur:,.0f} EUR by the catalogue"
+    if result.sites_eur is UNSET:
+        return [f"  {sensors}, without poles or mounting"]
+    n_sites = len({unit.site for unit in result.layout})
+    by = "by prices assumed for their kinds" if result.assumed_prices else "by their own prices"
+    sites = f"{several(n_sites, 'site', 'sites')} {result.sites_eur:,.0f} EUR {by}"
+    whole = result.cost_eur + result.sites_eur
+    return sentences(f"cost: {whole:,.0f} EUR: {sensors}, {sites}", indent=2, hanging=2)
 
 
 def written(out: Path | None) -> list[str]:
@@ -244,8 +283,10 @@ def additions(result: "Result") -> list[str]:
     from ..report.sampled_worlds import overtaken_sentences
     from .explanations import explanation_text, uncertainty_text
 
+    assumed = assumption_lines(result)
+    parts = [assumed] if assumed else []
     driven = driven_lines(result.driven, result.without_effect)
-    parts: list[list[str]] = [driven] if driven else []
+    parts += [driven] if driven else []
     further = [f"{said}." for said in (next_unit_sentence(result), other_sensor_sentence(result))]
     overtaken = overtaken_sentences(result.sampled) if result.sampled else []
     told = [

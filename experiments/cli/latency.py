@@ -84,8 +84,8 @@ def latency(
     long as the budget says: exposure, detector, the wait for the next collective perception
     message (CPM), radio, decision.
     """
-    layout = load_one_layout(layout_names)
-    begin(progress, quiet=quiet)
+    question = begin(progress, question, quiet=quiet)
+    layout = load_one_layout(layout_names, question)
     from ..jobs.latency import run_latency
 
     summary = run_latency(

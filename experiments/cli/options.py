@@ -146,6 +146,8 @@ def fields_in(*sections: str, but: Sequence[str] = ()) -> tuple[str, ...]:
     )
 
 
+OF_SCENE = ("scene", "junction", "at", "sites", "driving_side")
+"""Fields that say which junction it is."""
 PLANNED = (*fields_in(ASKED, MOUNTED, SOUGHT), "fusion")
 """Fields of commands that look for layouts."""
 JUDGED = fields_in(DRIVEN, SEEN, but=("fusion",))

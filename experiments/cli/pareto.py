@@ -92,7 +92,7 @@ def pareto(
     For 1, 2, 3 .. units, or from the cheapest useful layout upwards: the highest share of
     accidents prevented (APR), and the highest that is left when any one unit fails.
     """
-    begin(progress, quiet=quiet)
+    question = begin(progress, question, quiet=quiet)
     from ..jobs.pareto import run_pareto
 
     summary = run_pareto(

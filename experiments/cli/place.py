@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +9,7 @@ import click
 from msgspec import UNSET
 
 from placement.compute import Compute
-from placement.question import MOUNTED, Question
+from placement.question import Question
 
 from ..progress import StageProgress
 from ..results.numbers import percent
@@ -20,7 +19,7 @@ from .evaluate import (
     announced,
     apr_lines,
     baseline_lines,
-    cost_line,
+    cost_lines,
     failure_lines,
     study_cases_lines,
     unit_lines,
@@ -29,7 +28,6 @@ from .options import (
     JUDGED,
     PLANNED,
     SectionedGroup,
-    cache_folder,
     is_given,
     job_options,
     option,
@@ -90,13 +88,6 @@ cannot be met (one line says what), 130 interrupted, 143 terminated.""",
     show_default=True,
     help="Folder for report, layout, tables and figures; earlier results there are replaced.",
 )
-@option(
-    "--junction",
-    default="",
-    metavar="NAME",
-    section=MOUNTED,
-    help='With --scene FILE, a map: id or streets of the junction, "A Street / B Street".',
-)
 @recording_options
 @question_options(*PLANNED, *JUDGED)
 @job_options(has_cache=True)
@@ -104,7 +95,6 @@ cannot be met (one line says what), 130 interrupted, 143 terminated.""",
 def cli(
     context: click.Context,
     *,
-    junction: str,
     recording: Path | None,
     min_confidence: float,
     question: Question,
@@ -149,9 +139,7 @@ def cli(
         )
         print_result(summary, progress, as_json, lambda: recorded_placement_table(summary, folder))
         return
-    begin(progress, quiet=quiet)
-    if junction:
-        question = _with_junction(question, junction, quiet=quiet, progress=progress)
+    question = begin(progress, question, quiet=quiet)
     from ..report.beside import drawing_beside
 
     asks_much = not (is_given("cases") or question.speeds or question.approaches)
@@ -167,21 +155,6 @@ def cli(
             beside=beside,
         )
     print_result(result, progress, as_json, lambda: placement_text(result, out))
-
-
-def _with_junction(
-    question: Question, junction: str, *, quiet: bool, progress: StageProgress
-) -> Question:
-    """The question about a junction of a map, which is imported into the cache and told of."""
-    from ..jobs.scene import import_into_cache
-    from .scene import scene_text
-
-    folder, told = import_into_cache(
-        question.scene, junction=junction, cache=cache_folder(), progress=progress
-    )
-    if not quiet:
-        click.echo(f"{scene_text(told)}\nThe scene is in {folder}.\n", err=True)
-    return replace(question, scene=folder)
 
 
 def placement_text(result: "Result", out: Path) -> str:
@@ -215,12 +188,8 @@ def placement_text(result: "Result", out: Path) -> str:
         f"Best {len(result.layout)} of {result.candidates} poses on {result.runs} runs "
         f"(fusion {result.fusion}):",
         *unit_lines(result.layout),
-        cost_line(result),
-        *(
-            line
-            for text in result.assumed_prices or ()
-            for line in sentences(text, indent=2, hanging=2)
-        ),
+        *cost_lines(result),
+        *sentences(*(result.assumed_prices or ()), indent=2, hanging=2),
         "",
         *table(["on the detection table", "found", "bound", "gap"], stages),
         "",

@@ -118,7 +118,7 @@ def plan(
         raise click.UsageError(
             f"--host: got {host}; expected --i-know beside it: others could change the plan"
         )
-    begin(progress, quiet=quiet)
+    question = begin(progress, question, quiet=quiet)
     progress.kept = "nothing was written" if save is None else f"the plan is in {save}"
     from geometry.scene_files import load_scene
     from placement.setting import build_setting

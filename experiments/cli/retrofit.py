@@ -68,8 +68,8 @@ def retrofit(
     A unit keeps its pole, height and sensor when it is re-aimed. With --budget-cost, the best
     re-aims and additions together for the money, too.
     """
-    layout = load_one_layout(layout_names)
-    begin(progress, quiet=quiet)
+    question = begin(progress, question, quiet=quiet)
+    layout = load_one_layout(layout_names, question)
     from ..jobs.retrofit import run_retrofit
 
     summary = run_retrofit(

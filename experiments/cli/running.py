@@ -3,23 +3,68 @@
 import shlex
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from ..progress import StageProgress
+from ..results.numbers import several
+from .options import cache_folder
+from .terminal import sentences
 
 if TYPE_CHECKING:
     from placement.layout import Layout
+    from placement.question import Question
+
+    from ..results.scenes import SceneResult
 
 
-def begin(progress: StageProgress, *, quiet: bool) -> None:
-    """Show what happens from here on."""
+def begin(progress: StageProgress, question: "Question", *, quiet: bool) -> "Question":
+    """Show what happens from here on; the question, with a map imported and told of on stderr.
+
+    Raises
+    ------
+    InputError
+        Options of a map stand with a scene, or the map has no such junction.
+    """
+    from placement.question import map_options
+
     progress.start(quiet=quiet)
+    if not (map_options(question) or Path(question.scene).is_file()):
+        return question
+    from dataclasses import replace
+
+    from geometry.scene_files import has_scene
+
+    if has_scene(Path(question.scene)) and not map_options(question):
+        return question
+    from ..jobs.scene import import_into_cache
+
+    folder, told = import_into_cache(question, cache=cache_folder(), progress=progress)
+    if not quiet:
+        click.echo(_imported_text(told, folder), err=True)
+    return replace(question, scene=folder, junction="", at="", sites="", driving_side="map")
 
 
-def load_one_layout(names: Sequence[str]) -> "Layout":
+def _imported_text(summary: "SceneResult", folder: str) -> str:
+    """What a map was cut down to on the way to an answer, and where that lies."""
+    (junction,) = summary.junctions
+    side = "left" if summary.keeps_left else "right"
+    buildings = several(summary.buildings, "building", "buildings")
+    return "\n".join(
+        sentences(
+            f"Imported {junction.name}: {several(junction.arms, 'arm', 'arms')}, "
+            f"{several(summary.sites, 'site', 'sites')}, {buildings}; traffic "
+            f"keeps {side}. The scene is in {folder}."
+        )
+    )
+
+
+def load_one_layout(names: Sequence[str], question: "Question | None" = None) -> "Layout":
     """The layout of a command that takes ``--layout`` once.
+
+    With a question, a list of units with places on earth may stand in its place: CSV, or JSON.
 
     Raises
     ------
@@ -33,7 +78,12 @@ def load_one_layout(names: Sequence[str]) -> "Layout":
         raise click.UsageError(f"--layout: got {given}; expected it once")
     from placement.planning import find_layout
 
-    return find_layout(names[0], "--layout")
+    if question is None:
+        return find_layout(names[0], "--layout")
+    from geometry.scene_files import load_scene
+
+    scene = load_scene(question.scene)
+    return find_layout(names[0], "--layout", scene=scene, sensors=question.sensors)
 
 
 def command_line() -> str:

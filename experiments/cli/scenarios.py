@@ -23,7 +23,7 @@ from .options import (
     question_options,
     quiet_option,
 )
-from .running import print_result, unwritable
+from .running import begin, print_result, unwritable
 from .terminal import sentences, table
 
 if TYPE_CHECKING:
@@ -215,7 +215,7 @@ def list_scenarios(
     from geometry.scene_files import load_scene
     from placement.setting import drive
 
-    progress.start(quiet=quiet)
+    question = begin(progress, question, quiet=quiet)
     progress("lay the cases", 0, 0)
     rows = list_rows(drive(question, load_scene(question.scene)))
     print_result(rows, progress, as_json, lambda: scenario_table(rows))
@@ -244,10 +244,10 @@ def show(
 
     from ..figures.film import save_film
 
+    question = begin(progress, question, quiet=quiet)
     scene = load_scene(question.scene)
     run = drive_one(question, scene, position=position)
     path = out or Path("results", "scenarios", run.id.replace("/", "_") + ".png")
-    progress.start(quiet=quiet)
     progress("draw", 0, 0)
     _write(
         path,
@@ -265,7 +265,8 @@ Examples:
 )
 @one_run_options()
 @option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
-def export(*, question: Question, position: str, out: Path | None) -> None:
+@click.pass_obj
+def export(progress: StageProgress, *, question: Question, position: str, out: Path | None) -> None:
     """Write a run as OpenSCENARIO XML, for the roads of an OpenDRIVE file."""
     from geometry.files import write_atomically
     from geometry.scene_files import load_scene
@@ -273,6 +274,7 @@ def export(*, question: Question, position: str, out: Path | None) -> None:
 
     from ..export.openscenario import to_openscenario
 
+    question = begin(progress, question, quiet=True)
     scene = load_scene(question.scene)
     run = drive_one(question, scene, position=position)
     text = to_openscenario(run, road_network=scene.road_network)

@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Any
 import click
 from msgspec import UNSET
 
+from placement.question import read_point
+
 from ..progress import StageProgress
 from .options import json_option, option, quiet_option
 from .running import print_result
-from .terminal import WIDTH, sentences, table
+from .terminal import listing, sentences, table
 
 if TYPE_CHECKING:
     from geometry.maps.importing import ReadingOptions
@@ -20,14 +22,6 @@ if TYPE_CHECKING:
     from ..results.scenes import JunctionRecord, SceneCheckResult, SceneResult, SiteRecord
 
 _EXIT_FAILED = 1
-
-
-def _point(text: str) -> tuple[float, float]:
-    """Two finite numbers with a comma between."""
-    x, y = (float(word) for word in text.split(","))
-    if not (abs(x) < float("inf") and abs(y) < float("inf")):
-        raise ValueError
-    return x, y
 
 
 # Where a command lists its options in sections, --help-all alone shows these.
@@ -54,10 +48,12 @@ _READING_OPTIONS = (
         help="Of meshes, point clouds and footprints that do not say.",
     ),
     option(
-        "--traffic",
+        "--driving-side",
         is_common=False,
-        type=click.Choice(("left", "right")),
-        help="Side on which it keeps; default: what the map says or shows.",
+        type=click.Choice(("map", "left", "right")),
+        default="map",
+        show_default=True,
+        help="On which traffic keeps; map: as it says or shows.",
     ),
     option(
         "--crs",
@@ -71,7 +67,7 @@ _READING_OPTIONS = (
         "--offset",
         "offset_m",
         is_common=False,
-        type=_point,
+        type=lambda text: read_point(text, "--offset"),
         metavar="X,Y",
         expected="two numbers: X,Y",
         help="Metres by which buildings, meshes and clouds are moved, into the coordinates "
@@ -87,10 +83,10 @@ def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
     def with_reading(*args: Any, **values: Any) -> Any:
         from geometry.maps.importing import ReadingOptions
 
-        traffic = values.pop("traffic")
+        side = values.pop("driving_side")
         names = ("unit", "up", "class_name", "crs", "layer", "offset_m")
         reading = ReadingOptions(
-            keeps_left=None if traffic is None else traffic == "left",
+            keeps_left=None if side == "map" else side == "left",
             **{name: values.pop(name) for name in names},
         )
         return command(*args, reading=reading, **values)
@@ -129,7 +125,7 @@ Examples:
 )
 @option(
     "--at",
-    type=_point,
+    type=lambda text: read_point(text, "--at"),
     metavar="X,Y",
     expected="two numbers: X,Y",
     help="A point near the junction, in the file's own coordinates: longitude,latitude or metres.",
@@ -226,12 +222,15 @@ Examples:
   place-rsus scene show                            the study's junction
   place-rsus scene show scene --out pictures
   place-rsus scene show city.osm --sort signals    all junctions of a map
+  place-rsus scene show city.osm --out pictures    .. drawn with their names
   place-rsus scene show city.osm --json --quiet | jq .junctions"""
 )
 @click.argument("paths", nargs=-1, metavar="[SCENE | FILE...]")
 @reading_options
 @option(
-    "--out", type=click.Path(path_type=Path), help="Folder for plan.png and view.png; else none."
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Folder for plan.png and view.png; of a map for junctions.png; else none.",
 )
 @option(
     "--sort",
@@ -344,9 +343,9 @@ def _junction_lines(junctions: "Sequence[JunctionRecord]") -> list[str]:
                 f"{one.y_m:.6f}",
             ]
         )
-        names.append(one.name)
+        names.append(f"{len(rows)}. {one.name}")
     heads = ["junction", "arms", "lanes", "signals", "crossings", "x", "y"]
-    return [*_listing(heads, rows, names), *_more(len(junctions))]
+    return [*listing(heads, rows, names), *_more(len(junctions))]
 
 
 def _site_lines(sites: "Sequence[SiteRecord]") -> list[str]:
@@ -364,32 +363,7 @@ def _site_lines(sites: "Sequence[SiteRecord]") -> list[str]:
             ]
         )
     heads = ["site", "kind", "x m", "y m", "mount m", "units"]
-    return [*_listing(heads, rows), *_more(len(sites))]
-
-
-def _listing(
-    heads: "Sequence[str]", rows: "Sequence[Sequence[str]]", below: "Sequence[str]" = ()
-) -> list[str]:
-    """A table in which nothing is cut.
-
-    An id that is too long has a line of its own, and `below` stand texts under the rows.
-    """
-    widths = [max(len(row[column]) for row in (heads, *rows)) for column in range(1, len(heads))]
-    left = WIDTH - 2 - sum(widths) - 2 * len(widths)
-    first = min(max(len(row[0]) for row in (heads, *rows)), left)
-
-    def line(head: str, cells: "Sequence[str]") -> str:
-        ends = (f"  {cell:>{width}}" for cell, width in zip(cells, widths, strict=True))
-        return f"  {head:<{first}}{''.join(ends)}".rstrip()
-
-    lines = [line(heads[0], heads[1:])]
-    for index, row in enumerate(rows):
-        is_long = len(row[0]) > first
-        lines += [f"  {row[0]}"] if is_long else []
-        lines.append(line("" if is_long else row[0], row[1:]))
-        if below and below[index]:
-            lines += sentences(below[index], indent=4)
-    return lines
+    return [*listing(heads, rows), *_more(len(sites))]
 
 
 def _more(count: int) -> list[str]:

@@ -51,8 +51,8 @@ def sheet(
     Where, how high, where it looks in words and degrees, what it will see (rendered), a plan, the
     nearest landmarks, and how many degrees and centimetres it may be off before a run is lost.
     """
-    layout = load_one_layout(layout_names)
-    begin(progress, quiet=quiet)
+    question = begin(progress, question, quiet=quiet)
+    layout = load_one_layout(layout_names, question)
     from ..jobs.sheet import run_sheet
 
     summary = run_sheet(question, layout=layout, out=out, compute=compute, progress=progress)

@@ -103,6 +103,31 @@ def table(
     return [(" " * indent + line).rstrip() for line in lines]
 
 
+def listing(
+    heads: Sequence[str], rows: Sequence[Sequence[str]], below: Sequence[str] = ()
+) -> list[str]:
+    """A table in which nothing is cut.
+
+    An id that is too long has a line of its own, and `below` stand texts under the rows.
+    """
+    widths = [max(len(row[column]) for row in (heads, *rows)) for column in range(1, len(heads))]
+    left = WIDTH - 2 - sum(widths) - 2 * len(widths)
+    first = min(max(len(row[0]) for row in (heads, *rows)), left)
+
+    def line(head: str, cells: Sequence[str]) -> str:
+        ends = (f"  {cell:>{width}}" for cell, width in zip(cells, widths, strict=True))
+        return f"  {head:<{first}}{''.join(ends)}".rstrip()
+
+    lines = [line(heads[0], heads[1:])]
+    for index, row in enumerate(rows):
+        is_long = len(row[0]) > first
+        lines += [f"  {row[0]}"] if is_long else []
+        lines.append(line("" if is_long else row[0], row[1:]))
+        if below and below[index]:
+            lines += sentences(below[index], indent=4)
+    return lines
+
+
 def wide_table(head: str, rows: Sequence[str], columns: Mapping[str, Sequence[str]]) -> list[str]:
     """Lines of a table with many columns: as many side by side as fit, the others below.
 

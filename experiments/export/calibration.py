@@ -8,7 +8,9 @@ import numpy as np
 from geometry.arrays import FloatArray
 from geometry.catalogue import Sensor
 from geometry.errors import InputError, Unquoted
+from geometry.notes import assumed_sites
 from geometry.poses import Pose, body_rotation, camera_rotation
+from geometry.scene import Scene
 from geometry.sensors import CameraModel
 from placement.layout import Layout
 
@@ -80,10 +82,20 @@ def lidar_ids(layout: Layout) -> list[str]:
     return [unit.id for unit in layout.units if not isinstance(unit.sensor, CameraModel)]
 
 
-def left_out_comment(layout: Layout) -> str:
-    """A comment line of YAML about the units that are no cameras; empty if there are none."""
+def comments(layout: Layout, scene: Scene | None) -> str:
+    """Comment lines of YAML: units that are no cameras, and those at sites that are assumed."""
     named = ", ".join(lidar_ids(layout))
-    return f"# Left out, for they are no cameras: {named}\n" if named else ""
+    doubts = {} if scene is None else assumed_sites(scene.notes)
+    return "".join(
+        [
+            f"# Left out, for they are no cameras: {named}\n" if named else "",
+            *(
+                f"# {unit.id}: assumed: {doubts[unit.site_id]}\n"
+                for unit in layout.units
+                if unit.site_id in doubts
+            ),
+        ]
+    )
 
 
 def camera_matrix(camera: CameraModel) -> FloatArray:

@@ -3,6 +3,8 @@
 from geometry.catalogue import Sensor
 from geometry.frames import to_carla_points, to_carla_yaw
 from geometry.lidar import LidarModel
+from geometry.notes import assumed_sites
+from geometry.scene import Scene
 from placement.candidates import CandidatePose
 from placement.layout import Layout
 
@@ -10,13 +12,20 @@ from .formats import ExportFormat
 from .json import to_json_text
 
 
-def to_carla(layout: Layout) -> str:
+def to_carla(layout: Layout, scene: Scene | None = None) -> str:
     """Layout as a JSON list of sensors to spawn in CARLA.
 
     Per unit: id, blueprint, its attributes as text (as ``ActorBlueprint.set_attribute`` takes them)
-    and the transform. CARLA's left-handed frame, in metres and degrees.
+    and the transform, and "assumed" where the site is. CARLA's left-handed frame, metres, degrees.
     """
-    return to_json_text([_carla_record(unit) for unit in layout.units])
+    doubts = {} if scene is None else assumed_sites(scene.notes)
+    return to_json_text(
+        [
+            _carla_record(unit)
+            | ({"assumed": doubts[unit.site_id]} if unit.site_id in doubts else {})
+            for unit in layout.units
+        ]
+    )
 
 
 def _carla_blueprint(sensor: Sensor) -> dict[str, object]:
@@ -66,6 +75,6 @@ def _carla_record(unit: CandidatePose) -> dict[str, object]:
 
 
 FORMAT = ExportFormat(
-    write=lambda layout, _scene: to_carla(layout),
+    write=to_carla,
     content="spawn transforms in CARLA's frame; its Python API",
 )

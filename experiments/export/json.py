@@ -8,6 +8,8 @@ import msgspec
 import numpy as np
 
 from geometry.catalogue import own_sensor_record
+from geometry.notes import assumed_sites
+from geometry.scene import Scene
 from placement.layout import SCHEMA, Layout, layout_records
 
 from ..results.record import to_plain
@@ -40,13 +42,21 @@ def _finite(value: object) -> object:
     return value
 
 
-def to_json(layout: Layout) -> str:
-    """Layout as the JSON file that :func:`placement.layout.load_layout` reads."""
+def to_json(layout: Layout, scene: Scene | None = None) -> str:
+    """Layout as the JSON file that :func:`placement.layout.load_layout` reads.
+
+    With a scene, units at assumed sites say what is assumed.
+    """
+    doubts = {} if scene is None else assumed_sites(scene.notes)
+    units = [
+        record | ({"assumed": doubts[record["site"]]} if record["site"] in doubts else {})
+        for record in layout_records(layout)
+    ]
     document = {
         "schema": SCHEMA,
         "name": layout.name,
         "scene": layout.scene_name,
-        "layout": layout_records(layout),
+        "layout": units,
     }
     own = {unit.sensor.name: own_sensor_record(unit.sensor) for unit in layout.units}
     sensors = {name: record for name, record in own.items() if record is not None}
@@ -54,6 +64,6 @@ def to_json(layout: Layout) -> str:
 
 
 FORMAT = ExportFormat(
-    write=lambda layout, _scene: to_json(layout),
+    write=to_json,
     content="the layout file itself; place-rsus --layout",
 )

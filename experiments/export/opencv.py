@@ -5,14 +5,15 @@ import yaml  # type: ignore[import-untyped]
 from scipy.spatial.transform import Rotation
 
 from geometry.arrays import FloatArray
+from geometry.scene import Scene
 from placement.layout import Layout
 
-from .calibration import N_DISTORTION, Calibration, calibrations, left_out_comment, plain
+from .calibration import N_DISTORTION, Calibration, calibrations, comments, plain
 from .formats import ExportFormat
 
 
-def to_opencv(layout: Layout) -> str:
-    """Layout as a YAML file for ``cv::FileStorage``; LiDARs are left out, a comment names them.
+def to_opencv(layout: Layout, scene: Scene | None = None) -> str:
+    """Layout as YAML for ``cv::FileStorage``; comments name LiDARs left out and assumed sites.
 
     A sequence "cameras", one map per unit - names of units are free, those of nodes are not - with
     id, image_width, image_height, camera_matrix, distortion_coefficients (zeros), R (3x3) and t
@@ -28,7 +29,7 @@ def to_opencv(layout: Layout) -> str:
         document, Dumper=_Dumper, allow_unicode=True, sort_keys=False, width=float("inf")
     )
     # The format's own first lines: FileStorage tells YAML from XML and JSON by them.
-    return "%YAML:1.0\n---\n" + left_out_comment(layout) + text
+    return "%YAML:1.0\n---\n" + comments(layout, scene) + text
 
 
 def _camera_record(camera: Calibration) -> dict[str, object]:
@@ -75,7 +76,7 @@ _Dumper.add_representer(np.ndarray, _represent_matrix)
 _Dumper.add_representer(_Quoted, _represent_quoted)
 
 FORMAT = ExportFormat(
-    write=lambda layout, _scene: to_opencv(layout),
+    write=to_opencv,
     content="K, R, t of cameras, YAML; cv::FileStorage",
     has_lidars=False,
 )

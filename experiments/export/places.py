@@ -8,6 +8,7 @@ from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
 from geometry.frames import to_geographic
 from geometry.maps.georeferences import transform
+from geometry.notes import assumed_sites
 from geometry.scene import Scene
 from geometry.terrain import terrain_of
 from placement.candidates import above_ground
@@ -25,9 +26,12 @@ def placed_records(layout: Layout, scene: Scene | None) -> list[dict[str, Any]]:
     As :func:`placement.layout.layout_records`; beside these map_x, map_y (longitude and latitude
     where the map has degrees) and map_crs, which is empty if the map does not say where on earth it
     lies. Where the ground is not flat, height_m is that above the ground below the unit, and map_z
-    that of the map.
+    that of the map. Where sites are assumed, "assumed" says what, and is empty for the others.
     """
     records = layout_records(layout)
+    doubts = {} if scene is None else assumed_sites(scene.notes)
+    if any(unit.site_id in doubts for unit in layout.units):
+        records = [record | {"assumed": doubts.get(record["site"], "")} for record in records]
     if scene is not None and terrain_of(scene) is not None:
         records = [
             record | {"height_m": height_m} | map_height(record["z_m"], scene)

@@ -6,13 +6,14 @@ import numpy as np
 import yaml  # type: ignore[import-untyped]
 
 from geometry.arrays import FloatArray
+from geometry.scene import Scene
 from placement.layout import Layout
 
 from .calibration import (
     N_DISTORTION,
     Calibration,
     calibrations,
-    left_out_comment,
+    comments,
     optical_quaternion,
     plain,
 )
@@ -22,8 +23,8 @@ WORLD_FRAME = "map"
 """REP 105's name of a world-fixed frame: x east, y north, z up."""
 
 
-def to_ros(layout: Layout) -> str:
-    """Layout as YAML: one document per camera; LiDARs are left out, a comment names them.
+def to_ros(layout: Layout, scene: Scene | None = None) -> str:
+    """Layout as YAML: one document per camera; comments name LiDARs left out and assumed sites.
 
     A document has the fields that ``camera_calibration_parsers`` reads - it takes the first
     document of a file -, the unit's id, and under static_transform what
@@ -47,7 +48,7 @@ def to_ros(layout: Layout) -> str:
         default_flow_style=None,  # numbers of a list on one line
         width=float("inf"),
     )
-    return left_out_comment(layout) + text
+    return comments(layout, scene) + text
 
 
 def camera_names(cameras: list[Calibration]) -> list[str]:
@@ -91,7 +92,7 @@ def _matrix_record(matrix: FloatArray) -> dict[str, object]:
 
 
 FORMAT = ExportFormat(
-    write=lambda layout, _scene: to_ros(layout),
+    write=to_ros,
     content="CameraInfo and transform per camera, YAML; camera_info_manager",
     has_lidars=False,
 )

@@ -12,10 +12,12 @@ from matplotlib.patheffects import withStroke
 
 from geometry.arrays import FloatArray
 from geometry.maps.georeferences import transform
+from geometry.maps.junctions import Surveyed
 from geometry.maps.source_map import SourceMap
 
 from ..results.city import CityJunctionRecord, CityResult
-from .axes import BLUE, VERMILION, WIDTH_IN, finish_axes, literal, new_axes
+from .axes import BLUE, VERMILION, WIDTH_IN, Style, finish_axes, literal, new_axes
+from .labels import Label, draw_labels
 
 _MAX_TRIANGLES = 400_000
 _ROADS, _BUILDINGS = "#b8b8b8", "#e9e9e9"
@@ -65,6 +67,55 @@ def plot_city_map(
     axes.set_yticks([])
     _draw_scale(axes, middle, half)
     return axes
+
+
+def plot_junctions(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed]) -> Axes:
+    """Streets and buildings of maps with all junctions of the first, numbered in their order.
+
+    The figure is the larger, the more there are. Names that would lie on others are left out; where
+    a junction has none, its id stands.
+    """
+    places = np.array([one.junction.position_m for one in surveyed]).reshape(-1, 2)
+    low, high = places.min(axis=0), places.max(axis=0)
+    half = 0.5 * np.maximum(high - low, _LEAST_M) * (1.0 + 2.0 * _BEYOND) + 60.0
+    middle = 0.5 * (low + high)
+    width_in = WIDTH_IN * float(np.clip(np.sqrt(len(surveyed) / _FEW), 1.0, _MOST_WIDTHS))
+    shape = float(np.clip(half[1] / half[0], 0.4, 1.6))
+    axes = new_axes(width_in, width_in * shape)
+    for source in maps:
+        _draw_map(axes, source, maps[0].crs, middle - half, middle + half)
+    axes.set_aspect("equal")
+    axes.set_xlim(middle[0] - half[0], middle[0] + half[0])
+    axes.set_ylim(middle[1] - half[1], middle[1] + half[1])
+    axes.set_xticks([])
+    axes.set_yticks([])
+    axes.plot(*places.T, "o", markersize=11.0, color=BLUE, zorder=5)
+    for number, (x, y) in enumerate(places, start=1):
+        style: Style = {
+            "color": "white",
+            "fontsize": 6.0,
+            "ha": "center",
+            "va": "center",
+            "zorder": 6,
+        }
+        axes.annotate(str(number), (x, y), zorder=6, **style)
+    names = [
+        Label(
+            text=one.junction.name or one.junction.id,
+            point_m=(float(x), float(y)),
+            toward_deg=0.0,
+            gap=7.0,
+            size=6.5,
+            is_kept=False,
+        )
+        for one, (x, y) in zip(surveyed, places, strict=True)
+    ]
+    draw_labels(axes, names, marks_m=places)
+    _draw_scale(axes, middle, half)
+    return axes
+
+
+_FEW, _MOST_WIDTHS = 12, 3.0
 
 
 def _draw_map(axes: Axes, source: SourceMap, crs: str, low: FloatArray, high: FloatArray) -> None:

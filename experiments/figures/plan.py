@@ -1,7 +1,6 @@
 """Plan of the junction: where the units are, and what ground they look at."""
 
 import math
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -17,12 +16,12 @@ from shapely.ops import unary_union
 from geometry.actors import PlacedActor
 from geometry.arrays import FloatArray
 from geometry.footprints import footprint_corners
+from geometry.notes import assumed_sites
 from geometry.poses import camera_rotation
 from geometry.scene import Lane, Scene, thing_footprint
 from placement.candidates import CandidatePose, above_ground, is_ring
 from placement.layout import Layout
 from placement.setting import Setting
-from scenarios.positions import AT_ZERO
 from scenarios.runs import Run
 
 from .axes import (
@@ -39,86 +38,22 @@ from .axes import (
     show_square,
     unit_labels,
 )
+from .labels import (
+    ARROW_POINTS,
+    HALO,
+    MAX_LABELLED_UNITS,
+    arm_names,
+    draw_labels,
+    looks_alike,
+    position_names,
+    unit_names,
+)
 from .sensors import (
     blind_footprint,
     ground_rings,
     is_wide,
     ring_path,
 )
-
-# ---------- names of units on a plan, so that none hides another
-
-
-MAX_LABELLED_UNITS = 40
-"""Of more units, the plan tells how many there are at each place."""
-
-_SAME_PLACE_M, _SAME_WAY_DEG = 1.0, 30.0
-HALO = withStroke(linewidth=3.0, foreground="white")
-
-
-def label_units(axes: Axes, layout: Layout) -> None:
-    """Write beside each camera its short name; or, of many units, how many there are at a place."""
-    if len(layout.units) <= MAX_LABELLED_UNITS:
-        _draw_labels(axes, layout)
-    else:
-        _draw_counts(axes, layout)
-
-
-def _draw_labels(axes: Axes, layout: Layout) -> None:
-    """Beside each camera, on the side where it looks: cameras on one pole look apart.
-
-    Those that look the same way from one pole share a label: else one would hide the other.
-    """
-    labels = unit_labels(layout)
-    groups: list[list[CandidatePose]] = []
-    for unit in layout.units:
-        found = next((group for group in groups if _looks_alike(unit, group[0])), None)
-        if found is None:
-            groups.append([unit])
-        else:
-            found.append(unit)
-    for group in groups:
-        yaw = math.radians(group[0].pose.yaw_deg)
-        east, north = math.cos(yaw), math.sin(yaw)
-        axes.annotate(
-            literal(", ".join(labels[unit.id] for unit in group)),
-            xy=(group[0].pose.position_m[0], group[0].pose.position_m[1]),
-            xytext=(8.0 * east, 11.0 * north),
-            textcoords="offset points",
-            ha="center" if abs(east) < 0.3 else "left" if east > 0.0 else "right",
-            va="center",
-            fontsize=9,
-            fontweight="bold",
-            path_effects=[HALO],
-            zorder=9,
-            annotation_clip=True,
-        )
-
-
-def _looks_alike(unit: CandidatePose, other: CandidatePose) -> bool:
-    turn_deg = (unit.pose.yaw_deg - other.pose.yaw_deg + 180.0) % 360.0 - 180.0
-    apart_m = np.linalg.norm(unit.pose.position_m[:2] - other.pose.position_m[:2])
-    return bool(apart_m < _SAME_PLACE_M and abs(turn_deg) < _SAME_WAY_DEG)
-
-
-def _draw_counts(axes: Axes, layout: Layout) -> None:
-    """How many units there are at each place, in the place of labels that would hide all."""
-    places = Counter(tuple(np.round(unit.pose.position_m[:2], 1)) for unit in layout.units)
-    for (east_m, north_m), n_units in places.items():
-        axes.annotate(
-            f"{n_units}\N{MULTIPLICATION SIGN}",
-            xy=(east_m, north_m),
-            xytext=(0.0, 9.0),
-            textcoords="offset points",
-            ha="center",
-            va="bottom",
-            fontsize=8,
-            fontweight="bold",
-            path_effects=[HALO],
-            zorder=9,
-            annotation_clip=True,
-        )
-
 
 # ---------- what lies on the ground and stands there, from above: shared by plan and film
 
@@ -143,6 +78,8 @@ SITE_STYLE: Style = {
     "markeredgecolor": "#444444",
     "markeredgewidth": 0.9,
 }
+ASSUMED_STYLE: Style = SITE_STYLE | {"marker": "D", "markeredgecolor": VERMILION}
+"""Of sites that the map does not have, or not there."""
 
 
 def draw_scene(axes: Axes, scene: Scene) -> None:
@@ -168,8 +105,10 @@ def draw_scene(axes: Axes, scene: Scene) -> None:
         if instance.class_name in CLASS_STYLES:
             path = _outline(thing_footprint(scene, index))
             axes.add_patch(PathPatch(path, zorder=6.5, **CLASS_STYLES[instance.class_name]))
-    sites = np.array([site.position_m[:2] for site in scene.sites]).reshape(-1, 2)
-    axes.plot(*sites.T, linestyle="none", zorder=5, **SITE_STYLE)
+    doubts = assumed_sites(scene.notes)
+    for is_assumed, style in ((False, SITE_STYLE), (True, ASSUMED_STYLE)):
+        sites = [s.position_m[:2] for s in scene.sites if (s.id in doubts) is is_assumed]
+        axes.plot(*np.array(sites).reshape(-1, 2).T, linestyle="none", zorder=5, **style)
 
 
 def draw_parked(axes: Axes, bodies: Iterable[PlacedActor]) -> None:
@@ -323,6 +262,16 @@ def plot_plan(
         _draw_other(axes, other)
     _draw_units(axes, layout, setting.scene, max_range_m)
     show_square(axes, middle, half_size_m)
+    places = np.array([unit.pose.position_m[:2] for unit in layout.units])
+    draw_labels(
+        axes,
+        [
+            *unit_names(layout, scene),
+            *arm_names(scene, middle, half_size_m),
+            *position_names(setting.runs),
+        ],
+        marks_m=np.concatenate([places, _tips_m(layout, half_size_m, width_in)]),
+    )
     axes.set_xlabel("east (m)")
     axes.set_ylabel("north (m)")
     _draw_compass(axes, middle, half_size_m)
@@ -374,36 +323,12 @@ def _draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
         axes.plot(*_end_to_end(ways[name]).T, zorder=3, **style)
     impacts = np.array([run.vru_position_m[-1] for run in firsts.values()]).reshape(-1, 2)
     axes.plot(*impacts.T, zorder=4, **_IMPACT_STYLE)
-    if len({run.position for run in runs}) > 1:
-        _label_positions(axes, runs)
 
 
 def _end_to_end(ways: Sequence[FloatArray]) -> FloatArray:
     """Points of several lines as those of one with gaps, which is drawn in one go."""
     gap = np.full((1, 2), np.nan)
     return np.concatenate([gap, *(part for way in ways for part in (way, gap))])
-
-
-def _label_positions(axes: Axes, runs: Sequence[Run]) -> None:
-    """Write beside the places along the arms which they are, each once."""
-    firsts = {(run.approach, run.position): run for run in reversed(runs)}
-    for (_, position), run in firsts.items():
-        if position == AT_ZERO.name:
-            continue
-        ahead = np.radians(run.vut_yaw_deg[-1])
-        left = np.array([-math.sin(ahead), math.cos(ahead)])
-        axes.annotate(
-            position.replace("-", "\N{MINUS SIGN}"),
-            xy=(run.vru_position_m[-1][0], run.vru_position_m[-1][1]),
-            xytext=(9.0 * left[0], 9.0 * left[1]),
-            textcoords="offset points",
-            ha="center",
-            va="center",
-            fontsize=6.5,
-            path_effects=[HALO],
-            zorder=7,
-            annotation_clip=True,
-        )
 
 
 _IMPACT_STYLE: Style = {
@@ -441,14 +366,26 @@ def _draw_units(axes: Axes, layout: Layout, scene: Scene, max_range_m: float) ->
             )
         axes.plot(
             *position,
-            **_camera_marker(unit),
-            markersize=10.0,
+            **_camera_marker(unit, _rank(layout, index)),
             markerfacecolor=colour,
             markeredgecolor="black",
             zorder=8,
             gid=f"unit:{unit.id}",
         )
-    label_units(axes, layout)
+
+
+def _rank(layout: Layout, index: int) -> int:
+    """How many of the units before look the same way from the same pole."""
+    return sum(looks_alike(layout.units[index], other) for other in layout.units[:index])
+
+
+def _tips_m(layout: Layout, half_size_m: float, width_in: float) -> FloatArray:
+    """Where the units' arrows end, about; (n, 2)."""
+    yaw = np.radians([unit.pose.yaw_deg for unit in layout.units])
+    length_m = 0.6 * ARROW_POINTS * 2.0 * half_size_m / (60.0 * width_in)
+    places = np.array([unit.pose.position_m[:2] for unit in layout.units])
+    tips: FloatArray = places + length_m * np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
+    return tips
 
 
 def _draw_other(axes: Axes, layout: Layout) -> None:
@@ -456,7 +393,6 @@ def _draw_other(axes: Axes, layout: Layout) -> None:
         axes.plot(
             *unit.pose.position_m[:2],
             **_camera_marker(unit),
-            markersize=8.0,
             markerfacecolor="white",
             markeredgecolor="#555555",
             zorder=7,
@@ -467,15 +403,26 @@ _ROUND_MARKER: Style = {"marker": "o", "linestyle": "none"}
 
 # Looking east; the last point closes the outline.
 _DART = np.array([[1.0, 0.0], [-0.8, 0.6], [-0.45, 0.0], [-0.8, -0.6], [1.0, 0.0]])
+_DART_POINTS = 5.5  # half its length
 
 
-def _camera_marker(unit: CandidatePose) -> Style:
-    """A dart whose tip points where the camera looks; a disc where that is all round."""
+def _camera_marker(unit: CandidatePose, rank: int = 0) -> Style:
+    """A dart that points from the pole to where the camera looks; a disc where that is all round.
+
+    Darts of further cameras that look there from the same pole stand one before the other.
+    """
     if is_ring(unit.sensor):
-        return _ROUND_MARKER
+        return {**_ROUND_MARKER, "markersize": 10.0}
     yaw = math.radians(unit.pose.yaw_deg)
     turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
-    return {"marker": Path(_DART @ turn, closed=True), "linestyle": "none"}
+    ahead = _DART + [1.0 + 2.0 * rank, 0.0]
+    # matplotlib scales a marker by its largest coordinate.
+    size = 2.0 * _DART_POINTS * float(np.abs(ahead @ turn).max())
+    return {
+        "marker": Path(ahead @ turn, closed=True),
+        "linestyle": "none",
+        "markersize": size,
+    }
 
 
 def _draw_compass(axes: Axes, middle_m: FloatArray, half_size_m: float) -> None:
@@ -572,8 +519,15 @@ def _plan_legend(setting: Setting, layout: Layout, others: Sequence[Layout]) -> 
     if any(run.obstruction for run in setting.runs):
         things.append(Patch(label="parked body or wall of single cases", **PARKED_STYLE))
     site = Line2D([], [], label="pole or mast: possible site", linestyle="none", **SITE_STYLE)
+    doubts = assumed_sites(setting.scene.notes)
+    sites = [site]
+    if doubts:
+        label = "assumed site: not in the map there"
+        assumed = Line2D([], [], label=label, linestyle="none", **ASSUMED_STYLE)
+        is_all = all(one.id in doubts for one in setting.scene.sites)
+        sites = [assumed] if is_all else [site, assumed]
     label = "collision point"
     if len({run.position for run in setting.runs}) > 1:
         label += "; metres before (\N{MINUS SIGN}), behind (+)"
     impact = Line2D([], [], label=label, **_IMPACT_STYLE)
-    return [*units, *paths, impact, site, *things]
+    return [*units, *paths, impact, *sites, *things]

@@ -4,13 +4,14 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from geometry.arrays import BoolArray, FloatArray
-from geometry.junction import Arm, build_junction
+from geometry.junction import build_junction
 from geometry.poses import camera_rotation
 from geometry.raycast import build_caster
 from geometry.scene import Scene, road_area
 
 from .axes import WIDTH_IN, finish_axes, literal, new_axes, show_square
-from .plan import HALO, draw_scene
+from .labels import Label, arm_names, draw_labels
+from .plan import draw_scene
 
 _COLOURS = {
     "ground": (0.93, 0.92, 0.89),
@@ -26,7 +27,6 @@ _SKY = (0.97, 0.98, 1.0)
 _SUN = np.array([0.45, -0.55, 0.70]) / np.linalg.norm([0.45, -0.55, 0.70])
 _WIDTH_PX, _HEIGHT_PX = 1200, 800
 _VIEW_DEG, _PITCH_DEG, _YAW_DEG = 42.0, -50.0, 60.0
-_MAX_SITE_NAMES = 40
 
 
 def plot_scene_plan(
@@ -56,27 +56,19 @@ def plot_scene_plan(
             for lane in lanes:
                 if lane.kind == "driving":
                     _draw_direction(axes, lane.centreline_m, is_in=is_in)
-        _name_arm(axes, arm, middle, half)
-    if len(scene.sites) <= _MAX_SITE_NAMES:
-        named: list[FloatArray] = []
-        for site in scene.sites:
-            x, y = site.position_m[:2]
-            near = [place for place in named if np.abs(place - [x, y]) @ [0.4, 1.0] < 0.04 * half]
-            if max(abs(x - middle[0]), abs(y - middle[1])) < half and not near:
-                named.append(np.array([x, y]))
-                at_edge = x - middle[0] > 0.7 * half  # or the name would end beyond the frame
-                axes.annotate(
-                    literal(site.id),
-                    (x, y),
-                    xytext=(-3.0 if at_edge else 3.0, 3.0),
-                    ha="right" if at_edge else "left",
-                    path_effects=[HALO],
-                    textcoords="offset points",
-                    fontsize=5.5,
-                    color="#333333",
-                    zorder=8,
-                )
     show_square(axes, middle, half)
+    places = np.array([site.position_m[:2] for site in scene.sites]).reshape(-1, 2)
+    names = [
+        Label(
+            text=site.id,
+            point_m=(float(place[0]), float(place[1])),
+            size=5.5,
+            is_kept=False,
+            style={"color": "#333333", "zorder": 8},
+        )
+        for site, place in zip(scene.sites, places, strict=True)
+    ]
+    draw_labels(axes, [*arm_names(scene, middle, half), *names], marks_m=places, mark=2.5)
     finish_axes(axes, x="east (m)", y="north (m)", size=9, hidden=())
     axes.set_title(literal(scene.name), fontsize=10)
     return axes
@@ -117,24 +109,6 @@ def _draw_direction(axes: Axes, points_m: FloatArray, *, is_in: bool) -> None:
         xytext=(start[0], start[1]),
         arrowprops={"arrowstyle": "-|>", "color": "#333333", "linewidth": 0.9},
         zorder=4,
-    )
-
-
-def _name_arm(axes: Axes, arm: Arm, middle_m: FloatArray, half_m: float) -> None:
-    mouths = [lane.centreline_m[-1] for lane in arm.lanes_in]
-    mouths += [lane.centreline_m[0] for lane in arm.lanes_out]
-    outward = np.mean(mouths, axis=0) - middle_m
-    outward /= max(float(np.hypot(*outward)), 1.0e-9)
-    x, y = middle_m + outward * 0.88 * half_m
-    axes.text(
-        x,
-        y,
-        literal(arm.name),
-        fontsize=9,
-        ha="center",
-        va="center",
-        zorder=9,
-        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.5},
     )
 
 

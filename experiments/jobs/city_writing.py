@@ -12,7 +12,6 @@ from geometry.catalogue import Sensor
 from geometry.scene import Scene
 from geometry.scene_files import load_scene_folder
 from placement.layout import Layout, layout_from_records
-from placement.prices import load_prices
 from placement.question import Question, question_text, save_question
 
 from ..export.city import to_city_geopackage
@@ -91,7 +90,6 @@ def write_served(task: ServedTask) -> Served:
             layout,
             scene,
             site_cost_eur=question.site_cost_eur,
-            prices=load_prices() if question.site_cost_eur is None else None,
             kept_ids=[unit.id for unit in kept if unit.id in names],
         )
         items = [
@@ -101,7 +99,7 @@ def write_served(task: ServedTask) -> Served:
         ]
     if task.is_new:
         save_question(folder / QUESTION, question)
-        files = {LAYOUT_FILE: to_json(layout).encode()}
+        files = {LAYOUT_FILE: to_json(layout, scene).encode()}
         if task.has_page:
             record = load_front(folder / FRONT)
             assert record is not None
@@ -241,7 +239,7 @@ def write_city(
 
 _POLE_COLUMNS = (
     *("junction", "name", "year", "site", "kind", "units", "x_m", "y_m"),
-    *("map_x", "map_y", "map_crs"),
+    *("map_x", "map_y", "map_crs", "assumed"),
 )
 
 

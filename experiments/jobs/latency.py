@@ -97,7 +97,7 @@ def run_latency(
     shown_s = _default_max_s(curves, chosen) if max_latency_s is None else max_latency_s
     result = LatencyResult(
         name=layout.name,
-        layout=build_unit_records(layout),
+        layout=build_unit_records(layout, setting.scene),
         runs=evaluation.axis.n_runs,
         budget=build_budget_record(chosen),
         max_latency_s=shown_s,

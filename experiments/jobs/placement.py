@@ -109,6 +109,9 @@ def run_placement(
     check_result_folder(out)
     scene = load_scene(question.scene)
     plan = build_plan(question, scene)
+    uncertainty = load_drawn(question, scene, n_samples=question.samples)
+    if question.packet_loss:
+        uncertainty = replace(uncertainty, packet_loss=question.packet_loss)
     progress.kept = left_as_it_was(out)
     progress("setting", 0, 0)
     setting = build_setting(question, scene, compute=compute)
@@ -118,9 +121,6 @@ def run_placement(
         else drawing_beside(_is_large(setting, compute))
     ) as beside:
         study = find_baseline(scene)
-        uncertainty = load_drawn(question, scene, n_samples=question.samples)
-        if question.packet_loss:
-            uncertainty = replace(uncertainty, packet_loss=question.packet_loss)
 
         def report(stage: str, done: int, total: int) -> None:
             cache = compute.cache_folder
@@ -215,6 +215,12 @@ def run_placement(
         )
         exchanged = other_sensors.result(partial(progress, OTHER_SENSORS, 0, 0))
         sensitivity = what_if.result(partial(progress, WHAT_IF, 0, 0))
+        bill = build_bill(
+            placement.layout,
+            scene,
+            site_cost_eur=question.site_cost_eur,
+            kept_ids=plan.wishes.kept,
+        )
         result = build_placement_result(
             placement, setting, found=found, greedy=greedy, baseline=baseline, compute=compute
         )
@@ -223,8 +229,9 @@ def run_placement(
             **priorities,
             **recommendation.fields,
             explained=explained,
+            sites_eur=UNSET if bill.sites_eur is None else bill.sites_eur,
             assumed_prices=(
-                UNSET
+                bill.assumed
                 if plan.wishes.prices is None
                 else assumed_prices(plan.wishes.prices, scene.sites)
             ),
@@ -273,13 +280,7 @@ def run_placement(
             placement=placement,
             candidates=poses,
             recommended=recommendation.layout,
-            bill=build_bill(
-                placement.layout,
-                scene,
-                site_cost_eur=question.site_cost_eur,
-                prices=plan.wishes.prices,
-                kept_ids=plan.wishes.kept,
-            ),
+            bill=bill,
             sampled_figure=sampled_figure,
             beside=beside,
         )
@@ -460,6 +461,7 @@ def run_comparison(
             else build_private_ground_record(layout.units, setting.scene, private)
             for layout in layouts
         ]
+        bill = build_bill(layouts[0], scene, site_cost_eur=question.site_cost_eur)
         if len(verdicts) == 1:
             result = build_layout_result(setting, verdicts[0])
         else:
@@ -470,6 +472,8 @@ def run_comparison(
         evaluations |= dict(zip((EXPERT,), of_expert, strict=False))
         result = replace_fields(
             result,
+            sites_eur=UNSET if bill.sites_eur is None else bill.sites_eur,
+            assumed_prices=bill.assumed,
             private_ground=seen[0],
             baselines=UNSET
             if compared is None
@@ -504,6 +508,7 @@ def run_comparison(
             evaluations,
             command=command,
             progress=progress,
+            bill=bill,
             sampled_figure=sampled_figure,
             beside=beside,
         )

@@ -226,7 +226,7 @@ def run_retrofit(
 
     result = RetrofitResult(
         name=layout.name,
-        layout=build_unit_records(layout),
+        layout=build_unit_records(layout, scene),
         before=RetrofitValueRecord(**_values(retrofit.before)),
         candidates=len(poses.candidates),
         removals=tuple(record(change) for change in retrofit.removals),

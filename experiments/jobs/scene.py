@@ -5,6 +5,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+from msgspec import UNSET, UnsetType
 from msgspec.structs import replace
 
 from geometry.errors import InputError, Unquoted
@@ -17,6 +18,7 @@ from geometry.maps.importing import (
     read_maps,
 )
 from geometry.maps.junctions import sort_junctions
+from geometry.maps.site_files import SUFFIXES as LISTS
 from geometry.scene import Scene
 from geometry.scene_checks import check_scene
 from geometry.scene_files import (
@@ -28,8 +30,10 @@ from geometry.scene_files import (
     save_scene,
 )
 from geometry.study_scene import load_study_scene
+from placement.question import Question, map_options
 
 from ..figures.axes import to_png
+from ..figures.city import plot_junctions
 from ..figures.scene import plot_scene_plan, plot_scene_view
 from ..progress import WRITING, StageProgress
 from ..results.folders import check_folder, write_files
@@ -40,9 +44,9 @@ from ..results.scenes import (
     build_scene_result,
 )
 
-PLAN_NAME, VIEW_NAME = "plan.png", "view.png"
+PLAN_NAME, VIEW_NAME, JUNCTIONS_NAME = "plan.png", "view.png", "junctions.png"
 _STUDY = "town05"
-IMPORT_VERSION = 1
+IMPORT_VERSION = 2
 """Counts up when the same map gives another scene; older ones in the cache are not taken."""
 
 
@@ -112,18 +116,17 @@ def run_import(
 
 
 def import_into_cache(
-    source: str, *, junction: str, cache: Path, progress: StageProgress
+    question: Question, *, cache: Path, progress: StageProgress
 ) -> tuple[str, SceneResult]:
     """Import a junction of a map unless that was done before, for a command that goes on with it.
 
     Parameters
     ----------
-    source : str
-        A map with roads.
-    junction : str
-        Id or name, see :func:`geometry.maps.junctions.choose_junction`.
+    question : Question
+        Its scene is a map with roads; what it says of the map, see
+        :func:`placement.question.map_options`.
     cache : Path
-        Folder below which scenes are kept, by what the map and the junction are.
+        Folder below which scenes are cached, by what the map and the options are.
     progress : StageProgress
         Is told the stages.
 
@@ -139,13 +142,18 @@ def import_into_cache(
     InputError
         There is no map, or it has no such junction.
     """
-    path = Path(source)
-    if not source or not path.is_file() or has_scene(path):
-        got = source or "the study's junction"
-        raise InputError("--junction", Unquoted(f"it with {got}"), "--scene FILE, a map with roads")
-    check_file(path)
-    digest = hashlib.sha256(path.read_bytes())
-    digest.update(f"\n{junction}\n{IMPORT_VERSION}".encode())
+    path, options = Path(question.scene), map_options(question)
+    if not question.scene or not path.is_file() or has_scene(path):
+        got = question.scene or "the study's junction"
+        given = {"keeps_left": "driving-side"}.get(name := next(iter(options)), name)
+        raise InputError(f"--{given}", Unquoted(f"it with {got}"), "--scene FILE, a map with roads")
+    reading = ReadingOptions(keeps_left=options.pop("keeps_left", None))
+    wanted = ImportOptions(**options, reading=reading)
+    digest = hashlib.sha256(f"{IMPORT_VERSION}\n{wanted!r}\n".encode())
+    listed = Path(wanted.sites)
+    for file in (path, *([listed] if listed.suffix.lower() in LISTS else [])):
+        check_file(file)
+        digest.update(f"{file.name}\n".encode() + file.read_bytes())
     folder = cache / "scenes" / digest.hexdigest()[:16]
     if (folder / SCENE_FILE).exists():
         try:
@@ -153,9 +161,7 @@ def import_into_cache(
         except InputError:
             pass  # damaged: import it again
     folder.mkdir(parents=True, exist_ok=True)
-    told = run_import(
-        [source], ImportOptions(junction=junction), bbox="", out=folder, progress=progress
-    )
+    told = run_import([question.scene], wanted, bbox="", out=folder, progress=progress)
     return str(folder), told
 
 
@@ -176,7 +182,7 @@ def run_show(
     reading : ReadingOptions
         What map files do not say of themselves.
     out : Path, optional
-        Folder for pictures of a scene.
+        Folder for pictures of a scene, or one of all junctions of a map.
     progress : StageProgress
         Is told the stages.
     sort : str
@@ -185,20 +191,27 @@ def run_show(
     Raises
     ------
     InputError
-        A file cannot be read; pictures of a map are asked for, of which nothing is cut out yet.
+        A file cannot be read; a picture of a map without junctions is asked for.
     """
     if out is not None:
         check_folder(out)
     progress("read", 0, 0)
     if paths and not (len(paths) == 1 and has_scene(Path(paths[0]))):
-        if out is not None:
-            raise InputError("--out", Unquoted("it with a map"), "a scene: `scene import` first")
         maps, junctions = read_maps([Path(path) for path in paths], reading)
         roads = maps[0]
         things = [thing for source in maps for thing in source.things]
+        listed = sort_junctions(junctions, sort)
+        written: str | UnsetType = UNSET
+        if out is not None:
+            if not listed:
+                raise InputError(roads.name, Unquoted("no junction"), "a map in which roads meet")
+            progress(WRITING, 0, 0)
+            write_files(out, {JUNCTIONS_NAME: to_png(plot_junctions(maps, listed))})
+            written = str(out)
         return SceneResult(
             name=roads.name,
-            junctions=tuple(build_junction_record(one) for one in sort_junctions(junctions, sort)),
+            written=written,
+            junctions=tuple(build_junction_record(one) for one in listed),
             buildings=sum(thing.class_name == "building" for thing in things),
             things=len(things),
             sites=sum(len(source.poles) for source in maps),

@@ -2,6 +2,7 @@
 
 import io
 import math
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,10 +17,12 @@ from geometry.errors import InputError, Unquoted
 from geometry.files import write_atomically
 from geometry.frames import to_geographic
 from geometry.junction import COMPASS
+from geometry.notes import assumed_sites
 from geometry.scene import Scene, thing_footprint
 from geometry.scene_files import load_scene
 from geometry.sensors import CameraModel
 from geometry.weather import pick_weather
+from geometry.whereabouts import compass_bearing_deg, whereabouts
 from placement.candidates import CandidatePose, above_ground, is_ring, is_turn_useless
 from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.explain.tolerances import LIFTS_M, TURNS_DEG, Tolerance, find_tolerances
@@ -43,6 +46,7 @@ _A4_IN = (8.27, 11.69)
 _PLAN_HALF_M = 30.0
 _VIEW_RANGE_M = 35.0
 _N_LANDMARKS = 4
+_LINE_LETTERS = 72
 _LANDMARK_WITHIN_M = 40.0
 
 
@@ -133,7 +137,7 @@ def _rows(unit: CandidatePose, scene: Scene, tolerance: Tolerance) -> list[tuple
         lon_deg, lat_deg = to_geographic(unit.pose.position_m[None], scene.crs)[0]
         where += f"\n{lat_deg:.6f}\N{DEGREE SIGN} latitude, {lon_deg:.6f}\N{DEGREE SIGN} longitude"
     rows = [
-        ("Mount", unit.site_id or "on a mount of its own"),
+        ("Mount", _mount(unit, scene)),
         ("Where", where),
         ("Height", f"{z:.2f} m above the road"),
         ("Scans" if is_ring(unit.sensor) else "Looks", _direction(unit)),
@@ -144,13 +148,25 @@ def _rows(unit: CandidatePose, scene: Scene, tolerance: Tolerance) -> list[tuple
     return rows
 
 
+def _mount(unit: CandidatePose, scene: Scene) -> str:
+    """The site, its kind and where it is; and what is assumed of it."""
+    if not unit.site_id:
+        return "on a mount of its own"
+    kinds = {site.id: site.kind for site in scene.sites}
+    (place,) = whereabouts(scene, unit.pose.position_m[None, :2])
+    words = [text for text in (unit.site_id, kinds.get(unit.site_id), place) if text]
+    assumed = assumed_sites(scene.notes).get(unit.site_id)
+    told = f"ASSUMED, look on site first: {assumed}" if assumed else ""
+    texts = (", ".join(words), told)
+    return "\n".join(line for text in texts for line in textwrap.wrap(text, _LINE_LETTERS))
+
+
 def _direction(unit: CandidatePose) -> str:
     yaw_deg = unit.pose.yaw_deg
     point = COMPASS[round(yaw_deg / 45.0) % 8]
-    bearing_deg = (90.0 - yaw_deg) % 360.0
     yaw = (
-        f"to the {point}: compass bearing {bearing_deg:.1f}\N{DEGREE SIGN} (clockwise from "
-        f"north),\nyaw {yaw_deg:.1f}\N{DEGREE SIGN} (counter-clockwise from east)"
+        f"to the {point}: compass bearing {compass_bearing_deg(yaw_deg):.1f}\N{DEGREE SIGN} "
+        f"(clockwise from north),\nyaw {yaw_deg:.1f}\N{DEGREE SIGN} (counter-clockwise from east)"
     )
     if not is_ring(unit.sensor):
         return yaw

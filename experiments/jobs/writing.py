@@ -97,7 +97,7 @@ def write_results(
     layout = replace(subject.layout, scene_name=setting.scene.name)
     # The answer comes first: it is kept if anything that follows cannot be written.
     answer = {
-        LAYOUT_FILE: to_json(layout),
+        LAYOUT_FILE: to_json(layout, setting.scene),
         "layout.csv": to_csv(layout, setting.scene),
         MARKER: to_json_text(result),
     }

@@ -13,7 +13,7 @@ from geometry.errors import InputError, Unquoted
 from geometry.files import pick, write_atomically
 from placement.candidates import CandidatePose, load_candidate_grid
 from placement.layout import Layout
-from placement.planning import build_grid, pick_sensors
+from placement.planning import build_grid, own_models
 from placement.setting import Setting
 
 from ..report.interactive.records import view_paths
@@ -111,7 +111,11 @@ class Desk:
         self._numbers_of_proposals = count(1)
         self._words = sensor_words(work.question.sensors)
         self._models: dict[str, Sensor] = {
-            model.name: model for word in self._words.values() for model in pick_sensors(word)
+            model.name: model
+            for word in self._words.values()
+            for model in own_models(word).values()
+            for word in self._words.values()
+            for model in own_models(word).values()
         }
         self._chosen: list[str] = [sensor.name for sensor in build_grid(work.question).sensors]
         self._shows_coverage = False

@@ -13,7 +13,6 @@ from placement.candidates import CandidatePose, is_ring
 from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, run_outcomes
 from placement.ground_coverage import BANDS, find_ground_coverage
 from placement.layout import Layout
-from placement.prices import load_prices
 from placement.private_ground import PrivateGround, PrivateSight
 from placement.setting import Setting
 
@@ -175,7 +174,7 @@ def cost_record(units: Sequence[CandidatePose], scene: Scene) -> dict[str, Any] 
     if not units:
         return None
     layout = Layout(name="cost", units=tuple(units))
-    bill = build_bill(layout, scene, prices=load_prices())
+    bill = build_bill(layout, scene)
     sums = [_sum([item.sum_eur for item in items]) for items in (bill.sensors, bill.sites)]
     names = ("sensors", "sites", "all")
     return {

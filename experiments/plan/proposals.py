@@ -8,7 +8,7 @@ from geometry.lidar import load_lidars
 from geometry.scene import Scene
 from placement.candidates import CandidatePose
 from placement.layout import Layout
-from placement.planning import pick_sensors
+from placement.planning import own_models
 
 from ..report.interactive.records import unit_records
 
@@ -45,6 +45,6 @@ def sensor_words(sensors: str) -> dict[str, str]:
     """By the name of each model that may be mounted, how ``--sensors`` calls it."""
     words = {name: name for name in (*load_cameras(), *load_lidars())}
     for word in filter(None, sensors.split(",")):
-        for model in pick_sensors(word):
+        for model in own_models(word).values():
             words[model.name] = f"{word}:{model.name}" if word.endswith(".toml") else word
     return words

@@ -23,7 +23,7 @@ from placement.evaluator import evaluate_layout
 from placement.explain.tolerances import find_tolerances
 from placement.explain.unavoided import Look, find_reasons
 from placement.layout import Layout
-from placement.planning import build_grid, build_plan, pick_sensors
+from placement.planning import build_grid, build_plan, own_models
 from placement.question import Question
 from placement.setting import Setting, build_setting
 from scenarios.aeb import is_in_time
@@ -195,7 +195,7 @@ class Tasks:
     def choose_sensors(self, sensors: str) -> None:
         """Models that advice may mount, with commas between; none: the grid's own."""
         if sensors != self._sensors:
-            pick_sensors(sensors)  # names are checked now
+            own_models(sensors)  # names are checked now
             self._sensors, self._adviser = sensors, None
 
     def advise(

@@ -1,6 +1,7 @@
 """How a result was computed, and how to make it again: the last words of the report."""
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 
 from placement.layout import Layout
@@ -8,10 +9,44 @@ from placement.setting import Links, Setting
 from scenarios.aeb import AebRule
 
 from ..results.numbers import count_runs, joined, percent, several
+from ..results.record import NoteRecord
 from ..results.result import Result
 from .answer import is_weighted
 from .sampled_worlds import moving_sentence
 from .section import Block, Box, Code, Section, Table, Terms
+
+
+def assumption_sentences(result: Result) -> list[str]:
+    """What was assumed where the map of the junction leaves it open, the most important first.
+
+    Sites of which the same is assumed share a sentence.
+    """
+    groups: dict[tuple[str, ...], list[NoteRecord]] = {}
+    for index, one in enumerate(result.assumptions):
+        key = (one.kind, _NUMBER.sub("#", one.why)) if one.site_ids else (str(index),)
+        groups.setdefault(key, []).append(one)
+    return [_together(group) for group in groups.values()]
+
+
+_NUMBER = re.compile(r"\d+(?:\.\d+)?")
+_MAX_NAMES = 3
+
+
+def _together(group: Sequence[NoteRecord]) -> str:
+    """One sentence; of several with other numbers, these are the lowest and the highest."""
+    first = group[0]
+    if len(group) == 1:
+        return f"{first.what}: {first.why}."
+    numbers = [[float(word) for word in _NUMBER.findall(one.why)] for one in group]
+    ranges = [
+        f"{low:g}" if low == high else f"{low:g} to {high:g}"
+        for low, high in ((min(column), max(column)) for column in zip(*numbers, strict=True))
+    ]
+    why = _NUMBER.sub(lambda _match: ranges.pop(0), first.why)
+    names = [site_id for one in group for site_id in one.site_ids]
+    listed = ", ".join(names[:_MAX_NAMES])
+    more = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
+    return f"{len(names)} sites ({listed}{more}): {why}."
 
 
 def assumptions_section(result: Result, setting: Setting, layouts: Mapping[str, Layout]) -> Section:

@@ -7,9 +7,10 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from geometry.catalogue import sensor_kind
+from geometry.notes import assumed_sites
 from geometry.scene import Scene, Site
 from placement.layout import Layout
-from placement.prices import SitePrices, assumed_prices
+from placement.prices import assumed_prices, load_prices
 
 from ..results.csv_text import safe_cell
 from ..results.numbers import several
@@ -49,6 +50,10 @@ class Item:
         Units that are of this model, or hang at this site, with those that are there already.
     price_eur : float or None
         Of one; None: unknown. [EUR]
+    price_source : {"catalogue", "told", "assumption", ""}
+        Where the price comes from; empty: it is unknown.
+    assumed : str
+        What is assumed of a site that the map does not have where it is; empty: nothing.
     """
 
     part: str
@@ -57,6 +62,8 @@ class Item:
     count: int
     n_units: int
     price_eur: float | None
+    price_source: str = ""
+    assumed: str = ""
 
     @property
     def sum_eur(self) -> float | None:
@@ -84,21 +91,27 @@ class BillOfMaterials:
     sites: tuple[Item, ...]
     assumed: tuple[str, ...] = ()
 
+    @property
+    def sites_eur(self) -> float | None:
+        """Price of all sites; None where one is unknown."""
+        sums = [item.sum_eur for item in self.sites]
+        return None if None in sums else sum(value for value in sums if value is not None)
+
 
 def build_bill(
     layout: Layout,
     scene: Scene,
     *,
     site_cost_eur: float | None = None,
-    prices: SitePrices | None = None,
     kept_ids: Collection[str] = (),
 ) -> BillOfMaterials:
     """What a layout takes.
 
-    A cost or price of 0 has never been told: it is unknown, unless `site_cost_eur` was said for
-    every site, or `prices` tell what is assumed. Units of `kept_ids` hang there already: neither
-    they nor their sites are paid for.
+    A cost or price of 0 has never been told: that of a site is then assumed by its kind, from
+    ``prices.toml``, unless `site_cost_eur` was said for every site. Units of
+    `kept_ids` hang there already: neither they nor their sites are paid for.
     """
+    to_make = [] if site_cost_eur is not None else _used_sites(layout, scene, kept_ids)
     to_buy = Counter(unit.sensor.name for unit in layout.units if unit.id not in kept_ids)
     of_model = Counter(unit.sensor.name for unit in layout.units)
     return BillOfMaterials(
@@ -110,11 +123,12 @@ def build_bill(
                 count=to_buy[name],
                 n_units=of_model[name],
                 price_eur=_told(sensor.price_eur),
+                price_source="catalogue" if sensor.price_eur > 0.0 else "",
             )
             for name, sensor in {unit.sensor.name: unit.sensor for unit in layout.units}.items()
         ),
-        sites=_site_items(layout, scene, site_cost_eur, prices, kept_ids),
-        assumed=() if prices is None else assumed_prices(prices, _used_sites(layout, scene)),
+        sites=_site_items(layout, scene, site_cost_eur, kept_ids),
+        assumed=assumed_prices(load_prices(), to_make),
     )
 
 
@@ -122,9 +136,9 @@ def _site_items(
     layout: Layout,
     scene: Scene,
     site_cost_eur: float | None,
-    prices: SitePrices | None,
     kept_ids: Collection[str],
 ) -> tuple[Item, ...]:
+    doubts = assumed_sites(scene.notes)
     sites = {site.id: site for site in scene.sites}
     used: dict[str | None, list[str]] = {}
     for unit in layout.units:
@@ -132,13 +146,14 @@ def _site_items(
     items = []
     for site_id, unit_ids in used.items():
         if site_id is None:
-            name, kind, price_eur = _NO_SITE, UNKNOWN, None
+            name, kind, price_eur, source = _NO_SITE, UNKNOWN, site_cost_eur, ""
             # Nobody knows which of them share a mount.
             count = sum(unit_id not in kept_ids for unit_id in unit_ids)
         else:
             name, kind = site_id, sites[site_id].kind
             site = sites[site_id]
-            price_eur = _told(site.cost_eur if prices is None else prices.cost_eur(site))
+            price_eur = load_prices().cost_eur(site) if site_cost_eur is None else site_cost_eur
+            source = "told" if site.cost_eur > 0.0 else "assumption"
             count = int(not any(unit_id in kept_ids for unit_id in unit_ids))
         items.append(
             Item(
@@ -147,14 +162,18 @@ def _site_items(
                 kind=kind,
                 count=count,
                 n_units=len(unit_ids),
-                price_eur=price_eur if site_cost_eur is None else site_cost_eur,
+                price_eur=price_eur,
+                price_source=source if site_cost_eur is None else "told",
+                assumed=doubts.get(site_id or "", ""),
             )
         )
     return tuple(items)
 
 
-def _used_sites(layout: Layout, scene: Scene) -> list[Site]:
+def _used_sites(layout: Layout, scene: Scene, kept_ids: Collection[str]) -> list[Site]:
+    """Sites that have to be made ready."""
     used = {unit.site_id for unit in layout.units}
+    used -= {unit.site_id for unit in layout.units if unit.id in kept_ids}
     return [site for site in scene.sites if site.id in used]
 
 
@@ -170,7 +189,8 @@ def bill_of_materials_csv(bill: BillOfMaterials) -> str:
     """The bill as CSV, a row per item; what is unknown is empty, and there is no row of sums."""
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(["part", "name", "kind", "units", "to_buy", "price_eur", "sum_eur"])
+    heads = ["part", "name", "kind", "units", "to_buy", "price_eur", "sum_eur", "price_source"]
+    writer.writerow([*heads, "assumed"])
     for item in (*bill.sensors, *bill.sites):
         writer.writerow(
             [
@@ -183,6 +203,8 @@ def bill_of_materials_csv(bill: BillOfMaterials) -> str:
                     "" if value is None else f"{value:g}"
                     for value in (item.price_eur, item.sum_eur)
                 ),
+                item.price_source,
+                safe_cell(item.assumed),
             ]
         )
     return file.getvalue()
@@ -260,14 +282,15 @@ def bill_tables(bill: BillOfMaterials) -> list[Table]:
     )
     sites = Table(
         caption="Sites",
-        columns=["site", "kind", "units", "making it ready (EUR)"],
+        columns=["site", "kind", "units", "making it ready (EUR)", "price"],
         rows=[
             *(
                 [
-                    item.name,
+                    f"{item.name} (assumed)" if item.assumed else item.name,
                     item.kind,
                     str(item.n_units),
                     "there already" if item.count == 0 else _or_unknown(item.sum_eur),
+                    item.price_source,
                 ]
                 for item in bill.sites
             ),
@@ -276,6 +299,7 @@ def bill_tables(bill: BillOfMaterials) -> list[Table]:
                 "",
                 str(sum(item.n_units for item in bill.sites)),
                 _total([item.sum_eur for item in bill.sites]),
+                "",
             ],
         ],
         numeric=range(2, 4),

@@ -21,7 +21,7 @@ from ..figures.evaluation import heatmap_indices
 from ..results.result import Result
 from .accidents import accidents_section, alone_section, apr_picture
 from .answer import answer, models_section, proof_section, title
-from .assumptions import again_section, assumptions_section
+from .assumptions import again_section, assumption_sentences, assumptions_section
 from .beside import Beside, Part
 from .bill_of_materials import BillOfMaterials, bill_section, build_bill
 from .comparison import EXPERT, GREEDY, comparison_section, study_cases_section
@@ -191,6 +191,7 @@ def _build_report(
     page = page_template().render(
         title=title(result, setting, shown),
         answer=answer(result, shown),
+        assumed=assumption_sentences(result),
         sections=_present(sections),
         interactive=interactive,
         details=_present(details),

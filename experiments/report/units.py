@@ -5,14 +5,16 @@ from functools import partial
 
 from geometry.scene import Scene
 from geometry.terrain import terrain_of
+from geometry.whereabouts import compass_bearing_deg
 from placement.candidates import above_ground
-from placement.layout import Layout, layout_records
+from placement.layout import Layout
 from placement.setting import Setting
 
 from ..figures.axes import NARROW_IN, WIDTH_IN, unit_labels
 from ..figures.plan import plot_plan
 from ..figures.sensors import compass_word, looking_words
 from ..results.numbers import NOTHING, number
+from ..results.record import build_unit_records
 from .section import Box, Picture, Section, Table, build_picture
 
 _PLAN_RANGE_M = 35.0
@@ -20,8 +22,8 @@ _MAX_UNITS_IN_WORDS = 40
 _MAX_NARROW_UNITS = 6  # labels of more would lie on one another
 _MAX_FLAT_ROWS = 24  # a longer table is to unfold
 _COLUMNS = (
-    *("mark", "id", "site", "east (m)", "north (m)", "height (m)", "yaw (°)", "pitch (°)"),
-    *("looks to the", "sensor"),
+    *("mark", "id", "site", "kind", "where", "east (m)", "north (m)", "height (m)"),
+    *("bearing (°)", "tilt down (°)", "yaw (°)", "pitch (°)", "looks to the", "sensor"),
 )
 
 
@@ -31,8 +33,10 @@ def units_section(layouts: Mapping[str, Layout], plans: Sequence[Picture], scene
     is_flat = terrain_of(scene) is None
     where = "the road is at height 0" if is_flat else "height is that above the ground below"
     note = (
-        f"East, north and height are metres in the junction's own coordinates; {where}. Yaw is "
-        "counted counter-clockwise from east; pitch is negative where the sensor looks down."
+        f"East, north and height are metres in the junction's own coordinates; {where}. The "
+        "bearing is that of a compass, clockwise from north; yaw is counted counter-clockwise from "
+        "east; pitch is negative where the sensor looks down. An assumed site is one that the map "
+        "does not have, or not there."
     )
     tables = [unit_table(name, layout, scene) for name, layout in layouts.items()]
     return Section("units", "The units", [*tables, note, Box("beside" if is_beside else "", plans)])
@@ -43,23 +47,27 @@ def unit_table(name: str, layout: Layout, scene: Scene) -> Table:
     labels = unit_labels(layout)
     rows = [
         [
-            labels[record["id"]],
-            record["id"],
-            record["site"] or NOTHING,
+            labels[record.id],
+            record.id,
+            f"{record.site} (assumed)" if record.assumed else record.site or NOTHING,
+            record.kind or NOTHING,
+            record.place or NOTHING,
             *(number(value) for value in above_ground(unit, scene).pose.position_m.tolist()),
-            number(record["yaw_deg"], 1),
-            number(record["pitch_deg"], 1),
+            number(compass_bearing_deg(record.yaw_deg), 1),
+            number(-record.pitch_deg, 1),
+            number(record.yaw_deg, 1),
+            number(record.pitch_deg, 1),
             compass_word(unit),
-            record.get("camera") or record["lidar"],
+            record.camera or record.lidar,
         ]
-        for unit, record in zip(layout.units, layout_records(layout), strict=True)
+        for unit, record in zip(layout.units, build_unit_records(layout, scene), strict=True)
     ]
     caption = f"Units of {name}"
     return Table(
         caption=caption,
         columns=_COLUMNS,
         rows=rows,
-        numeric=range(3, 8),
+        numeric=range(5, 12),
         summary=f"{caption}: all {len(rows)}" if len(rows) > _MAX_FLAT_ROWS else "",
     )
 

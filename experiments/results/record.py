@@ -6,7 +6,11 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 import msgspec
 import numpy as np
 from msgspec import UNSET, Meta, UnsetType
+from msgspec.structs import replace
 
+from geometry.notes import assumed_sites
+from geometry.scene import Scene
+from geometry.whereabouts import whereabouts
 from placement.layout import Certificate, Layout, layout_records
 
 
@@ -116,6 +120,25 @@ class UnitRecord(Record, frozen=True, kw_only=True):
         Annotated[float, says("Of this unit, in seconds; missing: that of the rule.", ge=0)]
         | UnsetType
     ) = UNSET
+    kind: Annotated[str, says("Of the site: lamp post, kerb and so on.")] | UnsetType = UNSET
+    place: (
+        Annotated[str, says("In words: corner, or arm and street; empty: unknown.")] | UnsetType
+    ) = UNSET
+    assumed: (
+        Annotated[str, says("What is assumed of the site; missing: the map has it where it is.")]
+        | UnsetType
+    ) = UNSET
+
+
+class NoteRecord(Record, frozen=True, kw_only=True):
+    """Something that the map leaves open, and what was assumed."""
+
+    kind: Annotated[str, says("What it is about: junction, sites, buildings and so on.")]
+    what: Annotated[str, says("What is assumed, or of which things.")]
+    why: Annotated[str, says("In words.")]
+    site_ids: Annotated[
+        tuple[str, ...], says("Sites that the map does not have, or not where they are.")
+    ] = ()
 
 
 class StageRecord(Record, frozen=True, kw_only=True):
@@ -136,9 +159,23 @@ class StageRecord(Record, frozen=True, kw_only=True):
     seconds: Annotated[float, says("Time spent, in seconds.", ge=0)]
 
 
-def build_unit_records(layout: Layout) -> tuple[UnitRecord, ...]:
-    """The units of a layout."""
-    return tuple(UnitRecord(**unit) for unit in layout_records(layout))
+def build_unit_records(layout: Layout, scene: Scene | None = None) -> tuple[UnitRecord, ...]:
+    """The units of a layout; with a scene also what people call where they are."""
+    records = tuple(UnitRecord(**unit) for unit in layout_records(layout))
+    if scene is None:
+        return records
+    kinds = {site.id: site.kind for site in scene.sites}
+    assumed = assumed_sites(scene.notes)
+    places = whereabouts(scene, [unit.pose.position_m[:2] for unit in layout.units])
+    return tuple(
+        replace(
+            record,
+            kind=kinds.get(record.site, UNSET),
+            place=place,
+            assumed=assumed.get(record.site, UNSET),
+        )
+        for record, place in zip(records, places, strict=True)
+    )
 
 
 def build_stage_records(certificate: Certificate) -> tuple[StageRecord, ...]:

@@ -11,6 +11,7 @@ from msgspec.structs import asdict as fields_of
 from msgspec.structs import replace
 
 from geometry.arrays import BoolArray
+from geometry.notes import assumptions
 from placement import optimiser
 from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.evaluation import (
@@ -49,6 +50,7 @@ from .explanations import (
 )
 from .fronts import FrontRecord, RefinementRecord
 from .record import (
+    NoteRecord,
     Record,
     RunId,
     Share,
@@ -121,6 +123,17 @@ class Result(Record, frozen=True, kw_only=True):
     cost_eur: Annotated[
         float, says("Price of the units by the catalogue, in EUR, without poles or mounting.", ge=0)
     ]
+    sites_eur: (
+        Annotated[
+            float,
+            says(
+                "Making their sites ready: their own prices, or those assumed by kind "
+                "(assumed_prices), in EUR; missing: unknown.",
+                ge=0,
+            ),
+        ]
+        | UnsetType
+    ) = UNSET
     budget: Annotated[
         Annotated[int, Meta(ge=0)] | None,
         says("Most units that were allowed; null: not limited, or nothing was optimised."),
@@ -176,6 +189,10 @@ class Result(Record, frozen=True, kw_only=True):
         ]
         | UnsetType
     ) = UNSET
+    assumptions: Annotated[
+        tuple[NoteRecord, ...],
+        says("What the map of the junction leaves open and was assumed, what matters most first."),
+    ] = ()
     evaluation: Annotated[EvaluationRecord, says("The layout by the evaluator.")]
     baseline: Annotated[EvaluationRecord | None, says("That layout by the evaluator; null: none.")]
     surrogate_disagreement: Annotated[
@@ -209,7 +226,8 @@ class Result(Record, frozen=True, kw_only=True):
         Annotated[
             tuple[str, ...],
             says(
-                "What is assumed of sites without a price, in sentences; only where money counts."
+                "What is assumed of sites without a price, in sentences: of those used, or of all "
+                "where money counts."
             ),
         ]
         | UnsetType
@@ -388,7 +406,8 @@ def build_layout_result(setting: Setting, evaluation: Evaluation) -> Result:
     return Result(
         schema="place-rsus/result/1",
         name=evaluation.layout.name,
-        layout=build_unit_records(evaluation.layout),
+        layout=build_unit_records(evaluation.layout, setting.scene),
+        assumptions=tuple(NoteRecord(**asdict(note)) for note in assumptions(setting.scene.notes)),
         cost_eur=price_eur(evaluation),
         budget=None,
         fusion="any",

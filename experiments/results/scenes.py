@@ -9,6 +9,7 @@ from geometry.maps.junctions import Surveyed
 from geometry.notes import Note
 from geometry.scene import Scene
 from geometry.scene_checks import Finding
+from geometry.whereabouts import street_names
 
 from .record import Record
 
@@ -105,7 +106,7 @@ def build_scene_result(scene: Scene) -> SceneResult:
         junctions=(
             JunctionRecord(
                 id=scene.name.rpartition("/")[2],
-                name=scene.name,
+                name=" / ".join(dict.fromkeys(street_names(scene).values())) or scene.name,
                 x_m=float(position[0]),
                 y_m=float(position[1]),
                 arms=len(arms),

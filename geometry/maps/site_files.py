@@ -2,8 +2,9 @@
 
 import csv
 import io
+import logging
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,8 @@ from ..errors import InputError, Unquoted
 from ..untrusted_files import read_text
 from .georeferences import WGS84, horizontal_crs, transform
 from .gis_files import read_features
+
+_log = logging.getLogger(__name__)
 
 SUFFIXES = (".csv", ".geojson", ".json")
 _MAX_SITES = 50_000
@@ -52,25 +55,28 @@ class SiteWish:
 
 
 # Field to the names it goes by, without units, in lower case with _ between words.
-_FIELDS = {
-    "id": ("id", "name", "site", "site_id", "pole_id"),
-    "x": ("x", "easting", "east"),
-    "y": ("y", "northing", "north"),
+PLACE_FIELDS = {
+    "x": ("x", "easting", "east", "ost", "rechtswert"),
+    "y": ("y", "northing", "north", "nord", "hochwert"),
     "z": ("z", "elevation", "altitude"),
-    "lat": ("lat", "latitude"),
-    "lon": ("lon", "lng", "long", "longitude"),
+    "lat": ("lat", "latitude", "breite", "breitengrad"),
+    "lon": ("lon", "lng", "long", "longitude", "länge", "laenge", "längengrad"),
+    "height": ("height", "höhe", "hoehe", "pole_height", "mast_height", "masthöhe"),
+}
+_FIELDS = PLACE_FIELDS | {
+    "id": ("id", "name", "site", "site_id", "pole_id", "nr", "nummer", "mast", "bezeichnung"),
     "min_height": ("min_height", "height_min", "min_mount_height"),
     "max_height": ("max_height", "height_max", "max_mount_height"),
-    "kind": ("kind", "type", "class"),
-    "cost": ("cost", "price", "costs"),
-    "power": ("power", "has_power", "electricity"),
-    "fibre": ("fibre", "fiber", "has_fibre", "has_fiber"),
+    "kind": ("kind", "type", "class", "art", "typ"),
+    "cost": ("cost", "price", "costs", "kosten", "preis"),
+    "power": ("power", "has_power", "electricity", "strom"),
+    "fibre": ("fibre", "fiber", "has_fibre", "has_fiber", "glasfaser"),
     "capacity": ("capacity", "max_units"),
-    "forbidden": ("forbidden", "is_forbidden", "blocked"),
+    "forbidden": ("forbidden", "is_forbidden", "blocked", "gesperrt"),
 }
-_FIELD_OF = {name: field for field, names in _FIELDS.items() for name in names}
 _UNITS = {"m", "eur", "units", "deg", "degrees", "metres", "meters", "euro", "euros"}
-_OTHER_UNITS = {"ft", "feet", "cm", "mm", "km", "usd", "gbp"}
+_UNITS |= {"grad", "meter"}
+_OTHER_UNITS = {"ft", "feet", "in", "inch", "inches", "cm", "mm", "km", "usd", "gbp"}
 _YES_NO = {"yes": True, "y": True, "true": True, "1": True, "ja": True}
 _YES_NO |= {"no": False, "n": False, "false": False, "0": False, "nein": False}
 
@@ -79,8 +85,10 @@ def read_sites(path: Path, *, crs: str) -> tuple[SiteWish, ...]:
     """Read a list of sites: CSV with a header (comma, semicolon or tab), or GeoJSON with points.
 
     Columns: id; x and y in `crs`, or lat and lon (in GeoJSON: the points); and as far as known z,
-    min_height_m, max_height_m, kind, cost_eur, power, fibre, capacity and forbidden (yes or no).
-    Case and units at the end of a column's name do not matter. `crs` is the projected coordinate
+    height of the pole, up to which sensors hang, min_height_m, max_height_m, kind, cost_eur, power,
+    fibre, capacity and forbidden (yes or no). Case does not matter, nor do units at the end of a
+    column's name, "height [m]". A comma may stand for the decimal point. Other columns are not
+    read; a warning names them. `crs` is the projected coordinate
     reference system of the scene; empty: it has none. Raises InputError if the file cannot be read,
     or a field is missing or not of its kind.
     """
@@ -104,16 +112,24 @@ def read_sites(path: Path, *, crs: str) -> tuple[SiteWish, ...]:
     return tuple(sites)
 
 
-def _fields(names: list[str], where: str) -> dict[str, str]:
-    """Field of every column that is known."""
+def known_columns(
+    names: Sequence[str], where: str, fields: Mapping[str, Sequence[str]] = _FIELDS
+) -> dict[str, str]:
+    """Field of every column that is known, by the column; `fields` are names by the field.
+
+    Raises InputError where two columns are the same field, or one has a unit that is not read.
+    """
     found: dict[str, str] = {}
+    field_of = {alias: field for field, aliases in fields.items() for alias in aliases}
     for name in names:
-        words = [word for word in re.split(r"[^a-z]+", name.strip().lower()[:60]) if word]
+        words = re.findall(r"[^\W\d_]+", name.strip().lower()[:60])
         while words and words[-1] in _UNITS and len(words) > 1:
             words.pop()
-        if len(words) > 1 and words[-1] in _OTHER_UNITS and "_".join(words[:-1]) in _FIELD_OF:
+            if words[-1] == "in" and len(words) > 1:  # "height in m"
+                words.pop()
+        if len(words) > 1 and words[-1] in _OTHER_UNITS and "_".join(words[:-1]) in field_of:
             raise InputError(f"{where}: column {name!r:.60}", words[-1], "metres and euros")
-        field = _FIELD_OF.get("_".join(words))
+        field = field_of.get("_".join(words))
         if field is None:
             continue
         if field in found.values():
@@ -153,8 +169,17 @@ def read_csv_rows(path: Path) -> Iterator[_Row]:
 def _csv_rows(path: Path) -> Iterator[_Row]:
     fields: dict[str, str] | None = None
     for here, cells in read_csv_rows(path):
-        fields = _fields(list(cells), str(path)) if fields is None else fields
+        if fields is None:
+            fields = known_columns(list(cells), str(path))
+            tell_unknown(cells, fields, path)
         yield here, {fields[name]: cell for name, cell in cells.items() if name in fields}
+
+
+def tell_unknown(names: Iterable[str], known: Mapping[str, str], path: Path) -> None:
+    """Log which columns of a file are not read, in one line."""
+    unknown = [name[:60] for name in dict.fromkeys(names) if name not in known]
+    if unknown:
+        _log.warning("%s: columns that are not known, and not read: %s", path, ", ".join(unknown))
 
 
 def read_place(values: Mapping[str, Any], where: str, crs: str) -> FloatArray:
@@ -162,8 +187,8 @@ def read_place(values: Mapping[str, Any], where: str, crs: str) -> FloatArray:
 
     Raises InputError if there is none, or it lies nowhere.
     """
-    fields = _fields(list(values), where)
-    return _position({fields[name]: values[name] for name in fields}, where, crs)
+    fields = known_columns(list(values), where)
+    return read_position({fields[name]: values[name] for name in fields}, where, crs)
 
 
 def _geojson_rows(path: Path, crs: str) -> Iterator[_Row]:
@@ -178,8 +203,10 @@ def _geojson_rows(path: Path, crs: str) -> Iterator[_Row]:
         raise InputError(f"{path}: crs", table.crs[:80], "a code that pyproj knows")
     if len(table.features) > _MAX_SITES:
         raise InputError(str(path), Unquoted(f"{len(table.features):,} features"), "fewer")
+    known: dict[str, str] = {}
     for feature in table.features:
-        fields = _fields(list(feature.values), feature.where)
+        fields = known_columns(list(feature.values), feature.where)
+        known |= fields
         values = {fields[name]: value for name, value in feature.values.items() if name in fields}
         if feature.geometry is not None and not feature.geometry.is_empty:
             if feature.geometry.geom_type != "Point":
@@ -194,6 +221,7 @@ def _geojson_rows(path: Path, crs: str) -> Iterator[_Row]:
             if feature.geometry.has_z:
                 values.setdefault("z", feature.geometry.z)
         yield feature.where, values
+    tell_unknown((name for feature in table.features for name in feature.values), known, path)
 
 
 def _projected(x: float, y: float, source: str, crs: str, where: str) -> dict[str, float]:
@@ -208,21 +236,23 @@ def _site(values: Mapping[str, Any], where: str, crs: str) -> SiteWish:
     site_id = str(values.get("id", "")).strip()
     if not site_id:
         raise InputError(f"{where}: id", Unquoted("nothing"), "a name")
-    low = _number(values, "min_height", where, least=0.0)
-    high = _number(values, "max_height", where, least=0.0)
+    low = read_number(values, "min_height", where, least=0.0)
+    high = read_number(values, "max_height", where, least=0.0)
+    if high is None:
+        high = read_number(values, "height", where, least=0.0)
     if low is not None and high is not None and low > high:
         raise InputError(f"{where}: max_height", high, f"at least min_height, {low}")
-    capacity = _number(values, "capacity", where, least=1.0)
+    capacity = read_number(values, "capacity", where, least=1.0)
     if capacity is not None and capacity != int(capacity):
         raise InputError(f"{where}: capacity", capacity, "a whole number, at least 1")
     return SiteWish(
         id=site_id[:120],
-        position_m=_position(values, where, crs),
+        position_m=read_position(values, where, crs),
         kind=" ".join(str(values.get("kind", "")).lower().replace("_", " ").split())[:60],
-        z_m=_number(values, "z", where),
+        z_m=read_number(values, "z", where),
         min_height_m=low,
         max_height_m=high,
-        cost_eur=_number(values, "cost", where, least=0.0),
+        cost_eur=read_number(values, "cost", where, least=0.0),
         capacity_units=None if capacity is None else int(capacity),
         has_power=_yes_no(values, "power", where),
         has_fibre=_yes_no(values, "fibre", where),
@@ -230,12 +260,15 @@ def _site(values: Mapping[str, Any], where: str, crs: str) -> SiteWish:
     )
 
 
-def _position(values: Mapping[str, Any], where: str, crs: str) -> FloatArray:
-    """Position in the scene's reference system, (2,). [m]."""
-    x, y = _number(values, "x", where), _number(values, "y", where)
+def read_position(values: Mapping[str, Any], where: str, crs: str) -> FloatArray:
+    """Position by x and y, or lat and lon, in a scene's reference system, (2,). [m].
+
+    Raises InputError if there is none, or it lies nowhere.
+    """
+    x, y = read_number(values, "x", where), read_number(values, "y", where)
     if x is not None and y is not None:
         return np.array([x, y])
-    lat, lon = _number(values, "lat", where), _number(values, "lon", where)
+    lat, lon = read_number(values, "lat", where), read_number(values, "lon", where)
     if lat is None or lon is None:
         missing = "lat and lon" if lat is lon is None else "lat" if lat is None else "lon"
         if (x is None) != (y is None):
@@ -279,16 +312,19 @@ def _is_here(position_m: FloatArray, crs: str, lonlat_deg: list[float]) -> bool:
     return west <= lonlat_deg[0] <= east and south <= lonlat_deg[1] <= north
 
 
-def _number(
+def read_number(
     values: Mapping[str, Any], field: str, where: str, *, least: float | None = None
 ) -> float | None:
-    """A finite number, or None where nothing is stated."""
+    """A finite number, or None where nothing is stated; a comma may be the decimal point."""
     value = values.get(field)
     if value is None or value == "":
         return None
     expected = "a finite number" + ("" if least is None else f", at least {least:g}")
     if isinstance(value, bool):
         raise InputError(f"{where}: {field}", value, expected)
+    if isinstance(value, str) and "," in value:
+        thousands = "." if value.rfind(",") > value.rfind(".") else ","
+        value = value.replace(thousands, "").replace(",", ".")
     try:
         number = float(value)
     except (TypeError, ValueError, OverflowError):

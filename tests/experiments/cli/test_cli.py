@@ -316,7 +316,7 @@ def test_placement_prints_one_object_and_writes_a_report(run, few_runs, whole_pl
     out = (whole_placement / "out").read_text()
     summary = json.loads(out, parse_constant=pytest.fail)
     assert set(summary) >= KEYS
-    assert [list(unit) for unit in summary["layout"]] == [list(UNIT)] * 2
+    assert [list(unit) for unit in summary["layout"]] == [[*UNIT, "kind", "place"]] * 2
     assert (summary["budget"], summary["fusion"]) == (2, "any")
     assert summary["runs"] == len(few_runs.runs)
     assert set(summary["evaluation"]) == {

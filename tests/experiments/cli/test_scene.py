@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 from opendrive_text import crossing, document
-from osm_text import OsmText
+from osm_text import LAT_DEG, LON_DEG, OsmText
 from osm_text import crossing as crossing_streets
 from PIL import Image
 
@@ -21,6 +21,7 @@ from experiments.figures.scene import plot_scene_plan, plot_scene_view
 from experiments.results.scenes import SceneResult
 from geometry.errors import InputError
 from geometry.junction import build_junction
+from geometry.notes import assumed_sites
 from geometry.scene_files import load_scene_folder
 from geometry.study_scene import load_study_scene
 from placement import planning
@@ -283,7 +284,7 @@ def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
 ):
     out = tmp_path / "scene"
     for keeps in ("right", "left"):
-        asked = ("scene", "import", str(city), "--traffic", keeps, "-o", str(out), "--quiet")
+        asked = ("scene", "import", str(city), "--driving-side", keeps, "-o", str(out), "--quiet")
         imported = command(*asked)
         assert imported.code == 0
         assert f"traffic keeps {keeps}" in " ".join(imported.out.split())
@@ -393,10 +394,16 @@ def test_a_junction_of_a_map_is_imported_once_and_told(command, tmp_path, monkey
     for _ in range(2):
         result = command("--scene", city, "--junction", "Street 2 / Street 0", "--budget", "2")
         assert result.code == 2
-        assert "Left out, or assumed:" in result.err
+        assert "Imported Street 0 / Street 1 / Street 2: 3 arms, 24 sites" in result.err
     assert len(list((tmp_path / "cache" / "scenes").iterdir())) == 1
     assert {one.scene for one in asked} == {str(next((tmp_path / "cache" / "scenes").iterdir()))}
     assert len(build_junction(load_scene_folder(Path(asked[0].scene))).arms) == 3
+    options = ["--sites", "kerb:30", "--driving-side", "left", "--at", f"{LON_DEG},{LAT_DEG}"]
+    assert command("--scene", city, *options, "--budget", "2", "--quiet").code == 2
+    other = load_scene_folder(Path(asked[-1].scene))
+    assert other.keeps_left
+    assert len(other.sites) < 24
+    assert set(assumed_sites(other.notes)) == {site.id for site in other.sites}
     for wrong in ([], ["--scene", str(tmp_path)], ["--scene", asked[0].scene]):
         result = command(*wrong, "--junction", "Street 0", "--budget", "2", "--quiet")
         assert result.code == 2

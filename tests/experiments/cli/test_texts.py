@@ -195,9 +195,15 @@ def test_road_users_that_announce_themselves_have_columns_where_there_are_any():
     )
 
 
-def test_the_sensors_cost_is_that_of_all_units():
-    text = evaluation_table(evaluation_summary(1, ["U1", "U2", "U3"]), None)
-    assert "  sensors: 12,000 EUR by the catalogue, without poles or mounting\n" in text
+def test_the_cost_is_that_of_all_units_and_of_their_sites_as_far_as_known():
+    summary = evaluation_summary(1, ["U1", "U2", "U3"])
+    text = evaluation_table(summary, None)
+    assert "  sensors 12,000 EUR by the catalogue, without poles or mounting\n" in text
+    summary["sites_eur"] = 7120.0
+    for prices, by in (((), "by their own prices"), (("told",), "by prices assumed for their")):
+        told = " ".join(evaluation_table(summary | {"assumed_prices": prices}, None).split())
+        assert "cost: 19,120 EUR: sensors 12,000 EUR by the catalogue, 1 site 7,120 EUR" in told
+        assert by in told
 
 
 @pytest.mark.parametrize("n_cases", [1, 13, 25])
@@ -240,10 +246,10 @@ def test_columns_are_narrower_where_that_saves_a_block(n_units, n_blocks):
     assert text.count("all runs") == n_blocks
 
 
-def test_ids_are_cut_in_no_table_up_to_22_letters():
-    ids = ["corner-ne/5m/-135/-45", "corner-ne/5m/-135/-30"]
+def test_ids_are_cut_in_no_table():
+    ids = ["corner-ne/5m/-135/-45/own-camera-of-a-long-name", "corner-ne/5m/-135/-30"]
     lines = evaluation_table(evaluation_summary(3, ids), None).splitlines()
-    assert [line.split()[0] for line in lines[2:4]] == ids
+    assert [line.split()[0] for line in lines if line.startswith("  corner")] == ids
     assert all(len(line) <= 80 for line in lines)
 
 

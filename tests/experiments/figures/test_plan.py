@@ -9,6 +9,7 @@ from matplotlib.path import Path
 from experiments.figures.axes import to_png
 from experiments.figures.plan import ground_footprint, plot_plan
 from geometry.catalogue import load_cameras
+from geometry.notes import Note
 from geometry.poses import Pose
 from geometry.sensors import project_points
 from geometry.study_scene import load_study_scene
@@ -121,3 +122,35 @@ def test_the_tip_of_a_camera_points_where_it_looks(setting):
         tip = lines[f"unit:{unit.id}"].get_marker().vertices[0]
         yaw_deg = np.degrees(np.arctan2(tip[1], tip[0]))
         np.testing.assert_allclose(yaw_deg, unit.pose.yaw_deg)
+
+
+def test_two_units_on_a_pole_are_two_arrows_from_it(setting):
+    first = load_carlancap_layout().units[0]
+    units = [
+        dataclasses.replace(first, id=f"U{i}", pose=dataclasses.replace(first.pose, yaw_deg=yaw))
+        for i, yaw in enumerate((0.0, 5.0, 180.0))
+    ]
+    axes = plot_plan(setting, Layout(name="mine", units=tuple(units)))
+    lines = {line.get_gid(): line for line in axes.get_lines()}
+    ends = []  # of the darts, east of the pole in points
+    for i in range(3):
+        dart = lines[f"unit:U{i}"]
+        outline = dart.get_marker().vertices
+        ends.append(0.5 * dart.get_markersize() * outline[:, 0] / np.abs(outline).max())
+    assert ends[0].min() >= 0.0  # east of the pole, the last one west of it
+    assert ends[2].max() <= 1e-9
+    assert ends[1].max() > 1.5 * ends[0].max()  # before the first one, which looks there, too
+    assert {"U0, U1", "U2"} <= {text.get_text() for text in axes.texts}
+
+
+def test_assumed_sites_and_arms_are_named(setting):
+    unit = load_carlancap_layout().units[0]
+    note = Note(what="a mast", why="none in the map", kind="sites", site_ids=(unit.site_id,))
+    scene = dataclasses.replace(setting.scene, notes=(note,))
+    layout = Layout(name="mine", units=(dataclasses.replace(unit, id="U1"),))
+    axes = plot_plan(dataclasses.replace(setting, scene=scene), layout)
+    texts = {text.get_text() for text in axes.texts}
+    assert {"U1 (assumed)", "north arm", "west arm"} <= texts
+    assert "assumed site: not in the map there" in {
+        text.get_text() for text in axes.get_legend().get_texts()
+    }

@@ -83,7 +83,7 @@ def test_the_words_say_that_it_scans_all_round():
     camera = _unit(next(iter(load_cameras().values())), yaw_deg=90.0)
     assert [compass_word(camera), looking_words(camera)] == ["north", "looking to the north"]
     layout = Layout(name="two", units=(_unit(), replace(camera, id="U2")))
-    assert [row[8] for row in unit_table("two", layout, load_study_scene()).rows] == [
+    assert [row[12] for row in unit_table("two", layout, load_study_scene()).rows] == [
         "all round",
         "north",
     ]

@@ -14,10 +14,12 @@ from experiments.report.bill_of_materials import (
     build_bill,
 )
 from geometry.lidar import load_lidars
+from geometry.notes import Note
 from geometry.poses import Pose
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
 from placement.layout import Layout
+from placement.prices import load_prices
 
 
 @pytest.fixture(scope="module")
@@ -56,6 +58,8 @@ def build(camera, scene):
 
 def test_sensors_are_counted_by_model_and_sites_are_paid_once(build, scene):
     layout = build((0, "camera"), (0, "lidar"), (1, "camera"))
+    kind = scene.sites[1].kind
+    assumed_eur = load_prices().cost_eur(scene.sites[1])
     bill = build_bill(layout, scene)
     camera, lidar = bill.sensors
     assert (camera.kind, camera.count, camera.price_eur, camera.sum_eur) == (
@@ -64,25 +68,26 @@ def test_sensors_are_counted_by_model_and_sites_are_paid_once(build, scene):
     assert (lidar.kind, lidar.count, lidar.sum_eur) == ("LiDAR", 1, 4000.0)
     assert [(site.name, site.n_units, site.sum_eur) for site in bill.sites] == [
         (scene.sites[0].id, 2, 800.0),
-        (scene.sites[1].id, 1, None),
+        (scene.sites[1].id, 1, assumed_eur),
     ]
-    assert bill_sentences(bill) == [
-        "At least 7,800 EUR: the sum of what is known. The price of 1 mounting place is unknown "
-        "and comes on top."
-    ]
+    assert [site.price_source for site in bill.sites] == ["told", "assumption"]
+    assert bill.sites_eur == 800.0 + assumed_eur
+    assert bill_sentences(bill) == [f"All lines together: {7800 + assumed_eur:,.0f} EUR."]
+    assert bill.assumed[0].startswith(f"No price is told for 1 site of the kind {kind}:")
     sensors, sites = bill_tables(bill)
     assert sensors.rows[-1] == ["all", "", "3", "", "7,000"]
-    assert sites.rows[-1] == ["all", "", "3", "≥ 800"]
+    assert sites.rows[-1] == ["all", "", "3", f"{800 + assumed_eur:,.0f}", ""]
     assert {len(row) for row in sensors.rows} == {len(sensors.columns)}
     assert {len(row) for row in sites.rows} == {len(sites.columns)}
 
 
 def test_what_is_unknown_is_never_zero(build, scene):
-    bill = build_bill(build((1, "own"), (None, "own")), scene)
+    bill = build_bill(build((None, "own")), scene)
     assert bill_sentences(bill) == ["No price is known."]
+    assert bill.sites_eur is None
     sensors, sites = bill_tables(bill)
     assert sensors.rows[0][3:] == ["unknown"] * 2
-    assert [row[3] for row in sites.rows] == ["unknown"] * 3
+    assert [row[3] for row in sites.rows] == ["unknown"] * 2
     rows = list(csv.DictReader(io.StringIO(bill_of_materials_csv(bill))))
     assert all(row["price_eur"] == row["sum_eur"] == "" for row in rows)
 
@@ -124,3 +129,12 @@ def test_the_part_renders_escaped_and_says_what_is_not_in_it(build, scene):
     assert "<b>" not in page
     assert "=own&lt;b&gt;" in page
     assert page.count("<li>") == len(NOT_IN_IT)
+
+
+def test_assumed_sites_are_marked_in_table_and_file(build, scene):
+    note = Note(what="2 masts", why="none in the map", kind="sites", site_ids=(scene.sites[1].id,))
+    bill = build_bill(build((0, "camera"), (1, "camera")), replace(scene, notes=(note,)))
+    assert [item.assumed for item in bill.sites] == ["", "none in the map"]
+    assert bill_tables(bill)[1].rows[1][0] == f"{scene.sites[1].id} (assumed)"
+    rows = list(csv.DictReader(io.StringIO(bill_of_materials_csv(bill))))
+    assert [row["assumed"] for row in rows if row["part"] == "site"] == ["", "none in the map"]

@@ -20,6 +20,7 @@ from experiments.results.evaluations import build_difference_records
 from experiments.results.result import build_comparison_result
 from experiments.results.sampled_worlds import build_sampled_record
 from geometry.poses import Pose
+from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
 from placement.detectors import load_detector
 from placement.evaluation import Evaluation, Verdict
@@ -34,6 +35,7 @@ def differences(evaluations):
 
 def compare(axis, rule, first, *others):
     setting = SimpleNamespace(
+        scene=load_study_scene(),
         axis=axis,
         refusals=(),
         rule=rule,

@@ -15,6 +15,7 @@ from experiments.jobs import placement
 from experiments.results.reading import load_result
 from experiments.results.record import build_unit_records
 from geometry.errors import InputError
+from geometry.study_scene import load_study_scene
 from placement.layout import RESULT_SCHEMA
 from placement.study_layout import load_carlancap_layout
 
@@ -40,7 +41,7 @@ def folder(folder_of_one, small_study, without_figures, run, tmp_path, monkeypat
 def test_a_result_is_read_back(folder):
     result = load_result(str(folder))
     assert result.folder == folder
-    assert build_unit_records(result.layout) == result.summary.layout
+    assert build_unit_records(result.layout, load_study_scene()) == result.summary.layout
     text = (folder / "summary.json").read_text(encoding="utf-8")
     assert to_json_text(result.summary) == text
     together = result.runs.query("layout == @result.layout.name and party == 'rsu_all'")

@@ -14,6 +14,7 @@ from experiments.results.result import (
     disagreeing_runs,
 )
 from geometry.poses import Pose
+from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
 from placement.detection_table import DetectionTable
 from placement.detectors import load_detector
@@ -76,6 +77,7 @@ def evaluation_of(axis, camera):
 
 def setting_of(axis, *refusals):
     return SimpleNamespace(
+        scene=load_study_scene(),
         axis=axis,
         runs=[
             SimpleNamespace(

@@ -149,3 +149,23 @@ def test_damaged_files_are_read_or_refused(tmp_path, data, name):
     wounded = data.draw(damaged(path.read_bytes()))
     sites = read_or_refuse(path, wounded, lambda file: read_sites(file, crs=UTM))
     assert sites is None or len({site.id for site in sites}) == len(sites) > 0
+
+
+def test_lists_as_people_have_them(tmp_path, caplog):
+    text = (
+        "Name;Breite [°];Länge (deg);Höhe (m);Kosten in EUR;Art;Eigentümer\n"
+        f"Mast 1;{LAT:.9f};{LON:.9f};7,5;1.250,50;Mast;Stadt\n"
+    )
+    path = write(tmp_path, text.replace(f"{LON:.9f}", f"{LON:.9f}".replace(".", ",")))
+    (site,) = read_sites(path, crs=UTM)
+    assert site.position_m == pytest.approx(AT_M, abs=0.01)
+    assert (site.max_height_m, site.cost_eur, site.kind) == (7.5, 1250.5, "mast")
+    assert caplog.messages == [f"{path}: columns that are not known, and not read: Eigentümer"]
+
+
+@pytest.mark.parametrize(
+    ("text", "number"), [("7,5", 7.5), ("1.234,5", 1234.5), ("1,234.5", 1234.5), ("-2,25", -2.25)]
+)
+def test_a_comma_may_be_the_decimal_point(tmp_path, text, number):
+    (site,) = read_sites(write(tmp_path, f"id;x;y\na;{text};0\n"), crs="")
+    assert site.position_m[0] == number

@@ -1,0 +1,241 @@
+"""Labels that do not lie on one another: each is put on a free side of its point."""
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import shapely
+from matplotlib.axes import Axes
+from matplotlib.patheffects import withStroke
+
+from geometry.arrays import FloatArray
+from geometry.errors import InputError
+from geometry.junction import build_junction
+from geometry.notes import assumed_sites
+from geometry.scene import Scene
+from geometry.whereabouts import arm_mouth, street_names
+from placement.candidates import CandidatePose
+from placement.layout import Layout
+from scenarios.positions import AT_ZERO
+from scenarios.runs import Run
+
+from .axes import Style, literal, root_figure, unit_labels
+
+HALO = withStroke(linewidth=3.0, foreground="white")
+_POINTS_PER_INCH = 72.0
+_LETTER, _LINE = 0.64, 1.3  # width and height of a letter, in font sizes
+_APART = 1.5  # points around a label
+_TURNS_DEG = (0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0)
+_MORE_POINTS = (0.0, 7.0, 15.0, 26.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Label:
+    """A text next to a point.
+
+    Attributes
+    ----------
+    text : str
+        One line.
+    point_m : (float, float)
+        In the axes' data. [m]
+    toward_deg : float
+        Side on which it is put if that is free, counter-clockwise from east.
+    gap : float
+        From the point to the text. [points]
+    size : float
+        Of the letters. [points]
+    is_kept : bool
+        Whether it is drawn where no side is free, too.
+    style : dict
+        Further properties of the text.
+    """
+
+    text: str
+    point_m: tuple[float, float]
+    toward_deg: float = 45.0
+    gap: float = 4.0
+    size: float = 8.0
+    is_kept: bool = True
+    style: Style | None = None
+
+
+def draw_labels(
+    axes: Axes, labels: Sequence[Label], *, marks_m: FloatArray | None = None, mark: float = 6.0
+) -> None:
+    """Write labels, the first ones first, each where it hides no other and no mark.
+
+    Parameters
+    ----------
+    axes : Axes
+        With its final limits; as long in east as in north.
+    labels : sequence of Label
+        Those beyond the limits are left out.
+    marks_m : (n, 2) float, optional
+        Middles of marks. [m]
+    mark : float
+        Half the size of a mark. [points]
+    """
+    (west, east), (south, north) = axes.get_xlim(), axes.get_ylim()
+    box = axes.get_position()
+    width_in, height_in = root_figure(axes).get_size_inches()
+    # Before the figure is laid out axes are a little smaller: what is apart then stays apart.
+    scale = _POINTS_PER_INCH * min(
+        box.width * width_in / (east - west), box.height * height_in / (north - south)
+    )
+    corner = np.array([west, south])
+    frame = np.array([east - west, north - south]) * scale
+    marks = np.empty((0, 2)) if marks_m is None else (marks_m - corner) * scale
+    taken = [np.concatenate([place - mark, place + mark]) for place in marks]
+    for label in labels:
+        point = (np.array(label.point_m) - corner) * scale
+        if not ((point >= 0.0) & (point <= frame)).all():
+            continue
+        half = 0.5 * label.size * np.array([_LETTER * len(label.text), _LINE]) + _APART
+        most = np.maximum(frame - half, half)
+        middles = [  # moved into the frame
+            np.clip(point + _shift(label, half, more, turn_deg), half, most)
+            for more in _MORE_POINTS
+            for turn_deg in _TURNS_DEG
+        ]
+        boxes = [np.concatenate([middle - half, middle + half]) for middle in middles]
+        hidden = [sum(_overlap(one, other) for other in taken) for one in boxes]
+        best = int(np.argmin(hidden))
+        if hidden[best] > 0.0 and not label.is_kept:
+            continue
+        taken.append(boxes[best])
+        away = middles[best] - point
+        style: dict[str, Any] = {"path_effects": [HALO], "zorder": 9} | (label.style or {})
+        axes.annotate(
+            literal(label.text),
+            xy=label.point_m,
+            xytext=(float(away[0]), float(away[1])),
+            textcoords="offset points",
+            ha="center",
+            va="center",
+            fontsize=label.size,
+            annotation_clip=True,
+            **style,
+        )
+
+
+def _shift(label: Label, half: FloatArray, more: float, turn_deg: float) -> FloatArray:
+    """From the point to the middle of the text, in points."""
+    angle = math.radians(label.toward_deg + turn_deg)
+    way = np.array([math.cos(angle), math.sin(angle)])
+    shift: FloatArray = way * (label.gap + more) + np.sign(np.round(way, 6)) * half * np.abs(way)
+    return shift
+
+
+def _overlap(one: FloatArray, other: FloatArray) -> float:
+    sides = np.minimum(one[2:], other[2:]) - np.maximum(one[:2], other[:2])
+    return float(np.prod(np.clip(sides, 0.0, None)))
+
+
+# ---------- names on a plan
+
+
+MAX_LABELLED_UNITS = 40
+"""Of more units, the plan tells how many there are at each place."""
+
+_SAME_PLACE_M, _SAME_WAY_DEG = 1.0, 30.0
+
+
+def unit_names(layout: Layout, scene: Scene) -> list[Label]:
+    """Short names of units, beyond the tips of their arrows; of many, how many are at a place.
+
+    Those that look the same way from one pole share a label.
+    """
+    if len(layout.units) > MAX_LABELLED_UNITS:
+        places = Counter(tuple(np.round(unit.pose.position_m[:2], 1)) for unit in layout.units)
+        return [
+            Label(
+                text=f"{n_units}\N{MULTIPLICATION SIGN}",
+                point_m=(east_m, north_m),
+                toward_deg=90.0,
+                style={"fontweight": "bold"},
+            )
+            for (east_m, north_m), n_units in places.items()
+        ]
+    labels = unit_labels(layout)
+    doubts = assumed_sites(scene.notes)
+    groups: list[list[CandidatePose]] = []
+    for unit in layout.units:
+        found = next((group for group in groups if looks_alike(unit, group[0])), None)
+        if found is None:
+            groups.append([unit])
+        else:
+            found.append(unit)
+    return [
+        Label(
+            text=", ".join(labels[unit.id] for unit in group)
+            + " (assumed)" * (group[0].site_id in doubts),
+            point_m=(float(group[0].pose.position_m[0]), float(group[0].pose.position_m[1])),
+            toward_deg=group[0].pose.yaw_deg,
+            gap=ARROW_POINTS * len(group),
+            size=9.0,
+            style={"fontweight": "bold"},
+        )
+        for group in groups
+    ]
+
+
+def looks_alike(unit: CandidatePose, other: CandidatePose) -> bool:
+    """Whether two units look the same way from one pole, but for 30 degrees."""
+    turn_deg = (unit.pose.yaw_deg - other.pose.yaw_deg + 180.0) % 360.0 - 180.0
+    apart_m = np.linalg.norm(unit.pose.position_m[:2] - other.pose.position_m[:2])
+    return bool(apart_m < _SAME_PLACE_M and abs(turn_deg) < _SAME_WAY_DEG)
+
+
+def arm_names(scene: Scene, middle_m: FloatArray, half_size_m: float) -> list[Label]:
+    """Names of the junction's arms and their streets, next to their lanes towards the frame."""
+    try:
+        streets, arms = street_names(scene), build_junction(scene).arms
+    except InputError:  # no lane ends at the junction
+        return []
+    labels = []
+    for name, arm in arms.items():
+        lanes = [lane.centreline_m for lane in (*arm.lanes_in, *arm.lanes_out)]
+        points = shapely.get_coordinates(shapely.MultiLineString(lanes).segmentize(2.0))
+        ways, ahead = points - middle_m, arm_mouth(arm) - middle_m
+        along = ways @ ahead / np.maximum(np.hypot(*ways.T) * np.hypot(*ahead), 1e-9)
+        ways = ways[along >= min(_NEAR_ITS_MOUTH, along.max())]  # of an arm that bends
+        away_m = np.abs(ways).max(axis=1)
+        way = ways[np.argmin(np.abs(away_m - _NAMES_AT * half_size_m))]
+        at = middle_m + way
+        labels.append(
+            Label(
+                text=f"{streets[name]} ({name})" if name in streets else f"{name} arm",
+                point_m=(float(at[0]), float(at[1])),
+                toward_deg=0.0 if abs(way[1]) > abs(way[0]) else 90.0,
+                gap=14.0,
+                style={"color": "#333333", "style": "italic"},
+            )
+        )
+    return labels
+
+
+_NAMES_AT = 0.8  # of the way to the frame
+_NEAR_ITS_MOUTH = 0.77  # cosine of the angle to the mouth, seen from the middle
+ARROW_POINTS = 13.0
+"""From a pole to the tip of its unit's arrow."""
+
+
+def position_names(runs: Sequence[Run]) -> list[Label]:
+    """Which the places along the arms are, each once."""
+    firsts = {(run.approach, run.position): run for run in reversed(runs)}
+    return [
+        Label(
+            text=position.replace("-", "\N{MINUS SIGN}"),
+            point_m=(float(run.vru_position_m[-1][0]), float(run.vru_position_m[-1][1])),
+            toward_deg=float(run.vut_yaw_deg[-1]) + 90.0,
+            size=6.5,
+            is_kept=False,
+            style={"zorder": 7},
+        )
+        for (_, position), run in firsts.items()
+        if position != AT_ZERO.name
+    ]

@@ -1,0 +1,38 @@
+"""Places in words."""
+
+import numpy as np
+import pytest
+from osm_text import OsmText
+
+from geometry.maps.importing import ImportOptions, import_scene
+from geometry.study_scene import load_study_scene
+from geometry.whereabouts import street_names, whereabouts
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    osm = OsmText()
+    middle = osm.node(0.0, 0.0)
+    for east, north, name in ((1, 0, "Mill Lane"), (-1, 0, "Mill Lane"), (0, 1, "High Street")):
+        osm.road([(90.0 * east, 90.0 * north), middle], name=name)
+    osm.road([(0.0, -90.0), middle])
+    return import_scene([osm.write(tmp_path_factory.mktemp("map"))], ImportOptions()).scene
+
+
+def test_streets_of_arms_without_a_name_are_left_out(scene):
+    assert street_names(scene) == {
+        "east": "Mill Lane",
+        "north": "High Street",
+        "west": "Mill Lane",
+    }
+    assert street_names(load_study_scene()) == {}
+
+
+def test_corners_and_arms_are_told_with_their_streets(scene):
+    places = np.array([[-6.0, 6.0], [6.0, -6.0], [50.0, 4.0], [4.0, -50.0]])
+    corner, other, along, unnamed = whereabouts(scene, places)
+    assert corner == "north-west corner, High Street and Mill Lane"
+    assert other == "south-east corner, Mill Lane"
+    assert along.startswith("east arm, Mill Lane, ")
+    assert unnamed.startswith("south arm, ")
+    assert unnamed.endswith(" m out")
