@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta
@@ -206,12 +206,16 @@ class Lane:
         Full width. [m]
     centreline_m : (n, 2) float
         In driving direction. World frame. [m]
+    turns : tuple of str
+        Where cars may drive from its end, by its markings: "left", "through", "right", "reverse";
+        empty: it bears none.
     """
 
     id: str
     kind: Annotated[str, Meta(min_length=1)]
     width_m: Annotated[float, Meta(gt=0.0)]
     centreline_m: Points2
+    turns: tuple[Literal["left", "through", "right", "reverse"], ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(
