@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from .arrays import FloatArray, Point2, float_array, freeze
 from .errors import InputError
-from .scene import Lane, Scene
+from .scene import Lane, Scene, Turn
 
 ARM_NAMES = (
     *("east", "east-north-east", "north-east", "north-north-east"),
@@ -33,6 +33,7 @@ _SAME_ARM_AHEAD_M = 15.0  # between their mouths, along the arm
 _MEDIAN_M = 25.0  # between two carriageways of one arm, from lane to lane: tracks, a row of trees
 _STUB_M = 2.0  # a lane that is shorter, with all that leads to it, is no road
 _CROSSWALK_INSIDE_MOUTH_M = 2.0
+_MIRRORED: dict[Turn, Turn] = {"left": "right", "right": "left"}
 # Euro NCAP's junction: arms begin 11.5 m from the centre, pedestrians cross 9.5 m from it.
 
 
@@ -261,7 +262,8 @@ def mirrored(junction: Junction) -> Junction:
     """
 
     def turn_over(lane: Lane) -> Lane:
-        return replace(lane, centreline_m=lane.centreline_m * [1.0, -1.0])
+        turns = tuple(_MIRRORED.get(turn, turn) for turn in lane.turns)
+        return replace(lane, centreline_m=lane.centreline_m * [1.0, -1.0], turns=turns)
 
     arms = {}
     for name, arm in junction.arms.items():

@@ -191,6 +191,9 @@ class Scene:
         )
 
 
+Turn = Literal["left", "through", "right", "reverse"]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Lane:
     """One lane of an arm.
@@ -215,7 +218,7 @@ class Lane:
     kind: Annotated[str, Meta(min_length=1)]
     width_m: Annotated[float, Meta(gt=0.0)]
     centreline_m: Points2
-    turns: tuple[Literal["left", "through", "right", "reverse"], ...] = ()
+    turns: tuple[Turn, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(

@@ -167,7 +167,11 @@ def save_scene(
         "road_network": scene.road_network,
         "sources": list(sources),
         "outline_m": _rounded(scene.outline_m),
-        "lanes": [_entry(lane, "id", "kind", "width_m", "centreline_m") for lane in scene.lanes],
+        "lanes": [
+            _entry(lane, "id", "kind", "width_m", "centreline_m")
+            | ({"turns": list(lane.turns)} if lane.turns else {})
+            for lane in scene.lanes
+        ],
         "crosswalks": [{"ends_m": _rounded(line)} for line in scene.crosswalks_m],
         "sites": [_entry(site, *_SITE_FIELDS) for site in scene.sites],
         "things": [

@@ -1,21 +1,20 @@
 """Which arm of a junction lies where for a VUT, and by which lanes it may drive there."""
 
 from collections.abc import Iterator, Sequence
-from typing import Literal
 
 import numpy as np
 
 from geometry.arrays import FloatArray
 from geometry.junction import Arm, Junction, Line, lane_line
-from geometry.scene import Lane
+from geometry.scene import Lane, Turn
 
 from .laying import load_way_rules
 from .staging import NoRoadError
 from .ways import straight_line
 
+_LEADS = {"left": "to the left", "right": "to the right", "through": "straight on"}
 _SAME_POINT_M = 0.5  # as geometry.junction joins lanes
 
-Movement = Literal["left", "through", "right"]
 Joint = tuple[Lane, Lane | None, Lane]  # into the junction, through it, out of it
 
 
@@ -73,7 +72,7 @@ def straight_lane(junction: Junction, arm: Arm) -> Lane:
         return arm.entry_lanes[0]
 
 
-def joints(junction: Junction, arm: Arm, target: Arm, movement: Movement) -> list[Joint]:
+def joints(junction: Junction, arm: Arm, target: Arm, movement: Turn) -> list[Joint]:
     """Lanes by which cars may drive from one arm into another, the usual ones first.
 
     From the kerb, to the left from the axis. Where the map has lanes through the junction, those
@@ -88,7 +87,7 @@ def joints(junction: Junction, arm: Arm, target: Arm, movement: Movement) -> lis
     step = -1 if movement == "left" else 1
     before, after = arm.entry_lanes[::step], target.exit_lanes[::step]
     if _has_connections(junction):
-        joined = [
+        joined: list[Joint] = [
             (lane, connection, other)
             for lane in before
             for other in after
@@ -100,12 +99,11 @@ def joints(junction: Junction, arm: Arm, target: Arm, movement: Movement) -> lis
     marked = [lane for lane in before if movement in lane.turns]
     free = marked or [lane for lane in before if not lane.turns]
     if not free:
-        word = {"left": "turn left", "right": "turn right", "through": "drive straight on"}
-        raise NoRoadError(f"no lane from the {arm.name} is marked to {word[movement]}")
+        raise NoRoadError(f"by their markings no lane from the {arm.name} leads {_LEADS[movement]}")
     return [(lane, None, other) for lane in free for other in _in_order(lane, after, movement)]
 
 
-def _in_order(lane: Lane, after: Sequence[Lane], movement: Movement) -> list[Lane]:
+def _in_order(lane: Lane, after: Sequence[Lane], movement: Turn) -> list[Lane]:
     if movement != "through":
         return list(after)
     line = straight_line(lane, is_in=True)

@@ -368,7 +368,9 @@ def follow_connection(
     return _follow(points, points[close[is_origin_behind]], close)
 
 
-def follow_gently(chains_m: Sequence[FloatArray], free_m: Sequence[float], *, origin: int) -> Course:
+def follow_gently(
+    chains_m: Sequence[FloatArray], free_m: Sequence[float], *, origin: int
+) -> Course:
     """The gentlest course along lanes one after the other that leaves their middles a little.
 
     Parameters

@@ -14,6 +14,7 @@ class WayRules:
     start_before_curve_s: float
     max_lane_bend_m: float
     max_lateral_mps2: float
+    town_kmh: float
     max_ease_aside_m: float
     max_kerb_step_m: float
     max_skew_deg: float

@@ -36,6 +36,7 @@ from .ways import (
     StraightWay,
     Way,
     check_straight,
+    free_aside_m,
     is_bent,
     lane_way,
     meeting_m,
@@ -159,7 +160,7 @@ def _places_before(
 
     ways: list[Callable[[], Way]] = [lambda: StraightWay(line=straight_line(lane, is_in=True))]
     if is_bent(followed, is_in=True):
-        free_m = _free_m(vut, followed)
+        free_m = free_aside_m(vut, followed)
         ways.append(lambda: CurvedWay(course=follow_lane(followed.centreline_m, is_in=True)))
         ways.append(
             lambda: CurvedWay(course=follow_gently([followed.centreline_m], [free_m], origin=1))
@@ -188,7 +189,7 @@ def _places_behind(
                 leaving,
                 connection,
                 max_bend_m=load_way_rules().max_lane_bend_m,
-                free_m=_free_m(vut, entry, leaving) if is_gentle else None,
+                free_m=free_aside_m(vut, entry, leaving) if is_gentle else None,
             )
             return _Place(
                 way=across.way,
@@ -206,15 +207,6 @@ def _places_behind(
     found = joints(junction, arm, ahead, "through")
     for is_gentle in (False, True):
         yield from (at(joint, is_gentle=is_gentle) for joint in found)
-
-
-def _free_m(vut: Actor, *lanes: Lane) -> float:
-    """How far the VUT's middle may leave that of its lanes, in metres."""
-    room_m = 0.5 * (min(lane.width_m for lane in lanes) - vut.width_m)
-    return float(np.clip(room_m, _LEAST_FREE_M, load_way_rules().max_ease_aside_m))
-
-
-_LEAST_FREE_M = 0.1  # lanes that are narrower than the VUT, by the map
 
 
 # ---------- crossing and longitudinal cases

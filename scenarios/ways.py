@@ -20,6 +20,7 @@ STRAIGHT_M = 50.0  # of a lane next to the junction, which gives its direction
 DO_NOT_MEET = "the VUT's way and the VRU's do not meet"
 _MAX_STEPS = 60
 _MEETS_M = 1.0e-3
+_LEAST_FREE_M = 0.1  # in lanes that are narrower than the VUT, by the map
 _CUT_OFF_M = 1.0  # between the lanes, of the curve that has their directions
 
 
@@ -192,6 +193,12 @@ def check_straight(way: Way, lane: Lane, driven_m: float, *, is_in: bool = True)
     bend_m = off_line_m(lane, is_in=is_in, length_m=driven_m)
     if isinstance(way, StraightWay) and bend_m > load_way_rules().max_lane_bend_m:
         raise CannotCarryError(f"lane {lane.id} is not straight: {bend_m:.1f} m off its line")
+
+
+def free_aside_m(vut: Actor, *lanes: Lane) -> float:
+    """How far the VUT's middle may leave that of its lanes to take a bend, in metres."""
+    room_m = 0.5 * (min(lane.width_m for lane in lanes) - vut.width_m)
+    return float(np.clip(room_m, _LEAST_FREE_M, load_way_rules().max_ease_aside_m))
 
 
 def lane_way(lane: Lane, *, is_in: bool, length_m: float, max_bend_m: float) -> Way:

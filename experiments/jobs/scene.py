@@ -29,6 +29,7 @@ from geometry.scene_files import (
     save_scene,
 )
 from geometry.study_scene import load_study_scene
+from scenarios.bends import find_sharp_bends
 
 from ..figures.axes import to_png
 from ..figures.scene import plot_scene_plan, plot_scene_view
@@ -243,6 +244,7 @@ def run_check(path: str, *, progress: StageProgress) -> SceneCheckResult:
     progress("check", 0, 0)
     scene, notes = load_any_scene(path)
     findings = check_scene(scene, assumed_heights=notes.assumed_heights, roads=notes.roads)
+    findings += find_sharp_bends(scene)
     return SceneCheckResult(
         name=scene.name,
         is_sound=all(finding.level != "error" for finding in findings),

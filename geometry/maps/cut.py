@@ -300,7 +300,15 @@ def _lanes(
         points = _apart(points)
         if len(points) < 2:
             continue
-        found.append(Lane(id=lane.id, kind=lane.kind, width_m=lane.width_m, centreline_m=points))
+        found.append(
+            Lane(
+                id=lane.id,
+                kind=lane.kind,
+                width_m=lane.width_m,
+                centreline_m=points,
+                turns=lane.turns,
+            )
+        )
         if lane.kind == "driving":
             for others, at, name in ((ends, -1, lane.to_junction), (begins, 0, lane.from_junction)):
                 if name not in ("", junction.id) and (points[at] == whole[at]).all():

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..arrays import FloatArray, float_array, freeze
 from ..errors import InputError
 from ..junction import LeadingRoad
+from ..scene import Turn
 
 LANE_KINDS = ("driving", "parking", "cycling", "walking")
 POLE_KINDS = ("lamp post", "traffic light", "sign", "pole")
@@ -38,6 +39,8 @@ class MapLane:
         the driving lane beside them. [m]
     from_junction, to_junction : str
         Ids of the junctions at its ends, where it stops at the outline; empty: none.
+    turns : tuple of str
+        Where cars may drive from its end by its markings, see :class:`geometry.scene.Lane`.
     """
 
     id: str
@@ -46,6 +49,7 @@ class MapLane:
     centreline_m: FloatArray
     from_junction: str = ""
     to_junction: str = ""
+    turns: tuple[Turn, ...] = ()
 
     def __post_init__(self) -> None:
         where = f"lane {self.id}"

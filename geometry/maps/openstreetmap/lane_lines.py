@@ -178,6 +178,7 @@ def _lane(piece: _Piece, reach: Reach) -> MapLane | None:
         centreline_m=points,
         from_junction=from_junction,
         to_junction=to_junction,
+        turns=piece.strips[-1 if is_forward else 0].turns,
     )
 
 
