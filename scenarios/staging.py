@@ -39,13 +39,17 @@ class NoKerbError(NoRoadError):
     """Where a case's parked bodies would stand, all is driven on: no kerb lies beside the lane."""
 
 
+BENDS = "its lanes bend"
+"""How reasons begin of runs that are refused since they are too fast for a bend."""
+
+
 class TooFastError(NoRoadError):
     """The VUT's way bends so sharply that no car drives it at the speed."""
 
     def __init__(self, limit_mps2: float, allowed_kmh: int) -> None:
         self.allowed_kmh = allowed_kmh
         super().__init__(
-            f"its lanes bend: {limit_mps2:g} m/s^2 to the side allow {allowed_kmh} km/h there"
+            f"{BENDS}: {limit_mps2:g} m/s^2 to the side allow {allowed_kmh} km/h there"
         )
 
 
