@@ -35,6 +35,10 @@ class NoRoadError(CannotCarryError):
     """The junction has no road for a case: from that approach it is not possible at all."""
 
 
+ON_ROAD = "would stand on"
+"""What reasons say of parked bodies for which no kerb lies beside the lane."""
+
+
 class NoKerbError(NoRoadError):
     """Where a case's parked bodies would stand, all is driven on: no kerb lies beside the lane."""
 

@@ -35,7 +35,7 @@ from placement.pipeline import place
 from placement.planning import build_plan
 from placement.question import Question
 from placement.setting import Setting, build_setting
-from scenarios.staging import BENDS, lateral_acceleration_mps2
+from scenarios.staging import BENDS, ON_ROAD, lateral_acceleration_mps2
 
 from ..figures.axes import to_png
 from ..figures.scene import plot_scene_plan
@@ -46,8 +46,8 @@ _NO_MAPS = ("_16mm.json", "_8mm.json", ".boundary.geojson")  # calibrations, out
 _BESIDE_M = 14.0  # from the middle of the junction to the corner of the houses
 _HEADS = (
     *("file", "junction", "arms", "lanes", "things", "sites", "of them kerb", "runs"),
-    *("driven of possible", "driven of all", "too fast for bends", "largest to the side (m/s²)"),
-    "most often refused",
+    *("driven of possible", "driven of all", "no kerb", "too fast for bends"),
+    *("largest to the side (m/s²)", "most often refused"),
     *("APR of the car", "APR of the units", "proven", "read and cut (s)", "place and judge (s)"),
 )
 
@@ -169,17 +169,19 @@ def _row(task: _Task, imported: ImportedScene, budget: int, cut_s: float) -> lis
 def _driven(setting: Setting) -> tuple[str, ...]:
     """Shares of runs, the largest sideways acceleration, the reason that keeps most from it."""
     refused: Counter[str] = Counter()
-    n_impossible = n_bends = 0
+    n_impossible = n_bends = n_no_kerb = 0
     for refusal in setting.refusals:
         n_speeds = len(refusal.speeds_kmh)
         n_bends += n_speeds * refusal.reason.startswith(BENDS)
+        n_no_kerb += n_speeds * (ON_ROAD in refusal.reason)
         if refusal.is_possible:
             refused[refusal.reason] += n_speeds
         else:
             n_impossible += n_speeds
     n_possible = setting.axis.n_runs + refused.total()
     n_all = n_possible + n_impossible
-    shares = setting.axis.n_runs / n_possible, setting.axis.n_runs / n_all, n_bends / n_all
+    n_runs = setting.axis.n_runs
+    shares = n_runs / n_possible, n_runs / n_all, n_no_kerb / n_all, n_bends / n_all
     most_mps2 = max(lateral_acceleration_mps2(run.encounter) for run in setting.runs)
     most = [f"{reason} ({count})" for reason, count in refused.most_common(1)]
     return *(f"{100.0 * share:.0f} %" for share in shares), f"{most_mps2:.1f}", (most or ["-"])[0]
@@ -210,8 +212,8 @@ def _page(rows: Sequence[Sequence[str]], notes: Sequence[str], command: str) -> 
         "that it needs: not where no arm lies ahead or aside, where the arm ends before the place, "
         "where another junction's middle lies there, where no kerb to park at lies beside the lane "
         "and the case has parked cars or a wall there, or where the lanes bend so sharply that its "
-        "speed would ask for more than 4 m/s² to the side (also as a share of all runs: too fast "
-        "for bends). To the side: the largest acceleration of a car before the impact. The reason "
+        "speed would ask for more than 4 m/s² to the side (these two also as shares of all runs: "
+        "no kerb, too fast for bends). To the side: the largest acceleration of a car before the impact. The reason "
         "is the one that keeps most possible runs away.",
         "",
         "| " + " | ".join(_HEADS) + " |",
