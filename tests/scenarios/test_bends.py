@@ -74,7 +74,9 @@ def test_a_gentle_course_bends_less_and_stays_as_near_as_it_must(angle_deg, free
     gentle = follow_gently([chain], [free_m], origin=1)
     inside = (gentle.points_m[:, 0] > 0.0) & (gentle.points_m[:, 0] < 145.0)
     points = gentle.points_m[inside]
-    assert distance_to_chain_m(points[::50], chain).max() <= 1.1 * free_m
+    assert (
+        distance_to_chain_m(points[::50], chain).max() <= free_m + 0.07
+    )  # samples lie 0.5 m apart
     if abs(angle_deg) > 1.0 and free_m > 0.3:
         assert gentle.max_bend_per_m <= follow_lane(chain, is_in=True).max_bend_per_m
 
