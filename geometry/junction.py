@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from .arrays import FloatArray, float_array, freeze
 from .errors import InputError
-from .scene import Lane, LeadingRoad, Scene
+from .scene import Lane, LeadingRoad, Scene, Turn
 
 ARM_NAMES = (
     *("east", "east-north-east", "north-east", "north-north-east"),
@@ -35,6 +35,7 @@ _STUB_M = 2.0  # a lane that is shorter, with all that leads to it, is no road
 _CROSSWALK_INSIDE_MOUTH_M = 2.0
 _SAME_ROAD_M = 20.0  # from the middle of a road to a lane of it
 _SAME_WAY = 0.5  # cosine of the angle between them
+_MIRRORED: dict[Turn, Turn] = {"left": "right", "right": "left"}
 # Euro NCAP's junction: arms begin 11.5 m from the centre, pedestrians cross 9.5 m from it.
 
 
@@ -250,7 +251,8 @@ def mirrored(junction: Junction) -> Junction:
     """
 
     def turn_over(lane: Lane) -> Lane:
-        return replace(lane, centreline_m=lane.centreline_m * [1.0, -1.0])
+        turns = tuple(_MIRRORED.get(turn, turn) for turn in lane.turns)
+        return replace(lane, centreline_m=lane.centreline_m * [1.0, -1.0], turns=turns)
 
     arms = {}
     for name, arm in junction.arms.items():

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta
@@ -226,6 +226,9 @@ class Scene:
         )
 
 
+Turn = Literal["left", "through", "right", "reverse"]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Lane:
     """One lane of an arm.
@@ -243,6 +246,9 @@ class Lane:
         In driving direction. World frame. [m]
     speed_limit_kmh : float, optional
         Where it leads into the junction; None: unknown, or there is none. [km/h]
+    turns : tuple of str
+        Where cars may drive from its end, by its markings: "left", "through", "right", "reverse";
+        empty: it bears none.
     """
 
     id: str
@@ -250,6 +256,7 @@ class Lane:
     width_m: Annotated[float, Meta(gt=0.0)]
     centreline_m: Points2
     speed_limit_kmh: Annotated[float, Meta(gt=0.0)] | None = None
+    turns: tuple[Turn, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(

@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from .arrays import FloatArray
 from .errors import InputError
 from .junction import ASSUMED, Junction, arm_of_road, build_junction, lane_length_m
 from .scene import (
@@ -28,6 +29,8 @@ _ON_ROAD_M2 = 2.0
 _STANDING = ("building", "wall", "vegetation")
 _MAX_NAMES = 6
 _AT_KERB_M = 0.05  # digits of a file
+_OPPOSITE = -0.8  # cosine of the angle between lanes of one road; roads that cross meet at less
+_BESIDE_M = 0.5  # along a lane, to tell its direction
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,6 +79,34 @@ def _check_roads(scene: Scene) -> Iterator[Finding]:
         yield from compare_arms(junction, scene.roads)
     for name, why in arms_that_end(scene):
         yield Finding(level="warning", what=f"arm {name}", why=why)
+    crossed = [f"{one} and {other}" for one, other in lanes_that_cross(scene)]
+    if crossed:
+        why = "they run in opposite directions and cross: one leads over the other's carriageway"
+        yield Finding(level="warning", what=_names(crossed), why=why)
+
+
+def lanes_that_cross(scene: Scene) -> Iterator[tuple[str, str]]:
+    """Pairs of driving lanes that run in opposite directions and whose middles cross, by id."""
+    import shapely
+
+    lanes = [lane for lane in scene.lanes if lane.kind == "driving" and len(lane.centreline_m) > 1]
+    lines = np.array([shapely.LineString(lane.centreline_m) for lane in lanes], dtype=object)
+    pairs = shapely.STRtree(lines).query(lines, predicate="intersects").T if len(lines) else ()
+    for one, other in ((a, b) for a, b in pairs if a < b):
+        for point in shapely.get_coordinates(shapely.intersection(lines[one], lines[other])):
+            ways = [_direction(line, shapely.Point(point)) for line in (lines[one], lines[other])]
+            if ways[0] @ ways[1] < _OPPOSITE:
+                yield lanes[one].id, lanes[other].id
+                break
+
+
+def _direction(line: Any, point: Any) -> FloatArray:
+    """Unit vector in which a line leads past one of its points, (2,)."""
+    at_m = line.project(point)
+    begin, end = (line.interpolate(max(at_m + off_m, 0.0)) for off_m in (-_BESIDE_M, _BESIDE_M))
+    step = np.array([end.x - begin.x, end.y - begin.y])
+    unit: FloatArray = step / max(float(np.hypot(*step)), 1e-9)
+    return unit
 
 
 def arms_that_end(scene: Scene) -> Iterator[tuple[str, str]]:

@@ -178,6 +178,7 @@ def save_scene(
         "lanes": [
             _entry(lane, *_LANE_FIELDS)
             | ({"speed_limit_kmh": lane.speed_limit_kmh} if lane.speed_limit_kmh else {})
+            | ({"turns": list(lane.turns)} if lane.turns else {})
             for lane in scene.lanes
         ],
         "crosswalks": [{"ends_m": _rounded(line)} for line in scene.crosswalks_m],

@@ -18,7 +18,7 @@ from geometry.terrain import GROUND, on_ground, standing_footprint, terrain_of
 from .laying import load_obstruction_rules
 from .obstructions import moved
 from .paths import Motion, Path
-from .staging import CannotCarryError, Staging
+from .staging import ON_ROAD, CannotCarryError, NoKerbError, Staging
 
 _HEIGHTS_M = (0.35, 1.0)  # above kerbs, below bonnets and walls
 _STEP_M = 2.0  # along bent paths
@@ -39,6 +39,8 @@ def make_room(staging: Staging, scene: Scene) -> Staging:
     ------
     CannotCarryError
         A body has no room; names it and what stands there.
+    NoKerbError
+        Lanes or the junction cover all places of the parked bodies.
 
     Notes
     -----
@@ -97,7 +99,7 @@ def _find_room(
     all_names = " and ".join(dict.fromkeys(names))
     if not len(off_road):
         where = "a traffic island" if n_off_road else "the carriageway"
-        raise CannotCarryError(f"{all_names} would stand on {where}")
+        raise NoKerbError(f"{all_names} {ON_ROAD} {where}")
     for name, place in zip(names, places[off_road[0]], strict=True):
         _check(solid, _sides(place[None]), f"the place of {name}")
     raise CannotCarryError(f"there is no room beside the road for {all_names}")

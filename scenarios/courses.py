@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,8 +26,8 @@ _STEP_M = 0.01  # chords of an arc of 8 m come within two micrometres of it
 _SAME_POINT_M = 1.0e-6
 _MEETS_M = 1.0e-3
 _MAX_STEPS = 60
-_JOINT_M = 25.0  # of lanes beside a joint, where they may be left a little
-_UNBOUND, _BOUND = 1.0e-3, 1.0e3  # weights of points between the lanes, and far from the joint
+_GENTLE_M = 16.0  # smoothing of a course that leaves the lanes' middles where it may
+_EASED_M = 5.0  # to both sides of where it must come nearer to them
 _DAMPING = 0.6  # where lanes bend, full steps may swing to and fro
 
 
@@ -232,12 +233,8 @@ def _smoothed(
     weight: FloatArray | None = None,
 ) -> Course:
     """The smoothing spline of points at even stations; its origin is nearest to a point."""
-    from scipy.interpolate import make_smoothing_spline  # takes a third of a second to import
-
     origin = samples_m.mean(axis=0)
-    # The sum over samples stands for an integral over the length.
-    stiffness = smoothing_m**4 / (at_m[1] - at_m[0])
-    spline = make_smoothing_spline(at_m, samples_m - origin, w=weight, lam=stiffness)
+    spline = _spline(at_m, samples_m - origin, smoothing_m=smoothing_m, weight=weight)
     fine = np.linspace(0.0, at_m[-1], int(at_m[-1] / _STEP_M) + 2)
     derivative = spline.derivative()
     speed = np.hypot(*derivative(fine).T)
@@ -249,6 +246,16 @@ def _smoothed(
         np.unwrap(np.arctan2(direction[:, 1], direction[:, 0])),
         int(np.hypot(*(place - np.asarray(origin_m)).T).argmin()),
     )
+
+
+def _spline(
+    at_m: FloatArray, points_m: FloatArray, *, smoothing_m: float, weight: FloatArray | None
+) -> Any:
+    from scipy.interpolate import make_smoothing_spline  # takes a third of a second to import
+
+    # The sum over samples stands for an integral over the length.
+    stiffness = smoothing_m**4 / (at_m[1] - at_m[0])
+    return make_smoothing_spline(at_m, points_m, w=weight, lam=stiffness)
 
 
 def _end_direction(chain_m: FloatArray) -> FloatArray:
@@ -361,40 +368,53 @@ def follow_connection(
     return _follow(points, points[close[is_origin_behind]], close)
 
 
-def ease_joint(
-    before: Course,
-    between_m: FloatArray,
-    after: Course,
-    *,
-    lengths_m: tuple[float, float],
-    smoothing_m: float,
+def follow_gently(
+    chains_m: Sequence[FloatArray], free_m: Sequence[float], *, origin: int
 ) -> Course:
-    """The course along a lane, across to another one, and along that one, eased near the joint.
+    """The gentlest course along lanes one after the other that leaves their middles a little.
 
     Parameters
     ----------
-    before, after : Course
-        Along the lanes, with their origins where they end and begin.
-    between_m : (n, 2) float
-        A line from the first lane's end to the other's begin. [m]
-    lengths_m : (float, float)
-        Of the lanes. [m]
-    smoothing_m : float
-        L of :func:`follow_lane` within 25 m of the joint; beyond, the course is that of the lanes,
-        and between them it is bound to no line. [m]
+    chains_m : sequence of (n, 2) float
+        Points of the lanes in driving direction. World frame. [m]
+    free_m : sequence of float
+        How far it may leave each of them, > 0. [m]
+    origin : int
+        The lane at whose begin its origin is; their number: where the last one ends.
 
-    Returns
-    -------
-    course : Course
-        Its origin is where the other lane begins.
+    Notes
+    -----
+    The smoothing spline of :func:`follow_lane` with L = 16 m, whose points weigh more from round to
+    round where it leaves the lanes farther than it may, and 5 m to both sides of there.
     """
-    one = before.at(np.arange(-lengths_m[0], 0.0, _SAMPLE_M))[0]
-    other = after.at(np.arange(_SAMPLE_M, lengths_m[1], _SAMPLE_M))[0]
-    chain = _led_on(np.concatenate([one, between_m, other]))
+    at_origin = chains_m[origin][0] if origin < len(chains_m) else chains_m[-1][-1]
+    free = np.repeat(free_m, [len(chain) for chain in chains_m])
+    return _gentle(
+        tuple(map(tuple, np.concatenate(chains_m).tolist())),
+        tuple(free.tolist()),
+        tuple(at_origin.tolist()),
+    )
+
+
+@lru_cache(maxsize=256)  # as _follow
+def _gentle(
+    points: tuple[tuple[float, ...], ...], free_m: tuple[float, ...], origin_m: tuple[float, ...]
+) -> Course:
+    from scipy.ndimage import maximum_filter1d
+
+    chain = np.array(points)
+    is_new = np.append(True, np.hypot(*np.diff(chain, axis=0).T) > _SAME_POINT_M)
+    free = np.array(free_m)[is_new]
+    chain = _led_on(chain[is_new])
     along = _along_m(chain)
     at = np.linspace(0.0, along[-1], int(along[-1] / _SAMPLE_M) + 2)
-    begin_m, end_m = along[1 + len(one)], along[len(one) + len(between_m)]
-    beside_m = np.maximum(begin_m - at, at - end_m)  # negative: between the lanes
-    weight = np.where(beside_m < 0.0, _UNBOUND, np.where(beside_m < _JOINT_M, 1.0, _BOUND))
-    mouth = after.at(0.0)[0]
-    return _smoothed(_sampled(chain, along, at), at, mouth, smoothing_m=smoothing_m, weight=weight)
+    samples, near = _sampled(chain, along, at), int(_EASED_M / _SAMPLE_M)
+    free_at = np.interp(at, along[1:-1], free)
+    weight = np.ones(len(at))
+    for _ in range(_MAX_STEPS):
+        spline = _spline(at, samples - samples[0], smoothing_m=_GENTLE_M, weight=weight)
+        excess = np.hypot(*(spline(at) - samples + samples[0]).T) / free_at
+        if excess.max() <= 1.0:
+            break
+        weight *= maximum_filter1d(np.maximum(1.03 * excess, 1.0) ** 2, 2 * near + 1)
+    return _smoothed(samples, at, origin_m, smoothing_m=_GENTLE_M, weight=weight)

@@ -13,6 +13,8 @@ class WayRules:
 
     start_before_curve_s: float
     max_lane_bend_m: float
+    max_lateral_mps2: float
+    town_kmh: float
     max_ease_aside_m: float
     max_kerb_step_m: float
     max_skew_deg: float
@@ -28,6 +30,7 @@ class ObstructionRules:
     max_nearer_m: float
     max_back_m: float
     step_m: float
+    max_before_m: float
     island_m: float
     max_island_skew_deg: float
 

@@ -54,10 +54,6 @@ AT_ZERO = Position()
 _Metres = Annotated[float, Meta(ge=0.0)]
 
 
-class _Across(Struct, frozen=True, kw_only=True):
-    max_lateral_mps2: Annotated[float, Meta(gt=0.0)]
-
-
 class PositionRules(Struct, frozen=True, kw_only=True):
     """``data/positions.toml``; its comments say what each is."""
 
@@ -66,7 +62,6 @@ class PositionRules(Struct, frozen=True, kw_only=True):
     max_distances: int
     sets_at_zero: tuple[str, ...]
     every_nth_speed: Annotated[int, Meta(ge=1)]
-    across: _Across
 
 
 @cache

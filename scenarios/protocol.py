@@ -1,27 +1,31 @@
 """Cases laid on the approaches of any junction, by the rules of the protocol."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from geometry.actors import Actor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError
-from geometry.junction import Arm, Junction, Line, lane_length_m, lane_line
+from geometry.junction import Arm, Junction, Line, lane_length_m
 from geometry.scene import Lane
 
+from .arms import Joint, arm_ahead, arm_at, joints, straight_lane
 from .cases import Case
-from .courses import follow_lane
-from .laying import load_way_rules
+from .courses import follow_gently, follow_lane
+from .laying import load_obstruction_rules, load_way_rules
 from .obstructions import hide
 from .paths import MPS_PER_KMH, travel_time_s
-from .positions import AT_ZERO, Position, is_bound, load_position_rules
+from .positions import AT_ZERO, Position, is_bound
 from .staging import (
     CannotCarryError,
     NoRoadError,
+    Settle,
     Staging,
     find_meeting,
+    first_that_fits,
     impact_offset_m,
     set_off,
 )
@@ -31,9 +35,8 @@ from .ways import (
     CurvedWay,
     StraightWay,
     Way,
-    WayAcross,
     check_straight,
-    eased_way_across,
+    free_aside_m,
     is_bent,
     lane_way,
     meeting_m,
@@ -51,6 +54,7 @@ def stage_by_protocol(
     vut_speed_kmh: float,
     vut: Actor,
     position: Position = AT_ZERO,
+    settle: Settle = lambda staging: staging,
 ) -> Staging:
     """Lay a case on an approach of a junction, or raise why its lanes do not allow it.
 
@@ -85,32 +89,18 @@ def stage_by_protocol(
     if position != AT_ZERO and is_bound(case):
         raise CannotCarryError("the case is bound to the junction: it has no other positions")
     if case.kind == "turning":
-        return _lay_turning(case, junction, arm, vut_speed_kmh, vut)
-    lane = arm.entry_lanes[0]
-    followed = junction.followed(lane)
+        return first_that_fits(_turnings(case, junction, arm, vut_speed_kmh, vut), settle)
     lay = _lay_crossing if case.kind == "crossing" else _lay_longitudinal
-    if position.is_behind:
-        place = _place_behind(junction, arm, position, vut_speed_kmh, vut)
-        return lay(case, junction, place, vut_speed_kmh, vut)
-
-    def along(way: Way) -> Staging:
-        place = _Place(
-            way=way,
-            crosswalk=arm.crosswalk,
-            entry_lane=lane,
-            followed=followed,
-            begin_m=-lane_length_m(lane),
-            end_m=np.inf,
-            ahead_m=position.ahead_m,
-            is_checked=False,
-        )
-        return lay(case, junction, place, vut_speed_kmh, vut)
-
-    return _straight_or_curved(
-        lambda: along(StraightWay(line=straight_line(lane, is_in=True))),
-        lambda: along(CurvedWay(course=follow_lane(followed.centreline_m, is_in=True))),
-        is_bent=is_bent(followed, is_in=True),
+    places = (
+        _places_behind(junction, arm, position, vut)
+        if position.is_behind
+        else _places_before(case, junction, arm, position, vut)
     )
+
+    def staged(place: Callable[[], _Place]) -> Callable[[], Staging]:
+        return lambda: lay(case, junction, place(), vut_speed_kmh, vut)
+
+    return first_that_fits((staged(place) for place in places), settle)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -145,91 +135,78 @@ class _Place:
             check_straight(self.way, self.followed, driven_m - self.ahead_m)
 
 
-def _place_behind(
-    junction: Junction, arm: Arm, position: Position, vut_speed_kmh: float, vut: Actor
-) -> _Place:
-    """A place on the arm straight ahead."""
-    entry_lane = arm.entry_lanes[0]
-    entry = straight_line(entry_lane, is_in=True)
-    ahead = _arm_ahead(junction, arm, entry)
+def _places_before(
+    case: Case, junction: Junction, arm: Arm, position: Position, vut: Actor
+) -> Iterator[Callable[[], _Place]]:
+    """Places on the arm from which the VUT comes, the protocol's first.
+
+    Where the lane bends, also along its bends; where the corner leaves no kerb to park at before
+    the crosswalk, nearest before it.
+    """
+    lane = straight_lane(junction, arm) if is_bound(case) else arm.entry_lanes[0]
+    followed = junction.followed(lane)
+
+    def at(way: Callable[[], Way], before_m: float = 0.0) -> Callable[[], _Place]:
+        return lambda: _Place(
+            way=way(),
+            crosswalk=arm.crosswalk,
+            entry_lane=lane,
+            followed=followed,
+            begin_m=-lane_length_m(lane),
+            end_m=np.inf,
+            ahead_m=position.ahead_m - before_m,
+            is_checked=False,
+        )
+
+    ways: list[Callable[[], Way]] = [lambda: StraightWay(line=straight_line(lane, is_in=True))]
+    if is_bent(followed, is_in=True):
+        free_m = free_aside_m(vut, followed)
+        ways.append(lambda: CurvedWay(course=follow_lane(followed.centreline_m, is_in=True)))
+        ways.append(
+            lambda: CurvedWay(course=follow_gently([followed.centreline_m], [free_m], origin=1))
+        )
+    yield from (at(way) for way in ways)
+    if position == AT_ZERO and case.obstruction and case.obstruction.kind == "beside-vut":
+        rules = load_obstruction_rules()
+        for before_m in np.arange(1.0, rules.max_before_m + 0.5).tolist():
+            yield from (at(way, before_m) for way in ways)
+
+
+def _places_behind(
+    junction: Junction, arm: Arm, position: Position, vut: Actor
+) -> Iterator[Callable[[], _Place]]:
+    """Places on the arm straight ahead, by lane from the kerb, then along gentler ways."""
+    ahead = arm_ahead(junction, arm, straight_line(arm.entry_lanes[0], is_in=True))
     if ahead is None or not ahead.exit_lanes:
         raise NoRoadError("no lane leads straight on out of the junction")
-    joined = _joined(junction, arm.entry_lanes, ahead.exit_lanes)
-    exit_lane = min(
-        ahead.exit_lanes,
-        key=lambda lane: abs(float(entry.coordinates(lane.centreline_m[0])[1])),
-    )
-    entry_lane, connection, exit_lane = next(joined, (entry_lane, None, exit_lane))
-    across = way_across(
-        junction.followed(entry_lane),
-        exit_lane,
-        connection,
-        max_bend_m=load_way_rules().max_lane_bend_m,
-    )
-    max_swerve_per_m = _max_bend_per_m(vut_speed_kmh)
-    for lane in arm.entry_lanes:  # from the kerb, where some lanes only turn
-        if across.swerve_per_m > max_swerve_per_m:
-            across = _gentlest(junction.followed(lane), ahead.exit_lanes, across, vut)
-    if across.swerve_per_m > max_swerve_per_m:
-        raise CannotCarryError(
-            f"too fast for the change from lane {across.entry.id} into {across.leaving.id}, "
-            f"a curve of {1.0 / across.swerve_per_m:.0f} m"
-        )
-    return _Place(
-        way=across.way,
-        crosswalk=ahead.crosswalk,
-        entry_lane=across.entry,
-        followed=across.entry,
-        begin_m=across.begin_m,
-        end_m=lane_length_m(across.leaving),
-        ahead_m=position.ahead_m,
-        is_checked=True,
-    )
 
-
-def _joined(
-    junction: Junction, entry_lanes: Sequence[Lane], exit_lanes: Sequence[Lane]
-) -> Iterator[tuple[Lane, Lane, Lane]]:
-    """Lanes into the junction, its own lanes that go on from them, and those into which they do."""
-    for before in entry_lanes:
-        for after in exit_lanes:
-            connection = junction.connection(before, after)
-            if connection is not None:
-                yield before, connection, after
-
-
-def _max_bend_per_m(vut_speed_kmh: float) -> float:
-    """The most that a VUT's way through the junction may bend at a speed."""
-    return load_position_rules().across.max_lateral_mps2 / (vut_speed_kmh * MPS_PER_KMH) ** 2
-
-
-def _gentlest(
-    entry_lane: Lane, exit_lanes: Sequence[Lane], across: WayAcross, vut: Actor
-) -> WayAcross:
-    """The way into one of some lanes that bends least, and stays in the lanes beside it."""
-    rules = load_way_rules()
-    for lane in exit_lanes:
-        free_m = 0.5 * (min(entry_lane.width_m, lane.width_m) - vut.width_m)
-        try:
-            eased = eased_way_across(
-                entry_lane, lane, max_aside_m=min(rules.max_ease_aside_m, max(free_m, 0.0))
+    def at(joint: Joint, *, is_gentle: bool) -> Callable[[], _Place]:
+        def place() -> _Place:
+            entry, connection, leaving = joint
+            entry = junction.followed(entry)
+            across = way_across(
+                entry,
+                leaving,
+                connection,
+                max_bend_m=load_way_rules().max_lane_bend_m,
+                free_m=free_aside_m(vut, entry, leaving) if is_gentle else None,
             )
-        except CannotCarryError:
-            continue
-        across = min(across, eased, key=lambda one: one.swerve_per_m)
-    return across
+            return _Place(
+                way=across.way,
+                crosswalk=ahead.crosswalk,
+                entry_lane=across.entry,
+                followed=across.entry,
+                begin_m=across.begin_m,
+                end_m=lane_length_m(across.leaving),
+                ahead_m=position.ahead_m,
+                is_checked=True,
+            )
 
+        return place
 
-def _straight_or_curved(
-    straight: Callable[[], Staging], curved: Callable[[], Staging], *, is_bent: bool
-) -> Staging:
-    """Lay a case on straight lines; where these leave lanes that bend, along the lanes."""
-    try:
-        return straight()
-    except CannotCarryError:
-        if not is_bent:
-            raise
-    return curved()
+    found = joints(junction, arm, ahead, "through")
+    for is_gentle in (False, True):
+        yield from (at(joint, is_gentle=is_gentle) for joint in found)
 
 
 # ---------- crossing and longitudinal cases
@@ -282,7 +259,7 @@ def _crossing(case: Case, junction: Junction, place: _Place) -> tuple[float, Way
         left = vut_way.direction(vut_m).left
         line = Line(point_m=point, direction=left if is_near else -left)
         return vut_m, StraightWay(line=line), 0.0
-    side = _arm_at(junction, vut_way.tangent(0.0), to_left=not is_near)
+    side = arm_at(junction, vut_way.tangent(0.0), to_left=not is_near)
     if side is None or not side.entry_lanes:
         raise NoRoadError(f"no lane leads into the junction from the {case.vru_side} side")
     lane, left_m = _cyclists_lane(case, side)
@@ -369,38 +346,33 @@ def _lay_longitudinal(
 # ---------- turning cases
 
 
-def _lay_turning(
+def _turnings(
     case: Case, junction: Junction, arm: Arm, vut_speed_kmh: float, vut: Actor
-) -> Staging:
+) -> Iterator[Callable[[], Staging]]:
+    """The VUT's ways into another arm: along the junction's lanes, then on the protocol's curve."""
     is_far = case.turn == "far"
-    entry_lane = arm.entry_lanes[-1 if is_far else 0]
-    entry = straight_line(entry_lane, is_in=True)
-    target = _arm_at(junction, entry, to_left=is_far)
+    entry = straight_line(arm.entry_lanes[-1 if is_far else 0], is_in=True)
+    target = arm_at(junction, entry, to_left=is_far)
     if target is None or not target.exit_lanes:
         raise NoRoadError(f"no lane leads out of the junction on the {case.turn} side")
-    exit_lane = target.exit_lanes[-1 if is_far else 0]
     try:
         turn = pick_turn(case.turn, vut_speed_kmh)
     except InputError as error:
         raise CannotCarryError(str(error)) from None
+    found = joints(junction, arm, target, "left" if is_far else "right")
 
-    def lay(turning: Turning) -> Staging:
-        return _lay_turn(case, junction, arm, target, turning, vut_speed_kmh, vut)
+    def lay(turning: Callable[[], Turning]) -> Callable[[], Staging]:
+        return lambda: _lay_turn(case, junction, arm, target, turning(), vut_speed_kmh, vut)
 
-    # Lanes from the axis, or from the kerb: those first that the junction joins.
-    order = -1 if is_far else 1
-    for before, connection, after in _joined(
-        junction, arm.entry_lanes[::order], target.exit_lanes[::order]
-    ):
-        turning = along_connection(junction.followed(before), connection, after, vut)
-        if turning.bend_per_m <= _max_bend_per_m(vut_speed_kmh):
-            return lay(turning)
-    entry_lane = junction.followed(entry_lane)
-    return _straight_or_curved(
-        lambda: lay(on_straights(entry_lane, exit_lane, turn, vut)),
-        lambda: lay(on_lanes(entry_lane, exit_lane, turn, vut)),
-        is_bent=is_bent(entry_lane, is_in=True) or is_bent(exit_lane, is_in=False),
-    )
+    for before, connection, after in found:
+        before = junction.followed(before)
+        if connection is not None:
+            yield lay(partial(along_connection, before, connection, after, vut))
+    for before, _, after in found:
+        before = junction.followed(before)
+        yield lay(partial(on_straights, before, after, turn, vut))
+        if is_bent(before, is_in=True) or is_bent(after, is_in=False):
+            yield lay(partial(on_lanes, before, after, turn, vut))
 
 
 def _lay_turn(
@@ -502,7 +474,7 @@ def _ridden_lane(case: Case, junction: Junction, arm: Arm, entry: Line) -> Way:
         kerb = _kerb(case, arm)
         is_against = not kerb.is_in
     else:
-        ahead = _arm_ahead(junction, arm, entry)
+        ahead = arm_ahead(junction, arm, entry)
         lanes = () if ahead is None else ahead.lanes_in if case.turn == "far" else ahead.lanes_out
         if ahead is None or not lanes:
             raise NoRoadError("no lane lies ahead from which the cyclist could come")
@@ -525,52 +497,6 @@ def _is_along(way: Way, line: Line, ridden_m: float, tolerance_m: float) -> bool
     stations = np.linspace(-ridden_m, 0.0, 20)
     points = np.array([way.tangent(float(station)).point_m for station in stations])
     return bool((np.abs(line.coordinates(points)[:, 1]) <= tolerance_m).all())
-
-
-# ---------- arms
-
-
-def _arm_at(junction: Junction, vut_line: Line, *, to_left: bool) -> Arm | None:
-    """The arm to the left or right of the VUT; None if there is none.
-
-    One about at a right angle, or else the one that is nearest to it.
-    """
-    side = vut_line.left if to_left else -vut_line.left
-    rules = load_way_rules()
-    for skew_deg, length_m in ((rules.max_skew_deg, 50.0), (rules.max_turn_skew_deg, 15.0)):
-        best, best_cosine = None, np.cos(np.radians(skew_deg))
-        for arm in junction.arms.values():
-            cosine = float(_outwards(arm, length_m) @ side)
-            if cosine >= best_cosine:
-                best, best_cosine = arm, cosine
-        if best is not None:
-            return best
-    return None
-
-
-def _arm_ahead(junction: Junction, approach: Arm, vut_line: Line) -> Arm | None:
-    """The arm into which the VUT would drive straight on; None if there is none."""
-    best, best_cosine = None, np.cos(np.radians(load_way_rules().max_skew_deg))
-    for arm in junction.arms.values():
-        cosine = float(_outwards(arm, 15.0) @ vut_line.direction)
-        if arm is not approach and cosine >= best_cosine and _lies_ahead(arm, vut_line):
-            best, best_cosine = arm, cosine
-    return best
-
-
-def _lies_ahead(arm: Arm, vut_line: Line) -> bool:
-    """Whether one of an arm's lanes begins or ends no farther aside of a line than ahead."""
-    mouths = [lane.centreline_m[-1] for lane in arm.lanes_in]
-    mouths += [lane.centreline_m[0] for lane in arm.lanes_out]
-    ahead_m, left_m = vut_line.coordinates(np.array(mouths)).T
-    return bool((np.abs(left_m) <= ahead_m).any())
-
-
-def _outwards(arm: Arm, length_m: float) -> FloatArray:
-    """Direction in which an arm leads away from the junction, (2,)."""
-    lanes, is_in = (arm.lanes_in, True) if arm.lanes_in else (arm.lanes_out, False)
-    line, _ = lane_line(lanes[0], is_in=is_in, length_m=length_m)
-    return -line.direction if is_in else line.direction
 
 
 # ---------- the VRU's way

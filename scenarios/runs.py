@@ -472,11 +472,20 @@ def _stage(
     placement = find_placement(scene.name, case, approach) if position == AT_ZERO else None
     if placement is not None:
         return stage_published(placement, vut_speed_kmh=speed_kmh, vut=vut)
+
+    def settle(staging: Staging) -> Staging:
+        return make_room(mirror_staging(staging) if scene.keeps_left else staging, scene)
+
     # The protocol's rules are those of traffic that keeps right.
-    staging = stage_by_protocol(
-        case, right_hand, approach, vut_speed_kmh=speed_kmh, vut=vut, position=position
+    return stage_by_protocol(
+        case,
+        right_hand,
+        approach,
+        vut_speed_kmh=speed_kmh,
+        vut=vut,
+        position=position,
+        settle=settle,
     )
-    return make_room(mirror_staging(staging) if scene.keeps_left else staging, scene)
 
 
 def _build_run(

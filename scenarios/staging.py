@@ -1,5 +1,6 @@
 """How a run is set up: who moves how, past what, before anybody brakes."""
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from geometry.poses import Pose
 
 from .cases import Case
 from .encounters import Encounter, first_contact_s
+from .laying import load_way_rules
 from .paths import (
     MPS_PER_KMH,
     Motion,
@@ -31,6 +33,28 @@ class CannotCarryError(Exception):
 
 class NoRoadError(CannotCarryError):
     """The junction has no road for a case: from that approach it is not possible at all."""
+
+
+ON_ROAD = "would stand on"
+"""What reasons say of parked bodies for which no kerb lies beside the lane."""
+
+
+class NoKerbError(NoRoadError):
+    """Where a case's parked bodies would stand, all is driven on: no kerb lies beside the lane."""
+
+
+BENDS = "its lanes bend"
+"""How reasons begin of runs that are refused since they are too fast for a bend."""
+
+
+class TooFastError(NoRoadError):
+    """The VUT's way bends so sharply that no car drives it at the speed."""
+
+    def __init__(self, limit_mps2: float, allowed_kmh: int) -> None:
+        self.allowed_kmh = allowed_kmh
+        super().__init__(
+            f"{BENDS}: {limit_mps2:g} m/s^2 to the side allow {allowed_kmh} km/h there"
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -199,6 +223,74 @@ def _gap_to_side(
     is_from_right = (case.turn == "far") == (case.vru_direction == "same")
     gap = -coordinates[:, 1] if is_from_right else coordinates[:, 1]
     return gap, coordinates[:, 0] - case.vru_reference_m
+
+
+# ---------- the first staging that can be driven
+
+_BEND_STEP_M = 0.25
+_BEND_STEPS = 4  # bends are taken over a metre: courses are smooth over at least two
+_ROUND_KMH = 5
+
+
+def lateral_acceleration_mps2(encounter: Encounter) -> float:
+    """Largest acceleration to the side of the VUT's front axle up to the impact, in m/s^2.
+
+    From a car's length before the start: its rear axle still turns into what the front has passed.
+    """
+    motion, vut = encounter.vut_motion, encounter.vut
+    distance = np.arange(-vut.length_m, float(motion.distance_m(0.0)), _BEND_STEP_M)
+    middle, yaw_deg = motion.path.at(distance)
+    yaw = np.radians(yaw_deg)
+    ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+    steps = np.diff(middle + vut.front_axle_ahead_m * ahead, axis=0)
+    heading = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
+    turned = np.abs(heading[_BEND_STEPS:] - heading[:-_BEND_STEPS]).max()
+    return float(motion.speed_mps**2 * turned / (_BEND_STEPS * _BEND_STEP_M))
+
+
+Settle = Callable[[Staging], Staging]
+
+
+def first_that_fits(lays: Iterable[Callable[[], Staging]], settle: Settle) -> Staging:
+    """The first of some stagings that a car can drive, settled where it has room.
+
+    Parameters
+    ----------
+    lays : iterable of callable
+        Each returns a staging or raises CannotCarryError.
+    settle : callable
+        Makes room for a staging. Where there is no kerb the next one is tried.
+
+    Raises
+    ------
+    CannotCarryError
+        None fits; the reason is that of the one that came farthest.
+    """
+    errors: list[CannotCarryError] = []
+    for lay in lays:
+        try:
+            staging = lay()
+            _check_bends(staging.encounter)
+        except CannotCarryError as error:
+            errors.append(error)
+            continue
+        try:
+            return settle(staging)
+        except NoKerbError as error:
+            errors.append(error)
+    no_kerb = [error for error in errors if isinstance(error, NoKerbError)]
+    too_fast = [error for error in errors if isinstance(error, TooFastError)]
+    if not no_kerb and too_fast:
+        raise max(too_fast, key=lambda error: error.allowed_kmh)
+    raise (no_kerb or errors[::-1])[0]
+
+
+def _check_bends(encounter: Encounter) -> None:
+    limit_mps2 = load_way_rules().max_lateral_mps2
+    lateral_mps2 = lateral_acceleration_mps2(encounter)
+    if lateral_mps2 > limit_mps2:
+        speed_mps = encounter.vut_motion.speed_mps * np.sqrt(limit_mps2 / lateral_mps2)
+        raise TooFastError(limit_mps2, _ROUND_KMH * int(speed_mps / MPS_PER_KMH / _ROUND_KMH))
 
 
 # ---------- stagings in a mirror, for traffic that keeps left

@@ -1,7 +1,6 @@
 """The ways of road users along a lane: straight on, or round its bends."""
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -12,7 +11,7 @@ from geometry.errors import InputError
 from geometry.junction import Line, curve_between, lane_length_m, lane_line
 from geometry.scene import Lane
 
-from .courses import Course, ease_joint, follow_connection, follow_lane, follow_lanes
+from .courses import Course, follow_connection, follow_gently, follow_lane, follow_lanes
 from .laying import load_way_rules
 from .paths import CoursePath, Path, StraightPath, TowedPath
 from .staging import CannotCarryError
@@ -21,11 +20,8 @@ STRAIGHT_M = 50.0  # of a lane next to the junction, which gives its direction
 DO_NOT_MEET = "the VUT's way and the VRU's do not meet"
 _MAX_STEPS = 60
 _MEETS_M = 1.0e-3
-_EASING_M = np.geomspace(2.0, 14.0, 15)  # smoothing of a joint, from tight to gentle
-_MOUTH_M = 5.0  # of the lanes beside a joint, where their bends count as its own
-_LOOKED_AT_M = 40.0  # of the lanes beside a joint
+_LEAST_FREE_M = 0.1  # in lanes that are narrower than the VUT, by the map
 _CUT_OFF_M = 1.0  # between the lanes, of the curve that has their directions
-_STRIDE = 20  # points of a course: every 20 cm
 
 
 class Way(Protocol):
@@ -199,6 +195,12 @@ def check_straight(way: Way, lane: Lane, driven_m: float, *, is_in: bool = True)
         raise CannotCarryError(f"lane {lane.id} is not straight: {bend_m:.1f} m off its line")
 
 
+def free_aside_m(vut: Actor, *lanes: Lane) -> float:
+    """How far the VUT's middle may leave that of its lanes to take a bend, in metres."""
+    room_m = 0.5 * (min(lane.width_m for lane in lanes) - vut.width_m)
+    return float(np.clip(room_m, _LEAST_FREE_M, load_way_rules().max_ease_aside_m))
+
+
 def lane_way(lane: Lane, *, is_in: bool, length_m: float, max_bend_m: float) -> Way:
     """The way along a lane, in its driving direction: straight where the lane is, as far as asked.
 
@@ -221,26 +223,28 @@ class WayAcross:
         The lanes.
     begin_m : float
         Station at which the first lane begins. [m]
-    swerve_per_m : float
-        Largest curvature where it changes from lane to lane; 0 on a lane of the map, and where it
-        bends no more than the lanes themselves do at their mouths. [1/m]
     """
 
     way: Way
     entry: Lane
     leaving: Lane
     begin_m: float
-    swerve_per_m: float = 0.0
 
 
 def way_across(
-    entry: Lane, leaving: Lane, connection: Lane | None, *, max_bend_m: float
+    entry: Lane,
+    leaving: Lane,
+    connection: Lane | None,
+    *,
+    max_bend_m: float,
+    free_m: float | None = None,
 ) -> WayAcross:
     """The way from a lane into the junction straight on into a lane out of it.
 
     Straight, where all its lanes stay within `max_bend_m` of the first one's line; else along the
     lanes' bends, and between them on the junction's own lane `connection`, or, where the map has
-    none, on a cubic curve with the lanes' directions at its ends.
+    none, on a cubic curve with the lanes' directions at its ends. With `free_m` it is the gentlest
+    that leaves the lanes' middles by no more, and such a curve by no more than a metre.
 
     Raises
     ------
@@ -256,77 +260,22 @@ def way_across(
         way = StraightWay(line=Line(point_m=line.at(mouth_m), direction=line.direction))
         begin_m = -mouth_m - lane_length_m(entry)
         return WayAcross(way=way, entry=entry, leaving=leaving, begin_m=begin_m)
-    if connection is None:
-        between = _curve_between(entry, leaving)
-        course = follow_lanes([np.concatenate([entry.centreline_m, between]), leaving.centreline_m])
+    between = _curve_between(entry, leaving) if connection is None else connection.centreline_m
+    before, after = entry.centreline_m, leaving.centreline_m
+    if free_m is not None:
+        aside_m = _CUT_OFF_M if connection is None else free_m
+        course = follow_gently([before, between, after], [free_m, aside_m, free_m], origin=2)
+    elif connection is None:
+        course = follow_lanes([np.concatenate([before, between]), after])
     else:
-        between = connection.centreline_m
-        course = follow_connection(
-            entry.centreline_m, between, leaving.centreline_m, is_origin_behind=True
-        )
+        course = follow_connection(before, between, after, is_origin_behind=True)
     across_m = float(np.hypot(*np.diff(between, axis=0).T).sum())
     return WayAcross(
         way=CurvedWay(course=course),
         entry=entry,
         leaving=leaving,
         begin_m=-across_m - lane_length_m(entry),
-        swerve_per_m=course.between(-across_m, 0.0).max_bend_per_m if connection is None else 0.0,
     )
-
-
-@lru_cache(maxsize=64)  # every case and speed asks for the same few
-def eased_way_across(entry: Lane, leaving: Lane, *, max_aside_m: float) -> WayAcross:
-    """The gentlest way across where the map has no lane: it leaves the lanes near their mouths.
-
-    It is the gentlest of those that stay within `max_aside_m` of the lanes' middles, and
-    between them within a metre of the curve of :func:`way_across`.
-
-    Raises
-    ------
-    CannotCarryError
-        The lane out of the junction does not lie ahead, or there is no such way.
-    """
-    between = _curve_between(entry, leaving)
-    across_m = float(np.hypot(*np.diff(between, axis=0).T).sum())
-    before = follow_lane(entry.centreline_m, is_in=True)
-    after = follow_lane(leaving.centreline_m, is_in=False)
-    lengths_m = lane_length_m(entry), lane_length_m(leaving)
-    lanes_bend_per_m = max(
-        before.between(-_MOUTH_M, 0.0).max_bend_per_m, after.between(0.0, _MOUTH_M).max_bend_per_m
-    )
-    best = None
-    tight, gentle = 0, len(_EASING_M)  # the gentler, the farther aside
-    while tight < gentle:
-        middle = (tight + gentle) // 2
-        course = ease_joint(
-            before, between, after, lengths_m=lengths_m, smoothing_m=float(_EASING_M[middle])
-        )
-        aside_m = max(
-            _aside_m(course, before.at(np.linspace(-min(lengths_m[0], _LOOKED_AT_M), 0.0, 60))[0]),
-            _aside_m(course, after.at(np.linspace(0.0, min(lengths_m[1], _LOOKED_AT_M), 60))[0]),
-        )
-        if aside_m <= max_aside_m and _aside_m(course, between) <= _CUT_OFF_M:
-            best, tight = course, middle + 1
-        else:
-            gentle = middle
-    if best is None:
-        raise CannotCarryError(f"no smooth way leads from lane {entry.id} into {leaving.id}")
-    bend_per_m = best.between(-across_m - _MOUTH_M, _MOUTH_M).max_bend_per_m
-    return WayAcross(
-        way=CurvedWay(course=best),
-        entry=entry,
-        leaving=leaving,
-        begin_m=-across_m - lengths_m[0],
-        swerve_per_m=bend_per_m if bend_per_m > lanes_bend_per_m else 0.0,
-    )
-
-
-def _aside_m(course: Course, points_m: FloatArray) -> float:
-    """How far a course passes points (n, 2) at most."""
-    import shapely
-
-    driven = shapely.LineString(course.points_m[::_STRIDE])
-    return float(shapely.distance(shapely.points(points_m), driven).max())
 
 
 def _curve_between(entry: Lane, leaving: Lane) -> FloatArray:

@@ -9,7 +9,7 @@ import numpy as np
 from pyproj import Transformer
 
 from geometry.junction import Junction, build_junction
-from geometry.maps.source_map import MapJunction, SourceMap
+from geometry.maps.source_map import MapJunction, MapLane, SourceMap
 from geometry.scene import Lane, Scene
 
 LAT_DEG, LON_DEG = 52.5, 13.4
@@ -112,7 +112,12 @@ def as_drawn(source: SourceMap) -> SourceMap:
 def arms_of(source: SourceMap, junction: MapJunction) -> Junction:
     """Arms as the study's code finds them, from the junction's own lanes alone."""
     own = [lane for lane in source.lanes if junction.id in (lane.from_junction, lane.to_junction)]
-    scene = Scene(
+    return build_junction(scene_of(source, junction, own))
+
+
+def scene_of(source: SourceMap, junction: MapJunction, lanes: Sequence[MapLane]) -> Scene:
+    """A scene of lanes of a map alone, around one of its junctions."""
+    return Scene(
         name=junction.id,
         vertices_m=np.empty((0, 3)),
         triangles=np.empty((0, 3), dtype=np.int32),
@@ -127,15 +132,15 @@ def arms_of(source: SourceMap, junction: MapJunction) -> Junction:
                 width_m=lane.width_m,
                 centreline_m=lane.centreline_m[:, :2],
                 speed_limit_kmh=lane.speed_limit_kmh,
+                turns=lane.turns,
             )
-            for lane in own
+            for lane in lanes
             if lane.kind in ("driving", "parking")
         ),
         crs=source.crs,
         crosswalks_m=source.crosswalks_m,
         keeps_left=source.keeps_left,
     )
-    return build_junction(scene)
 
 
 def arm_lanes(source: SourceMap, junction: MapJunction) -> dict[str, tuple[int, int]]:

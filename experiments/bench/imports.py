@@ -19,6 +19,7 @@ from geometry.errors import InputError
 from geometry.junction import build_junction
 from geometry.maps.importing import (
     SUFFIXES,
+    ImportedScene,
     ImportOptions,
     ReadingOptions,
     import_scene,
@@ -34,6 +35,7 @@ from placement.pipeline import place
 from placement.planning import build_plan
 from placement.question import Question
 from placement.setting import Setting, build_setting
+from scenarios.staging import BENDS, ON_ROAD, lateral_acceleration_mps2
 
 from ..figures.axes import to_png
 from ..figures.scene import plot_scene_plan
@@ -43,8 +45,8 @@ _NO_MAPS = ("_16mm.json", "_8mm.json", ".boundary.geojson")  # calibrations, out
 _BESIDE_M = 14.0  # from the middle of the junction to the corner of the houses
 _HEADS = (
     *("file", "junction", "arms", "lanes", "things", "sites", "of them kerb", "runs"),
-    *("driven of possible", "driven of all"),
-    "most often refused",
+    *("driven of possible", "driven of all", "no kerb", "too fast for bends"),
+    *("largest to the side (m/s²)", "most often refused"),
     *("APR of the car", "APR of the units", "proven", "read and cut (s)", "place and judge (s)"),
 )
 
@@ -68,19 +70,25 @@ class _Task:
     help="Road map in FOLDER beside whose junction files without roads are put.",
 )
 @click.option("--budget", default=2, show_default=True, help="Units to place; 0: only import.")
+@click.option("--junctions", default=1, show_default=True, help="Largest junctions of each file.")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("results"), show_default=True)
-def main(folder: Path, beside: str, budget: int, out: Path) -> None:
-    """Import every map file below FOLDER, place units at its largest junction, judge them."""
+def main(folder: Path, beside: str, budget: int, junctions: int, out: Path) -> None:
+    """Import every map file below FOLDER, place units at its largest junctions, judge them."""
     pictures = out / "imports"
     pictures.mkdir(parents=True, exist_ok=True)
     rows, notes = [], []
     for task in _tasks(folder, beside):
         try:
-            rows.append(_run(task, budget, pictures))
+            for row in _run(task, budget, junctions, pictures):
+                rows.append(row)
+                click.echo(f"{task.name}: {row}")
         except InputError as error:
             notes.append(f"* {task.name}: {error}".replace(f"{folder}/", ""))
-        click.echo(f"{task.name}: {rows[-1] if rows and rows[-1][0] == task.name else notes[-1]}")
-    command = f"uv run python -m experiments.bench.imports FOLDER --budget {budget}"
+            click.echo(notes[-1])
+    command = (
+        f"uv run python -m experiments.bench.imports FOLDER --budget {budget} "
+        f"--junctions {junctions}"
+    )
     text = _page(rows, notes, command)
     (out / "imports.md").write_text(text, encoding="utf-8")
 
@@ -118,15 +126,25 @@ def _beside(source: SourceMap, roads: Path) -> tuple[float, float]:
     return east, north
 
 
-def _run(task: _Task, budget: int, pictures: Path) -> list[str]:
-    began_s = time.perf_counter()
-    imported = import_scene(
-        task.paths, ImportOptions(reading=ReadingOptions(offset_m=task.offset_m))
-    )
-    cut_s = time.perf_counter() - began_s
+def _run(task: _Task, budget: int, n_junctions: int, pictures: Path) -> Iterator[list[str]]:
+    """A row for each of the largest junctions; the first one's plan is drawn."""
+    reading = ReadingOptions(offset_m=task.offset_m)
+    ids = [""]
+    for number in range(n_junctions):
+        if number == len(ids):
+            return
+        began_s = time.perf_counter()
+        imported = import_scene(task.paths, ImportOptions(junction=ids[number], reading=reading))
+        ids = ["", *(one.junction.id for one in imported.junctions[1:])]
+        cut_s = time.perf_counter() - began_s
+        if not number:
+            stem = task.name.replace(" ", "-").replace(".", "-")
+            (pictures / f"{stem}.png").write_bytes(to_png(plot_scene_plan(imported.scene)))
+        yield _row(task, imported, budget, cut_s)
+
+
+def _row(task: _Task, imported: ImportedScene, budget: int, cut_s: float) -> list[str]:
     scene = imported.scene
-    stem = task.name.replace(" ", "-").replace(".", "-")
-    (pictures / f"{stem}.png").write_bytes(to_png(plot_scene_plan(scene)))
     began_s = time.perf_counter()
     setting = build_setting(Question(), scene)
     arms = build_junction(scene).arms
@@ -147,22 +165,25 @@ def _run(task: _Task, budget: int, pictures: Path) -> list[str]:
     ]
 
 
-def _driven(setting: Setting) -> tuple[str, str, str]:
-    """Shares of runs that are driven, and the reason that keeps the most possible ones from it."""
+def _driven(setting: Setting) -> tuple[str, ...]:
+    """Shares of runs, the largest sideways acceleration, the reason that keeps most from it."""
     refused: Counter[str] = Counter()
-    n_impossible = 0
+    n_impossible = n_bends = n_no_kerb = 0
     for refusal in setting.refusals:
+        n_speeds = len(refusal.speeds_kmh)
+        n_bends += n_speeds * refusal.reason.startswith(BENDS)
+        n_no_kerb += n_speeds * (ON_ROAD in refusal.reason)
         if refusal.is_possible:
-            refused[refusal.reason] += len(refusal.speeds_kmh)
+            refused[refusal.reason] += n_speeds
         else:
-            n_impossible += len(refusal.speeds_kmh)
+            n_impossible += n_speeds
     n_possible = setting.axis.n_runs + refused.total()
+    n_all = n_possible + n_impossible
+    n_runs = setting.axis.n_runs
+    shares = n_runs / n_possible, n_runs / n_all, n_no_kerb / n_all, n_bends / n_all
+    most_mps2 = max(lateral_acceleration_mps2(run.encounter) for run in setting.runs)
     most = [f"{reason} ({count})" for reason, count in refused.most_common(1)]
-    return (
-        f"{100.0 * setting.axis.n_runs / n_possible:.0f} %",
-        f"{100.0 * setting.axis.n_runs / (n_possible + n_impossible):.0f} %",
-        (most or ["-"])[0],
-    )
+    return *(f"{100.0 * share:.0f} %" for share in shares), f"{most_mps2:.1f}", (most or ["-"])[0]
 
 
 def _place(setting: Setting, budget: int) -> list[str]:
@@ -184,12 +205,15 @@ def _page(rows: Sequence[Sequence[str]], notes: Sequence[str], command: str) -> 
     lines = [
         "# Maps that others made, from file to placement",
         "",
-        f"Made by `{command}`, at the largest junction of each file, the default cases, the "
-        "default camera; plans in `imports/`. Driven: the share of the runs, each case from each "
-        "arm at each of seven places. A run is possible where the map has the road that it needs: "
-        "not where no arm lies ahead or aside, where the arm ends before the place, or where "
-        "another junction's middle lies there. The reason is the one that keeps most possible runs "
-        "away.",
+        f"Made by `{command}`, at the largest junctions of each file, the default cases, the "
+        "default camera; plans of the largest in `imports/`. Driven: the share of the runs, each "
+        "case from each arm at each of seven places. A run is possible where the map has the road "
+        "that it needs: not where no arm lies ahead or aside, where the arm ends before the place, "
+        "where another junction's middle lies there, where no kerb to park at lies beside the lane "
+        "and the case has parked cars or a wall there, or where the lanes bend so sharply that its "
+        "speed would ask for more than 4 m/s² to the side (these two also as shares of all runs: "
+        "no kerb, too fast for bends). To the side: the largest acceleration of a car before the "
+        "impact. The reason is the one that keeps most possible runs away.",
         "",
         "| " + " | ".join(_HEADS) + " |",
         "|" + " --- |" * len(_HEADS),

@@ -31,6 +31,7 @@ from geometry.scene_files import (
 )
 from geometry.study_scene import load_study_scene
 from placement.question import Question, map_options
+from scenarios.bends import find_sharp_bends
 
 from ..figures.axes import to_png
 from ..figures.city import plot_junctions
@@ -246,7 +247,7 @@ def run_check(path: str, *, progress: StageProgress) -> SceneCheckResult:
     """
     progress("check", 0, 0)
     scene = load_scene(path)
-    findings = check_scene(scene)
+    findings = [*check_scene(scene), *find_sharp_bends(scene)]
     return SceneCheckResult(
         name=scene.name,
         is_sound=all(finding.level != "error" for finding in findings),

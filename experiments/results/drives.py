@@ -208,8 +208,9 @@ def _reasons(setting: Setting) -> Iterator[str]:
         for name, of_case in places.items():
             cases.setdefault(describe_places(of_case), []).append(name)
         where = "; ".join(f"{joined(names)} from the {found}" for found, names in cases.items())
-        what = count_runs(count(group)) if group[0].is_possible else "Not possible"
-        yield f"{what}: {reason.removesuffix('.')} ({where})."
+        what = count_runs(count(group))
+        prefix = "" if group[0].is_possible else "Not possible, "
+        yield f"{prefix}{what}: {reason.removesuffix('.')} ({where})."
 
 
 def describe_places(positions: Mapping[str, Sequence[str]]) -> str:

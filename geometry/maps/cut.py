@@ -327,6 +327,7 @@ def _lanes(
                 width_m=lane.width_m,
                 centreline_m=points,
                 speed_limit_kmh=lane.speed_limit_kmh,
+                turns=lane.turns,
             )
         )
         if lane.kind == "driving":

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..arrays import FloatArray, float_array, freeze
 from ..errors import InputError
 from ..notes import Note
-from ..scene import LeadingRoad
+from ..scene import LeadingRoad, Turn
 
 LANE_KINDS = ("driving", "parking", "cycling", "walking")
 POLE_KINDS = ("lamp post", "traffic light", "sign", "pole")
@@ -41,6 +41,8 @@ class MapLane:
         Ids of the junctions at its ends, where it stops at the outline; empty: none.
     speed_limit_kmh : float, optional
         Where it leads into a junction, or else out of one; None: the source gives none. [km/h]
+    turns : tuple of str
+        Where cars may drive from its end by its markings, see :class:`geometry.scene.Lane`.
     """
 
     id: str
@@ -50,6 +52,7 @@ class MapLane:
     from_junction: str = ""
     to_junction: str = ""
     speed_limit_kmh: float | None = None
+    turns: tuple[Turn, ...] = ()
 
     def __post_init__(self) -> None:
         where = f"lane {self.id}"

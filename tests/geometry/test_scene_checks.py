@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from junctions import protocol_scene
+from junctions import LANE_M, MOUTH_M, protocol_scene
 
-from geometry.scene import Instance, Site, thing_footprint
+from geometry.scene import Instance, Lane, Site, thing_footprint
 from geometry.scene_checks import check_scene
 from geometry.study_scene import load_study_scene
 
@@ -107,3 +107,17 @@ def test_a_footprint_is_what_a_thing_covers_from_above():
     footprint = thing_footprint(scene, len(scene.instances) - 1)
     assert footprint.area == pytest.approx(np.pi * 21.0, rel=0.01)
     assert len(footprint.interiors) == 1
+
+
+def test_a_lane_that_leads_over_the_opposite_carriageway_is_found():
+    scene = protocol_scene()
+    assert not [one for one in check_scene(scene) if "opposite directions" in one.why]
+    y_m = 0.5 * LANE_M
+    line = [[-60.0, y_m + 1.0], [-40.0, y_m - 1.0], [-MOUTH_M, -y_m]]
+    over = Lane(id="over", kind="driving", width_m=LANE_M, centreline_m=np.array(line))
+    found = [
+        one
+        for one in check_scene(replace(scene, lanes=(*scene.lanes, over)))
+        if "opposite directions" in one.why
+    ]
+    assert [(one.level, one.what) for one in found] == [("warning", "west-out-0 and over")]

@@ -244,7 +244,7 @@ def test_a_bent_approach_is_driven_along_its_bend(golf):
         centreline_m=[[-80.0, 10.0], [-30.0, -1.75], [-11.5, -1.75]],
     )
     junction = build_junction(build_scene([*arms_without("west"), bent]))
-    motion = stage("CPLA-50", golf, speed_kmh=60.0, junction=junction).encounter.vut_motion
+    motion = stage("CPLA-50", golf, speed_kmh=35.0, junction=junction).encounter.vut_motion
     front, yaw_rad = motion.path.course.at(np.linspace(-60.0, -8.0, 600))
     # At the corner of 13 degrees the smoothed line cuts 0.35 x 2 m x 0.23.
     assert distance_to_chain_m(front, bent.centreline_m).max() == pytest.approx(0.16, abs=0.02)

@@ -1,7 +1,7 @@
 """Lines of lanes: cross-sections laid along the streets."""
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -33,6 +33,7 @@ class _Piece:
     ends_left_m: list[tuple[float, float]] = field(default_factory=list)
     levels: list[int] = field(default_factory=list)  # layer of each part
     limits_kmh: list[float | None] = field(default_factory=list)  # of each part
+    is_two_way: bool = False
 
 
 def build_lanes(reaches: Sequence[Reach]) -> tuple[MapLane, ...]:
@@ -41,11 +42,13 @@ def build_lanes(reaches: Sequence[Reach]) -> tuple[MapLane, ...]:
     If the number of lanes of a direction changes, all of them end, and the following ones begin at
     the same points.
     """
-    lanes = [lane for reach in reaches for lane in _street_lanes(reach)]
-    return tuple(_lead_on(lanes))
+    found = [lane for reach in reaches for lane in _street_lanes(reach)]
+    two_way = {lane.id for lane, is_two_way in found if is_two_way}
+    return tuple(_lead_on([lane for lane, _ in found], two_way))
 
 
-def _street_lanes(reach: Reach) -> Iterator[MapLane]:
+def _street_lanes(reach: Reach) -> Iterator[tuple[MapLane, bool]]:
+    """Lanes of a street, and whether cars drive both ways beside them."""
     street = reach.street
     spans = [
         (max(low, reach.begin_m), min(high, reach.end_m))
@@ -74,6 +77,7 @@ def _street_lanes(reach: Reach) -> Iterator[MapLane]:
             piece.levels.append(edge.level)
             is_forward = strip.is_forward == is_along
             piece.limits_kmh.append(speed_limit_kmh(edge.tags, is_forward=is_forward))
+            piece.is_two_way = len(street.sections[index].directions) > 1
             following[_key(strip)] = piece
         done += open_pieces.values()
         open_pieces = following
@@ -81,7 +85,7 @@ def _street_lanes(reach: Reach) -> Iterator[MapLane]:
     for piece in done:
         lane = _lane(piece, reach)
         if lane is not None:
-            yield lane
+            yield lane, piece.is_two_way
 
 
 def _without_stubs(
@@ -179,6 +183,7 @@ def _lane(piece: _Piece, reach: Reach) -> MapLane | None:
         from_junction=from_junction,
         to_junction=to_junction,
         speed_limit_kmh=piece.limits_kmh[-1 if is_forward == bool(to_junction) else 0],
+        turns=piece.strips[-1 if is_forward else 0].turns,
     )
 
 
@@ -199,45 +204,92 @@ def _heights(piece: _Piece) -> list[tuple[float, float]]:
     return heights
 
 
-def _lead_on(lanes: Sequence[MapLane]) -> list[MapLane]:
-    """Let lanes of carriageways that part or merge begin where the lane before them ends."""
+_Group = tuple[str, bool]  # lanes side by side by their common name, and whether their begins
+
+
+def _lead_on(lanes: Sequence[MapLane], two_way: Set[str]) -> list[MapLane]:
+    """Let lanes of carriageways that part or merge begin where the lanes before them end.
+
+    From the kerb each goes on into the one of its number; where there are more on one side, the
+    rest shares the last one's place. They meet on the lanes of a road with two directions, which
+    keep to their side, or else half-way. `two_way` are the ids of such lanes.
+    """
     led = list(lanes)
-    loose: dict[bool, list[int]] = defaultdict(list)  # by whether the begin is meant
-    driving = [index for index, lane in enumerate(lanes) if lane.kind == "driving"]
-    if not driving:
-        return led
-    tips = {
-        is_begin: np.array([_tip(lanes[index], is_begin=is_begin) for index in driving])
-        for is_begin in (True, False)
-    }
-    trees = {is_begin: cKDTree(tips[is_begin]) for is_begin in (True, False)}
-    for is_begin in (True, False):
-        distance = np.atleast_1d(trees[not is_begin].query(tips[is_begin])[0])
-        for at, index in enumerate(driving):
-            name = lanes[index].from_junction if is_begin else lanes[index].to_junction
-            if not name and distance[at] > _SAME_POINT_M:
-                loose[is_begin].append(at)
-    pairs = []
-    for end in loose[False]:
-        for begin in trees[True].query_ball_point(tips[False][end], _BESIDE_END_M):
-            one, other = lanes[driving[end]], lanes[driving[begin]]
-            if begin in loose[True] and _ahead(one, False) @ _ahead(other, True) > _SAME_WAY:
-                east, north, _ = tips[True][begin] - tips[False][end]
-                gap = float(np.hypot(east, north))
-                pairs.append((gap, end, begin))
+    groups: dict[_Group, list[int]] = defaultdict(list)
+    for index, lane in enumerate(lanes):
+        if lane.kind == "driving":
+            name = lane.id.rpartition(" ")[0]
+            for is_begin, junction in ((True, lane.from_junction), (False, lane.to_junction)):
+                if not junction:
+                    groups[name, is_begin].append(index)
+    for members in groups.values():
+        members.sort(key=lambda index: int(lanes[index].id.rpartition(" ")[2]))
     moved: dict[tuple[int, bool], FloatArray] = {}
-    for _, end, begin in sorted(pairs):
-        if (end, False) in moved:
-            continue
-        if (begin, True) not in moved:
-            moved[begin, True] = 0.5 * (tips[False][end] + tips[True][begin])
-        moved[end, False] = moved[begin, True]
-    for (at, is_begin), point in moved.items():
-        index = driving[at]
+
+    def place(index: int, other: int) -> FloatArray:
+        """Where the end of a lane and the begin of another one meet."""
+        known = moved.get((index, False), moved.get((other, True)))
+        if known is not None:
+            return known
+        tips = _tip(lanes[index], is_begin=False), _tip(lanes[other], is_begin=True)
+        is_kept = lanes[index].id in two_way, lanes[other].id in two_way
+        return 0.5 * (tips[0] + tips[1]) if is_kept[0] == is_kept[1] else tips[is_kept[1]]
+
+    for ends, begins in _meeting_groups(lanes, groups):
+        for number in range(max(len(ends), len(begins))):
+            one, other = ends[min(number, len(ends) - 1)], begins[min(number, len(begins) - 1)]
+            point = place(one, other)
+            moved.setdefault((one, False), point)
+            moved.setdefault((other, True), point)
+    for (index, is_begin), point in moved.items():
         points = led[index].centreline_m
         line = _bent(points if is_begin else points[::-1], point)
         led[index] = replace(led[index], centreline_m=line if is_begin else line[::-1])
     return led
+
+
+def _meeting_groups(
+    lanes: Sequence[MapLane], groups: Mapping[_Group, Sequence[int]]
+) -> Iterator[tuple[Sequence[int], Sequence[int]]]:
+    """Ends and begins of lanes side by side that go on into each other, the nearest first.
+
+    Of each group the nearest that lies ahead; lanes that meet already are left as they are.
+    """
+    keys = list(groups)
+    tips = [
+        np.array([_tip(lanes[index], is_begin=key[1]) for index in groups[key]]) for key in keys
+    ]
+    of_tip = np.repeat(np.arange(len(keys)), [len(points) for points in tips])
+    if not len(of_tip):
+        return
+    tree = cKDTree(np.concatenate(tips))
+    links: dict[tuple[int, int], float] = {}
+    for one, key in enumerate(keys):
+        found: dict[int, float] = {}
+        for tip in tips[one]:
+            for at in tree.query_ball_point(tip, _BESIDE_END_M):
+                other = int(of_tip[at])
+                if keys[other][1] != key[1] and keys[other][0] != key[0]:
+                    gap_m = float(np.hypot(*(tree.data[at] - tip)[:2]))
+                    found[other] = min(gap_m, found.get(other, np.inf))
+        ahead = {
+            other: gap_m
+            for other, gap_m in found.items()
+            if _ahead(lanes[groups[key][0]], key[1])
+            @ _ahead(lanes[groups[keys[other]][0]], not key[1])
+            > _SAME_WAY
+        }
+        if ahead:
+            other = min(ahead, key=ahead.__getitem__)
+            links[(other, one) if key[1] else (one, other)] = ahead[other]
+    for (end, begin), _ in sorted(links.items(), key=lambda item: item[1]):
+        is_met = [
+            bool((np.hypot(*(others - tip)[:, :2].T) <= _SAME_POINT_M).any())
+            for own, others in ((tips[end], tips[begin]), (tips[begin], tips[end]))
+            for tip in own
+        ]
+        if not all(is_met):
+            yield groups[keys[end]], groups[keys[begin]]
 
 
 def _tip(lane: MapLane, *, is_begin: bool) -> FloatArray:
@@ -254,11 +306,8 @@ def _ahead(lane: MapLane, is_begin: bool) -> FloatArray:
 
 
 def _bent(points_m: FloatArray, begin_m: FloatArray) -> FloatArray:
-    """A line that begins at another point and returns to itself within some metres."""
+    """A line that begins at another point and leads straight to itself, some metres on."""
     along = np.append(0.0, np.cumsum(np.hypot(*np.diff(points_m[:, :2], axis=0).T)))
     run = min(_BEND_M, float(along[-1]))
-    stations = np.unique(np.append(along, run))
-    line = np.column_stack([np.interp(stations, along, points_m[:, axis]) for axis in range(3)])
-    share = np.clip(1.0 - stations / run, 0.0, 1.0)
-    bent: FloatArray = line + share[:, None] * (begin_m - points_m[0])
-    return bent
+    joint = [np.interp(run, along, points_m[:, axis]) for axis in range(3)]
+    return np.vstack([begin_m, joint, points_m[along > run + _SAME_POINT_M]])

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
+from ...scene import Turn
 from ..source_map import Omissions
 from .elements import DEFAULTS, OPPOSITE, Tags, is_yes, parse_count, parse_length_m, side_value
 
@@ -196,6 +197,7 @@ class Strip:
     width_m: float
     left_m: float  # of its middle, to the left of the way
     is_forward: bool  # traffic runs in the direction of the way
+    turns: tuple[Turn, ...] = ()  # by its markings; empty: it bears none
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -245,6 +247,10 @@ def build_cross_section(
     beside_m = sum(width for _, width, _ in (*left.inner, *right.inner))
     widths, counts = _lane_widths(tags, counts, beside_m, note)
     driving = _driving(widths, counts, keeps_left=keeps_left)
+    turns = {
+        "forward": _listed_turns(tags, "forward", counts.n_forward, note, is_alone=is_oneway(tags)),
+        "backward": _listed_turns(tags, "backward", counts.n_backward, note, is_alone=False),
+    }
     carriageway_m = sum(width for _, _, width in driving) + beside_m
     strips: list[Strip] = []
     for side, sign, parts in (("left", 1.0, left), ("right", -1.0, right)):
@@ -284,6 +290,7 @@ def build_cross_section(
                     width_m=free_m,
                     left_m=middle_m + (aside_m if is_forward == keeps_left else -aside_m),
                     is_forward=is_forward,
+                    turns=turns[direction][number if keeps_left else -1 - number],
                 )
             )
     strips.sort(key=lambda strip: -strip.left_m)
@@ -360,6 +367,25 @@ def _listed_widths(tags: Tags, direction: str, count: int, *, is_alone: bool) ->
         if width and limits["min_lane_width_m"] <= width <= limits["max_lane_width_m"]
     ]
     return known if len(known) == len(widths) == count else None
+
+
+def _listed_turns(
+    tags: Tags, direction: str, count: int, note: Note, *, is_alone: bool
+) -> list[tuple[Turn, ...]]:
+    """Where cars may drive from each lane by its markings, from left to right."""
+    unmarked: list[tuple[Turn, ...]] = [()] * count
+    text = tags.get(f"turn:lanes:{direction}") or (tags.get("turn:lanes") if is_alone else None)
+    if text is None:
+        return unmarked
+    words = DEFAULTS["turns"]
+    listed: list[tuple[Turn, ...]] = []
+    for lane in text.split("|"):
+        turns = [turn for word in lane.split(";") for turn in words.get(word.strip(), ())]
+        listed.append(tuple(dict.fromkeys(turns)))
+    if len(listed) != count:
+        note("turn:lanes has another number of lanes: markings not followed")
+        return unmarked
+    return listed
 
 
 def _total_width_m(tags: Tags, note: Note) -> float | None:

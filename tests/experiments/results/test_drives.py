@@ -68,7 +68,7 @@ def test_nothing_is_said_where_all_that_was_asked_for_is_driven():
             [refused("CPLA", "south", "no lane", is_possible=False)],
             [
                 "All 3 possible runs are driven.",
-                "Not possible: no lane (CPLA from the south).",
+                "Not possible, 9 runs: no lane (CPLA from the south).",
             ],
         ),
         (

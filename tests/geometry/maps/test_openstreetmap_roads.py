@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from osm_text import OsmText, arm_lanes, arms_of, as_drawn, crossing
+from osm_text import OsmText, arm_lanes, arms_of, as_drawn, crossing, scene_of
 
 from geometry.junction import distance_to_outline_m
 from geometry.maps.openstreetmap import read_openstreetmap
 from geometry.maps.source_map import MapLane, SourceMap
+from geometry.scene_checks import lanes_that_cross
 
 EAST, NORTH, WEST, SOUTH = (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)
 FOUR = (EAST, NORTH, WEST, SOUTH)
@@ -418,6 +419,46 @@ def test_carriageways_lead_on_into_the_road_they_become(tmp_path: Path) -> None:
     west_bound = next(line for line in driving if line[0, 0] > 150.0)
     gaps = [np.hypot(*(line[0] - west_bound[-1])) for line in driving]
     assert min(gaps) < 0.01
+
+
+def test_where_one_lane_becomes_three_at_a_fork_all_stay_on_their_side(tmp_path: Path) -> None:
+    osm = OsmText()
+    south, north, fork = osm.node(0.0, -7.0), osm.node(0.0, 7.0), osm.node(-60.0, 0.0)
+    tags = {"highway": "primary", "name": "A"}
+    osm.way([(-160.0, 0.0), fork], tags | {"lanes": "2"})
+    osm.way([fork, (-45.0, -7.0), south], tags | {"oneway": "yes", "lanes": "3"})
+    osm.way([north, (-45.0, 7.0), fork], tags | {"oneway": "yes", "lanes": "2"})
+    osm.road([(0.0, -80.0), south, north, (0.0, 80.0)])
+    source = read(osm, tmp_path, keeps_left=False)
+    scene = scene_of(source, source.junctions[0], source.lanes)
+    assert not list(lanes_that_cross(scene))
+    (one,) = (lane for lane in scene.lanes if lane.centreline_m[0, 0] < -150.0)
+    assert one.centreline_m[-1, 1] < -1.0  # to the right of the axis
+    begins = [np.hypot(*(lane.centreline_m[0] - one.centreline_m[-1])) for lane in scene.lanes]
+    assert sum(gap_m < 0.01 for gap_m in begins) == 3
+
+
+@pytest.mark.parametrize("keeps_left", [False, True])
+def test_turn_lanes_are_those_of_the_lanes_from_the_left(keeps_left: bool, tmp_path: Path) -> None:
+    osm = OsmText()
+    middle = osm.node(0.0, 0.0)
+    marked = {"turn__lanes__forward": "left;slight_left|none|through;right", "lanes": "4"}
+    osm.road([(-100.0, 0.0), middle], lanes__forward="3", **marked)
+    other = {"turn__lanes__forward": "left|through|right|", "lanes": "3"}
+    osm.road([(0.0, 100.0), middle], lanes__forward="2", **other)
+    osm.road([middle, (100.0, 0.0)], oneway="-1", turn__lanes="reverse|odd", lanes="2")
+    source = read(osm, tmp_path, keeps_left=keeps_left)
+    arms = arms_of(source, source.junctions[0]).arms
+    left_first = {
+        name: [lane.turns for lane in arms[name].entry_lanes[:: 1 if keeps_left else -1]]
+        for name in ("west", "north", "east")
+    }
+    assert left_first == {
+        "west": [("left", "through"), (), ("through", "right")],
+        "north": [(), ()],  # four markings for two lanes
+        "east": [("reverse",), ()],
+    }
+    assert any("turn:lanes has another number" in skipped.why for skipped in source.skipped)
 
 
 def test_two_meetings_too_near_to_be_two_but_too_far_to_be_one_share_the_road(

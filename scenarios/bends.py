@@ -1,0 +1,64 @@
+"""Look for bends of a scene's lanes that no car drives at the speeds of its road."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from geometry.actors import pick_actor
+from geometry.errors import InputError
+from geometry.junction import Arm, Junction, build_junction
+from geometry.scene import Lane, Scene
+from geometry.scene_checks import Finding
+
+from .courses import follow_gently
+from .laying import load_way_rules
+from .paths import MPS_PER_KMH
+from .ways import free_aside_m
+
+_REACH_M = 100.0  # from the junction: at 50 km/h, seven seconds
+_OVER_M = 1.0  # bends are taken over a metre, as those of runs
+
+
+def find_sharp_bends(scene: Scene) -> Iterator[Finding]:
+    """Warn of each arm whose lanes bend too sharply for their speed limit, or 50 km/h."""
+    rules = load_way_rules()
+    try:
+        junction = build_junction(scene)
+    except InputError:  # another finding says so
+        return
+    for arm in junction.arms.values():
+        speed_kmh, distance_m, lane = min(
+            _bends(junction, arm), key=lambda found: found[0] - _limit_kmh(found[2])
+        )
+        if speed_kmh < _limit_kmh(lane):
+            yield Finding(
+                level="warning",
+                what=f"arm {arm.name}",
+                why=f"lane {lane.id} bends {distance_m:.0f} m from the junction: "
+                f"{rules.max_lateral_mps2:g} m/s^2 to the side allow {speed_kmh:.0f} km/h there, "
+                "and what is faster is not driven past it",
+            )
+
+
+def _limit_kmh(lane: Lane) -> float:
+    return lane.speed_limit_kmh or load_way_rules().town_kmh
+
+
+def _bends(junction: Junction, arm: Arm) -> Iterator[tuple[float, float, Lane]]:
+    """Speed at each lane's sharpest bend in km/h, its distance from the junction, and the lane."""
+    vut = pick_actor("vut", "vut")
+    step = round(_OVER_M / 0.01)  # points of a course lie a centimetre apart
+    yield np.inf, 0.0, (*arm.lanes_in, *arm.lanes_out)[0]
+    for is_in, lanes in ((True, arm.entry_lanes), (False, arm.exit_lanes)):
+        for lane in lanes:
+            followed = junction.followed(lane) if is_in else lane
+            free_m = free_aside_m(vut, followed)
+            course = follow_gently([followed.centreline_m], [free_m], origin=int(is_in))
+            reach = (-_REACH_M, 0.0) if is_in else (0.0, _REACH_M)
+            near = course.between(*reach)
+            bend_per_m = np.abs(near.yaw_rad[step:] - near.yaw_rad[:-step]) / _OVER_M
+            if not len(bend_per_m):
+                continue
+            at = int(bend_per_m.argmax())
+            speed_mps = np.sqrt(load_way_rules().max_lateral_mps2 / max(bend_per_m[at], 1e-9))
+            yield float(speed_mps / MPS_PER_KMH), abs(near.begin_m + 0.01 * at), lane
