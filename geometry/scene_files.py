@@ -20,7 +20,15 @@ from msgspec import Struct
 
 from .arrays import FloatArray, Point2, Points2
 from .errors import InputError, Unquoted
-from .files import MAX_TOML_BYTES, Text, check_file, load_toml, read_table, write_atomically
+from .files import (
+    MAX_TOML_BYTES,
+    Text,
+    load_toml,
+    open_file,
+    open_new,
+    read_table,
+    write_atomically,
+)
 from .frames import from_gltf_points, to_gltf_points
 from .junction import LeadingRoad
 from .scene import Instance, Lane, Scene, Site, join_bodies
@@ -85,9 +93,8 @@ def _has_scene(path: Path) -> bool:
     """Whether a file is a scene's archive, or a damaged one; a map may be a .zip file, too."""
     if path.suffix.lower() != ".zip":
         return False
-    check_file(path)
     try:
-        with zipfile.ZipFile(path) as packed:
+        with open_file(path) as file, zipfile.ZipFile(file) as packed:
             return SCENE_FILE in packed.namelist()
     except (OSError, zipfile.BadZipFile):
         return True
@@ -180,8 +187,8 @@ def save_scene(
     }
     text = _HEAD + tomlkit.dumps(table)
     glb = _to_glb(scene)
-    write_atomically(folder / THINGS_FILE, lambda file: file.write(glb))
-    write_atomically(folder / SCENE_FILE, lambda file: file.write(text.encode()))
+    write_atomically(folder / THINGS_FILE, glb)
+    write_atomically(folder / SCENE_FILE, text)
 
 
 def load_scene_folder(path: Path) -> Scene:
@@ -288,10 +295,9 @@ def _as_folder(path: Path) -> Iterator[Path]:
     if path.is_dir():
         yield path
         return
-    check_file(path)
     with tempfile.TemporaryDirectory() as temporary:
         try:
-            with zipfile.ZipFile(path) as packed:
+            with open_file(path) as file, zipfile.ZipFile(file) as packed:
                 for name, max_bytes in _MAX_BYTES.items():
                     with packed.open(name) as member:  # of the archive only these two are read
                         _unpack(member, Path(temporary) / name, path, max_bytes)
@@ -310,7 +316,7 @@ def _as_folder(path: Path) -> Iterator[Path]:
 def _unpack(member: IO[bytes], target: Path, archive: Path, max_bytes: int) -> None:
     """Write a file of an archive; sizes that the archive states are not trusted."""
     n_bytes = 0
-    with target.open("wb") as sink:
+    with open_new(target) as sink:
         while chunk := member.read(1 << 20):
             n_bytes += len(chunk)
             if n_bytes > max_bytes:

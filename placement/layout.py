@@ -19,7 +19,7 @@ from geometry.catalogue import (
     sensor_kind,
 )
 from geometry.errors import InputError, Unquoted
-from geometry.files import MAX_TEXT_BYTES, check_file
+from geometry.files import read_text
 from geometry.poses import Pose
 from geometry.scene import Scene, containing_instance
 from geometry.sensors import CameraModel, with_fov
@@ -268,14 +268,7 @@ def load_layout(path: Path) -> Layout:
     Raises InputError if the file cannot be read, is not JSON, of another version, or a field is
     wrong.
     """
-    check_file(path, max_bytes=MAX_TEXT_BYTES)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
-    except UnicodeDecodeError as error:
-        raise InputError(str(path), Unquoted(error), "JSON in UTF-8") from None
-    return read_layout(text, where=str(path), name=path.stem)
+    return read_layout(read_text(path, "JSON"), where=str(path), name=path.stem)
 
 
 def read_layout(text: str | bytes, *, where: str, name: str) -> Layout:

@@ -538,7 +538,7 @@ def save_question(path: Path, question: Question) -> None:
                 document.add(tomlkit.comment(line))
             document.add(field.key, value)
     try:
-        write_atomically(path, lambda file: file.write(tomlkit.dumps(document).encode()))
+        write_atomically(path, tomlkit.dumps(document))
     except OSError as error:
         raise InputError(
             str(path), Unquoted(error.strerror or error), "a file that can be written"

@@ -78,8 +78,7 @@ def export(
         return
     from geometry.files import write_atomically
 
-    data = content.encode() if isinstance(content, str) else content
     try:
-        write_atomically(out, lambda file: file.write(data))
+        write_atomically(out, content)
     except OSError as error:
         raise unwritable(out, error) from None

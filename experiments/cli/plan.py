@@ -110,16 +110,19 @@ def plan(
         )
     begin(progress, quiet=quiet)
     progress.kept = "nothing was written" if save is None else f"the plan is in {save}"
+    from geometry.files import check_target, read_bytes
     from geometry.scene_files import load_scene
     from placement.layout import check_layout
     from placement.setting import build_setting
 
-    from ..plan.desk import Desk
+    from ..plan.desk import MAX_PLAN_BYTES, Desk
     from ..plan.server import RunningServer
     from ..plan.session import Plan, Variant, read_plan
     from ..plan.tasks import Work
     from ..study.layout import find_layout
 
+    if save is not None:
+        check_target(save)
     scene = load_scene(question.scene)
     variants = []
     for name in layout_names:
@@ -128,7 +131,7 @@ def plan(
         variants.append(Variant(name=layout.name, units=layout.units))
     begun = Plan(variants=tuple(variants))
     if save is not None and save.exists() and not variants:
-        begun = read_plan(save.read_bytes(), str(save))
+        begun = read_plan(read_bytes(save, max_bytes=MAX_PLAN_BYTES), str(save))
         for variant in begun.variants:
             if variant.units:
                 check_layout(variant.layout(scene), scene)

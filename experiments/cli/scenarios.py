@@ -279,7 +279,7 @@ def export(*, question: Question, position: str, out: Path | None) -> None:
     if out is None:
         click.echo(text, nl=False)
     else:
-        _write(out, lambda: write_atomically(out, lambda file: file.write(text.encode())))
+        _write(out, lambda: write_atomically(out, text))
 
 
 def _write(path: Path, write: Callable[[], Any], *, makes_folder: bool = False) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from geometry.errors import InputError, MissingExtraError, Unquoted
+from geometry.files import read_bytes
 from geometry.maps.importing import ImportOptions, cut_scene
 from geometry.maps.junctions import Surveyed
 from geometry.maps.source_map import SourceMap
@@ -71,7 +72,7 @@ def run_junction(task: JunctionTask) -> JunctionAnswer:
                 assumed_heights=sorted(imported.assumed_heights),
                 roads=imported.roads,
             )
-            files = {path.name: path.read_bytes() for path in sorted(Path(folder).iterdir())}
+            files = {path.name: read_bytes(path) for path in sorted(Path(folder).iterdir())}
         solved = solve_junction(
             imported.scene,
             task.question,

@@ -20,7 +20,7 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray
 from geometry.catalogue import pick_sensor
 from geometry.errors import InputError, Unquoted
-from geometry.files import write_atomically
+from geometry.files import read_text, write_atomically
 from geometry.lidar import LidarModel
 from geometry.poses import Pose
 from geometry.sensors import CameraModel
@@ -415,7 +415,7 @@ def _coco(
 def _add_vehicles(out: Path) -> None:
     """Label vehicles in ``coco.json``, once, as the text files beside the pictures have them."""
     form, path = load_format(), out / _COCO_FILE
-    coco = json.loads(path.read_text(encoding="utf-8"))
+    coco = json.loads(read_text(path, "JSON"))
     number = len(_COCO_CLASSES) + 1
     if any(category["id"] == number for category in coco["categories"]):
         return
@@ -433,7 +433,7 @@ def _add_vehicles(out: Path) -> None:
                 }
             )
     coco["categories"].append({"id": number, "name": "vehicle"})
-    write_atomically(path, lambda file: file.write(json.dumps(coco).encode()))
+    write_atomically(path, json.dumps(coco))
 
 
 # ---------- what is to be drawn

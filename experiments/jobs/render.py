@@ -234,7 +234,7 @@ def save_cloud(path: Path, cloud: PointCloud) -> tuple[Path]:
     else:
         colours = instance_colours(cloud.names)[cloud.instance]
         content = trimesh.PointCloud(cloud.points_m, colours).export(file_type="ply")
-    write_atomically(path, lambda file: file.write(content))
+    write_atomically(path, content)
     return (path,)
 
 

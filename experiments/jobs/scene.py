@@ -8,7 +8,7 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import check_file
+from geometry.files import read_bytes
 from geometry.maps.importing import (
     ImportedScene,
     ImportOptions,
@@ -29,6 +29,7 @@ from geometry.scene_files import (
     save_scene,
 )
 from geometry.study_scene import load_study_scene
+from geometry.untrusted_files import MAX_FILE_BYTES
 
 from ..figures.axes import to_png
 from ..figures.scene import plot_scene_plan, plot_scene_view
@@ -111,7 +112,7 @@ def run_import(
                     "--out", Unquoted(f"{out}: {error.strerror or error}"), "a file to write"
                 ) from None
         else:
-            contents = {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+            contents = {path.name: read_bytes(path) for path in sorted(folder.iterdir())}
             contents |= _pictures(scene)
             # The meshes first: a folder with a scene.toml is whole.
             write_files(out, {**_last(contents, SCENE_FILE)})
@@ -151,8 +152,7 @@ def import_into_cache(
     if not source or not path.is_file() or _is_scene(path):
         got = source or "the study's junction"
         raise InputError("--junction", Unquoted(f"it with {got}"), "--scene FILE, a map with roads")
-    check_file(path)
-    digest = hashlib.sha256(path.read_bytes())
+    digest = hashlib.sha256(read_bytes(path, max_bytes=MAX_FILE_BYTES))
     digest.update(f"\n{junction}\n{IMPORT_VERSION}".encode())
     folder = cache / "scenes" / digest.hexdigest()[:16]
     if (folder / SCENE_FILE).exists():

@@ -349,7 +349,7 @@ def run_sheet(
     pdf = mounting_sheet(layout, setting, tolerances, compute=compute)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(out, lambda file: file.write(pdf))
+        write_atomically(out, pdf)
     except OSError as error:
         raise InputError(
             "--out", Unquoted(f"{out}: {error.strerror or error}"), "a file that can be written"

@@ -467,7 +467,7 @@ class Desk:
             return
         text = self.plan_text()
         try:
-            write_atomically(self._save, lambda file: file.write(text))
+            write_atomically(self._save, text)
         except OSError as error:
             self.tell({"type": "notice", "text": f"not saved: {error.strerror or error}"})
 

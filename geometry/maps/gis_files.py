@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import InputError, Unquoted
+from ..files import open_file, read_text
 from ..scene import CLASS_NAMES
-from ..untrusted_files import check_size, parse_json, read_text, unpacked
+from ..untrusted_files import parse_json, unpacked
 from .georeferences import WGS84, Georeference, georeference
 from .solids import extrude, join
 from .source_map import Skipped, SourceMap, Thing, counted, shortened, unique_id
@@ -129,8 +130,7 @@ def _read_with_gdal(path: Path, layer: str | None) -> Features:
     where = str(path)
     magic, name = _MAGIC[path.suffix.lower()]
     try:
-        check_size(path, _MAX_GDAL_BYTES)
-        with path.open("rb") as file:
+        with open_file(path, max_bytes=_MAX_GDAL_BYTES) as file:
             if file.read(len(magic)) != magic:
                 raise InputError(where, Unquoted("something else"), name)
         with warnings.catch_warnings():

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
-from ..files import check_file
+from ..files import check_file, open_file, read_text
 from ..junction import LeadingRoad
 from ..scene import Scene
 from ..scene_checks import arms_that_end
@@ -156,14 +156,14 @@ def _moved(source: SourceMap, offset_m: FloatArray) -> SourceMap:
 
 def _is_city_json(path: Path) -> bool:
     """Whether a JSON file is CityJSON, by its first bytes or else by its member ``type``."""
-    with path.open("rb") as file:
+    with open_file(path) as file:
         head = file.read(4096)
         if b'"CityJSON"' in head:
             return True
         if b'"FeatureCollection"' in head or b'"Feature"' in head:
             return False
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(read_text(path, "JSON"))
     except (ValueError, RecursionError):
         return False  # the reader of GeoJSON says what is wrong
     return isinstance(document, dict) and document.get("type") == "CityJSON"

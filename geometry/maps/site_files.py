@@ -12,7 +12,7 @@ import numpy as np
 
 from ..arrays import FloatArray, float_array
 from ..errors import InputError, Unquoted
-from ..untrusted_files import read_text
+from ..files import read_text
 from .georeferences import WGS84, horizontal_crs, transform
 from .gis_files import read_features
 
