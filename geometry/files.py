@@ -75,18 +75,22 @@ def open_file(
     Raises InputError if it cannot be opened, is no regular file, or is larger than `max_bytes`.
     """
     check_file(path, max_bytes=max_bytes)  # to open a device may already do something
-    flags = os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0)
     try:
-        handle = os.open(path, flags)
+        file = open(path, "rb", opener=_open_at_once)  # noqa: SIM115 - Path has no opener
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(str(path), Unquoted(reason), expected) from None
     try:
-        _check_found(os.fstat(handle), str(path), max_bytes)
+        _check_found(os.fstat(file.fileno()), str(path), max_bytes)
     except InputError:
-        os.close(handle)
+        file.close()
         raise
-    return os.fdopen(handle, "rb")
+    return file
+
+
+def _open_at_once(name: str, flags: int) -> int:
+    """Open without waiting for whoever would write into a pipe."""
+    return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 def read_bytes(
