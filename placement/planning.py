@@ -26,7 +26,7 @@ from .private_ground import (
     private_shares,
     respects_private_ground,
 )
-from .question import BASELINE_NAME, Question
+from .question import BASELINE_NAME, Question, split_names
 from .wishes import Wishes, check_wishes
 
 
@@ -119,8 +119,8 @@ def build_plan(question: Question, scene: Scene, *, study: Layout | None = None)
         survive=survive,
         failing=failing,
         kept=() if kept is None else tuple(unit.id for unit in kept.units),
-        forced_sites=_words(question.force_site),
-        forbidden_sites=_words(question.forbid_site),
+        forced_sites=split_names(question.force_site, "--force-site"),
+        forbidden_sites=split_names(question.forbid_site, "--forbid-site"),
         site_capacity=question.site_capacity,
         site_cost_eur=question.site_cost_eur,
         prices=load_prices() if question.site_cost_eur is None and _asks_money(question) else None,
@@ -155,7 +155,7 @@ def build_effort(question: Question) -> Effort:
 
 def build_grid(sensors: str, *, is_coarse: bool = False) -> CandidateGrid:
     """The default grid, with sensors by name or from files, commas between; none: its own."""
-    names = _words(sensors)
+    names = split_names(sensors, "--sensors")
     grid = load_candidate_grid(is_coarse=True) if is_coarse else load_candidate_grid()
     if not names:
         return grid
@@ -194,10 +194,6 @@ def _distinct(layouts: Sequence[Layout | None]) -> list[CandidatePose]:
     """Units of some layouts, each id once; the last one that has it counts."""
     units = {unit.id: unit for layout in layouts if layout is not None for unit in layout.units}
     return list(units.values())
-
-
-def _words(text: str) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(word.strip() for word in text.split(",") if word.strip()))
 
 
 def _target(text: str) -> float | None:

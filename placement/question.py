@@ -38,6 +38,8 @@ class Option:
     is_common: bool = False  # whether most people need it: the short help shows it
     is_path: bool = False  # whether a shell completes the value as a path
     takes_infinity: bool = False  # whether a number may be infinite
+    needs: str = ""  # field without which this one has no effect
+    excludes: str = ""  # field with which this one has no effect
 
 
 def _share(of: str) -> Meta:
@@ -85,7 +87,12 @@ class Question:
     ] = ""
     least: Annotated[
         Literal["units", "cost"],
-        Option(section=ASKED, help="What --target is reached with the least of.", is_common=True),
+        Option(
+            section=ASKED,
+            help="What --target is reached with the least of.",
+            is_common=True,
+            needs="target",
+        ),
     ] = "units"
     min_case_apr: Annotated[
         Annotated[float, _share("a share of the runs")],
@@ -158,6 +165,7 @@ class Question:
             help="Models to choose from, with commas between: carla-ncap-rgb,carla-ncap-lidar, or "
             "your own: FILE.toml, FILE.toml:NAME; default: the study's camera.",
             metavar="NAMES",
+            excludes="within",
             is_common=True,
         ),
     ] = ""
@@ -176,6 +184,7 @@ class Question:
         Option(
             section=MOUNTED,
             help="Share of such an area that may be in the picture all the same; default: none.",
+            needs="no_look",
         ),
     ] = None
 
@@ -224,6 +233,7 @@ class Question:
             section=SOUGHT,
             help="What is drawn for --samples: a name, or a .toml file.",
             metavar="NAME",
+            needs="samples",
         ),
     ] = "default"
     traffic: Annotated[
@@ -234,6 +244,7 @@ class Question:
             "for it, or FCD of your own model (.xml, .csv, also .gz, .parquet).",
             metavar="sumo|FILE",
             is_path=True,
+            needs="samples",
         ),
     ] = ""
     traffic_offset: Annotated[
@@ -243,6 +254,7 @@ class Question:
             help="Metres added to x and y of --traffic FILE; default: what the .net.xml beside it "
             "says.",
             metavar="EAST,NORTH",
+            needs="traffic",
         ),
     ] = ""
     risk: Annotated[
@@ -252,6 +264,7 @@ class Question:
             help="With --samples: mean, worst, or the share of the worst worlds whose mean APR "
             "counts.",
             metavar="HOW",
+            needs="samples",
         ),
     ] = "mean"
     pool: Annotated[
@@ -322,7 +335,8 @@ class Question:
         ),
     ] = "day"
     force: Annotated[
-        bool, Option(section=DRIVEN, help="Drive speeds that the protocol does not.")
+        bool,
+        Option(section=DRIVEN, help="Drive speeds that the protocol does not.", needs="speeds"),
     ] = False
     strict: Annotated[
         bool,
@@ -478,6 +492,19 @@ def question_fields() -> dict[str, QuestionField]:
             name=field.name, kind=kind, default=field.default, option=option
         )
     return found
+
+
+def split_names(text: str, where: str) -> tuple[str, ...]:
+    """Names with commas between; none of an empty text.
+
+    Raises InputError if one is empty, or stands there twice.
+    """
+    names = tuple(word.strip() for word in text.split(",")) if text else ()
+    if not all(names) or len(set(names)) < len(names):
+        from geometry.errors import InputError
+
+        raise InputError(where, text, "names with commas between, each once")
+    return names
 
 
 def load_question_values(path: Path) -> dict[str, Any]:

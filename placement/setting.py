@@ -31,7 +31,7 @@ from .detectors import Detector, PlanningDetector, load_detector, load_planning_
 from .detectors.network import NetworkDetector
 from .kept import keep_value
 from .latency import load_latency_budget
-from .question import Question
+from .question import Question, split_names
 
 # ---------- radio links
 
@@ -352,8 +352,8 @@ def _planner(detector: Detector) -> PlanningDetector:
 
 
 def _words(text: str, where: str, known: tuple[str, ...]) -> tuple[str, ...]:
-    """Words with commas between, each once."""
-    words = tuple(dict.fromkeys(word.strip() for word in text.split(",") if word.strip()))
+    """Known words with commas between; none of an empty text."""
+    words = split_names(text, where)
     for word in words:
         if word not in known:
             raise InputError(where, word, "one or more of " + ", ".join(known))

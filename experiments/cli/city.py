@@ -112,12 +112,18 @@ Examples:
     "a CSV with a column junction. Default: every junction counts the same.",
 )
 @option(
-    "--weight-column", is_common=False, default="", metavar="NAME", help="Of --junction-weights."
+    "--weight-column",
+    is_common=False,
+    default="",
+    metavar="NAME",
+    needs="weights_file",
+    help="Of --junction-weights.",
 )
 @option(
     "--snap",
     "snap_m",
     is_common=False,
+    needs="weights_file",
     type=click.FloatRange(min=0.0, min_open=True),
     default=50.0,
     show_default=True,
@@ -136,6 +142,7 @@ Examples:
 @option(
     "--min-district-apr",
     is_common=False,
+    needs="districts",
     type=click.FloatRange(min=0.0, max=1.0),
     default=0.0,
     metavar="SHARE",
@@ -155,6 +162,7 @@ Examples:
     "--near",
     "near_m",
     is_common=False,
+    needs="areas",
     type=click.FloatRange(min=0.0),
     default=0.0,
     metavar="METRES",
@@ -172,6 +180,7 @@ Examples:
 @option(
     "--years",
     is_common=False,
+    needs="units_per_year",
     type=click.IntRange(min=1),
     metavar="N",
     expected="a number of years, at least 1",
@@ -245,6 +254,7 @@ Examples:
     is_common=False,
     default="1.5GiB",
     show_default=True,
+    excludes="scheduler",
     metavar="SIZE",
     help="Of each process on this machine; one that takes more is ended, and its junction tried "
     "again.",

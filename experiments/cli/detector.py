@@ -49,6 +49,7 @@ Examples:
     default=1000,
     show_default=True,
     metavar="N",
+    needs="layout_names",
     expected="a number of pictures, at least 50",
     help="With --detector: how many are rendered and looked at, about a second each.",
 )

@@ -3,7 +3,7 @@
 import math
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
@@ -47,6 +47,8 @@ class WordedOption(click.Option):
         What a value must be; for the message about another one.
     takes_infinity : bool
         Whether a number may be "inf".
+    needs, excludes : str
+        Parameter without which, and with which, the option has no effect: then it is refused.
     """
 
     def __init__(
@@ -57,15 +59,42 @@ class WordedOption(click.Option):
         expected: str = "",
         is_path: bool = False,
         takes_infinity: bool = False,
+        needs: str = "",
+        excludes: str = "",
         **kwargs: Any,
     ) -> None:
         if is_path:
             kwargs["shell_complete"] = complete_paths
         super().__init__(*args, **kwargs)
-        self.takes_infinity = takes_infinity
+        self.takes_infinity, self.needs, self.excludes = takes_infinity, needs, excludes
         self.section, self.is_common, self.expected = section, is_common, expected
         if isinstance(self.type, click.Choice):
             self.expected = "one of " + ", ".join(map(str, self.type.choices))
+
+    def handle_parse_result(
+        self, ctx: click.Context, opts: Mapping[str, Any], args: list[str]
+    ) -> tuple[Any, list[str]]:
+        """The value; refused if it is empty, or has no effect among the other options."""
+        raw, source = self.consume_value(ctx, opts)
+        if source is ParameterSource.COMMANDLINE:
+            me = option_name(self)
+            if raw == "":
+                raise click.UsageError(f"{me}: got nothing; expected a value, or no {me}")
+            others = {param.name: param for param in ctx.command.params}
+            for name in filter(None, (self.needs, self.excludes)):
+                other = others.get(name)
+                if other is None:
+                    continue
+                found, of_other = other.consume_value(ctx, opts)
+                is_set = of_other is not ParameterSource.DEFAULT and bool(found)
+                is_set &= found not in ("0", other.default)
+                if is_set != (name == self.needs):
+                    got = "beside" if is_set else "without"
+                    raise click.UsageError(
+                        f"{me}: got it {got} {option_name(other)}; expected "
+                        + ("one of them" if is_set else "both")
+                    )
+        return super().handle_parse_result(ctx, opts, args)
 
     def type_cast_value(self, ctx: click.Context, value: Any) -> Any:
         """The value, checked by its type."""
@@ -179,6 +208,8 @@ def field_option(field: QuestionField, default: Any = None) -> Decorator:
         "is_common": field.option.is_common,
         "is_path": field.option.is_path,
         "takes_infinity": field.option.takes_infinity,
+        "needs": field.option.needs,
+        "excludes": field.option.excludes,
         "metavar": field.option.metavar or None,
         "expected": limit.description or "",
     }

@@ -95,6 +95,7 @@ cannot be met (one line says what), 130 interrupted, 143 terminated.""",
     default="",
     metavar="NAME",
     section=MOUNTED,
+    needs="scene",
     help='With --scene FILE, a map: id or streets of the junction, "A Street / B Street".',
 )
 @recording_options

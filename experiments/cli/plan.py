@@ -77,6 +77,7 @@ Examples:
 @option(
     "--i-know",
     is_flag=True,
+    needs="host",
     is_common=False,
     help="With --host: whoever has the page's address can change the plan and send files.",
 )

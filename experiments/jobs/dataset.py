@@ -35,7 +35,7 @@ from placement.evaluator import (
 )
 from placement.evaluator.watch import VUT_KEY, build_rng, unit_key
 from placement.layout import Layout
-from placement.question import Question
+from placement.question import Question, split_names
 from placement.recordings import WrittenDrive, load_format, write_folder, write_recording
 from placement.recordings.files import read_labels
 from placement.setting import Setting, build_setting
@@ -187,11 +187,11 @@ def _pick_viewers(layout: Layout, names: str) -> tuple[Viewer, ...]:
     )
     if not names:
         return tuple(known.values())
-    wanted = [name.strip() for name in names.split(",")]
+    wanted = split_names(names, "--units")
     unknown = [name for name in wanted if name not in known]
     if unknown:
         raise InputError("--units", unknown[0], "cameras of the layout: " + ", ".join(known))
-    return tuple(known[name] for name in dict.fromkeys(wanted))
+    return tuple(known[name] for name in wanted)
 
 
 def _build_record(
