@@ -1,5 +1,6 @@
 """Progress on stderr, and an orderly end when the user or the system asks for one."""
 
+import json
 import logging
 import multiprocessing
 import os
@@ -21,6 +22,41 @@ _OWN_PACKAGES = ("geometry", "scenarios", "placement", "experiments")
 _log = logging.getLogger(__name__)
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _GRACE_S = 0.7  # what does not end by itself within it is ended: a second is what users wait
+
+
+_KEPT = "\n\u200c\u200d"  # the last two are invisible, but part of how some scripts are written
+
+
+def printable(text: str) -> str:
+    r"""Text for a terminal: what it would obey or hide is spelled, as JSON spells it.
+
+    Names come from maps and scenes of anybody: escape sequences, C1 codes, marks that turn the
+    direction of writing.
+
+    Examples
+    --------
+    >>> print(printable("a \x1b[2J pole"))
+    a \u001b[2J pole
+    """
+    if text.replace("\n", "").isprintable():
+        return text
+    return "".join(c if c.isprintable() or c in _KEPT else _spelled(c) for c in text)
+
+
+def _spelled(character: str) -> str:
+    is_ascii = character.isascii()  # JSON leaves DEL as it is
+    return f"\\u{ord(character):04x}" if is_ascii else json.dumps(character)[1:-1]
+
+
+def tell(text: str, *, err: bool = False) -> None:
+    """Print text for people on stdout or stderr."""
+    click.echo(printable(text), err=err)
+
+
+def write_out(content: str | bytes) -> None:
+    """Write a file's content to stdout, as it is unless that is a terminal."""
+    is_shown = isinstance(content, str) and sys.stdout.isatty()
+    click.echo(printable(content) if is_shown else content, nl=False)  # type: ignore[arg-type]
 
 
 class Interrupted(BaseException):
@@ -67,11 +103,13 @@ class StageProgress:
             self._end_stage()
             self.stage = stage
             if self._prints_lines:
-                click.echo(f"{stage} ...", err=True)
+                tell(f"{stage} ...", err=True)
             if self._bar is not None:  # time left is of this stage, not of those before
                 self._bar.reset(self._task)
         if self._bar is not None:
-            self._bar.update(self._task, description=stage, completed=done, total=total or None)
+            self._bar.update(
+                self._task, description=printable(stage), completed=done, total=total or None
+            )
 
     def tell_more(self) -> None:
         """Also tell sizes, bounds, files that are read, and the seconds of each stage."""
@@ -103,7 +141,7 @@ class StageProgress:
 
         self._bar = Progress(
             SpinnerColumn(),
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(),
             MofNCompleteColumn(),
             TimeElapsedColumn(),
@@ -155,6 +193,10 @@ class StderrLog(logging.StreamHandler[Any]):
         if sys.stderr is not None:
             self.setStream(sys.stderr)
             super().emit(record)
+
+    def format(self, record: logging.LogRecord) -> str:
+        """The record's text, printable."""
+        return printable(super().format(record))
 
 
 @contextmanager
@@ -239,5 +281,5 @@ def _watch(read_end: int, is_over: threading.Event, progress: StageProgress) -> 
     if not received or is_over.wait(_GRACE_S) or progress.stage == WRITING:
         return
     progress.stop()
-    click.echo(progress.interruption(), err=True)
+    tell(progress.interruption(), err=True)
     os._exit(128 + received[0])

@@ -46,12 +46,23 @@ def _share(of: str) -> Meta:
     return Meta(ge=0.0, le=1.0, description=f"{of}, 0 to 1")
 
 
-def _at_least(least: float, of: str) -> Meta:
-    return Meta(ge=least, description=f"{of}, at least {least}")
+def _at_least(least: float, of: str, most: float | None = None) -> Meta:
+    limits = f"at least {least}" if most is None else f"{least} to {most:,}"
+    return Meta(ge=least, le=most, description=f"{of}, {limits}")
 
 
-def _positive(of: str) -> Meta:
-    return Meta(gt=0.0, description=f"{of}, more than 0")
+def _positive(of: str, most: float | None = None) -> Meta:
+    limits = "more than 0" if most is None else f"more than 0, at most {most:,}"
+    return Meta(gt=0.0, le=most, description=f"{of}, {limits}")
+
+
+# Beyond these a number is a slip, and arithmetic or memory would not bear it (assumptions).
+_MOST_EUR = 1_000_000_000_000
+_MOST_EUR_PER_SITE = 1_000_000_000
+_MOST_PER_SITE = 1_000
+_MOST_SAMPLES = 100_000
+_MOST_LISTED = 10_000
+_MOST_S = 10_000_000  # four months
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +78,7 @@ class Question:
         Option(section=ASKED, help="Most units to mount.", is_common=True),
     ] = None
     budget_cost: Annotated[
-        Annotated[float, _positive("euros")] | None,
+        Annotated[float, _positive("euros", _MOST_EUR)] | None,
         Option(
             section=ASKED,
             help="Most money to spend on units and sites.",
@@ -137,11 +148,11 @@ class Question:
         str, Option(section=MOUNTED, help="Sites that must not carry any.", metavar="SITES")
     ] = ""
     site_capacity: Annotated[
-        Annotated[int, _at_least(1, "units per site")] | None,
+        Annotated[int, _at_least(1, "units per site", _MOST_PER_SITE)] | None,
         Option(section=MOUNTED, help="Units that each site can carry; default: the scene's."),
     ] = None
     site_cost_eur: Annotated[
-        Annotated[float, _at_least(0, "euros")] | None,
+        Annotated[float, _at_least(0, "euros", _MOST_EUR_PER_SITE)] | None,
         Option(
             section=MOUNTED,
             help="Of each site that is used, once; default: the scene's.",
@@ -150,7 +161,7 @@ class Question:
         ),
     ] = None
     separation_m: Annotated[
-        Annotated[float, _at_least(0, "metres")],
+        Annotated[float, _at_least(0, "metres", 10_000)],
         Option(
             section=MOUNTED,
             help="Least distance between two units on the ground; one per site then.",
@@ -197,7 +208,7 @@ class Question:
         ),
     ] = "auto"
     time_limit_s: Annotated[
-        Annotated[float, _positive("seconds")],
+        Annotated[float, _positive("seconds", _MOST_S)],
         Option(
             section=SOUGHT,
             help="For the optimiser; when it is up, the best layout found and its gap are given.",
@@ -220,7 +231,7 @@ class Question:
         ),
     ] = False
     samples: Annotated[
-        Annotated[int, _at_least(0, "a number of sampled worlds")],
+        Annotated[int, _at_least(0, "a number of sampled worlds", _MOST_SAMPLES)],
         Option(
             section=SOUGHT,
             help="Choose, or compare, in so many worlds with mounting errors, traffic, misses and "
@@ -268,7 +279,7 @@ class Question:
         ),
     ] = "mean"
     pool: Annotated[
-        Annotated[int, _at_least(0, "a number of layouts")],
+        Annotated[int, _at_least(0, "a number of layouts", _MOST_LISTED)],
         Option(
             section=SOUGHT,
             help="List so many layouts that are as good in the first objective, the best first, "

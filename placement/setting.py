@@ -31,7 +31,7 @@ from .detectors import Detector, PlanningDetector, load_detector, load_planning_
 from .detectors.network import NetworkDetector
 from .kept import keep_value
 from .latency import load_latency_budget
-from .question import Question, split_names
+from .question import Question, question_fields, split_names
 
 # ---------- radio links
 
@@ -138,9 +138,9 @@ def build_rule(question: Question) -> AebRule:
     try:
         return replace(load_aeb_rule(), **changes)
     except InputError as error:
-        if error.where != "aeb.track_memory_s":
-            raise
-        raise InputError("--track-memory", error.got, error.expected) from None
+        asked = question_fields().get(error.where.removeprefix("aeb."))
+        where = error.where if asked is None else asked.option_name
+        raise InputError(where, error.got, error.expected) from None
 
 
 def check_question(question: Question) -> None:

@@ -8,7 +8,7 @@ import click
 from placement.compute import Compute
 from placement.question import Question
 
-from ..progress import StageProgress
+from ..progress import StageProgress, tell
 from ..results.numbers import percent
 from .options import (
     JUDGED,
@@ -313,9 +313,9 @@ def city(
     from ..jobs import city as job
     from ..jobs.city_inputs import CityWish
 
-    def tell(sentence: str) -> None:
+    def announce(sentence: str) -> None:
         if not quiet:
-            click.echo(f"place-rsus: {sentence}", err=True)
+            tell(f"place-rsus: {sentence}", err=True)
 
     result = job.run_city(
         question,
@@ -354,7 +354,7 @@ def city(
         seed=compute.seed,
         command=command_line(),
         progress=progress,
-        tell=tell,
+        tell=announce,
     )
     print_result(result, progress, as_json, lambda: city_text(result, out))
 

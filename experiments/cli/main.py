@@ -9,7 +9,7 @@ from typing import NoReturn
 import click
 from click.shell_completion import get_completion_class
 
-from ..progress import Interrupted, StageProgress, StderrLog, ending_on_signals
+from ..progress import Interrupted, StageProgress, StderrLog, ending_on_signals, tell
 from .city import city
 from .compare import compare
 from .dataset import dataset
@@ -126,7 +126,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     finally:
         progress.stop()
     if message:
-        click.echo(message, err=True)
+        tell(message, err=True)
     sys.exit(code)
 
 

@@ -219,7 +219,7 @@ def field_option(field: QuestionField, default: Any = None) -> Decorator:
     if get_origin(kind) is Literal:
         settings["type"] = click.Choice(get_args(kind))
     elif kind is int:
-        settings["type"] = click.IntRange(min=limit.ge)
+        settings["type"] = click.IntRange(min=limit.ge, max=limit.le)
         settings["metavar"] = "N"
     elif kind is float:
         is_open = limit.gt is not None

@@ -12,7 +12,7 @@ from msgspec import UNSET
 from placement.compute import Compute
 from placement.question import MOUNTED, Question
 
-from ..progress import StageProgress
+from ..progress import StageProgress, tell
 from ..results.numbers import percent
 from .evaluate import (
     TOGETHER,
@@ -181,7 +181,7 @@ def _with_junction(
         question.scene, junction=junction, cache=cache_folder(), progress=progress
     )
     if not quiet:
-        click.echo(f"{scene_text(told)}\nThe scene is in {folder}.\n", err=True)
+        tell(f"{scene_text(told)}\nThe scene is in {folder}.\n", err=True)
     return replace(question, scene=folder)
 
 

@@ -10,7 +10,7 @@ import click
 from placement.compute import Compute
 from placement.question import MOUNTED, Question
 
-from ..progress import Interrupted, StageProgress
+from ..progress import Interrupted, StageProgress, tell
 from .options import (
     JUDGED,
     SectionedCommand,
@@ -157,11 +157,9 @@ def plan(
         progress.stop()
         try:
             ends = "Ctrl-C ends it." if keep_open else "It ends when the page is closed, or Ctrl-C."
-            click.echo(f"The page is at {server.address}\n{ends}")
+            tell(f"The page is at {server.address}\n{ends}")
             if host != _LOCAL:
-                click.echo(
-                    f"--host {host}: whoever has this address can change the plan.", err=True
-                )
+                tell(f"--host {host}: whoever has this address can change the plan.", err=True)
             if opens:
                 webbrowser.open(server.address)
             server.wait()
@@ -172,4 +170,4 @@ def plan(
             ended = "Ended"
         finally:
             server.stop()
-        click.echo(f"{ended}." if save is None else f"{ended}; the plan is in {save}.")
+        tell(f"{ended}." if save is None else f"{ended}; the plan is in {save}.")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..progress import StageProgress
+from ..progress import StageProgress, tell
 
 if TYPE_CHECKING:
     from placement.layout import Layout
@@ -50,7 +50,7 @@ def print_result(
     from ..export.json import to_json_text
 
     progress.stop()
-    click.echo(to_json_text(result).rstrip() if as_json else text())
+    tell(to_json_text(result).rstrip() if as_json else text())
 
 
 def unwritable(path: object, error: OSError) -> click.UsageError:
