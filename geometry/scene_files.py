@@ -29,7 +29,7 @@ from .files import (
     read_table,
     write_atomically,
 )
-from .frames import from_gltf_points, to_gltf_points
+from .frames import from_gltf_points, parse_crs, to_gltf_points
 from .junction import LeadingRoad
 from .scene import Instance, Lane, Scene, Site, join_bodies
 from .study_scene import STUDY, CrosswalkEntry, crosswalk_lines, load_study_scene
@@ -213,7 +213,7 @@ def load_scene_folder(path: Path) -> Scene:
     if not bodies:
         raise InputError(f"{where}: things", Unquoted("none"), "at least the ground")
     for key, crs in (("crs", table.crs), ("source_crs", table.source_crs)):
-        _check_crs(crs, f"{where}: {key}")
+        check_crs(crs, f"{where}: {key}")
     return Scene(
         name=table.name,
         **join_bodies(bodies),
@@ -343,14 +343,13 @@ def _rounded(array: FloatArray) -> Any:
     return (np.round(array, _MILLIMETRES) + 0.0).tolist()
 
 
-def _check_crs(crs: str, where: str) -> None:
-    """A coordinate reference system is one that pyproj takes, or none."""
-    from pyproj import CRS
+def check_crs(crs: str, where: str) -> None:
+    """Raise InputError unless a coordinate reference system is one that pyproj takes, or none."""
     from pyproj.exceptions import CRSError
 
     try:
         if crs:
-            CRS.from_user_input(crs)
+            parse_crs(crs)
     except CRSError:
         raise InputError(where, crs, "one that pyproj knows, or none") from None
 

@@ -11,6 +11,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
 from ..files import check_file, open_file, read_text
+from ..frames import parse_crs
 from ..junction import LeadingRoad
 from ..scene import Scene
 from ..scene_checks import arms_that_end
@@ -179,11 +180,10 @@ def _kind_of_xml(path: Path) -> str:
 
 def _projected(crs: str) -> str:
     """Check that a user's coordinate reference system is projected and in metres."""
-    from pyproj import CRS
     from pyproj.exceptions import CRSError
 
     try:
-        system = CRS.from_user_input(crs)
+        system = parse_crs(crs)
     except CRSError:
         raise InputError("--crs", crs, "one that pyproj knows, such as EPSG:25832") from None
     if not system.is_projected or any(axis.unit_name != "metre" for axis in system.axis_info[:2]):

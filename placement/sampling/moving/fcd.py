@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from geometry.actors import Actor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
+from geometry.frames import parse_crs
 from geometry.scene import Scene
 from geometry.untrusted_files import open_parquet, open_stream
 
@@ -358,8 +359,8 @@ def _placing_of_network(network: Path, scene: Scene) -> Placing:
     import pyproj
 
     try:
-        to_world = pyproj.Transformer.from_crs(projection, scene.crs, always_xy=True)
-        to_map = pyproj.Transformer.from_crs(scene.crs, projection, always_xy=True)
+        to_world = pyproj.Transformer.from_crs(parse_crs(projection), scene.crs, always_xy=True)
+        to_map = pyproj.Transformer.from_crs(scene.crs, parse_crs(projection), always_xy=True)
     except pyproj.exceptions.CRSError as error:
         where = f"{network}: projParameter"
         raise InputError(where, Unquoted(error), "a projection that PROJ knows") from None
