@@ -85,6 +85,8 @@ class StageProgress:
         Whether the seconds of each stage are told when it ends.
     shows_tracebacks : bool
         Whether an unexpected error is shown in full.
+    signum : int
+        The signal that came, or 0.
     """
 
     def __init__(self) -> None:
@@ -96,6 +98,7 @@ class StageProgress:
         self._bar: Any = None
         self.is_verbose = False
         self.shows_tracebacks = False
+        self.signum = 0
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Show a stage; a new name ends the one before."""
@@ -219,6 +222,7 @@ def ending_on_signals(progress: StageProgress) -> Iterator[None]:
     def interrupt(signum: int, frame: FrameType | None) -> NoReturn:
         for each in _SIGNALS:  # one is enough: tidying up is not to be interrupted
             signal.signal(each, lambda signum, frame: None)
+        progress.signum = signum
         raise Interrupted(signum)
 
     before = {each: signal.signal(each, interrupt) for each in _SIGNALS}

@@ -29,6 +29,8 @@ from placement.question import (
     save_question,
 )
 
+from .running import check_address_space
+
 PROGRAM = "The program itself"
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 _WHOLE_NUMBER = re.compile("-?[0-9]{1,100}")
@@ -262,6 +264,11 @@ def question_options(
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)
         def with_question(*args: Any, save_question_to: Path | None = None, **values: Any) -> Any:
+            named = values.get("detector") or ""
+            if named.endswith(".onnx") and not is_given("detector"):  # a network is a program
+                raise click.UsageError(
+                    f"--detector: got {named} in a question file; expected it on the command line"
+                )
             question = Question(**{name: values.pop(name) for name in (*names, *named_apart)})
             if save_question_to is not None:
                 save_question(save_question_to, question)
@@ -446,6 +453,7 @@ def compute_options(*, has_cache: bool = False) -> Decorator:
         def with_compute(
             *args: Any, seed: int, workers: int, rays: str, uses_cache: bool = False, **values: Any
         ) -> Any:
+            check_address_space()
             if rays != RAYS[0]:
                 from geometry.raycast import caster_name
 

@@ -9,6 +9,8 @@ import click
 
 from ..progress import StageProgress, tell
 
+_LEAST_BYTES = 2_000_000_000
+
 if TYPE_CHECKING:
     from placement.layout import Layout
 
@@ -51,6 +53,25 @@ def print_result(
 
     progress.stop()
     tell(to_json_text(result).rstrip() if as_json else text())
+
+
+def check_address_space() -> None:
+    """Refuse a limit of address space in which libraries end by a segmentation fault.
+
+    Raises
+    ------
+    click.UsageError
+        It is below 2 GB: a small question reserves 2.3 where it may.
+    """
+    try:
+        import resource
+    except ImportError:  # Windows
+        return
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit != resource.RLIM_INFINITY and limit < _LEAST_BYTES:
+        raise click.UsageError(
+            f"ulimit -v: got {limit // 1000:,} kB; expected {_LEAST_BYTES // 1000:,} or no limit"
+        )
 
 
 def unwritable(path: object, error: OSError) -> click.UsageError:
