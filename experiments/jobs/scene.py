@@ -8,7 +8,7 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import read_bytes
+from geometry.files import check_target, read_bytes
 from geometry.maps.importing import (
     ImportedScene,
     ImportOptions,
@@ -291,6 +291,7 @@ def _check_target(out: Path, *, is_zip: bool) -> None:
     if is_zip:
         if out.is_dir():
             raise InputError("--out", Unquoted(f"{out}, a folder"), "a file to write")
+        check_target(out)
         check_folder(out.parent)
         return
     if out.exists() and not out.is_dir():

@@ -13,7 +13,7 @@ from matplotlib.patches import PathPatch
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
-from geometry.files import write_atomically
+from geometry.files import check_target, write_atomically
 from geometry.frames import to_geographic
 from geometry.junction import COMPASS
 from geometry.scene import Scene, thing_footprint
@@ -338,6 +338,7 @@ def run_sheet(
     """
     if out.is_dir():
         raise InputError("--out", Unquoted(f"{out}, a folder"), "a PDF file to write")
+    check_target(out)
     check_folder(out.parent)
     progress.kept = f"nothing was written to {out}"
     progress("setting", 0, 0)
