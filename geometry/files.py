@@ -1,5 +1,6 @@
 """Files: TOML read into checked values, results written whole or not at all."""
 
+import errno
 import glob
 import os
 import re
@@ -134,17 +135,22 @@ def check_target(path: Path) -> None:
     Nothing but a regular file is replaced; nothing is written through a link, into a pipe or onto
     a device. A folder is left to whoever writes.
     """
+    if what := _obstacle(path):
+        raise InputError(str(path), Unquoted(what), "a regular file's name, or one that is free")
+
+
+def _obstacle(path: Path) -> str:
+    """What stands under a name, in words, if it is neither a regular file nor a folder."""
     try:
-        found = path.lstat()
+        mode = path.lstat().st_mode
     except (OSError, ValueError):
-        return
-    if stat.S_ISREG(found.st_mode) or stat.S_ISDIR(found.st_mode):
-        return
-    got = _kind(found.st_mode)
-    if stat.S_ISLNK(found.st_mode):
+        return ""
+    if stat.S_ISREG(mode) or stat.S_ISDIR(mode):
+        return ""
+    if stat.S_ISLNK(mode):
         with suppress(OSError):
-            got += f" to {path.readlink()}"
-    raise InputError(str(path), Unquoted(got), "a regular file's name, or one that is free")
+            return f"a link to {path.readlink()}"
+    return _kind(mode)
 
 
 def write_atomically(path: Path, content: bytes | str | Callable[[BinaryIO], object]) -> None:
@@ -160,10 +166,11 @@ def write_atomically(path: Path, content: bytes | str | Callable[[BinaryIO], obj
 
     Raises
     ------
-    InputError
-        As :func:`check_target`.
+    OSError
+        Something is in the way, see :func:`check_target`, or the system says no.
     """
-    check_target(path)
+    if what := _obstacle(path):
+        raise FileExistsError(errno.EEXIST, f"{what}, no regular file", str(path))
     for left in path.parent.glob(f".{glob.escape(path.name)}.*.tmp"):
         if is_abandoned(left):
             left.unlink(missing_ok=True)

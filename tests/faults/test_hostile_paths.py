@@ -16,7 +16,7 @@ from experiments import start
 from experiments.cli import main as program
 from experiments.results.csv_text import csv_text
 from geometry.errors import InputError
-from geometry.files import open_file, read_text, write_atomically
+from geometry.files import check_target, open_file, read_text, write_atomically
 from geometry.frames import parse_crs
 from geometry.lidar import load_lidars
 from geometry.maps.gis_files import read_features
@@ -68,8 +68,10 @@ def test_nothing_but_a_regular_file_is_written_over(tmp_path, monkeypatch, make)
     path = Path("a.json")
     make(path)
     before = path.lstat()
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(FileExistsError, match=f"{KINDS[make]}, no regular file: 'a.json'"):
         write_atomically(path, b"ours")
+    with pytest.raises(InputError) as caught:
+        check_target(path)
     assert str(caught.value) == (
         f"a.json: got {KINDS[make]}; expected a regular file's name, or one that is free"
     )
@@ -80,7 +82,7 @@ def test_nothing_but_a_regular_file_is_written_over(tmp_path, monkeypatch, make)
 
 @pytest.mark.parametrize("name", ["/dev/full", "/dev/null", "/dev/zero"])
 def test_devices_are_not_written_over(name):
-    with pytest.raises(InputError, match="got a device; expected a regular file's name"):
+    with pytest.raises(FileExistsError, match="a device, no regular file"):
         write_atomically(Path(name), b"ours")
     assert stat.S_ISCHR(os.lstat(name).st_mode)
 
@@ -104,7 +106,7 @@ def test_the_program_keeps_devices(option, capsys):
     with pytest.raises(SystemExit) as ended:
         program.main([*option.split(), "/dev/full"])
     assert ended.value.code == 2
-    assert "/dev/full: got a device" in capsys.readouterr().err
+    assert "--out: got /dev/full: a device, no regular file; expected" in capsys.readouterr().err
     assert stat.S_ISCHR(os.lstat("/dev/full").st_mode)
 
 
