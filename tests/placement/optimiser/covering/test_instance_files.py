@@ -378,7 +378,7 @@ def test_a_file_that_cannot_be_read_says_why(tmp_path):
     assert refusal(path) == "FILE: got No such file or directory; expected a readable file"
     assert refusal(tmp_path).endswith(": got Is a directory; expected a readable file")
     os.mkfifo(tmp_path / "pipe")
-    assert refusal(tmp_path / "pipe") == "FILE: got Is a directory; expected a readable file"
+    assert refusal(tmp_path / "pipe") == "FILE: got a pipe; expected a regular file"
 
 
 def test_a_huge_file_is_not_read(write, monkeypatch):
