@@ -80,7 +80,7 @@ class WordedOption(click.Option):
         raw, source = self.consume_value(ctx, opts)
         if source is ParameterSource.COMMANDLINE:
             me = option_name(self)
-            if raw == "":
+            if raw == "" and not self.expected:  # else what is expected is said
                 raise click.UsageError(f"{me}: got nothing; expected a value, or no {me}")
             others = {param.name: param for param in ctx.command.params}
             for name in filter(None, (self.needs, self.excludes)):
