@@ -1,5 +1,6 @@
 """Progress on stderr, and an orderly end when the user or the system asks for one."""
 
+import json
 import logging
 import multiprocessing
 import os
@@ -24,6 +25,41 @@ _OWN_PACKAGES = ("geometry", "scenarios", "placement", "experiments")
 _log = logging.getLogger(__name__)
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _GRACE_S = 0.7  # what does not end by itself within it is ended: a second is what users wait
+
+
+_KEPT = "\n\u200c\u200d"  # the last two are invisible, but part of how some scripts are written
+
+
+def printable(text: str) -> str:
+    r"""Text for a terminal: what it would obey or hide is spelled, as JSON spells it.
+
+    Names come from maps and scenes of anybody: escape sequences, C1 codes, marks that turn the
+    direction of writing.
+
+    Examples
+    --------
+    >>> print(printable("a \x1b[2J pole"))
+    a \u001b[2J pole
+    """
+    if text.replace("\n", "").isprintable():
+        return text
+    return "".join(c if c.isprintable() or c in _KEPT else _spelled(c) for c in text)
+
+
+def _spelled(character: str) -> str:
+    is_ascii = character.isascii()  # JSON leaves DEL as it is
+    return f"\\u{ord(character):04x}" if is_ascii else json.dumps(character)[1:-1]
+
+
+def tell(text: str, *, err: bool = False) -> None:
+    """Print text for people on stdout or stderr."""
+    click.echo(printable(text), err=err)
+
+
+def write_out(content: str | bytes) -> None:
+    """Write a file's content to stdout, as it is unless that is a terminal."""
+    is_shown = isinstance(content, str) and sys.stdout.isatty()
+    click.echo(printable(content) if is_shown else content, nl=False)  # type: ignore[arg-type]
 
 
 class Interrupted(BaseException):
@@ -52,6 +88,8 @@ class StageProgress:
         Whether the seconds of each stage are told when it ends.
     shows_tracebacks : bool
         Whether an unexpected error is shown in full.
+    signum : int
+        The signal that came, or 0.
     """
 
     def __init__(self) -> None:
@@ -63,6 +101,7 @@ class StageProgress:
         self._bar: Any = None
         self.is_verbose = False
         self.shows_tracebacks = False
+        self.signum = 0
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Show a stage; a new name ends the one before."""
@@ -70,15 +109,17 @@ class StageProgress:
             self._end_stage()
             self.stage = stage
             if self._prints_lines:
-                click.echo(f"{stage} ...", err=True)
+                tell(f"{stage} ...", err=True)
                 self._line_s = time.perf_counter()
             if self._bar is not None:  # time left is of this stage, not of those before
                 self._bar.reset(self._task)
         if self._prints_lines and total and time.perf_counter() - self._line_s >= LINE_EVERY_S:
-            click.echo(f"{stage}: {done} of {total}", err=True)
+            tell(f"{stage}: {done} of {total}", err=True)
             self._line_s = time.perf_counter()
         if self._bar is not None:
-            self._bar.update(self._task, description=stage, completed=done, total=total or None)
+            self._bar.update(
+                self._task, description=printable(stage), completed=done, total=total or None
+            )
 
     def tell_more(self) -> None:
         """Also tell sizes, bounds, files that are read, and the seconds of each stage."""
@@ -110,7 +151,7 @@ class StageProgress:
 
         self._bar = Progress(
             SpinnerColumn(),
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(),
             MofNCompleteColumn(),
             TimeElapsedColumn(),
@@ -163,6 +204,10 @@ class StderrLog(logging.StreamHandler[Any]):
             self.setStream(sys.stderr)
             super().emit(record)
 
+    def format(self, record: logging.LogRecord) -> str:
+        """The record's text, printable."""
+        return printable(super().format(record))
+
 
 @contextmanager
 def ending_on_signals(progress: StageProgress) -> Iterator[None]:
@@ -184,6 +229,7 @@ def ending_on_signals(progress: StageProgress) -> Iterator[None]:
     def interrupt(signum: int, frame: FrameType | None) -> NoReturn:
         for each in _SIGNALS:  # one is enough: tidying up is not to be interrupted
             signal.signal(each, lambda signum, frame: None)
+        progress.signum = signum
         raise Interrupted(signum)
 
     before = {each: signal.signal(each, interrupt) for each in _SIGNALS}
@@ -246,5 +292,5 @@ def _watch(read_end: int, is_over: threading.Event, progress: StageProgress) -> 
     if not received or is_over.wait(_GRACE_S) or progress.stage == WRITING:
         return
     progress.stop()
-    click.echo(progress.interruption(), err=True)
+    tell(progress.interruption(), err=True)
     os._exit(128 + received[0])

@@ -1,5 +1,6 @@
 """Files: TOML read into checked values, results written whole or not at all."""
 
+import errno
 import glob
 import os
 import re
@@ -29,24 +30,175 @@ MAX_TEXT_BYTES = 300_000_000  # of JSON or CSV that is read as a whole
 MAX_TOML_BYTES = 20_000_000  # Python's reader takes half a second per million
 
 
+# ---------- the door: every file of a user's is opened, read and written by these functions
+
+
 def check_file(path: Path, *, max_bytes: int | None = None) -> None:
     """Raise InputError unless a path is a regular file, and not too large to be read as a whole.
 
     A pipe or a device could keep its reader waiting for ever. A file that does not exist, or may
-    not be looked at, is left to whoever opens it.
+    not be looked at, is left to whoever opens it, and so is a folder.
     """
     try:
         found = path.stat()
-    except OSError:
+    except (OSError, ValueError):  # ValueError: a zero byte in the name
         return
-    if not stat.S_ISREG(found.st_mode) and not stat.S_ISDIR(found.st_mode):
-        raise InputError(str(path), Unquoted("a pipe, a socket or a device"), "a regular file")
+    if not stat.S_ISDIR(found.st_mode):
+        _check_found(found, str(path), max_bytes)
+
+
+def _check_found(found: os.stat_result, where: str, max_bytes: int | None) -> None:
+    if not stat.S_ISREG(found.st_mode):
+        raise InputError(where, Unquoted(_kind(found.st_mode)), "a regular file")
     if max_bytes is not None and found.st_size > max_bytes:
-        raise InputError(
-            str(path),
-            Unquoted(f"{found.st_size:,} bytes"),
-            f"at most {max_bytes:,}; cut it out first",
-        )
+        got = Unquoted(f"{found.st_size:,} bytes")
+        raise InputError(where, got, f"at most {max_bytes:,}; cut it out first")
+
+
+def _kind(mode: int) -> str:
+    """What a path is that is no regular file."""
+    for is_kind, name in (
+        (stat.S_ISDIR, "a folder"),
+        (stat.S_ISLNK, "a link"),
+        (stat.S_ISFIFO, "a pipe"),
+        (stat.S_ISSOCK, "a socket"),
+    ):
+        if is_kind(mode):
+            return name
+    return "a device"
+
+
+def open_file(
+    path: Path, *, max_bytes: int | None = None, expected: str = "a readable file"
+) -> BinaryIO:
+    """Open a regular file for reading; a link to one is followed.
+
+    Raises InputError if it cannot be opened, is no regular file, or is larger than `max_bytes`.
+    """
+    check_file(path, max_bytes=max_bytes)  # to open a device may already do something
+    try:
+        file = open(path, "rb", opener=_open_at_once)  # noqa: SIM115 - Path has no opener
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(str(path), Unquoted(reason), expected) from None
+    try:
+        _check_found(os.fstat(file.fileno()), str(path), max_bytes)
+    except InputError:
+        file.close()
+        raise
+    return file
+
+
+def _open_at_once(name: str, flags: int) -> int:
+    """Open without waiting for whoever would write into a pipe."""
+    return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
+
+
+def read_bytes(
+    path: Path, *, max_bytes: int = MAX_TEXT_BYTES, expected: str = "a readable file"
+) -> bytes:
+    """Content of a file; raises InputError as :func:`open_file` does."""
+    with open_file(path, max_bytes=max_bytes, expected=expected) as file:
+        try:
+            return file.read() or b""
+        except OSError as error:
+            reason = Unquoted(error.strerror or error)
+            raise InputError(str(path), reason, expected) from None
+
+
+def read_text(path: Path, kind: str, *, max_bytes: int = MAX_TEXT_BYTES) -> str:
+    """Text of a UTF-8 file; `kind` is what it holds, such as "JSON".
+
+    Raises InputError if it cannot be read, is too large, or is not UTF-8.
+    """
+    data = read_bytes(path, max_bytes=max_bytes)
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(str(path), Unquoted(error), f"{kind} in UTF-8") from None
+
+
+def open_new(path: Path) -> BinaryIO:
+    """Create a file for writing, in a folder of this program's own; OSError if it is there."""
+    return path.open("xb")
+
+
+def write_new(path: Path, text: str) -> None:
+    """Write the text of a file that is not there yet, see :func:`open_new`."""
+    with open_new(path) as file:
+        file.write(text.encode())
+
+
+def check_target(path: Path) -> None:
+    """Raise InputError if a file cannot be written under a name for what is there already.
+
+    Nothing but a regular file is replaced; nothing is written through a link, into a pipe or onto
+    a device. A folder is left to whoever writes.
+    """
+    if what := _obstacle(path):
+        raise InputError(str(path), Unquoted(what), "a regular file's name, or one that is free")
+
+
+def _obstacle(path: Path) -> str:
+    """What stands under a name, in words, if it is neither a regular file nor a folder."""
+    try:
+        mode = path.lstat().st_mode
+    except (OSError, ValueError):
+        return ""
+    if stat.S_ISREG(mode) or stat.S_ISDIR(mode):
+        return ""
+    if stat.S_ISLNK(mode):
+        with suppress(OSError):
+            return f"a link to {path.readlink()}"
+    return _kind(mode)
+
+
+def write_atomically(
+    path: Path,
+    content: bytes | str | Callable[[BinaryIO], object],
+    *,
+    is_private: bool = False,
+) -> None:
+    """Write a file under a temporary name in the same folder and move it into place.
+
+    Parameters
+    ----------
+    path : Path
+        In a folder that exists. Temporary files that a killed process left for it are removed.
+    content : bytes, str or callable
+        The content, text in UTF-8; or what writes it to an open file. Whatever that raises leaves
+        `path` as it was.
+    is_private : bool
+        Readable and writable by this user alone, whatever the umask.
+
+    Raises
+    ------
+    OSError
+        Something is in the way, see :func:`check_target`, or the system says no.
+    """
+    if what := _obstacle(path):
+        raise FileExistsError(errno.EEXIST, f"{what}, no regular file", str(path))
+    for left in path.parent.glob(f".{glob.escape(path.name)}.*.tmp"):
+        if is_abandoned(left):
+            left.unlink(missing_ok=True)
+    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as file, lock_while_alive(Path(temporary)):
+            if callable(content):
+                content(file)
+            else:
+                file.write(content.encode() if isinstance(content, str) else content)
+        if not is_private:  # as mkstemp makes files; a result is as readable as any other new file
+            mask = os.umask(0)
+            os.umask(mask)
+            Path(temporary).chmod(0o666 & ~mask)
+        Path(temporary).replace(path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+# ---------- TOML
 
 
 def load_toml(source: Path | Traversable) -> dict[str, Any]:
@@ -58,15 +210,9 @@ def load_toml(source: Path | Traversable) -> dict[str, Any]:
         The file cannot be read, is larger than 20 MB, or is not TOML.
     """
     if isinstance(source, Path):
-        check_file(source, max_bytes=MAX_TOML_BYTES)
-    try:
+        text = read_text(source, "valid TOML", max_bytes=MAX_TOML_BYTES)
+    else:
         text = source.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(
-            str(source), Unquoted(error.strerror or error), "a readable file"
-        ) from None
-    except UnicodeDecodeError as error:
-        raise InputError(str(source), Unquoted(error), "valid TOML in UTF-8") from None
     return parse_toml(text, str(source))
 
 
@@ -301,33 +447,6 @@ def pick(known: Mapping[str, Any], name: str, where: str) -> Any:
     if name not in known:
         raise InputError(where, name, "one of " + ", ".join(sorted(known)))
     return known[name]
-
-
-def write_atomically(
-    path: Path, write: Callable[[BinaryIO], object], *, is_private: bool = False
-) -> None:
-    """Write a file under a temporary name beside it and move it into place.
-
-    A private one is readable and writable by this user alone, whatever the umask.
-
-    Whatever `write` raises leaves `path` as it was. The folder must exist. Temporary files that a
-    killed process left for the same path are removed.
-    """
-    for left in path.parent.glob(f".{glob.escape(path.name)}.*.tmp"):
-        if is_abandoned(left):
-            left.unlink(missing_ok=True)
-    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb") as file, lock_while_alive(Path(temporary)):
-            write(file)
-        if not is_private:  # as mkstemp makes files; a result is as readable as any other new file
-            mask = os.umask(0)
-            os.umask(mask)
-            Path(temporary).chmod(0o666 & ~mask)
-        Path(temporary).replace(path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
 
 
 # ---------- temporary files and folders: whose process is alive?

@@ -1,10 +1,16 @@
 """World frame to and from CARLA's and geographic coordinates. Only this file flips a sign."""
 
+import re
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .arrays import FloatArray
 from .poses import Pose, wrap_deg
+
+if TYPE_CHECKING:
+    from pyproj import CRS
 
 _FLIP_NORTH = np.array([1.0, -1.0, 1.0])
 
@@ -58,6 +64,27 @@ def from_gltf_points(points_m: ArrayLike) -> FloatArray:
     return np.stack([points[..., 0], -points[..., 2], points[..., 1]], axis=-1)
 
 
+_PATH = re.compile(r"(?:[=,]\s*@?|^\s*)(?:\w:)?(?:[/\\~]|\.\.?[/\\])")
+
+
+def parse_crs(declared: "str | CRS") -> "CRS":
+    """A coordinate reference system, as a file or a user declares it.
+
+    Raises pyproj's CRSError if it is unknown, or names a file by its path: PROJ would open it.
+
+    Examples
+    --------
+    >>> parse_crs("EPSG:25832").name
+    'ETRS89 / UTM zone 32N'
+    """
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    if isinstance(declared, str) and _PATH.search(declared):
+        raise CRSError("a file, named by its path")
+    return CRS.from_user_input(declared)
+
+
 def to_geographic(points_m: ArrayLike, crs: str) -> FloatArray:
     """Longitude and latitude (WGS 84, degrees), (n, 2), of points of the world frame.
 
@@ -67,6 +94,6 @@ def to_geographic(points_m: ArrayLike, crs: str) -> FloatArray:
     from pyproj import Transformer
 
     points = np.asarray(points_m, dtype=np.float64)
-    transformer = Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
+    transformer = Transformer.from_crs(parse_crs(crs), "EPSG:4326", always_xy=True)
     longitude_deg, latitude_deg = transformer.transform(points[:, 0], points[:, 1])
     return np.stack([longitude_deg, latitude_deg], axis=1)

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from .arrays import FloatArray, IntArray
 from .errors import InputError
 from .files import Table, load_toml, read_table, read_tables
+from .limits import load_limits
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,8 +84,10 @@ class LidarModel:
             "near_m",
         ):
             self._check(field, 0.0 < getattr(self, field) < math.inf, "a positive number")
-        for field in ("range_noise_m", "price_eur"):
-            self._check(field, 0.0 <= getattr(self, field) < math.inf, "a number, at least 0")
+        self._check("range_noise_m", 0.0 <= self.range_noise_m < math.inf, "a number, at least 0")
+        limits = load_limits()
+        is_price = 0.0 <= self.price_eur <= limits.price_eur
+        self._check("price_eur", is_price, f"euros, 0 to {limits.price_eur:,.0f}")
         self._check("near_m", self.near_m < self.range_m, "metres, less than range_m")
         self._check(
             "reference_reflectivity", 0.0 < self.reference_reflectivity <= 1.0, "0 < share <= 1"
@@ -93,7 +96,8 @@ class LidarModel:
             "reference_probability", 0.0 < self.reference_probability < 1.0, "0 < probability < 1"
         )
         per_frame = self.points_per_second / self.frame_rate_hz
-        self._check("points_per_second", per_frame < math.inf, "a number of points per frame")
+        most = limits.lidar_points_per_frame
+        self._check("points_per_second", per_frame <= most, f"at most {most:,} points per frame")
         self._check("points_per_second", self.n_columns > 0, "a point per line and frame or more")
 
     def _check(self, field: str, is_valid: bool, expected: str) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .arrays import FloatArray, Point2, Point3, Points2, float_array, freeze
 from .errors import InputError, Unquoted
+from .limits import load_limits
 from .notes import Note
 
 HANGING_KINDS = ("mast arm", "gantry", "bridge", "wire")
@@ -70,11 +71,15 @@ class Site:
             )
         object.__setattr__(self, "height_range_m", height)
         capacity = self.capacity_units
-        if not isinstance(capacity, int) or isinstance(capacity, bool) or capacity < 1:
-            raise InputError(f"{where}.capacity_units", capacity, "a whole number, at least 1")
+        limits = load_limits()
+        is_whole = isinstance(capacity, int) and not isinstance(capacity, bool)
+        if not is_whole or not 1 <= capacity <= limits.capacity_units:
+            expected = f"a whole number, 1 to {limits.capacity_units:,}"
+            raise InputError(f"{where}.capacity_units", capacity, expected)
         cost_eur = float(float_array(self.cost_eur, (), f"{where}.cost_eur"))
-        if cost_eur < 0.0:
-            raise InputError(f"{where}.cost_eur", cost_eur, "euros, at least 0")
+        if not 0.0 <= cost_eur <= limits.price_eur:
+            expected = f"euros, 0 to {limits.price_eur:,.0f}"
+            raise InputError(f"{where}.cost_eur", cost_eur, expected)
         if self.use not in ("free", "forced", "forbidden"):
             raise InputError(f"{where}.use", self.use, "one of free, forced, forbidden")
 

@@ -19,8 +19,16 @@ from msgspec import Struct
 
 from .arrays import FloatArray, Point2, Points2
 from .errors import InputError, Unquoted
-from .files import MAX_TOML_BYTES, Text, check_file, load_toml, read_table, write_atomically
-from .frames import from_gltf_points, to_gltf_points
+from .files import (
+    MAX_TOML_BYTES,
+    Text,
+    load_toml,
+    open_file,
+    open_new,
+    read_table,
+    write_atomically,
+)
+from .frames import from_gltf_points, parse_crs, to_gltf_points
 from .notes import Kind, Note
 from .scene import Instance, Lane, LeadingRoad, Scene, Site, join_bodies
 from .study_scene import STUDY, CrosswalkEntry, crosswalk_lines, load_study_scene
@@ -98,9 +106,8 @@ def has_scene(path: Path) -> bool:
         return True
     if path.suffix.lower() != ".zip" or not path.exists():
         return False
-    check_file(path)
     try:
-        with zipfile.ZipFile(path) as packed:
+        with open_file(path) as file, zipfile.ZipFile(file) as packed:
             return SCENE_FILE in packed.namelist()
     except (OSError, zipfile.BadZipFile):
         return True
@@ -193,8 +200,8 @@ def save_scene(
     }
     text = _HEAD + tomlkit.dumps(table)
     glb = _to_glb(scene)
-    write_atomically(folder / THINGS_FILE, lambda file: file.write(glb))
-    write_atomically(folder / SCENE_FILE, lambda file: file.write(text.encode()))
+    write_atomically(folder / THINGS_FILE, glb)
+    write_atomically(folder / SCENE_FILE, text)
 
 
 def load_scene_folder(path: Path) -> Scene:
@@ -221,7 +228,7 @@ def load_scene_folder(path: Path) -> Scene:
     if not bodies:
         raise InputError(f"{where}: things", Unquoted("none"), "at least the ground")
     for key, crs in (("crs", table.crs), ("source_crs", table.source_crs)):
-        _check_crs(crs, f"{where}: {key}")
+        check_crs(crs, f"{where}: {key}")
     return Scene(
         name=table.name,
         **join_bodies(bodies),
@@ -278,10 +285,9 @@ def _as_folder(path: Path) -> Iterator[Path]:
     if path.is_dir():
         yield path
         return
-    check_file(path)
     with tempfile.TemporaryDirectory() as temporary:
         try:
-            with zipfile.ZipFile(path) as packed:
+            with open_file(path) as file, zipfile.ZipFile(file) as packed:
                 for name, max_bytes in _MAX_BYTES.items():
                     with packed.open(name) as member:  # of the archive only these two are read
                         _unpack(member, Path(temporary) / name, path, max_bytes)
@@ -300,7 +306,7 @@ def _as_folder(path: Path) -> Iterator[Path]:
 def _unpack(member: IO[bytes], target: Path, archive: Path, max_bytes: int) -> None:
     """Write a file of an archive; sizes that the archive states are not trusted."""
     n_bytes = 0
-    with target.open("wb") as sink:
+    with open_new(target) as sink:
         while chunk := member.read(1 << 20):
             n_bytes += len(chunk)
             if n_bytes > max_bytes:
@@ -333,14 +339,13 @@ def _rounded(array: FloatArray) -> Any:
     return (np.round(array, _MILLIMETRES) + 0.0).tolist()
 
 
-def _check_crs(crs: str, where: str) -> None:
-    """A coordinate reference system is one that pyproj takes, or none."""
-    from pyproj import CRS
+def check_crs(crs: str, where: str) -> None:
+    """Raise InputError unless a coordinate reference system is one that pyproj takes, or none."""
     from pyproj.exceptions import CRSError
 
     try:
         if crs:
-            CRS.from_user_input(crs)
+            parse_crs(crs)
     except CRSError:
         raise InputError(where, crs, "one that pyproj knows, or none") from None
 

@@ -9,7 +9,8 @@ from msgspec import Meta
 from numpy.typing import ArrayLike
 
 from .arrays import FloatArray
-from .errors import InputError
+from .errors import InputError, Unquoted
+from .limits import load_limits
 from .poses import Pose, camera_rotation
 
 
@@ -53,6 +54,13 @@ class CameraModel:
             value = getattr(self, field)
             if not isinstance(value, int) or isinstance(value, bool) or value < 1:
                 raise InputError(f"{self.name}.{field}", value, "a whole number of pixels, > 0")
+        limits = load_limits()
+        if self.width_px * self.height_px > limits.camera_pixels:
+            raise InputError(
+                f"{self.name}.width_px",
+                Unquoted(f"{self.width_px} times {self.height_px} pixels"),
+                f"at most {limits.camera_pixels:,}",
+            )
         if not 0.0 < self.horizontal_fov_deg < 180.0:
             raise InputError(
                 f"{self.name}.horizontal_fov_deg", self.horizontal_fov_deg, "0 < degrees < 180"
@@ -61,8 +69,9 @@ class CameraModel:
             value = getattr(self, field)
             if not (math.isfinite(value) and value > 0.0):
                 raise InputError(f"{self.name}.{field}", value, "a positive number")
-        if not (math.isfinite(self.price_eur) and self.price_eur >= 0.0):
-            raise InputError(f"{self.name}.price_eur", self.price_eur, "a number, at least 0")
+        if not 0.0 <= self.price_eur <= limits.price_eur:
+            expected = f"euros, 0 to {limits.price_eur:,.0f}"
+            raise InputError(f"{self.name}.price_eur", self.price_eur, expected)
         if self.fov_range_deg is not None:
             low, high = self.fov_range_deg
             if not 0.0 < low < high < 180.0:

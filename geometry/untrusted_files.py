@@ -1,5 +1,7 @@
 """Open untrusted files safely: archives, XML, JSON, glTF, PBF."""
 
+import gzip
+import io
 import json
 import os
 import stat
@@ -11,14 +13,14 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, BinaryIO
 from xml.etree.ElementTree import Element, ParseError
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .errors import InputError, Unquoted
-from .files import MAX_TEXT_BYTES, check_file
+from .files import open_file, open_new, read_bytes
 
 MAX_MEMBERS = 10_000
 MAX_UNPACKED_BYTES = 2_000_000_000  # out of one file, whatever it is packed with
@@ -41,10 +43,9 @@ def unpacked(path: Path, suffixes: Collection[str]) -> Iterator[Path]:
     none, or several, of its files are readable.
     """
     where = str(path)
-    check_file(path)
     with TemporaryDirectory(prefix="place-rsus-") as folder:
         try:
-            with zipfile.ZipFile(path) as archive:
+            with open_file(path) as file, zipfile.ZipFile(file) as archive:
                 members = _checked_members(archive, where)
                 found = _recognised(members, suffixes, where)
                 _extract(archive, members, Path(folder), where)
@@ -121,7 +122,7 @@ def _extract(
     for entry in members:
         target = folder / entry.filename
         target.parent.mkdir(parents=True, exist_ok=True)
-        with archive.open(entry) as source, target.open("xb") as sink:
+        with archive.open(entry) as source, open_new(target) as sink:
             while chunk := source.read(_CHUNK_BYTES):
                 n_bytes += len(chunk)
                 refuse_bomb(n_bytes, where)
@@ -161,13 +162,88 @@ def is_text(array: NDArray[Any]) -> bool:
 def refuse_bomb(n_bytes: int, where: str) -> None:
     """Raise InputError if a packed file `where` has more bytes unpacked than any honest one."""
     check_unpacked(n_bytes, where)
-    packed = max(1, Path(where).stat().st_size)
-    if n_bytes > max(_SMALL_BYTES, MAX_RATIO * packed):
+    _refuse_ratio(n_bytes, Path(where).stat().st_size, where)
+
+
+def _refuse_ratio(n_bytes: int, n_packed: int, where: str) -> None:
+    if n_bytes > max(_SMALL_BYTES, MAX_RATIO * n_packed):
         raise InputError(
             where,
-            Unquoted(f"{n_bytes:,} bytes or more out of {packed:,}"),
+            Unquoted(f"{n_bytes:,} bytes or more out of {max(1, n_packed):,}"),
             f"at most {MAX_RATIO} times as many",
         )
+
+
+# ---------- gzip
+
+
+class _Unpacked(io.RawIOBase):
+    """What comes out of a gzip file, until it is more than an honest one holds."""
+
+    def __init__(self, file: BinaryIO, where: str) -> None:
+        self._file, self._where, self._n_bytes = gzip.GzipFile(fileobj=file), where, 0
+        self._n_packed = os.fstat(file.fileno()).st_size
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        n_bytes = self._file.readinto(buffer)
+        self._n_bytes += n_bytes
+        _refuse_ratio(self._n_bytes, self._n_packed, self._where)
+        return n_bytes
+
+
+@contextmanager
+def open_stream(path: Path, *, max_bytes: int) -> Iterator[BinaryIO]:
+    """Open a file that is read piece by piece, packed with gzip if its name ends in ``.gz``.
+
+    Raises InputError as :func:`geometry.files.open_file` does, also while it is read: if more than
+    200 times its size comes out of it.
+    """
+    with open_file(path, max_bytes=max_bytes) as file:
+        if path.name.lower().endswith(".gz"):
+            yield io.BufferedReader(_Unpacked(file, str(path)), _CHUNK_BYTES)
+        else:
+            yield file
+
+
+# ---------- Parquet
+_VALUE_BYTES = 8
+
+
+@contextmanager
+def open_parquet(path: Path, *, max_bytes: int, expected: str) -> Iterator[Any]:
+    """Open a Parquet file, a ``pyarrow.parquet.ParquetFile``; texts come as dictionaries.
+
+    Raises InputError if it is damaged (also while it is read), or if its values take more than 200
+    times the bytes of the file: run lengths make billions of rows out of nothing.
+    """
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    where = str(path)
+    with open_file(path, max_bytes=max_bytes) as file:
+        try:
+            found = parquet.read_metadata(file)
+            groups = [found.row_group(index) for index in range(found.num_row_groups)]
+            n_values = sum(
+                group.column(index).num_values
+                for group in groups
+                for index in range(group.num_columns)
+            )
+            n_bytes = max(_VALUE_BYTES * n_values, sum(group.total_byte_size for group in groups))
+            _refuse_ratio(n_bytes, os.fstat(file.fileno()).st_size, where)
+            columns = [found.schema.column(index) for index in range(found.num_columns)]
+            texts = [column.path for column in columns if column.physical_type == "BYTE_ARRAY"]
+            file.seek(0)
+            with parquet.ParquetFile(file, metadata=found, read_dictionary=texts) as opened:
+                yield opened
+        except InputError:
+            raise
+        except (OSError, ValueError, pa.ArrowException) as error:
+            reason = " ".join(str(error).split())[:100]
+            raise InputError(where, Unquoted(reason), expected) from None
 
 
 # ---------- XML
@@ -182,9 +258,11 @@ def read_xml(path: Path, *, expected: str) -> Element:
     """
     from defusedxml.ElementTree import parse
 
-    with _xml_errors(path, expected, f"{expected}: well-formed XML"):
-        check_size(path)
-        root: Element = parse(path, forbid_dtd=False).getroot()
+    with (
+        _xml_errors(path, expected, f"{expected}: well-formed XML"),
+        open_file(path, max_bytes=MAX_FILE_BYTES) as file,
+    ):
+        root: Element = parse(file, forbid_dtd=False).getroot()
     return root
 
 
@@ -192,9 +270,11 @@ def read_xml_root(path: Path) -> Element:
     """The first element of an XML document without its content; raises as :func:`read_xml` does."""
     from defusedxml.ElementTree import iterparse
 
-    with _xml_errors(path, "XML", "well-formed XML"):
-        check_size(path)
-        for _, element in iterparse(path, events=("start",), forbid_dtd=False):
+    with (
+        _xml_errors(path, "XML", "well-formed XML"),
+        open_file(path, max_bytes=MAX_FILE_BYTES) as file,
+    ):
+        for _, element in iterparse(file, events=("start",), forbid_dtd=False):
             first: Element = element
             return first
     raise InputError(str(path), Unquoted("no element"), "well-formed XML")
@@ -218,11 +298,6 @@ def _xml_errors(path: Path, expected: str, well_formed: str) -> Iterator[None]:
         raise InputError(str(path), Unquoted(error), well_formed) from None
 
 
-def check_size(path: Path, max_bytes: int = MAX_FILE_BYTES) -> None:
-    """Raise InputError if a file is too large to be read as a whole, or is no regular file."""
-    check_file(path, max_bytes=max_bytes)
-
-
 def local_name(element: Element) -> str:
     """Name of an element without its namespace."""
     return str(element.tag).rpartition("}")[2]
@@ -230,17 +305,6 @@ def local_name(element: Element) -> str:
 
 # ---------- JSON
 _Table = Mapping[str, Any]
-
-
-def read_text(path: Path, expected: str) -> str:
-    """Text of a UTF-8 file; raises InputError if it is unreadable, too large, or no UTF-8."""
-    try:
-        check_size(path, MAX_TEXT_BYTES)
-        return path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
-    except UnicodeDecodeError as error:
-        raise InputError(str(path), Unquoted(error), f"{expected} in UTF-8") from None
 
 
 def parse_json(text: str, where: str, expected: str) -> _Table:
@@ -269,7 +333,7 @@ def check_gltf(path: Path) -> None:
     has nodes with several parents, or that are their own ancestors.
     """
     where = str(path)
-    text = _binary_header(path) if path.suffix.lower() == ".glb" else path.read_bytes()
+    text = _binary_header(path) if path.suffix.lower() == ".glb" else read_bytes(path)
     if len(text) > _MAX_JSON_BYTES:
         raise InputError(where, Unquoted(f"{len(text):,} bytes of JSON"), f"{_MAX_JSON_BYTES:,}")
     header = parse_json(text.decode("utf-8", "replace"), where, "glTF")
@@ -292,7 +356,7 @@ def check_gltf(path: Path) -> None:
 
 def _binary_header(path: Path) -> bytes:
     """JSON of a .glb file."""
-    with path.open("rb") as file:
+    with open_file(path) as file:
         head = file.read(20)
         if len(head) < 20 or head[:4] != b"glTF":
             raise InputError(str(path), Unquoted("something else"), "a binary glTF")
@@ -366,7 +430,7 @@ class _DamagedError(Exception):
 
 def _blobs(path: Path) -> Iterator[tuple[bytes, bytes]]:
     """Kind and unpacked content of each blob."""
-    with path.open("rb") as file:
+    with open_file(path) as file:
         while prefix := file.read(4):
             n_bytes = int.from_bytes(prefix, "big")
             if len(prefix) < 4 or n_bytes > _MAX_HEADER_BYTES:

@@ -19,7 +19,7 @@ from geometry.catalogue import (
     sensor_kind,
 )
 from geometry.errors import InputError, Unquoted
-from geometry.files import MAX_TEXT_BYTES, check_file
+from geometry.files import read_text
 from geometry.poses import Pose
 from geometry.scene import Scene, containing_instance
 from geometry.sensors import CameraModel, with_fov
@@ -277,16 +277,10 @@ def load_layout(
     cannot be read, is of another version, or a field is wrong.
     """
     path = Path(path)
-    check_file(path, max_bytes=MAX_TEXT_BYTES)
     if path.suffix.lower() == ".csv":
         rows = read_layout_rows(path)
         return _from_list(path.stem, rows, str(path), scene, sensors or {})
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
-    except UnicodeDecodeError as error:
-        raise InputError(str(path), Unquoted(error), "JSON in UTF-8") from None
+    text = read_text(path, "JSON")
     return read_layout(text, where=str(path), name=path.stem, scene=scene, sensors=sensors)
 
 

@@ -27,7 +27,7 @@ from .private_ground import (
     private_shares,
     respects_private_ground,
 )
-from .question import BASELINE_NAME, Question
+from .question import BASELINE_NAME, Question, split_names
 from .study_layout import find_baseline, load_carlancap_layout
 from .wishes import Wishes, check_wishes
 
@@ -120,8 +120,8 @@ def build_plan(question: Question, scene: Scene) -> Plan:
         survive=survive,
         failing=failing,
         kept=() if kept is None else tuple(unit.id for unit in kept.units),
-        forced_sites=_words(question.force_site),
-        forbidden_sites=_words(question.forbid_site),
+        forced_sites=split_names(question.force_site, "--force-site"),
+        forbidden_sites=split_names(question.forbid_site, "--forbid-site"),
         site_capacity=question.site_capacity,
         site_cost_eur=question.site_cost_eur,
         prices=load_prices() if question.site_cost_eur is None and _asks_money(question) else None,
@@ -160,7 +160,7 @@ def build_grid(question: Question, *, is_coarse: bool = False) -> CandidateGrid:
     Raises InputError if a sensor is unknown, or a number cannot be.
     """
     changes: dict[str, Any] = {}
-    if _words(question.sensors):
+    if question.sensors:
         changes["sensors"] = tuple(own_models(question.sensors).values())
     if question.heights:
         changes["heights_m"] = _numbers("--heights", question.heights, "metres", 0.5, 50.0)
@@ -179,15 +179,14 @@ def build_grid(question: Question, *, is_coarse: bool = False) -> CandidateGrid:
 def _numbers(option: str, text: str, unit: str, low: float, high: float) -> FloatArray:
     """Numbers with commas between, each once."""
     expected = f"{unit} with commas between, {low:g} to {high:g}"
-    numbers = [_number(option, word, expected, low, high) for word in _words(text)]
-    if not numbers:
-        raise InputError(option, text, expected)
+    numbers = [_number(option, word, expected, low, high) for word in split_names(text, option)]
     return np.array(numbers)
 
 
 def own_models(sensors: str) -> dict[str, Sensor]:
     """Models by name, as a user lists them: of the catalogue, or of files."""
-    return {model.name: model for word in _words(sensors) for model in _sensors(word)}
+    names = split_names(sensors, "--sensors")
+    return {model.name: model for name in names for model in _sensors(name)}
 
 
 def _sensors(word: str) -> Sequence[Sensor]:
@@ -231,10 +230,6 @@ def _distinct(layouts: Sequence[Layout | None]) -> list[CandidatePose]:
     """Units of some layouts, each id once; the last one that has it counts."""
     units = {unit.id: unit for layout in layouts if layout is not None for unit in layout.units}
     return list(units.values())
-
-
-def _words(text: str) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(word.strip() for word in text.split(",") if word.strip()))
 
 
 def _target(text: str) -> float | None:

@@ -14,6 +14,7 @@ from geometry.maps.georeferences import transform
 from geometry.maps.gis_files import read_features
 from geometry.raycast import RayCaster, build_caster
 from geometry.scene import Scene
+from geometry.scene_files import check_crs
 from geometry.sensors import CameraModel, project_points
 from geometry.terrain import ground_height_m
 
@@ -50,6 +51,7 @@ def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
     import shapely
 
     found = read_features(path)
+    check_crs(found.crs, f"{path}: crs")
     if found.crs and not scene.crs:
         raise InputError(
             str(path),

@@ -40,18 +40,31 @@ class Option:
     is_common: bool = False  # whether most people need it: the short help shows it
     is_path: bool = False  # whether a shell completes the value as a path
     takes_infinity: bool = False  # whether a number may be infinite
+    needs: str = ""  # field without which this one has no effect
+    excludes: str = ""  # field with which this one has no effect
 
 
 def _share(of: str) -> Meta:
     return Meta(ge=0.0, le=1.0, description=f"{of}, 0 to 1")
 
 
-def _at_least(least: float, of: str) -> Meta:
-    return Meta(ge=least, description=f"{of}, at least {least}")
+def _at_least(least: float, of: str, most: float | None = None) -> Meta:
+    limits = f"at least {least}" if most is None else f"{least} to {most:,}"
+    return Meta(ge=least, le=most, description=f"{of}, {limits}")
 
 
-def _positive(of: str) -> Meta:
-    return Meta(gt=0.0, description=f"{of}, more than 0")
+def _positive(of: str, most: float | None = None) -> Meta:
+    limits = "more than 0" if most is None else f"more than 0, at most {most:,}"
+    return Meta(gt=0.0, le=most, description=f"{of}, {limits}")
+
+
+# Beyond these a number is a slip, and arithmetic or memory would not bear it (assumptions).
+_MOST_EUR = 1_000_000_000_000
+_MOST_EUR_PER_SITE = 1_000_000_000
+_MOST_PER_SITE = 1_000
+_MOST_SAMPLES = 100_000
+_MOST_LISTED = 10_000
+_MOST_S = 10_000_000  # four months
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +80,7 @@ class Question:
         Option(section=ASKED, help="Most units to mount.", is_common=True),
     ] = None
     budget_cost: Annotated[
-        Annotated[float, _positive("euros")] | None,
+        Annotated[float, _positive("euros", _MOST_EUR)] | None,
         Option(
             section=ASKED,
             help="Most money to spend on units and sites.",
@@ -87,7 +100,12 @@ class Question:
     ] = ""
     least: Annotated[
         Literal["units", "cost"],
-        Option(section=ASKED, help="What --target is reached with the least of.", is_common=True),
+        Option(
+            section=ASKED,
+            help="What --target is reached with the least of.",
+            is_common=True,
+            needs="target",
+        ),
     ] = "units"
     min_case_apr: Annotated[
         Annotated[float, _share("a share of the runs")],
@@ -132,11 +150,11 @@ class Question:
         str, Option(section=MOUNTED, help="Sites that must not carry any.", metavar="SITES")
     ] = ""
     site_capacity: Annotated[
-        Annotated[int, _at_least(1, "units per site")] | None,
+        Annotated[int, _at_least(1, "units per site", _MOST_PER_SITE)] | None,
         Option(section=MOUNTED, help="Units that each site can carry; default: the scene's."),
     ] = None
     site_cost_eur: Annotated[
-        Annotated[float, _at_least(0, "euros")] | None,
+        Annotated[float, _at_least(0, "euros", _MOST_EUR_PER_SITE)] | None,
         Option(
             section=MOUNTED,
             help="Of each site that is used, once; default: the scene's.",
@@ -145,7 +163,7 @@ class Question:
         ),
     ] = None
     separation_m: Annotated[
-        Annotated[float, _at_least(0, "metres")],
+        Annotated[float, _at_least(0, "metres", 10_000)],
         Option(
             section=MOUNTED,
             help="Least distance between two units on the ground; one per site then.",
@@ -160,6 +178,7 @@ class Question:
             help="Models to choose from, with commas between: carla-ncap-rgb,carla-ncap-lidar, or "
             "your own: FILE.toml, FILE.toml:NAME; default: the study's camera.",
             metavar="NAMES",
+            excludes="within",
             is_common=True,
         ),
     ] = ""
@@ -204,6 +223,7 @@ class Question:
         Option(
             section=MOUNTED,
             help="Share of such an area that may be in the picture all the same; default: none.",
+            needs="no_look",
         ),
     ] = None
 
@@ -216,7 +236,7 @@ class Question:
         ),
     ] = "auto"
     time_limit_s: Annotated[
-        Annotated[float, _positive("seconds")],
+        Annotated[float, _positive("seconds", _MOST_S)],
         Option(
             section=SOUGHT,
             help="For the optimiser; when it is up, the best layout found and its gap are given.",
@@ -239,7 +259,7 @@ class Question:
         ),
     ] = False
     samples: Annotated[
-        Annotated[int, _at_least(0, "a number of sampled worlds")],
+        Annotated[int, _at_least(0, "a number of sampled worlds", _MOST_SAMPLES)],
         Option(
             section=SOUGHT,
             help="Choose, or compare, in so many worlds with mounting errors, traffic, misses and "
@@ -252,6 +272,7 @@ class Question:
             section=SOUGHT,
             help="What is drawn for --samples: a name, or a .toml file.",
             metavar="NAME",
+            needs="samples",
         ),
     ] = "default"
     traffic: Annotated[
@@ -262,6 +283,7 @@ class Question:
             "for it, or FCD of your own model (.xml, .csv, also .gz, .parquet).",
             metavar="sumo|FILE",
             is_path=True,
+            needs="samples",
         ),
     ] = ""
     traffic_offset: Annotated[
@@ -271,6 +293,7 @@ class Question:
             help="Metres added to x and y of --traffic FILE; default: what the .net.xml beside it "
             "says.",
             metavar="EAST,NORTH",
+            needs="traffic",
         ),
     ] = ""
     risk: Annotated[
@@ -280,10 +303,11 @@ class Question:
             help="With --samples: mean, worst, or the share of the worst worlds whose mean APR "
             "counts.",
             metavar="HOW",
+            needs="samples",
         ),
     ] = "mean"
     pool: Annotated[
-        Annotated[int, _at_least(0, "a number of layouts")],
+        Annotated[int, _at_least(0, "a number of layouts", _MOST_LISTED)],
         Option(
             section=SOUGHT,
             help="List so many layouts that are as good in the first objective, the best first, "
@@ -385,7 +409,8 @@ class Question:
         ),
     ] = "day"
     force: Annotated[
-        bool, Option(section=DRIVEN, help="Drive speeds that the protocol does not.")
+        bool,
+        Option(section=DRIVEN, help="Drive speeds that the protocol does not.", needs="speeds"),
     ] = False
     strict: Annotated[
         bool,
@@ -579,6 +604,19 @@ def question_fields() -> dict[str, QuestionField]:
     return found
 
 
+def split_names(text: str, where: str) -> tuple[str, ...]:
+    """Names with commas between; none of an empty text.
+
+    Raises InputError if one is empty, or stands there twice.
+    """
+    names = tuple(word.strip() for word in text.split(",")) if text else ()
+    if not all(names) or len(set(names)) < len(names):
+        from geometry.errors import InputError
+
+        raise InputError(where, text, "names with commas between, each once")
+    return names
+
+
 def load_question_values(path: Path) -> dict[str, Any]:
     """Read a question file: the values that it gives, by the names of the fields.
 
@@ -645,9 +683,8 @@ def save_question(path: str | Path, question: Question) -> None:
     from geometry.errors import InputError, Unquoted
     from geometry.files import write_atomically
 
-    text = question_text(question).encode()
     try:
-        write_atomically(Path(path), lambda file: file.write(text))
+        write_atomically(Path(path), question_text(question))
     except OSError as error:
         raise InputError(
             str(path), Unquoted(error.strerror or error), "a file that can be written"

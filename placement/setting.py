@@ -33,7 +33,7 @@ from .compute import DEFAULT_COMPUTE, Compute
 from .detectors import Detector, PlanningDetector, load_detector, load_planning_detector
 from .detectors.network import NetworkDetector
 from .latency import load_latency_budget
-from .question import Question, map_options
+from .question import Question, map_options, question_fields, split_names
 
 # ---------- radio links
 
@@ -140,9 +140,9 @@ def build_rule(question: Question) -> AebRule:
     try:
         return replace(load_aeb_rule(), **changes)
     except InputError as error:
-        if error.where != "aeb.track_memory_s":
-            raise
-        raise InputError("--track-memory", error.got, error.expected) from None
+        asked = question_fields().get(error.where.removeprefix("aeb."))
+        where = error.where if asked is None else asked.option_name
+        raise InputError(where, error.got, error.expected) from None
 
 
 def check_question(question: Question) -> None:
@@ -366,8 +366,8 @@ def _planner(detector: Detector) -> PlanningDetector:
 
 
 def _words(text: str, where: str, known: tuple[str, ...]) -> tuple[str, ...]:
-    """Words with commas between, each once."""
-    words = tuple(dict.fromkeys(word.strip() for word in text.split(",") if word.strip()))
+    """Known words with commas between; none of an empty text."""
+    words = split_names(text, where)
     for word in words:
         if word not in known:
             raise InputError(where, word, "one or more of " + ", ".join(known))

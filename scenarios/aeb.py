@@ -56,15 +56,15 @@ class AebRule:
     track_memory_s: float = math.inf
 
     def __post_init__(self) -> None:
-        for field in ("deceleration_mps2", "frame_rate_hz"):
-            if not (np.isfinite(getattr(self, field)) and getattr(self, field) > 0.0):
-                raise InputError(f"aeb.{field}", getattr(self, field), "a positive number")
-        for field in ("latency_s", "build_up_s"):
-            if not (np.isfinite(getattr(self, field)) and getattr(self, field) >= 0.0):
-                raise InputError(f"aeb.{field}", getattr(self, field), "seconds, at least 0")
+        if not (np.isfinite(self.frame_rate_hz) and self.frame_rate_hz > 0.0):
+            raise InputError("aeb.frame_rate_hz", self.frame_rate_hz, "a positive number")
+        for field, (low, high) in _load_limits().items():
+            if not low <= getattr(self, field) <= high:  # nor is it NaN
+                expected = f"a number, {low:g} to {high:g}"
+                raise InputError(f"aeb.{field}", getattr(self, field), expected)
         n_frames = self.n_confirmations
-        if not isinstance(n_frames, int) or isinstance(n_frames, bool) or n_frames < 1:
-            raise InputError("aeb.n_confirmations", n_frames, "a whole number, >= 1")
+        if not isinstance(n_frames, int) or isinstance(n_frames, bool):
+            raise InputError("aeb.n_confirmations", n_frames, "a whole number")
         frame_s = 1.0 / self.frame_rate_hz
         if not self.track_memory_s >= frame_s - TIME_TOLERANCE_S:  # nor is it NaN
             raise InputError(
@@ -84,6 +84,12 @@ def load_aeb_rule() -> AebRule:
 def load_track_memory_s() -> float:
     """How long tracks live without detections where they are not the study's, in seconds."""
     return float(_load_tables()["live_tracks"]["track_memory_s"])
+
+
+@cache
+def _load_limits() -> dict[str, tuple[float, float]]:
+    """Least and most of the fields of a rule."""
+    return read_table(_load_tables()["limits"], dict[str, tuple[float, float]], "aeb.toml: limits")
 
 
 def _load_tables() -> Table:

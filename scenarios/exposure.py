@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, MissingExtraError, Unquoted
-from geometry.files import MAX_TEXT_BYTES, Text, check_file, load_toml, read_table
+from geometry.files import Text, load_toml, read_table, read_text
 
 from .positions import is_study_set, read_position
 from .runs import Refusal, Run
@@ -70,14 +70,7 @@ def weight_from_csv(path: Path, runs: Sequence[Run]) -> FloatArray:
 
 
 def _read_rows(path: Path) -> list[tuple[int, dict[str, str]]]:
-    check_file(path, max_bytes=MAX_TEXT_BYTES)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
-    except UnicodeDecodeError as error:
-        raise InputError(str(path), Unquoted(error), "a CSV file in UTF-8") from None
-    lines = text.splitlines()
+    lines = read_text(path, "a CSV file").splitlines()
     separator = ";" if lines and ";" in lines[0] else ","
     try:
         reader = csv.reader(lines, delimiter=separator, strict=True)

@@ -8,7 +8,7 @@ import click
 from placement.compute import Compute
 from placement.question import Question
 
-from ..progress import StageProgress
+from ..progress import StageProgress, tell
 from ..results.numbers import percent
 from .options import (
     JUDGED,
@@ -113,12 +113,18 @@ Examples:
     "a CSV with a column junction. Default: every junction counts the same.",
 )
 @option(
-    "--weight-column", is_common=False, default="", metavar="NAME", help="Of --junction-weights."
+    "--weight-column",
+    is_common=False,
+    default="",
+    metavar="NAME",
+    needs="weights_file",
+    help="Of --junction-weights.",
 )
 @option(
     "--snap",
     "snap_m",
     is_common=False,
+    needs="weights_file",
     type=click.FloatRange(min=0.0, min_open=True),
     default=50.0,
     show_default=True,
@@ -137,6 +143,7 @@ Examples:
 @option(
     "--min-district-apr",
     is_common=False,
+    needs="districts",
     type=click.FloatRange(min=0.0, max=1.0),
     default=0.0,
     metavar="SHARE",
@@ -156,6 +163,7 @@ Examples:
     "--near",
     "near_m",
     is_common=False,
+    needs="areas",
     type=click.FloatRange(min=0.0),
     default=0.0,
     metavar="METRES",
@@ -173,6 +181,7 @@ Examples:
 @option(
     "--years",
     is_common=False,
+    needs="units_per_year",
     type=click.IntRange(min=1),
     metavar="N",
     expected="a number of years, at least 1",
@@ -246,6 +255,7 @@ Examples:
     is_common=False,
     default="1.5GiB",
     show_default=True,
+    excludes="scheduler",
     metavar="SIZE",
     help="Of each process on this machine; one that takes more is ended, and its junction tried "
     "again.",
@@ -304,9 +314,9 @@ def city(
     from ..jobs import city as job
     from ..jobs.city_inputs import CitySearch, CityWish
 
-    def tell(sentence: str) -> None:
+    def announce(sentence: str) -> None:
         if not quiet:
-            click.echo(f"place-rsus: {sentence}", err=True)
+            tell(f"place-rsus: {sentence}", err=True)
 
     result = job.run_city(
         question,
@@ -345,7 +355,7 @@ def city(
         seed=compute.seed,
         command=command_line(),
         progress=progress,
-        tell=tell,
+        tell=announce,
     )
     print_result(result, progress, as_json, lambda: city_text(result, out))
 

@@ -8,7 +8,7 @@ import click
 from placement.compute import Compute
 from placement.question import Question
 
-from ..progress import StageProgress
+from ..progress import StageProgress, tell
 from .options import (
     PICTURED,
     SectionedCommand,
@@ -118,9 +118,9 @@ def dataset(
     progress.start(quiet=quiet)
     from ..jobs import dataset
 
-    def tell(sentence: str) -> None:
+    def announce(sentence: str) -> None:
         if not quiet:
-            click.echo(f"place-rsus: {sentence}", err=True)
+            tell(f"place-rsus: {sentence}", err=True)
 
     summary = dataset.run_dataset(
         question,
@@ -139,7 +139,7 @@ def dataset(
         out=out,
         compute=compute,
         progress=progress,
-        tell=tell,
+        tell=announce,
     )
     print_result(summary, progress, as_json, lambda: _text(summary, form))
 

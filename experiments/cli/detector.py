@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from placement.compute import Compute
-from placement.question import Question
+from placement.question import Question, question_fields
 
 from ..progress import StageProgress
 from ..results.numbers import percent
@@ -14,6 +14,7 @@ from .options import (
     PICTURED,
     SectionedCommand,
     folder_option,
+    is_given,
     job_options,
     layout_option,
     option,
@@ -49,6 +50,7 @@ Examples:
     default=1000,
     show_default=True,
     metavar="N",
+    needs="layout_names",
     expected="a number of pictures, at least 50",
     help="With --detector: how many are rendered and looked at, about a second each.",
 )
@@ -126,6 +128,12 @@ def fit(
     print_result(result, progress, as_json, lambda: fit_text(result, out))
 
 
+_OF_RULE = ("deceleration_mps2", "build_up_s", "latency_s", "latency_budget") + (
+    "n_confirmations",
+    "track_memory_s",
+)
+
+
 def _check_one_source(
     layout_names: tuple[str, ...], recording: Path | None, labels: Path | None, results: Path | None
 ) -> None:
@@ -151,6 +159,10 @@ def _check_one_source(
             f"detector fit: got {got}; expected one of --layout with --detector cnn or FILE.onnx, "
             "--recording, or --labels with --results"
         )
+    driven = [name for name in PICTURED if name not in _OF_RULE and is_given(name)]
+    if driven and not layout_names:
+        field = question_fields()[driven[0]].option_name
+        raise click.UsageError(f"{field}: got it with {names[0]}; expected it with --layout alone")
 
 
 def fit_text(result: "DetectorFitResult", out: Path | None) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 import msgspec
 
+from ..progress import tell
 from .options import cache_folder, json_option
 from .terminal import WIDTH, sentences
 
@@ -163,6 +164,6 @@ def doctor(*, as_json: bool) -> None:
     from ..export.json import to_json_text
 
     summary = examine(cache_folder())
-    click.echo(to_json_text(summary).rstrip() if as_json else doctor_text(summary))
+    tell(to_json_text(summary).rstrip() if as_json else doctor_text(summary))
     if not summary.is_well:
         sys.exit(_EXIT_FAILED)

@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from ..export import FORMAT_NAMES
-from ..progress import StageProgress
+from ..progress import StageProgress, tell, write_out
 from .options import layout_option, option, quiet_option, scene_option
 from .running import load_one_layout, unwritable
 
@@ -72,14 +72,13 @@ def export(
     content = export_layout(layout, format_name, scene_path=scene)
     missing = [] if chosen.has_lidars else lidar_ids(layout)
     if missing and not quiet:
-        click.echo(f"left out, for they are no cameras: {', '.join(missing)}", err=True)
+        tell(f"left out, for they are no cameras: {', '.join(missing)}", err=True)
     if out is None:
-        click.echo(content, nl=False)
+        write_out(content)
         return
     from geometry.files import write_atomically
 
-    data = content.encode() if isinstance(content, str) else content
     try:
-        write_atomically(out, lambda file: file.write(data))
+        write_atomically(out, content)
     except OSError as error:
         raise unwritable(out, error) from None

@@ -1,6 +1,7 @@
 """``place-rsus``: gathers the commands; turns errors into one line and an exit code."""
 
 import logging
+import os
 import sys
 import time
 from collections.abc import Sequence
@@ -9,7 +10,7 @@ from typing import NoReturn
 import click
 from click.shell_completion import get_completion_class
 
-from ..progress import Interrupted, StageProgress, StderrLog, ending_on_signals
+from ..progress import Interrupted, StageProgress, StderrLog, ending_on_signals, tell
 from .city import city
 from .compare import compare
 from .dataset import dataset
@@ -105,6 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
     What nobody foresaw is one line, too, with exit code 70: it names a file with the whole text.
     """
+    os.environ["MPLBACKEND"] = "agg"  # no window is opened, whatever a user prefers elsewhere
     logging.basicConfig(handlers=[StderrLog()], format="place-rsus: %(message)s")
     progress = StageProgress()
     code, message = 0, ""
@@ -122,11 +124,20 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         where = f"{error.filename}: " if error.filename else ""
         code, message = _EXIT_BAD_INPUT, f"place-rsus: {where}{error.strerror or error}"
     except Exception as error:
-        code, message = _EXIT_UNEXPECTED, _unexpected(error, progress)
+        if progress.signum:  # libraries make errors of their own of what ends their loading
+            code, message = 128 + progress.signum, progress.interruption()
+        elif _is_out_of_memory(error):
+            message = (
+                f"place-rsus: memory: got too little in stage '{progress.stage}'; "
+                f"{progress.kept}; expected more of it, or less to compute"
+            )
+            code = _EXIT_BAD_INPUT
+        else:
+            code, message = _EXIT_UNEXPECTED, _unexpected(error, progress)
     finally:
         progress.stop()
     if message:
-        click.echo(message, err=True)
+        tell(message, err=True)
     sys.exit(code)
 
 
@@ -154,6 +165,15 @@ def _unexpected(error: Exception, progress: StageProgress) -> str:
     except OSError:  # the disk is full, perhaps: then the text goes to the terminal
         message += f". Please report it:\n{report}"
     return f"{message}\n{text}" if progress.shows_tracebacks else message
+
+
+def _is_out_of_memory(error: Exception) -> bool:
+    """Whether memory or address space ran out, also while a library was loaded."""
+    text = str(error).lower()
+    is_unloaded = isinstance(error, ImportError) and (
+        "failed to map segment" in text or "cannot allocate memory" in text
+    )
+    return isinstance(error, MemoryError) or is_unloaded
 
 
 def _mendable_errors() -> tuple[type[Exception], ...]:

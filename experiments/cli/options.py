@@ -3,7 +3,7 @@
 import math
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
@@ -31,6 +31,8 @@ from placement.question import (
     save_question,
 )
 
+from .running import check_address_space
+
 PROGRAM = "The program itself"
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 _WHOLE_NUMBER = re.compile("-?[0-9]{1,100}")
@@ -49,6 +51,8 @@ class WordedOption(click.Option):
         What a value must be; for the message about another one.
     takes_infinity : bool
         Whether a number may be "inf".
+    needs, excludes : str
+        Parameter without which, and with which, the option has no effect: then it is refused.
     """
 
     def __init__(
@@ -59,15 +63,42 @@ class WordedOption(click.Option):
         expected: str = "",
         is_path: bool = False,
         takes_infinity: bool = False,
+        needs: str = "",
+        excludes: str = "",
         **kwargs: Any,
     ) -> None:
         if is_path:
             kwargs["shell_complete"] = complete_paths
         super().__init__(*args, **kwargs)
-        self.takes_infinity = takes_infinity
+        self.takes_infinity, self.needs, self.excludes = takes_infinity, needs, excludes
         self.section, self.is_common, self.expected = section, is_common, expected
         if isinstance(self.type, click.Choice):
             self.expected = "one of " + ", ".join(map(str, self.type.choices))
+
+    def handle_parse_result(
+        self, ctx: click.Context, opts: Mapping[str, Any], args: list[str]
+    ) -> tuple[Any, list[str]]:
+        """The value; refused if it is empty, or has no effect among the other options."""
+        raw, source = self.consume_value(ctx, opts)
+        if source is ParameterSource.COMMANDLINE:
+            me = option_name(self)
+            if raw == "" and not self.expected:  # else what is expected is said
+                raise click.UsageError(f"{me}: got nothing; expected a value, or no {me}")
+            others = {param.name: param for param in ctx.command.params}
+            for name in filter(None, (self.needs, self.excludes)):
+                other = others.get(name)
+                if other is None:
+                    continue
+                found, of_other = other.consume_value(ctx, opts)
+                is_set = of_other is not ParameterSource.DEFAULT and bool(found)
+                is_set &= found not in ("0", other.default)
+                if is_set != (name == self.needs):
+                    got = "beside" if is_set else "without"
+                    raise click.UsageError(
+                        f"{me}: got it {got} {option_name(other)}; expected "
+                        + ("one of them" if is_set else "both")
+                    )
+        return super().handle_parse_result(ctx, opts, args)
 
     def type_cast_value(self, ctx: click.Context, value: Any) -> Any:
         """The value, checked by its type."""
@@ -183,6 +214,8 @@ def field_option(field: QuestionField, default: Any = None) -> Decorator:
         "is_common": field.option.is_common,
         "is_path": field.option.is_path,
         "takes_infinity": field.option.takes_infinity,
+        "needs": field.option.needs,
+        "excludes": field.option.excludes,
         "metavar": field.option.metavar or None,
         "expected": limit.description or "",
     }
@@ -192,7 +225,7 @@ def field_option(field: QuestionField, default: Any = None) -> Decorator:
     if get_origin(kind) is Literal:
         settings["type"] = click.Choice(get_args(kind))
     elif kind is int:
-        settings["type"] = click.IntRange(min=limit.ge)
+        settings["type"] = click.IntRange(min=limit.ge, max=limit.le)
         settings["metavar"] = "N"
     elif kind is float:
         is_open = limit.gt is not None
@@ -235,6 +268,11 @@ def question_options(
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)
         def with_question(*args: Any, save_question_to: Path | None = None, **values: Any) -> Any:
+            named = values.get("detector") or ""
+            if named.endswith(".onnx") and not is_given("detector"):  # a network is a program
+                raise click.UsageError(
+                    f"--detector: got {named} in a question file; expected it on the command line"
+                )
             question = Question(**{name: values.pop(name) for name in (*names, *named_apart)})
             _refuse_program_of_file(question)
             if save_question_to is not None:
@@ -432,6 +470,7 @@ def compute_options(*, has_cache: bool = False) -> Decorator:
         def with_compute(
             *args: Any, seed: int, workers: int, rays: str, uses_cache: bool = False, **values: Any
         ) -> Any:
+            check_address_space()
             if rays != RAYS[0]:
                 from geometry.raycast import caster_name
 

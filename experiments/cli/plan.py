@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from geometry.files import check_file
+from geometry.files import check_target, read_bytes, write_atomically
 from placement.compute import Compute
 from placement.layout import check_layout
 from placement.question import MOUNTED, Question
 
-from ..progress import Interrupted, StageProgress
+from ..progress import Interrupted, StageProgress, tell
 from .options import (
     JUDGED,
     SectionedCommand,
@@ -87,6 +87,7 @@ Examples:
 @option(
     "--i-know",
     is_flag=True,
+    needs="host",
     is_common=False,
     help="With --host: whoever has the page's address can change the plan and send files.",
 )
@@ -127,6 +128,8 @@ def plan(
     from ..plan.server import RunningServer
     from ..plan.tasks import Work
 
+    if save is not None:
+        check_target(save)
     scene = load_scene(question.scene)
     begun = _begun_plan(layout_names, save, scene)
     progress("setting", 0, 0)
@@ -150,11 +153,9 @@ def plan(
         progress.stop()
         try:
             ends = "Ctrl-C ends it." if keep_open else "It ends when the page is closed, or Ctrl-C."
-            click.echo(f"The page is at {server.address}\n{ends}")
+            tell(f"The page is at {server.address}\n{ends}")
             if host != _LOCAL:
-                click.echo(
-                    f"--host {host}: whoever has this address can change the plan.", err=True
-                )
+                tell(f"--host {host}: whoever has this address can change the plan.", err=True)
             if opens:
                 webbrowser.open(_redirect(server.address, Path(folder)))
             server.wait()
@@ -166,9 +167,9 @@ def plan(
         finally:
             problem = server.stop()
         if problem:
-            click.echo(f"place-rsus: {problem}", err=True)
+            tell(f"place-rsus: {problem}", err=True)
         saved = [] if server.desk is None else server.desk.saved_files()
-        click.echo("; the plan is in ".join([ended, *filter(None, [" and ".join(saved)])]) + ".")
+        tell("; the plan is in ".join([ended, *filter(None, [" and ".join(saved)])]) + ".")
 
 
 def _begun_plan(layout_names: Sequence[str], save: Path | None, scene: "Scene") -> "Plan":
@@ -188,8 +189,7 @@ def _begun_plan(layout_names: Sequence[str], save: Path | None, scene: "Scene") 
 
     begun = Plan(variants=())
     if save is not None and save.exists():
-        check_file(save, max_bytes=MAX_PLAN_BYTES)
-        begun = read_plan(save.read_bytes(), str(save))
+        begun = read_plan(read_bytes(save, max_bytes=MAX_PLAN_BYTES), str(save))
         check_plan(begun, scene)
     known = {key_of(variant.units) for variant in begun.variants}
     variants = [variant for variant in begun.variants if variant.units]
@@ -208,12 +208,11 @@ def _redirect(address: str, folder: Path) -> str:
     Programs' command lines can be read by everybody on the machine: the token is not for them.
     """
     path = folder / "open.html"
-    path.touch(mode=0o600)
-    path.write_text(
+    page = (
         f'<!DOCTYPE html><meta charset="utf-8"><title>place-rsus plan</title>'
         f'<meta name="referrer" content="no-referrer">'
         f'<meta http-equiv="refresh" content="0; url={address}">'
-        f'<a href="{address}">To the page</a>\n',
-        encoding="utf-8",
+        f'<a href="{address}">To the page</a>\n'
     )
+    write_atomically(path, page, is_private=True)
     return path.as_uri()

@@ -38,6 +38,7 @@ def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
         expected="a confidence, 0 to 1",
         default=0.0,
         show_default=True,
+        needs="recording",
         section=SEEN,
         is_common=False,
         help="With --recording: detections below do not count.",
@@ -53,7 +54,7 @@ def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def check_recording_options(recording: Path | None) -> None:
-    """Refuse options that say nothing beside a recording, or without one.
+    """Refuse options that say nothing beside a recording.
 
     Raises
     ------
@@ -61,8 +62,6 @@ def check_recording_options(recording: Path | None) -> None:
         Which one.
     """
     if recording is None:
-        if is_given("min_confidence"):
-            raise click.UsageError("--min-confidence: got it without --recording; expected both")
         return
     for param in click.get_current_context().command.params:
         if param.name not in _WITH_RECORDING and is_given(str(param.name)):

@@ -9,7 +9,7 @@ import click
 
 from placement.compute import Compute
 
-from ..progress import StageProgress
+from ..progress import StageProgress, tell
 from .options import (
     SectionedCommand,
     compute_options,
@@ -111,8 +111,8 @@ def render(
         raise unwritable(path, error) from None
     progress.stop()
     for file in written:
-        click.echo(f"Written to {file}.")
-    click.echo(render.vru_sentence(seen))
+        tell(f"Written to {file}.")
+    tell(render.vru_sentence(seen))
 
 
 def _default_path(run: Any, unit_id: str, frame_index: int, suffix: str) -> Path:

@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..progress import StageProgress
+from ..progress import StageProgress, tell
 from ..results.numbers import several
 from .options import cache_folder
 from .terminal import sentences
+
+_LEAST_BYTES = 2_000_000_000
 
 if TYPE_CHECKING:
     from placement.layout import Layout
@@ -100,7 +102,26 @@ def print_result(
     from ..export.json import to_json_text
 
     progress.stop()
-    click.echo(to_json_text(result).rstrip() if as_json else text())
+    tell(to_json_text(result).rstrip() if as_json else text())
+
+
+def check_address_space() -> None:
+    """Refuse a limit of address space in which libraries end by a segmentation fault.
+
+    Raises
+    ------
+    click.UsageError
+        It is below 2 GB: a small question reserves 2.3 where it may.
+    """
+    try:
+        import resource
+    except ImportError:  # Windows
+        return
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit != resource.RLIM_INFINITY and limit < _LEAST_BYTES:
+        raise click.UsageError(
+            f"ulimit -v: got {limit // 1000:,} kB; expected {_LEAST_BYTES // 1000:,} or no limit"
+        )
 
 
 def unwritable(path: object, error: OSError) -> click.UsageError:

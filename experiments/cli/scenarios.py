@@ -12,7 +12,7 @@ import msgspec
 
 from placement.question import Question
 
-from ..progress import StageProgress
+from ..progress import StageProgress, tell, write_out
 from ..results.numbers import several
 from .options import (
     ONLY_DRIVEN,
@@ -255,7 +255,7 @@ def show(
         makes_folder=out is None,
     )
     progress.stop()
-    click.echo(f"Written to {path}.")
+    tell(f"Written to {path}.")
 
 
 @scenarios.command(
@@ -279,9 +279,9 @@ def export(progress: StageProgress, *, question: Question, position: str, out: P
     run = drive_one(question, scene, position=position)
     text = to_openscenario(run, road_network=scene.road_network)
     if out is None:
-        click.echo(text, nl=False)
+        write_out(text)
     else:
-        _write(out, lambda: write_atomically(out, lambda file: file.write(text.encode())))
+        _write(out, lambda: write_atomically(out, text))
 
 
 def _write(path: Path, write: Callable[[], Any], *, makes_folder: bool = False) -> None:

@@ -5,6 +5,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from geometry.files import read_bytes
+
 from ..results.city import CityJunctionRecord
 
 UNITS, JUNCTIONS = "units", "junctions"
@@ -73,4 +75,4 @@ def to_city_geopackage(
                 geometry_type="Point Z",
                 append=True,
             )
-        return path.read_bytes()
+        return read_bytes(path)

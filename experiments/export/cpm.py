@@ -7,7 +7,7 @@ import numpy as np
 from geometry.actors import load_actors
 from geometry.arrays import FloatArray, IntArray
 from geometry.errors import InputError, Unquoted
-from geometry.frames import to_carla_yaw
+from geometry.frames import parse_crs, to_carla_yaw
 from geometry.maps.georeferences import transform
 from geometry.scene import Scene
 from geometry.sensors import CameraModel
@@ -140,9 +140,7 @@ def _payload(
 
 def _altitude_cm(scene: Scene, height_m: float) -> int:
     """Height above the ellipsoid of what is some metres above the scene's zero."""
-    from pyproj import CRS
-
-    crs = CRS.from_user_input(scene.source_crs) if scene.source_crs else None
+    crs = parse_crs(scene.source_crs) if scene.source_crs else None
     is_ellipsoidal = crs is not None and len(crs.axis_info) == 3 and not crs.is_compound
     if scene.zero_height_m is None or not is_ellipsoidal:
         return _ALTITUDE_UNKNOWN

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 
 from geometry.actors import Actor, Shape, load_actors
 from geometry.arrays import FloatArray
+from geometry.files import write_atomically
 from geometry.poses import body_rotation
 from geometry.raycast import build_caster
 
@@ -35,7 +36,7 @@ _N_GREYS = 24  # few: a smaller file
 )
 def main(out: Path) -> None:
     """Draw every body of the catalogue from eight sides."""
-    out.write_bytes(to_png(plot_bodies(load_actors())[0]))
+    write_atomically(out, to_png(plot_bodies(load_actors())[0]))
 
 
 def plot_bodies(actors: Mapping[str, Actor], *, pixels_per_view: int = 144) -> list[Axes]:

@@ -16,7 +16,7 @@ from matplotlib.patches import Patch, Polygon
 from geometry.actors import Actor
 from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError
-from geometry.files import write_atomically
+from geometry.files import read_bytes, write_atomically
 from geometry.footprints import footprint_corners
 from geometry.poses import Pose, body_rotation, to_world
 from geometry.raycast import RayCaster, build_caster
@@ -105,7 +105,7 @@ def save_film(path: Path, scene: Scene, run: Run, *, progress: Progress = silent
         raise InputError(
             "--out", str(path), "a name that ends in " + ", ".join((*STILLS, ANIMATION))
         )
-    write_atomically(path, lambda file: file.write(data))
+    write_atomically(path, data)
 
 
 def _animate(scene: Scene, run: Run, progress: Progress) -> bytes:
@@ -132,7 +132,7 @@ def _animate(scene: Scene, run: Run, progress: Progress) -> bytes:
             writer=PillowWriter(fps=rate_hz),
             progress_callback=lambda done, total: progress("draw", done, total),
         )
-        return name.read_bytes()
+        return read_bytes(name)
 
 
 def _title(run: Run) -> str:

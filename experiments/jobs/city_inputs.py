@@ -10,6 +10,7 @@ import numpy as np
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
+from geometry.files import read_text
 from geometry.maps.city_layers import areas_of, read_areas, read_counts, snap
 from geometry.maps.georeferences import transform
 from geometry.maps.importing import DEFAULT_RADIUS_M, ReadingOptions, read_map
@@ -319,7 +320,9 @@ def _counting(
 
 def _named(found: Sequence[CityJunction], roads: SourceMap, text: str) -> list[CityJunction]:
     path = Path(text)
-    names = path.read_text(encoding="utf-8").splitlines() if path.is_file() else text.split(";")
+    names = (
+        read_text(path, "a list of junctions").splitlines() if path.is_file() else text.split(";")
+    )
     by_survey = {id(one.surveyed): one for one in found}
     chosen: dict[int, CityJunction] = {}
     for name in (name.strip() for name in names):

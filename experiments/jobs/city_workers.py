@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from geometry.errors import InputError, MissingExtraError
+from geometry.files import read_bytes
 from geometry.maps.importing import ImportOptions, cut_scene
 from geometry.maps.junctions import Surveyed
 from geometry.maps.source_map import SourceMap
@@ -62,7 +63,7 @@ def run_junction(task: JunctionTask) -> JunctionAnswer:
         notes = tuple(str(note) for note in imported.scene.notes)
         with tempfile.TemporaryDirectory() as folder:
             save_scene(Path(folder), imported.scene, sources=imported.sources)
-            files = {path.name: path.read_bytes() for path in sorted(Path(folder).iterdir())}
+            files = {path.name: read_bytes(path) for path in sorted(Path(folder).iterdir())}
         solved = solve_junction(
             imported.scene,
             task.question,

@@ -20,7 +20,7 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray
 from geometry.catalogue import pick_sensor
 from geometry.errors import InputError, Unquoted
-from geometry.files import write_atomically
+from geometry.files import read_text, write_atomically
 from geometry.lidar import LidarModel
 from geometry.poses import Pose
 from geometry.sensors import CameraModel
@@ -35,7 +35,7 @@ from placement.evaluator import (
 )
 from placement.evaluator.watch import VUT_KEY, build_rng, unit_key
 from placement.layout import Layout
-from placement.question import Question
+from placement.question import Question, split_names
 from placement.recordings import WrittenDrive, load_format, write_folder, write_recording
 from placement.recordings.files import read_labels
 from placement.setting import Setting, build_setting
@@ -187,11 +187,11 @@ def _pick_viewers(layout: Layout, names: str) -> tuple[Viewer, ...]:
     )
     if not names:
         return tuple(known.values())
-    wanted = [name.strip() for name in names.split(",")]
+    wanted = split_names(names, "--units")
     unknown = [name for name in wanted if name not in known]
     if unknown:
         raise InputError("--units", unknown[0], "cameras of the layout: " + ", ".join(known))
-    return tuple(known[name] for name in dict.fromkeys(wanted))
+    return tuple(known[name] for name in wanted)
 
 
 def _build_record(
@@ -415,7 +415,7 @@ def _coco(
 def _add_vehicles(out: Path) -> None:
     """Label vehicles in ``coco.json``, once, as the text files beside the pictures have them."""
     form, path = load_format(), out / _COCO_FILE
-    coco = json.loads(path.read_text(encoding="utf-8"))
+    coco = json.loads(read_text(path, "JSON"))
     number = len(_COCO_CLASSES) + 1
     if any(category["id"] == number for category in coco["categories"]):
         return
@@ -433,7 +433,7 @@ def _add_vehicles(out: Path) -> None:
                 }
             )
     coco["categories"].append({"id": number, "name": "vehicle"})
-    write_atomically(path, lambda file: file.write(json.dumps(coco).encode()))
+    write_atomically(path, json.dumps(coco))
 
 
 # ---------- what is to be drawn

@@ -16,7 +16,7 @@ from msgspec.structs import replace as replace_fields
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
-from geometry.files import check_file, read_table
+from geometry.files import read_bytes, read_table
 from geometry.image_boxes import box_height_px, iou
 from geometry.scene_files import load_scene
 from geometry.sensors import CameraModel
@@ -434,12 +434,11 @@ def _from_coco(labels_path: Path, results_path: Path, min_confidence: float) -> 
 
 
 def _load_json(path: Path) -> Any:
-    check_file(path, max_bytes=_MAX_BYTES)
+    data = read_bytes(path, max_bytes=_MAX_BYTES)
     try:
-        return msgspec.json.decode(path.read_bytes())
-    except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else str(error)
-        raise InputError(str(path), Unquoted(reason or "unreadable"), "a JSON file") from None
+        return msgspec.json.decode(data)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise InputError(str(path), Unquoted(error), "a JSON file") from None
 
 
 def _coco_pictures(

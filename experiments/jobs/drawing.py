@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import write_atomically
+from geometry.files import read_text, write_atomically
 from geometry.lidar import LidarModel
 from geometry.poses import Pose
 from geometry.scene import Scene
@@ -187,7 +187,7 @@ def _contents(
 
 def _with_vehicles(path: Path, picture: Picture, task: DrawTask) -> bytes:
     """Lines of a label file, and one for each vehicle of which enough is seen."""
-    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    lines = read_text(path, "labels").splitlines() if path.exists() else []
     lines = [line for line in lines if not line.startswith(f"{_VEHICLE} ")]
     of_scene = {one.id for one in task.scene.instances if "vehicle" in one.class_name}
     camera = task.viewer.camera

@@ -16,6 +16,7 @@ import numpy as np
 
 from geometry.arrays import BoolArray
 from geometry.errors import InputError, Unquoted
+from geometry.files import read_bytes
 from geometry.scene import Scene
 from placement.layout import Layout, layout_records
 from placement.optimiser import Failing, Objective, PlacementProblem, PresolveStatistics
@@ -364,7 +365,7 @@ def _check_exports(
     """Other files with the layout say what ``layout.json`` says; returns those compared."""
     compared = set()
     if _CSV in names:
-        text = (folder / _CSV).read_text(encoding="utf-8", errors="replace")
+        text = read_bytes(folder / _CSV).decode(errors="replace")
         if scene is not None:
             wrong = "" if text == to_csv(layout, scene) else f"another layout than {LAYOUT_FILE}"
         else:
@@ -372,7 +373,7 @@ def _check_exports(
         found.add(_CSV, wrong, f"the units of {LAYOUT_FILE}")
         compared.add(_CSV)
     if _GEOJSON in names and scene is not None and scene.crs:
-        text = (folder / _GEOJSON).read_text(encoding="utf-8", errors="replace")
+        text = read_bytes(folder / _GEOJSON).decode(errors="replace")
         same = text == to_geojson(layout, scene.crs, scene)
         wrong = "" if same else f"another layout than {LAYOUT_FILE}"
         found.add(_GEOJSON, wrong, f"the units of {LAYOUT_FILE}")

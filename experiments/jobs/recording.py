@@ -182,6 +182,6 @@ def _finish(
             write_more(new)
         result = replace(result, seconds=progress.finish())
         text = to_json_text(result).encode()
-        write_atomically(new / MARKER, lambda file: file.write(text))
+        write_atomically(new / MARKER, text)
     progress.kept = f"the results are in {out}"
     return result

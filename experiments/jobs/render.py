@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from geometry.catalogue import Sensor
 from geometry.errors import InputError
-from geometry.files import write_atomically
+from geometry.files import check_target, write_atomically
 from geometry.image_boxes import mask_box
 from geometry.junction import build_junction
 from geometry.lidar import LidarModel
@@ -199,11 +199,12 @@ def check_path(path: Path, sensor: Sensor) -> None:
     Raises
     ------
     InputError
-        The name ends in none of :func:`suffixes_of`.
+        The name ends in none of :func:`suffixes_of`, or is no regular file's.
     """
     known = suffixes_of(sensor)
     if path.suffix.lower() not in known:
         raise InputError("--out", str(path), "a name that ends in " + ", ".join(known))
+    check_target(path)
 
 
 def save(path: Path, seen: Picture | PointCloud) -> tuple[Path, ...]:
@@ -234,7 +235,7 @@ def save_cloud(path: Path, cloud: PointCloud) -> tuple[Path]:
     else:
         colours = instance_colours(cloud.names)[cloud.instance]
         content = trimesh.PointCloud(cloud.points_m, colours).export(file_type="ply")
-    write_atomically(path, lambda file: file.write(content))
+    write_atomically(path, content)
     return (path,)
 
 

@@ -9,7 +9,7 @@ from msgspec import UNSET, UnsetType
 from msgspec.structs import replace
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import check_file
+from geometry.files import check_target, read_bytes
 from geometry.maps.importing import (
     ImportedScene,
     ImportOptions,
@@ -30,6 +30,7 @@ from geometry.scene_files import (
     save_scene,
 )
 from geometry.study_scene import load_study_scene
+from geometry.untrusted_files import MAX_FILE_BYTES
 from placement.question import Question, map_options
 from scenarios.bends import find_sharp_bends
 
@@ -108,7 +109,7 @@ def run_import(
                     "--out", Unquoted(f"{out}: {error.strerror or error}"), "a file to write"
                 ) from None
         else:
-            contents = {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+            contents = {path.name: read_bytes(path) for path in sorted(folder.iterdir())}
             contents |= _pictures(scene)
             # The meshes first: a folder with a scene.toml is whole.
             write_files(out, {**_last(contents, SCENE_FILE)})
@@ -153,8 +154,8 @@ def import_into_cache(
     digest = hashlib.sha256(f"{IMPORT_VERSION}\n{wanted!r}\n".encode())
     listed = Path(wanted.sites)
     for file in (path, *([listed] if listed.suffix.lower() in LISTS else [])):
-        check_file(file)
-        digest.update(f"{file.name}\n".encode() + file.read_bytes())
+        content = read_bytes(file, max_bytes=MAX_FILE_BYTES)
+        digest.update(f"{file.name}\n".encode() + content)
     folder = cache / "scenes" / digest.hexdigest()[:16]
     if (folder / SCENE_FILE).exists():
         try:
@@ -272,6 +273,7 @@ def _check_target(out: Path, *, is_zip: bool) -> None:
     if is_zip:
         if out.is_dir():
             raise InputError("--out", Unquoted(f"{out}, a folder"), "a file to write")
+        check_target(out)
         check_folder(out.parent)
         return
     if out.exists() and not out.is_dir():

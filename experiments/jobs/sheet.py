@@ -14,7 +14,7 @@ from matplotlib.patches import PathPatch
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
-from geometry.files import write_atomically
+from geometry.files import check_target, write_atomically
 from geometry.frames import to_geographic
 from geometry.junction import COMPASS
 from geometry.notes import assumed_sites
@@ -354,6 +354,7 @@ def run_sheet(
     """
     if out.is_dir():
         raise InputError("--out", Unquoted(f"{out}, a folder"), "a PDF file to write")
+    check_target(out)
     check_folder(out.parent)
     progress.kept = f"nothing was written to {out}"
     progress("setting", 0, 0)
@@ -365,7 +366,7 @@ def run_sheet(
     pdf = mounting_sheet(layout, setting, tolerances, compute=compute)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(out, lambda file: file.write(pdf))
+        write_atomically(out, pdf)
     except OSError as error:
         raise InputError(
             "--out", Unquoted(f"{out}: {error.strerror or error}"), "a file that can be written"

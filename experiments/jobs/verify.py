@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import MAX_TEXT_BYTES, check_file
+from geometry.files import read_text
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
 from geometry.study_scene import STUDY, load_study_scene
@@ -108,13 +108,11 @@ def _load_layout(folder: Path, summary: Mapping[str, Any] | None) -> Layout | No
 
 def _load_summary(path: Path) -> Mapping[str, Any] | None:
     """What the summary says; None if there is none."""
-    check_file(path, max_bytes=MAX_TEXT_BYTES)
-    try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
+    if not path.exists():
         return None
-    except OSError as error:
-        raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
+    text = read_text(path, "JSON")
+    try:
+        summary = json.loads(text)
     except RecursionError:
         raise InputError(str(path), Unquoted("JSON nested too deep"), "a summary") from None
     except ValueError as error:  # no JSON, no UTF-8, or a number of thousands of digits

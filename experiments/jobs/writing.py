@@ -106,10 +106,10 @@ def write_results(
         answer[RECOMMENDED_FILE] = to_json(recommended)
     with _kept_elsewhere(folder, answer), new_result_folder(folder) as new:
         for name, text in answer.items():
-            _write_text(new / name, text)
+            write_atomically(new / name, text)
         if setting.scene.crs:  # else nobody knows where on earth it lies
             geojson = to_geojson(layout, setting.scene.crs, setting.scene)
-            _write_text(new / "layout.geojson", geojson)
+            write_atomically(new / "layout.geojson", geojson)
         if placement is not None:
             mounts = build_mounts(setting.scene, candidates)
             document = build_certificate(
@@ -124,9 +124,9 @@ def write_results(
             )
             save_certificate(new, document, placement.problem, mounts)
         bill = bill or build_bill(layout, setting.scene)
-        _write_text(new / bill_of_materials.FILE_NAME, bill_of_materials_csv(bill))
-        _write_text(new / APR_FILE, csv_text(apr_table(evaluations)))
-        runs_table(evaluations).to_parquet(new / RUNS_FILE)
+        write_atomically(new / bill_of_materials.FILE_NAME, bill_of_materials_csv(bill))
+        write_atomically(new / APR_FILE, csv_text(apr_table(evaluations)))
+        write_atomically(new / RUNS_FILE, runs_table(evaluations).to_parquet())
         write_report(
             new,
             result,
@@ -138,7 +138,7 @@ def write_results(
             beside=beside,
         )
         result = msgspec.structs.replace(result, seconds=progress.finish())
-        _write_text(new / MARKER, to_json_text(result))
+        write_atomically(new / MARKER, to_json_text(result))
     progress.kept = f"the results are in {folder}"
     return result
 
@@ -151,14 +151,9 @@ def _kept_elsewhere(folder: Path, answer: Mapping[str, str]) -> Iterator[None]:
     except OSError as error:
         kept = Path(tempfile.mkdtemp(prefix="place-rsus-kept-"))
         for name, text in answer.items():
-            _write_text(kept / name, text)
+            write_atomically(kept / name, text)
         raise InputError(
             "--out",
             Unquoted(f"{folder}: {error.strerror or error}"),
             f"a folder that can be written to; layout and numbers are kept in {kept}",
         ) from error
-
-
-def _write_text(path: Path, text: str) -> None:
-    """Write a file, whole or not at all: what is kept of a failed writing can be read."""
-    write_atomically(path, lambda file: file.write(text.encode()))

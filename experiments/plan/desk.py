@@ -479,7 +479,7 @@ class Desk:
             return ""
         text = self.plan_text()
         try:
-            write_atomically(save, lambda file: file.write(text))
+            write_atomically(save, text)
         except OSError as error:
             return f"not saved: {save}: {error.strerror or error}"
         return ""

@@ -1,7 +1,5 @@
 """Bill of materials: sensors by model, sites, what they cost as far as it is known."""
 
-import csv
-import io
 from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -12,7 +10,7 @@ from geometry.scene import Scene, Site
 from placement.layout import Layout
 from placement.prices import assumed_prices, load_prices
 
-from ..results.csv_text import safe_cell
+from ..results.csv_text import csv_text
 from ..results.numbers import several
 from .section import Block, Bullets, Section, Table
 
@@ -187,27 +185,23 @@ def _told(price_eur: float) -> float | None:
 
 def bill_of_materials_csv(bill: BillOfMaterials) -> str:
     """The bill as CSV, a row per item; what is unknown is empty, and there is no row of sums."""
-    file = io.StringIO()
-    writer = csv.writer(file, lineterminator="\n")
-    heads = ["part", "name", "kind", "units", "to_buy", "price_eur", "sum_eur", "price_source"]
-    writer.writerow([*heads, "assumed"])
-    for item in (*bill.sensors, *bill.sites):
-        writer.writerow(
-            [
-                item.part,
-                safe_cell(item.name),
-                item.kind,
-                item.n_units,
-                item.count,
-                *(
-                    "" if value is None else f"{value:g}"
-                    for value in (item.price_eur, item.sum_eur)
-                ),
-                item.price_source,
-                safe_cell(item.assumed),
-            ]
-        )
-    return file.getvalue()
+    import pandas as pd
+
+    rows = [
+        {
+            "part": item.part,
+            "name": item.name,
+            "kind": item.kind,
+            "units": item.n_units,
+            "to_buy": item.count,
+            "price_eur": "" if item.price_eur is None else f"{item.price_eur:g}",
+            "sum_eur": "" if item.sum_eur is None else f"{item.sum_eur:g}",
+            "price_source": item.price_source,
+            "assumed": item.assumed,
+        }
+        for item in (*bill.sensors, *bill.sites)
+    ]
+    return csv_text(pd.DataFrame(rows))
 
 
 # ---------- in the report

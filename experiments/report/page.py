@@ -71,9 +71,9 @@ def write_report(
         beside=beside,
     )
     for name, picture in pictures.items():
-        (folder / f"{name}.png").write_bytes(base64.b64decode(picture.png))
+        write_atomically(folder / f"{name}.png", base64.b64decode(picture.png))
     path = folder / FILE_NAME
-    write_atomically(path, lambda file: file.write(page.encode()))
+    write_atomically(path, page)
     return path
 
 

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import MAX_TEXT_BYTES, check_file
+from geometry.files import read_bytes
 from placement.city.fronts import JunctionFront, Point
 from placement.city.junction import SolvedJunction
 
@@ -102,9 +102,8 @@ def build_points(solved: SolvedJunction) -> tuple[CityPointRecord, ...]:
 def load_front(path: Path) -> CityFrontRecord | None:
     """Read ``front.json``; None if there is none, or it is damaged: then it is made anew."""
     try:
-        check_file(path, max_bytes=MAX_TEXT_BYTES)
-        return msgspec.json.decode(path.read_bytes(), type=CityFrontRecord)
-    except (OSError, InputError, msgspec.DecodeError, UnicodeDecodeError):
+        return msgspec.json.decode(read_bytes(path), type=CityFrontRecord)
+    except (InputError, msgspec.DecodeError, UnicodeDecodeError):
         return None
 
 
@@ -177,10 +176,10 @@ class CityManifest(Record, frozen=True, kw_only=True):
 
 def load_manifest(path: Path) -> CityManifest:
     """Read ``manifest.json``; InputError if it is something else."""
-    check_file(path, max_bytes=MAX_TEXT_BYTES)
+    data = read_bytes(path)
     try:
-        found = msgspec.json.decode(path.read_bytes(), type=CityManifest)
-    except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
+        found = msgspec.json.decode(data, type=CityManifest)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise InputError(str(path), Unquoted(error), "a manifest of place-rsus city") from None
     if found.schema != SCHEMA:
         raise InputError(f"{path}: schema", found.schema, SCHEMA)
@@ -288,7 +287,6 @@ class CityResult(Record, frozen=True, kw_only=True):
 def load_summary(path: Path) -> CityResult | None:
     """Read ``city.json``; None if there is none, or it is of another program."""
     try:
-        check_file(path, max_bytes=MAX_TEXT_BYTES)
-        return msgspec.json.decode(path.read_bytes(), type=CityResult)
+        return msgspec.json.decode(read_bytes(path), type=CityResult)
     except (OSError, InputError, msgspec.DecodeError, UnicodeDecodeError):
         return None

@@ -8,12 +8,13 @@ References
 .. [1] OWASP, "CSV Injection", https://owasp.org/www-community/attacks/CSV_Injection
 """
 
+import unicodedata
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_BEGINNINGS = ("=", "+", "-", "@", "\t", "\r", "\n")
+_BEGINNINGS = (*"=+-@", "\t", "\r", "\n")
 
 
 def csv_text(table: "pd.DataFrame") -> str:
@@ -41,7 +42,10 @@ def plain_cell(cell: Any) -> Any:
 
 def _is_like_formula(cell: Any) -> bool:
     """Whether a text begins as formulas do; also one that has such an apostrophe already."""
-    if not isinstance(cell, str) or not cell.lstrip("'").startswith(_BEGINNINGS) or len(cell) == 1:
+    if not isinstance(cell, str) or len(cell) == 1:
+        return False
+    first = unicodedata.normalize("NFKC", cell.lstrip("'")[:1])  # also as wide as in Japanese
+    if not first.startswith(_BEGINNINGS):
         return False
     try:
         float(cell)

@@ -5,7 +5,7 @@ from pathlib import Path
 import msgspec
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import MAX_TEXT_BYTES, check_file
+from geometry.files import read_bytes
 from placement.recordings import FrameKey
 
 from .record import Record
@@ -144,8 +144,8 @@ class DatasetSummary(Record, frozen=True):
 
 def load_manifest(path: Path) -> DatasetRecord:
     """Read ``dataset.json``; InputError if it is something else."""
-    check_file(path, max_bytes=MAX_TEXT_BYTES)
+    data = read_bytes(path)
     try:
-        return msgspec.json.decode(path.read_bytes(), type=DatasetRecord)
-    except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
+        return msgspec.json.decode(data, type=DatasetRecord)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise InputError(str(path), Unquoted(error), "a manifest of place-rsus dataset") from None

@@ -12,14 +12,13 @@ import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO
 from uuid import uuid4
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import is_abandoned, lock_while_alive, write_atomically
+from geometry.files import is_abandoned, lock_while_alive, open_file, read_text, write_atomically
 
 from ..progress import signals_held
 
@@ -41,7 +40,7 @@ _CHUNK_BYTES = 1 << 20
 def write_manifest(folder: Path) -> None:
     """List all files of a folder with their hashes in its ``SHA256SUMS``."""
     lines = [f"{sha256(path)}  {name}\n" for name, path in _files(folder).items()]
-    (folder / MANIFEST).write_text("".join(lines), encoding="utf-8")
+    write_atomically(folder / MANIFEST, "".join(lines))
 
 
 def read_manifest(folder: Path) -> dict[str, str]:
@@ -53,15 +52,9 @@ def read_manifest(folder: Path) -> dict[str, str]:
         The file cannot be read, or is not a list of hashes and names.
     """
     path = folder / MANIFEST
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except FileNotFoundError:
+    if not path.exists():
         return {}
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(
-            str(path), Unquoted(reason), "a list of SHA-256 hashes and names"
-        ) from None
+    lines = read_text(path, "a list of SHA-256 hashes and names").splitlines()
     hashes = {}
     for number, line in enumerate(lines, start=1):
         digest, gap, name = line.partition("  ")
@@ -92,7 +85,7 @@ def changed_files(folder: Path) -> dict[str, str]:
 def sha256(path: Path) -> str:
     """SHA-256 of a file's content, in hexadecimal digits."""
     digest = hashlib.sha256()
-    with path.open("rb") as file:
+    with open_file(path) as file:
         while chunk := file.read(_CHUNK_BYTES):
             digest.update(chunk)
     return digest.hexdigest()
@@ -349,10 +342,6 @@ def write_files(folder: Path, contents: Mapping[str, bytes]) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, content in contents.items():
-            write_atomically(folder / name, _writer(content))
+            write_atomically(folder / name, content)
     except OSError as error:
         raise unwritable(folder, error) from None
-
-
-def _writer(content: bytes) -> Callable[[BinaryIO], object]:
-    return lambda file: file.write(content)

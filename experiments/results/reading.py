@@ -13,7 +13,8 @@ import pandas as pd
 from pandas.api.types import is_bool_dtype, is_numeric_dtype, is_string_dtype
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import read_table
+from geometry.files import MAX_TEXT_BYTES, read_bytes, read_table
+from geometry.untrusted_files import open_parquet
 from placement.layout import RESULT_SCHEMA, Layout, load_layout
 from scenarios.positions import AT_ZERO
 
@@ -125,7 +126,7 @@ def load_result(folder: Path | str) -> StoredResult:
 
 
 def _load_summary(path: Path) -> Result:
-    data = _read(path)
+    data = read_bytes(path)
     try:
         summary = msgspec.json.decode(data.decode("utf-8"))
     except RecursionError:
@@ -145,15 +146,11 @@ def _load_summary(path: Path) -> Result:
 
 
 def _load_runs(path: Path, summary: Result) -> pd.DataFrame:
-    import pyarrow as pa
-    from pyarrow import parquet
-
-    data = _read(path)
-    try:
+    with open_parquet(path, max_bytes=MAX_TEXT_BYTES, expected=_A_WHOLE) as file:
         # What pandas notes in the file about itself is not needed, and may be broken, too.
-        runs: pd.DataFrame = parquet.read_table(io.BytesIO(data)).to_pandas(ignore_metadata=True)
-    except (OSError, ValueError, pa.ArrowException) as error:
-        raise InputError(str(path), Unquoted(_first_line(error)), _A_WHOLE) from None
+        runs: pd.DataFrame = file.read().to_pandas(ignore_metadata=True)
+    is_text = runs.dtypes == "category"
+    runs = runs.astype(dict.fromkeys(runs.columns[is_text], object))
     _add_positions(runs, AT_ZERO.name)
     _check_columns(runs, _RUNS_COLUMNS, path)
     if summary.name not in set(runs["layout"]):
@@ -172,7 +169,7 @@ def _load_runs(path: Path, summary: Result) -> pd.DataFrame:
 
 
 def _load_apr(path: Path, runs: pd.DataFrame) -> pd.DataFrame:
-    data = _read(path)
+    data = read_bytes(path)
     if not data.endswith(b"\n"):
         raise InputError(str(path), Unquoted("no line break at the end"), _A_WHOLE)
     text = [name for name, kind in _APR_COLUMNS.items() if kind == "text"]
@@ -221,13 +218,6 @@ def _check_columns(table: pd.DataFrame, columns: Mapping[str, str], path: Path) 
 
 def _listed(names: Sequence[str]) -> str:
     return ", ".join(names)
-
-
-def _read(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
 
 
 def _first_line(error: Exception) -> str:

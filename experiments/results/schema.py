@@ -9,6 +9,8 @@ from typing import Any
 
 import msgspec
 
+from geometry.files import write_atomically
+
 from .record import Record
 from .result import Result
 
@@ -78,4 +80,4 @@ _TITLES_LEFT_OUT = {kind.__name__ for kind in _kinds_of(Record)}
 
 
 if __name__ == "__main__":
-    SCHEMA_FILE.write_text(schema_text(), encoding="utf-8")
+    write_atomically(SCHEMA_FILE, schema_text())

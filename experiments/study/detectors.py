@@ -13,6 +13,7 @@ import click
 import numpy as np
 
 from geometry.arrays import BoolArray
+from geometry.files import write_atomically
 from geometry.scene_files import load_scene
 from geometry.sensors import CameraModel
 from placement.compute import Compute
@@ -155,7 +156,7 @@ def main(
     if out is None:
         click.echo(text)
     else:
-        out.write_text(text, encoding="utf-8")
+        write_atomically(out, text)
 
 
 if __name__ == "__main__":

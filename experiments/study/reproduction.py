@@ -205,8 +205,8 @@ def write_reproduction(folder: Path, *, compute: Compute) -> None:
             "",
         ]
     )
-    write_atomically(folder / "reproduction_heatmaps.png", lambda file: file.write(picture))
-    write_atomically(folder / "reproduction.md", lambda file: file.write(text.encode()))
+    write_atomically(folder / "reproduction_heatmaps.png", picture)
+    write_atomically(folder / "reproduction.md", text)
 
 
 def _evaluate(variant: Variant, compute: Compute) -> Evaluation:

@@ -12,7 +12,8 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
-from ..untrusted_files import parse_json, read_text
+from ..files import read_text
+from ..untrusted_files import parse_json
 from .georeferences import georeference
 from .solids import Polygon3D, extrude, join, surface_mesh
 from .source_map import MAX_TRIANGLES, Skipped, SourceMap, Thing, counted, shortened, unique_id

@@ -1,4 +1,4 @@
-"""Heights of the ground from rasters (DEM, DTM): GeoTIFF and whatever else GDAL reads."""
+"""Heights of the ground from GeoTIFF rasters (DEM, DTM)."""
 
 from pathlib import Path
 from typing import Any
@@ -8,13 +8,19 @@ from pyproj.exceptions import ProjError
 
 from ..arrays import FloatArray
 from ..errors import InputError, MissingExtraError, Unquoted
-from ..files import check_file
+from ..files import open_file
 from .georeferences import transform
 from .relief import Elevation
 
 _COARSEST_M = 30.0  # the global models; coarser ones know no street
 _MIDDLE_M = 60.0  # there must be a height this near to the junction
 _LIMITS_M = (-500.0, 9000.0)
+_MAX_PIXELS = 4_000_000  # around a junction: of 16 cm, 320 m by 320 m
+_MAX_BLOCK_BYTES = 100_000_000  # GDAL unpacks blocks as a whole, and a mask line by line or whole
+_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+# GDAL would look at files of any of its formats next to the raster, such as a mask.
+_ALONE = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", "GDAL_PAM_ENABLED": "NO"}
+_EXPECTED = "a GeoTIFF of heights"
 
 
 def read_elevation(path: Path, *, crs: str, middle_m: FloatArray, half_m: float) -> Elevation:
@@ -39,8 +45,8 @@ def read_elevation(path: Path, *, crs: str, middle_m: FloatArray, half_m: float)
     Raises
     ------
     InputError
-        The raster cannot be read, has no reference system or several bands, lies elsewhere, is too
-        coarse, or has no height near the place.
+        The raster is no GeoTIFF, has no reference system or several bands, lies elsewhere, is too
+        coarse, too fine or packed in blocks that are too large, or has no height near the place.
     MissingExtraError
         rasterio is not installed.
     """
@@ -51,7 +57,9 @@ def read_elevation(path: Path, *, crs: str, middle_m: FloatArray, half_m: float)
             "reading rasters of heights needs rasterio: pip install place-rsus[terrain] "
             "(in a checkout: uv run --extra terrain place-rsus ..)"
         ) from None
-    check_file(path)
+    with open_file(path) as file:
+        if not file.read(4).startswith(_MAGIC):  # GDAL goes by content: a text may name an address
+            raise InputError(str(path), Unquoted("something else"), _EXPECTED)
     if not crs:
         raise InputError(
             "--terrain",
@@ -59,11 +67,11 @@ def read_elevation(path: Path, *, crs: str, middle_m: FloatArray, half_m: float)
             "a map that says where on earth it lies: --crs says it for one that does not",
         )
     try:
-        with rasterio.open(path) as raster:
+        with rasterio.Env(**_ALONE), rasterio.open(path, driver="GTiff") as raster:
             points = _read(raster, str(path), crs, middle_m, half_m)
     except (rasterio.errors.RasterioError, ProjError) as error:
         why = " ".join(str(error).split())
-        raise InputError(str(path), Unquoted(why), "a raster of heights, such as GeoTIFF") from None
+        raise InputError(str(path), Unquoted(why), _EXPECTED) from None
     return Elevation(name=path.name, points_m=points)
 
 
@@ -89,6 +97,7 @@ def _read(raster: Any, where: str, crs: str, middle_m: FloatArray, half_m: float
         raise InputError(
             where, Unquoted("a raster that lies elsewhere"), "one that covers the junction"
         )
+    _check_memory(raster, (right - left) * (bottom - top), where)
     column, row = np.meshgrid(np.arange(left, right) + 0.5, np.arange(top, bottom) + 0.5)
     east_north = np.stack(_affine(raster.transform, np.stack([column, row], axis=-1)), axis=-1)
     places = transform(east_north, own_crs, crs)
@@ -118,6 +127,20 @@ def _read(raster: Any, where: str, crs: str, middle_m: FloatArray, half_m: float
             where, Unquoted("no heights at the junction"), f"some within {_MIDDLE_M:g} m of it"
         )
     return points
+
+
+def _check_memory(raster: Any, n_pixels: int, where: str) -> None:
+    """Raise InputError for more pixels around the place, or larger blocks, than rasters have."""
+    if n_pixels > _MAX_PIXELS:
+        got = Unquoted(f"{n_pixels:,} pixels around the junction")
+        raise InputError(where, got, f"at most {_MAX_PIXELS:,}: a coarser raster")
+    rows, columns = raster.block_shapes[0]
+    n_bytes = rows * columns * np.dtype(raster.dtypes[0]).itemsize
+    if any(flag.name == "per_dataset" for flag in raster.mask_flag_enums[0]):
+        n_bytes = max(n_bytes, raster.width * raster.height)
+    if n_bytes > _MAX_BLOCK_BYTES:
+        got = Unquoted(f"blocks of {n_bytes:,} bytes")
+        raise InputError(where, got, f"at most {_MAX_BLOCK_BYTES:,}: a tiled GeoTIFF")
 
 
 def _affine(matrix: Any, points: FloatArray) -> tuple[FloatArray, FloatArray]:

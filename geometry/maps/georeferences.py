@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
+from ..frames import parse_crs
 from .source_map import Skipped, SourceMap
 
 if TYPE_CHECKING:
@@ -105,8 +106,13 @@ def transform(points: ArrayLike, from_crs: str, to_crs: str) -> FloatArray:
 @lru_cache(maxsize=16)  # to make one takes longer than to transform most maps
 def _transformer(from_crs: str, to_crs: str) -> "Transformer":
     from pyproj import Transformer
+    from pyproj.exceptions import ProjError
 
-    return Transformer.from_crs(from_crs, to_crs, always_xy=True)
+    try:
+        return Transformer.from_crs(parse_crs(from_crs), parse_crs(to_crs), always_xy=True)
+    except ProjError:
+        where = f"coordinates from {from_crs[:80]} to {to_crs[:80]}"
+        raise InputError(where, Unquoted("no way"), "reference systems that pyproj knows") from None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -214,11 +220,9 @@ def horizontal_crs(declared: "str | CRS | None") -> "CRS | None":
     `declared` is what pyproj takes, or one of the spellings of CityGML files. Raises pyproj's
     ProjError if it is unknown.
     """
-    from pyproj import CRS
-
     if declared is None or not str(declared).strip():
         return None
-    crs = CRS.from_user_input(_spelling(declared) if isinstance(declared, str) else declared)
+    crs = parse_crs(_spelling(declared) if isinstance(declared, str) else declared)
     while crs.is_bound and crs.source_crs is not None:
         crs = crs.source_crs
     if crs.is_compound:
@@ -256,9 +260,7 @@ def _unknown(declared: "str | CRS | None") -> Skipped | None:
 
 def _vertical_unit_m(declared: "str | CRS | None") -> float:
     """Unit of heights in metres: that of the third axis, or else that of the plane."""
-    from pyproj import CRS
-
-    crs = CRS.from_user_input(_spelling(declared) if isinstance(declared, str) else declared)
+    crs = parse_crs(_spelling(declared) if isinstance(declared, str) else declared or "")
     axes = crs.axis_info
     if len(axes) > 2:
         return float(axes[2].unit_conversion_factor)

@@ -1,9 +1,12 @@
 """Features, buildings and walls from GIS files: GeoJSON, GeoPackage, Shapefile."""
 
+import glob
 import re
+import sqlite3
 import warnings
 from collections import Counter
 from collections.abc import Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import InputError, Unquoted
+from ..files import check_file, open_file, read_text
 from ..scene import CLASS_NAMES
-from ..untrusted_files import check_size, parse_json, read_text, unpacked
+from ..untrusted_files import parse_json, unpacked
 from .georeferences import WGS84, Georeference, georeference
 from .solids import extrude, join
 from .source_map import Skipped, SourceMap, Thing, counted, shortened, unique_id
@@ -31,6 +35,7 @@ _GEOMETRY_TYPES = (
 )
 # First bytes of a file: GDAL would take other things under these names too, and follow their links.
 _MAGIC = {".gpkg": (b"SQLite format 3\0", "a GeoPackage"), ".shp": (b"\0\0\x27\x0a", "a Shapefile")}
+_DRIVERS = {".gpkg": "GPKG", ".shp": "ESRI Shapefile"}
 _MAX_GDAL_BYTES = 2_000_000_000
 
 
@@ -129,10 +134,13 @@ def _read_with_gdal(path: Path, layer: str | None) -> Features:
     where = str(path)
     magic, name = _MAGIC[path.suffix.lower()]
     try:
-        check_size(path, _MAX_GDAL_BYTES)
-        with path.open("rb") as file:
+        with open_file(path, max_bytes=_MAX_GDAL_BYTES) as file:
             if file.read(len(magic)) != magic:
                 raise InputError(where, Unquoted("something else"), name)
+        for other in path.parent.glob(f"{glob.escape(path.stem)}.*"):  # .dbf, .gpkg-wal, ..
+            check_file(other)
+        if path.suffix.lower() == ".gpkg":
+            _check_tables(path)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # rings left open and the like, which GDAL mends
             layers = [str(found) for found in pyogrio.list_layers(path)[:, 0]]
@@ -140,7 +148,10 @@ def _read_with_gdal(path: Path, layer: str | None) -> Features:
                 raise InputError(where, Unquoted(f"{len(layers)} layers"), _one_of(layers))
             if layer is not None and layer not in layers:
                 raise InputError(f"{where}: layer", layer, _one_of(layers))
-            if pyogrio.read_info(path, layer=layer)["geometry_type"] is None:
+            info = pyogrio.read_info(path, layer=layer)
+            if info["driver"] != _DRIVERS[path.suffix.lower()]:
+                raise InputError(where, Unquoted(f"a file for {info['driver']}"), name)
+            if info["geometry_type"] is None:
                 raise InputError(where, Unquoted("a table without geometries"), name)
             table = pyogrio.read_dataframe(path, layer=layer, max_features=MAX_FEATURES + 1)
     except InputError:
@@ -169,6 +180,29 @@ def _read_with_gdal(path: Path, layer: str | None) -> Features:
         for index, geometry in enumerate(table.geometry.to_numpy())
     ]
     return Features(features=tuple(features), crs="" if table.crs is None else table.crs.to_wkt())
+
+
+def _check_tables(path: Path) -> None:
+    """Raise InputError if a GeoPackage computes what it holds: that may go on for ever."""
+    computed = []
+    try:
+        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
+            for kind, name, made in database.execute("SELECT type, name, sql FROM sqlite_master"):
+                if kind == "view":
+                    computed.append(name)
+                elif kind == "table" and re.match(
+                    r"\s*CREATE\s+VIRTUAL", made or "", re.IGNORECASE
+                ):
+                    if not re.search(r"\sUSING\s+rtree\b", made, re.IGNORECASE):
+                        computed.append(name)
+                elif kind == "table":
+                    columns = "SELECT hidden FROM pragma_table_xinfo(?)"
+                    computed += [name for (hidden,) in database.execute(columns, (name,)) if hidden]
+    except sqlite3.Error as error:
+        raise InputError(str(path), Unquoted(error), "a GeoPackage") from None
+    if computed:
+        got = Unquoted(f"{computed[0]}, a view or a table with computed columns")
+        raise InputError(str(path), got, "plain tables alone")
 
 
 def _one_of(layers: list[str]) -> str:

@@ -11,7 +11,8 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
-from ..files import check_file
+from ..files import check_file, open_file, read_text
+from ..frames import parse_crs
 from ..notes import Note
 from ..scene import Scene, Site
 from ..scene_checks import arms_that_end
@@ -158,14 +159,14 @@ def _moved(source: SourceMap, offset_m: FloatArray) -> SourceMap:
 
 def _is_city_json(path: Path) -> bool:
     """Whether a JSON file is CityJSON, by its first bytes or else by its member ``type``."""
-    with path.open("rb") as file:
+    with open_file(path) as file:
         head = file.read(4096)
         if b'"CityJSON"' in head:
             return True
         if b'"FeatureCollection"' in head or b'"Feature"' in head:
             return False
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(read_text(path, "JSON"))
     except (ValueError, RecursionError):
         return False  # the reader of GeoJSON says what is wrong
     return isinstance(document, dict) and document.get("type") == "CityJSON"
@@ -181,11 +182,10 @@ def _kind_of_xml(path: Path) -> str:
 
 def _projected(crs: str) -> str:
     """Check that a user's coordinate reference system is projected and in metres."""
-    from pyproj import CRS
     from pyproj.exceptions import CRSError
 
     try:
-        system = CRS.from_user_input(crs)
+        system = parse_crs(crs)
     except CRSError:
         raise InputError("--crs", crs, "one that pyproj knows, such as EPSG:25832") from None
     if not system.is_projected or any(axis.unit_name != "metre" for axis in system.axis_info[:2]):

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
+from ..files import open_file, read_bytes
 from ..scene import CLASS_NAMES
-from ..untrusted_files import check_gltf, check_size
+from ..untrusted_files import MAX_FILE_BYTES, check_gltf
 from .solids import is_closed, volume_m3
 from .source_map import MAX_TRIANGLES, SourceMap, Thing, counted, unique_id
 from .thing_kinds import kind_from_name
@@ -91,10 +92,9 @@ def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:
 
     where = str(path)
     try:
-        check_size(path)
         if is_gltf:
             check_gltf(path)
-        with path.open("rb") as file:
+        with open_file(path, max_bytes=MAX_FILE_BYTES) as file:
             scene = trimesh.load_scene(
                 file,
                 file_type=path.suffix.lower()[1:],
@@ -150,8 +150,7 @@ def _folder_resolver(path: Path) -> Any:
                 raise InputError(
                     str(path), Unquoted(f"a reference to {name[:100]!r}"), "files in its own folder"
                 )
-            check_size(target)
-            return target.read_bytes()
+            return read_bytes(target, max_bytes=MAX_FILE_BYTES)
 
         def keys(self) -> list[str]:
             return []

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
+from ..files import open_file
 from ..untrusted_files import check_unpacked
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ def open_points(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
         raise InputError(where, suffix, "one of " + ", ".join(SUFFIXES))
     try:
         if suffix == ".pcd":
-            with path.open("rb") as file:
+            with open_file(path) as file:
                 yield None, _pcd_points(file, where)
         else:
             with _open_las(path) as (crs, chunks):
@@ -60,7 +61,7 @@ def _open_las(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
     _check_header(path)
     try:
         # One thread: the parallel one of lazrs aborts the process where a chunk table is damaged.
-        reader = laspy.open(path, laz_backend=laspy.LazBackend.Lazrs)
+        reader = laspy.open(open_file(path), laz_backend=laspy.LazBackend.Lazrs)
     except OSError:
         raise
     except Exception as error:  # laspy raises whatever a damaged header makes it
@@ -77,7 +78,7 @@ def _check_header(path: Path) -> None:
     """Raise InputError if a header claims more than the file can contain."""
     where = str(path)
     n_bytes = path.stat().st_size
-    with path.open("rb") as file:
+    with open_file(path) as file:
         head = file.read(375)
     if len(head) < 227 or head[:4] != b"LASF":
         raise InputError(where, Unquoted("something else"), "a LAS file")
@@ -116,7 +117,7 @@ def _n_layers(path: Path, header_bytes: int, n_records: int, point_bytes: int) -
     Raises InputError if the parts of a packed point do not make up a point.
     """
     where = str(path)
-    with path.open("rb") as file:
+    with open_file(path) as file:
         file.seek(header_bytes)
         for _ in range(n_records):
             head = file.read(54)
@@ -140,7 +141,7 @@ def _n_layers(path: Path, header_bytes: int, n_records: int, point_bytes: int) -
 def _check_chunks(path: Path, first_point: int, point_bytes: int, n_layers: int) -> None:
     """Refuse chunks of packed points that claim more bytes than there are before their table."""
     n_bytes = path.stat().st_size
-    with path.open("rb") as file:
+    with open_file(path) as file:
         file.seek(first_point)
         head = file.read(8)
         at = struct.unpack("<q", head)[0] if len(head) == 8 else 0

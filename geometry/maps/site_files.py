@@ -13,7 +13,8 @@ import numpy as np
 
 from ..arrays import FloatArray, float_array
 from ..errors import InputError, Unquoted
-from ..untrusted_files import read_text
+from ..files import read_text
+from ..frames import parse_crs
 from .georeferences import WGS84, horizontal_crs, transform
 from .gis_files import read_features
 
@@ -301,11 +302,9 @@ _NEAR_M = 200_000.0  # a transverse Mercator around a junction has its origin th
 
 def _is_here(position_m: FloatArray, crs: str, lonlat_deg: list[float]) -> bool:
     """A position lies in a reference system's area, or near its origin if no area is known."""
-    from pyproj import CRS
-
     if not np.isfinite(position_m).all():
         return False
-    area = CRS.from_user_input(crs).area_of_use
+    area = parse_crs(crs).area_of_use
     if area is None:
         return bool((np.abs(position_m) < _NEAR_M).all())
     west, south, east, north = area.bounds

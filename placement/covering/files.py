@@ -28,8 +28,8 @@ References
 """
 
 import contextlib
+import os
 import re
-import stat
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,7 +40,7 @@ import scipy.sparse as sp
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError, Unquoted
-from geometry.files import write_atomically
+from geometry.files import open_file, write_atomically
 from geometry.untrusted_files import is_text, unpacked_bytes
 
 from ..memory import check_fits
@@ -449,24 +449,16 @@ def load_instance(path: Path, *, format_name: str | None = None) -> CoveringInst
         raise InputError("--format", format_name, "one of " + ", ".join(FORMATS))
     where = str(path)
     try:
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode):
-            raise InputError(where, Unquoted("no regular file"), "a file")
-        if status.st_size > _MAX_BYTES:
-            raise InputError(
-                where,
-                Unquoted(f"{status.st_size:,} bytes"),
-                f"an instance of at most {_MAX_BYTES:,} bytes",
-            )
-        with path.open("rb") as file:
+        with open_file(path, max_bytes=_MAX_BYTES) as file:
+            n_bytes = os.fstat(file.fileno()).st_size
             magic = file.read(len(_ZIP_MAGIC))
             file.seek(0)
             if format_name == NPZ or (format_name is None and magic == _ZIP_MAGIC):
                 return _load_npz(file, where)
             check_fits(
                 where,
-                f"{status.st_size:,} bytes of text",
-                _TEXT_BYTES * status.st_size,
+                f"{n_bytes:,} bytes of text",
+                _TEXT_BYTES * n_bytes,
                 "fewer rows or columns, or a file of this program (--out, .npz), a fifth of it",
             )
             data = file.read()
@@ -506,7 +498,7 @@ def instance_kind(path: Path) -> str | None:
     """
     try:
         # Opened here: numpy does not close a file that turns out to be no archive.
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+        with open_file(path) as file, np.load(file, allow_pickle=False) as stored:
             return str(stored["kind"])
     except Exception:  # what is wrong with it is told by what reads it
         return None

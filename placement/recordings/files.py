@@ -16,7 +16,7 @@ from uuid import uuid4
 
 from geometry.arrays import FloatArray, float_array
 from geometry.errors import InputError, Unquoted
-from geometry.files import MAX_TEXT_BYTES, check_file, load_toml, read_table
+from geometry.files import load_toml, read_table, read_text, write_new
 
 VRU_CLASSES = ("pedestrian", "bicycle")
 Box = tuple[float, float, float, float]
@@ -138,7 +138,7 @@ def read_world(path: Path, form: RecordingFormat) -> tuple[World, int]:
     The generator ends the line without a line break: a frame that is recorded twice reads
     ``12.5 5.6 1.412.5 5.6 1.4``. Different numbers in a file are an error.
     """
-    text = _read_text(path).strip()
+    text = read_text(path, "text").strip()
     once, n_repeated = _once(text, len(form.world_fields))
     fields = once.split()
     if len(fields) != len(form.world_fields):
@@ -169,21 +169,11 @@ def _once(text: str, n_fields: int) -> tuple[str, int]:
     return text, 0
 
 
-def _read_text(path: Path) -> str:
-    check_file(path, max_bytes=MAX_TEXT_BYTES)
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
-    except UnicodeDecodeError as error:
-        raise InputError(str(path), Unquoted(error), "text in UTF-8") from None
-
-
 def _lines(path: Path) -> tuple[list[tuple[int, str]], int]:
     """Distinct lines with their numbers, and how many lines repeat others."""
     first_number: dict[str, int] = {}
     n_lines = 0
-    for number, line in enumerate(_read_text(path).splitlines(), start=1):
+    for number, line in enumerate(read_text(path, "text").splitlines(), start=1):
         text = line.strip()
         if text:
             n_lines += 1
@@ -330,7 +320,7 @@ def write_folder(
         for name in folders:
             (temporary / name).mkdir(parents=True)
         for file_name, text in texts:
-            (temporary / file_name).write_text(text, encoding="utf-8")
+            write_new(temporary / file_name, text)
         temporary.rename(folder)  # onto an empty folder, too
     except OSError as error:
         raise InputError(

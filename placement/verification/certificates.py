@@ -12,15 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import (
-    MAX_TEXT_BYTES,
-    check_file,
-    take,
-    take_list,
-    take_number,
-    take_text,
-    write_atomically,
-)
+from geometry.files import read_text, take, take_list, take_number, take_text, write_atomically
 
 from ..layout import Certificate, Stage
 from ..optimiser import PlacementProblem, PresolveStatistics
@@ -148,7 +140,7 @@ def save_certificate(
     """
     save_problem(folder / INSTANCE_FILE, problem, mounts)
     text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    write_atomically(folder / CERTIFICATE_FILE, lambda file: file.write(text.encode()))
+    write_atomically(folder / CERTIFICATE_FILE, text)
 
 
 def load_certificate(path: str | Path) -> StoredCertificate:
@@ -170,11 +162,9 @@ def load_certificate(path: str | Path) -> StoredCertificate:
         The file cannot be read, is no certificate, or a field is missing or not of its kind.
     """
     path, where = Path(path), str(path)
-    check_file(path, max_bytes=MAX_TEXT_BYTES)
+    text = read_text(path, "JSON")
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(where, Unquoted(error.strerror or error), "a readable file") from None
+        document = json.loads(text)
     except RecursionError:
         raise InputError(where, Unquoted("JSON nested too deep"), "a certificate") from None
     except ValueError as error:  # no JSON, no UTF-8, or a number of thousands of digits

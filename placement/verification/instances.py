@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import check_file, write_atomically
+from geometry.files import open_file, write_atomically
 from geometry.untrusted_files import is_text, unpacked_bytes
 from scenarios.aeb import AebRule
 from scenarios.positions import AT_ZERO
@@ -325,10 +325,9 @@ def _without_padding(table: DetectionTable) -> NDArray[np.uint8]:
 @contextmanager
 def _archive(path: Path) -> Iterator[np.lib.npyio.NpzFile]:
     """An archive that says what kind it is; whatever is wrong with it is an InputError."""
-    check_file(path)
     try:
         # Not np.load(): it takes whatever is no archive for a pickle, and says so.
-        with path.open("rb") as file, np.lib.npyio.NpzFile(file, allow_pickle=False) as archive:
+        with open_file(path) as file, np.lib.npyio.NpzFile(file, allow_pickle=False) as archive:
             if "kind" not in archive.files:
                 raise InputError(f"{path}: kind", Unquoted("nothing"), f"a text such as {KIND}")
             assert archive.zip is not None  # it is open

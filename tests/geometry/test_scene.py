@@ -87,7 +87,7 @@ def _message(function, *arguments, **fields) -> str:
         *(
             (
                 {"capacity_units": number},
-                f"site pole.capacity_units: got {number!r}; expected a whole number, at least 1",
+                f"site pole.capacity_units: got {number!r}; expected a whole number, 1 to 1,000",
             )
             for number in (0, -1, 1.0, True, "2")
         ),

@@ -85,7 +85,7 @@ def test_what_lies_behind_the_camera_has_no_pixel(camera):
         ),
         ({"frame_rate_hz": 0.0}, "cam.frame_rate_hz: got 0.0; expected a positive number"),
         ({"near_m": math.inf}, "cam.near_m: got inf; expected a positive number"),
-        ({"price_eur": -1.0}, "cam.price_eur: got -1.0; expected a number, at least 0"),
+        ({"price_eur": -1.0}, "cam.price_eur: got -1.0; expected euros, 0 to 1,000,000,000"),
         (
             {"fov_range_deg": (120.0, 30.0)},
             "cam.fov_range_deg: got [120.0, 30.0]; expected [low, high] in degrees, "

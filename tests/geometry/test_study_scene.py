@@ -426,7 +426,7 @@ def test_the_study_scene_is_read_once():
         (
             "poles.0.capacity_units",
             0,
-            "site pole.capacity_units: got 0; expected a whole number, at least 1",
+            "site pole.capacity_units: got 0; expected a whole number, 1 to 1,000",
         ),
         (
             "poles.0.height_range_m",

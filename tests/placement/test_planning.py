@@ -76,7 +76,7 @@ def test_heights_yaws_and_pitches_are_those_asked_for(coarse):
     [
         ({"heights": "4,low"}, "--heights: got 'low'; expected metres with commas between, 0.5 to"),
         ({"heights": "0"}, "--heights: got '0'; expected metres with commas between, 0.5 to 50"),
-        ({"heights": ","}, "--heights: got ','; expected metres with commas between"),
+        ({"heights": ","}, "--heights: got ','; expected names with commas between, each once"),
         ({"pitches": "nan"}, "--pitches: got 'nan'; expected degrees with commas between, -90 to"),
         ({"yaw_step_deg": 50.0}, "--yaw-step: got 50.0; expected degrees that divide 360 evenly"),
     ],

@@ -14,6 +14,7 @@ import numpy as np
 from ...arrays import FloatArray
 from ...errors import InputError, Unquoted
 from ...files import load_toml
+from ...frames import parse_crs
 from ..source_map import Omissions
 
 MAX_MAGNITUDE = 1.0e12  # beyond it cubes of arc lengths leave what floats can hold
@@ -154,7 +155,6 @@ def _with_projection(crs: str) -> str:
 
 def _why_not(crs: str) -> str:
     """Why pyproj cannot take it as metres on a plane; empty: it can."""
-    from pyproj import CRS
     from pyproj.exceptions import CRSError
 
     if len(crs) > _MAX_CRS_CHARACTERS:
@@ -162,7 +162,7 @@ def _why_not(crs: str) -> str:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # +init=epsg:.. is old, not wrong
-            system = CRS.from_user_input(crs)
+            system = parse_crs(crs)
             if system.is_geographic or system.is_geocentric:
                 return "degrees or geocentric, while roads are in metres on a plane"
             if not system.is_projected:

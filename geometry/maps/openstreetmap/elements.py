@@ -17,8 +17,8 @@ from shapely import Polygon, STRtree, make_valid
 
 from ...arrays import FloatArray, IntArray
 from ...errors import InputError, Unquoted
-from ...files import load_toml
-from ...untrusted_files import check_pbf, check_size
+from ...files import load_toml, open_file
+from ...untrusted_files import MAX_FILE_BYTES, check_pbf
 from ..source_map import Omissions
 
 DEFAULTS: dict[str, Any] = load_toml(files("geometry.maps") / "data" / "openstreetmap.toml")
@@ -73,7 +73,6 @@ def read_elements(path: Path) -> Elements:
     large, or a node lies nowhere on earth.
     """
     try:
-        check_size(path)
         file_format = _file_format(path)
         return _collect(path, file_format)
     except OSError as error:
@@ -81,7 +80,7 @@ def read_elements(path: Path) -> Elements:
 
 
 def _file_format(path: Path) -> str:
-    with path.open("rb") as file:
+    with open_file(path, max_bytes=MAX_FILE_BYTES) as file:
         begin = file.read(64)
     if begin[:2] == b"\x1f\x8b":
         _check_unpacked_size(path, gzip.open)
@@ -103,7 +102,7 @@ def _check_unpacked_size(path: Path, unpack: Any) -> None:
     limit = int(DEFAULTS["reading"]["max_unpacked_bytes"])
     n_bytes = 0
     try:
-        with unpack(path, "rb") as file:
+        with open_file(path) as packed, unpack(packed, "rb") as file:
             while chunk := file.read(1 << 20):
                 n_bytes += len(chunk)
                 if n_bytes > limit:

@@ -266,4 +266,4 @@ def fetch_openstreetmap(bbox: ArrayLike, path: Path) -> None:
         raise InputError(online["url"], Unquoted(error), "a server that answers") from None
     if b"<osm" not in answer.content[:1000]:
         raise InputError(online["url"], Unquoted("no map"), "OpenStreetMap data as XML")
-    write_atomically(path, lambda file: file.write(answer.content))
+    write_atomically(path, answer.content)

@@ -6,7 +6,7 @@ that lies beside the file.
 """
 
 import csv
-import gzip
+import io
 import logging
 import math
 import zlib
@@ -22,7 +22,9 @@ from numpy.typing import NDArray
 from geometry.actors import Actor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
+from geometry.frames import parse_crs
 from geometry.scene import Scene
+from geometry.untrusted_files import open_parquet, open_stream
 
 from .demand import Demand, kind_of
 from .trajectories import Trajectories, build_trajectories
@@ -195,9 +197,6 @@ def _blocks(path: Path) -> Iterator[list[_Row]]:
     """Samples block by block; raises InputError where a file is no FCD, or ends in its middle."""
     name = path.name.lower()
     try:
-        from geometry.files import check_file
-
-        check_file(path, max_bytes=_MAX_BYTES)
         if name.endswith(".parquet"):
             yield from _parquet_blocks(path)
         elif name.endswith((".csv", ".csv.gz")):
@@ -218,10 +217,9 @@ def _xml_blocks(path: Path) -> Iterator[list[_Row]]:
     from defusedxml import DefusedXmlException
     from defusedxml.ElementTree import iterparse
 
-    is_packed = path.name.lower().endswith(".gz")
     n_steps = 0
     try:
-        with gzip.open(path) if is_packed else path.open("rb") as file:
+        with open_stream(path, max_bytes=_MAX_BYTES) as file:
             root = None
             for event, element in iterparse(file, events=("start", "end"), forbid_dtd=True):
                 if root is None:
@@ -257,13 +255,9 @@ def _xml_rows(element: Any, path: Path) -> list[_Row]:
 
 
 def _csv_blocks(path: Path) -> Iterator[list[_Row]]:
-    is_packed = path.name.lower().endswith(".gz")
-    with (
-        gzip.open(path, "rt", encoding="utf-8-sig", newline="")
-        if is_packed
-        else path.open(encoding="utf-8-sig", newline="") as file
-    ):
-        head = file.readline()
+    with open_stream(path, max_bytes=_MAX_BYTES) as stream:
+        file = io.TextIOWrapper(stream, encoding="utf-8-sig", newline="")
+        head = file.readline(_MAX_LINE)
         if not head.strip():
             raise InputError(str(path), Unquoted("an empty file"), "columns " + ", ".join(_COLUMNS))
         comma = max(";,\t", key=head.count)
@@ -284,25 +278,29 @@ def _csv_blocks(path: Path) -> Iterator[list[_Row]]:
 
 
 def _parquet_blocks(path: Path) -> Iterator[list[_Row]]:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
+    whole = "a whole Parquet file"
+    with open_parquet(path, max_bytes=_MAX_BYTES, expected=whole) as file:
+        names = file.schema_arrow.names
+        place = _places(names, path)
+        wanted = [names[i] for i in place if i >= 0]
+        for batch in file.iter_batches(batch_size=_BLOCK, columns=wanted):
+            columns = [_values(batch.column(name)) for name in wanted]
+            if len(wanted) < len(place):
+                columns.append([""] * batch.num_rows)
+            yield [_table_row(list(cells), path) for cells in zip(*columns, strict=True)]
 
-    try:
-        with pq.ParquetFile(path) as file:
-            names = file.schema_arrow.names
-            place = _places(names, path)
-            wanted = [names[i] for i in place if i >= 0]
-            for batch in file.iter_batches(batch_size=_BLOCK, columns=wanted):
-                columns = [batch.column(name).to_pylist() for name in wanted]
-                if len(wanted) < len(place):
-                    columns.append([""] * batch.num_rows)
-                yield [_table_row(list(cells), path) for cells in zip(*columns, strict=True)]
-    except pa.ArrowException as error:
-        reason = " ".join(str(error).split())
-        raise InputError(str(path), Unquoted(reason), "a whole Parquet file") from None
+
+def _values(column: Any) -> list[Any]:
+    """Values of a column; a text that occurs often is one object."""
+    if not hasattr(column, "dictionary"):
+        values: list[Any] = column.to_pylist()
+        return values
+    words = column.dictionary.to_pylist()
+    return [None if index is None else words[index] for index in column.indices.to_pylist()]
 
 
 _BLOCK = 65_536
+_MAX_LINE = 65_536  # characters
 
 
 def _places(columns: list[str], path: Path) -> list[int]:
@@ -361,8 +359,8 @@ def _placing_of_network(network: Path, scene: Scene) -> Placing:
     import pyproj
 
     try:
-        to_world = pyproj.Transformer.from_crs(projection, scene.crs, always_xy=True)
-        to_map = pyproj.Transformer.from_crs(scene.crs, projection, always_xy=True)
+        to_world = pyproj.Transformer.from_crs(parse_crs(projection), scene.crs, always_xy=True)
+        to_map = pyproj.Transformer.from_crs(scene.crs, parse_crs(projection), always_xy=True)
     except pyproj.exceptions.CRSError as error:
         where = f"{network}: projParameter"
         raise InputError(where, Unquoted(error), "a projection that PROJ knows") from None
@@ -382,9 +380,8 @@ def _location(network: Path) -> tuple[FloatArray, str]:
     from defusedxml import DefusedXmlException
     from defusedxml.ElementTree import iterparse
 
-    is_packed = network.name.lower().endswith(".gz")
     try:
-        with gzip.open(network) if is_packed else network.open("rb") as file:
+        with open_stream(network, max_bytes=_MAX_BYTES) as file:
             for _, element in iterparse(file, events=("start",), forbid_dtd=True):
                 if element.tag == "location":
                     words = (element.get("netOffset") or "").split(",")

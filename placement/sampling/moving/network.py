@@ -14,6 +14,7 @@ import numpy as np
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, MissingExtraError, Unquoted
+from geometry.files import read_text, write_new
 from geometry.junction import Arm, Junction, build_junction, lane_length_m
 from geometry.scene import Lane, Scene
 
@@ -244,7 +245,7 @@ def _run_netconvert(program: str, plain: _Plain, scene: Scene, *, has_lights: bo
             ("con", "connections", plain.connections),
         ):
             text = "\n".join([f"<{root}>", *lines, f"</{root}>"])
-            (folder / f"plain.{ending}.xml").write_text(text, encoding="utf-8")
+            write_new(folder / f"plain.{ending}.xml", text)
         target = folder / "junction.net.xml"
         command = [
             program,
@@ -265,7 +266,7 @@ def _run_netconvert(program: str, plain: _Plain, scene: Scene, *, has_lights: bo
             raise InputError(
                 f"{scene.name}: lanes", Unquoted(reason), "lanes that netconvert connects"
             )
-        return target.read_text(encoding="utf-8")
+        return read_text(target, "XML")
 
 
 def _find_ways(

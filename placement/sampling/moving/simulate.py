@@ -22,6 +22,7 @@ import numpy as np
 from geometry.actors import Actor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
+from geometry.files import open_file, write_new
 from scenarios.runs import Run
 
 from .demand import Demand, write_routes
@@ -168,10 +169,10 @@ def _run(job: dict[str, Any], network: RoadNetwork, routes: str) -> dict[str, An
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         paths = {key: folder / f"junction.{key}.xml" for key in ("network", "routes")}
-        paths["network"].write_text(network.xml, encoding="utf-8")
-        paths["routes"].write_text(routes, encoding="utf-8")
+        write_new(paths["network"], network.xml)
+        write_new(paths["routes"], routes)
         given, found = folder / "job.json", folder / "found.npz"
-        given.write_text(json.dumps(job | {key: str(path) for key, path in paths.items()}))
+        write_new(given, json.dumps(job | {key: str(path) for key, path in paths.items()}))
         try:
             done = subprocess.run(
                 [sys.executable, "-I", str(_CHILD), str(given), str(found)],
@@ -187,7 +188,7 @@ def _run(job: dict[str, Any], network: RoadNetwork, routes: str) -> dict[str, An
             lines = done.stderr.split("\n")
             reason = next((line for line in reversed(lines) if line.strip()), "no reason told")
             raise InputError("--traffic sumo", Unquoted(reason.strip()), "traffic that SUMO drives")
-        with np.load(found, allow_pickle=False) as stored:
+        with open_file(found) as file, np.load(file, allow_pickle=False) as stored:
             return {key: stored[key] for key in stored.files}
 
 

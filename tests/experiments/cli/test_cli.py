@@ -127,7 +127,10 @@ def test_a_budget_beyond_what_the_sites_can_carry_is_refused(run, value):
         ("--budget 1 --fusion all", "--fusion: got 'all'; expected one of any, single"),
         ("--budget 1 --workers 0", "--workers: got '0'; expected a number of threads, at least 1"),
         ("--budget 1 --seed -1", "--seed: got '-1'; expected a whole number, at least 0"),
-        ("--budget 1 --time-limit nan", "--time-limit: got 'nan'; expected seconds, more than 0"),
+        (
+            "--budget 1 --time-limit nan",
+            "--time-limit: got 'nan'; expected seconds, more than 0, at most 10,000,000",
+        ),
         (
             "--budget 1 --packet-loss 1.2",
             "--packet-loss: got '1.2'; expected a share of lost messages, 0 to 1",

@@ -84,7 +84,7 @@ def test_an_export_without_the_library_names_the_extra(run, monkeypatch):
             ["--cases", "CPXX"],
             "--cases: got 'CPXX'; expected one of default, study, protocol-4.5.1",
         ),
-        (["--cases", ""], "--cases: got ''; expected one of default"),
+        (["--cases", ""], "--cases: got nothing; expected a value, or no --cases"),
         (["--speeds", "fast"], "--speeds: got 'fast'; expected km/h with commas between"),
         (["--cases", "CBLA", "--speeds", "70"], "--speeds: got 70; expected 25 to 60 km/h"),
         (["--approaches", "up"], "--approaches: got 'up'; expected one or more of east, north,"),

@@ -128,10 +128,13 @@ def test_braking_and_confidence_are_heard(run, recording):
             "--budget-cost)",
         ),
         (
-            "evaluate --min-confidence -1",
+            "evaluate --recording a --min-confidence -1",
             "--min-confidence: got '-1'; expected a confidence, 0 to 1",
         ),
-        ("evaluate --min-confidence 2", "--min-confidence: got '2'; expected a confidence, 0 to 1"),
+        (
+            "evaluate --recording a --min-confidence 2",
+            "--min-confidence: got '2'; expected a confidence, 0 to 1",
+        ),
     ],
 )
 def test_what_makes_no_sense_beside_a_recording_is_one_line(run, recording, arguments, message):

@@ -376,15 +376,15 @@ def test_what_even_lines_do_not_tell_apart_is_asked_for(write):
 def test_a_file_that_cannot_be_read_says_why(tmp_path):
     path = tmp_path / "none.txt"
     assert refusal(path) == "FILE: got No such file or directory; expected a readable file"
-    assert refusal(tmp_path).endswith(": got no regular file; expected a file")
+    assert refusal(tmp_path).endswith(": got Is a directory; expected a readable file")
     os.mkfifo(tmp_path / "pipe")
-    assert refusal(tmp_path / "pipe") == "FILE: got no regular file; expected a file"
+    assert refusal(tmp_path / "pipe") == "FILE: got a pipe; expected a regular file"
 
 
 def test_a_huge_file_is_not_read(write, monkeypatch):
     monkeypatch.setattr("placement.covering.files._MAX_BYTES", 20)
     assert refusal(write(ORLIB)) == (
-        f"FILE: got {len(ORLIB)} bytes; expected an instance of at most 20 bytes"
+        f"FILE: got {len(ORLIB)} bytes; expected at most 20; cut it out first"
     )
 
 

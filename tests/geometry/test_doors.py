@@ -1,0 +1,105 @@
+"""Files of users are opened, read and written through ``geometry/files.py`` alone."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+DOOR = "geometry/files.py"
+# Methods and functions that open, read or write what a path names.
+CALLS = {
+    *("open", "read_text", "read_bytes", "write_text", "write_bytes"),
+    *("rename", "symlink_to", "hardlink_to", "copyfile", "copy2", "copytree"),
+    *("ZipFile", "ParquetFile", "InferenceSession", "read_dataframe", "write_dataframe"),
+    *("list_layers", "read_info", "read_parquet", "read_csv", "read_file", "genfromtxt", "loadtxt"),
+    *("memmap", "fromfile", "savetxt", "to_parquet", "FileProcessor", "savefig", "urlopen"),
+}
+METHODS = {"read_text", "read_bytes", "rename"}  # as functions they are the door's own
+CALLS_OF = {"np": {"load", "save", "savez", "savez_compressed"}, "os": {"replace", "link"}}
+EXCEPTIONS = {
+    # Opened by the door before; what follows is inside the open file.
+    "geometry/scene_files.py": {"ZipFile", "open"},
+    "geometry/maps/point_files.py": {"open"},  # laspy
+    "placement/verification/instances.py": {"ZipFile", "open"},
+    "placement/optimiser/covering/files.py": {"load", "savez_compressed"},
+    "placement/sampling/moving/simulate.py": {"load"},
+    "geometry/untrusted_files.py": {"ZipFile", "ParquetFile", "open"},
+    "experiments/results/reading.py": {"read_csv"},
+    # Libraries that take names only: the door has looked at them before.
+    "geometry/maps/elevation.py": {"open"},
+    "geometry/maps/gis_files.py": {"list_layers", "read_info", "read_dataframe"},
+    "geometry/maps/openstreetmap/elements.py": {"FileProcessor"},
+    "placement/detectors/network.py": {"InferenceSession"},
+    # Into memory, or a folder of this program's own.
+    "experiments/export/city.py": {"write_dataframe"},
+    "experiments/export/gpkg.py": {"write_dataframe"},
+    "experiments/export/parquet.py": {"to_parquet"},
+    "experiments/jobs/writing.py": {"to_parquet"},
+    "experiments/results/city.py": {"to_parquet"},
+    "experiments/figures/film.py": {"savefig"},
+    "experiments/jobs/sheet.py": {"savefig"},
+    "experiments/report/section.py": {"open"},
+    "experiments/plan/tasks.py": {"ZipFile", "read_text"},
+    "experiments/plan/server.py": {"open", "read_bytes", "read_text"},
+    "placement/sampling/moving/child.py": {"read_text", "savez"},
+    # Folders that are put in place as a whole.
+    "experiments/results/folders.py": {"rename"},
+    "placement/recordings/files.py": {"rename"},
+    # The package's own data, caches, and what the system tells of itself.
+    "geometry/actors.py": {"open", "load"},
+    "geometry/body_shapes.py": {"savez_compressed"},
+    "geometry/kernels.py": {"open", "read_bytes"},
+    "geometry/lazy_names.py": {"read_bytes"},
+    "placement/detectors/built_in.py": {"read_text"},
+    "placement/kept.py": {"open", "load", "read_bytes"},
+    "placement/memory.py": {"read_text"},
+    "experiments/cli/plan.py": {"open"},  # the browser
+}
+TOOLS = ("experiments/bench/", "experiments/training/", "screenshots.py")  # of this repository
+
+
+def opened(text: str) -> set[str]:
+    """Calls in a source that open, read or write what a path names."""
+    found = set()
+    for node in ast.walk(ast.parse(text)):
+        if not isinstance(node, ast.Call):
+            continue
+        if isinstance(node.func, ast.Name) and node.func.id in CALLS - METHODS:
+            found.add(node.func.id)
+        elif isinstance(node.func, ast.Attribute):
+            name, owner = node.func.attr, getattr(node.func.value, "id", "")
+            is_path_replace = name == "replace" and len(node.args) == 1 and not node.keywords
+            if name in CALLS_OF.get(owner, CALLS) or is_path_replace:
+                found.add(name)
+    return found
+
+
+SOURCES = sorted(
+    path.relative_to(ROOT).as_posix()
+    for package in ("geometry", "scenarios", "placement", "experiments")
+    for path in (ROOT / package).rglob("*.py")
+)
+
+
+def test_nothing_else_opens_a_file():
+    found = {}
+    for name in SOURCES:
+        if name == DOOR or name.startswith(TOOLS[:2]) or name.endswith(TOOLS[2]):
+            continue
+        calls = opened((ROOT / name).read_text())
+        if calls:
+            found[name] = calls
+    assert found == EXCEPTIONS
+
+
+@pytest.mark.parametrize(
+    "line", ["open(name)", "path.read_text()", "np.load(path)", "a.replace(b)", "os.replace(a, b)"]
+)
+def test_what_is_found(line):
+    assert opened(line)
+
+
+@pytest.mark.parametrize("line", ["text.replace('a', 'b')", "replace(value, a=1)", "table.copy()"])
+def test_what_is_not_meant(line):
+    assert not opened(line)
