@@ -9,7 +9,8 @@ import click
 import msgspec
 
 from ..progress import tell
-from .options import cache_folder, json_option
+from .options import json_option
+from .running import cache_folder
 from .terminal import WIDTH, sentences
 
 _EXIT_FAILED = 1

@@ -14,7 +14,6 @@ from click.shell_completion import CompletionItem
 from msgspec import Meta
 
 from geometry.errors import InputError
-from geometry.private_folders import user_cache_folder
 from placement.compute import RAYS, Compute
 from placement.question import (
     ASKED,
@@ -31,7 +30,7 @@ from placement.question import (
     save_question,
 )
 
-from .running import check_address_space
+from .running import cache_folder, check_address_space
 
 PROGRAM = "The program itself"
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
@@ -268,11 +267,6 @@ def question_options(
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)
         def with_question(*args: Any, save_question_to: Path | None = None, **values: Any) -> Any:
-            named = values.get("detector") or ""
-            if named.endswith(".onnx") and not is_given("detector"):  # a network is a program
-                raise click.UsageError(
-                    f"--detector: got {named} in a question file; expected it on the command line"
-                )
             question = Question(**{name: values.pop(name) for name in (*names, *named_apart)})
             _refuse_program_of_file(question)
             if save_question_to is not None:
@@ -505,12 +499,6 @@ def job_options(*, has_cache: bool = False) -> Decorator:
 def folder_option(files: str) -> Decorator:
     """``--out``, a folder for some files, named in its help; nothing is written without it."""
     return option("--out", type=click.Path(path_type=Path), help=f"Folder for {files}; else none.")
-
-
-def cache_folder() -> Path:
-    """Where results are cached: PLACE_RSUS_CACHE, or the user's cache folder."""
-    folder = os.environ.get("PLACE_RSUS_CACHE")
-    return Path(folder) if folder else user_cache_folder()
 
 
 layout_option = option(

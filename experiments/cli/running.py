@@ -1,5 +1,6 @@
 """How a command begins and ends: what it needs to know, what it prints. Imports nothing heavy."""
 
+import os
 import shlex
 import sys
 from collections.abc import Callable, Sequence
@@ -8,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from geometry.private_folders import user_cache_folder
+
 from ..progress import StageProgress, tell
 from ..results.numbers import several
-from .options import cache_folder
 from .terminal import sentences
 
 _LEAST_BYTES = 2_000_000_000
@@ -103,6 +105,12 @@ def print_result(
 
     progress.stop()
     tell(to_json_text(result).rstrip() if as_json else text())
+
+
+def cache_folder() -> Path:
+    """Where results are cached: PLACE_RSUS_CACHE, or the user's cache folder."""
+    folder = os.environ.get("PLACE_RSUS_CACHE")
+    return Path(folder) if folder else user_cache_folder()
 
 
 def check_address_space() -> None:

@@ -246,15 +246,6 @@ def test_an_unknown_reference_system_of_private_ground(tmp_path, capsys):
     assert told.endswith("crs: got 'EPSG:nonsense'; expected one that pyproj knows, or none")
 
 
-def test_a_network_that_only_a_question_file_names_is_not_loaded(tmp_path, capsys):
-    path = tmp_path / "question.toml"
-    path.write_text('detector = "theirs.onnx"')
-    told = refusal(capsys, "--budget", "3", "--question", str(path))
-    assert told == (
-        "--detector: got theirs.onnx in a question file; expected it on the command line"
-    )
-
-
 def test_too_little_memory_is_one_line(monkeypatch, capsys):
     def fail(*_arguments: object, **_values: object) -> None:
         raise MemoryError
