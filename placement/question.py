@@ -352,7 +352,6 @@ class Question:
             help="Of a map, where sensors may hang: map (its poles), kerb:15 (every 15 m along the "
             "kerbs), a CSV or GeoJSON file; default: map, and where it has none kerb:15.",
             metavar="WHERE",
-            is_common=True,
         ),
     ] = ""
     driving_side: Annotated[

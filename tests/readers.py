@@ -10,7 +10,7 @@ import json
 import tempfile
 import zipfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -466,6 +466,37 @@ def _read_question(path: Path) -> Any:
     return load_question(path)
 
 
+def _read_own_cases(path: Path) -> Any:
+    from scenarios.cases import load_own_cases
+
+    return load_own_cases(path)
+
+
+def _own_cases() -> Mapping[str, tuple[str, Files]]:
+    text = """
+    [SCHOOL]
+    as = "CPNA-25"
+    title = "a child runs across"
+    vru = "child"
+    vut_speed_kmh = { min = 30, max = 40, step = 10 }
+    """
+    return {"toml": _one("a.toml", text)}
+
+
+def _read_layout_list(path: Path) -> Any:
+    from geometry.study_scene import load_study_scene
+    from placement.layout import load_layout
+
+    scene = replace(load_study_scene(), crs="EPSG:32633", source_crs="EPSG:4326")
+    return load_layout(path, scene=scene)
+
+
+def _layout_lists() -> Mapping[str, tuple[str, Files]]:
+    head = "Name;Latitude;Longitude;Height [m];Bearing;Tilt;Model"
+    row = "C1;0,0000798;10,5102222;6,5;135;20;carla-ncap-rgb"
+    return {"csv": _one("a.csv", f"{head}\n{row}\n")}
+
+
 def _read_latency(path: Path) -> Any:
     from placement.latency import load_latency_budget
 
@@ -883,7 +914,7 @@ READERS: Mapping[str, Reader] = {
             "geometry.maps.mesh_files.read_mesh",
             "geometry.maps.point_clouds.read_point_cloud",
             "geometry.maps.point_files.open_points",
-            "geometry.untrusted_files.read_text",
+            "geometry.files.read_text",
         ),
         share=8,
     ),
@@ -925,6 +956,10 @@ READERS: Mapping[str, Reader] = {
         _read_question,
         lambda: {"example": _example("question.toml")},
         ("placement.question.load_question", "placement.question.load_question_values"),
+    ),
+    "own cases": Reader(_read_own_cases, _own_cases, ("scenarios.cases.load_own_cases",)),
+    "layout lists": Reader(
+        _read_layout_list, _layout_lists, ("placement.layout_lists.read_layout_rows",)
     ),
     "latency budget": Reader(_read_latency, _latencies, ("placement.latency.load_latency_budget",)),
     "uncertainty": Reader(

@@ -10,9 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from geometry.files import check_target, read_bytes, write_atomically
 from placement.compute import Compute
-from placement.layout import check_layout
 from placement.question import MOUNTED, Question
 
 from ..progress import Interrupted, StageProgress, tell
@@ -121,6 +119,7 @@ def plan(
         )
     question = begin(progress, question, quiet=quiet)
     progress.kept = "nothing was written" if save is None else f"the plan is in {save}"
+    from geometry.files import check_target
     from geometry.scene_files import load_scene
     from placement.setting import build_setting
 
@@ -174,6 +173,8 @@ def plan(
 
 def _begun_plan(layout_names: Sequence[str], save: Path | None, scene: "Scene") -> "Plan":
     """What is planned to begin with: the saved plan, then layouts that it does not have yet."""
+    from geometry.files import read_bytes
+    from placement.layout import check_layout
     from placement.planning import find_layout
 
     from ..plan.numbers import key_of
@@ -207,6 +208,8 @@ def _redirect(address: str, folder: Path) -> str:
 
     Programs' command lines can be read by everybody on the machine: the token is not for them.
     """
+    from geometry.files import write_atomically
+
     path = folder / "open.html"
     page = (
         f'<!DOCTYPE html><meta charset="utf-8"><title>place-rsus plan</title>'

@@ -9,6 +9,8 @@ from typing import Any
 import msgspec
 
 from geometry.catalogue import Sensor
+from geometry.errors import InputError
+from geometry.files import read_bytes
 from geometry.scene import Scene
 from geometry.scene_files import load_scene_folder
 from placement.layout import Layout, layout_from_records
@@ -172,8 +174,8 @@ def served_tasks(
 
 def _content(path: Path) -> bytes:
     try:
-        return path.read_bytes()
-    except OSError:
+        return read_bytes(path)
+    except InputError:
         return b""
 
 

@@ -216,7 +216,10 @@ def refusal(capsys, *arguments: str) -> str:
         ("--risk worst", "--risk: got it without --samples; expected both"),
         ("--no-look-share 0.1", "--no-look-share: got it without --no-look; expected both"),
         ("--force", "--force: got it without --speeds; expected both"),
-        ("--junction a", "--junction: got it without --scene; expected both"),
+        (
+            "--junction a",
+            "--junction: got it with the study's junction; expected --scene FILE, a map with roads",
+        ),
         ("--sensors a --within carlancap-12", "--sensors: got it beside --within; expected one"),
         ("--forbid-site=", "--forbid-site: got nothing; expected a value, or no --forbid-site"),
         ("--vut-sensors camera,camera", "--vut-sensors: got 'camera,camera'; expected names with"),

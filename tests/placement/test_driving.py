@@ -57,12 +57,17 @@ def test_by_default_the_studys_cases_are_driven_along_the_arms_too(study):
     others = set(setting.axis.positions) - {"0"}
     assert others == {"-15", "-30", "+0", "+15", "+30", "+45"}
     assert {refusal.position for refusal in setting.refusals} == {"-15", "-30", "-45", "+0"}
-    # Every case counts the same, and in it every place; with the study's set every run does.
-    cases = np.array(setting.axis.cases)
-    shares = {name: setting.axis.weight[cases == name].sum() for name in set(cases)}
-    assert list(shares.values()) == pytest.approx([1 / 13] * 13)
-    there = (cases == "CPLA-50") & (np.array(setting.axis.positions) == "+15")
-    assert setting.axis.weight[there] == pytest.approx([1 / 13 / 6 / 3] * 3)
+    # Every case counts by what of it is driven, and in it every place; with the study's set every
+    # run counts the same.
+    cases, weight = np.array(setting.axis.cases), setting.axis.weight
+    shares = {name: weight[cases == name].sum() for name in set(cases)}
+    refused = {refusal.case.name for refusal in setting.refusals}
+    whole = [share for name, share in shares.items() if name not in refused]
+    assert sum(shares.values()) == pytest.approx(1.0)
+    assert whole == pytest.approx([max(shares.values())] * len(whole))
+    assert min(shares[name] for name in refused) < whole[0]
+    there = weight[(cases == "CPLA-50") & (np.array(setting.axis.positions) == "+15")]
+    assert there == pytest.approx([there[0]] * 3)
     plain = build_setting(Question(cases="study", approaches="west"), load_study_scene())
     assert plain.axis.weight == pytest.approx([1 / 60] * 60)
 
@@ -215,7 +220,8 @@ def test_forced_speeds_are_warned_about(caplog):
         ({"vam_rate": -0.5}, "question: vam_rate: got -0.5; expected a share of equipped "),
         ({"speeds": "130"}, "--speeds: got 130; expected 10 to 60 km/h as the protocol drives"),
         ({"weights": "none"}, "--weights: got 'none'; expected run, case, fhwa-crash-types, "),
-        ({"deceleration_mps2": 0.0}, "--deceleration: got 0.0; expected a number, 1 to 15"),
+        ({"deceleration_mps2": 0.0}, "question: deceleration_mps2: got 0.0; expected m/s^2, "),
+        ({"deceleration_mps2": 0.5}, "--deceleration: got 0.5; expected a number, 1 to 15"),
         (
             {"track_memory_s": 0.05},
             "--track-memory: got 0.05; expected seconds, at least 0.1 (from one frame to the next)",

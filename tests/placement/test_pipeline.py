@@ -282,7 +282,7 @@ def test_a_cache_folder_that_cannot_be_is_no_error(
         setting, candidates, wishes=Wishes(budget_units=2), compute=Compute(cache_folder=in_the_way)
     )
     assert found.pose_index == placement.pose_index
-    assert any("not cached" in message for message in caplog.messages)
+    assert any("nothing is cached" in message for message in caplog.messages)
 
 
 # Poses of no site

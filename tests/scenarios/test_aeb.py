@@ -45,7 +45,7 @@ A_MPS2 = 7.72
 TOLERANCE_S = 2e-5  # half a millisecond is asked for
 vut_speeds = numbers(20.0, 60.0).map(lambda kmh: kmh * KMH)
 vru_speeds = numbers(3.0, 15.0).map(lambda kmh: kmh * KMH)
-build_ups_s = st.one_of(st.just(0.0), numbers(0.05, 0.8), numbers(2.0, 4.0))
+build_ups_s = st.one_of(st.just(0.0), numbers(0.05, 0.8), numbers(1.5, 2.0))
 bodies = st.sampled_from(["adult", "cyclist"])
 detections = st.lists(st.booleans(), min_size=1, max_size=15)
 memories_s = st.sampled_from([0.1, 0.2, 0.3, 0.5, 1.0, math.inf])

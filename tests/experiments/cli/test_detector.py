@@ -182,8 +182,12 @@ def test_results_that_are_wrong_are_refused(run, coco, content):
         (["--recording", "nowhere"], "nowhere"),
         (["--layout", "carlancap-12"], "--detector: got 'geometric'; expected cnn, or an .onnx"),
         (
-            ["--recording", "a", "--pictures", "3"],
+            ["--layout", "carlancap-12", "--pictures", "3"],
             "--pictures: got '3'; expected a number of pictures",
+        ),
+        (
+            ["--recording", "a", "--pictures", "30"],
+            "--pictures: got it without --layout; expected both",
         ),
     ],
 )

@@ -50,10 +50,10 @@ def test_a_file_of_traffic_drives_by_in_sampled_worlds(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--traffic", "sumo"), "got 'sumo'; expected --samples N beside it: worlds to"),
+        (("--traffic", "sumo"), "--traffic: got it without --samples; expected both"),
         (
             ("--traffic-offset", "1,2"),
-            "got '1,2'; expected --traffic FILE beside it",
+            "--traffic-offset: got it without --traffic; expected both",
         ),
         (
             ("--traffic", "cars.avi", "--samples", 1),

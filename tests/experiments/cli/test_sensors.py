@@ -7,6 +7,7 @@ from experiments.results.record import UnitRecord
 from placement.candidates import build_candidates
 from placement.pipeline import place
 from placement.planning import build_grid
+from placement.question import Question
 from placement.study_layout import load_carlancap_layout
 from placement.wishes import Wishes
 
@@ -34,7 +35,7 @@ def test_cameras_a_longer_lens_and_a_lidar_compete_for_the_money(run, small_stud
     study = load_carlancap_layout().units  # always among the candidates
     n_candidates = len(study)
     for model in COSTS_EUR:
-        candidates = build_candidates(small_study.scene, build_grid(model))
+        candidates = build_candidates(small_study.scene, build_grid(Question(sensors=model)))
         n_candidates += len(candidates)
         alone = place(small_study, candidates, wishes=Wishes(budget_eur=BUDGET_EUR))
         assert alone.certificate.stages[0].objective <= found["apr"] + 1e-9

@@ -28,7 +28,7 @@ from experiments.results.numbers import percent
 from geometry.errors import InputError, MissingExtraError
 from placement.city.fronts import Options
 from placement.layout import load_layout
-from placement.question import load_question_values
+from placement.question import Question, load_question_values
 
 SEARCH = CitySearch(is_coarse=True, max_units=2, max_junction_s=3600.0)
 LEAST_S = 1.0e-6
@@ -495,7 +495,7 @@ def check_fronts_of(address, tiny, tmp_path):
 
 def tasks_of(path):
     city = job.load_city([path], SEARCH.reading, CityWish(budget_units=1))
-    grid = job.build_grid("", is_coarse=True)
+    grid = job.build_grid(Question(), is_coarse=True)
     tasks = job._Tasks(city, FEW_RUNS, SEARCH, grid, kept={}, seed=0)
     return [tasks.task(one) for one in city.junctions]
 

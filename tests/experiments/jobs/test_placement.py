@@ -10,9 +10,9 @@ from experiments.export.json import to_json_text
 from experiments.jobs import placement
 from experiments.progress import StageProgress
 from geometry.errors import InputError
+from placement import planning
 from placement.compute import Compute
 from placement.layout import Layout, load_layout
-from placement.planning import build_plan
 from placement.question import Question
 from placement.study_layout import load_carlancap_layout
 
@@ -110,9 +110,7 @@ def test_sampled_worlds_are_explained_and_lose_the_messages_asked_for(
 
 @pytest.mark.usefixtures("small_study", "without_figures")
 def test_a_layout_brings_its_own_sensors_along(tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        placement, "build_plan", lambda asked, scene, study: build_plan(asked, scene)
-    )
+    monkeypatch.setattr(planning, "find_baseline", lambda scene: None)  # the study's poses
     catalogue = tmp_path / "mine.toml"
     catalogue.write_text(
         """

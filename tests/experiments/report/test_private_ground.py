@@ -97,7 +97,7 @@ def test_what_belongs_to_areas_needs_areas(run):
     option = "--no-look-share"
     code, _, err = run("--budget", 1, option, "0.5")
     assert code == 2
-    assert err.endswith(f"place-rsus: {option}: got 0.5; expected --no-look beside it\n")
+    assert err.endswith(f"place-rsus: {option}: got it without --no-look; expected both\n")
 
 
 @pytest.mark.parametrize("command", ["evaluate", "compare"])
