@@ -257,7 +257,7 @@ class Adviser:
             starts=[standing] if has_start else (),
             on_stage=self._tell,
         )
-        candidates = (*units, *self._plan.candidates)
+        candidates = self._candidates(units)
         stay = [row for row in solution.pose_index if row < len(units)]
         new = [row for row in solution.pose_index if row >= len(units)]
         return Advice(
@@ -269,7 +269,7 @@ class Adviser:
 
     def _beside(self, units: Sequence[CandidatePose]) -> tuple[PlacementProblem, RetrofitPoses]:
         """The problem of one more unit beside those that hang."""
-        candidates = (*units, *self._plan.candidates)
+        candidates = self._candidates(units)
         unit_index = np.full(len(candidates), -1)
         unit_index[: len(units)] = np.arange(len(units))
         poses = RetrofitPoses(candidates=candidates, unit_index=unit_index)
@@ -285,14 +285,25 @@ class Adviser:
         """The problem on the rows of the units, then those of the grid."""
         if self._table is None:
             self._table = obtain_table(self._setting, self._plan.candidates, compute=self._compute)
-        own = self._rows(units)
+        candidates = self._candidates(units)
         table = DetectionTable(
-            pose_ids=(*own.pose_ids, *self._table.pose_ids),
+            pose_ids=tuple(candidate.id for candidate in candidates),
             axis=self._setting.axis,
-            packed=np.concatenate([own.packed, self._table.packed]),
+            packed=np.concatenate([self._rows(units).packed, self._table.packed]),
         )
-        candidates = (*units, *self._plan.candidates)
         return build_problem(self._setting, candidates, table, wishes=wishes)
+
+    def _candidates(self, units: Sequence[CandidatePose]) -> tuple[CandidatePose, ...]:
+        """The units, then the grid's poses; wishes find units by ids that no other row has.
+
+        The study's poses are among the grid's, and a unit may be one of them, turned or not.
+        """
+        taken = {unit.id for unit in units}
+        grid = (
+            replace(one, id=free_name(taken, f"{one.id}/")) if one.id in taken else one
+            for one in self._plan.candidates
+        )
+        return (*units, *grid)
 
     def _rows(self, units: Sequence[CandidatePose]) -> DetectionTable:
         packed = np.packbits(self._live.detected(units), axis=1, bitorder="little")

@@ -92,6 +92,25 @@ def test_to_complete_keeps_what_hangs_and_reaches_its_bound(adviser, weak, apr_o
     assert found.n_compared == adviser.best_next(weak).n_compared  # all tried: proven at once
 
 
+def test_a_unit_named_as_a_pose_of_the_grid_is_mounted_once_and_hides_no_candidate(adviser, apr_of):
+    """The study's poses are among the grid's: what hangs may have the name of one, turned or not."""
+    (unit,) = planning.find_layout("carlancap-12").units[:1]
+    assert unit.id in {one.id for one in adviser._plan.candidates}
+    turned = replace(unit, pose=replace(unit.pose, yaw_deg=unit.pose.yaw_deg + 120.0))
+    for standing in (unit, turned):
+        other = adviser.best_next([replace(standing, id="mine")])
+        found = adviser.best_next([standing])
+        assert found.n_compared == other.n_compared > 1
+        assert found.after == other.after
+        assert found.after.cost_eur > 0.0
+        completed = adviser.complete([standing], n_units=3)
+        assert len(completed.units) == 3
+        assert completed.units[0] is standing
+        assert completed.after.apr == pytest.approx(apr_of(completed.units))
+        again = adviser.complete([replace(standing, id="mine")], n_units=3)
+        assert completed.after == again.after
+
+
 def test_an_answer_is_proven_by_what_is_asked_for(adviser, weak):
     found = adviser.best_next(weak)
     stages = (

@@ -85,7 +85,7 @@ def test_what_cannot_be_begun_with_is_refused_and_stays_as_it_is(run, tmp_path):
     )
     code, _, err = run("plan", "--no-open", "--save", "/dev/zero")
     assert code == 2
-    assert "/dev/zero: got a pipe, a socket or a device; expected a regular file" in err
+    assert "/dev/zero: got a device; expected a regular file's name, or one that is free" in err
     many = [replace(STUDY.units[0], id=f"U{index}") for index in range(1001)]
     layout = save_layout(tmp_path / "many.json", many)
     code, _, err = run("plan", "--no-open", "--layout", layout)
