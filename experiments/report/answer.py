@@ -8,6 +8,7 @@ from msgspec import UNSET
 
 from geometry.arrays import BoolArray
 from geometry.catalogue import sensor_kind
+from geometry.whereabouts import street_names
 from placement.evaluation import Evaluation
 from placement.layout import Layout
 from placement.optimiser.objectives import Objective
@@ -30,7 +31,9 @@ from .section import Block, Section, Table
 
 def title(result: Result, setting: Setting, evaluations: Mapping[str, Evaluation]) -> str:
     """Heading: the question that a placement, an evaluation or a comparison answers."""
-    place = setting.scene.name
+    named = " / ".join(street_names(setting.scene).values())
+    streets = dict.fromkeys(filter(None, named.split(" / ")))
+    place = " / ".join(streets) or setting.scene.name
     if result.stages:
         subject = next(iter(evaluations.values()))
         return f"Where to mount {count_sensors(subject.layout)} at {place}"

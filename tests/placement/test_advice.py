@@ -93,7 +93,7 @@ def test_to_complete_keeps_what_hangs_and_reaches_its_bound(adviser, weak, apr_o
 
 
 def test_a_unit_named_as_a_pose_of_the_grid_is_mounted_once_and_hides_no_candidate(adviser, apr_of):
-    """The study's poses are among the grid's: what hangs may have the name of one, turned or not."""
+    """The study's poses are among the grid's: a mounted unit may be one of them, turned or not."""
     (unit,) = planning.find_layout("carlancap-12").units[:1]
     assert unit.id in {one.id for one in adviser._plan.candidates}
     turned = replace(unit, pose=replace(unit.pose, yaw_deg=unit.pose.yaw_deg + 120.0))

@@ -154,7 +154,7 @@ def test_a_camera_is_hung_and_dragged_by_mouse_and_the_numbers_are_those_of_eval
         page.mouse.down()
         page.mouse.move(site_x - 60, site_y + 60, steps=12)
         page.mouse.up()
-        south_west = re.compile(r"^-13[45]\b")  # of the last step: those before may be evaluated, too
+        south_west = re.compile(r"^-13[45]\b")  # the last step's: others may be evaluated, too
         expect(page.locator("#yaw")).to_have_value(south_west, timeout=PATIENCE_MS)
         shown = told(page)
         assert shown != away
