@@ -13,6 +13,7 @@ from .junction import COMPASS, Arm, arm_of_road, build_junction, distance_to_out
 from .scene import Scene
 
 _CORNER_M = 15.0  # from the outline of the junction's road surface
+_STRAIGHT = 0.7  # length of the sum of two arms' directions: an angle of 140 degrees and more
 
 
 def compass_point(way_m: FloatArray) -> str:
@@ -74,8 +75,13 @@ def whereabouts(scene: Scene, positions_m: ArrayLike) -> list[str]:
         away_m = distance_to_outline_m(position, scene.outline_m)
         if away_m <= _CORNER_M:
             way = position - middle
-            known = [streets[name] for name in _beside(_bearing(way), bearings) if name in streets]
-            words = [f"{compass_point(way)} corner", " and ".join(dict.fromkeys(known))]
+            beside = _beside(_bearing(way), bearings)
+            known = [streets[name] for name in beside if name in streets]
+            corner = _between([bearings[name] for name in beside])
+            words = [
+                f"{compass_point(way if corner is None else corner)} corner",
+                " and ".join(dict.fromkeys(known)),
+            ]
         else:
             point = shapely.Point(position)
             name = min(lines, key=lambda one: lines[one].distance(point))
@@ -100,6 +106,12 @@ def arm_mouth(arm: Arm) -> FloatArray:
 
 def _bearing(way_m: FloatArray) -> float:
     return float(np.arctan2(way_m[1], way_m[0]))
+
+
+def _between(bearings: Sequence[float]) -> FloatArray | None:
+    """Way halfway between two arms, (2,); None where they lead nearly straight on."""
+    way: FloatArray = np.sum([[np.cos(one), np.sin(one)] for one in bearings], axis=0)
+    return way if float(np.hypot(*way)) > _STRAIGHT else None
 
 
 def _beside(bearing: float, arms: dict[str, float]) -> Sequence[str]:

@@ -36,3 +36,10 @@ def test_corners_and_arms_are_told_with_their_streets(scene):
     assert along.startswith("east arm, Mill Lane, ")
     assert unnamed.startswith("south arm, ")
     assert unnamed.endswith(" m out")
+
+
+def test_a_corner_is_named_by_the_arms_on_either_side_wherever_on_it_a_pole_stands(scene):
+    north_west = [[-3.5, 9.0], [-9.0, 3.5], [-8.0, 8.0]]
+    assert {words.split(",")[0] for words in whereabouts(scene, north_west)} == {
+        "north-west corner"
+    }
