@@ -212,8 +212,9 @@ def _page(rows: Sequence[Sequence[str]], notes: Sequence[str], command: str) -> 
         "where another junction's middle lies there, where no kerb to park at lies beside the lane "
         "and the case has parked cars or a wall there, where the lanes bend so sharply that its "
         "speed would ask for more than 4 m/s² to the side (these two also as shares of all runs: "
-        "no kerb, too fast for bends), or where it is faster than the map's speed limit. To the side: the largest acceleration of a car before the "
-        "impact. The reason is the one that keeps most possible runs away.",
+        "no kerb, too fast for bends), or where it is faster than the map's speed limit. To the "
+        "side: the largest acceleration of a car before the impact. The reason is "
+        "the one that keeps most possible runs away.",
         "",
         "| " + " | ".join(_HEADS) + " |",
         "|" + " --- |" * len(_HEADS),
