@@ -1,6 +1,9 @@
 """Answers of every solver to random problems, checked against the enumeration of ``oracle``."""
 
+import sys
 import warnings
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 
 import numpy as np
 import pytest
@@ -48,3 +51,16 @@ def faults(numbers: range) -> list[str]:
         except Exception as error:
             found.append(f"problem {number} by {way}: {error!r}")
     return found
+
+
+def main() -> None:
+    """Problems from one number to another, 500 at a time; faults are printed as they come."""
+    first, end = (int(word) for word in sys.argv[1:3])
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        parts = [range(one, min(one + 500, end)) for one in range(first, end, 500)]
+        for part, found in zip(parts, pool.map(faults, parts), strict=True):
+            print(part.stop, *found, sep="\n  ", flush=True)
+
+
+if __name__ == "__main__":
+    main()
