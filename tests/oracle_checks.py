@@ -59,7 +59,7 @@ def main() -> None:
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         parts = [range(one, min(one + 500, end)) for one in range(first, end, 500)]
         for part, found in zip(parts, pool.map(faults, parts), strict=True):
-            print(part.stop, *found, sep="\n  ", flush=True)
+            print(part.stop, *found, sep="\n  ", flush=True)  # noqa: T201
 
 
 if __name__ == "__main__":
