@@ -28,7 +28,7 @@ def left_handed(scene):
 
 
 def drive(scene):
-    cases = select_cases("all", speeds="30,50", force=True).cases
+    cases = select_cases("all", speeds="20,50", force=True).cases
     return build_runs(scene, cases, vut=pick_actor("vut", "vut"), rule=load_aeb_rule())
 
 

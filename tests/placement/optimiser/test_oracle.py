@@ -19,7 +19,7 @@ def test_every_solver_answers_as_the_enumeration_says() -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("block", range(8))
 def test_thousands_of_answers_are_as_the_enumeration_says(block: int) -> None:
-    """More of them, as long as one likes: ``PYTHONPATH=. python tests/oracle_checks.py FIRST END``."""
+    """For more of them: ``PYTHONPATH=. python tests/oracle_checks.py FIRST END``."""
     parts = [range(first, first + 500) for first in range(2_000 * block, 2_000 * (block + 1), 500)]
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         assert [fault for found in pool.map(faults, parts) for fault in found] == []
