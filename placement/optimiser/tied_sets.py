@@ -430,10 +430,10 @@ class SetSearch:
                     need = best + ahead
                     walk.raise_needs(need if least_apr is None else least_apr, need)
                     tied, has_all = tied[:1], True
-                if has_all and not ahead:
+                if has_all:  # a walk by pairs does not meet again what it met for less
                     tied.append(block[value >= best - TOLERANCE])
                     has_all = sum(map(len, tied)) <= _MAX_TIED
-                    if not has_all:
+                    if not has_all and not ahead:
                         if is_proven:
                             break
                         need = best + max(step, _STEP_UP)

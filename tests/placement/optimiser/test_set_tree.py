@@ -11,7 +11,8 @@ from problems import questions
 
 from geometry.arrays import IntArray
 from geometry.clock import now_s
-from placement.optimiser import PlacementProblem, presolve, tied_sets
+from placement.detection_table import DetectionTable
+from placement.optimiser import Limits, PlacementProblem, presolve, tied_sets
 from placement.optimiser.bitsets import left_after_failures, set_values, union_apr, unions_of
 from placement.optimiser.cover_tree import SetWalk, widest_poses
 from placement.optimiser.limits import are_allowed
@@ -23,6 +24,8 @@ from placement.optimiser.set_tree import (
     first_seen,
 )
 from placement.optimiser.tied_sets import SetSearch, can_walk
+from scenarios.aeb import load_aeb_rule
+from scenarios.runs import FrameAxis
 
 END_S = np.inf
 ANY_PROBLEM = st.from_type(PlacementProblem)
@@ -146,6 +149,35 @@ def test_the_best_of_the_tied_sets_is_the_best_of_all(
     found = search.best_of(tied.sets, n_failures=reduced.survive, value=tied.value)
     assert found is not None
     np.testing.assert_allclose(set_values(reduced, found[None, :]).gains[0], best.gains, atol=2e-9)
+
+
+def test_ties_that_an_earlier_part_of_the_walk_met_are_not_lost() -> None:
+    """Better sets were met while only a step more was asked for, and not kept as ties."""
+    axis = FrameAxis(
+        **{"run_ids": ("0", "1", "2"), "cases": ("CPNA-50",) * 3, "approaches": ("north",) * 3},
+        **{"weathers": ("day",) * 3, "positions": ("0",) * 3},
+        vut_speed_kmh=np.full(3, 30.0),
+        weight=np.array([2.0, 1.0, 3.0]) / 6.0,
+        last_brake_time_s=np.array([-0.125, -0.01, -0.125]),
+        run_start=np.array([0, 8, 14, 20]),
+        time_s=0.1 * np.array([*range(-7, 1), *range(-5, 1), *range(-5, 1)]),
+    )
+    seen = [[159, 108, 11], [166, 132, 4], [215, 77, 5], [224, 59, 6], [205, 223, 11], [253, 2, 15]]
+    problem = PlacementProblem(
+        table=DetectionTable(
+            pose_ids=tuple("012345"), axis=axis, packed=np.array(seen, dtype=np.uint8)
+        ),
+        limits=Limits(
+            site_index=np.array([1, 2, 1, 1, 2, 2]),
+            site_capacity=np.array([1, 2, 2, 1]),
+            budget_units=3,
+        ),
+        fusion="any",
+        rule=replace(load_aeb_rule(), n_confirmations=2, track_memory_s=0.1),
+        sample_index=np.array([0, 1, 1]),
+    )
+    check = test_the_best_of_the_tied_sets_is_the_best_of_all
+    check.hypothesis.inner_test(problem=problem, at_once=False)  # type: ignore[attr-defined]
 
 
 @given(problem=ANY_PROBLEM)
