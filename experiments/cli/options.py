@@ -136,8 +136,6 @@ def option_name(param: click.Parameter) -> str:
 
 def input_error(where: str, got: object, expected: str) -> Exception:
     """The error of a value that the user can mend."""
-    from geometry.errors import InputError
-
     return InputError(where, got, expected)
 
 

@@ -47,7 +47,7 @@ def begin(progress: StageProgress, question: "Question", *, quiet: bool) -> "Que
 
     folder, told = import_into_cache(question, cache=cache_folder(), progress=progress)
     if not quiet:
-        click.echo(_imported_text(told, folder), err=True)
+        tell(_imported_text(told, folder), err=True)
     return replace(question, scene=folder, junction="", at="", sites="", driving_side="map")
 
 

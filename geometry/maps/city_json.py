@@ -13,10 +13,11 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
 from ..files import read_text
+from ..notes import Note
 from ..untrusted_files import parse_json
 from .georeferences import georeference
 from .solids import Polygon3D, extrude, join, surface_mesh
-from .source_map import MAX_TRIANGLES, Skipped, SourceMap, Thing, counted, shortened, unique_id
+from .source_map import MAX_TRIANGLES, SourceMap, Thing, counted, shortened, unique_id
 from .thing_kinds import kind_from_name, kind_of_class, thing_defaults
 
 _VERSIONS = ("1.0", "1.1", "2.0")
@@ -311,7 +312,7 @@ def city_map(
     where: str,
     declared_crs: str,
     follows_authority: bool,
-    skipped: Sequence[Skipped],
+    skipped: Sequence[Note],
 ) -> SourceMap:
     """Build a map from the objects of a city model; `skipped` is what the reader has left out.
 
@@ -335,7 +336,7 @@ def city_map(
     starts = np.cumsum([len(ring) for ring in rings])[:-1]
     in_metres = iter(np.split(points, starts))
     things: list[Thing] = []
-    flat: list[Skipped] = []
+    flat: list[Note] = []
     ids: Counter[str] = Counter()
     n_triangles = 0
     for item in objects:
@@ -345,7 +346,7 @@ def city_map(
         try:
             thing = _thing(replace(item, polygons=polygons), unique_id(item.id, ids))
         except InputError as error:
-            flat.append(Skipped(what=f"{item.type_name} {item.id}", why=str(error)))
+            flat.append(Note(what=f"{item.type_name} {item.id}", why=str(error)))
             continue
         things.append(thing)
         n_triangles += len(thing.triangles)
@@ -402,7 +403,7 @@ def _thing(item: CityObject, thing_id: str) -> Thing:
     )
 
 
-def _said(skipped: Sequence[Skipped]) -> str:
+def _said(skipped: Sequence[Note]) -> str:
     """What was left out, for the end of a message."""
     if not skipped:
         return ""

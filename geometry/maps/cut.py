@@ -17,12 +17,13 @@ from ..junction import (
     distance_to_outline_m,
     lane_line,
 )
+from ..notes import Note
 from ..scene import Instance, Lane, LeadingRoad, Scene, Site
 from ..terrain import GROUND, Terrain, on_ground, standing_footprint
 from .georeferences import LocalFrame, frame_at
 from .relief import Elevation, find_relief
 from .solids import join
-from .source_map import MapJunction, Pole, Skipped, SourceMap, Thing
+from .source_map import MapJunction, Pole, SourceMap, Thing
 from .thing_kinds import build_pole_body
 
 LANES_BEYOND_M = 70.0  # cars come from farther away than anything that could hide somebody
@@ -55,7 +56,7 @@ class Surroundings:
     things: tuple[Thing, ...]  # z counts from the road in the junction's middle; ids are unique
     poles: tuple[Pole, ...]  # feet at z = 0, whatever the ground; ids are unique
     keeps_left: bool
-    skipped: tuple[Skipped, ...]
+    skipped: tuple[Note, ...]
     roads: tuple[LeadingRoad, ...] = ()  # that lead to the junction
     terrain: Terrain | None = None  # the ground, 0 in the junction's middle; None: a plane
     zero_height_m: float | None = None  # of the middle, as the map counts heights
@@ -96,7 +97,7 @@ def cut_out(
             height_m = junction.height_m if source.heights == "absolute" else None
         solid = [thing for thing in near if thing.class_name != "ground"]
         skipped += [
-            Skipped(what=f"ground {thing.id}", why="the ground of a scene is that of its roads")
+            Note(what=f"ground {thing.id}", why="the ground of a scene is that of its roads")
             for thing in near
             if thing.class_name == "ground"
         ]
@@ -113,9 +114,9 @@ def cut_out(
         if n_floating:
             why = "they would float above the ground below them: set down on it"
             what = f"{n_floating} buildings in {source.name}"
-            skipped.append(Skipped(what=what, why=why, kind="heights"))
+            skipped.append(Note(what=what, why=why, kind="heights"))
         skipped += [
-            Skipped(what=f"{count} x {name} in {source.name}", why="not above the road")
+            Note(what=f"{count} x {name} in {source.name}", why="not above the road")
             for name, count in low.items()
         ]
         if source.poles:
@@ -127,7 +128,7 @@ def cut_out(
     lanes, through = _lanes(roads, junction, frame, outline, half_m)
     if through:
         why = "lanes are led straight on through them on smooth curves: assumed"
-        skipped.append(Skipped(what="other junctions around it", why=why, kind="roads"))
+        skipped.append(Note(what="other junctions around it", why=why, kind="roads"))
     return Surroundings(
         frame=frame,
         lanes=(*lanes, *through),
@@ -468,7 +469,7 @@ def _crosswalks(maps: Sequence[SourceMap], frame: LocalFrame, outline_m: FloatAr
 
 def _near_things(
     source: SourceMap, frame: LocalFrame, radius_m: float
-) -> tuple[list[Thing], list[Skipped]]:
+) -> tuple[list[Thing], list[Note]]:
     """Things within a radius, in the scene's frame except for heights; and a note on the others."""
     near: list[Thing] = []
     n_far = 0
@@ -494,7 +495,7 @@ def _near_things(
             f"they lie {why}: --crs says in which one they are (EPSG:25832), --offset X,Y moves "
             "them"
         )
-    return near, [Skipped(what=f"{n_far} things in {source.name}", why=why)]
+    return near, [Note(what=f"{n_far} things in {source.name}", why=why)]
 
 
 def _unique(name: str, source: SourceMap, taken: set[str]) -> str:

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
 from ..frames import parse_crs
-from .source_map import Skipped, SourceMap
+from ..notes import Note
+from .source_map import SourceMap
 
 if TYPE_CHECKING:
     from pyproj import CRS, Transformer
@@ -124,7 +125,7 @@ class Georeference:
     is_northing_first: bool = False  # the file's first coordinate is the northing or the latitude
     is_projected: bool = False  # to_metres projects from source_crs to crs
     z_m: float = 1.0  # length of the file's unit of height
-    note: Skipped | None = None  # a declaration that was not followed
+    note: Note | None = None  # a declaration that was not followed
 
     def to_metres(self, points: ArrayLike, where: str) -> FloatArray:
         """Easting, northing and height in `crs` of points (n, 2) or (n, 3) of the file.
@@ -198,7 +199,7 @@ def georeference(
         else:
             area = crs.area_of_use.name if crs.area_of_use else "its area"
             why = f"the coordinates lie outside {area}: taken as metres without a place on earth"
-            note = Skipped(what=f"coordinate reference system {name}", why=why)
+            note = Note(what=f"coordinate reference system {name}", why=why)
             return Georeference(crs="", source_crs="", z_m=z_m, note=note)
         if _is_in_metres(crs, middle):
             return Georeference(
@@ -249,10 +250,10 @@ def _spelling(declared: str) -> str:
     return text
 
 
-def _unknown(declared: "str | CRS | None") -> Skipped | None:
+def _unknown(declared: "str | CRS | None") -> Note | None:
     if declared is None or not str(declared).strip():
         return None
-    return Skipped(
+    return Note(
         what=f"coordinate reference system {str(declared).strip()[:80]}",
         why="not a known horizontal one: taken as metres without a place on earth",
     )

@@ -15,11 +15,12 @@ import numpy as np
 
 from ..errors import InputError, Unquoted
 from ..files import check_file, open_file, read_text
+from ..notes import Note
 from ..scene import CLASS_NAMES
 from ..untrusted_files import parse_json, unpacked
 from .georeferences import WGS84, Georeference, georeference
 from .solids import extrude, join
-from .source_map import Skipped, SourceMap, Thing, counted, shortened, unique_id
+from .source_map import SourceMap, Thing, counted, shortened, unique_id
 from .thing_kinds import ThingKind, kind_from_name, kind_of_class, thing_defaults
 
 if TYPE_CHECKING:
@@ -268,7 +269,7 @@ def read_footprints(
     points = np.concatenate([shapely.get_coordinates(feature.geometry) for feature, _ in solid])
     place = georeference(points, table.crs, where=where)
     things: list[Thing] = []
-    failed: list[Skipped] = []
+    failed: list[Note] = []
     ids: Counter[str] = Counter()
     for feature, kind in solid:
         values = {_column(key): value for key, value in feature.values.items()}
@@ -277,7 +278,7 @@ def read_footprints(
         try:
             things.append(_raised(feature, kind, thing_id, place))
         except InputError as error:
-            failed.append(Skipped(what=f"{kind.kind} {thing_id}", why=str(error)))
+            failed.append(Note(what=f"{kind.kind} {thing_id}", why=str(error)))
     if not things:
         raise InputError(where, Unquoted(f"no footprint with an area; {failed[0].why}"), "polygons")
     notes = [] if place.note is None else [place.note]

@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray, IntArray
 from ..errors import InputError, Unquoted
+from ..notes import Note
 from ..scene import CLASS_NAMES
 from . import voxels
 from .georeferences import Georeference, georeference
 from .point_files import open_points
-from .source_map import MAX_TRIANGLES, Skipped, SourceMap, Thing, counted
+from .source_map import MAX_TRIANGLES, SourceMap, Thing, counted
 
 # ---------- the ground
 CELL_M = 1.0
@@ -173,7 +174,7 @@ def read_point_cloud(
     notes += counted(scan.left_out, "points of a class that hides nothing here")
     if small:
         notes.append(
-            Skipped(
+            Note(
                 what=f"{small} clusters of points",
                 why=f"less than {_MIN_VOXELS} voxels, or below {_MIN_HEIGHT_M} m",
             )
@@ -252,7 +253,7 @@ class _Scan:
             )
 
 
-def _above_ground(scan: _Scan) -> tuple[dict[str, IntArray], float, list[Skipped]]:
+def _above_ground(scan: _Scan) -> tuple[dict[str, IntArray], float, list[Note]]:
     """Voxels by kind with z counted from the ground, and as coarse as the points are apart."""
     low, lowest_m = scan.lowest.grid(scan.where)
     if len(scan.lowest_ground):
@@ -285,7 +286,7 @@ def _above_ground(scan: _Scan) -> tuple[dict[str, IntArray], float, list[Skipped
         everything = _coarser(everything)
     if voxel_m > scan.voxel_m:
         notes.append(
-            Skipped(
+            Note(
                 what=f"detail below {voxel_m:g} m",
                 why=f"points too far apart for voxels of {scan.voxel_m:g} m",
             )

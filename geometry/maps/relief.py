@@ -7,9 +7,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray
+from ..notes import Note
 from ..terrain import Terrain, fit_terrain
 from .georeferences import LocalFrame
-from .source_map import MapJunction, Skipped, SourceMap, Thing
+from .source_map import MapJunction, SourceMap, Thing
 
 _STEP_M = 2.0  # of the grid
 _FLAT_M = 0.1  # ground that is nowhere higher or lower than this is a plane
@@ -41,7 +42,7 @@ class Relief:
         What told the heights; empty: nothing.
     roads_m : Terrain or None
         Ground of the map with the roads, as that counts heights, where another source told them.
-    told : tuple of Skipped
+    told : tuple of Note
         What was made of the heights.
     """
 
@@ -50,7 +51,7 @@ class Relief:
     source: str = ""
     roads: SourceMap | None = None
     roads_m: Terrain | None = None
-    told: tuple[Skipped, ...] = ()
+    told: tuple[Note, ...] = ()
 
     def at(self, points_m: FloatArray) -> FloatArray:
         """Height of the ground at points (n, 2)."""
@@ -158,9 +159,7 @@ def find_relief(
         source=name,
         roads=roads,
         roads_m=fit_terrain(own, half_m=half_m, step_m=_STEP_M) if is_other else None,
-        told=(
-            Skipped(what=f"heights of {name}", why=f"{why} around the junction ({span_m:.1f} m)"),
-        ),
+        told=(Note(what=f"heights of {name}", why=f"{why} around the junction ({span_m:.1f} m)"),),
     )
 
 

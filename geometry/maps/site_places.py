@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arrays import BoolArray, FloatArray
+from ..notes import Note
 from ..scene import covered_area
 from ..terrain import HEADROOM_M, headroom_m
 from .cut import Surroundings
-from .source_map import Pole, Skipped, Thing
+from .source_map import Pole, Thing
 
 SETBACK_M = (
     0.5  # of a pole's middle from the kerb; assumption: the usual clearance of a carriageway
@@ -175,7 +176,7 @@ def _turn(a: FloatArray, b: FloatArray) -> FloatArray:
     return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
-def settle_poles(surroundings: Surroundings) -> tuple[Surroundings, tuple[Skipped, ...]]:
+def settle_poles(surroundings: Surroundings) -> tuple[Surroundings, tuple[Note, ...]]:
     """Put the poles of a map where poles can stand.
 
     Parameters
@@ -189,7 +190,7 @@ def settle_poles(surroundings: Surroundings) -> tuple[Surroundings, tuple[Skippe
         A signal or sign over the road is left to the pole that the map has within 12 m; other poles
         on the road or inside walls are moved to the nearest place, see :func:`find_places`, or left
         out if there is none.
-    told : tuple of Skipped
+    told : tuple of Note
         Each that was moved or left out.
     """
     if not surroundings.poles:
@@ -203,20 +204,20 @@ def settle_poles(surroundings: Surroundings) -> tuple[Surroundings, tuple[Skippe
         if pole.kind == "pole" and not place.why
     ]
     kept: list[Pole] = []
-    told: list[Skipped] = []
+    told: list[Note] = []
     for pole, place in zip(surroundings.poles, places, strict=True):
         what = f"{pole.kind} {pole.id}"
         mast = _mast_of(pole, masts) if place.why and pole.kind in _HANGING else None
         if mast is not None:
             why = f"it hangs over the road: its pole is {mast.id}"
-            told.append(Skipped(what=what, why=why))
+            told.append(Note(what=what, why=why))
             continue
         if place.position_m is None:
-            told.append(Skipped(what=what, why=f"no site: it stands {place.why}"))
+            told.append(Note(what=what, why=f"no site: it stands {place.why}"))
             continue
         if place.why:
             why = f"it stood {place.why}"
-            told.append(Skipped(what=what, why=why, kind="sites", site_ids=(pole.id,)))
+            told.append(Note(what=what, why=why, kind="sites", site_ids=(pole.id,)))
             pole = replace(pole, position_m=np.append(place.position_m, pole.position_m[2]))
         kept.append(pole)
     return replace(surroundings, poles=tuple(kept)), tuple(told)

@@ -11,11 +11,12 @@ from numpy.typing import ArrayLike
 
 from ..arrays import BoolArray, FloatArray, float_array
 from ..errors import InputError
+from ..notes import Note
 from ..scene import HANGING_KINDS, Site
 from .cut import Surroundings
 from .site_files import SUFFIXES, SiteWish, read_sites
 from .site_places import SETBACK_M, clear_heights_m, find_places, is_under, standing_things
-from .source_map import MapLane, Skipped, SourceMap, Thing
+from .source_map import MapLane, SourceMap, Thing
 from .thing_kinds import (
     MIN_POLE_M,
     PoleKind,
@@ -178,7 +179,7 @@ def _is_median(
 
 def tidy_sites(
     sites: Sequence[SiteWish], *, things: Sequence[Thing] = (), snap_m: float = 1.0
-) -> tuple[tuple[SiteWish, ...], tuple[Skipped, ...]]:
+) -> tuple[tuple[SiteWish, ...], tuple[Note, ...]]:
     """Drop sites inside a building, and all but one of those within `snap_m` of each other.
 
     Of close ones the site with more details is kept, then the earlier one. `things` are in the same
@@ -214,7 +215,7 @@ def tidy_sites(
     return (
         tuple(site for index, site in enumerate(sites) if index not in reasons),
         tuple(
-            Skipped(what=f"site {sites[index].id}", why=reasons[index]) for index in sorted(reasons)
+            Note(what=f"site {sites[index].id}", why=reasons[index]) for index in sorted(reasons)
         ),
     )
 
@@ -247,7 +248,7 @@ def _is_list(where: str) -> bool:
 
 def choose_sites(
     where: str, surroundings: Surroundings, roads: SourceMap, *, radius_m: float
-) -> tuple[tuple[Site, ...], tuple[Skipped, ...]]:
+) -> tuple[tuple[Site, ...], tuple[Note, ...]]:
     """Sites of a scene, at least one, and notes on what was left out.
 
     `where` is "map", "kerb:SPACING", a CSV or GeoJSON file (x and y in the coordinates of `roads`),
@@ -256,7 +257,7 @@ def choose_sites(
     farther than `radius_m` from the middle of the junction are left out. Raises InputError if
     `where` cannot be read, or no site is left.
     """
-    told: list[Skipped] = []
+    told: list[Note] = []
     if _is_list(where):
         wishes, far = _listed(Path(where), surroundings, roads, radius_m)
         told += far
@@ -287,7 +288,7 @@ def choose_sites(
 
 def _settled(
     wishes: Sequence[SiteWish], surroundings: Surroundings
-) -> tuple[tuple[SiteWish, ...], list[Skipped]]:
+) -> tuple[tuple[SiteWish, ...], list[Note]]:
     """Sites beside the road, but for what hangs over it; those inside walls are moved out.
 
     Sites inside buildings stay: :func:`tidy_sites` leaves them out.
@@ -298,17 +299,17 @@ def _settled(
         if not place.why or wish.kind in HANGING_KINDS:
             kept.append(wish)
         elif place.position_m is None:
-            told.append(Skipped(what=f"site {wish.id}", why=f"it stands {place.why}"))
+            told.append(Note(what=f"site {wish.id}", why=f"it stands {place.why}"))
         else:
             kept.append(replace(wish, position_m=place.position_m))
             why = f"it stood {place.why}"
-            told.append(Skipped(what=f"site {wish.id}", why=why, kind="sites", site_ids=(wish.id,)))
+            told.append(Note(what=f"site {wish.id}", why=why, kind="sites", site_ids=(wish.id,)))
     return tuple(kept), told
 
 
 def _own_poles(
     wishes: Sequence[SiteWish], surroundings: Surroundings
-) -> tuple[tuple[SiteWish, ...], list[Skipped]]:
+) -> tuple[tuple[SiteWish, ...], list[Note]]:
     """Poles that are sites by default: no low sign posts, and none of another junction."""
     import shapely
 
@@ -328,7 +329,7 @@ def _own_poles(
         is_low = wish.kind == "sign" and (heights_m[wish.id] or sign_m) < rules.min_sign_m
         (far if is_far else low if is_low else kept).append(wish)
     told = [
-        Skipped(what=_several(group, noun), why=f"{why}: no site unless asked for")
+        Note(what=_several(group, noun), why=f"{why}: no site unless asked for")
         for group, noun, why in (
             (far, "poles", f"within {rules.neighbour_m:g} m of another junction, nearer than here"),
             (low, "sign posts", f"lower than {rules.min_sign_m:g} m"),
@@ -353,7 +354,7 @@ def _several(wishes: Sequence[SiteWish], noun: str) -> str:
 
 def _masts(
     poles: Sequence[SiteWish], surroundings: Surroundings, radius_m: float
-) -> tuple[tuple[SiteWish, ...], list[Skipped]]:
+) -> tuple[tuple[SiteWish, ...], list[Note]]:
     """Masts along the kerbs where no pole is near the junction's middle, and why."""
     rules = load_auto_sites()
     nearest_m = min((float(np.hypot(*pole.position_m)) for pole in poles), default=np.inf)
@@ -365,13 +366,13 @@ def _masts(
         else f"none within {radius_m:g} m"
     )
     why = f"{where}: masts every {rules.spacing_m:g} m along the kerbs were added (--sites)"
-    told = Skipped(what="poles of the map", why=why)
+    told = Note(what="poles of the map", why=why)
     return _kerbs(surroundings, rules.spacing_m, radius_m), [told]
 
 
 def _below_roofs(
     wishes: Sequence[SiteWish], surroundings: Surroundings
-) -> tuple[tuple[SiteWish, ...], list[Skipped]]:
+) -> tuple[tuple[SiteWish, ...], list[Note]]:
     """Sites that carry sensors no higher than what is above them lets them."""
     kept, told = [], []
     positions = np.array([wish.position_m for wish in wishes]).reshape(-1, 2)
@@ -381,20 +382,20 @@ def _below_roofs(
             kept.append(wish)
         elif most_m < MIN_POLE_M:
             why = f"below a roof {clear_m:g} m above the ground: too low for sensors"
-            told.append(Skipped(what=f"site {wish.id}", why=why))
+            told.append(Note(what=f"site {wish.id}", why=why))
         else:
             low_m = min(_mounts_m(wish)[0], most_m)
             kept.append(replace(wish, min_height_m=low_m, max_height_m=most_m))
     return tuple(kept), told
 
 
-def _poles(surroundings: Surroundings) -> tuple[tuple[SiteWish, ...], list[Skipped]]:
+def _poles(surroundings: Surroundings) -> tuple[tuple[SiteWish, ...], list[Note]]:
     """Poles that are high enough for sensors."""
     wishes, told = [], []
     for pole in surroundings.poles:
         if pole.height_m is not None and pole.height_m < MIN_POLE_M:
             why = f"{pole.height_m:g} m high: too low for sensors"
-            told.append(Skipped(what=f"{pole.kind} {pole.id}", why=why))
+            told.append(Note(what=f"{pole.kind} {pole.id}", why=why))
             continue
         low_m, high_m = mount_range_m(pole)
         wishes.append(
@@ -436,7 +437,7 @@ def _kerbs(surroundings: Surroundings, spacing_m: float, radius_m: float) -> tup
 
 def _listed(
     path: Path, surroundings: Surroundings, roads: SourceMap, radius_m: float
-) -> tuple[tuple[SiteWish, ...], list[Skipped]]:
+) -> tuple[tuple[SiteWish, ...], list[Note]]:
     wishes, told, n_far = [], [], 0
     for wish in read_sites(path, crs=roads.crs):
         position = surroundings.frame.take(wish.position_m, roads)
@@ -446,11 +447,11 @@ def _listed(
         wishes.append(replace(wish, position_m=position))
     if n_far:
         why = f"farther than {radius_m:g} m from the junction"
-        told.append(Skipped(what=f"{n_far} sites in {path.name}", why=why))
+        told.append(Note(what=f"{n_far} sites in {path.name}", why=why))
     dark = sum(wish.has_power is False or wish.has_fibre is False for wish in wishes)
     if dark:
         why = "only what cost_eur states is counted"
-        told.append(Skipped(what=f"power or fibre that {dark} sites lack", why=why))
+        told.append(Note(what=f"power or fibre that {dark} sites lack", why=why))
     return tuple(wishes), told
 
 

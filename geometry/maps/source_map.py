@@ -172,9 +172,6 @@ class Pole:
         )
 
 
-Skipped = Note  # as readers of maps call what they leave out
-
-
 @dataclass(frozen=True, slots=True)
 class Omissions:
     """What is left out of a file, counted by kind and reason so that the list stays short.
@@ -194,10 +191,10 @@ class Omissions:
         if name not in names[-1:]:
             names.append(name)
 
-    def listed(self) -> tuple[Skipped, ...]:
+    def listed(self) -> tuple[Note, ...]:
         """One entry per kind and reason."""
         entries = [
-            Skipped(
+            Note(
                 what=names[0]
                 if len(names) == 1
                 else f"{len(names)} {kind}, such as {names[0]} and {names[1]}",
@@ -208,7 +205,7 @@ class Omissions:
         if len(entries) > _MAX_SKIPPED:
             n_more = len(entries) - _MAX_SKIPPED + 1
             entries = entries[: _MAX_SKIPPED - 1]
-            entries.append(Skipped(what=f"{n_more} more kinds of things", why="see those above"))
+            entries.append(Note(what=f"{n_more} more kinds of things", why="see those above"))
         return tuple(entries)
 
 
@@ -223,17 +220,17 @@ def unique_id(wanted: str, taken: Counter[str]) -> str:
     return candidate
 
 
-def shortened(skipped: Sequence[Skipped], most: int = _MAX_SKIPPED) -> tuple[Skipped, ...]:
+def shortened(skipped: Sequence[Note], most: int = _MAX_SKIPPED) -> tuple[Note, ...]:
     """The first of many entries, and one that counts the rest."""
     if len(skipped) <= most:
         return tuple(skipped)
     n_more = len(skipped) - most
-    return (*skipped[:most], Skipped(what=f"{n_more} more", why="for reasons like these"))
+    return (*skipped[:most], Note(what=f"{n_more} more", why="for reasons like these"))
 
 
-def counted(counts: Counter[str], why: str) -> list[Skipped]:
+def counted(counts: Counter[str], why: str) -> list[Note]:
     """One entry per kind of thing: "3 Bridge"."""
-    return [Skipped(what=f"{n} {kind}", why=why) for kind, n in sorted(counts.items())]
+    return [Note(what=f"{n} {kind}", why=why) for kind, n in sorted(counts.items())]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -263,7 +260,7 @@ class SourceMap:
         heights are absolute, whatever those of things are. [m]
     keeps_left : bool
         Traffic keeps left.
-    skipped : tuple of Skipped
+    skipped : tuple of Note
         What was left out, and why.
     """
 
@@ -279,7 +276,7 @@ class SourceMap:
     crosswalks_m: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
     ground_m: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
     keeps_left: bool = False
-    skipped: tuple[Skipped, ...] = ()
+    skipped: tuple[Note, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(

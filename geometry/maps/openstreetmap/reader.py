@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 from ...arrays import FloatArray, float_array
 from ...errors import InputError, MissingExtraError, Unquoted
 from ...files import write_atomically
+from ...notes import Note
 from ..georeferences import WGS84, local_crs, transform
-from ..source_map import Omissions, Skipped, SourceMap
+from ..source_map import Omissions, SourceMap
 from .bridges import find_bridges
 from .buildings import find_buildings
 from .crosswalks import find_crosswalks
@@ -153,7 +154,7 @@ def read_openstreetmap(path: Path, *, keeps_left: bool | None = None) -> SourceM
     ]
     skipped = omissions.listed()
     if side == "nothing":
-        assumed = Skipped(
+        assumed = Note(
             what="side of the road",
             why="no tag, roundabout or pair of carriageways shows it: taken to keep right",
             kind="side of the road",
