@@ -19,6 +19,7 @@ from .doctor import doctor
 from .evaluate import evaluate
 from .export import export
 from .latency import latency
+from .option_names import with_option_names
 from .pareto import pareto
 from .place import cli
 from .plan import plan
@@ -116,7 +117,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     except Interrupted as error:
         code, message = 128 + error.signum, progress.interruption()
     except _mendable_errors() as error:
-        code, message = _EXIT_BAD_INPUT, f"place-rsus: {error}"
+        code, message = _EXIT_BAD_INPUT, f"place-rsus: {with_option_names(str(error), cli)}"
     except click.ClickException as error:
         text = " ".join(error.format_message().split())
         code, message = _EXIT_BAD_INPUT, f"place-rsus: {text}"
