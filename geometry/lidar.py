@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from .arrays import FloatArray, IntArray
 from .errors import InputError
 from .files import Table, load_toml, read_table, read_tables
-from .limits import load_limits
+from .sensors import load_limits
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from .arrays import FloatArray, Point2, Point3, Points2, float_array, freeze
 from .errors import InputError, Unquoted
-from .limits import load_limits
 from .notes import Note
+from .sensors import load_limits
 
 HANGING_KINDS = ("mast arm", "gantry", "bridge", "wire")
 """Kinds of sites that hang over the road; all others stand beside it."""

@@ -2,15 +2,17 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import cache
+from importlib.resources import files
 from typing import Annotated
 
 import numpy as np
-from msgspec import Meta
+from msgspec import Meta, Struct
 from numpy.typing import ArrayLike
 
 from .arrays import FloatArray
 from .errors import InputError, Unquoted
-from .limits import load_limits
+from .files import load_toml, read_table
 from .poses import Pose, camera_rotation
 
 
@@ -173,3 +175,20 @@ def pixel_rays(
     )
     directions: FloatArray = in_camera @ camera_rotation(pose.yaw_deg, pose.pitch_deg).T
     return directions
+
+
+# ---------- largest values of sensors and sites
+
+
+class _Limits(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    camera_pixels: int
+    lidar_points_per_frame: int
+    price_eur: float
+    capacity_units: int
+
+
+@cache
+def load_limits() -> _Limits:
+    """All of them."""
+    name = "limits.toml"
+    return read_table(load_toml(files(__package__) / "data" / name), _Limits, name)

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 from geometry.arrays import FloatArray, float_array, freeze
 from geometry.errors import InputError
 
-from .courses import Course
-from .turns import Turn
+from .courses import Course, Turn
 
 MPS_PER_KMH = 1000.0 / 3600.0
 """Metres per second in a kilometre per hour; scipy.constants, which has it, takes long to load."""

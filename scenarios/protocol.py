@@ -12,10 +12,8 @@ from geometry.errors import InputError
 from geometry.junction import Arm, Junction, Line, lane_length_m
 from geometry.scene import Lane
 
-from .arms import Joint, arm_ahead, arm_at, joints, straight_lane
 from .cases import Case
-from .courses import follow_gently, follow_lane
-from .laying import load_obstruction_rules, load_way_rules
+from .courses import follow_gently, follow_lane, pick_turn
 from .obstructions import hide
 from .paths import MPS_PER_KMH, travel_time_s
 from .positions import AT_ZERO, Position, is_bound
@@ -27,20 +25,29 @@ from .staging import (
     find_meeting,
     first_that_fits,
     impact_offset_m,
+    load_obstruction_rules,
+    load_way_rules,
     set_off,
 )
-from .turning_ways import Turning, along_connection, on_lanes, on_straights
-from .turns import pick_turn
 from .ways import (
     CurvedWay,
+    Joint,
     StraightWay,
+    Turning,
     Way,
+    along_connection,
+    arm_ahead,
+    arm_at,
     check_straight,
     free_aside_m,
     is_bent,
+    joints,
     lane_way,
     meeting_m,
+    on_lanes,
+    on_straights,
     reversed_way,
+    straight_lane,
     straight_line,
     way_across,
 )

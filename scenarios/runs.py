@@ -21,8 +21,8 @@ from geometry.weather import load_weathers
 
 from .aeb import AebRule, confirmation_mask, held_frames, is_in_time, last_brake_time_s
 from .cases import Case, worded_for
-from .clearance import make_room
 from .encounters import Encounter
+from .obstructions import make_room
 from .positions import AT_ZERO, Position, positions_of, read_position, spread_speeds
 from .protocol import stage_by_protocol
 from .published import find_placement, stage_published

@@ -20,8 +20,17 @@ from ..scene import CLASS_NAMES
 from ..untrusted_files import parse_json, unpacked
 from .georeferences import WGS84, Georeference, georeference
 from .solids import extrude, join
-from .source_map import SourceMap, Thing, counted, shortened, unique_id
-from .thing_kinds import ThingKind, kind_from_name, kind_of_class, thing_defaults
+from .source_map import (
+    SourceMap,
+    Thing,
+    ThingKind,
+    counted,
+    kind_from_name,
+    kind_of_class,
+    shortened,
+    thing_defaults,
+    unique_id,
+)
 
 if TYPE_CHECKING:
     from shapely import Polygon

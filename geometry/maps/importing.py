@@ -19,9 +19,8 @@ from ..scene_checks import arms_that_end
 from ..untrusted_files import local_name, read_xml_root, unpacked
 from .cut import LANES_BEYOND_M, build_scene, cut_out
 from .junctions import Surveyed, choose_junction, survey_junctions
-from .site_files import SUFFIXES as LISTS
-from .site_places import settle_poles
-from .sites import choose_sites
+from .place_lists import SUFFIXES as LISTS
+from .sites import choose_sites, settle_poles
 from .source_map import Pole, SourceMap, Thing
 
 _MESHES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".off")
@@ -124,11 +123,11 @@ def _reader(path: Path, options: ReadingOptions) -> Callable[[Path], SourceMap]:
             file, class_name=options.class_name, layer=options.layer or None
         )
     if kind == ".city.json":
-        from .city_json import read_cityjson
+        from .city_models import read_cityjson
 
         return read_cityjson
     if kind == ".gml":
-        from .city_gml import read_citygml
+        from .city_models import read_citygml
 
         return read_citygml
     if kind in _MESHES:
@@ -216,7 +215,7 @@ class ImportOptions:
     ground_m : float, optional
         Height of the road, see :func:`geometry.maps.cut.cut_out`. [m]
     terrain : Path, optional
-        Raster with the heights of the ground, see :func:`geometry.maps.elevation.read_elevation`;
+        Raster with the heights of the ground, see :func:`geometry.maps.relief.read_elevation`;
         by default heights are those of the maps.
     name : str
         Name of the scene; empty: after the file and the junction.
@@ -365,7 +364,7 @@ def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOption
         )
     elevation = None
     if options.terrain is not None:
-        from .elevation import read_elevation
+        from .relief import read_elevation
 
         elevation = read_elevation(
             options.terrain,

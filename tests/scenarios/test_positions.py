@@ -26,8 +26,6 @@ from geometry.junction import build_junction, lane_length_m
 from geometry.scene import Lane
 from geometry.study_scene import load_study_scene
 from scenarios.cases import load_case_sets, load_cases, select_cases
-from scenarios.exposure import default_weights
-from scenarios.laying import load_way_rules
 from scenarios.paths import StraightPath, TowedPath
 from scenarios.positions import (
     AT_ZERO,
@@ -43,7 +41,8 @@ from scenarios.positions import (
     spread_speeds,
 )
 from scenarios.runs import FrameAxis, build_frame_axis, build_runs
-from scenarios.staging import lateral_acceleration_mps2
+from scenarios.staging import lateral_acceleration_mps2, load_way_rules
+from scenarios.weights import default_weights
 
 FREE = tuple(name for name, case in load_cases().items() if not is_bound(case))
 CROSSWALK_M = MOUTH_M - 2.0  # from the middle of the protocol's junction

@@ -10,9 +10,8 @@ from ...arrays import FloatArray
 from ...errors import InputError, Unquoted
 from ..source_map import MapLane
 from .attributes import lane_kinds
-from .cross_sections import CrossSections
 from .reference_line import MAX_COORDINATE_M, PiecewiseCubic, evaluate
-from .roads import LaneRecord, LaneSection, Road
+from .roads import CrossSections, LaneRecord, LaneSection, Road
 
 MAX_POINTS = 5_000_000  # of a file
 _CHORD_ERROR_M = 0.02  # below the 3 cm that are asked for: bounds of bends are sampled

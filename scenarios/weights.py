@@ -33,7 +33,7 @@ _ANY = ("", "*")
 
 
 def weight_from_csv(path: Path, runs: Sequence[Run]) -> FloatArray:
-    """Weights by a user's own exposure table.
+    """Weights by a user's own table.
 
     The file is UTF-8, separated by commas or semicolons, with columns case, approach, weight, and
     if wanted position and weather; "*" or nothing in approach, position or weather stands for all,
@@ -318,10 +318,10 @@ def weigh(runs: Sequence[Run], how: str, *, refused: Sequence[Refusal] = ()) -> 
         At least one.
     how : str
         "run": every run the same, as in the study; "case": every case the same, see
-        :func:`scenarios.exposure.weight_per_case`; "fhwa-crash-types": by accident statistics, see
-        :func:`scenarios.exposure.weight_by_crash_types`; "euroncap-rating-2026": by its points,
-        see :func:`scenarios.exposure.weight_by_rating`; else a CSV file, see
-        :func:`scenarios.exposure.weight_from_csv`.
+        :func:`scenarios.weights.weight_per_case`; "fhwa-crash-types": by accident statistics, see
+        :func:`scenarios.weights.weight_by_crash_types`; "euroncap-rating-2026": by its points,
+        see :func:`scenarios.weights.weight_by_rating`; else a CSV file, see
+        :func:`scenarios.weights.weight_from_csv`.
     refused : sequence of Refusal
         What was asked for beside the runs, and could not be laid: "case" alone looks at it.
 
