@@ -146,7 +146,7 @@ def worded_for(case: Case, *, keeps_left: bool) -> Case:
 
     Examples
     --------
-    >>> worded_for(pick_cases("CPTAfs-50", "--cases")[0], keeps_left=True).title
+    >>> worded_for(pick_cases("CPTAfs-50", "cases")[0], keeps_left=True).title
     'VUT turns right, adult crosses from the far side, walking as the VUT drove'
     """
     if not keeps_left:
@@ -162,6 +162,9 @@ _Positive = Annotated[float, Meta(gt=0.0)]
 _Side = Literal["near", "far"]
 
 
+_MAX_STEPS = 1000
+
+
 class _Speeds(Struct, frozen=True, kw_only=True):
     """Speeds of the VUT in km/h, evenly spaced."""
 
@@ -172,6 +175,8 @@ class _Speeds(Struct, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         if not (0.0 < self.min <= self.max and self.step > 0.0):
             raise InputError("", structs.asdict(self), "0 < min <= max, step > 0")
+        if self.max - self.min > _MAX_STEPS * self.step:
+            raise InputError("", structs.asdict(self), f"at most {_MAX_STEPS} steps")
 
 
 class _Crosswalk(Struct, frozen=True, kw_only=True, tag="crosswalk", tag_field="along"):
@@ -440,7 +445,7 @@ def pick_cases(text: str, where: str) -> tuple[Case, ...]:
 
     Examples
     --------
-    >>> [case.name for case in pick_cases("CBLA-50, CPNA", "--cases")]
+    >>> [case.name for case in pick_cases("CBLA-50, CPNA", "cases")]
     ['CBLA-50', 'CPNA-25', 'CPNA-75']
     """
     picked: dict[str, Case] = {}
@@ -501,14 +506,14 @@ def select_cases(cases: str, *, speeds: str | None = None, force: bool = False) 
     >>> select_cases("CPNA-25", speeds="20,30-40").cases
     (Case('CPNA-25', 20, 30, 35, 40 km/h),)
     """
-    picked = pick_cases(cases, "--cases")
+    picked = pick_cases(cases, "cases")
     if speeds is None or speeds.strip() == ALL_SPEEDS:
         return Selection(cases=picked, left_out=(), beyond=())
     singles, ranges = _read_speeds(speeds)
     if not force:
         for speed in singles:
             if not any(_is_within(speed, case) for case in picked):
-                raise InputError("--speeds", Unquoted(f"{speed:g}"), _limits(picked))
+                raise InputError("speeds", Unquoted(f"{speed:g}"), _limits(picked))
     kept, left_out, beyond = [], [], []
     for case in picked:
         driven = {speed for speed in singles if force or _is_within(speed, case)}
@@ -521,7 +526,7 @@ def select_cases(cases: str, *, speeds: str | None = None, force: bool = False) 
         else:
             left_out.append(case)
     if not kept:
-        raise InputError("--speeds", speeds, _limits(picked))
+        raise InputError("speeds", speeds, _limits(picked))
     return Selection(cases=tuple(kept), left_out=tuple(left_out), beyond=tuple(beyond))
 
 
@@ -532,7 +537,7 @@ def _read_speeds(text: str) -> tuple[list[float], list[tuple[float, float]]]:
         numbers = [_read_speed(part) for part in ([low, high] if dash else [low])]
         if any(number is None for number in numbers):
             raise InputError(
-                "--speeds",
+                "speeds",
                 word,
                 f"km/h with commas between, such as 20,30 or 20-40, up to {_HIGHEST_KMH:g}",
             )
@@ -540,7 +545,7 @@ def _read_speeds(text: str) -> tuple[list[float], list[tuple[float, float]]]:
         if len(found) == 1:
             singles.append(found[0])
         elif found[0] > found[1]:
-            raise InputError("--speeds", word, "the lower speed first")
+            raise InputError("speeds", word, "the lower speed first")
         else:
             ranges.append((found[0], found[1]))
     return singles, ranges
@@ -562,4 +567,4 @@ def _is_within(speed_kmh: float, case: Case) -> bool:
 def _limits(cases: Sequence[Case]) -> str:
     low = min(case.speed_limits_kmh[0] for case in cases)
     high = max(case.speed_limits_kmh[1] for case in cases)
-    return f"{low:g} to {high:g} km/h as the protocol drives these cases, or --force"
+    return f"{low:g} to {high:g} km/h as the protocol drives these cases, or `force`"

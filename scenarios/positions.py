@@ -90,7 +90,7 @@ def read_along_arms(text: str, where: str) -> tuple[float, ...]:
 
     Examples
     --------
-    >>> read_along_arms("0, 15,30", "--along-arms")
+    >>> read_along_arms("0, 15,30", "along_arms")
     (0.0, 15.0, 30.0)
     """
     rules = load_position_rules()
@@ -140,7 +140,7 @@ def pick_positions(along_arms: str, cases: str) -> tuple[Position, ...]:
     Raises InputError as :func:`read_along_arms`.
     """
     if along_arms.strip():
-        return build_positions(read_along_arms(along_arms, "--along-arms"))
+        return build_positions(read_along_arms(along_arms, "along_arms"))
     return (AT_ZERO,) if is_study_set(cases) else build_positions(load_position_rules().default_m)
 
 
@@ -149,7 +149,7 @@ def read_position(text: str, where: str) -> Position:
 
     Examples
     --------
-    >>> read_position("-15", "--position")
+    >>> read_position("-15", "position")
     Position(is_behind=False, distance_m=15.0)
     """
     sign = text[:1] if text[:1] in ("-", "+") else ""

@@ -185,7 +185,7 @@ def weight_by_rating(runs: Sequence[Run]) -> FloatArray:
         weight[members] = score / max(len(members), 1)
     if not weight.any():
         driven = ", ".join(dict.fromkeys(f"{run.case.name} ({run.weather})" for run in runs))
-        raise InputError("--weights", RATING, f"a run that has points in 2026; driven: {driven}")
+        raise InputError("weights", RATING, f"a run that has points in 2026; driven: {driven}")
     shares: FloatArray = weight / weight.sum()
     return shares
 
@@ -205,7 +205,7 @@ def load_points() -> dict[tuple[tuple[str, ...], str], float]:
         from euroncap_rating_2026.crash_avoidance.data_model import TOTAL_SCORES
     except ModuleNotFoundError:
         raise MissingExtraError(
-            f"--weights {RATING} needs that package: pip install place-rsus[rating]"
+            f"`weights` {RATING} needs that package: pip install place-rsus[rating]"
         ) from None
     where = "rating_2026.toml"
     table = read_table(load_toml(files(__package__) / "data" / where), _Rating, where)
@@ -285,7 +285,7 @@ def weight_by_crash_types(runs: Sequence[Run]) -> FloatArray:
             weight[members] += kind.share * table.injured[kind.vru] * of_type
     if not weight.any():
         driven = ", ".join(dict.fromkeys(run.case.name for run in runs))
-        raise InputError("--weights", CRASH_TYPES, f"a run of a type it has; driven: {driven}")
+        raise InputError("weights", CRASH_TYPES, f"a run of a type it has; driven: {driven}")
     shares: FloatArray = weight / weight.sum()
     return shares
 
@@ -367,7 +367,7 @@ def check_weights(how: str) -> None:
 def _weights_file(how: str) -> Path:
     path = Path(how)
     if not how or not path.exists():
-        raise InputError("--weights", how, f"{', '.join(_BY_WORD)}, or a CSV file that exists")
+        raise InputError("weights", how, f"{', '.join(_BY_WORD)}, or a CSV file that exists")
     return path
 
 

@@ -491,7 +491,7 @@ def _near_things(
     if frame.map_crs and not source.crs:
         why = (
             "the file names no coordinate reference system, and in that of the map with the roads "
-            f"they lie {why}: --crs says in which one they are (EPSG:25832), --offset X,Y moves "
+            f"they lie {why}: name it (such as EPSG:25832), or move "
             "them"
         )
     return near, [Note(what=f"{n_far} things in {source.name}", why=why)]

@@ -186,9 +186,9 @@ def _projected(crs: str) -> str:
     try:
         system = parse_crs(crs)
     except CRSError:
-        raise InputError("--crs", crs, "one that pyproj knows, such as EPSG:25832") from None
+        raise InputError("crs", crs, "one that pyproj knows, such as EPSG:25832") from None
     if not system.is_projected or any(axis.unit_name != "metre" for axis in system.axis_info[:2]):
-        raise InputError("--crs", crs, "a projected one in metres")
+        raise InputError("crs", crs, "a projected one in metres")
     return crs
 
 
@@ -235,9 +235,9 @@ class ImportOptions:
     def __post_init__(self) -> None:
         low, high = _RADIUS_LIMITS_M
         if not low <= self.radius_m <= high:
-            raise InputError("--radius", self.radius_m, f"metres, {low:g} to {high:g}")
+            raise InputError("radius_m", self.radius_m, f"metres, {low:g} to {high:g}")
         if self.junction and self.at is not None:
-            raise InputError("--at", Unquoted("it beside --junction"), "one of them")
+            raise InputError("at", Unquoted("it beside `junction`"), "one of them")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -100,28 +100,28 @@ def _count_near(junctions: Sequence[MapJunction], points_m: FloatArray) -> list[
 SORTS = ("arms", "lanes", "signals", "crossings", "name")
 
 
-def sort_junctions(surveyed: Sequence[Surveyed], by: str) -> tuple[Surveyed, ...]:
+def sort_junctions(surveyed: Sequence[Surveyed], sort: str) -> tuple[Surveyed, ...]:
     """Junctions in another order: the most first, or names by the alphabet.
 
     Parameters
     ----------
     surveyed : sequence of Surveyed
         As :func:`survey_junctions` returns them; equal ones stay in this order.
-    by : str
+    sort : str
         One of ``SORTS``; "arms" is the order that they come in.
 
     Raises
     ------
     InputError
-        `by` is none of them.
+        `sort` is none of them.
     """
-    if by not in SORTS:
-        raise InputError("--sort", by, "one of " + ", ".join(SORTS))
-    if by == "name":
+    if sort not in SORTS:
+        raise InputError("sort", sort, "one of " + ", ".join(SORTS))
+    if sort == "name":
         return tuple(sorted(surveyed, key=lambda one: one.junction.name.casefold()))
-    if by == "arms":
+    if sort == "arms":
         return tuple(surveyed)
-    return tuple(sorted(surveyed, key=lambda one: -int(getattr(one, f"n_{by}"))))
+    return tuple(sorted(surveyed, key=lambda one: -int(getattr(one, f"n_{sort}"))))
 
 
 def choose_junction(
@@ -154,12 +154,12 @@ def choose_junction(
     """
     if not surveyed:
         raise InputError(source.name, Unquoted("no junction"), "a map in which roads meet")
-    where = "--at"
+    where = "at"
     if name:
         place = _LAT_LON.fullmatch(name)
         if place is None or any(one.junction.id == name for one in surveyed):
             return _by_name(surveyed, name)
-        where, at = "--junction", _from_degrees(source, (float(place[2]), float(place[1])), name)
+        where, at = "junction", _from_degrees(source, (float(place[2]), float(place[1])), name)
     if at is None:
         return surveyed[0]
     point = _in_map(source, at)
@@ -197,10 +197,10 @@ def _by_name(surveyed: Sequence[Surveyed], name: str) -> Surveyed:
         if len(matches) == 1:
             return matches[0]
         if matches:
-            raise InputError("--junction", name, f"one of {_listed(matches)}")
+            raise InputError("junction", name, f"one of {_listed(matches)}")
     close = {one: SequenceMatcher(None, wanted, one.casefold()).ratio() for one in _names(surveyed)}
     nearest = sorted(surveyed, key=lambda one: -close[one.junction.name])
-    raise InputError("--junction", name, f"one of {_listed(nearest)}")
+    raise InputError("junction", name, f"one of {_listed(nearest)}")
 
 
 def _names(surveyed: Sequence[Surveyed]) -> set[str]:
@@ -243,7 +243,7 @@ def _from_degrees(
 ) -> tuple[float, float]:
     """A point in the map's own coordinates, as ``at`` has it."""
     if not source.crs:
-        raise InputError("--junction", name, "an id or a name: the map does not say where it lies")
+        raise InputError("junction", name, "an id or a name: the map does not say where it lies")
     x, y = transform(np.array(lon_lat_deg), WGS84, source.source_crs or source.crs)
     return float(x), float(y)
 

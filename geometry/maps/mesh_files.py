@@ -56,13 +56,13 @@ def read_mesh(
         raise InputError(
             where,
             Unquoted(f"a mesh format ({suffix}) that does not say its unit and its up axis"),
-            "--unit and --up, such as --unit m --up z",
+            "`unit` and `up`, such as `unit` m `up` z",
         )
     unit, up = unit or "m", up or "y"
     if unit not in UNITS_M:
-        raise InputError("--unit", unit, "one of " + ", ".join(UNITS_M))
+        raise InputError("unit", unit, "one of " + ", ".join(UNITS_M))
     if up not in UP_AXES:
-        raise InputError("--up", up, "one of " + ", ".join(UP_AXES))
+        raise InputError("up", up, "one of " + ", ".join(UP_AXES))
     parts, left_out = _parts(path, is_gltf)
     axes = UNITS_M[unit] * np.array(UP_AXES[up], dtype=np.float64)
     ids: Counter[str] = Counter()
@@ -213,7 +213,7 @@ def _check_size(things: list[Thing], where: str, unit: str) -> None:
         raise InputError(
             where,
             Unquoted(f"a mesh {size_m:.3g} m across, taken in {unit}"),
-            f"{_MIN_SIZE_M} m to {_MAX_SIZE_M / 1000:.0f} km; another --unit "
+            f"{_MIN_SIZE_M} m to {_MAX_SIZE_M / 1000:.0f} km; another `unit` "
             f"({', '.join(UNITS_M)})",
         )
 
@@ -241,5 +241,5 @@ def _check_roofs(things: list[Thing], where: str, up: str) -> None:
         raise InputError(
             where,
             Unquoted(f"{100 * down_m2 / slanted_m2:.0f} % of the slanted roofs facing down"),
-            f"an upright mesh; is up the other way: --up={other}?",
+            f"an upright mesh; is up the other way: `up`={other}?",
         )

@@ -496,7 +496,7 @@ def _in_crs(feature: Feature, table: Features, crs: str) -> "BaseGeometry":
         raise InputError(
             feature.where,
             Unquoted(f"coordinates in {table.crs[:80] or 'an unknown system'}"),
-            "a map that says where on earth it lies: --crs",
+            "a map that says where on earth it lies: `crs`",
         )
     try:
         declared = horizontal_crs(table.crs)

@@ -243,9 +243,9 @@ def read_elevation(path: Path, *, crs: str, middle_m: FloatArray, half_m: float)
             raise InputError(str(path), Unquoted("something else"), _EXPECTED)
     if not crs:
         raise InputError(
-            "--terrain",
+            "terrain",
             str(path),
-            "a map that says where on earth it lies: --crs says it for one that does not",
+            "a map that says where on earth it lies: `crs` says it for one that does not",
         )
     try:
         with rasterio.Env(**_ALONE), rasterio.open(path, driver="GTiff") as raster:

@@ -250,7 +250,7 @@ def _is_list(where: str) -> bool:
         return False
     if Path(where).suffix.lower() in SUFFIXES:
         return True
-    raise InputError("--sites", where, "auto, map, kerb:SPACING, or a .csv or .geojson file")
+    raise InputError("sites", where, "auto, map, kerb:SPACING, or a .csv or .geojson file")
 
 
 def choose_sites(
@@ -285,7 +285,7 @@ def choose_sites(
     told += dropped
     if not kept:
         raise InputError(
-            "--sites",
+            "sites",
             where,
             f"a site within {radius_m:g} m that stands free ({len(dropped)} do not): kerb:15, or "
             "a list of your own",
@@ -372,7 +372,7 @@ def _masts(
         if poles
         else f"none within {radius_m:g} m"
     )
-    why = f"{where}: masts every {rules.spacing_m:g} m along the kerbs were added (--sites)"
+    why = f"{where}: masts every {rules.spacing_m:g} m along the kerbs were added"
     told = Note(what="poles of the map", why=why)
     return _kerbs(surroundings, rules.spacing_m, radius_m), [told]
 
@@ -469,7 +469,7 @@ def _spacing_m(where: str) -> float:
     except ValueError:
         spacing_m = np.nan
     if not low <= spacing_m <= high:
-        raise InputError("--sites", where, f"kerb:SPACING in metres, {low:g} to {high:g}")
+        raise InputError("sites", where, f"kerb:SPACING in metres, {low:g} to {high:g}")
     return spacing_m
 
 

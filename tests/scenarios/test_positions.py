@@ -385,8 +385,8 @@ def test_all_speeds_are_driven_about_equally_often(default_runs):
 @given(st.sampled_from(["+", "-", ""]), st.floats(0.0, 500.0).map(lambda x: round(x, 2)))
 def test_a_position_is_read_back_by_its_name(sign, metres):
     assume(sign or metres == 0.0)
-    position = read_position(f"{sign}{metres:g}", "--position")
-    assert read_position(position.name, "--position") == position
+    position = read_position(f"{sign}{metres:g}", "position")
+    assert read_position(position.name, "position") == position
     assert (position.name == "0") == (metres == 0.0 and sign != "+")
 
 
@@ -411,16 +411,16 @@ def test_positions_are_sorted_as_the_vut_passes_them():
 )
 def test_distances_that_cannot_be_are_one_line(text, message):
     with pytest.raises(InputError) as caught:
-        read_along_arms(text, "--along-arms")
-    assert str(caught.value).startswith(f"--along-arms: {message}")
+        read_along_arms(text, "along_arms")
+    assert str(caught.value).startswith(f"along_arms: {message}")
 
 
 @pytest.mark.parametrize("text", ["", "15", "+", "-", "+-3", "x", "-nan", "+501", "-15,-30"])
 def test_what_is_no_position_is_told(text):
     with pytest.raises(InputError) as caught:
-        read_position(text, "--position")
+        read_position(text, "position")
     assert str(caught.value).startswith(
-        f"--position: got {text!r}; expected 0, or metres before it such as -15"
+        f"position: got {text!r}; expected 0, or metres before it such as -15"
     )
 
 

@@ -146,7 +146,7 @@ def test_unknown_words_list_the_known_ones(how):
     with pytest.raises(InputError) as caught:
         weigh(DRIVEN, how)
     assert str(caught.value) == (
-        f"--weights: got {how!r}; expected run, case, fhwa-crash-types, euroncap-rating-2026, "
+        f"weights: got {how!r}; expected run, case, fhwa-crash-types, euroncap-rating-2026, "
         "or a CSV file that exists"
     )
 
@@ -286,7 +286,7 @@ def test_runs_without_points_alone_cannot_be_weighed(scores):
     with pytest.raises(InputError) as caught:
         weigh((run("CPNA-25", weather="rain"),), "euroncap-rating-2026")
     assert str(caught.value) == (
-        "--weights: got 'euroncap-rating-2026'; expected a run that has points in 2026; "
+        "weights: got 'euroncap-rating-2026'; expected a run that has points in 2026; "
         "driven: CPNA-25 (rain)"
     )
 
@@ -337,7 +337,7 @@ def test_accident_types_ask_for_a_case_that_they_have():
     with pytest.raises(InputError) as caught:
         weigh((run("CPRA"),), "fhwa-crash-types")
     assert str(caught.value) == (
-        "--weights: got 'fhwa-crash-types'; expected a run of a type it has; driven: CPRA"
+        "weights: got 'fhwa-crash-types'; expected a run of a type it has; driven: CPRA"
     )
 
 
