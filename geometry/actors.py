@@ -123,21 +123,13 @@ class PlacedActor:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MovingActor:
-    """A body that moves on the road, frame by frame.
+    """A body that moves on the road, frame by frame."""
 
-    Attributes
-    ----------
-    actor : Actor
-        The body.
-    position_m : (n_frames, 2) float
-        Middle of the footprint; not a number in frames in which it is not there. World frame. [m]
-    yaw_deg : (n_frames,) float
-        Heading. [deg]
-    """
-
-    actor: Actor
+    actor: Actor  # the body
+    # (n_frames, 2); middle of the footprint; not a number in frames in which it is not there. World
+    # frame.
     position_m: FloatArray
-    yaw_deg: FloatArray
+    yaw_deg: FloatArray  # (n_frames,); heading
 
     def __post_init__(self) -> None:
         position = np.array(self.position_m, dtype=np.float64)
@@ -168,12 +160,8 @@ def load_actors() -> dict[str, Actor]:
 def read_actors(table: Table, source: Traversable) -> dict[str, Actor]:
     """Bodies of a catalogue laid out as ``data/actors.toml``, by name.
 
-    `source` has the shapes that ``geometry.body_shapes`` has built from it.
-
-    Raises
-    ------
-    InputError
-        A field is missing, or the shapes were built from another description.
+    `source` has the shapes that ``geometry.body_shapes`` has built from it. Raises InputError: a
+    field is missing, or the shapes were built from another description.
     """
     try:
         with source.open("rb") as file, np.load(file, allow_pickle=False) as stored:

@@ -43,14 +43,8 @@ _Frame = tuple[FloatArray, FloatArray]
 def build_shapes(entry: Table, where: str) -> tuple[Shape, ...]:
     """Shapes of a body of ``data/actors.toml`` over one cycle of its gait.
 
-    Each stands on the road, and together they fill exactly the body's box.
-
-    Raises
-    ------
-    InputError
-        The description is wrong; `where` names the body.
-    MissingExtraError
-        manifold3d is not installed.
+    Each stands on the road, and together they fill exactly the body's box. Raises InputError: the
+    description is wrong; `where` names the body. MissingExtraError: manifold3d is not installed.
     """
     turns_deg = _take_turns(entry, where)
     n_shapes = _N_SHAPES if turns_deg else 1

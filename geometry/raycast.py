@@ -151,17 +151,14 @@ RAYS = ("auto", EmbreexCaster.name, Open3dCaster.name)
 def caster_name(rays: str = "auto", *, where: str = "rays") -> str:
     """Name of the library that casts rays.
 
+    Raises InputError: the name is unknown, or the library cannot load; the message says why.
+
     Parameters
     ----------
     rays : str
         One of ``RAYS``. By "auto" it is "embree", or "open3d" where embreex cannot load.
     where : str
         What asked for it, for error messages.
-
-    Raises
-    ------
-    InputError
-        The name is unknown, or the library cannot load; the message says why.
     """
     if rays not in RAYS:
         raise InputError(where, rays, "one of " + ", ".join(RAYS))
@@ -200,6 +197,9 @@ def build_caster(
 ) -> RayCaster:
     """Prepare triangles for rays, which may be cast from any thread.
 
+    Raises InputError: a vertex is not finite, a triangle points outside the vertices, or the
+    library cannot load.
+
     Parameters
     ----------
     vertices_m : (n, 3) float
@@ -208,11 +208,6 @@ def build_caster(
         Vertex indices; none at all is allowed.
     library : str, optional
         One of ``RAYS``; by default "auto".
-
-    Raises
-    ------
-    InputError
-        A vertex is not finite, a triangle points outside the vertices, or the library cannot load.
     """
     return CASTERS[caster_name(library or "auto", where="library")](vertices_m, triangles)
 

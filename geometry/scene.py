@@ -103,23 +103,12 @@ class Instance:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LeadingRoad:
-    """A road of the map that leads to a junction, counted without looking at its lanes' lines.
+    """A road of the map that leads to a junction, counted without looking at its lanes' lines."""
 
-    Attributes
-    ----------
-    name : str
-        Of the street, or else the id that the map gives it.
-    point_m : (2,) float
-        Where it meets the junction's outline, or a little farther out. [m]
-    direction : (2,) float
-        Unit vector away from the junction.
-    lanes_in, lanes_out : int
-        Driving lanes into the junction and out of it, by the map's own words.
-    """
-
-    name: str
-    point_m: Point2
-    direction: Point2
+    name: str  # of the street, or else the id that the map gives it
+    point_m: Point2  # (2,); where it meets the junction's outline, or a little farther out
+    direction: Point2  # (2,); unit vector away from the junction
+    # driving lanes into the junction and out of it, by the map's own words
     lanes_in: int
     lanes_out: int
 
@@ -236,31 +225,18 @@ Turn = Literal["left", "through", "right", "reverse"]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Lane:
-    """One lane of an arm.
+    """One lane of an arm."""
 
-    Attributes
-    ----------
-    id : str
-        Name in the source.
-    kind : str
-        "driving", "parking", "cycling"; "connecting": through a junction, from the end of one lane
-        to the begin of another; or "assumed": straight on from beyond the map to the begin of one.
-    width_m : float
-        Full width. [m]
-    centreline_m : (n, 2) float
-        In driving direction. World frame. [m]
-    speed_limit_kmh : float, optional
-        Where it leads into the junction; None: unknown, or there is none. [km/h]
-    turns : tuple of str
-        Where cars may drive from its end, by its markings: "left", "through", "right", "reverse";
-        empty: it bears none.
-    """
-
-    id: str
+    id: str  # name in the source
+    # "driving", "parking", "cycling"; "connecting": through a junction, from the end of one lane to
+    # the begin of another; or "assumed": straight on from beyond the map to the begin of one
     kind: Annotated[str, Meta(min_length=1)]
-    width_m: Annotated[float, Meta(gt=0.0)]
-    centreline_m: Points2
+    width_m: Annotated[float, Meta(gt=0.0)]  # full width
+    centreline_m: Points2  # (n, 2); in driving direction. World frame.
+    # where it leads into the junction; None: unknown, or there is none
     speed_limit_kmh: Annotated[float, Meta(gt=0.0)] | None = None
+    # where cars may drive from its end, by its markings: "left", "through", "right", "reverse";
+    # empty: it bears none
     turns: tuple[Turn, ...] = ()
 
     def __post_init__(self) -> None:

@@ -109,11 +109,8 @@ class CameraModel:
 def with_fov(camera: CameraModel, fov_deg: float, where: str) -> CameraModel:
     """A camera with its varifocal lens set to another horizontal field of view.
 
-    Raises
-    ------
-    InputError
-        The lens is fixed at another field of view, or does not reach this one; `where` says what
-        asks for it.
+    Raises InputError: the lens is fixed at another field of view, or does not reach this one;
+    `where` says what asks for it.
     """
     if fov_deg == camera.horizontal_fov_deg:
         return camera

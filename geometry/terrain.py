@@ -28,18 +28,12 @@ _MAX_CELLS = 150  # along each side
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Terrain:
-    """Heights of the ground on a grid.
+    """Heights of the ground on a grid."""
 
-    Attributes
-    ----------
-    east_m, north_m : (n_columns,), (n_rows,) float
-        Lines of the grid, in rising order. World frame. [m]
-    height_m : (n_rows, n_columns) float
-        Of its nodes; the ground between them is two triangles per cell. [m]
-    """
-
+    # (n_columns,), (n_rows,); lines of the grid, in rising order. World frame.
     east_m: FloatArray
     north_m: FloatArray
+    # (n_rows, n_columns); of its nodes; the ground between them is two triangles per cell
     height_m: FloatArray
 
     def __post_init__(self) -> None:
@@ -125,10 +119,7 @@ def _cell(lines_m: FloatArray, values_m: FloatArray) -> tuple[NDArray[np.int64],
 def terrain_of(scene: Scene) -> Terrain | None:
     """The terrain of a scene, from the mesh of its ground; None where that is the plane z = 0.
 
-    Raises
-    ------
-    InputError
-        The ground is neither flat nor a grid.
+    Raises InputError: the ground is neither flat nor a grid.
     """
     index = [number for number, one in enumerate(scene.instances) if one.class_name == GROUND]
     used = np.unique(scene.triangles[np.isin(scene.triangle_instance, index)])

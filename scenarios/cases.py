@@ -22,50 +22,27 @@ ALL_SPEEDS = "all"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VruLine:
-    """On which line of the junction the VRU moves.
+    """On which line of the junction the VRU moves."""
 
-    Attributes
-    ----------
-    along : str
-        "crosswalk", "lane" (of the arm it comes from) or "kerb" (of the VUT's approach road).
-    lane : str
-        "outer" (at the kerb) or "inner"; empty unless along a lane.
-    left_m : float
-        To the left of the lane's middle; along a kerb: outside it, negative on the road. [m]
-    """
-
+    # "crosswalk", "lane" (of the arm it comes from) or "kerb" (of the VUT's approach road)
     along: str
-    lane: str = ""
+    lane: str = ""  # "outer" (at the kerb) or "inner"; empty unless along a lane
+    # to the left of the lane's middle; along a kerb: outside it, negative on the road
     left_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Obstruction:
-    """Parked bodies, or a wall, that belong to a case.
+    """Parked bodies, or a wall, that belong to a case."""
 
-    Attributes
-    ----------
-    kind : str
-        "beside-vut", "beside-vru" or "wall".
-    bodies : tuple of Actor
-        From the one nearest to the meeting point; none for a wall.
-    first_gap_m : float
-        From the first body to the VRU's flank (beside-vut), or from the VUT's centreline to the
-        first body or the wall. [m]
-    between_gap_m : float
-        From bumper to bumper. [m]
-    side_gap_m : float
-        To the side of the VUT, or to that of the VRU's box. [m]
-    wall_size_m : tuple of float
-        Length, thickness, height of the wall; empty without one. [m]
-    """
-
-    kind: str
-    bodies: tuple[Actor, ...]
+    kind: str  # "beside-vut", "beside-vru" or "wall"
+    bodies: tuple[Actor, ...]  # from the one nearest to the meeting point; none for a wall
+    # from the first body to the VRU's flank (beside-vut), or from the VUT's centreline to the first
+    # body or the wall
     first_gap_m: float
-    between_gap_m: float
-    side_gap_m: float
-    wall_size_m: tuple[float, ...]
+    between_gap_m: float  # from bumper to bumper
+    side_gap_m: float  # to the side of the VUT, or to that of the VRU's box
+    wall_size_m: tuple[float, ...]  # length, thickness, height of the wall; empty without one
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -472,21 +449,12 @@ def pick_cases(text: str, where: str) -> tuple[Case, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Selection:
-    """Cases to drive.
+    """Cases to drive."""
 
-    Attributes
-    ----------
-    cases : tuple of Case
-        Each with the speeds to be driven.
-    left_out : tuple of Case
-        Cases none of whose speeds were asked for; with the speeds that they have.
-    beyond : tuple of str
-        "case: speeds" outside of what the protocol drives, which were forced.
-    """
-
-    cases: tuple[Case, ...]
+    cases: tuple[Case, ...]  # each with the speeds to be driven
+    # cases none of whose speeds were asked for; with the speeds that they have
     left_out: tuple[Case, ...]
-    beyond: tuple[str, ...]
+    beyond: tuple[str, ...]  # "case: speeds" outside of what the protocol drives, which were forced
 
 
 def select_cases(cases: str, *, speeds: str | None = None, force: bool = False) -> Selection:
@@ -494,12 +462,8 @@ def select_cases(cases: str, *, speeds: str | None = None, force: bool = False) 
 
     `cases` is as for :func:`pick_cases`; `speeds` are km/h with commas between, or ranges: "20-40"
     is every speed of the case in it; "all" or None: every one. `force` drives speeds that the
-    protocol does not.
-
-    Raises
-    ------
-    InputError
-        A name or a speed cannot be read, or a speed lies outside of every case.
+    protocol does not. Raises InputError: a name or a speed cannot be read, or a speed lies outside
+    of every case.
 
     Examples
     --------

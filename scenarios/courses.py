@@ -37,25 +37,13 @@ class Course:
     """A smooth line on the road, and straight on beyond both its ends.
 
     Stations are metres along it from its origin: the mouth of the lane that it follows.
-
-    Attributes
-    ----------
-    begin_m : float
-        Station of the first point. [m]
-    points_m : (n, 2) float
-        Every centimetre. World frame. [m]
-    yaw_rad : (n,) float
-        Direction there, without jumps by full turns. [rad]
-    max_bend_per_m : float
-        Largest curvature. [1/m]
-    max_bend_change_per_m2 : float
-        Most that the curvature changes in a metre; infinite where it jumps. [1/m^2]
     """
 
-    begin_m: float
-    points_m: FloatArray
-    yaw_rad: FloatArray
-    max_bend_per_m: float
+    begin_m: float  # station of the first point
+    points_m: FloatArray  # (n, 2); every centimetre. World frame.
+    yaw_rad: FloatArray  # (n,); direction there, without jumps by full turns
+    max_bend_per_m: float  # largest curvature
+    # most that the curvature changes in a metre; infinite where it jumps
     max_bend_change_per_m2: float
 
     @property
@@ -90,12 +78,8 @@ class Course:
     def beside(self, left_m: float) -> "Course":
         """The line that runs some metres to the left of it.
 
-        Its origin is beside this one's.
-
-        Raises
-        ------
-        InputError
-            It bends more sharply than that, so that no line runs there.
+        Its origin is beside this one's. Raises InputError: it bends more sharply than that, so that
+        no line runs there.
         """
         if left_m == 0.0:
             return self
@@ -149,17 +133,14 @@ class Course:
 def follow_lane(centreline_m: FloatArray, *, is_in: bool) -> Course:
     """The smooth course along a lane.
 
+    Raises InputError: the line has no length.
+
     Parameters
     ----------
     centreline_m : (n, 2) float
         Points of the lane in driving direction. World frame. [m]
     is_in : bool
         It leads into the junction: its mouth, the origin of stations, is its end. Else its begin.
-
-    Raises
-    ------
-    InputError
-        The line has no length.
 
     Notes
     -----
@@ -313,27 +294,15 @@ _ANGLE_TOLERANCE_DEG = 1.0e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Turn:
-    """A curve between two straights, the same from both ends.
+    """A curve between two straights, the same from both ends."""
 
-    Attributes
-    ----------
-    first_radius_m : float
-        Where the curve begins and ends; infinite: as straight as what comes before. [m]
-    radius_m : float
-        Of the arc in the middle; smaller than the first. [m]
-    clothoid_deg : float
-        By how much each clothoid turns: its curvature grows linearly with its length. [deg]
-    arc_deg : float
-        By how much the arc turns. [deg]
-    side : int
-        ``LEFT`` = +1, ``RIGHT`` = -1.
-    """
-
+    # where the curve begins and ends; infinite: as straight as what comes before
     first_radius_m: float
-    radius_m: float
+    radius_m: float  # of the arc in the middle; smaller than the first
+    # by how much each clothoid turns: its curvature grows linearly with its length
     clothoid_deg: float
-    arc_deg: float
-    side: int
+    arc_deg: float  # by how much the arc turns
+    side: int  # ``LEFT`` = +1, ``RIGHT`` = -1
 
     def __post_init__(self) -> None:
         if not 0.0 < self.radius_m < np.inf:
@@ -406,12 +375,8 @@ class Turn:
     def turned_by(self, angle_deg: float) -> "Turn":
         """The same turn with another arc, for lanes that meet at another angle.
 
-        Where the clothoids alone would turn further, they are shorter and there is no arc.
-
-        Raises
-        ------
-        InputError
-            The angle is not between 0 and 180 degrees.
+        Where the clothoids alone would turn further, they are shorter and there is no arc. Raises
+        InputError: the angle is not between 0 and 180 degrees.
         """
         if not 0.0 < angle_deg < 180.0:
             raise InputError("angle_deg", angle_deg, "0 < degrees < 180")
@@ -488,12 +453,8 @@ def pick_turn(side: str, speed_kmh: float) -> Turn:
     """Turn to a side, "far" (left) or "near" (right), on which the VUT drives at a speed.
 
     Faster than all tabulated speeds: that of the fastest, as the protocol rules for 25 km/h; slower
-    than all: that of the slowest.
-
-    Raises
-    ------
-    InputError
-        The side is unknown, the speed not positive, or between two tabulated ones.
+    than all: that of the slowest. Raises InputError: the side is unknown, the speed not positive,
+    or between two tabulated ones.
     """
     sign = pick(_SIDES, side, "turn")
     by_speed = {
@@ -517,12 +478,8 @@ def join_by_turn(entry: Course, exit_course: Course, turn: Turn) -> tuple[Course
     """The course along a lane, round a turn into another lane, and along that one.
 
     Its origin is where the turn begins. The turn has the arc that the lanes' directions at its ends
-    ask for, and is returned with it; it begins and ends on the lanes, wherever these bend.
-
-    Raises
-    ------
-    InputError
-        The lanes do not lie so that the turn joins them.
+    ask for, and is returned with it; it begins and ends on the lanes, wherever these bend. Raises
+    InputError: the lanes do not lie so that the turn joins them.
     """
     begin_m = end_m = 0.0
     for _ in range(_MAX_STEPS):

@@ -36,13 +36,8 @@ def make_room(staging: Staging, scene: Scene) -> Staging:
     not on islands between them either, unless the map has a parking lane there. Where the
     protocol's place is not free they are moved, as little as possible: aside, away from whom they
     stand beside, and back, away from where the ways cross; how far, ``data/laying.toml`` says.
-
-    Raises
-    ------
-    CannotCarryError
-        A body has no room; names it and what stands there.
-    NoKerbError
-        Lanes or the junction cover all places of the parked bodies.
+    Raises CannotCarryError: a body has no room; names it and what stands there. NoKerbError: lanes
+    or the junction cover all places of the parked bodies.
 
     Notes
     -----

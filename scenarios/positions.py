@@ -83,10 +83,8 @@ def is_study_set(cases: str) -> bool:
 def read_along_arms(text: str, where: str) -> tuple[float, ...]:
     """Distances along the arms, in metres, by the words of a user.
 
-    Raises
-    ------
-    InputError
-        A word is no distance, or one is given twice; there is none, or there are too many.
+    Raises InputError: a word is no distance, or one is given twice; there is none, or there are too
+    many.
 
     Examples
     --------

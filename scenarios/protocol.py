@@ -77,16 +77,8 @@ def stage_by_protocol(
     At other positions all of this lies so far along the VUT's way, before or behind: on the lane by
     which it comes, or on the one straight ahead by which it leaves. Behind the junction it drives
     along the connecting lane, or straight where the lanes are in line, else on a smooth line from
-    one into the other.
-
-    Raises
-    ------
-    CannotCarryError
-        The lanes do not allow it; the text says why.
-    NoRoadError
-        The road that the case needs does not exist.
-    InputError
-        There is no such arm.
+    one into the other. Raises CannotCarryError: the lanes do not allow it; the text says why.
+    NoRoadError: the road that the case needs does not exist. InputError: there is no such arm.
     """
     if approach not in junction.arms:
         raise InputError("approach", approach, "one of " + ", ".join(junction.arms))

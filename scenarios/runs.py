@@ -228,23 +228,16 @@ def live_confirmation_times_s(detected: BoolArray, axis: FrameAxis, *, rule: Aeb
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Onsets:
-    """From messages to braking, (n_runs,) each.
+    """From messages to braking, (n_runs,) each."""
 
-    Attributes
-    ----------
-    confirmation_s : (n_runs,) float
-        When the track for which the VUT brakes was confirmed. Where no track is alive at the last
-        moment: when one is confirmed too late, or else the first that was lost again; infinite if
-        none is ever confirmed. [s]
-    onset_s : (n_runs,) float
-        When the VUT knows of that confirmation, so that braking may set in; infinite if no track is
-        confirmed, or the only ones were lost before the last moment. [s]
-    is_in_time : (n_runs,) bool
-        A confirmed track is alive at the last moment, and its messages have arrived.
-    """
-
+    # (n_runs,); when the track for which the VUT brakes was confirmed. Where no track is alive at
+    # the last moment: when one is confirmed too late, or else the first that was lost again;
+    # infinite if none is ever confirmed.
     confirmation_s: FloatArray
+    # (n_runs,); when the VUT knows of that confirmation, so that braking may set in; infinite if no
+    # track is confirmed, or the only ones were lost before the last moment
     onset_s: FloatArray
+    # (n_runs,); a confirmed track is alive at the last moment, and its messages have arrived
     is_in_time: BoolArray
 
 

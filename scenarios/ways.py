@@ -59,10 +59,7 @@ class Way(Protocol):
     def crossing(self, line: Line) -> tuple[float, FloatArray]:
         """Station and point (2,) at which it crosses a straight line, nearest to the mouth.
 
-        Raises
-        ------
-        CannotCarryError
-            It does not.
+        Raises CannotCarryError: it does not.
         """
         ...
 
@@ -231,22 +228,13 @@ def lane_way(lane: Lane, *, is_in: bool, length_m: float, max_bend_m: float) -> 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WayAcross:
-    """The way along a lane, through the junction, and along a lane by which it is left.
+    """The way along a lane, through the junction, and along a lane by which it is left."""
 
-    Attributes
-    ----------
-    way : Way
-        Its stations count from the mouth of the lane that leads out.
-    entry, leaving : Lane
-        The lanes.
-    begin_m : float
-        Station at which the first lane begins. [m]
-    """
-
-    way: Way
+    way: Way  # its stations count from the mouth of the lane that leads out
+    # the lanes
     entry: Lane
     leaving: Lane
-    begin_m: float
+    begin_m: float  # station at which the first lane begins
 
 
 def way_across(
@@ -262,12 +250,8 @@ def way_across(
     Straight, where all its lanes stay within `max_bend_m` of the first one's line; else along the
     lanes' bends, and between them on the junction's own lane `connection`, or, where the map has
     none, on a cubic curve with the lanes' directions at its ends. With `free_m` it is the gentlest
-    that leaves the lanes' middles by no more, and such a curve by no more than a metre.
-
-    Raises
-    ------
-    CannotCarryError
-        The lane out of the junction does not lie ahead.
+    that leaves the lanes' middles by no more, and such a curve by no more than a metre. Raises
+    CannotCarryError: the lane out of the junction does not lie ahead.
     """
     chains = [entry.centreline_m, leaving.centreline_m]
     if connection is not None:
@@ -321,10 +305,7 @@ def reversed_way(way: Way) -> Way:
 def meeting_m(one: Way, other: Way) -> tuple[float, float]:
     """Stations of two ways at which they cross nearest to their origins.
 
-    Raises
-    ------
-    CannotCarryError
-        They do not.
+    Raises CannotCarryError: they do not.
     """
     station = other_station = 0.0
     for _ in range(_MAX_STEPS):
@@ -404,12 +385,8 @@ def joints(junction: Junction, arm: Arm, target: Arm, movement: Movement) -> lis
 
     From the kerb, to the left from the axis. Where the map has lanes through the junction, those
     that it joins. Else lanes that are marked for the movement, or without any those that bear no
-    marking; straight on the exit lane that is most in line comes first.
-
-    Raises
-    ------
-    NoRoadError
-        No lane leads there, by the lanes through the junction or by the markings.
+    marking; straight on the exit lane that is most in line comes first. Raises NoRoadError: no lane
+    leads there, by the lanes through the junction or by the markings.
     """
     step = -1 if movement == "left" else 1
     before, after = arm.entry_lanes[::step], target.exit_lanes[::step]

@@ -37,15 +37,10 @@ def weight_from_csv(path: Path, runs: Sequence[Run]) -> FloatArray:
 
     The file is UTF-8, separated by commas or semicolons, with columns case, approach, weight, and
     if wanted position and weather; "*" or nothing in approach, position or weather stands for all,
-    and a position without sign, but for 0, lies behind the junction.
-    The weight of a row is shared equally by the runs that it names; what no row names weighs
-    nothing. The weights sum to 1.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, a column is missing, a row names no run, or a run again, or its
-        weight is not a number >= 0; all weights are 0.
+    and a position without sign, but for 0, lies behind the junction. The weight of a row is shared
+    equally by the runs that it names; what no row names weighs nothing. The weights sum to 1.
+    Raises InputError: the file cannot be read, a column is missing, a row names no run, or a run
+    again, or its weight is not a number >= 0; all weights are 0.
     """
     weight = np.zeros(len(runs))
     named = np.zeros(len(runs), dtype=np.int64)  # by which line
@@ -165,14 +160,8 @@ def weight_by_rating(runs: Sequence[Run]) -> FloatArray:
 
     The points that a score can earn at most (standard and extended range, robustness) are shared
     equally by the runs that belong to it; those of scores without runs do not count. Runs without a
-    score, such as all in the rain, weigh nothing. The weights sum to 1.
-
-    Raises
-    ------
-    MissingExtraError
-        The package is not installed.
-    InputError
-        No run has points.
+    score, such as all in the rain, weigh nothing. The weights sum to 1. Raises MissingExtraError:
+    the package is not installed. InputError: no run has points.
     """
     points = load_points()
     weight = np.zeros(len(runs))
@@ -194,12 +183,8 @@ def weight_by_rating(runs: Sequence[Run]) -> FloatArray:
 def load_points() -> dict[tuple[tuple[str, ...], str], float]:
     """Points by cases (what our names begin with) and weather, from the installed package.
 
-    Raises
-    ------
-    MissingExtraError
-        The package is not installed.
-    InputError
-        The package does not know a score any more.
+    Raises MissingExtraError: the package is not installed. InputError: the package does not know a
+    score any more.
     """
     try:
         from euroncap_rating_2026.crash_avoidance.data_model import TOTAL_SCORES
@@ -264,12 +249,7 @@ def weight_by_crash_types(runs: Sequence[Run]) -> FloatArray:
     A type's share is that of its road users' accidents, times how many of them are injured. It is
     shared by the cases that stand for it, near the junction or away from it, as
     :func:`weight_per_case` does. Types without runs do not count, nor do runs without a type. The
-    weights sum to 1.
-
-    Raises
-    ------
-    InputError
-        No run is of any of the types.
+    weights sum to 1. Raises InputError: no run is of any of the types.
     """
     table = load_crash_types()
     weight = np.zeros(len(runs))

@@ -35,37 +35,25 @@ SUFFIXES = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReadingOptions:
-    """Answers to questions that map files leave open.
+    """Answers to questions that map files leave open."""
 
-    Attributes
-    ----------
-    unit, up : str, optional
-        Unit and up axis of meshes, see :func:`geometry.maps.mesh_files.read_mesh`.
-    class_name : str
-        Class of meshes, point clouds and footprints that do not state theirs.
-    keeps_left : bool, optional
-        Whether traffic keeps left; by default what the map says.
-    crs : str
-        Coordinate reference system of files that do not name one; empty: none.
-    layer : str
-        Layer of a GeoPackage that has several; empty: the only one.
-    offset_m : (2,) float, optional
-        Shift of everything without roads: buildings, meshes, point clouds. These are then taken to
-        lie in the coordinates of the map with the junction, whatever reference system they name.
-        [m]
-    """
-
+    # unit and up axis of meshes, see :func:`geometry.maps.mesh_files.read_mesh`
     unit: str | None = None
     up: str | None = None
+    # class of meshes, point clouds and footprints that do not state theirs
     class_name: str = "building"
-    keeps_left: bool | None = None
-    crs: str = ""
-    layer: str = ""
+    keeps_left: bool | None = None  # whether traffic keeps left; by default what the map says
+    crs: str = ""  # coordinate reference system of files that do not name one; empty: none
+    layer: str = ""  # layer of a GeoPackage that has several; empty: the only one
+    # (2,); shift of everything without roads: buildings, meshes, point clouds. These are then taken
+    # to lie in the coordinates of the map with the junction, whatever reference system they name.
     offset_m: tuple[float, float] | None = None
 
 
 def read_map(path: Path, options: ReadingOptions | None = None) -> SourceMap:
     """Read a map file of any known format.
+
+    Raises InputError: the file does not exist, is of no known format, or is damaged.
 
     Parameters
     ----------
@@ -73,11 +61,6 @@ def read_map(path: Path, options: ReadingOptions | None = None) -> SourceMap:
         The suffix gives the format; .json, .gml and .xml are told apart by content, .zip is opened.
     options : ReadingOptions, optional
         Answers to what the file leaves open.
-
-    Raises
-    ------
-    InputError
-        The file does not exist, is of no known format, or is damaged.
     """
     options = options or ReadingOptions()
     crs = _projected(options.crs) if options.crs else ""
@@ -199,37 +182,21 @@ _RADIUS_LIMITS_M = (20.0, 500.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImportOptions:
-    """Which part of the maps becomes the scene.
+    """Which part of the maps becomes the scene."""
 
-    Attributes
-    ----------
-    junction : str
-        Name or id, see :func:`geometry.maps.junctions.choose_junction`.
-    at : (float, float), optional
-        A point near the junction instead of its name.
-    radius_m : float
-        Radius around the middle of the junction within which things are kept. [m]
-    sites : str
-        "auto", "map", "kerb:SPACING", or a CSV or GeoJSON file, see
-        :func:`geometry.maps.sites.choose_sites`.
-    ground_m : float, optional
-        Height of the road, see :func:`geometry.maps.cut.cut_out`. [m]
-    terrain : Path, optional
-        Raster with the heights of the ground, see :func:`geometry.maps.relief.read_elevation`;
-        by default heights are those of the maps.
-    name : str
-        Name of the scene; empty: after the file and the junction.
-    reading : ReadingOptions
-        Answers to what the files leave open.
-    """
-
-    junction: str = ""
-    at: tuple[float, float] | None = None
+    junction: str = ""  # name or id, see :func:`geometry.maps.junctions.choose_junction`
+    at: tuple[float, float] | None = None  # a point near the junction instead of its name
+    # radius around the middle of the junction within which things are kept
     radius_m: float = DEFAULT_RADIUS_M
+    # "auto", "map", "kerb:SPACING", or a CSV or GeoJSON file, see
+    # :func:`geometry.maps.sites.choose_sites`
     sites: str = "auto"
-    ground_m: float | None = None
+    ground_m: float | None = None  # height of the road, see :func:`geometry.maps.cut.cut_out`
+    # raster with the heights of the ground, see :func:`geometry.maps.relief.read_elevation`; by
+    # default heights are those of the maps
     terrain: Path | None = None
-    name: str = ""
+    name: str = ""  # name of the scene; empty: after the file and the junction
+    # answers to what the files leave open
     reading: ReadingOptions = field(default_factory=ReadingOptions)
 
     def __post_init__(self) -> None:
@@ -242,30 +209,20 @@ class ImportOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImportedScene:
-    """A scene and how it was made.
+    """A scene and how it was made."""
 
-    Attributes
-    ----------
-    scene : Scene
-        The part that was cut out.
-    junctions : tuple of Surveyed
-        All junctions of the map, the largest first.
-    chosen : Surveyed
-        The junction of the scene.
-    sources : tuple of str
-        Names of the files.
-    """
-
-    scene: Scene
-    junctions: tuple[Surveyed, ...]
-    chosen: Surveyed
-    sources: tuple[str, ...]
+    scene: Scene  # the part that was cut out
+    junctions: tuple[Surveyed, ...]  # all junctions of the map, the largest first
+    chosen: Surveyed  # the junction of the scene
+    sources: tuple[str, ...]  # names of the files
 
 
 def read_maps(
     paths: Sequence[Path], reading: ReadingOptions
 ) -> tuple[list[SourceMap], tuple[Surveyed, ...]]:
     """Read map files and list the junctions of the one with roads.
+
+    Raises InputError: a file cannot be read, or none or several have roads.
 
     Parameters
     ----------
@@ -280,11 +237,6 @@ def read_maps(
         The map with the roads first, then the others in the given order.
     junctions : tuple of Surveyed
         See :func:`geometry.maps.junctions.survey_junctions`.
-
-    Raises
-    ------
-    InputError
-        A file cannot be read, or none or several have roads.
     """
     if not paths:
         raise InputError("FILE", Unquoted("nothing"), "a map: OpenDRIVE or OpenStreetMap")
@@ -301,6 +253,9 @@ def read_maps(
 def import_scene(paths: Sequence[Path], options: ImportOptions) -> ImportedScene:
     """Make a scene from map files.
 
+    Raises InputError: a file cannot be read, there is no such junction, no lane leads into it, or
+    there is no place for a sensor.
+
     Parameters
     ----------
     paths : sequence of Path
@@ -312,12 +267,6 @@ def import_scene(paths: Sequence[Path], options: ImportOptions) -> ImportedScene
     -------
     imported : ImportedScene
         At least one arm leads into its junction, and it has at least one site.
-
-    Raises
-    ------
-    InputError
-        A file cannot be read, there is no such junction, no lane leads into it, or there is no
-        place for a sensor.
     """
     maps, junctions = read_maps(paths, options.reading)
     chosen = choose_junction(maps[0], junctions, name=options.junction, at=options.at)
@@ -336,6 +285,8 @@ def import_scene(paths: Sequence[Path], options: ImportOptions) -> ImportedScene
 def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOptions) -> ImportedScene:
     """Make a scene of one junction of maps that are read already.
 
+    Raises InputError: no lane leads into the junction, or there is no place for a sensor.
+
     Parameters
     ----------
     maps : sequence of SourceMap
@@ -349,11 +300,6 @@ def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOption
     -------
     imported : ImportedScene
         Of the junctions of the map, it knows the chosen one.
-
-    Raises
-    ------
-    InputError
-        No lane leads into the junction, or there is no place for a sensor.
     """
     roads = maps[0]
     if not chosen.n_driven:

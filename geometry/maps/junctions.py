@@ -24,33 +24,16 @@ _BESIDE_M = 15.0  # from the outline: signals and crosswalks of the arms
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Surveyed:
-    """A junction of a map and the lanes that lead to it.
+    """A junction of a map and the lanes that lead to it."""
 
-    Attributes
-    ----------
-    junction : MapJunction
-        The junction itself.
-    arms : tuple of str
-        Names of its arms; empty if no lane ends at its outline.
-    n_lanes : int
-        Driving lanes into it and out of it.
-    n_driven : int
-        Arms from which a driving lane leads into it.
-    n_signals : int
-        Poles with traffic lights inside it, or at most 15 m from its outline.
-    n_crossings : int
-        Crosswalks whose middle lies inside it, or at most 15 m from its outline.
-    position : (2,) float
-        Its middle in the file's coordinate reference system: longitude and latitude, or metres.
-    """
-
-    junction: MapJunction
-    arms: tuple[str, ...]
-    n_lanes: int
-    n_driven: int
+    junction: MapJunction  # the junction itself
+    arms: tuple[str, ...]  # names of its arms; empty if no lane ends at its outline
+    n_lanes: int  # driving lanes into it and out of it
+    n_driven: int  # arms from which a driving lane leads into it
+    # (2,); its middle in the file's coordinate reference system: longitude and latitude, or metres
     position: FloatArray
-    n_signals: int = 0
-    n_crossings: int = 0
+    n_signals: int = 0  # poles with traffic lights inside it, or at most 15 m from its outline
+    n_crossings: int = 0  # crosswalks whose middle lies inside it, or at most 15 m from its outline
 
 
 def survey_junctions(source: SourceMap) -> tuple[Surveyed, ...]:
@@ -103,17 +86,14 @@ SORTS = ("arms", "lanes", "signals", "crossings", "name")
 def sort_junctions(surveyed: Sequence[Surveyed], sort: str) -> tuple[Surveyed, ...]:
     """Junctions in another order: the most first, or names by the alphabet.
 
+    Raises InputError: `sort` is none of them.
+
     Parameters
     ----------
     surveyed : sequence of Surveyed
         As :func:`survey_junctions` returns them; equal ones stay in this order.
     sort : str
         One of ``SORTS``; "arms" is the order that they come in.
-
-    Raises
-    ------
-    InputError
-        `sort` is none of them.
     """
     if sort not in SORTS:
         raise InputError("sort", sort, "one of " + ", ".join(SORTS))
@@ -133,6 +113,8 @@ def choose_junction(
 ) -> Surveyed:
     """Choose a junction by name or point; by default the first.
 
+    Raises InputError: the map has no junction, or none or several match.
+
     Parameters
     ----------
     source : SourceMap
@@ -146,11 +128,6 @@ def choose_junction(
     at : (float, float), optional
         A point within 100 m, in the file's coordinate reference system: longitude and latitude, or
         metres.
-
-    Raises
-    ------
-    InputError
-        The map has no junction, or none or several match.
     """
     if not surveyed:
         raise InputError(source.name, Unquoted("no junction"), "a map in which roads meet")

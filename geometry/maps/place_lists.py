@@ -367,24 +367,13 @@ class Area:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Counts:
-    """Counts at places, or by junction.
+    """Counts at places, or by junction."""
 
-    Attributes
-    ----------
-    positions_m : (n, 2) float or None
-        In the coordinates of the map; None: `junctions` are named.
-    junctions : tuple of str
-        Id or name of the junction of each; empty: places are given.
-    values : (n,) float
-        At least 0.
-    column : str
-        Where the values stand; empty: each place counts 1.
-    """
-
+    # (n, 2); in the coordinates of the map; None: `junctions` are named
     positions_m: FloatArray | None
-    junctions: tuple[str, ...]
-    values: FloatArray
-    column: str
+    junctions: tuple[str, ...]  # id or name of the junction of each; empty: places are given
+    values: FloatArray  # (n,); at least 0
+    column: str  # where the values stand; empty: each place counts 1
 
 
 def read_areas(path: Path, *, crs: str) -> tuple[Area, ...]:
@@ -412,6 +401,9 @@ def read_areas(path: Path, *, crs: str) -> tuple[Area, ...]:
 def read_counts(path: Path, *, crs: str, column: str = "") -> Counts:
     """Read counts: CSV with x and y, lat and lon, or junction; or points of a GIS file.
 
+    Raises InputError: the file cannot be read; there is no such column, or no place; a count is no
+    number of at least 0.
+
     Parameters
     ----------
     path : Path
@@ -421,12 +413,6 @@ def read_counts(path: Path, *, crs: str, column: str = "") -> Counts:
     column : str
         Of the counts; empty: "weight", "count" or the like, and where there is none, each place
         counts 1.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read; there is no such column, or no place; a count is no number of at
-        least 0.
     """
     if path.suffix.lower() == ".csv":
         rows = list(read_csv_rows(path))

@@ -35,28 +35,15 @@ class Elevation:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Relief:
-    """The ground around a junction: its middle is at z = 0.
+    """The ground around a junction: its middle is at z = 0."""
 
-    Attributes
-    ----------
-    terrain : Terrain or None
-        None: the plane z = 0.
-    zero_m : float
-        Height of the middle of the junction as `source` counts heights. [m]
-    source : str
-        What told the heights; empty: nothing.
-    roads_m : Terrain or None
-        Ground of the map with the roads, as that counts heights, where another source told them.
-    told : tuple of Note
-        What was made of the heights.
-    """
-
-    terrain: Terrain | None = None
-    zero_m: float = 0.0
-    source: str = ""
+    terrain: Terrain | None = None  # none: the plane z = 0
+    zero_m: float = 0.0  # height of the middle of the junction as `source` counts heights
+    source: str = ""  # what told the heights; empty: nothing
     roads: SourceMap | None = None
+    # ground of the map with the roads, as that counts heights, where another source told them
     roads_m: Terrain | None = None
-    told: tuple[Note, ...] = ()
+    told: tuple[Note, ...] = ()  # what was made of the heights
 
     def at(self, points_m: FloatArray) -> FloatArray:
         """Height of the ground at points (n, 2)."""
@@ -207,6 +194,10 @@ _EXPECTED = "a GeoTIFF of heights"
 def read_elevation(path: Path, *, crs: str, middle_m: FloatArray, half_m: float) -> Elevation:
     """Read the heights around a place from a raster.
 
+    Raises InputError: the raster is no GeoTIFF, has no reference system or several bands, lies
+    elsewhere, is too coarse, too fine or packed in blocks that are too large, or has no height near
+    the place. MissingExtraError: rasterio is not installed.
+
     Parameters
     ----------
     path : Path
@@ -222,14 +213,6 @@ def read_elevation(path: Path, *, crs: str, middle_m: FloatArray, half_m: float)
     -------
     elevation : Elevation
         Middles of the pixels that have a height.
-
-    Raises
-    ------
-    InputError
-        The raster is no GeoTIFF, has no reference system or several bands, lies elsewhere, is too
-        coarse, too fine or packed in blocks that are too large, or has no height near the place.
-    MissingExtraError
-        rasterio is not installed.
     """
     try:
         import rasterio

@@ -29,35 +29,21 @@ _MAX_SKIPPED = 100  # entries
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MapLane:
-    """One lane between two junctions, or from one to where it ends.
+    """One lane between two junctions, or from one to where it ends."""
 
-    Attributes
-    ----------
-    id : str
-        From the source; unique in the map.
-    kind : str
-        One of ``LANE_KINDS``.
-    width_m : float
-        Mean full width; where it varies and the lane leads to a junction, that of the 30 m next to
-        it. [m]
-    centreline_m : (n, 3) float
-        At least two points in driving direction; lanes without one (walking, parking) have that of
-        the driving lane beside them. [m]
-    from_junction, to_junction : str
-        Ids of the junctions at its ends, where it stops at the outline; empty: none.
-    speed_limit_kmh : float, optional
-        Where it leads into a junction, or else out of one; None: the source gives none. [km/h]
-    turns : tuple of str
-        Where cars may drive from its end by its markings, see :class:`geometry.scene.Lane`.
-    """
-
-    id: str
-    kind: str
+    id: str  # from the source; unique in the map
+    kind: str  # one of ``LANE_KINDS``
+    # mean full width; where it varies and the lane leads to a junction, that of the 30 m next to it
     width_m: float
+    # (n, 3); at least two points in driving direction; lanes without one (walking, parking) have
+    # that of the driving lane beside them
     centreline_m: FloatArray
+    # ids of the junctions at its ends, where it stops at the outline; empty: none
     from_junction: str = ""
     to_junction: str = ""
+    # where it leads into a junction, or else out of one; None: the source gives none
     speed_limit_kmh: float | None = None
+    # where cars may drive from its end by its markings, see :class:`geometry.scene.Lane`
     turns: tuple[Turn, ...] = ()
 
     def __post_init__(self) -> None:
@@ -74,26 +60,14 @@ class MapLane:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MapJunction:
-    """A junction of roads.
+    """A junction of roads."""
 
-    Attributes
-    ----------
-    id : str
-        From the source; unique in the map.
-    name : str
-        For people, such as the streets that meet; may be empty.
-    outline_m : (n, 2) float
-        Outline of its road surface, where the lanes of its arms begin and end. [m]
-    height_m : float
-        Height of the road in its middle, as the map counts heights. [m]
-    roads : tuple of LeadingRoad
-        Roads that lead to it, as the map's network has them: what its arms are compared with.
-    """
-
-    id: str
-    name: str
+    id: str  # from the source; unique in the map
+    name: str  # for people, such as the streets that meet; may be empty
+    # (n, 2); outline of its road surface, where the lanes of its arms begin and end
     outline_m: FloatArray
-    height_m: float = 0.0
+    height_m: float = 0.0  # height of the road in its middle, as the map counts heights
+    # roads that lead to it, as the map's network has them: what its arms are compared with
     roads: tuple[LeadingRoad, ...] = ()
 
     def __post_init__(self) -> None:
@@ -112,27 +86,13 @@ class MapJunction:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Thing:
-    """A solid object.
+    """A solid object."""
 
-    Attributes
-    ----------
-    id : str
-        From the source; unique in the map.
-    class_name : str
-        One of :data:`geometry.scene.CLASS_NAMES`.
-    vertices_m : (n, 3) float
-        Heights as the map counts them. [m]
-    triangles : (m, 3) int32
-        Vertex indices, counter-clockwise seen from outside.
-    is_height_assumed : bool
-        The source does not give its height.
-    """
-
-    id: str
-    class_name: str
-    vertices_m: FloatArray
-    triangles: NDArray[np.int32]
-    is_height_assumed: bool = False
+    id: str  # from the source; unique in the map
+    class_name: str  # one of :data:`geometry.scene.CLASS_NAMES`
+    vertices_m: FloatArray  # (n, 3); heights as the map counts them
+    triangles: NDArray[np.int32]  # (m, 3); vertex indices, counter-clockwise seen from outside
+    is_height_assumed: bool = False  # the source does not give its height
 
     def __post_init__(self) -> None:
         where = f"{self.class_name} {self.id}"
@@ -148,27 +108,13 @@ class Thing:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Pole:
-    """A pole that could carry sensors.
+    """A pole that could carry sensors."""
 
-    Attributes
-    ----------
-    id : str
-        From the source; unique in the map.
-    kind : str
-        One of ``POLE_KINDS``.
-    position_m : (3,) float
-        Position of its foot. [m]
-    height_m : float, optional
-        Height of its top above its foot, if the source gives it. [m]
-    assumed : str
-        Why its position is not that of the source, in words; empty: it is.
-    """
-
-    id: str
-    kind: str
-    position_m: FloatArray
-    height_m: float | None = None
-    assumed: str = ""
+    id: str  # from the source; unique in the map
+    kind: str  # one of ``POLE_KINDS``
+    position_m: FloatArray  # (3,); position of its foot
+    height_m: float | None = None  # height of its top above its foot, if the source gives it
+    assumed: str = ""  # why its position is not that of the source, in words; empty: it is
 
     def __post_init__(self) -> None:
         if self.kind not in POLE_KINDS:
@@ -241,48 +187,29 @@ def counted(counts: Counter[str], why: str) -> list[Note]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SourceMap:
-    """The content of one map file.
+    """The content of one map file."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the file.
-    crs : str
-        Projected coordinate reference system of all coordinates here, in metres, for pyproj; empty:
-        the file does not say where on earth it lies.
-    source_crs : str
-        The one that the file itself uses, such as "EPSG:4326".
-    heights : {"above ground", "absolute"}
-        Zero of the z axis.
-    lanes, junctions, things, poles : tuple
-        The objects of the map.
-    connections : tuple of MapLane
-        Lanes through junctions, each from the end of a lane to the begin of another; both their
-        junctions are the one through which they lead. None: the map does not have them.
-    crosswalks_m : (n, 2, 2) float
-        Lines on which pedestrians cross, from end to end. [m]
-    ground_m : (n, 3) float
-        Points of the ground: of roads' surfaces, nodes with a height, a scan's ground. Their
-        heights are absolute, whatever those of things are. [m]
-    keeps_left : bool
-        Traffic keeps left.
-    skipped : tuple of Note
-        What was left out, and why.
-    """
-
-    name: str
+    name: str  # name of the file
+    # projected coordinate reference system of all coordinates here, in metres, for pyproj; empty:
+    # the file does not say where on earth it lies
     crs: str
-    source_crs: str = ""
-    heights: Heights = "above ground"
+    source_crs: str = ""  # the one that the file itself uses, such as "EPSG:4326"
+    heights: Heights = "above ground"  # zero of the z axis
+    # the objects of the map
     lanes: tuple[MapLane, ...] = ()
+    # lanes through junctions, each from the end of a lane to the begin of another; both their
+    # junctions are the one through which they lead. None: the map does not have them.
     connections: tuple[MapLane, ...] = ()
     junctions: tuple[MapJunction, ...] = ()
     things: tuple[Thing, ...] = ()
     poles: tuple[Pole, ...] = ()
+    # (n, 2, 2); lines on which pedestrians cross, from end to end
     crosswalks_m: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
+    # (n, 3); points of the ground: of roads' surfaces, nodes with a height, a scan's ground. Their
+    # heights are absolute, whatever those of things are.
     ground_m: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
-    keeps_left: bool = False
-    skipped: tuple[Note, ...] = ()
+    keeps_left: bool = False  # traffic keeps left
+    skipped: tuple[Note, ...] = ()  # what was left out, and why
 
     def __post_init__(self) -> None:
         object.__setattr__(

@@ -44,17 +44,10 @@ _KMH = {"m/s": 3.6, "km/h": 1.0, "mph": 1.609344}
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CrossSections:
-    """Heights across a road at some stations; between two of them in proportion.
+    """Heights across a road at some stations; between two of them in proportion."""
 
-    Attributes
-    ----------
-    stations_m : (n,) float
-        Ascending; none: the road is a line across. [m]
-    profiles : tuple of PiecewiseCubic
-        Height over the distance t to the left of the reference line, one for each station. [m]
-    """
-
-    stations_m: FloatArray
+    stations_m: FloatArray  # (n,); ascending; none: the road is a line across
+    # height over the distance t to the left of the reference line, one for each station
     profiles: tuple[PiecewiseCubic, ...]
 
     def at(self, s_m: FloatArray, t_m: FloatArray) -> FloatArray:
