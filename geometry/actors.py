@@ -104,8 +104,7 @@ class Actor:
             return np.zeros(distance.shape, dtype=np.int64)
         n_shapes = len(self.shapes)
         steps = (distance / self.cycle_m * n_shapes).round(_SHAPE_DECIMALS)
-        index: IntArray = np.floor(steps + 0.5).astype(np.int64) % n_shapes
-        return index
+        return np.floor(steps + 0.5).astype(np.int64) % n_shapes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -126,8 +126,7 @@ def _hanging(angle_deg: FloatArray) -> FloatArray:
 
 def _angle_deg(bar: FloatArray) -> FloatArray:
     """The angle that :func:`_hanging` takes, of bars (n, 2) of any length."""
-    angle: FloatArray = np.degrees(np.arctan2(bar[:, 0], -bar[:, 1]))
-    return angle
+    return np.degrees(np.arctan2(bar[:, 0], -bar[:, 1]))
 
 
 def _turn_deg(angle_deg: float) -> FloatArray:

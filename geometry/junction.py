@@ -63,8 +63,7 @@ class Line:
 
     def at(self, distance_m: float, left_m: float = 0.0) -> FloatArray:
         """Point some metres ahead of the line's point and to the left of it, (2,)."""
-        point: FloatArray = self.point_m + distance_m * self.direction + left_m * self.left
-        return point
+        return self.point_m + distance_m * self.direction + left_m * self.left
 
     def coordinates(self, point_m: ArrayLike) -> FloatArray:
         """Metres ahead of the line's point and to the left of it at which points lie, (..., 2)."""

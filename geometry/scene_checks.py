@@ -105,8 +105,7 @@ def _direction(line: Any, point: Any) -> FloatArray:
     at_m = line.project(point)
     begin, end = (line.interpolate(max(at_m + off_m, 0.0)) for off_m in (-_BESIDE_M, _BESIDE_M))
     step = np.array([end.x - begin.x, end.y - begin.y])
-    unit: FloatArray = step / max(float(np.hypot(*step)), 1e-9)
-    return unit
+    return step / max(float(np.hypot(*step)), 1e-9)
 
 
 def arms_that_end(scene: Scene) -> Iterator[tuple[str, str]]:

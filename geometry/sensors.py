@@ -170,8 +170,7 @@ def pixel_rays(
         ],
         axis=1,
     )
-    directions: FloatArray = in_camera @ camera_rotation(pose.yaw_deg, pose.pitch_deg).T
-    return directions
+    return in_camera @ camera_rotation(pose.yaw_deg, pose.pitch_deg).T
 
 
 # ---------- largest values of sensors and sites

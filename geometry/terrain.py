@@ -60,12 +60,11 @@ class Terrain:
         z = self.height_m
         south_west, north_east = z[row, column], z[row + 1, column + 1]
         south_east, north_west = z[row, column + 1], z[row + 1, column]
-        height: FloatArray = np.where(
+        return np.where(
             u >= v,
             south_west + u * (south_east - south_west) + v * (north_east - south_east),
             south_west + v * (north_west - south_west) + u * (north_east - north_west),
         )
-        return height
 
     def distances(
         self, origin_m: ArrayLike, directions: ArrayLike, *, max_range_m: float
@@ -154,8 +153,7 @@ def on_ground(points_m: ArrayLike, terrain: Terrain | None) -> FloatArray:
     """Points (..., 2) with the height of the ground there, (..., 3)."""
     points = np.asarray(points_m, dtype=np.float64)
     height = np.zeros(points.shape[:-1]) if terrain is None else terrain.at(points)
-    placed: FloatArray = np.concatenate([points, height[..., None]], axis=-1)
-    return placed
+    return np.concatenate([points, height[..., None]], axis=-1)
 
 
 def headroom_m(vertices_m: FloatArray, terrain: Terrain | None) -> float:
@@ -193,8 +191,7 @@ def pitch_on_ground_deg(
     rise_m = terrain.at(position + front_m * ahead) - terrain.at(
         position + (front_m - wheelbase_m) * ahead
     )
-    pitch: FloatArray = np.degrees(np.arctan2(rise_m, wheelbase_m))
-    return pitch
+    return np.degrees(np.arctan2(rise_m, wheelbase_m))
 
 
 def set_down(bodies: Sequence[PlacedActor], scene: Scene) -> tuple[PlacedActor, ...]:

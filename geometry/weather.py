@@ -75,8 +75,7 @@ class Weather:
         >>> float(fog.transmission(fog.visibility_m).round(12))
         0.05
         """
-        left: FloatArray = np.exp(-self.extinction_per_m * np.asarray(distance_m, dtype=np.float64))
-        return left
+        return np.exp(-self.extinction_per_m * np.asarray(distance_m, dtype=np.float64))
 
     def lidar_extinction_per_m(self, wavelength_nm: float) -> float:
         """Share of a laser pulse that rain and haze (Kim's exponent) take per metre, one way.

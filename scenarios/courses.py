@@ -103,8 +103,7 @@ class Course:
         left = line.coordinates(self.points_m)[:, 1]
         index = np.flatnonzero((left[:-1] == 0.0) | (left[:-1] * left[1:] < 0.0))
         share = left[index] / (left[index] - left[index + 1])
-        stations: FloatArray = self.begin_m + _STEP_M * (index + share)
-        return stations
+        return self.begin_m + _STEP_M * (index + share)
 
     def station_of(self, point_m: ArrayLike) -> float:
         """Station of its point that is nearest to a point."""
@@ -198,8 +197,7 @@ def _led_on(chain_m: FloatArray) -> FloatArray:
 
 def _along_m(chain_m: FloatArray) -> FloatArray:
     """Distance of each point of a chain from its begin."""
-    along: FloatArray = np.append(0.0, np.cumsum(np.hypot(*np.diff(chain_m, axis=0).T)))
-    return along
+    return np.append(0.0, np.cumsum(np.hypot(*np.diff(chain_m, axis=0).T)))
 
 
 def _sampled(chain_m: FloatArray, along_m: FloatArray, at_m: FloatArray) -> FloatArray:
@@ -467,8 +465,7 @@ def pick_turn(side: str, speed_kmh: float) -> Turn:
         raise InputError(
             f"speed of a {side} turn", speed_kmh, f"{known} km/h, or beyond the first or the last"
         )
-    turn: Turn = by_speed[nearest_kmh]
-    return turn
+    return by_speed[nearest_kmh]
 
 
 # ---------- from one lane into another

@@ -266,10 +266,9 @@ class Motion:
             return self.speed_mps * moving_s
         up_to_speed_s = 2.0 * self.acceleration_distance_m / self.speed_mps
         gaining_s = np.minimum(moving_s, up_to_speed_s)
-        distance: FloatArray = self.acceleration_distance_m * (
-            gaining_s / up_to_speed_s
-        ) ** 2 + self.speed_mps * (moving_s - gaining_s)
-        return distance
+        return self.acceleration_distance_m * (gaining_s / up_to_speed_s) ** 2 + self.speed_mps * (
+            moving_s - gaining_s
+        )
 
 
 def travel_time_s(
@@ -395,8 +394,7 @@ def _unit_vector(yaw_deg: float, name: str) -> FloatArray:
     if not np.isfinite(yaw_deg):
         raise InputError(name, yaw_deg, "finite degrees")
     yaw = np.radians(yaw_deg)
-    direction: FloatArray = freeze(np.array([np.cos(yaw), np.sin(yaw)]))
-    return direction
+    return freeze(np.array([np.cos(yaw), np.sin(yaw)]))
 
 
 def _check_speed(speed_mps: float, acceleration_distance_m: float, where: str) -> None:

@@ -291,8 +291,7 @@ def _known_s(arrival_s: FloatArray, axis: FrameAxis, rule: AebRule) -> FloatArra
 def _is_within_run(axis: FrameAxis, n_frames: int) -> BoolArray:
     """Whether a frame and those before it, `n_frames` in all, are of one run, (n_frames,)."""
     start = axis.run_start[:-1].repeat(np.diff(axis.run_start))
-    within: BoolArray = np.arange(axis.n_frames) - start >= n_frames - 1
-    return within
+    return np.arange(axis.n_frames) - start >= n_frames - 1
 
 
 def _held(detected: BoolArray, axis: FrameAxis, rule: AebRule) -> BoolArray:
@@ -309,8 +308,7 @@ def _held(detected: BoolArray, axis: FrameAxis, rule: AebRule) -> BoolArray:
 
 def _earliest(times_s: FloatArray, axis: FrameAxis) -> FloatArray:
     """Smallest time of each run: (..., n_frames) -> (..., n_runs)."""
-    earliest: FloatArray = np.minimum.reduceat(times_s, axis.run_start[:-1], axis=-1)
-    return earliest
+    return np.minimum.reduceat(times_s, axis.run_start[:-1], axis=-1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -308,8 +308,7 @@ def _ring(ring: Any, vertices: FloatArray, where: str) -> FloatArray:
     for index in indices:
         if not _is_index(index, len(vertices)):
             raise InputError(f"{where}.boundaries", index, f"vertices 0 to {len(vertices) - 1}")
-    points: FloatArray = vertices[np.array(indices, dtype=np.int64)]
-    return points
+    return vertices[np.array(indices, dtype=np.int64)]
 
 
 def _is_index(value: Any, n: int) -> TypeGuard[int]:

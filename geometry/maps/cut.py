@@ -451,8 +451,7 @@ def _on_circle(inside_m: FloatArray, outside_m: FloatArray, reach_m: float) -> F
     if a == 0.0 or b * b - a * c < 0.0:
         return inside_m
     share = float(np.clip((-b + np.sqrt(b * b - a * c)) / a, 0.0, 1.0))
-    on_circle: FloatArray = inside_m + share * way
-    return on_circle
+    return inside_m + share * way
 
 
 def _crosswalks(maps: Sequence[SourceMap], frame: LocalFrame, outline_m: FloatArray) -> FloatArray:
@@ -632,5 +631,4 @@ def _meeting(tree: Any, square: _Square) -> IntArray:
     """Indices of the boxes that meet a rectangle, ascending, (n,)."""
     import shapely
 
-    found: IntArray = np.sort(tree.query(shapely.box(*square[0], *square[1])))
-    return found
+    return np.sort(tree.query(shapely.box(*square[0], *square[1])))

@@ -209,10 +209,7 @@ class _Scan:
         cells = np.argwhere(~np.isnan(height_m))
         east_north_m = (cells + first + 0.5) * CELL_M
         assert self.origin_m is not None
-        points: FloatArray = self.origin_m + np.column_stack(
-            [east_north_m, height_m[tuple(cells.T)]]
-        )
-        return points
+        return self.origin_m + np.column_stack([east_north_m, height_m[tuple(cells.T)]])
 
     def add(self, points_m: FloatArray, classes: NDArray[np.uint8], class_name: str) -> None:
         """Add a chunk of points."""
@@ -401,8 +398,7 @@ _HALF_OF_NEIGHBOURS = tuple(  # differences of keys
 
 def to_keys(cells: IntArray) -> IntArray:
     """One integer per cell (n, 3), ordered as x, y, z: each from 1 to ``MAX_VOXELS_PER_AXIS``."""
-    keys: IntArray = (cells[:, 0] << 2 * _BITS) | (cells[:, 1] << _BITS) | cells[:, 2]
-    return keys
+    return (cells[:, 0] << 2 * _BITS) | (cells[:, 1] << _BITS) | cells[:, 2]
 
 
 def to_cells(keys: IntArray) -> IntArray:
@@ -438,8 +434,7 @@ def clusters(keys: IntArray) -> IntArray:
     _, labels = connected_components(graph, directed=False)
     _, seen, inverse = np.unique(labels, return_index=True, return_inverse=True)
     order = np.argsort(np.argsort(seen))
-    numbers: IntArray = order[inverse].astype(np.int64)
-    return numbers
+    return order[inverse].astype(np.int64)
 
 
 def bridged(keys: IntArray) -> IntArray:

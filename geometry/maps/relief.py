@@ -51,8 +51,7 @@ class Relief:
 
     def above_m(self, vertices_m: FloatArray) -> FloatArray:
         """Height of vertices (n, 3) above the ground below them."""
-        above: FloatArray = vertices_m[:, 2] - self.at(vertices_m[:, :2])
-        return above
+        return vertices_m[:, 2] - self.at(vertices_m[:, :2])
 
     def lower(
         self, source: SourceMap, things: Sequence[Thing], given_m: float | None
@@ -156,8 +155,7 @@ def find_relief(
 
 
 def _near(points_m: FloatArray, half_m: float) -> FloatArray:
-    near: FloatArray = points_m[(np.abs(points_m[:, :2]) <= half_m + _BEYOND_M).all(axis=1)]
-    return near
+    return points_m[(np.abs(points_m[:, :2]) <= half_m + _BEYOND_M).all(axis=1)]
 
 
 def _on_level(

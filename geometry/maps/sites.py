@@ -142,8 +142,7 @@ def _strip(lane: MapLane, line: FloatArray, *, beside_m: float) -> "Polygon":
     ways = ends - line[[1, -2], :2]
     ends = ends + _LONGER_M * ways / np.hypot(*ways.T)[:, None]
     longer = shapely.LineString(np.concatenate([ends[:1], line[:, :2], ends[1:]]))
-    strip: Polygon = longer.buffer(0.5 * lane.width_m + beside_m, cap_style="flat")
-    return strip
+    return longer.buffer(0.5 * lane.width_m + beside_m, cap_style="flat")
 
 
 def _length_m(line: FloatArray) -> float:
@@ -349,8 +348,7 @@ def _own_poles(
 def _area(outline_m: FloatArray) -> "Polygon":
     import shapely
 
-    area: Polygon = shapely.make_valid(shapely.Polygon(outline_m))
-    return area
+    return shapely.make_valid(shapely.Polygon(outline_m))
 
 
 def _several(wishes: Sequence[SiteWish], noun: str) -> str:

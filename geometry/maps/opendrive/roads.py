@@ -149,8 +149,7 @@ class Road:
 
     def height_at(self, s_m: FloatArray) -> FloatArray:
         """Height of the reference line, (n,)."""
-        heights: FloatArray = self.elevation.at(np.clip(s_m, 0.0, self.length_m)) + self.base_m
-        return heights
+        return self.elevation.at(np.clip(s_m, 0.0, self.length_m)) + self.base_m
 
     def place(self, s_m: FloatArray, t_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Points (n, 3) on the road's surface, and headings (n,) of its reference line there."""

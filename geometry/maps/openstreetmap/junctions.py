@@ -490,8 +490,7 @@ def _outline(arms: Sequence[Arm], inside: Sequence[Street], points_m: FloatArray
     rest = rounded.union(whole).difference(shapely.union_all(beyond))
     polygon = _largest(rest)
     ring = shapely.simplify(polygon.exterior, 0.02)
-    outline: FloatArray = np.asarray(ring.coords)[:-1]
-    return outline
+    return np.asarray(ring.coords)[:-1]
 
 
 def _largest(shape: BaseGeometry) -> Polygon:

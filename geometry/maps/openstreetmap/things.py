@@ -142,10 +142,7 @@ def _along(line_m: FloatArray) -> FloatArray:
     along = np.append(0.0, np.cumsum(np.hypot(*np.diff(line_m, axis=0).T)))
     n_trees = min(round(float(along[-1]) / usual["row_spacing_m"]) + 1, usual["max_in_row"])
     stations = np.linspace(0.0, along[-1], max(n_trees, 2))
-    feet: FloatArray = np.column_stack(
-        [np.interp(stations, along, line_m[:, axis]) for axis in (0, 1)]
-    )
-    return feet
+    return np.column_stack([np.interp(stations, along, line_m[:, axis]) for axis in (0, 1)])
 
 
 def _tree(name: str, foot_m: FloatArray, tags: Tags, element: str, omissions: Omissions) -> Thing:
