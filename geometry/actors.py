@@ -13,13 +13,7 @@ import numpy as np
 from msgspec import Struct, structs
 from numpy.typing import ArrayLike, NDArray
 
-from .arrays import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    float_array,
-    freeze,
-)
+from .arrays import BoolArray, FloatArray, IntArray, freeze, set_arrays
 from .errors import InputError, Unquoted
 from .files import Table, Text, load_toml, pick, read_tables
 from .poses import Pose
@@ -39,9 +33,7 @@ class Shape:
     triangles: NDArray[np.int32]
 
     def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "vertices_m", float_array(self.vertices_m, (-1, 3), "shape: vertices_m")
-        )
+        set_arrays(self, "shape: ", vertices_m=(-1, 3))
         object.__setattr__(self, "triangles", freeze(np.array(self.triangles, dtype=np.int32)))
 
     def __repr__(self) -> str:

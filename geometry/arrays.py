@@ -49,6 +49,13 @@ def float_array(values: ArrayLike, shape: tuple[int, ...], name: str) -> FloatAr
     return array
 
 
+def set_arrays(value: object, where: str, **shapes: tuple[int, ...]) -> None:
+    """Replace fields of a frozen value by checked copies, see :func:`float_array`."""
+    for name, shape in shapes.items():
+        array = float_array(getattr(value, name), shape, f"{where}{name}")
+        object.__setattr__(value, name, array)
+
+
 def freeze(array: NDArray[Any]) -> NDArray[Any]:
     """Return a read-only view of `array`."""
     view = array.view()

@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .arrays import FloatArray, float_array, freeze
+from .arrays import FloatArray, freeze, set_arrays
 from .errors import InputError
 from .scene import Lane, LeadingRoad, Scene, Turn
 
@@ -47,9 +47,9 @@ class Line:
     direction: FloatArray
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "point_m", float_array(self.point_m, (2,), "point_m"))
-        direction = float_array(self.direction, (2,), "direction")
-        object.__setattr__(self, "direction", freeze(direction / np.hypot(*direction)))
+        set_arrays(self, "", point_m=(2,), direction=(2,))
+        direction = freeze(self.direction / np.hypot(*self.direction))
+        object.__setattr__(self, "direction", direction)
 
     @property
     def left(self) -> FloatArray:

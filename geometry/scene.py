@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import ArrayLike, NDArray
 
-from .arrays import FloatArray, Point2, Point3, Points2, float_array, freeze
+from .arrays import FloatArray, Point2, Point3, Points2, float_array, freeze, set_arrays
 from .errors import InputError, Unquoted
 from .notes import Note
 from .sensors import load_limits
@@ -59,17 +59,11 @@ class Site:
 
     def __post_init__(self) -> None:
         where = f"site {self.id}"
-        object.__setattr__(
-            self, "position_m", float_array(self.position_m, (3,), f"{where}.position_m")
-        )
-        height = float_array(self.height_range_m, (2,), f"{where}.height_range_m")
-        if not 0.0 < height[0] <= height[1]:
-            raise InputError(
-                f"{where}.height_range_m",
-                height.tolist(),
-                "[low, high] in metres, 0 < low <= high",
-            )
-        object.__setattr__(self, "height_range_m", height)
+        set_arrays(self, f"{where}.", position_m=(3,), height_range_m=(2,))
+        low, high = self.height_range_m.tolist()
+        if not 0.0 < low <= high:
+            expected = "[low, high] in metres, 0 < low <= high"
+            raise InputError(f"{where}.height_range_m", [low, high], expected)
         capacity = self.capacity_units
         limits = load_limits()
         is_whole = isinstance(capacity, int) and not isinstance(capacity, bool)
@@ -113,8 +107,7 @@ class LeadingRoad:
     lanes_out: int
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "point_m", float_array(self.point_m, (2,), "point_m"))
-        object.__setattr__(self, "direction", float_array(self.direction, (2,), "direction"))
+        set_arrays(self, "", point_m=(2,), direction=(2,))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -181,16 +174,8 @@ class Scene:
     roads: tuple[LeadingRoad, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "vertices_m", float_array(self.vertices_m, (-1, 3), f"{self.name}: vertices_m")
-        )
-        object.__setattr__(
-            self, "outline_m", float_array(self.outline_m, (-1, 2), f"{self.name}: outline_m")
-        )
-        crosswalks = float_array(self.crosswalks_m, (-1, 2, 2), f"{self.name}: crosswalks_m")
-        object.__setattr__(self, "crosswalks_m", crosswalks)
-        origin = float_array(self.source_origin_m, (2,), f"{self.name}: source_origin_m")
-        object.__setattr__(self, "source_origin_m", origin)
+        shapes = {"vertices_m": (-1, 3), "outline_m": (-1, 2), "crosswalks_m": (-1, 2, 2)}
+        set_arrays(self, f"{self.name}: ", **shapes, source_origin_m=(2,))
         for name in ("triangles", "triangle_instance"):
             array = np.array(getattr(self, name), dtype=np.int32)
             object.__setattr__(self, name, freeze(array))
@@ -240,11 +225,7 @@ class Lane:
     turns: tuple[Turn, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(
-            self,
-            "centreline_m",
-            float_array(self.centreline_m, (-1, 2), f"lane {self.id}.centreline_m"),
-        )
+        set_arrays(self, f"lane {self.id}.", centreline_m=(-1, 2))
 
 
 _SOLID_CLASSES = ("building", "wall", "vegetation", "parked vehicle")

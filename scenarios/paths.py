@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geometry.arrays import FloatArray, float_array, freeze
+from geometry.arrays import FloatArray, freeze, set_arrays
 from geometry.errors import InputError
 
 from .courses import Course, Turn
@@ -55,7 +55,7 @@ class StraightPath:
     _direction: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "start_m", float_array(self.start_m, (2,), "start_m"))
+        set_arrays(self, "", start_m=(2,))
         object.__setattr__(self, "_direction", _unit_vector(self.yaw_deg, "yaw_deg"))
 
     @property
@@ -98,7 +98,7 @@ class TurnPath:
     _table: "_TurnTable" = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "start_m", float_array(self.start_m, (2,), "start_m"))
+        set_arrays(self, "", start_m=(2,))
         object.__setattr__(self, "_direction", _unit_vector(self.yaw_deg, "yaw_deg"))
         if not 0.0 <= self.straight_m < np.inf:
             raise InputError("straight_m", self.straight_m, "metres, at least 0")

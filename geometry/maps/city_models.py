@@ -384,10 +384,10 @@ def _thing(item: CityObject, thing_id: str) -> Thing:
         kind = kind_from_name(item.words)
         class_name = kind.class_name if kind and kind.class_name != "ground" else class_name
     if not item.is_footprint:
-        vertices, triangles = surface_mesh(item.polygons)
-        if not len(triangles):
+        mesh = surface_mesh(item.polygons)
+        if not len(mesh[1]):
             raise InputError(item.id, Unquoted("surfaces without area"), "polygons")
-        return Thing(id=thing_id, class_name=class_name, vertices_m=vertices, triangles=triangles)
+        return Thing.of(thing_id, class_name, mesh)
     height = item.height_m
     is_assumed = height is None or not 0.0 < height <= thing_defaults().max_height_m
     raised_m = kind_of_class(class_name).height_m if height is None or is_assumed else height
@@ -403,14 +403,7 @@ def _thing(item: CityObject, thing_id: str) -> Thing:
                 where=item.id,
             )
         )
-    vertices, triangles = join(pieces)
-    return Thing(
-        id=thing_id,
-        class_name=class_name,
-        vertices_m=vertices,
-        triangles=triangles,
-        is_height_assumed=is_assumed,
-    )
+    return Thing.of(thing_id, class_name, join(pieces), is_height_assumed=is_assumed)
 
 
 def _said(skipped: Sequence[Note]) -> str:

@@ -67,11 +67,10 @@ def read_mesh(
     axes = UNITS_M[unit] * np.array(UP_AXES[up], dtype=np.float64)
     ids: Counter[str] = Counter()
     things = [
-        Thing(
-            id=unique_id(name, ids),
-            class_name=kind.class_name if (kind := kind_from_name(name)) else class_name,
-            vertices_m=vertices @ axes.T,
-            triangles=_outwards(vertices, triangles),
+        Thing.of(
+            unique_id(name, ids),
+            kind.class_name if (kind := kind_from_name(name)) else class_name,
+            (vertices @ axes.T, _outwards(vertices, triangles)),
         )
         for name, vertices, triangles in parts
     ]

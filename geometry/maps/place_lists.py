@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..arrays import FloatArray, float_array
+from ..arrays import FloatArray, set_arrays
 from ..errors import InputError, Unquoted
 from ..files import read_text
 from ..frames import parse_crs
@@ -45,8 +45,7 @@ class SiteWish:
     is_forbidden: bool = False
 
     def __post_init__(self) -> None:
-        position = float_array(self.position_m, (2,), f"site {self.id}.position_m")
-        object.__setattr__(self, "position_m", position)
+        set_arrays(self, f"site {self.id}.", position_m=(2,))
 
     @property
     def n_said(self) -> int:

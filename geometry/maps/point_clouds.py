@@ -334,18 +334,11 @@ def _things(
         names[name] += 1
         assert scan.origin_m is not None
         origin_m = np.append(scan.origin_m[:2], 0.0) - _MIDDLE * voxel_m
-        vertices, triangles = faces(
+        mesh = faces(
             part, origin_m=origin_m, voxel_m=voxel_m, max_triangles=n_left, where=scan.where
         )
-        n_left -= len(triangles)
-        things.append(
-            Thing(
-                id=f"{name} {names[name]}",
-                class_name=name,
-                vertices_m=vertices,
-                triangles=triangles,
-            )
-        )
+        n_left -= len(mesh[1])
+        things.append(Thing.of(f"{name} {names[name]}", name, mesh))
     return things, small
 
 

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray, float_array, freeze
+from ..arrays import FloatArray, freeze, set_arrays
 from ..errors import InputError
 from ..files import load_toml, pick
 from ..notes import Note
@@ -52,10 +52,9 @@ class MapLane:
             raise InputError(f"{where}.kind", self.kind, "one of " + ", ".join(LANE_KINDS))
         if not (np.isfinite(self.width_m) and self.width_m > 0.0):
             raise InputError(f"{where}.width_m", self.width_m, "metres, > 0")
-        points = float_array(self.centreline_m, (-1, 3), f"{where}.centreline_m")
-        if len(points) < 2:
-            raise InputError(f"{where}.centreline_m", len(points), "at least two points")
-        object.__setattr__(self, "centreline_m", points)
+        set_arrays(self, f"{where}.", centreline_m=(-1, 3))
+        if len(self.centreline_m) < 2:
+            raise InputError(f"{where}.centreline_m", len(self.centreline_m), "at least two points")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -71,11 +70,10 @@ class MapJunction:
     roads: tuple[LeadingRoad, ...] = ()
 
     def __post_init__(self) -> None:
-        where = f"junction {self.id}.outline_m"
-        outline = float_array(self.outline_m, (-1, 2), where)
-        if len(outline) < 3:
-            raise InputError(where, len(outline), "at least three points")
-        object.__setattr__(self, "outline_m", outline)
+        where = f"junction {self.id}."
+        set_arrays(self, where, outline_m=(-1, 2))
+        if len(self.outline_m) < 3:
+            raise InputError(f"{where}outline_m", len(self.outline_m), "at least three points")
 
     @property
     def position_m(self) -> FloatArray:
@@ -96,14 +94,26 @@ class Thing:
 
     def __post_init__(self) -> None:
         where = f"{self.class_name} {self.id}"
-        vertices = float_array(self.vertices_m, (-1, 3), f"{where}.vertices_m")
-        object.__setattr__(self, "vertices_m", vertices)
+        set_arrays(self, f"{where}.", vertices_m=(-1, 3))
+        n_vertices = len(self.vertices_m)
         triangles = freeze(np.array(self.triangles, dtype=np.int32).reshape(-1, 3))
-        if len(triangles) and not (triangles.min() >= 0 and triangles.max() < len(vertices)):
-            raise InputError(
-                f"{where}.triangles", int(triangles.max()), f"indices below {len(vertices)}"
-            )
+        if len(triangles) and not (triangles.min() >= 0 and triangles.max() < n_vertices):
+            expected = f"indices below {n_vertices}"
+            raise InputError(f"{where}.triangles", int(triangles.max()), expected)
         object.__setattr__(self, "triangles", triangles)
+
+    @classmethod
+    def of(
+        cls, thing_id: str, class_name: str, mesh: Mesh, *, is_height_assumed: bool = False
+    ) -> "Thing":
+        """Thing with the vertices and triangles of a mesh."""
+        return cls(
+            id=thing_id,
+            class_name=class_name,
+            vertices_m=mesh[0],
+            triangles=mesh[1],
+            is_height_assumed=is_height_assumed,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -119,9 +129,7 @@ class Pole:
     def __post_init__(self) -> None:
         if self.kind not in POLE_KINDS:
             raise InputError(f"pole {self.id}.kind", self.kind, "one of " + ", ".join(POLE_KINDS))
-        object.__setattr__(
-            self, "position_m", float_array(self.position_m, (3,), f"pole {self.id}.position_m")
-        )
+        set_arrays(self, f"pole {self.id}.", position_m=(3,))
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,14 +220,7 @@ class SourceMap:
     skipped: tuple[Note, ...] = ()  # what was left out, and why
 
     def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "ground_m", float_array(self.ground_m, (-1, 3), f"{self.name}: ground_m")
-        )
-        object.__setattr__(
-            self,
-            "crosswalks_m",
-            float_array(self.crosswalks_m, (-1, 2, 2), f"{self.name}: crosswalks_m"),
-        )
+        set_arrays(self, f"{self.name}: ", ground_m=(-1, 3), crosswalks_m=(-1, 2, 2))
 
     def __repr__(self) -> str:
         return (

@@ -376,16 +376,9 @@ def _take(kind: str, one: RoadElement, spot: Copy | Sweep, name: str, found: Fou
         return False
     if body is None:
         return False
-    (vertices, triangles), is_assumed = body
-    found.things.append(
-        Thing(
-            id=name,
-            class_name=_CLASSES.get(kind, kind),
-            vertices_m=vertices,
-            triangles=triangles,
-            is_height_assumed=is_assumed,
-        )
-    )
+    mesh, is_assumed = body
+    class_name = _CLASSES.get(kind, kind)
+    found.things.append(Thing.of(name, class_name, mesh, is_height_assumed=is_assumed))
     return True
 
 

@@ -11,7 +11,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ...arrays import FloatArray
 from ...errors import InputError
-from ..solids import extrude
+from ..solids import extrude, extrude_polygon, polygons_of
 from ..source_map import Omissions, Thing
 from .elements import (
     DEFAULTS,
@@ -28,6 +28,7 @@ from .network import Network, known_runs, level
 
 _NOT_THERE = ("no", "construction", "proposed", "demolished", "razed", "collapsed")
 _COVERED = ("yes", "arcade", "colonnade")
+_LEAST_M2 = 1.0  # of what is left of a building
 _GATES = ("gate", "gatehouse", "city_gate")
 
 
@@ -98,14 +99,8 @@ def _without_parts(outlines: Sequence[Area], parts: Sequence[Area]) -> list[list
         covered = shapely.union_all([part_shapes[member] for member in members])
         rest = shapes[outline].difference(covered)
         is_covered = rest.area <= (1.0 - least) * shapes[outline].area
-        rests[outline] = [] if is_covered else list(_polygons(rest))
+        rests[outline] = [] if is_covered else polygons_of(rest, above_m2=_LEAST_M2)
     return rests
-
-
-def _polygons(shape: BaseGeometry) -> Iterator[Polygon]:
-    for part in getattr(shape, "geoms", [shape]):
-        if isinstance(part, Polygon) and part.area > 1.0:
-            yield part
 
 
 def _pieces(area: Area, shapes: Sequence[Polygon], name: str) -> Iterator[Area]:
@@ -128,18 +123,18 @@ def _solid(area: Area, passages: "_Passages", omissions: Omissions) -> Iterator[
         yield from _prism(area, span, omissions)
         return
     whole = make_valid(area.polygon)
-    for piece in _pieces(area, list(_polygons(whole.difference(ways))), area.id):
+    for piece in _pieces(area, polygons_of(whole.difference(ways), above_m2=_LEAST_M2), area.id):
         yield from _prism(piece, span, omissions)
     if clear_m < span.top_m:
         over = replace(span, bottom_m=clear_m)
-        shapes = list(_polygons(whole.intersection(ways)))
+        shapes = polygons_of(whole.intersection(ways), above_m2=_LEAST_M2)
         for piece in _pieces(area, shapes, f"{area.id} over a passage"):
             yield from _prism(piece, over, omissions)
 
 
 def _prism(area: Area, span: "_Span", omissions: Omissions) -> Iterator[Thing]:
     try:
-        vertices, triangles = extrude(
+        mesh = extrude(
             area.outer_m,
             bottom_m=span.bottom_m,
             top_m=span.top_m,
@@ -149,13 +144,7 @@ def _prism(area: Area, span: "_Span", omissions: Omissions) -> Iterator[Thing]:
     except InputError as error:
         omissions.add("buildings", _element(area), f"its outline has {error.got}")
         return
-    yield Thing(
-        id=area.id,
-        class_name="building",
-        vertices_m=vertices,
-        triangles=triangles,
-        is_height_assumed=span.is_assumed,
-    )
+    yield Thing.of(area.id, "building", mesh, is_height_assumed=span.is_assumed)
 
 
 # ---------- heights
@@ -336,20 +325,8 @@ def find_bridges(
 def _deck(name: str, line_m: FloatArray, width_m: float, layer: int) -> Iterator[Thing]:
     bottom_m = DEFAULTS["building"]["clear_height_m"] * layer
     area = LineString(line_m).buffer(0.5 * width_m, cap_style="flat")
-    for number, part in enumerate(getattr(area, "geoms", [area])):
-        if not isinstance(part, Polygon) or part.is_empty:
-            continue
-        vertices, triangles = extrude(
-            np.asarray(part.exterior.coords),
-            bottom_m=bottom_m,
-            top_m=bottom_m + DEFAULTS["bridge"]["thickness_m"],
-            holes_m=[np.asarray(ring.coords) for ring in part.interiors],
-            where=name,
-        )
-        yield Thing(
-            id=f"{name} bridge" + (f" {number}" if number else ""),
-            class_name="building",
-            vertices_m=vertices,
-            triangles=triangles,
-            is_height_assumed=True,
-        )
+    top_m = bottom_m + DEFAULTS["bridge"]["thickness_m"]
+    for number, part in enumerate(polygons_of(area)):
+        mesh = extrude_polygon(part, bottom_m=bottom_m, top_m=top_m, where=name)
+        deck_id = f"{name} bridge" + (f" {number}" if number else "")
+        yield Thing.of(deck_id, "building", mesh, is_height_assumed=True)
