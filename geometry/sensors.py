@@ -129,11 +129,9 @@ def with_fov(camera: CameraModel, fov_deg: float, where: str) -> CameraModel:
 def project_points(points_m: ArrayLike, pose: Pose, camera: CameraModel) -> FloatArray:
     """Project points (n, 3) of the world frame into the image of a camera.
 
-    Returns
-    -------
-    projected : (n, 3) float
-        Column and row in pixels (the centre of the first pixel is (0.5, 0.5)) and the depth along
-        the optical axis in metres; column and row are NaN where the depth is not positive.
+    Returns `projected` (n, 3): column and row in pixels (the centre of the first pixel is (0.5,
+    0.5)) and the depth along the optical axis in metres; column and row are NaN where the depth is
+    not positive.
 
     References
     ----------

@@ -132,14 +132,9 @@ class Course:
 def follow_lane(centreline_m: FloatArray, *, is_in: bool) -> Course:
     """The smooth course along a lane.
 
-    Raises InputError: the line has no length.
-
-    Parameters
-    ----------
-    centreline_m : (n, 2) float
-        Points of the lane in driving direction. World frame. [m]
-    is_in : bool
-        It leads into the junction: its mouth, the origin of stations, is its end. Else its begin.
+    `centreline_m` (n, 2): points of the lane in driving direction. World frame. `is_in`: it leads
+    into the junction: its mouth, the origin of stations, is its end. Else its begin. Raises
+    InputError: the line has no length.
 
     Notes
     -----
@@ -535,14 +530,9 @@ def follow_gently(
 ) -> Course:
     """The gentlest course along lanes one after the other that leaves their middles a little.
 
-    Parameters
-    ----------
-    chains_m : sequence of (n, 2) float
-        Points of the lanes in driving direction. World frame. [m]
-    free_m : sequence of float
-        How far it may leave each of them, > 0. [m]
-    origin : int
-        The lane at whose begin its origin is; their number: where the last one ends.
+    `chains_m`: points of the lanes in driving direction. World frame. `free_m`: how far it may
+    leave each of them, > 0. `origin`: the lane at whose begin its origin is; their number: where
+    the last one ends.
 
     Notes
     -----

@@ -207,15 +207,8 @@ def spread_speeds(
     """The speeds that are driven at a position.
 
     All at position 0; elsewhere each n-th, beginning with another one from turn to turn.
-
-    Parameters
-    ----------
-    speeds_kmh : sequence of float
-        Of the case. [km/h]
-    position : Position
-        Where.
-    turn : int
-        Number of the approach plus number of the position.
+    `speeds_kmh`: of the case. `position`: where. `turn`: number of the approach plus number of the
+    position.
 
     Examples
     --------

@@ -237,14 +237,9 @@ Settle = Callable[[Staging], Staging]
 def first_that_fits(lays: Iterable[Callable[[], Staging]], settle: Settle) -> Staging:
     """The first of some stagings that a car can drive, settled where it has room.
 
-    Raises CannotCarryError: none fits; the reason is that of the one that came farthest.
-
-    Parameters
-    ----------
-    lays : iterable of callable
-        Each returns a staging or raises CannotCarryError.
-    settle : callable
-        Makes room for a staging. Where there is no kerb the next one is tried.
+    `lays`: each returns a staging or raises CannotCarryError. `settle`: makes room for a staging.
+    Where there is no kerb the next one is tried. Raises CannotCarryError: none fits; the reason is
+    that of the one that came farthest.
     """
     errors: list[CannotCarryError] = []
     for lay in lays:

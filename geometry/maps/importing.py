@@ -53,14 +53,9 @@ class ReadingOptions:
 def read_map(path: Path, options: ReadingOptions | None = None) -> SourceMap:
     """Read a map file of any known format.
 
-    Raises InputError: the file does not exist, is of no known format, or is damaged.
-
-    Parameters
-    ----------
-    path : Path
-        The suffix gives the format; .json, .gml and .xml are told apart by content, .zip is opened.
-    options : ReadingOptions, optional
-        Answers to what the file leaves open.
+    `path`: the suffix gives the format; .json, .gml and .xml are told apart by content, .zip is
+    opened. `options`: answers to what the file leaves open. Raises InputError: the file does not
+    exist, is of no known format, or is damaged.
     """
     options = options or ReadingOptions()
     crs = _projected(options.crs) if options.crs else ""
@@ -222,21 +217,10 @@ def read_maps(
 ) -> tuple[list[SourceMap], tuple[Surveyed, ...]]:
     """Read map files and list the junctions of the one with roads.
 
-    Raises InputError: a file cannot be read, or none or several have roads.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        Exactly one has roads; the others have buildings and more.
-    reading : ReadingOptions
-        Answers to what the files leave open.
-
-    Returns
-    -------
-    maps : list of SourceMap
-        The map with the roads first, then the others in the given order.
-    junctions : tuple of Surveyed
-        See :func:`geometry.maps.junctions.survey_junctions`.
+    `paths`: exactly one has roads; the others have buildings and more. `reading`: answers to what
+    the files leave open. Returns `maps`: the map with the roads first, then the others in the given
+    order. `junctions`: see :func:`geometry.maps.junctions.survey_junctions`. Raises InputError: a
+    file cannot be read, or none or several have roads.
     """
     if not paths:
         raise InputError("FILE", Unquoted("nothing"), "a map: OpenDRIVE or OpenStreetMap")
@@ -253,20 +237,10 @@ def read_maps(
 def import_scene(paths: Sequence[Path], options: ImportOptions) -> ImportedScene:
     """Make a scene from map files.
 
+    `paths`: see :func:`read_maps`. `options`: which junction, how far around it, and which sites.
+    Returns `imported`: at least one arm leads into its junction, and it has at least one site.
     Raises InputError: a file cannot be read, there is no such junction, no lane leads into it, or
     there is no place for a sensor.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        See :func:`read_maps`.
-    options : ImportOptions
-        Which junction, how far around it, and which sites.
-
-    Returns
-    -------
-    imported : ImportedScene
-        At least one arm leads into its junction, and it has at least one site.
     """
     maps, junctions = read_maps(paths, options.reading)
     chosen = choose_junction(maps[0], junctions, name=options.junction, at=options.at)
@@ -285,21 +259,9 @@ def import_scene(paths: Sequence[Path], options: ImportOptions) -> ImportedScene
 def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOptions) -> ImportedScene:
     """Make a scene of one junction of maps that are read already.
 
+    `maps`: the one with the roads first. `chosen`: a junction of it. `options`: how far around it,
+    and which sites. Returns `imported`: of the junctions of the map, it knows the chosen one.
     Raises InputError: no lane leads into the junction, or there is no place for a sensor.
-
-    Parameters
-    ----------
-    maps : sequence of SourceMap
-        The one with the roads first.
-    chosen : Surveyed
-        A junction of it.
-    options : ImportOptions
-        How far around it, and which sites.
-
-    Returns
-    -------
-    imported : ImportedScene
-        Of the junctions of the map, it knows the chosen one.
     """
     roads = maps[0]
     if not chosen.n_driven:

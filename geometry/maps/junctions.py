@@ -86,14 +86,8 @@ SORTS = ("arms", "lanes", "signals", "crossings", "name")
 def sort_junctions(surveyed: Sequence[Surveyed], sort: str) -> tuple[Surveyed, ...]:
     """Junctions in another order: the most first, or names by the alphabet.
 
-    Raises InputError: `sort` is none of them.
-
-    Parameters
-    ----------
-    surveyed : sequence of Surveyed
-        As :func:`survey_junctions` returns them; equal ones stay in this order.
-    sort : str
-        One of ``SORTS``; "arms" is the order that they come in.
+    `surveyed`: as :func:`survey_junctions` returns them; equal ones stay in this order. `sort`: one
+    of ``SORTS``; "arms" is the order that they come in. Raises InputError: `sort` is none of them.
     """
     if sort not in SORTS:
         raise InputError("sort", sort, "one of " + ", ".join(SORTS))

@@ -400,18 +400,10 @@ def read_areas(path: Path, *, crs: str) -> tuple[Area, ...]:
 def read_counts(path: Path, *, crs: str, column: str = "") -> Counts:
     """Read counts: CSV with x and y, lat and lon, or junction; or points of a GIS file.
 
-    Raises InputError: the file cannot be read; there is no such column, or no place; a count is no
-    number of at least 0.
-
-    Parameters
-    ----------
-    path : Path
-        CSV, GeoJSON, GeoPackage or Shapefile.
-    crs : str
-        Of the map; columns x and y are in it.
-    column : str
-        Of the counts; empty: "weight", "count" or the like, and where there is none, each place
-        counts 1.
+    `path`: CSV, GeoJSON, GeoPackage or Shapefile. `crs`: of the map; columns x and y are in it.
+    `column`: of the counts; empty: "weight", "count" or the like, and where there is none, each
+    place counts 1. Raises InputError: the file cannot be read; there is no such column, or no
+    place; a count is no number of at least 0.
     """
     if path.suffix.lower() == ".csv":
         rows = list(read_csv_rows(path))

@@ -114,14 +114,8 @@ def read_openstreetmap(path: Path, *, keeps_left: bool | None = None) -> SourceM
 
     Coordinates are metres around the middle of the roads, heights are above the ground; there may
     be no junction. Raises InputError: the file cannot be read, is damaged or too large, or has no
-    road for cars.
-
-    Parameters
-    ----------
-    path : Path
-        XML (.osm, .osm.gz, .osm.bz2) or PBF (.osm.pbf).
-    keeps_left : bool, optional
-        Traffic keeps left; by default what the file shows: a tag, roundabouts, carriageways.
+    road for cars. `path`: XML (.osm, .osm.gz, .osm.bz2) or PBF (.osm.pbf). `keeps_left`: traffic
+    keeps left; by default what the file shows: a tag, roundabouts, carriageways.
     """
     elements = read_elements(path)
     roads = [way for way in elements.ways if is_for_cars(way.tags)]
@@ -225,15 +219,9 @@ def _near(elements: Elements, positions_m: FloatArray) -> Elements:
 def fetch_openstreetmap(bbox: ArrayLike, path: Path) -> None:
     """Fetch all OpenStreetMap data within a box, by the Overpass API.
 
-    Raises InputError: the box is not valid or too large; or the server does not answer with a map.
-    MissingExtraError: the package for requests over the network is not installed.
-
-    Parameters
-    ----------
-    bbox : (4,) float
-        West, south, east, north. WGS 84. [deg]
-    path : Path
-        File to write, as XML; its folder must exist.
+    `bbox` (4,): west, south, east, north. WGS 84. `path`: file to write, as XML; its folder must
+    exist. Raises InputError: the box is not valid or too large; or the server does not answer with
+    a map. MissingExtraError: the package for requests over the network is not installed.
     """
     west, south, east, north = box = float_array(bbox, (4,), "bbox")
     online = DEFAULTS["online"]

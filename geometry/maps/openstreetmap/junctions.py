@@ -528,12 +528,8 @@ _SIDEWALKS = ("both", "left", "right", "yes")
 def is_merge(arms: Sequence[tuple[Edge, bool]], nodes: Iterable[Tags]) -> bool:
     """Whether only motorways and trunk roads meet, without people on foot and crossing ways.
 
-    Parameters
-    ----------
-    arms : sequence of (Edge, bool)
-        The part of each road next to the meeting, and whether it runs away from there.
-    nodes : iterable of Tags
-        Of the nodes where they meet: signals and crossings are for people.
+    `arms`: the part of each road next to the meeting, and whether it runs away from there. `nodes`:
+    of the nodes where they meet: signals and crossings are for people.
     """
     edges = [(edge, is_away) for edge, is_away in arms if not edge.is_service]
     if not edges or len(edges) < len(arms) or any(_has_people(edge.tags) for edge, _ in edges):
