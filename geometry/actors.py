@@ -13,13 +13,7 @@ import numpy as np
 from msgspec import Struct, structs
 from numpy.typing import ArrayLike, NDArray
 
-from .arrays import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    float_array,
-    freeze,
-)
+from .arrays import BoolArray, FloatArray, IntArray, freeze, set_arrays
 from .errors import InputError, Unquoted
 from .files import Table, Text, load_toml, pick, read_tables
 from .poses import Pose
@@ -39,9 +33,7 @@ class Shape:
     triangles: NDArray[np.int32]
 
     def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "vertices_m", float_array(self.vertices_m, (-1, 3), "shape: vertices_m")
-        )
+        set_arrays(self, "shape: ", vertices_m=(-1, 3))
         object.__setattr__(self, "triangles", freeze(np.array(self.triangles, dtype=np.int32)))
 
     def __repr__(self) -> str:
@@ -104,8 +96,7 @@ class Actor:
             return np.zeros(distance.shape, dtype=np.int64)
         n_shapes = len(self.shapes)
         steps = (distance / self.cycle_m * n_shapes).round(_SHAPE_DECIMALS)
-        index: IntArray = np.floor(steps + 0.5).astype(np.int64) % n_shapes
-        return index
+        return np.floor(steps + 0.5).astype(np.int64) % n_shapes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -123,21 +114,13 @@ class PlacedActor:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MovingActor:
-    """A body that moves on the road, frame by frame.
+    """A body that moves on the road, frame by frame."""
 
-    Attributes
-    ----------
-    actor : Actor
-        The body.
-    position_m : (n_frames, 2) float
-        Middle of the footprint; not a number in frames in which it is not there. World frame. [m]
-    yaw_deg : (n_frames,) float
-        Heading. [deg]
-    """
-
-    actor: Actor
+    actor: Actor  # the body
+    # (n_frames, 2); middle of the footprint; not a number in frames in which it is not there. World
+    # frame.
     position_m: FloatArray
-    yaw_deg: FloatArray
+    yaw_deg: FloatArray  # (n_frames,); heading
 
     def __post_init__(self) -> None:
         position = np.array(self.position_m, dtype=np.float64)
@@ -168,12 +151,8 @@ def load_actors() -> dict[str, Actor]:
 def read_actors(table: Table, source: Traversable) -> dict[str, Actor]:
     """Bodies of a catalogue laid out as ``data/actors.toml``, by name.
 
-    `source` has the shapes that ``geometry.body_shapes`` has built from it.
-
-    Raises
-    ------
-    InputError
-        A field is missing, or the shapes were built from another description.
+    `source` has the shapes that ``geometry.body_shapes`` has built from it. Raises InputError: a
+    field is missing, or the shapes were built from another description.
     """
     try:
         with source.open("rb") as file, np.load(file, allow_pickle=False) as stored:

@@ -28,10 +28,7 @@ else:
 def float_array(values: ArrayLike, shape: tuple[int, ...], name: str) -> FloatArray:
     """Read-only float64 copy of `values`: of this shape (-1: any length) and finite.
 
-    Raises
-    ------
-    InputError
-        The shape differs, or a value is not a finite number; `name` says where.
+    Raises InputError: the shape differs, or a value is not a finite number; `name` says where.
 
     Examples
     --------
@@ -50,6 +47,13 @@ def float_array(values: ArrayLike, shape: tuple[int, ...], name: str) -> FloatAr
         raise InputError(name, array.tolist(), "finite numbers")
     array.setflags(write=False)
     return array
+
+
+def set_arrays(value: object, where: str, **shapes: tuple[int, ...]) -> None:
+    """Replace fields of a frozen value by checked copies, see :func:`float_array`."""
+    for name, shape in shapes.items():
+        array = float_array(getattr(value, name), shape, f"{where}{name}")
+        object.__setattr__(value, name, array)
 
 
 def freeze(array: NDArray[Any]) -> NDArray[Any]:

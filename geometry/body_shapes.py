@@ -43,14 +43,8 @@ _Frame = tuple[FloatArray, FloatArray]
 def build_shapes(entry: Table, where: str) -> tuple[Shape, ...]:
     """Shapes of a body of ``data/actors.toml`` over one cycle of its gait.
 
-    Each stands on the road, and together they fill exactly the body's box.
-
-    Raises
-    ------
-    InputError
-        The description is wrong; `where` names the body.
-    MissingExtraError
-        manifold3d is not installed.
+    Each stands on the road, and together they fill exactly the body's box. Raises InputError: the
+    description is wrong; `where` names the body. MissingExtraError: manifold3d is not installed.
     """
     turns_deg = _take_turns(entry, where)
     n_shapes = _N_SHAPES if turns_deg else 1
@@ -132,8 +126,7 @@ def _hanging(angle_deg: FloatArray) -> FloatArray:
 
 def _angle_deg(bar: FloatArray) -> FloatArray:
     """The angle that :func:`_hanging` takes, of bars (n, 2) of any length."""
-    angle: FloatArray = np.degrees(np.arctan2(bar[:, 0], -bar[:, 1]))
-    return angle
+    return np.degrees(np.arctan2(bar[:, 0], -bar[:, 1]))
 
 
 def _turn_deg(angle_deg: float) -> FloatArray:

@@ -83,10 +83,7 @@ def pick_camera(name: str, where: str) -> CameraModel:
 def pick_sensor(name: str, where: str, *, kind: str | None = None) -> Sensor:
     """Sensor model by name, of one of ``SENSOR_KINDS`` or of any; `where` says what named it.
 
-    Raises
-    ------
-    InputError
-        The name is unknown.
+    Raises InputError: the name is unknown.
     """
     known: dict[str, Sensor] = {}
     if kind != "lidar":

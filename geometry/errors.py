@@ -10,16 +10,16 @@ class InputError(ValueError):
     Parameters
     ----------
     where : str
-        File, field or option, as precisely as known.
+        File, field or argument, as precisely as known: an argument by its name alone.
     got : object
         The offending value.
     expected : str
-        What would have been accepted.
+        What would have been accepted; other arguments stand in backticks.
 
     Examples
     --------
-    >>> str(InputError("--budget", 0, "a whole number of units, at least 1"))
-    '--budget: got 0; expected a whole number of units, at least 1'
+    >>> str(InputError("budget", 0, "a whole number of units, at least 1"))
+    'budget: got 0; expected a whole number of units, at least 1'
     """
 
     def __init__(self, where: str, got: object, expected: str) -> None:

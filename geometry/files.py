@@ -161,6 +161,8 @@ def write_atomically(
 ) -> None:
     """Write a file under a temporary name in the same folder and move it into place.
 
+    Raises OSError: something is in the way, see :func:`check_target`, or the system says no.
+
     Parameters
     ----------
     path : Path
@@ -170,11 +172,6 @@ def write_atomically(
         `path` as it was.
     is_private : bool
         Readable and writable by this user alone, whatever the umask.
-
-    Raises
-    ------
-    OSError
-        Something is in the way, see :func:`check_target`, or the system says no.
     """
     if what := _obstacle(path):
         raise FileExistsError(errno.EEXIST, f"{what}, no regular file", str(path))
@@ -204,10 +201,7 @@ def write_atomically(
 def load_toml(source: Path | Traversable) -> dict[str, Any]:
     """Read a TOML file, or a data file of a package, as a whole.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, is larger than 20 MB, or is not TOML.
+    Raises InputError: the file cannot be read, is larger than 20 MB, or is not TOML.
     """
     if isinstance(source, Path):
         text = read_text(source, "valid TOML", max_bytes=MAX_TOML_BYTES)
@@ -229,6 +223,9 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
 def read_table(table: object, kind: type[_T], where: str) -> _T:
     """Convert a table of a TOML or JSON file to a value.
 
+    Raises InputError: names the file, the field, the value and what is expected. One that a value
+    raises itself with an empty ``where`` is completed.
+
     Parameters
     ----------
     table : object
@@ -246,12 +243,6 @@ def read_table(table: object, kind: type[_T], where: str) -> _T:
     value : kind
         Checked; numbers are finite. Keys that are no field are ignored, except by a Struct with
         ``forbid_unknown_fields``.
-
-    Raises
-    ------
-    InputError
-        Names the file, the field, the value and what is expected. One that a value raises itself
-        with an empty ``where`` is completed.
     """
     _check_finite(table, where)
     try:

@@ -21,8 +21,7 @@ def footprint_corners(
     left = 0.5 * width_m * np.array([1.0, 1.0, -1.0, -1.0])
     east = ahead * np.cos(yaw) - left * np.sin(yaw)
     north = ahead * np.sin(yaw) + left * np.cos(yaw)
-    corners: FloatArray = centre[..., None, :] + np.stack([east, north], axis=-1)
-    return corners
+    return centre[..., None, :] + np.stack([east, north], axis=-1)
 
 
 def footprint_separation(corners_a_m: ArrayLike, corners_b_m: ArrayLike) -> FloatArray:

@@ -9,8 +9,7 @@ from .arrays import FloatArray
 def box_height_px(boxes_px: ArrayLike) -> FloatArray:
     """Height of boxes, (..., 4) -> (...,), in pixels."""
     boxes = np.asarray(boxes_px, dtype=np.float64)
-    height: FloatArray = boxes[..., 3] - boxes[..., 1]
-    return height
+    return boxes[..., 3] - boxes[..., 1]
 
 
 def clip_boxes(boxes_px: ArrayLike, *, width_px: int, height_px: int) -> FloatArray:
@@ -35,17 +34,13 @@ def iou(boxes_a_px: ArrayLike, boxes_b_px: ArrayLike) -> FloatArray:
     intersection = _area(high - low)
     area_a, area_b = (_area(box[..., 2:] - box[..., :2]) for box in (a, b))
     union = area_a + area_b - intersection
-    ratio: FloatArray = np.divide(
-        intersection, union, out=np.zeros_like(intersection), where=union > 0.0
-    )
-    return ratio
+    return np.divide(intersection, union, out=np.zeros_like(intersection), where=union > 0.0)
 
 
 def _area(size_px: FloatArray) -> FloatArray:
     """Width times height, (..., 2) -> (...,); 0 where either is negative."""
     size = np.maximum(size_px, 0.0)
-    area: FloatArray = size[..., 0] * size[..., 1]
-    return area
+    return size[..., 0] * size[..., 1]
 
 
 def mask_box(mask: ArrayLike, *, x_min_px: int = 0, y_min_px: int = 0) -> FloatArray:

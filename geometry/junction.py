@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .arrays import FloatArray, float_array, freeze
+from .arrays import FloatArray, freeze, set_arrays
 from .errors import InputError
 from .scene import Lane, LeadingRoad, Scene, Turn
 
@@ -47,9 +47,9 @@ class Line:
     direction: FloatArray
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "point_m", float_array(self.point_m, (2,), "point_m"))
-        direction = float_array(self.direction, (2,), "direction")
-        object.__setattr__(self, "direction", freeze(direction / np.hypot(*direction)))
+        set_arrays(self, "", point_m=(2,), direction=(2,))
+        direction = freeze(self.direction / np.hypot(*self.direction))
+        object.__setattr__(self, "direction", direction)
 
     @property
     def left(self) -> FloatArray:
@@ -63,8 +63,7 @@ class Line:
 
     def at(self, distance_m: float, left_m: float = 0.0) -> FloatArray:
         """Point some metres ahead of the line's point and to the left of it, (2,)."""
-        point: FloatArray = self.point_m + distance_m * self.direction + left_m * self.left
-        return point
+        return self.point_m + distance_m * self.direction + left_m * self.left
 
     def coordinates(self, point_m: ArrayLike) -> FloatArray:
         """Metres ahead of the line's point and to the left of it at which points lie, (..., 2)."""
@@ -86,26 +85,16 @@ class Line:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Arm:
-    """A road that ends at a junction.
+    """A road that ends at a junction."""
 
-    Attributes
-    ----------
-    name : str
-        Where it lies, seen from the junction: "north", "east", ...
-    lanes_in, lanes_out : tuple of Lane
-        Into the junction and out of it, whole as far as the map goes; from the kerb to the road's
-        axis, parking lanes too.
-    crosswalk : Line
-        Where pedestrians cross the arm.
-    cycleways_in, cycleways_out : tuple of Lane
-        Where cyclists ride into the junction and out of it, beside or between the lanes; from the
-        kerb to the road's axis.
-    """
-
-    name: str
+    name: str  # where it lies, seen from the junction: "north", "east", ..
+    # into the junction and out of it, whole as far as the map goes; from the kerb to the road's
+    # axis, parking lanes too
     lanes_in: tuple[Lane, ...]
     lanes_out: tuple[Lane, ...]
-    crosswalk: Line
+    crosswalk: Line  # where pedestrians cross the arm
+    # where cyclists ride into the junction and out of it, beside or between the lanes; from the
+    # kerb to the road's axis
     cycleways_in: tuple[Lane, ...] = ()
     cycleways_out: tuple[Lane, ...] = ()
 
@@ -128,28 +117,16 @@ class Arm:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Junction:
-    """Arms of a scene's junction.
+    """Arms of a scene's junction."""
 
-    Attributes
-    ----------
-    name : str
-        Of the scene.
-    arms : mapping of str to Arm
-        By name, counter-clockwise from the east.
-    keeps_left : bool
-        Traffic keeps left.
-    connections : tuple of Lane
-        Lanes through the junction, each from the end of an entry lane to the begin of an exit lane,
-        and through others around it.
-    beyond : tuple of Lane
-        Lanes that are assumed, from beyond the map to the begin of an entry lane: straight ones of
-        two points, or bent past buildings.
-    """
-
-    name: str
-    arms: dict[str, Arm]
-    keeps_left: bool = False
+    name: str  # of the scene
+    arms: dict[str, Arm]  # By name, counter-clockwise from the east
+    keeps_left: bool = False  # traffic keeps left
+    # lanes through the junction, each from the end of an entry lane to the begin of an exit lane,
+    # and through others around it
     connections: tuple[Lane, ...] = ()
+    # lanes that are assumed, from beyond the map to the begin of an entry lane: straight ones of
+    # two points, or bent past buildings
     beyond: tuple[Lane, ...] = ()
 
     def is_led_on(self, entry: Lane) -> bool:
@@ -195,12 +172,8 @@ def build_junction(scene: Scene) -> Junction:
     one into the junction and one out of it, with a median of up to 25 m between. An arm is named
     after one of four points of the compass, or of eight or sixteen where two arms would share a
     name; if even these do, numbers tell them apart. Where it has no crosswalk of its own,
-    pedestrians cross 2 m inside the mouth, as at Euro NCAP's junction.
-
-    Raises
-    ------
-    InputError
-        No lane begins or ends at the outline of the junction's road surface.
+    pedestrians cross 2 m inside the mouth, as at Euro NCAP's junction. Raises InputError: no lane
+    begins or ends at the outline of the junction's road surface.
     """
     ends = _ends_at_outline(scene, _ROAD_KINDS)
     if not ends:
@@ -301,12 +274,8 @@ def lane_length_m(lane: Lane) -> float:
 def curve_between(before: Line, after: Line) -> FloatArray:
     """Points (n, 2) from one line's point to another's: a cubic Hermite curve.
 
-    At its ends it has the lines' directions.
-
-    Raises
-    ------
-    ValueError
-        The other line's point does not lie ahead: more than 60 degrees aside of a direction.
+    At its ends it has the lines' directions. Raises ValueError: the other line's point does not lie
+    ahead: more than 60 degrees aside of a direction.
     """
     begin, end = before.point_m, after.point_m
     length_m = float(np.hypot(*(end - begin)))

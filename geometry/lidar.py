@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from .arrays import FloatArray, IntArray
 from .errors import InputError
 from .files import Table, load_toml, read_table, read_tables
-from .limits import load_limits
+from .sensors import load_limits
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -149,8 +149,7 @@ def beam_directions(lidar: LidarModel) -> FloatArray:
     azimuth = np.radians(_cell_centres(lidar.horizontal_fov_deg, lidar.n_columns))[None, :]
     level = np.cos(elevation)
     up = np.broadcast_to(np.sin(elevation), (lidar.n_lines, lidar.n_columns))
-    directions: FloatArray = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), up], -1)
-    return directions
+    return np.stack([level * np.cos(azimuth), level * np.sin(azimuth), up], -1)
 
 
 def beam_window(lidar: LidarModel, low_deg: ArrayLike, high_deg: ArrayLike) -> IntArray:
@@ -183,8 +182,7 @@ def beam_window(lidar: LidarModel, low_deg: ArrayLike, high_deg: ArrayLike) -> I
     is_open = np.array([True, not lidar.scans_all_round])
     start = np.where(is_open, np.clip(first, 0, counts), first % counts)
     length = np.where(is_open, np.clip(end, start, counts) - start, np.clip(end - first, 0, counts))
-    window: IntArray = np.concatenate([start, start + length], axis=-1).astype(np.int64)
-    return window
+    return np.concatenate([start, start + length], axis=-1).astype(np.int64)
 
 
 _INDEX_SLACK = 1.0e-9
@@ -195,8 +193,7 @@ def beams_per_steradian(lidar: LidarModel, elevation_deg: ArrayLike) -> FloatArr
     azimuth_step = math.radians(lidar.horizontal_fov_deg / lidar.n_columns)
     elevation_step = math.radians(lidar.vertical_fov_deg / lidar.n_lines)
     level = np.cos(np.radians(np.asarray(elevation_deg, dtype=np.float64)))
-    density: FloatArray = 1.0 / (azimuth_step * elevation_step * level)
-    return density
+    return 1.0 / (azimuth_step * elevation_step * level)
 
 
 def return_probability(
@@ -232,15 +229,13 @@ def return_probability(
             - 2.0 * np.asarray(extinction_per_m, dtype=np.float64) * distance
         )
     step = expit(log_signal / lidar.threshold_width + logit(lidar.reference_probability))
-    probability: FloatArray = np.where(is_inside, step, 0.0)
-    return probability
+    return np.where(is_inside, step, 0.0)
 
 
 def noisy_ranges(lidar: LidarModel, distance_m: ArrayLike, rng: np.random.Generator) -> FloatArray:
     """Distances as the LiDAR reports them: with normal noise of `range_noise_m`."""
     distance = np.asarray(distance_m, dtype=np.float64)
-    noisy: FloatArray = distance + lidar.range_noise_m * rng.standard_normal(distance.shape)
-    return noisy
+    return distance + lidar.range_noise_m * rng.standard_normal(distance.shape)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -287,5 +282,4 @@ def load_surface_reflectivity() -> dict[str, float]:
 
 def _cell_centres(extent: float, n_cells: int) -> FloatArray:
     """Middles of equal cells, symmetric about 0, (n_cells,)."""
-    centres: FloatArray = ((np.arange(n_cells) + 0.5) / n_cells - 0.5) * extent
-    return centres
+    return ((np.arange(n_cells) + 0.5) / n_cells - 0.5) * extent

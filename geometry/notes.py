@@ -10,24 +10,12 @@ Kind = Literal["junction", "side of the road", "sites", "roads", "buildings", "h
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Note:
-    """Something that was assumed where a map leaves it open, or that was left out.
+    """Something that was assumed where a map leaves it open, or that was left out."""
 
-    Attributes
-    ----------
-    what : str
-        Kind and id, as the source has them: "way 4711", "road 5 object 12".
-    why : str
-        What was assumed, or the reason, in words.
-    kind : Kind
-        What it is about.
-    site_ids : tuple of str
-        Sites of the scene that the map does not have, or not there.
-    """
-
-    what: str
-    why: str
-    kind: Kind = "left out"
-    site_ids: tuple[str, ...] = ()
+    what: str  # kind and id, as the source has them: "way 4711", "road 5 object 12"
+    why: str  # what was assumed, or the reason, in words
+    kind: Kind = "left out"  # what it is about
+    site_ids: tuple[str, ...] = ()  # sites of the scene that the map does not have, or not there
 
     def __str__(self) -> str:
         return f"{self.what}: {self.why}"

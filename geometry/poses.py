@@ -59,14 +59,12 @@ def body_rotation(yaw_deg: ArrayLike, pitch_deg: ArrayLike = 0.0) -> FloatArray:
         [cos_pitch * sin_yaw, cos_yaw, -sin_pitch * sin_yaw],
         [sin_pitch, zero, cos_pitch],
     ]
-    rotation: FloatArray = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-    return rotation
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def camera_rotation(yaw_deg: ArrayLike, pitch_deg: ArrayLike = 0.0) -> FloatArray:
     """Rotation (..., 3, 3) from camera coordinates (x right, y down, z ahead) to the world."""
-    rotation: FloatArray = body_rotation(yaw_deg, pitch_deg) @ R_BODY_CAMERA
-    return rotation
+    return body_rotation(yaw_deg, pitch_deg) @ R_BODY_CAMERA
 
 
 def to_world(points_body_m: ArrayLike, pose: Pose) -> FloatArray:
@@ -87,5 +85,4 @@ def wrap_deg(angle_deg: ArrayLike) -> FloatArray:
     array([-170.,  180.,    0.])
     """
     wrapped: FloatArray = 180.0 - (180.0 - np.asarray(angle_deg, dtype=np.float64)) % 360.0
-    turned: FloatArray = wrapped + 360.0 * (wrapped <= -180.0)  # the remainder may round to 360
-    return turned
+    return wrapped + 360.0 * (wrapped <= -180.0)  # the remainder may round to 360

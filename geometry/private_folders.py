@@ -146,12 +146,7 @@ def _acl_lets_others_write(place: Path | int, name: str) -> bool:
 def open_own(path: Path) -> BinaryIO:
     """Open a file for reading that this user or root alone can have written.
 
-    Raises
-    ------
-    PermissionError
-        Somebody else owns it, or may write to it.
-    OSError
-        It cannot be read.
+    Raises PermissionError: somebody else owns it, or may write to it. OSError: it cannot be read.
     """
     file = path.open("rb")
     handle = file.fileno()  # what is judged is what is read

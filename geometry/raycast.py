@@ -151,17 +151,9 @@ RAYS = ("auto", EmbreexCaster.name, Open3dCaster.name)
 def caster_name(rays: str = "auto", *, where: str = "rays") -> str:
     """Name of the library that casts rays.
 
-    Parameters
-    ----------
-    rays : str
-        One of ``RAYS``. By "auto" it is "embree", or "open3d" where embreex cannot load.
-    where : str
-        What asked for it, for error messages.
-
-    Raises
-    ------
-    InputError
-        The name is unknown, or the library cannot load; the message says why.
+    `rays`: one of ``RAYS``. By "auto" it is "embree", or "open3d" where embreex cannot load.
+    `where`: what asked for it, for error messages. Raises InputError: the name is unknown, or the
+    library cannot load; the message says why.
     """
     if rays not in RAYS:
         raise InputError(where, rays, "one of " + ", ".join(RAYS))
@@ -200,19 +192,10 @@ def build_caster(
 ) -> RayCaster:
     """Prepare triangles for rays, which may be cast from any thread.
 
-    Parameters
-    ----------
-    vertices_m : (n, 3) float
-        World or body frame, near the origin: rays are cast in single precision. [m]
-    triangles : (m, 3) int
-        Vertex indices; none at all is allowed.
-    library : str, optional
-        One of ``RAYS``; by default "auto".
-
-    Raises
-    ------
-    InputError
-        A vertex is not finite, a triangle points outside the vertices, or the library cannot load.
+    `vertices_m` (n, 3): world or body frame, near the origin: rays are cast in single precision.
+    `triangles` (m, 3): vertex indices; none at all is allowed. `library`: one of ``RAYS``; by
+    default "auto". Raises InputError: a vertex is not finite, a triangle points outside the
+    vertices, or the library cannot load.
     """
     return CASTERS[caster_name(library or "auto", where="library")](vertices_m, triangles)
 

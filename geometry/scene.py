@@ -9,10 +9,10 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import ArrayLike, NDArray
 
-from .arrays import FloatArray, Point2, Point3, Points2, float_array, freeze
+from .arrays import FloatArray, Point2, Point3, Points2, float_array, freeze, set_arrays
 from .errors import InputError, Unquoted
-from .limits import load_limits
 from .notes import Note
+from .sensors import load_limits
 
 HANGING_KINDS = ("mast arm", "gantry", "bridge", "wire")
 """Kinds of sites that hang over the road; all others stand beside it."""
@@ -59,17 +59,11 @@ class Site:
 
     def __post_init__(self) -> None:
         where = f"site {self.id}"
-        object.__setattr__(
-            self, "position_m", float_array(self.position_m, (3,), f"{where}.position_m")
-        )
-        height = float_array(self.height_range_m, (2,), f"{where}.height_range_m")
-        if not 0.0 < height[0] <= height[1]:
-            raise InputError(
-                f"{where}.height_range_m",
-                height.tolist(),
-                "[low, high] in metres, 0 < low <= high",
-            )
-        object.__setattr__(self, "height_range_m", height)
+        set_arrays(self, f"{where}.", position_m=(3,), height_range_m=(2,))
+        low, high = self.height_range_m.tolist()
+        if not 0.0 < low <= high:
+            expected = "[low, high] in metres, 0 < low <= high"
+            raise InputError(f"{where}.height_range_m", [low, high], expected)
         capacity = self.capacity_units
         limits = load_limits()
         is_whole = isinstance(capacity, int) and not isinstance(capacity, bool)
@@ -103,29 +97,17 @@ class Instance:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LeadingRoad:
-    """A road of the map that leads to a junction, counted without looking at its lanes' lines.
+    """A road of the map that leads to a junction, counted without looking at its lanes' lines."""
 
-    Attributes
-    ----------
-    name : str
-        Of the street, or else the id that the map gives it.
-    point_m : (2,) float
-        Where it meets the junction's outline, or a little farther out. [m]
-    direction : (2,) float
-        Unit vector away from the junction.
-    lanes_in, lanes_out : int
-        Driving lanes into the junction and out of it, by the map's own words.
-    """
-
-    name: str
-    point_m: Point2
-    direction: Point2
+    name: str  # of the street, or else the id that the map gives it
+    point_m: Point2  # (2,); where it meets the junction's outline, or a little farther out
+    direction: Point2  # (2,); unit vector away from the junction
+    # driving lanes into the junction and out of it, by the map's own words
     lanes_in: int
     lanes_out: int
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "point_m", float_array(self.point_m, (2,), "point_m"))
-        object.__setattr__(self, "direction", float_array(self.direction, (2,), "direction"))
+        set_arrays(self, "", point_m=(2,), direction=(2,))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -192,16 +174,8 @@ class Scene:
     roads: tuple[LeadingRoad, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "vertices_m", float_array(self.vertices_m, (-1, 3), f"{self.name}: vertices_m")
-        )
-        object.__setattr__(
-            self, "outline_m", float_array(self.outline_m, (-1, 2), f"{self.name}: outline_m")
-        )
-        crosswalks = float_array(self.crosswalks_m, (-1, 2, 2), f"{self.name}: crosswalks_m")
-        object.__setattr__(self, "crosswalks_m", crosswalks)
-        origin = float_array(self.source_origin_m, (2,), f"{self.name}: source_origin_m")
-        object.__setattr__(self, "source_origin_m", origin)
+        shapes = {"vertices_m": (-1, 3), "outline_m": (-1, 2), "crosswalks_m": (-1, 2, 2)}
+        set_arrays(self, f"{self.name}: ", **shapes, source_origin_m=(2,))
         for name in ("triangles", "triangle_instance"):
             array = np.array(getattr(self, name), dtype=np.int32)
             object.__setattr__(self, name, freeze(array))
@@ -236,39 +210,22 @@ Turn = Literal["left", "through", "right", "reverse"]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Lane:
-    """One lane of an arm.
+    """One lane of an arm."""
 
-    Attributes
-    ----------
-    id : str
-        Name in the source.
-    kind : str
-        "driving", "parking", "cycling"; "connecting": through a junction, from the end of one lane
-        to the begin of another; or "assumed": straight on from beyond the map to the begin of one.
-    width_m : float
-        Full width. [m]
-    centreline_m : (n, 2) float
-        In driving direction. World frame. [m]
-    speed_limit_kmh : float, optional
-        Where it leads into the junction; None: unknown, or there is none. [km/h]
-    turns : tuple of str
-        Where cars may drive from its end, by its markings: "left", "through", "right", "reverse";
-        empty: it bears none.
-    """
-
-    id: str
+    id: str  # name in the source
+    # "driving", "parking", "cycling"; "connecting": through a junction, from the end of one lane to
+    # the begin of another; or "assumed": straight on from beyond the map to the begin of one
     kind: Annotated[str, Meta(min_length=1)]
-    width_m: Annotated[float, Meta(gt=0.0)]
-    centreline_m: Points2
+    width_m: Annotated[float, Meta(gt=0.0)]  # full width
+    centreline_m: Points2  # (n, 2); in driving direction. World frame.
+    # where it leads into the junction; None: unknown, or there is none
     speed_limit_kmh: Annotated[float, Meta(gt=0.0)] | None = None
+    # where cars may drive from its end, by its markings: "left", "through", "right", "reverse";
+    # empty: it bears none
     turns: tuple[Turn, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(
-            self,
-            "centreline_m",
-            float_array(self.centreline_m, (-1, 2), f"lane {self.id}.centreline_m"),
-        )
+        set_arrays(self, f"lane {self.id}.", centreline_m=(-1, 2))
 
 
 _SOLID_CLASSES = ("building", "wall", "vegetation", "parked vehicle")

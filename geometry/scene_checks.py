@@ -105,8 +105,7 @@ def _direction(line: Any, point: Any) -> FloatArray:
     at_m = line.project(point)
     begin, end = (line.interpolate(max(at_m + off_m, 0.0)) for off_m in (-_BESIDE_M, _BESIDE_M))
     step = np.array([end.x - begin.x, end.y - begin.y])
-    unit: FloatArray = step / max(float(np.hypot(*step)), 1e-9)
-    return unit
+    return step / max(float(np.hypot(*step)), 1e-9)
 
 
 def arms_that_end(scene: Scene) -> Iterator[tuple[str, str]]:
@@ -127,18 +126,9 @@ def arms_that_end(scene: Scene) -> Iterator[tuple[str, str]]:
 def compare_arms(junction: Junction, roads: Sequence[LeadingRoad]) -> Iterator[Finding]:
     """Compare the arms of a junction, found by its lanes, with the roads that lead to it.
 
-    Parameters
-    ----------
-    junction : Junction
-        See :func:`geometry.junction.build_junction`.
-    roads : sequence of LeadingRoad
-        Roads as the map has them.
-
-    Yields
-    ------
-    finding : Finding
-        A road that is part of no arm, an arm without a road, or an arm whose driving lanes are not
-        those of its roads.
+    `junction`: see :func:`geometry.junction.build_junction`. `roads`: roads as the map has them.
+    Yields `finding`: a road that is part of no arm, an arm without a road, or an arm whose driving
+    lanes are not those of its roads.
     """
     found: dict[str, list[LeadingRoad]] = {name: [] for name in junction.arms}
     for road in roads:

@@ -2,15 +2,17 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import cache
+from importlib.resources import files
 from typing import Annotated
 
 import numpy as np
-from msgspec import Meta
+from msgspec import Meta, Struct
 from numpy.typing import ArrayLike
 
 from .arrays import FloatArray
 from .errors import InputError, Unquoted
-from .limits import load_limits
+from .files import load_toml, read_table
 from .poses import Pose, camera_rotation
 
 
@@ -107,11 +109,8 @@ class CameraModel:
 def with_fov(camera: CameraModel, fov_deg: float, where: str) -> CameraModel:
     """A camera with its varifocal lens set to another horizontal field of view.
 
-    Raises
-    ------
-    InputError
-        The lens is fixed at another field of view, or does not reach this one; `where` says what
-        asks for it.
+    Raises InputError: the lens is fixed at another field of view, or does not reach this one;
+    `where` says what asks for it.
     """
     if fov_deg == camera.horizontal_fov_deg:
         return camera
@@ -130,11 +129,9 @@ def with_fov(camera: CameraModel, fov_deg: float, where: str) -> CameraModel:
 def project_points(points_m: ArrayLike, pose: Pose, camera: CameraModel) -> FloatArray:
     """Project points (n, 3) of the world frame into the image of a camera.
 
-    Returns
-    -------
-    projected : (n, 3) float
-        Column and row in pixels (the centre of the first pixel is (0.5, 0.5)) and the depth along
-        the optical axis in metres; column and row are NaN where the depth is not positive.
+    Returns `projected` (n, 3): column and row in pixels (the centre of the first pixel is (0.5,
+    0.5)) and the depth along the optical axis in metres; column and row are NaN where the depth is
+    not positive.
 
     References
     ----------
@@ -171,5 +168,21 @@ def pixel_rays(
         ],
         axis=1,
     )
-    directions: FloatArray = in_camera @ camera_rotation(pose.yaw_deg, pose.pitch_deg).T
-    return directions
+    return in_camera @ camera_rotation(pose.yaw_deg, pose.pitch_deg).T
+
+
+# ---------- largest values of sensors and sites
+
+
+class _Limits(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    camera_pixels: int
+    lidar_points_per_frame: int
+    price_eur: float
+    capacity_units: int
+
+
+@cache
+def load_limits() -> _Limits:
+    """All of them."""
+    name = "limits.toml"
+    return read_table(load_toml(files(__package__) / "data" / name), _Limits, name)

@@ -28,18 +28,12 @@ _MAX_CELLS = 150  # along each side
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Terrain:
-    """Heights of the ground on a grid.
+    """Heights of the ground on a grid."""
 
-    Attributes
-    ----------
-    east_m, north_m : (n_columns,), (n_rows,) float
-        Lines of the grid, in rising order. World frame. [m]
-    height_m : (n_rows, n_columns) float
-        Of its nodes; the ground between them is two triangles per cell. [m]
-    """
-
+    # (n_columns,), (n_rows,); lines of the grid, in rising order. World frame.
     east_m: FloatArray
     north_m: FloatArray
+    # (n_rows, n_columns); of its nodes; the ground between them is two triangles per cell
     height_m: FloatArray
 
     def __post_init__(self) -> None:
@@ -66,12 +60,11 @@ class Terrain:
         z = self.height_m
         south_west, north_east = z[row, column], z[row + 1, column + 1]
         south_east, north_west = z[row, column + 1], z[row + 1, column]
-        height: FloatArray = np.where(
+        return np.where(
             u >= v,
             south_west + u * (south_east - south_west) + v * (north_east - south_east),
             south_west + v * (north_west - south_west) + u * (north_east - north_west),
         )
-        return height
 
     def distances(
         self, origin_m: ArrayLike, directions: ArrayLike, *, max_range_m: float
@@ -125,10 +118,7 @@ def _cell(lines_m: FloatArray, values_m: FloatArray) -> tuple[NDArray[np.int64],
 def terrain_of(scene: Scene) -> Terrain | None:
     """The terrain of a scene, from the mesh of its ground; None where that is the plane z = 0.
 
-    Raises
-    ------
-    InputError
-        The ground is neither flat nor a grid.
+    Raises InputError: the ground is neither flat nor a grid.
     """
     index = [number for number, one in enumerate(scene.instances) if one.class_name == GROUND]
     used = np.unique(scene.triangles[np.isin(scene.triangle_instance, index)])
@@ -163,8 +153,7 @@ def on_ground(points_m: ArrayLike, terrain: Terrain | None) -> FloatArray:
     """Points (..., 2) with the height of the ground there, (..., 3)."""
     points = np.asarray(points_m, dtype=np.float64)
     height = np.zeros(points.shape[:-1]) if terrain is None else terrain.at(points)
-    placed: FloatArray = np.concatenate([points, height[..., None]], axis=-1)
-    return placed
+    return np.concatenate([points, height[..., None]], axis=-1)
 
 
 def headroom_m(vertices_m: FloatArray, terrain: Terrain | None) -> float:
@@ -202,8 +191,7 @@ def pitch_on_ground_deg(
     rise_m = terrain.at(position + front_m * ahead) - terrain.at(
         position + (front_m - wheelbase_m) * ahead
     )
-    pitch: FloatArray = np.degrees(np.arctan2(rise_m, wheelbase_m))
-    return pitch
+    return np.degrees(np.arctan2(rise_m, wheelbase_m))
 
 
 def set_down(bodies: Sequence[PlacedActor], scene: Scene) -> tuple[PlacedActor, ...]:

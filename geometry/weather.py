@@ -20,38 +20,21 @@ _DB_PER_NEPER = 10.0 / math.log(10.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Weather:
-    """Light and air.
+    """Light and air."""
 
-    Attributes
-    ----------
-    name : str
-        "day", "night", "rain" or "fog".
-    visibility_m : float
-        Meteorological optical range of haze and fog, without rain. [m]
-    rain_rate_mmph : float
-        Rain. [mm/h]
-    sun_elevation_deg, sun_yaw_deg : float
-        Where the sun stands: above the horizon, counter-clockwise from east. [deg]
-    sun_lux, sky_lux : float
-        On a surface that faces the sun, and on level ground from the sky. [lx]
-    has_lamps : bool
-        Street lamps and headlights are on.
-    contrast : float
-        Of a VRU against what is behind it, before the air takes its part; 1 in full daylight.
-    wetness : float
-        How much of a mirror the road is, 0 .. 1.
-    """
-
-    name: str
-    visibility_m: float
-    rain_rate_mmph: float
+    name: str  # "day", "night", "rain" or "fog"
+    visibility_m: float  # meteorological optical range of haze and fog, without rain
+    rain_rate_mmph: float  # rain
+    # where the sun stands: above the horizon, counter-clockwise from east
     sun_elevation_deg: float
     sun_yaw_deg: float
+    # on a surface that faces the sun, and on level ground from the sky
     sun_lux: float
     sky_lux: float
-    has_lamps: bool
+    has_lamps: bool  # street lamps and headlights are on
+    # of a VRU against what is behind it, before the air takes its part; 1 in full daylight
     contrast: float
-    wetness: float
+    wetness: float  # how much of a mirror the road is, 0 .. 1.
 
     def __post_init__(self) -> None:
         for field, is_valid, expected in (
@@ -92,8 +75,7 @@ class Weather:
         >>> float(fog.transmission(fog.visibility_m).round(12))
         0.05
         """
-        left: FloatArray = np.exp(-self.extinction_per_m * np.asarray(distance_m, dtype=np.float64))
-        return left
+        return np.exp(-self.extinction_per_m * np.asarray(distance_m, dtype=np.float64))
 
     def lidar_extinction_per_m(self, wavelength_nm: float) -> float:
         """Share of a laser pulse that rain and haze (Kim's exponent) take per metre, one way.

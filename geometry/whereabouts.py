@@ -46,18 +46,9 @@ def street_names(scene: Scene) -> dict[str, str]:
 def whereabouts(scene: Scene, positions_m: ArrayLike) -> list[str]:
     """Places at a junction in words, such as "north-west corner, Mill Lane and High Street".
 
-    Parameters
-    ----------
-    scene : Scene
-        The junction.
-    positions_m : (n, 2) float
-        Places in the world frame. [m]
-
-    Returns
-    -------
-    words : list of str
-        Within 15 m of the junction's outline a corner, with the streets of the arms on either
-        side; farther out the nearest arm, with its street. Empty where the scene has no arms.
+    `scene`: the junction. `positions_m` (n, 2): places in the world frame. Returns `words`: within
+    15 m of the junction's outline a corner, with the streets of the arms on either side; farther
+    out the nearest arm, with its street. Empty where the scene has no arms.
     """
     import shapely
 

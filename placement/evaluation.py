@@ -8,9 +8,9 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, freeze
 from scenarios.aeb import AebRule
-from scenarios.exposure import weight_share
 from scenarios.positions import sort_positions
 from scenarios.runs import FrameAxis, find_onsets
+from scenarios.weights import weight_share
 
 from .layout import Layout
 

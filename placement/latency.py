@@ -23,8 +23,8 @@ from scenarios.aeb import (
     held_frames,
     is_in_time,
 )
-from scenarios.exposure import weight_share
 from scenarios.runs import FrameAxis
+from scenarios.weights import weight_share
 
 from .evaluation import Evaluation
 

@@ -9,7 +9,7 @@ import numpy as np
 from geometry.catalogue import SENSOR_KINDS, Sensor, pick_sensor, sensor_kind
 from geometry.errors import InputError, Unquoted
 from geometry.files import pick
-from geometry.maps.site_files import (
+from geometry.maps.place_lists import (
     PLACE_FIELDS,
     known_columns,
     read_csv_rows,

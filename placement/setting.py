@@ -16,7 +16,6 @@ from geometry.scene_files import load_scene
 from geometry.sensors import CameraModel
 from scenarios.aeb import AebRule, load_aeb_rule, load_track_memory_s
 from scenarios.cases import select_cases
-from scenarios.exposure import check_weights, default_weights, weigh, weight_by_function
 from scenarios.paths import CoursePath, StraightPath, TowedPath, TurnPath
 from scenarios.positions import (
     AT_ZERO,
@@ -27,6 +26,7 @@ from scenarios.positions import (
     read_position,
 )
 from scenarios.runs import WEATHERS, FrameAxis, Refusal, Run, build_frame_axis, build_runs
+from scenarios.weights import check_weights, default_weights, weigh, weight_by_function
 
 from .cache import cached_value
 from .compute import DEFAULT_COMPUTE, Compute

@@ -7,8 +7,6 @@ from .cases import Case as Case
 from .cases import load_cases as load_cases
 from .cases import load_own_cases as load_own_cases
 from .cases import pick_cases as pick_cases
-from .exposure import weigh as weigh
-from .exposure import weight_by_function as weight_by_function
 from .positions import Position as Position
 from .positions import build_positions as build_positions
 from .runs import FrameAxis as FrameAxis
@@ -16,3 +14,5 @@ from .runs import Refusal as Refusal
 from .runs import Run as Run
 from .runs import build_frame_axis as build_frame_axis
 from .runs import build_runs as build_runs
+from .weights import weigh as weigh
+from .weights import weight_by_function as weight_by_function

@@ -103,12 +103,11 @@ def standstill_time_s(speed_mps: ArrayLike, *, rule: AebRule) -> FloatArray:
     within the build-up.
     """
     full_s = np.asarray(speed_mps, dtype=np.float64) / rule.deceleration_mps2
-    time: FloatArray = np.where(
+    return np.where(
         full_s < 0.5 * rule.build_up_s,
         np.sqrt(2.0 * full_s * rule.build_up_s),
         full_s + 0.5 * rule.build_up_s,
     )
-    return time
 
 
 def braking_speed_mps(time_s: ArrayLike, *, speed_mps: ArrayLike, rule: AebRule) -> FloatArray:
@@ -116,8 +115,7 @@ def braking_speed_mps(time_s: ArrayLike, *, speed_mps: ArrayLike, rule: AebRule)
     rising, full = _phases(np.asarray(time_s, dtype=np.float64), rule)
     braked_s = full if rule.build_up_s == 0.0 else full + 0.5 * rising**2 / rule.build_up_s
     lost_mps = rule.deceleration_mps2 * braked_s
-    speed: FloatArray = np.maximum(0.0, np.asarray(speed_mps, dtype=np.float64) - lost_mps)
-    return speed
+    return np.maximum(0.0, np.asarray(speed_mps, dtype=np.float64) - lost_mps)
 
 
 def braking_distance_m(time_s: ArrayLike, *, speed_mps: ArrayLike, rule: AebRule) -> FloatArray:
@@ -139,8 +137,7 @@ def braking_distance_m(time_s: ArrayLike, *, speed_mps: ArrayLike, rule: AebRule
     lost = 0.5 * full**2
     if rule.build_up_s > 0.0:
         lost = lost + rising**3 / (6.0 * rule.build_up_s) + 0.5 * rule.build_up_s * full
-    distance: FloatArray = speed * time - rule.deceleration_mps2 * lost
-    return distance
+    return speed * time - rule.deceleration_mps2 * lost
 
 
 def _phases(time_s: FloatArray, rule: AebRule) -> tuple[FloatArray, FloatArray]:
@@ -417,5 +414,4 @@ def is_in_time(
 ) -> BoolArray:
     """Whether braking after a confirmation avoids: confirmation + latency <= last brake time."""
     onset = np.asarray(confirmation_s, dtype=np.float64) + latency_s
-    in_time: BoolArray = onset <= np.asarray(last_brake_s, dtype=np.float64) + TIME_TOLERANCE_S
-    return in_time
+    return onset <= np.asarray(last_brake_s, dtype=np.float64) + TIME_TOLERANCE_S

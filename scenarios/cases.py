@@ -22,50 +22,27 @@ ALL_SPEEDS = "all"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VruLine:
-    """On which line of the junction the VRU moves.
+    """On which line of the junction the VRU moves."""
 
-    Attributes
-    ----------
-    along : str
-        "crosswalk", "lane" (of the arm it comes from) or "kerb" (of the VUT's approach road).
-    lane : str
-        "outer" (at the kerb) or "inner"; empty unless along a lane.
-    left_m : float
-        To the left of the lane's middle; along a kerb: outside it, negative on the road. [m]
-    """
-
+    # "crosswalk", "lane" (of the arm it comes from) or "kerb" (of the VUT's approach road)
     along: str
-    lane: str = ""
+    lane: str = ""  # "outer" (at the kerb) or "inner"; empty unless along a lane
+    # to the left of the lane's middle; along a kerb: outside it, negative on the road
     left_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Obstruction:
-    """Parked bodies, or a wall, that belong to a case.
+    """Parked bodies, or a wall, that belong to a case."""
 
-    Attributes
-    ----------
-    kind : str
-        "beside-vut", "beside-vru" or "wall".
-    bodies : tuple of Actor
-        From the one nearest to the meeting point; none for a wall.
-    first_gap_m : float
-        From the first body to the VRU's flank (beside-vut), or from the VUT's centreline to the
-        first body or the wall. [m]
-    between_gap_m : float
-        From bumper to bumper. [m]
-    side_gap_m : float
-        To the side of the VUT, or to that of the VRU's box. [m]
-    wall_size_m : tuple of float
-        Length, thickness, height of the wall; empty without one. [m]
-    """
-
-    kind: str
-    bodies: tuple[Actor, ...]
+    kind: str  # "beside-vut", "beside-vru" or "wall"
+    bodies: tuple[Actor, ...]  # from the one nearest to the meeting point; none for a wall
+    # from the first body to the VRU's flank (beside-vut), or from the VUT's centreline to the first
+    # body or the wall
     first_gap_m: float
-    between_gap_m: float
-    side_gap_m: float
-    wall_size_m: tuple[float, ...]
+    between_gap_m: float  # from bumper to bumper
+    side_gap_m: float  # to the side of the VUT, or to that of the VRU's box
+    wall_size_m: tuple[float, ...]  # length, thickness, height of the wall; empty without one
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -146,7 +123,7 @@ def worded_for(case: Case, *, keeps_left: bool) -> Case:
 
     Examples
     --------
-    >>> worded_for(pick_cases("CPTAfs-50", "--cases")[0], keeps_left=True).title
+    >>> worded_for(pick_cases("CPTAfs-50", "cases")[0], keeps_left=True).title
     'VUT turns right, adult crosses from the far side, walking as the VUT drove'
     """
     if not keeps_left:
@@ -162,6 +139,9 @@ _Positive = Annotated[float, Meta(gt=0.0)]
 _Side = Literal["near", "far"]
 
 
+_MAX_STEPS = 1000
+
+
 class _Speeds(Struct, frozen=True, kw_only=True):
     """Speeds of the VUT in km/h, evenly spaced."""
 
@@ -172,6 +152,8 @@ class _Speeds(Struct, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         if not (0.0 < self.min <= self.max and self.step > 0.0):
             raise InputError("", structs.asdict(self), "0 < min <= max, step > 0")
+        if self.max - self.min > _MAX_STEPS * self.step:
+            raise InputError("", structs.asdict(self), f"at most {_MAX_STEPS} steps")
 
 
 class _Crosswalk(Struct, frozen=True, kw_only=True, tag="crosswalk", tag_field="along"):
@@ -440,7 +422,7 @@ def pick_cases(text: str, where: str) -> tuple[Case, ...]:
 
     Examples
     --------
-    >>> [case.name for case in pick_cases("CBLA-50, CPNA", "--cases")]
+    >>> [case.name for case in pick_cases("CBLA-50, CPNA", "cases")]
     ['CBLA-50', 'CPNA-25', 'CPNA-75']
     """
     picked: dict[str, Case] = {}
@@ -467,21 +449,12 @@ def pick_cases(text: str, where: str) -> tuple[Case, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Selection:
-    """Cases to drive.
+    """Cases to drive."""
 
-    Attributes
-    ----------
-    cases : tuple of Case
-        Each with the speeds to be driven.
-    left_out : tuple of Case
-        Cases none of whose speeds were asked for; with the speeds that they have.
-    beyond : tuple of str
-        "case: speeds" outside of what the protocol drives, which were forced.
-    """
-
-    cases: tuple[Case, ...]
+    cases: tuple[Case, ...]  # each with the speeds to be driven
+    # cases none of whose speeds were asked for; with the speeds that they have
     left_out: tuple[Case, ...]
-    beyond: tuple[str, ...]
+    beyond: tuple[str, ...]  # "case: speeds" outside of what the protocol drives, which were forced
 
 
 def select_cases(cases: str, *, speeds: str | None = None, force: bool = False) -> Selection:
@@ -489,26 +462,22 @@ def select_cases(cases: str, *, speeds: str | None = None, force: bool = False) 
 
     `cases` is as for :func:`pick_cases`; `speeds` are km/h with commas between, or ranges: "20-40"
     is every speed of the case in it; "all" or None: every one. `force` drives speeds that the
-    protocol does not.
-
-    Raises
-    ------
-    InputError
-        A name or a speed cannot be read, or a speed lies outside of every case.
+    protocol does not. Raises InputError: a name or a speed cannot be read, or a speed lies outside
+    of every case.
 
     Examples
     --------
     >>> select_cases("CPNA-25", speeds="20,30-40").cases
     (Case('CPNA-25', 20, 30, 35, 40 km/h),)
     """
-    picked = pick_cases(cases, "--cases")
+    picked = pick_cases(cases, "cases")
     if speeds is None or speeds.strip() == ALL_SPEEDS:
         return Selection(cases=picked, left_out=(), beyond=())
     singles, ranges = _read_speeds(speeds)
     if not force:
         for speed in singles:
             if not any(_is_within(speed, case) for case in picked):
-                raise InputError("--speeds", Unquoted(f"{speed:g}"), _limits(picked))
+                raise InputError("speeds", Unquoted(f"{speed:g}"), _limits(picked))
     kept, left_out, beyond = [], [], []
     for case in picked:
         driven = {speed for speed in singles if force or _is_within(speed, case)}
@@ -521,7 +490,7 @@ def select_cases(cases: str, *, speeds: str | None = None, force: bool = False) 
         else:
             left_out.append(case)
     if not kept:
-        raise InputError("--speeds", speeds, _limits(picked))
+        raise InputError("speeds", speeds, _limits(picked))
     return Selection(cases=tuple(kept), left_out=tuple(left_out), beyond=tuple(beyond))
 
 
@@ -532,7 +501,7 @@ def _read_speeds(text: str) -> tuple[list[float], list[tuple[float, float]]]:
         numbers = [_read_speed(part) for part in ([low, high] if dash else [low])]
         if any(number is None for number in numbers):
             raise InputError(
-                "--speeds",
+                "speeds",
                 word,
                 f"km/h with commas between, such as 20,30 or 20-40, up to {_HIGHEST_KMH:g}",
             )
@@ -540,7 +509,7 @@ def _read_speeds(text: str) -> tuple[list[float], list[tuple[float, float]]]:
         if len(found) == 1:
             singles.append(found[0])
         elif found[0] > found[1]:
-            raise InputError("--speeds", word, "the lower speed first")
+            raise InputError("speeds", word, "the lower speed first")
         else:
             ranges.append((found[0], found[1]))
     return singles, ranges
@@ -562,4 +531,4 @@ def _is_within(speed_kmh: float, case: Case) -> bool:
 def _limits(cases: Sequence[Case]) -> str:
     low = min(case.speed_limits_kmh[0] for case in cases)
     high = max(case.speed_limits_kmh[1] for case in cases)
-    return f"{low:g} to {high:g} km/h as the protocol drives these cases, or --force"
+    return f"{low:g} to {high:g} km/h as the protocol drives these cases, or `force`"

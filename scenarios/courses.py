@@ -1,18 +1,19 @@
 """Courses: smooth lines along the lanes of a map, by their own length."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache
+from importlib.resources import files
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from msgspec import Struct
+from numpy.typing import ArrayLike, NDArray
 
 from geometry.arrays import FloatArray, freeze
 from geometry.errors import InputError
+from geometry.files import load_toml, pick, read_tables
 from geometry.junction import Line
-
-from .turns import Turn
 
 _SAMPLE_M = 0.5  # between the points of a lane that are smoothed
 _SMOOTHING_M = 2.0  # bends much shorter than six times this are evened out
@@ -36,25 +37,13 @@ class Course:
     """A smooth line on the road, and straight on beyond both its ends.
 
     Stations are metres along it from its origin: the mouth of the lane that it follows.
-
-    Attributes
-    ----------
-    begin_m : float
-        Station of the first point. [m]
-    points_m : (n, 2) float
-        Every centimetre. World frame. [m]
-    yaw_rad : (n,) float
-        Direction there, without jumps by full turns. [rad]
-    max_bend_per_m : float
-        Largest curvature. [1/m]
-    max_bend_change_per_m2 : float
-        Most that the curvature changes in a metre; infinite where it jumps. [1/m^2]
     """
 
-    begin_m: float
-    points_m: FloatArray
-    yaw_rad: FloatArray
-    max_bend_per_m: float
+    begin_m: float  # station of the first point
+    points_m: FloatArray  # (n, 2); every centimetre. World frame.
+    yaw_rad: FloatArray  # (n,); direction there, without jumps by full turns
+    max_bend_per_m: float  # largest curvature
+    # most that the curvature changes in a metre; infinite where it jumps
     max_bend_change_per_m2: float
 
     @property
@@ -89,12 +78,8 @@ class Course:
     def beside(self, left_m: float) -> "Course":
         """The line that runs some metres to the left of it.
 
-        Its origin is beside this one's.
-
-        Raises
-        ------
-        InputError
-            It bends more sharply than that, so that no line runs there.
+        Its origin is beside this one's. Raises InputError: it bends more sharply than that, so that
+        no line runs there.
         """
         if left_m == 0.0:
             return self
@@ -118,8 +103,7 @@ class Course:
         left = line.coordinates(self.points_m)[:, 1]
         index = np.flatnonzero((left[:-1] == 0.0) | (left[:-1] * left[1:] < 0.0))
         share = left[index] / (left[index] - left[index + 1])
-        stations: FloatArray = self.begin_m + _STEP_M * (index + share)
-        return stations
+        return self.begin_m + _STEP_M * (index + share)
 
     def station_of(self, point_m: ArrayLike) -> float:
         """Station of its point that is nearest to a point."""
@@ -148,17 +132,9 @@ class Course:
 def follow_lane(centreline_m: FloatArray, *, is_in: bool) -> Course:
     """The smooth course along a lane.
 
-    Parameters
-    ----------
-    centreline_m : (n, 2) float
-        Points of the lane in driving direction. World frame. [m]
-    is_in : bool
-        It leads into the junction: its mouth, the origin of stations, is its end. Else its begin.
-
-    Raises
-    ------
-    InputError
-        The line has no length.
+    `centreline_m` (n, 2): points of the lane in driving direction. World frame. `is_in`: it leads
+    into the junction: its mouth, the origin of stations, is its end. Else its begin. Raises
+    InputError: the line has no length.
 
     Notes
     -----
@@ -216,8 +192,7 @@ def _led_on(chain_m: FloatArray) -> FloatArray:
 
 def _along_m(chain_m: FloatArray) -> FloatArray:
     """Distance of each point of a chain from its begin."""
-    along: FloatArray = np.append(0.0, np.cumsum(np.hypot(*np.diff(chain_m, axis=0).T)))
-    return along
+    return np.append(0.0, np.cumsum(np.hypot(*np.diff(chain_m, axis=0).T)))
 
 
 def _sampled(chain_m: FloatArray, along_m: FloatArray, at_m: FloatArray) -> FloatArray:
@@ -302,6 +277,192 @@ def _course(begin_m: float, points_m: FloatArray, yaw_rad: FloatArray) -> Course
     )
 
 
+# ---------- turns
+
+
+LEFT, RIGHT = 1, -1
+_SIDES = {"far": LEFT, "near": RIGHT}  # right-hand traffic
+_ANGLE_TOLERANCE_DEG = 1.0e-9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Turn:
+    """A curve between two straights, the same from both ends."""
+
+    # where the curve begins and ends; infinite: as straight as what comes before
+    first_radius_m: float
+    radius_m: float  # of the arc in the middle; smaller than the first
+    # by how much each clothoid turns: its curvature grows linearly with its length
+    clothoid_deg: float
+    arc_deg: float  # by how much the arc turns
+    side: int  # ``LEFT`` = +1, ``RIGHT`` = -1
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.radius_m < np.inf:
+            raise InputError("turn.radius_m", self.radius_m, "> 0 metres")
+        if not self.first_radius_m > self.radius_m:
+            raise InputError("turn.first_radius_m", self.first_radius_m, "more than radius_m")
+        if not 0.0 < self.clothoid_deg < 90.0:
+            raise InputError("turn.clothoid_deg", self.clothoid_deg, "0 < degrees < 90")
+        if not 0.0 <= self.arc_deg < 180.0 - 2.0 * self.clothoid_deg:
+            raise InputError(
+                "turn.arc_deg", self.arc_deg, "degrees >= 0, less than 180 with both clothoids"
+            )
+        if self.side not in (LEFT, RIGHT):
+            raise InputError("turn.side", self.side, "1 (left) or -1 (right)")
+
+    @property
+    def angle_deg(self) -> float:
+        """By how much the whole curve turns, whichever side, in degrees."""
+        return 2.0 * self.clothoid_deg + self.arc_deg
+
+    @property
+    def clothoid_length_m(self) -> float:
+        """Length of each clothoid: 2 alpha / (1 / R1 + 1 / R2), in metres."""
+        alpha = np.radians(self.clothoid_deg)
+        return float(2.0 * alpha / (1.0 / self.first_radius_m + 1.0 / self.radius_m))
+
+    @property
+    def arc_length_m(self) -> float:
+        """Length of the arc, in metres."""
+        return float(np.radians(self.arc_deg) * self.radius_m)
+
+    @property
+    def length_m(self) -> float:
+        """Length of the whole curve, in metres."""
+        return 2.0 * self.clothoid_length_m + self.arc_length_m
+
+    @property
+    def tangent_m(self) -> float:
+        """From either end of the curve to where the straights before and after it would meet."""
+        half = 0.5 * np.radians(self.angle_deg)
+        return float((self._half_way() * np.exp(-1j * half)).real / np.cos(half))
+
+    def at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Position (..., 2), ahead and left of the start, and angle turned after a distance.
+
+        Before the curve and behind its end the path is straight. The angle counts in degrees,
+        counter-clockwise.
+
+        Notes
+        -----
+        A clothoid that begins with a curvature is a piece of one that begins without; the points
+        of that one are Fresnel's integrals.
+        """
+        distance = np.asarray(distance_m, dtype=np.float64)
+        total = np.radians(self.angle_deg)
+        from_start = np.clip(distance, 0.0, self.length_m)
+        is_second_half = from_start > 0.5 * self.length_m
+        # Seen from its end, backwards, the curve is its own mirror image.
+        from_nearer_end = np.where(is_second_half, self.length_m - from_start, from_start)
+        point, angle = self._first_half(from_nearer_end)
+        half_way, turned = self._half_way(), np.exp(1j * total)
+        end = half_way + turned * np.conj(half_way)
+        point = np.where(is_second_half, end - turned * np.conj(point), point)
+        angle = np.where(is_second_half, total - angle, angle)
+        point = point + np.minimum(distance, 0.0)
+        point = point + np.maximum(distance - self.length_m, 0.0) * turned
+        position = np.stack([point.real, self.side * point.imag], axis=-1)
+        return position, self.side * np.degrees(angle)
+
+    def turned_by(self, angle_deg: float) -> "Turn":
+        """The same turn with another arc, for lanes that meet at another angle.
+
+        Where the clothoids alone would turn further, they are shorter and there is no arc. Raises
+        InputError: the angle is not between 0 and 180 degrees.
+        """
+        if not 0.0 < angle_deg < 180.0:
+            raise InputError("angle_deg", angle_deg, "0 < degrees < 180")
+        arc_deg = angle_deg - 2.0 * self.clothoid_deg
+        if abs(arc_deg) < _ANGLE_TOLERANCE_DEG:
+            arc_deg = 0.0
+        if arc_deg < 0.0:
+            return replace(self, clothoid_deg=0.5 * angle_deg, arc_deg=0.0)
+        return replace(self, arc_deg=arc_deg)
+
+    def _half_way(self) -> complex:
+        point, _ = self._first_half(np.array(0.5 * self.length_m))
+        return complex(point)
+
+    def _first_half(self, distance: FloatArray) -> tuple[NDArray[np.complex128], FloatArray]:
+        """Points as complex numbers and angles in radians, as if turning left."""
+        from scipy.special import fresnel
+
+        first, curvature = 1.0 / self.first_radius_m, 1.0 / self.radius_m
+        length = self.clothoid_length_m
+        growth = (curvature - first) / length  # of the curvature, per metre
+        skipped = first / growth  # of the clothoid that begins straight
+        scale = np.sqrt(np.pi / growth)
+
+        on_clothoid = np.minimum(distance, length)
+        sines, cosines = fresnel((on_clothoid + skipped) / scale)
+        skipped_sine, skipped_cosine = fresnel(skipped / scale)
+        point = (cosines - skipped_cosine) + 1j * (sines - skipped_sine)
+        point = point * scale * np.exp(-0.5j * growth * skipped**2)
+        angle = (first + 0.5 * growth * on_clothoid) * on_clothoid
+
+        on_arc = np.maximum(distance - length, 0.0) * curvature
+        point = point + 1j * self.radius_m * np.exp(1j * angle) * (1.0 - np.exp(1j * on_arc))
+        return point, angle + on_arc
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TurnAtSpeed:
+    """A turn and how fast the VUT drives it, in km/h."""
+
+    turn: Turn
+    speed_kmh: float
+
+
+class _TurnEntry(Struct, frozen=True, kw_only=True):
+    """A turn in ``data/turning_paths.toml``."""
+
+    turn: Literal["far", "near"]
+    speed_kmh: float
+    first_radius_m: float
+    radius_m: float
+    clothoid_deg: float
+    arc_deg: float
+
+
+@cache
+def load_turns() -> dict[str, TurnAtSpeed]:
+    """The protocol's turns by name, such as "far_10", from ``data/turning_paths.toml``."""
+    table = load_toml(files(__package__) / "data" / "turning_paths.toml")
+    turns = {}
+    for name, entry in read_tables(table, _TurnEntry, "turning_paths.toml").items():
+        turn = Turn(
+            first_radius_m=entry.first_radius_m,
+            radius_m=entry.radius_m,
+            clothoid_deg=entry.clothoid_deg,
+            arc_deg=entry.arc_deg,
+            side=_SIDES[entry.turn],
+        )
+        turns[name] = TurnAtSpeed(turn=turn, speed_kmh=entry.speed_kmh)
+    return turns
+
+
+def pick_turn(side: str, speed_kmh: float) -> Turn:
+    """Turn to a side, "far" (left) or "near" (right), on which the VUT drives at a speed.
+
+    Faster than all tabulated speeds: that of the fastest, as the protocol rules for 25 km/h; slower
+    than all: that of the slowest. Raises InputError: the side is unknown, the speed not positive,
+    or between two tabulated ones.
+    """
+    sign = pick(_SIDES, side, "turn")
+    by_speed = {
+        entry.speed_kmh: entry.turn for entry in load_turns().values() if entry.turn.side == sign
+    }
+    slowest, fastest = min(by_speed), max(by_speed)
+    nearest_kmh = min(max(speed_kmh, slowest), fastest)
+    if not 0.0 < speed_kmh < np.inf or nearest_kmh not in by_speed:
+        known = ", ".join(f"{known_kmh:g}" for known_kmh in sorted(by_speed))
+        raise InputError(
+            f"speed of a {side} turn", speed_kmh, f"{known} km/h, or beyond the first or the last"
+        )
+    return by_speed[nearest_kmh]
+
+
 # ---------- from one lane into another
 
 
@@ -309,12 +470,8 @@ def join_by_turn(entry: Course, exit_course: Course, turn: Turn) -> tuple[Course
     """The course along a lane, round a turn into another lane, and along that one.
 
     Its origin is where the turn begins. The turn has the arc that the lanes' directions at its ends
-    ask for, and is returned with it; it begins and ends on the lanes, wherever these bend.
-
-    Raises
-    ------
-    InputError
-        The lanes do not lie so that the turn joins them.
+    ask for, and is returned with it; it begins and ends on the lanes, wherever these bend. Raises
+    InputError: the lanes do not lie so that the turn joins them.
     """
     begin_m = end_m = 0.0
     for _ in range(_MAX_STEPS):
@@ -373,14 +530,9 @@ def follow_gently(
 ) -> Course:
     """The gentlest course along lanes one after the other that leaves their middles a little.
 
-    Parameters
-    ----------
-    chains_m : sequence of (n, 2) float
-        Points of the lanes in driving direction. World frame. [m]
-    free_m : sequence of float
-        How far it may leave each of them, > 0. [m]
-    origin : int
-        The lane at whose begin its origin is; their number: where the last one ends.
+    `chains_m`: points of the lanes in driving direction. World frame. `free_m`: how far it may
+    leave each of them, > 0. `origin`: the lane at whose begin its origin is; their number: where
+    the last one ends.
 
     Notes
     -----

@@ -24,18 +24,12 @@ _N_TOGETHER = 1024  # cells to divide in one go
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Encounter:
-    """Two bodies on collision course: without braking they first touch at time 0.
+    """Two bodies on collision course: without braking they first touch at time 0."""
 
-    Attributes
-    ----------
-    vut, vru : Actor
-        The bodies; only their footprints count here.
-    vut_motion, vru_motion : Motion
-        Without braking; the VUT is up to speed when it sets off. Paths are those of the middle of
-        the footprint.
-    """
-
+    # the bodies; only their footprints count here
     vut: Actor
+    # without braking; the VUT is up to speed when it sets off. Paths are those of the middle of the
+    # footprint.
     vut_motion: Motion
     vru: Actor
     vru_motion: Motion
@@ -162,21 +156,11 @@ class Cells:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Measures:
-    """What is known of cells, (n,) each.
+    """What is known of cells, (n,) each."""
 
-    Attributes
-    ----------
-    may_touch : (n,) bool
-        False: there is no contact anywhere in the cell.
-    touches : (n,) bool
-        True: there is one at the middle of its first time.
-    is_cut_along_first : (n,) bool
-        Along which time to divide it: where more is unknown.
-    """
-
-    may_touch: BoolArray
-    touches: BoolArray
-    is_cut_along_first: BoolArray
+    may_touch: BoolArray  # (n,); false: there is no contact anywhere in the cell
+    touches: BoolArray  # (n,); true: there is one at the middle of its first time
+    is_cut_along_first: BoolArray  # (n,); along which time to divide it: where more is unknown
 
 
 def find_first_touch(

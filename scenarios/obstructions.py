@@ -1,19 +1,330 @@
-"""Parked cars and walls that hide the VRU."""
+"""Room for what a case lays into a scene: nothing in the way, nothing on the carriageway."""
 
-from dataclasses import replace
-from functools import cache
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache
+from typing import Any
 
 import numpy as np
 
 from geometry.actors import Actor, PlacedActor, Shape, park_row
-from geometry.arrays import FloatArray
+from geometry.arrays import BoolArray, FloatArray, freeze
+from geometry.footprints import footprint_corners
+from geometry.junction import CONNECTING
 from geometry.poses import Pose
+from geometry.raycast import RayCaster, build_caster
+from geometry.scene import Scene
+from geometry.terrain import GROUND, on_ground, standing_footprint, terrain_of
 
 from .cases import Obstruction
 from .encounters import Encounter
-from .laying import load_obstruction_rules
-from .staging import Staging
+from .paths import Motion, Path
+from .staging import ON_ROAD, CannotCarryError, NoKerbError, Staging, load_obstruction_rules
 from .ways import StraightWay, Way
+
+_HEIGHTS_M = (0.35, 1.0)  # above kerbs, below bonnets and walls
+_STEP_M = 2.0  # along bent paths
+_ACROSS_STEP_M = 0.1  # the thinnest pole is hit
+_WALL = "wall "  # how names of walls begin
+_POLES = ("lamp post", "traffic light")
+
+
+def make_room(staging: Staging, scene: Scene) -> Staging:
+    """A staging whose obstruction stands where there is room for it.
+
+    Parked cars and walls stand outside the lanes that are driven on and outside the junction, cars
+    not on islands between them either, unless the map has a parking lane there. Where the
+    protocol's place is not free they are moved, as little as possible: aside, away from whom they
+    stand beside, and back, away from where the ways cross; how far, ``data/laying.toml`` says.
+    Raises CannotCarryError: a body has no room; names it and what stands there. NoKerbError: lanes
+    or the junction cover all places of the parked bodies.
+
+    Notes
+    -----
+    Looked at with rays along the middle and both flanks of the ways, and around and across the
+    parked bodies' footprints. A VRU passes beside a pole that stands on its line. What the map does
+    not show does not stand in the way.
+    """
+    encounter = staging.encounter
+    solid = _Solid(scene=scene, has_poles=True)
+    for name, body, motion, obstacles in (
+        ("the VRU", encounter.vru, encounter.vru_motion, _Solid(scene=scene, has_poles=False)),
+        ("the VUT", encounter.vut, encounter.vut_motion, solid),
+    ):
+        _check(obstacles, _way(motion, body), f"{name}'s way")
+    if not staging.obstruction:
+        return staging
+    # Every speed of a case has the same obstruction.
+    aside_m, back_m = _find_room(
+        scene,
+        tuple(staging.aside.tolist()),
+        tuple(staging.back.tolist()),
+        staging.max_aside_m,
+        tuple((body.actor.name, tuple(_corners(body).ravel())) for body in staging.obstruction),
+    )
+    return moved(staging, aside_m=aside_m, back_m=back_m) if aside_m or back_m else staging
+
+
+@lru_cache(maxsize=256)
+def _find_room(
+    scene: Scene,
+    aside: tuple[float, ...],
+    back: tuple[float, ...],
+    max_aside_m: float,
+    bodies: tuple[tuple[str, tuple[float, ...]], ...],
+) -> tuple[float, float]:
+    """Metres aside and back by which bodies, each a name and its corners, get room."""
+    import shapely
+
+    moves = _moves_m(max_aside_m)
+    shifts = moves @ np.array([aside, back])
+    rings = np.array([corners for _, corners in bodies]).reshape(-1, 4, 2)
+    places = rings + shifts[:, None, None, :]  # (n_moves, n_bodies, 4, 2)
+    outlines = shapely.polygons(places)
+    off_road = np.flatnonzero(~shapely.intersects(_carriageway(scene), outlines).any(axis=1))
+    n_off_road = len(off_road)
+    is_car = np.array([not name.startswith(_WALL) for name, _ in bodies])
+    on_island = _are_on_islands(scene, places[off_road][:, is_car], np.array(aside)).any(axis=1)
+    off_road = off_road[~on_island]
+    # Rays do not meet the house that is all around them.
+    is_indoors = shapely.contains(_houses(scene), outlines).any(axis=1)
+    solid = _Solid(scene=scene, has_poles=True)
+    for index in off_road:
+        if not is_indoors[index] and _is_free(solid, _sides(places[index])):
+            return float(moves[index, 0]), float(moves[index, 1])
+    names = [name for name, _ in bodies]
+    all_names = " and ".join(dict.fromkeys(names))
+    if not len(off_road):
+        where = "a traffic island" if n_off_road else "the carriageway"
+        raise NoKerbError(f"{all_names} {ON_ROAD} {where}")
+    for name, place in zip(names, places[off_road[0]], strict=True):
+        _check(solid, _sides(place[None]), f"the place of {name}")
+    raise CannotCarryError(f"there is no room beside the road for {all_names}")
+
+
+def _are_on_islands(scene: Scene, places_m: FloatArray, aside: FloatArray) -> BoolArray:
+    """Cars, (..., 4, 2), behind which a lane lies that leads about the same way, (...,).
+
+    Behind a corner lies the lane of the road that crosses.
+    """
+    import shapely
+
+    rules = load_obstruction_rules()
+    behind = places_m + rules.island_m * aside
+    swept = shapely.convex_hull(shapely.multipoints(np.concatenate([places_m, behind], axis=-2)))
+    has_lane = shapely.intersects(_parking(scene), shapely.polygons(places_m))
+    is_island: BoolArray = np.zeros(swept.shape, dtype=bool)
+    if not swept.size:
+        return is_island
+    axes = (places_m[..., 0, :] - places_m[..., 1, :]).reshape(-1, 2)  # from rear to front
+    tree, directions = _pieces(scene)
+    place, piece = tree.query(swept.ravel(), predicate="intersects")
+    along = np.abs((axes[place] * directions[piece]).sum(axis=1)) / np.hypot(*axes[place].T)
+    is_island.ravel()[place[along >= np.cos(np.radians(rules.max_island_skew_deg))]] = True
+    is_island &= ~has_lane
+    return is_island
+
+
+@lru_cache(maxsize=8)
+def _pieces(scene: Scene) -> tuple[Any, FloatArray]:
+    """A tree of the straight pieces of the lanes between junctions, and their directions (n, 2)."""
+    import shapely
+
+    pieces, directions = [], []
+    parking = _parking(scene)
+    for lane in scene.lanes:
+        if lane.kind == "driving":
+            for begin, end in zip(lane.centreline_m[:-1], lane.centreline_m[1:], strict=True):
+                side = 0.5 * lane.width_m - _MAY_OVERLAP_M
+                strip = shapely.LineString([begin, end]).buffer(side, cap_style="flat")
+                pieces.append(shapely.difference(strip, parking))
+                directions.append((end - begin) / np.hypot(*(end - begin)))
+    return shapely.STRtree(pieces), np.array(directions).reshape(-1, 2)
+
+
+@cache
+def _moves_m(max_aside_m: float) -> FloatArray:
+    """Metres aside and back, (n, 2), the shortest ways first."""
+    rules = load_obstruction_rules()
+    step = rules.step_m
+    asides = step * np.arange(-int(rules.max_nearer_m / step), int(max_aside_m / step) + 1)
+    backs = step * np.arange(int(rules.max_back_m / step) + 1)
+    moves = np.stack(np.meshgrid(asides, backs, indexing="ij"), axis=-1).reshape(-1, 2)
+    return freeze(moves[np.argsort(np.abs(moves).sum(axis=1), kind="stable")])
+
+
+_INSIDE_OUTLINE_M = 2.0  # outlines are rounded at the corners
+_MAY_OVERLAP_M = 0.1
+
+
+@lru_cache(maxsize=8)
+def _carriageway(scene: Scene) -> Any:
+    """What is driven on: a shapely geometry."""
+    import shapely
+
+    lanes = [
+        shapely.LineString(lane.centreline_m).buffer(
+            0.5 * lane.width_m - _MAY_OVERLAP_M, cap_style="flat"
+        )
+        for lane in scene.lanes
+        if lane.kind in ("driving", CONNECTING) and len(lane.centreline_m) > 1
+    ]
+    inside = shapely.make_valid(shapely.Polygon(scene.outline_m)).buffer(-_INSIDE_OUTLINE_M)
+    # Some maps mark parking spaces on a lane that is wide enough for both.
+    driven = shapely.difference(shapely.union_all(lanes), _parking(scene))
+    area = shapely.union(inside, driven)
+    shapely.prepare(area)
+    return area
+
+
+@lru_cache(maxsize=8)
+def _parking(scene: Scene) -> Any:
+    """Lanes to park on: a shapely geometry."""
+    import shapely
+
+    lanes = [
+        shapely.LineString(lane.centreline_m).buffer(0.5 * lane.width_m, cap_style="flat")
+        for lane in scene.lanes
+        if lane.kind == "parking" and len(lane.centreline_m) > 1
+    ]
+    area = shapely.union_all(lanes)
+    shapely.prepare(area)
+    return area
+
+
+@lru_cache(maxsize=8)
+def _houses(scene: Scene) -> Any:
+    """What buildings and walls cover on the ground: a shapely geometry."""
+    import shapely
+
+    area = shapely.union_all(
+        [
+            standing_footprint(scene, index)
+            for index, thing in enumerate(scene.instances)
+            if thing.class_name in ("building", "wall")
+        ]
+    )
+    shapely.prepare(area)
+    return area
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Solid:
+    """What of a scene stands in a way."""
+
+    scene: Scene
+    has_poles: bool
+
+
+def _is_free(solid: _Solid, segments_m: FloatArray) -> bool:
+    caster, origin = _caster(solid)
+    return not _is_blocked(caster, *_lifted(segments_m, origin, solid.scene))
+
+
+def _check(solid: _Solid, segments_m: FloatArray, what: str) -> None:
+    if not _is_free(solid, segments_m):
+        origin = _caster(solid)[1]
+        blocker = _blocker(solid, *_lifted(segments_m, origin, solid.scene), origin)
+        raise CannotCarryError(f"{blocker} stands in {what}")
+
+
+def _lifted(
+    segments_m: FloatArray, origin_m: FloatArray, scene: Scene
+) -> tuple[FloatArray, FloatArray]:
+    """Starts and ends (n, 3) of segments at each height above the ground."""
+    origin = np.append(origin_m, 0.0)
+    starts, ends = (
+        np.concatenate([on_road + [0.0, 0.0, height_m] for height_m in _HEIGHTS_M])
+        for on_road in np.swapaxes(on_ground(segments_m, terrain_of(scene)) - origin, 0, 1)
+    )
+    return starts, ends
+
+
+@lru_cache(maxsize=8)
+def _caster(solid: _Solid) -> tuple[RayCaster, FloatArray]:
+    """Rays against all of it, near the origin: they are cast in single precision."""
+    origin = solid.scene.outline_m.mean(axis=0)
+    return _caster_of(solid.scene, _counting(solid), origin), origin
+
+
+def _counting(solid: _Solid) -> list[int]:
+    """Indices of the instances that count."""
+    return [
+        index
+        for index, instance in enumerate(solid.scene.instances)
+        if instance.class_name != GROUND and (solid.has_poles or instance.class_name not in _POLES)
+    ]
+
+
+def _caster_of(scene: Scene, instances: Sequence[int], origin_m: FloatArray) -> RayCaster:
+    triangles = np.asarray(scene.triangles)[np.isin(scene.triangle_instance, instances)]
+    # A few thousand rays: not worth the second that Open3D takes to load.
+    return build_caster(scene.vertices_m - [*origin_m, 0.0], triangles, library="embree")
+
+
+def _blocker(solid: _Solid, starts_m: FloatArray, ends_m: FloatArray, origin_m: FloatArray) -> str:
+    """The first instance that the rays run into."""
+    ends = np.concatenate([starts_m, ends_m])[:, :2] + origin_m
+    low, high = ends.min(axis=0), ends.max(axis=0)
+    scene = solid.scene
+    for index in _counting(solid):
+        corners = scene.vertices_m[scene.triangles[scene.triangle_instance == index]][..., :2]
+        is_apart = (corners > high).all(axis=(0, 1)) | (corners < low).all(axis=(0, 1))
+        if is_apart.any():
+            continue
+        if _is_blocked(_caster_of(solid.scene, [index], origin_m), starts_m, ends_m):
+            return solid.scene.instances[index].id
+    return "the scene"
+
+
+def _is_blocked(caster: RayCaster, starts_m: FloatArray, ends_m: FloatArray) -> bool:
+    vectors = (ends_m - starts_m).astype(np.float32)
+    return bool(caster.is_blocked(starts_m.astype(np.float32), vectors).any())
+
+
+def _way(motion: Motion, body: Actor) -> FloatArray:
+    """Segments along the middle and the flanks, from behind the start to the impact, (n, 2, 2)."""
+    covered_m = float(motion.distance_m(0.0))
+    distances = _distances(motion.path, covered_m)
+    position, yaw_deg = motion.path.at(distances)
+    yaw = np.radians(np.broadcast_to(yaw_deg, distances.shape))
+    ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+    left = np.stack([-np.sin(yaw), np.cos(yaw)], axis=-1)
+    segments = []
+    for share in (-0.5, 0.0, 0.5):
+        line = position + share * body.width_m * left
+        line = np.concatenate([line[:1] - 0.5 * body.length_m * ahead[:1], line])
+        segments.append(np.stack([line[:-1], line[1:]], axis=1))
+    return np.concatenate(segments)
+
+
+def _distances(path: Path, covered_m: float) -> FloatArray:
+    return np.linspace(0.0, covered_m, max(2, int(covered_m / _STEP_M) + 2))
+
+
+def _corners(parked: PlacedActor) -> FloatArray:
+    return footprint_corners(
+        parked.pose.position_m[:2],
+        parked.pose.yaw_deg,
+        length_m=parked.actor.length_m,
+        width_m=parked.actor.width_m,
+    )
+
+
+def _sides(corners_m: FloatArray) -> FloatArray:
+    """Segments around footprints (n, 4, 2) and, close together, across them."""
+    ends = np.array([(0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3)])  # four sides, two diagonals
+    around = corners_m[:, ends].reshape(-1, 2, 2)
+    longest = np.hypot(*np.ptp(corners_m, axis=1).T).max()
+    share = np.linspace(0.0, 1.0, int(longest / _ACROSS_STEP_M) + 2)[1:-1, None, None]
+    one = corners_m[:, 0] + share * (corners_m[:, 1] - corners_m[:, 0])
+    other = corners_m[:, 3] + share * (corners_m[:, 2] - corners_m[:, 3])
+    across = np.stack([one, other], axis=-2).reshape(-1, 2, 2)
+    return np.concatenate([around, across])
+
+
+# ---------- obstructions
+
 
 # Two triangles on each of a box's six sides, outward, for corners numbered as in `_build_wall`.
 _BOX_TRIANGLES = np.array(

@@ -8,11 +8,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geometry.arrays import FloatArray, float_array, freeze
+from geometry.arrays import FloatArray, freeze, set_arrays
 from geometry.errors import InputError
 
-from .courses import Course
-from .turns import Turn
+from .courses import Course, Turn
 
 MPS_PER_KMH = 1000.0 / 3600.0
 """Metres per second in a kilometre per hour; scipy.constants, which has it, takes long to load."""
@@ -49,22 +48,14 @@ class Path(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StraightPath:
-    """A straight line, driven in one direction.
+    """A straight line, driven in one direction."""
 
-    Attributes
-    ----------
-    start_m : (2,) float
-        East, north at distance 0. [m]
-    yaw_deg : float
-        Direction, counter-clockwise from east. [deg]
-    """
-
-    start_m: FloatArray
-    yaw_deg: float
+    start_m: FloatArray  # (2,); east, north at distance 0
+    yaw_deg: float  # direction, counter-clockwise from east
     _direction: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "start_m", float_array(self.start_m, (2,), "start_m"))
+        set_arrays(self, "", start_m=(2,))
         object.__setattr__(self, "_direction", _unit_vector(self.yaw_deg, "yaw_deg"))
 
     @property
@@ -95,34 +86,19 @@ class TurnPath:
 
     Distances are those of the front axle's centre, which follows the line: the protocol's control
     point. The rear axle is dragged behind it and never slips sideways.
-
-    Attributes
-    ----------
-    start_m : (2,) float
-        East, north of the front axle's centre at distance 0. [m]
-    yaw_deg : float
-        Direction there, counter-clockwise from east. [deg]
-    straight_m : float
-        From there to the start of the turn. [m]
-    turn : Turn
-        The curve.
-    wheelbase_m : float
-        Front axle to rear axle. [m]
-    front_axle_ahead_m : float
-        Front axle ahead of the middle of the footprint. [m]
     """
 
-    start_m: FloatArray
-    yaw_deg: float
-    straight_m: float
-    turn: Turn
-    wheelbase_m: float
-    front_axle_ahead_m: float
+    start_m: FloatArray  # (2,); east, north of the front axle's centre at distance 0
+    yaw_deg: float  # direction there, counter-clockwise from east
+    straight_m: float  # from there to the start of the turn
+    turn: Turn  # the curve
+    wheelbase_m: float  # front axle to rear axle
+    front_axle_ahead_m: float  # front axle ahead of the middle of the footprint
     _direction: FloatArray = field(init=False, repr=False)
     _table: "_TurnTable" = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "start_m", float_array(self.start_m, (2,), "start_m"))
+        set_arrays(self, "", start_m=(2,))
         object.__setattr__(self, "_direction", _unit_vector(self.yaw_deg, "yaw_deg"))
         if not 0.0 <= self.straight_m < np.inf:
             raise InputError("straight_m", self.straight_m, "metres, at least 0")
@@ -190,18 +166,10 @@ class TurnPath:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CoursePath:
-    """A road user's way along a course: the middle of the footprint stays on it, heading along.
+    """A road user's way along a course: the middle of the footprint stays on it, heading along."""
 
-    Attributes
-    ----------
-    course : Course
-        The line.
-    start_m : float
-        Station of the middle of the footprint at distance 0. [m]
-    """
-
-    course: Course
-    start_m: float
+    course: Course  # the line
+    start_m: float  # station of the middle of the footprint at distance 0
 
     @property
     def max_turn_rad_per_m(self) -> float:
@@ -226,19 +194,11 @@ class TowedPath:
 
     The rear axle is dragged behind it and never slips sideways, as on a :class:`TurnPath`. Far
     behind, where the course is straight, the body is aligned with it.
-
-    Attributes
-    ----------
-    course : Course
-        The line.
-    start_m : float
-        Station of the front axle's centre at distance 0. [m]
-    wheelbase_m, front_axle_ahead_m : float
-        As of a :class:`TurnPath`. [m]
     """
 
-    course: Course
-    start_m: float
+    course: Course  # the line
+    start_m: float  # station of the front axle's centre at distance 0
+    # as of a :class:`TurnPath`
     wheelbase_m: float
     front_axle_ahead_m: float
     _body_rad: FloatArray = field(init=False, repr=False)
@@ -279,23 +239,12 @@ class TowedPath:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Motion:
-    """Stands at the path's start, sets off at `start_time_s`, then keeps its speed.
+    """Stands at the path's start, sets off at `start_time_s`, then keeps its speed."""
 
-    Attributes
-    ----------
-    path : Path
-        Where to.
-    speed_mps : float
-        Once it is reached. [m/s]
-    start_time_s : float
-        When it sets off; the impact is at 0. [s]
-    acceleration_distance_m : float
-        From rest to its speed, at constant acceleration; 0: at once. [m]
-    """
-
-    path: Path
-    speed_mps: float
-    start_time_s: float
+    path: Path  # where to
+    speed_mps: float  # once it is reached
+    start_time_s: float  # when it sets off; the impact is at 0
+    # from rest to its speed, at constant acceleration; 0: at once
     acceleration_distance_m: float = 0.0
 
     def __post_init__(self) -> None:
@@ -317,10 +266,9 @@ class Motion:
             return self.speed_mps * moving_s
         up_to_speed_s = 2.0 * self.acceleration_distance_m / self.speed_mps
         gaining_s = np.minimum(moving_s, up_to_speed_s)
-        distance: FloatArray = self.acceleration_distance_m * (
-            gaining_s / up_to_speed_s
-        ) ** 2 + self.speed_mps * (moving_s - gaining_s)
-        return distance
+        return self.acceleration_distance_m * (gaining_s / up_to_speed_s) ** 2 + self.speed_mps * (
+            moving_s - gaining_s
+        )
 
 
 def travel_time_s(
@@ -328,12 +276,8 @@ def travel_time_s(
 ) -> float:
     """Time from rest to a distance; the inverse of :meth:`Motion.distance_m`.
 
-    With the speed v it is 2 a / v for the acceleration distance a, then 1 / v per metre.
-
-    Raises
-    ------
-    InputError
-        The speed is not positive, or a distance is negative.
+    With the speed v it is 2 a / v for the acceleration distance a, then 1 / v per metre. Raises
+    InputError: the speed is not positive, or a distance is negative.
 
     Examples
     --------
@@ -450,8 +394,7 @@ def _unit_vector(yaw_deg: float, name: str) -> FloatArray:
     if not np.isfinite(yaw_deg):
         raise InputError(name, yaw_deg, "finite degrees")
     yaw = np.radians(yaw_deg)
-    direction: FloatArray = freeze(np.array([np.cos(yaw), np.sin(yaw)]))
-    return direction
+    return freeze(np.array([np.cos(yaw), np.sin(yaw)]))
 
 
 def _check_speed(speed_mps: float, acceleration_distance_m: float, where: str) -> None:

@@ -83,14 +83,12 @@ def is_study_set(cases: str) -> bool:
 def read_along_arms(text: str, where: str) -> tuple[float, ...]:
     """Distances along the arms, in metres, by the words of a user.
 
-    Raises
-    ------
-    InputError
-        A word is no distance, or one is given twice; there is none, or there are too many.
+    Raises InputError: a word is no distance, or one is given twice; there is none, or there are too
+    many.
 
     Examples
     --------
-    >>> read_along_arms("0, 15,30", "--along-arms")
+    >>> read_along_arms("0, 15,30", "along_arms")
     (0.0, 15.0, 30.0)
     """
     rules = load_position_rules()
@@ -140,7 +138,7 @@ def pick_positions(along_arms: str, cases: str) -> tuple[Position, ...]:
     Raises InputError as :func:`read_along_arms`.
     """
     if along_arms.strip():
-        return build_positions(read_along_arms(along_arms, "--along-arms"))
+        return build_positions(read_along_arms(along_arms, "along_arms"))
     return (AT_ZERO,) if is_study_set(cases) else build_positions(load_position_rules().default_m)
 
 
@@ -149,7 +147,7 @@ def read_position(text: str, where: str) -> Position:
 
     Examples
     --------
-    >>> read_position("-15", "--position")
+    >>> read_position("-15", "position")
     Position(is_behind=False, distance_m=15.0)
     """
     sign = text[:1] if text[:1] in ("-", "+") else ""
@@ -209,15 +207,8 @@ def spread_speeds(
     """The speeds that are driven at a position.
 
     All at position 0; elsewhere each n-th, beginning with another one from turn to turn.
-
-    Parameters
-    ----------
-    speeds_kmh : sequence of float
-        Of the case. [km/h]
-    position : Position
-        Where.
-    turn : int
-        Number of the approach plus number of the position.
+    `speeds_kmh`: of the case. `position`: where. `turn`: number of the approach plus number of the
+    position.
 
     Examples
     --------

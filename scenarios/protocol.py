@@ -12,10 +12,8 @@ from geometry.errors import InputError
 from geometry.junction import Arm, Junction, Line, lane_length_m
 from geometry.scene import Lane
 
-from .arms import Joint, arm_ahead, arm_at, joints, straight_lane
 from .cases import Case
-from .courses import follow_gently, follow_lane
-from .laying import load_obstruction_rules, load_way_rules
+from .courses import follow_gently, follow_lane, pick_turn
 from .obstructions import hide
 from .paths import MPS_PER_KMH, travel_time_s
 from .positions import AT_ZERO, Position, is_bound
@@ -27,20 +25,29 @@ from .staging import (
     find_meeting,
     first_that_fits,
     impact_offset_m,
+    load_obstruction_rules,
+    load_way_rules,
     set_off,
 )
-from .turning_ways import Turning, along_connection, on_lanes, on_straights
-from .turns import pick_turn
 from .ways import (
     CurvedWay,
+    Joint,
     StraightWay,
+    Turning,
     Way,
+    along_connection,
+    arm_ahead,
+    arm_at,
     check_straight,
     free_aside_m,
     is_bent,
+    joints,
     lane_way,
     meeting_m,
+    on_lanes,
+    on_straights,
     reversed_way,
+    straight_lane,
     straight_line,
     way_across,
 )
@@ -70,16 +77,8 @@ def stage_by_protocol(
     At other positions all of this lies so far along the VUT's way, before or behind: on the lane by
     which it comes, or on the one straight ahead by which it leaves. Behind the junction it drives
     along the connecting lane, or straight where the lanes are in line, else on a smooth line from
-    one into the other.
-
-    Raises
-    ------
-    CannotCarryError
-        The lanes do not allow it; the text says why.
-    NoRoadError
-        The road that the case needs does not exist.
-    InputError
-        There is no such arm.
+    one into the other. Raises CannotCarryError: the lanes do not allow it; the text says why.
+    NoRoadError: the road that the case needs does not exist. InputError: there is no such arm.
     """
     if approach not in junction.arms:
         raise InputError("approach", approach, "one of " + ", ".join(junction.arms))

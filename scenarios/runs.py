@@ -21,8 +21,8 @@ from geometry.weather import load_weathers
 
 from .aeb import AebRule, confirmation_mask, held_frames, is_in_time, last_brake_time_s
 from .cases import Case, worded_for
-from .clearance import make_room
 from .encounters import Encounter
+from .obstructions import make_room
 from .positions import AT_ZERO, Position, positions_of, read_position, spread_speeds
 from .protocol import stage_by_protocol
 from .published import find_placement, stage_published
@@ -228,23 +228,16 @@ def live_confirmation_times_s(detected: BoolArray, axis: FrameAxis, *, rule: Aeb
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Onsets:
-    """From messages to braking, (n_runs,) each.
+    """From messages to braking, (n_runs,) each."""
 
-    Attributes
-    ----------
-    confirmation_s : (n_runs,) float
-        When the track for which the VUT brakes was confirmed. Where no track is alive at the last
-        moment: when one is confirmed too late, or else the first that was lost again; infinite if
-        none is ever confirmed. [s]
-    onset_s : (n_runs,) float
-        When the VUT knows of that confirmation, so that braking may set in; infinite if no track is
-        confirmed, or the only ones were lost before the last moment. [s]
-    is_in_time : (n_runs,) bool
-        A confirmed track is alive at the last moment, and its messages have arrived.
-    """
-
+    # (n_runs,); when the track for which the VUT brakes was confirmed. Where no track is alive at
+    # the last moment: when one is confirmed too late, or else the first that was lost again;
+    # infinite if none is ever confirmed.
     confirmation_s: FloatArray
+    # (n_runs,); when the VUT knows of that confirmation, so that braking may set in; infinite if no
+    # track is confirmed, or the only ones were lost before the last moment
     onset_s: FloatArray
+    # (n_runs,); a confirmed track is alive at the last moment, and its messages have arrived
     is_in_time: BoolArray
 
 
@@ -298,8 +291,7 @@ def _known_s(arrival_s: FloatArray, axis: FrameAxis, rule: AebRule) -> FloatArra
 def _is_within_run(axis: FrameAxis, n_frames: int) -> BoolArray:
     """Whether a frame and those before it, `n_frames` in all, are of one run, (n_frames,)."""
     start = axis.run_start[:-1].repeat(np.diff(axis.run_start))
-    within: BoolArray = np.arange(axis.n_frames) - start >= n_frames - 1
-    return within
+    return np.arange(axis.n_frames) - start >= n_frames - 1
 
 
 def _held(detected: BoolArray, axis: FrameAxis, rule: AebRule) -> BoolArray:
@@ -316,8 +308,7 @@ def _held(detected: BoolArray, axis: FrameAxis, rule: AebRule) -> BoolArray:
 
 def _earliest(times_s: FloatArray, axis: FrameAxis) -> FloatArray:
     """Smallest time of each run: (..., n_frames) -> (..., n_runs)."""
-    earliest: FloatArray = np.minimum.reduceat(times_s, axis.run_start[:-1], axis=-1)
-    return earliest
+    return np.minimum.reduceat(times_s, axis.run_start[:-1], axis=-1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -2,19 +2,21 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
+from functools import cache
+from importlib.resources import files
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from geometry.actors import Actor, PlacedActor
 from geometry.arrays import FloatArray
+from geometry.files import Table, load_toml, read_table
 from geometry.footprints import footprint_corners, footprint_separation
 from geometry.junction import Line
 from geometry.poses import Pose
 
 from .cases import Case
 from .encounters import Encounter, first_contact_s
-from .laying import load_way_rules
 from .paths import (
     MPS_PER_KMH,
     Motion,
@@ -59,26 +61,15 @@ class TooFastError(NoRoadError):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Staging:
-    """A run without its frames.
+    """A run without its frames."""
 
-    Attributes
-    ----------
-    encounter : Encounter
-        Its impact is at time 0.
-    obstruction : tuple of PlacedActor
-        Parked bodies, or a wall, of this run only.
-    aside, back : (2,) float
-        Unit vectors in which the obstruction may give way to what stands there: away from whom it
-        stands beside, and away from where the ways cross; zero without one.
-    max_aside_m : float
-        How far it may be moved aside. [m]
-    """
-
-    encounter: Encounter
-    obstruction: tuple[PlacedActor, ...]
+    encounter: Encounter  # its impact is at time 0
+    obstruction: tuple[PlacedActor, ...]  # parked bodies, or a wall, of this run only
+    # (2,); unit vectors in which the obstruction may give way to what stands there: away from whom
+    # it stands beside, and away from where the ways cross; zero without one
     aside: FloatArray = field(default_factory=lambda: np.zeros(2))
     back: FloatArray = field(default_factory=lambda: np.zeros(2))
-    max_aside_m: float = 0.0
+    max_aside_m: float = 0.0  # how far it may be moved aside
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,12 +90,8 @@ def find_meeting(
 
     Front: the VRU's point is `impact_percent` across the VUT's width, and the VUT's front has just
     reached the VRU's box. Side: the point is on the VUT's side. `search_m` are the first and the
-    last distance along the VUT's path to look at.
-
-    Raises
-    ------
-    CannotCarryError
-        The VUT's path does not lead there.
+    last distance along the VUT's path to look at. Raises CannotCarryError: the VUT's path does not
+    lead there.
     """
     from scipy.optimize import brentq
 
@@ -143,12 +130,8 @@ def set_off(
 
     The VUT's path begins where it is at `vut_start_s`, the VRU's where it stands at rest; at the
     impact the VRU is `vru_travel_m` along it. Where the corner of a turning VUT would touch a
-    moment before the impact position is reached, both set off that moment later.
-
-    Raises
-    ------
-    CannotCarryError
-        The bodies do not touch, or do so long before, somewhere else.
+    moment before the impact position is reached, both set off that moment later. Raises
+    CannotCarryError: the bodies do not touch, or do so long before, somewhere else.
     """
     travel_s = travel_time_s(
         vru_travel_m,
@@ -254,17 +237,9 @@ Settle = Callable[[Staging], Staging]
 def first_that_fits(lays: Iterable[Callable[[], Staging]], settle: Settle) -> Staging:
     """The first of some stagings that a car can drive, settled where it has room.
 
-    Parameters
-    ----------
-    lays : iterable of callable
-        Each returns a staging or raises CannotCarryError.
-    settle : callable
-        Makes room for a staging. Where there is no kerb the next one is tried.
-
-    Raises
-    ------
-    CannotCarryError
-        None fits; the reason is that of the one that came farthest.
+    `lays`: each returns a staging or raises CannotCarryError. `settle`: makes room for a staging.
+    Where there is no kerb the next one is tried. Raises CannotCarryError: none fits; the reason is
+    that of the one that came farthest.
     """
     errors: list[CannotCarryError] = []
     for lay in lays:
@@ -355,3 +330,51 @@ def _mirror_placed(placed: PlacedActor) -> PlacedActor:
             pitch_deg=pose.pitch_deg,
         ),
     )
+
+
+# ---------- rules where the protocol speaks of its own test track
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WayRules:
+    """Ways of the VUT and the VRU."""
+
+    start_before_curve_s: float
+    max_lane_bend_m: float
+    max_lateral_mps2: float
+    town_kmh: float
+    max_ease_aside_m: float
+    max_kerb_step_m: float
+    max_skew_deg: float
+    max_turn_skew_deg: float
+    cyclist_inside_kerb_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ObstructionRules:
+    """How far parked cars and walls give way to what stands where the protocol has them."""
+
+    max_aside_m: dict[str, float]  # by the kind of the obstruction
+    max_nearer_m: float
+    max_back_m: float
+    step_m: float
+    max_before_m: float
+    island_m: float
+    max_island_skew_deg: float
+
+
+@cache
+def load_way_rules() -> WayRules:
+    """Rules of ways."""
+    return read_table(_load_table("ways"), WayRules, "laying.toml: ways")
+
+
+@cache
+def load_obstruction_rules() -> ObstructionRules:
+    """Rules of obstructions."""
+    return read_table(_load_table("obstructions"), ObstructionRules, "laying.toml: obstructions")
+
+
+def _load_table(name: str) -> Table:
+    table: Table = load_toml(files(__package__) / "data" / "laying.toml")[name]
+    return table

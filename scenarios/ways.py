@@ -1,20 +1,38 @@
 """The ways of road users along a lane: straight on, or round its bends."""
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
-from geometry.actors import Actor
+from geometry.actors import Actor, pick_actor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError
-from geometry.junction import Line, curve_between, lane_length_m, lane_line
-from geometry.scene import Lane
+from geometry.junction import (
+    Arm,
+    Junction,
+    Line,
+    build_junction,
+    curve_between,
+    lane_length_m,
+    lane_line,
+)
+from geometry.scene import Lane, Scene
+from geometry.scene import Turn as Movement
+from geometry.scene_checks import Finding
 
-from .courses import Course, follow_connection, follow_gently, follow_lane, follow_lanes
-from .laying import load_way_rules
-from .paths import CoursePath, Path, StraightPath, TowedPath
-from .staging import CannotCarryError
+from .courses import (
+    Course,
+    Turn,
+    follow_connection,
+    follow_gently,
+    follow_lane,
+    follow_lanes,
+    join_by_turn,
+)
+from .paths import MPS_PER_KMH, CoursePath, Path, StraightPath, TowedPath, TurnPath
+from .staging import CannotCarryError, NoRoadError, load_way_rules
 
 STRAIGHT_M = 50.0  # of a lane next to the junction, which gives its direction
 DO_NOT_MEET = "the VUT's way and the VRU's do not meet"
@@ -41,10 +59,7 @@ class Way(Protocol):
     def crossing(self, line: Line) -> tuple[float, FloatArray]:
         """Station and point (2,) at which it crosses a straight line, nearest to the mouth.
 
-        Raises
-        ------
-        CannotCarryError
-            It does not.
+        Raises CannotCarryError: it does not.
         """
         ...
 
@@ -213,22 +228,13 @@ def lane_way(lane: Lane, *, is_in: bool, length_m: float, max_bend_m: float) -> 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WayAcross:
-    """The way along a lane, through the junction, and along a lane by which it is left.
+    """The way along a lane, through the junction, and along a lane by which it is left."""
 
-    Attributes
-    ----------
-    way : Way
-        Its stations count from the mouth of the lane that leads out.
-    entry, leaving : Lane
-        The lanes.
-    begin_m : float
-        Station at which the first lane begins. [m]
-    """
-
-    way: Way
+    way: Way  # its stations count from the mouth of the lane that leads out
+    # the lanes
     entry: Lane
     leaving: Lane
-    begin_m: float
+    begin_m: float  # station at which the first lane begins
 
 
 def way_across(
@@ -244,12 +250,8 @@ def way_across(
     Straight, where all its lanes stay within `max_bend_m` of the first one's line; else along the
     lanes' bends, and between them on the junction's own lane `connection`, or, where the map has
     none, on a cubic curve with the lanes' directions at its ends. With `free_m` it is the gentlest
-    that leaves the lanes' middles by no more, and such a curve by no more than a metre.
-
-    Raises
-    ------
-    CannotCarryError
-        The lane out of the junction does not lie ahead.
+    that leaves the lanes' middles by no more, and such a curve by no more than a metre. Raises
+    CannotCarryError: the lane out of the junction does not lie ahead.
     """
     chains = [entry.centreline_m, leaving.centreline_m]
     if connection is not None:
@@ -303,10 +305,7 @@ def reversed_way(way: Way) -> Way:
 def meeting_m(one: Way, other: Way) -> tuple[float, float]:
     """Stations of two ways at which they cross nearest to their origins.
 
-    Raises
-    ------
-    CannotCarryError
-        They do not.
+    Raises CannotCarryError: they do not.
     """
     station = other_station = 0.0
     for _ in range(_MAX_STEPS):
@@ -316,3 +315,280 @@ def meeting_m(one: Way, other: Way) -> tuple[float, float]:
             return new, other_station
         station = new
     raise CannotCarryError(DO_NOT_MEET)
+
+
+# ---------- arms
+
+
+_LEADS = {"left": "to the left", "right": "to the right", "through": "straight on"}
+_SAME_POINT_M = 0.5  # as geometry.junction joins lanes
+
+Joint = tuple[Lane, Lane | None, Lane]  # into the junction, through it, out of it
+
+
+def arm_at(junction: Junction, vut_line: Line, *, to_left: bool) -> Arm | None:
+    """The arm to the left or right of the VUT; None if there is none.
+
+    One about at a right angle, or else the one that is nearest to it.
+    """
+    side = vut_line.left if to_left else -vut_line.left
+    rules = load_way_rules()
+    for skew_deg, length_m in ((rules.max_skew_deg, 50.0), (rules.max_turn_skew_deg, 15.0)):
+        best, best_cosine = None, np.cos(np.radians(skew_deg))
+        for arm in junction.arms.values():
+            cosine = float(_outwards(arm, length_m) @ side)
+            if cosine >= best_cosine:
+                best, best_cosine = arm, cosine
+        if best is not None:
+            return best
+    return None
+
+
+def arm_ahead(junction: Junction, approach: Arm, vut_line: Line) -> Arm | None:
+    """The arm into which the VUT would drive straight on; None if there is none."""
+    best, best_cosine = None, np.cos(np.radians(load_way_rules().max_skew_deg))
+    for arm in junction.arms.values():
+        cosine = float(_outwards(arm, 15.0) @ vut_line.direction)
+        if arm is not approach and cosine >= best_cosine and _lies_ahead(arm, vut_line):
+            best, best_cosine = arm, cosine
+    return best
+
+
+def _lies_ahead(arm: Arm, vut_line: Line) -> bool:
+    """Whether one of an arm's lanes begins or ends no farther aside of a line than ahead."""
+    mouths = [lane.centreline_m[-1] for lane in arm.lanes_in]
+    mouths += [lane.centreline_m[0] for lane in arm.lanes_out]
+    ahead_m, left_m = vut_line.coordinates(np.array(mouths)).T
+    return bool((np.abs(left_m) <= ahead_m).any())
+
+
+def _outwards(arm: Arm, length_m: float) -> FloatArray:
+    """Direction in which an arm leads away from the junction, (2,)."""
+    lanes, is_in = (arm.lanes_in, True) if arm.lanes_in else (arm.lanes_out, False)
+    line, _ = lane_line(lanes[0], is_in=is_in, length_m=length_m)
+    return -line.direction if is_in else line.direction
+
+
+def straight_lane(junction: Junction, arm: Arm) -> Lane:
+    """The lane at the kerb from which cars drive straight on; that at the kerb if none may."""
+    ahead = arm_ahead(junction, arm, straight_line(arm.entry_lanes[0], is_in=True))
+    if ahead is None or not ahead.exit_lanes:
+        return arm.entry_lanes[0]
+    try:
+        return joints(junction, arm, ahead, "through")[0][0]
+    except NoRoadError:
+        return arm.entry_lanes[0]
+
+
+def joints(junction: Junction, arm: Arm, target: Arm, movement: Movement) -> list[Joint]:
+    """Lanes by which cars may drive from one arm into another, the usual ones first.
+
+    From the kerb, to the left from the axis. Where the map has lanes through the junction, those
+    that it joins. Else lanes that are marked for the movement, or without any those that bear no
+    marking; straight on the exit lane that is most in line comes first. Raises NoRoadError: no lane
+    leads there, by the lanes through the junction or by the markings.
+    """
+    step = -1 if movement == "left" else 1
+    before, after = arm.entry_lanes[::step], target.exit_lanes[::step]
+    if _has_connections(junction):
+        joined: list[Joint] = [
+            (lane, connection, other)
+            for lane in before
+            for other in after
+            if (connection := junction.connection(lane, other)) is not None
+        ]
+        if not joined:
+            raise NoRoadError(f"by the map no lane leads from the {arm.name} to the {target.name}")
+        return joined
+    marked = [lane for lane in before if movement in lane.turns]
+    free = marked or [lane for lane in before if not lane.turns]
+    if not free:
+        raise NoRoadError(f"by their markings no lane from the {arm.name} leads {_LEADS[movement]}")
+    return [(lane, None, other) for lane in free for other in _in_order(lane, after, movement)]
+
+
+def _in_order(lane: Lane, after: Sequence[Lane], movement: Movement) -> list[Lane]:
+    if movement != "through":
+        return list(after)
+    line = straight_line(lane, is_in=True)
+    return sorted(after, key=lambda other: abs(float(line.coordinates(other.centreline_m[0])[1])))
+
+
+def _has_connections(junction: Junction) -> bool:
+    """Whether the map has lanes through the junction itself, not only through others around it."""
+    if not junction.connections:
+        return False
+    begins = np.array([lane.centreline_m[0] for lane in junction.connections])
+    return any(
+        bool((np.hypot(*(begins - tip).T) <= _SAME_POINT_M).any()) for tip in _entry_tips(junction)
+    )
+
+
+def _entry_tips(junction: Junction) -> Iterator[FloatArray]:
+    for arm in junction.arms.values():
+        for lane in arm.entry_lanes:
+            yield lane.centreline_m[-1]
+
+
+# ---------- turns into another arm
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Turning:
+    """A VUT's way into another arm."""
+
+    entry_lane: Lane
+    entry: Line  # where the turn begins
+    exit_way: Way
+    turn_m: float  # its length
+    path_with: Callable[[float], Path]  # some metres before it
+    is_straight: bool  # but for the turn
+    bend_per_m: float  # largest curvature of the turn
+
+
+_AFTER_TURN_M = 10.0  # by then the VUT has met the VRU
+
+
+def on_straights(entry_lane: Lane, exit_lane: Lane, turn: Turn, vut: Actor) -> Turning:
+    """The protocol's curve between the straight lines of two lanes."""
+    entry = straight_line(entry_lane, is_in=True)
+    exit_line = straight_line(exit_lane, is_in=False)
+    angle_deg = abs((exit_line.yaw_deg - entry.yaw_deg + 180.0) % 360.0 - 180.0)
+    try:
+        turn = turn.turned_by(angle_deg)
+        corner = entry.crossing_with(exit_line)
+    except (InputError, np.linalg.LinAlgError):
+        raise CannotCarryError(f"the arms meet at {angle_deg:.0f} degrees") from None
+    before_corner_m = float(entry.coordinates(corner)[0]) - turn.tangent_m
+    after_corner_m = float(exit_line.coordinates(corner)[0]) + turn.tangent_m
+    _check_within(entry_lane, -before_corner_m, "begin")
+    _check_within(exit_lane, after_corner_m, "end")
+    exit_way = StraightWay(line=exit_line)
+    check_straight(exit_way, exit_lane, after_corner_m + _AFTER_TURN_M, is_in=False)
+
+    def path_with(straight_m: float) -> TurnPath:
+        return TurnPath(
+            start_m=entry.at(before_corner_m - straight_m),
+            yaw_deg=entry.yaw_deg,
+            straight_m=straight_m,
+            turn=turn,
+            wheelbase_m=vut.wheelbase_m,
+            front_axle_ahead_m=vut.front_axle_ahead_m,
+        )
+
+    return Turning(
+        entry_lane=entry_lane,
+        entry=entry,
+        exit_way=exit_way,
+        turn_m=turn.length_m,
+        path_with=path_with,
+        is_straight=True,
+        bend_per_m=1.0 / turn.radius_m,
+    )
+
+
+def on_lanes(entry_lane: Lane, exit_lane: Lane, turn: Turn, vut: Actor) -> Turning:
+    """The protocol's curve between two lanes that bend."""
+    entry = follow_lane(entry_lane.centreline_m, is_in=True)
+    exit_course = follow_lane(exit_lane.centreline_m, is_in=False)
+    try:
+        course, turn = join_by_turn(entry, exit_course, turn)
+    except (InputError, np.linalg.LinAlgError):
+        raise CannotCarryError(
+            f"no turn of {turn.radius_m:g} m leads from lane {entry_lane.id} into {exit_lane.id}"
+        ) from None
+    _check_within(entry_lane, -entry.station_of(course.tangent(0.0).point_m), "begin")
+    end = course.tangent(turn.length_m)
+    _check_within(exit_lane, exit_course.station_of(end.point_m), "end")
+    return _towed(entry_lane, exit_course, course, turn.length_m, vut)
+
+
+def along_connection(entry_lane: Lane, connection: Lane, exit_lane: Lane, vut: Actor) -> Turning:
+    """Along the junction's own lane between two others."""
+    course = follow_connection(
+        entry_lane.centreline_m,
+        connection.centreline_m,
+        exit_lane.centreline_m,
+        is_origin_behind=False,
+    )
+    exit_course = follow_lane(exit_lane.centreline_m, is_in=False)
+    return _towed(entry_lane, exit_course, course, lane_length_m(connection), vut)
+
+
+def _towed(
+    entry_lane: Lane, exit_course: Course, course: Course, turn_m: float, vut: Actor
+) -> Turning:
+    def path_with(straight_m: float) -> TowedPath:
+        return TowedPath(
+            course=course,
+            start_m=-straight_m,
+            wheelbase_m=vut.wheelbase_m,
+            front_axle_ahead_m=vut.front_axle_ahead_m,
+        )
+
+    return Turning(
+        entry_lane=entry_lane,
+        entry=course.tangent(0.0),
+        exit_way=CurvedWay(course=exit_course),
+        turn_m=turn_m,
+        path_with=path_with,
+        is_straight=False,
+        bend_per_m=course.between(0.0, turn_m).max_bend_per_m,
+    )
+
+
+def _check_within(lane: Lane, in_lane_m: float, what: str) -> None:
+    if in_lane_m > lane_length_m(lane):
+        raise CannotCarryError(f"the turn would {what} beyond the mapped lane {lane.id}")
+
+
+# ---------- bends that are too sharp
+
+
+_REACH_M = 100.0  # from the junction: at 50 km/h, seven seconds
+_OVER_M = 1.0  # bends are taken over a metre, as those of runs
+
+
+def find_sharp_bends(scene: Scene) -> Iterator[Finding]:
+    """Warn of each arm whose lanes bend too sharply for their speed limit, or 50 km/h."""
+    rules = load_way_rules()
+    try:
+        junction = build_junction(scene)
+    except InputError:  # another finding says so
+        return
+    for arm in junction.arms.values():
+        speed_kmh, distance_m, lane = min(
+            _bends(junction, arm), key=lambda found: found[0] - _limit_kmh(found[2])
+        )
+        if speed_kmh < _limit_kmh(lane):
+            yield Finding(
+                level="warning",
+                what=f"arm {arm.name}",
+                why=f"lane {lane.id} bends {distance_m:.0f} m from the junction: "
+                f"{rules.max_lateral_mps2:g} m/s^2 to the side allow {speed_kmh:.0f} km/h there, "
+                "and what is faster is not driven past it",
+            )
+
+
+def _limit_kmh(lane: Lane) -> float:
+    return lane.speed_limit_kmh or load_way_rules().town_kmh
+
+
+def _bends(junction: Junction, arm: Arm) -> Iterator[tuple[float, float, Lane]]:
+    """Speed at each lane's sharpest bend in km/h, its distance from the junction, and the lane."""
+    vut = pick_actor("vut", "vut")
+    step = round(_OVER_M / 0.01)  # points of a course lie a centimetre apart
+    yield np.inf, 0.0, (*arm.lanes_in, *arm.lanes_out)[0]
+    for is_in, lanes in ((True, arm.entry_lanes), (False, arm.exit_lanes)):
+        for lane in lanes:
+            followed = junction.followed(lane) if is_in else lane
+            free_m = free_aside_m(vut, followed)
+            course = follow_gently([followed.centreline_m], [free_m], origin=int(is_in))
+            reach = (-_REACH_M, 0.0) if is_in else (0.0, _REACH_M)
+            near = course.between(*reach)
+            bend_per_m = np.abs(near.yaw_rad[step:] - near.yaw_rad[:-step]) / _OVER_M
+            if not len(bend_per_m):
+                continue
+            at = int(bend_per_m.argmax())
+            speed_mps = np.sqrt(load_way_rules().max_lateral_mps2 / max(bend_per_m[at], 1e-9))
+            yield float(speed_mps / MPS_PER_KMH), abs(near.begin_m + 0.01 * at), lane

@@ -300,7 +300,7 @@ def _sites() -> Mapping[str, tuple[str, Files]]:
 
 
 def _read_sites(path: Path) -> Any:
-    from geometry.maps.site_files import read_sites
+    from geometry.maps.place_lists import read_sites
 
     return read_sites(path, crs="EPSG:25833")
 
@@ -331,7 +331,7 @@ def _places() -> Mapping[str, tuple[str, Files]]:
 
 
 def _read_places(path: Path) -> Any:
-    from geometry.maps.city_layers import read_areas, read_counts
+    from geometry.maps.place_lists import read_areas, read_counts
 
     if b"Polygon" in path.read_bytes():
         return read_areas(path, crs="EPSG:25833")
@@ -571,7 +571,7 @@ def _small_runs() -> Any:
 
 
 def _read_weights(path: Path) -> Any:
-    from scenarios.exposure import weight_from_csv
+    from scenarios.weights import weight_from_csv
 
     return weight_from_csv(path, _small_runs())
 
@@ -737,8 +737,8 @@ def _table() -> tuple[Any, Any]:
     from geometry.study_scene import load_study_scene
     from placement.layout import Layout
     from placement.study_layout import load_carlancap_layout
-    from scenarios.exposure import weight_per_run
     from scenarios.runs import build_frame_axis
+    from scenarios.weights import weight_per_run
 
     runs = _small_runs()
     layout: Layout = load_carlancap_layout()
@@ -876,13 +876,13 @@ def _rasters() -> Mapping[str, tuple[str, Files]]:
 
 
 def _read_raster(path: Path) -> Any:
-    from geometry.maps.elevation import read_elevation
+    from geometry.maps.relief import read_elevation
 
     return read_elevation(path, crs="EPSG:32633", middle_m=np.array(_CORNER_M), half_m=30.0)
 
 
 READERS: Mapping[str, Reader] = {
-    "heights": Reader(_read_raster, _rasters, ("geometry.maps.elevation.read_elevation",)),
+    "heights": Reader(_read_raster, _rasters, ("geometry.maps.relief.read_elevation",)),
     "datasets": Reader(_read_manifest, _manifests, ("experiments.results.datasets.load_manifest",)),
     "traffic": Reader(
         _read_traffic, _traffic, ("placement.sampling.moving.fcd.load_fcd",), share=2
@@ -894,8 +894,8 @@ READERS: Mapping[str, Reader] = {
         covers=(
             "geometry.maps.importing.import_scene",
             "geometry.maps.importing.read_maps",
-            "geometry.maps.opendrive.reader.read_opendrive",
-            "geometry.maps.openstreetmap.reader.read_openstreetmap",
+            "geometry.maps.opendrive.read_opendrive",
+            "geometry.maps.openstreetmap.read_openstreetmap",
             "geometry.maps.openstreetmap.elements.read_elements",
             "geometry.untrusted_files.read_xml",
             "geometry.untrusted_files.read_xml_root",
@@ -909,8 +909,8 @@ READERS: Mapping[str, Reader] = {
             "geometry.maps.importing.read_map",
             "geometry.maps.gis_files.read_features",
             "geometry.maps.gis_files.read_footprints",
-            "geometry.maps.city_json.read_cityjson",
-            "geometry.maps.city_gml.read_citygml",
+            "geometry.maps.city_models.read_cityjson",
+            "geometry.maps.city_models.read_citygml",
             "geometry.maps.mesh_files.read_mesh",
             "geometry.maps.point_clouds.read_point_cloud",
             "geometry.maps.point_files.open_points",
@@ -921,12 +921,12 @@ READERS: Mapping[str, Reader] = {
     "sites": Reader(
         _read_sites,
         _sites,
-        ("geometry.maps.site_files.read_sites", "geometry.maps.site_files.read_csv_rows"),
+        ("geometry.maps.place_lists.read_sites", "geometry.maps.place_lists.read_csv_rows"),
     ),
     "places of a city": Reader(
         _read_places,
         _places,
-        ("geometry.maps.city_layers.read_counts", "geometry.maps.city_layers.read_areas"),
+        ("geometry.maps.place_lists.read_counts", "geometry.maps.place_lists.read_areas"),
     ),
     "costs of a city": Reader(
         _read_city_costs, _city_costs, ("experiments.bench.city.read_costs",)
@@ -973,7 +973,7 @@ READERS: Mapping[str, Reader] = {
     "layout": Reader(
         _read_layout, _layouts, ("placement.layout.load_layout", "placement.planning.find_layout")
     ),
-    "weights": Reader(_read_weights, _weights, ("scenarios.exposure.weight_from_csv",)),
+    "weights": Reader(_read_weights, _weights, ("scenarios.weights.weight_from_csv",)),
     "no-look areas": Reader(
         _read_private_ground, _private_ground, ("placement.private_ground.load_private_ground",)
     ),

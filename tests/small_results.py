@@ -23,8 +23,8 @@ from placement.setting import Setting
 from placement.study_layout import load_carlancap_layout
 from scenarios.aeb import load_aeb_rule
 from scenarios.cases import pick_cases
-from scenarios.exposure import weight_per_run
 from scenarios.runs import build_frame_axis, build_runs
+from scenarios.weights import weight_per_run
 
 RUNS = (
     "CPNC-50/east/55",

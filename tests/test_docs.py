@@ -11,7 +11,7 @@ import pytest
 
 from experiments.cli.main import cli
 from geometry.catalogue import load_catalogue
-from geometry.maps.site_files import read_sites
+from geometry.maps.place_lists import read_sites
 from placement.latency import load_latency_budget
 from placement.sampling import load_uncertainty
 

@@ -20,8 +20,8 @@ from placement.question import Question
 from placement.sampling.tables import sampled_table
 from placement.sampling.uncertainty import load_uncertainty
 from placement.setting import Setting, build_setting
-from scenarios.exposure import weight_per_run
 from scenarios.runs import WEATHERS, build_frame_axis
+from scenarios.weights import weight_per_run
 
 Growth = dict[str, dict[str, float]]
 """By what grows: the processor time in seconds of each amount of it."""

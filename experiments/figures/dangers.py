@@ -11,7 +11,7 @@ from matplotlib.colors import Normalize
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from placement.layout import Layout
 from placement.setting import Setting
-from scenarios.exposure import weight_share
+from scenarios.weights import weight_share
 
 from .axes import WIDTH_IN, new_axes, root_figure, show_square
 from .evaluation import DARK_BELOW, SHADES

@@ -11,11 +11,11 @@ import numpy as np
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
 from geometry.files import read_text
-from geometry.maps.city_layers import areas_of, read_areas, read_counts, snap
+from geometry.maps.cut import Neighbourhoods
 from geometry.maps.georeferences import transform
 from geometry.maps.importing import DEFAULT_RADIUS_M, ReadingOptions, read_map
 from geometry.maps.junctions import Surveyed, choose_junction, survey_junctions
-from geometry.maps.neighbourhoods import Neighbourhoods
+from geometry.maps.place_lists import areas_of, read_areas, read_counts, snap
 from geometry.maps.source_map import SourceMap
 from placement.city.choose import CityWishes, District
 from placement.layout import Layout, load_layout
@@ -44,7 +44,7 @@ class CityWish:
     signals_only : bool
         Whether only junctions with traffic lights count.
     weights : Path, optional
-        Counts at places or by junction, see :func:`geometry.maps.city_layers.read_counts`.
+        Counts at places or by junction, see :func:`geometry.maps.place_lists.read_counts`.
     weight_column : str
         Of these.
     snap_m : float

@@ -18,7 +18,7 @@ from geometry.maps.importing import (
     read_maps,
 )
 from geometry.maps.junctions import sort_junctions
-from geometry.maps.site_files import SUFFIXES as LISTS
+from geometry.maps.place_lists import SUFFIXES as LISTS
 from geometry.scene import Scene
 from geometry.scene_checks import check_scene
 from geometry.scene_files import (
@@ -32,7 +32,7 @@ from geometry.scene_files import (
 from geometry.study_scene import load_study_scene
 from geometry.untrusted_files import MAX_FILE_BYTES
 from placement.question import Question, map_options
-from scenarios.bends import find_sharp_bends
+from scenarios.ways import find_sharp_bends
 
 from ..figures.axes import to_png
 from ..figures.city import plot_junctions

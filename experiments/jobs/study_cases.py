@@ -17,9 +17,9 @@ from placement.question import Question
 from placement.setting import Links, Setting
 from placement.study_layout import find_baseline
 from scenarios.cases import ALL_SPEEDS, select_cases
-from scenarios.exposure import weight_per_run
 from scenarios.positions import AT_ZERO, pick_positions
 from scenarios.runs import build_frame_axis
+from scenarios.weights import weight_per_run
 
 from ..results.baselines import StudyCasesRecord, build_study_cases_record
 

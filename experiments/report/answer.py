@@ -13,9 +13,9 @@ from placement.evaluation import Evaluation
 from placement.layout import Layout
 from placement.optimiser.objectives import Objective
 from placement.setting import Setting
-from scenarios.exposure import weight_share
 from scenarios.positions import AT_ZERO, read_position
 from scenarios.runs import FrameAxis
+from scenarios.weights import weight_share
 
 from ..results.dangers import DangerGroupRecord, DangersRecord, avoided_runs
 from ..results.numbers import NOTHING, count_runs, joined, number, or_nan, percent, several

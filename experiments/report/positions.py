@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from geometry.arrays import BoolArray
 from placement.evaluation import Evaluation
 from placement.setting import Setting
-from scenarios.exposure import weight_share
 from scenarios.runs import FrameAxis
+from scenarios.weights import weight_share
 
 from ..figures.axes import NARROW_IN, WIDTH_IN
 from ..figures.dangers import find_places, plot_dangers

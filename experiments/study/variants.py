@@ -18,9 +18,9 @@ from placement.setting import Setting, build_setting
 from placement.study_layout import load_carlancap_layout
 from scenarios.aeb import load_track_memory_s
 from scenarios.cases import Case, select_cases
-from scenarios.exposure import weight_per_run
 from scenarios.positions import AT_ZERO, Position, is_bound, read_position
 from scenarios.runs import Run, build_frame_axis, build_runs
+from scenarios.weights import weight_per_run
 
 # ---------- the cases whose starts the study publishes: one thing of the reconstruction changed
 

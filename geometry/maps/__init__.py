@@ -2,8 +2,8 @@
 
 ``importing`` is the door: it reads map files, chooses a junction, cuts it out and decides where
 sensors can be mounted. Each format has a reader that returns a ``source_map.SourceMap``:
-``opendrive/`` and ``openstreetmap/`` read roads; ``gis_files``, ``city_json``, ``city_gml``,
-``mesh_files`` and ``point_clouds`` read what stands beside them. ``junctions`` lists the junctions
-of a map, ``cut`` takes the surroundings of one into a local frame (``georeferences``), ``sites``
-and ``site_files`` decide on the places for sensors.
+``opendrive/`` and ``openstreetmap/`` read roads; ``gis_files``, ``city_models``, ``mesh_files`` and
+``point_clouds`` read what stands next to them. ``junctions`` lists the junctions of a map, ``cut``
+takes the surroundings of one into a local frame (``georeferences``), ``sites`` and
+``place_lists`` decide on the places for sensors.
 """

@@ -59,7 +59,7 @@ class LocalFrame:
                 source.name,
                 Unquoted(f"coordinates in {source.crs}"),
                 "a file without a coordinate reference system, as the map with the junction; or "
-                "--crs for that one",
+                "`crs` for that one",
             )
         if not self.crs:
             points[..., :2] -= self.origin_m

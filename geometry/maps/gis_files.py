@@ -19,9 +19,18 @@ from ..notes import Note
 from ..scene import CLASS_NAMES
 from ..untrusted_files import parse_json, unpacked
 from .georeferences import WGS84, Georeference, georeference
-from .solids import extrude, join
-from .source_map import SourceMap, Thing, counted, shortened, unique_id
-from .thing_kinds import ThingKind, kind_from_name, kind_of_class, thing_defaults
+from .solids import extrude_polygon, join
+from .source_map import (
+    SourceMap,
+    Thing,
+    ThingKind,
+    counted,
+    kind_from_name,
+    kind_of_class,
+    shortened,
+    thing_defaults,
+    unique_id,
+)
 
 if TYPE_CHECKING:
     from shapely import Polygon
@@ -346,26 +355,13 @@ def _raised(feature: Feature, kind: ThingKind, thing_id: str, place: Georeferenc
         polygons = [part for strip in strips for part in _parts(strip) if not part.is_empty]
     bottom_m, top_m, is_assumed = _span_m(feature.values, kind)
     pieces = [
-        extrude(
-            polygon.exterior.coords,
-            bottom_m=bottom_m,
-            top_m=top_m,
-            holes_m=[hole.coords for hole in polygon.interiors],
-            where=thing_id,
-        )
+        extrude_polygon(polygon, bottom_m=bottom_m, top_m=top_m, where=thing_id)
         for polygon in polygons
         if not polygon.is_empty
     ]
     if not pieces:
         raise InputError(thing_id, Unquoted("no area"), "a footprint")
-    vertices, triangles = join(pieces)
-    return Thing(
-        id=thing_id,
-        class_name=kind.class_name,
-        vertices_m=vertices,
-        triangles=triangles,
-        is_height_assumed=is_assumed,
-    )
+    return Thing.of(thing_id, kind.class_name, join(pieces), is_height_assumed=is_assumed)
 
 
 def _span_m(values: Mapping[str, Any], kind: ThingKind) -> tuple[float, float, bool]:

@@ -19,9 +19,8 @@ from ..scene_checks import arms_that_end
 from ..untrusted_files import local_name, read_xml_root, unpacked
 from .cut import LANES_BEYOND_M, build_scene, cut_out
 from .junctions import Surveyed, choose_junction, survey_junctions
-from .site_files import SUFFIXES as LISTS
-from .site_places import settle_poles
-from .sites import choose_sites
+from .place_lists import SUFFIXES as LISTS
+from .sites import choose_sites, settle_poles
 from .source_map import Pole, SourceMap, Thing
 
 _MESHES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".off")
@@ -36,49 +35,27 @@ SUFFIXES = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReadingOptions:
-    """Answers to questions that map files leave open.
+    """Answers to questions that map files leave open."""
 
-    Attributes
-    ----------
-    unit, up : str, optional
-        Unit and up axis of meshes, see :func:`geometry.maps.mesh_files.read_mesh`.
-    class_name : str
-        Class of meshes, point clouds and footprints that do not state theirs.
-    keeps_left : bool, optional
-        Whether traffic keeps left; by default what the map says.
-    crs : str
-        Coordinate reference system of files that do not name one; empty: none.
-    layer : str
-        Layer of a GeoPackage that has several; empty: the only one.
-    offset_m : (2,) float, optional
-        Shift of everything without roads: buildings, meshes, point clouds. These are then taken to
-        lie in the coordinates of the map with the junction, whatever reference system they name.
-        [m]
-    """
-
+    # unit and up axis of meshes, see :func:`geometry.maps.mesh_files.read_mesh`
     unit: str | None = None
     up: str | None = None
+    # class of meshes, point clouds and footprints that do not state theirs
     class_name: str = "building"
-    keeps_left: bool | None = None
-    crs: str = ""
-    layer: str = ""
+    keeps_left: bool | None = None  # whether traffic keeps left; by default what the map says
+    crs: str = ""  # coordinate reference system of files that do not name one; empty: none
+    layer: str = ""  # layer of a GeoPackage that has several; empty: the only one
+    # (2,); shift of everything without roads: buildings, meshes, point clouds. These are then taken
+    # to lie in the coordinates of the map with the junction, whatever reference system they name.
     offset_m: tuple[float, float] | None = None
 
 
 def read_map(path: Path, options: ReadingOptions | None = None) -> SourceMap:
     """Read a map file of any known format.
 
-    Parameters
-    ----------
-    path : Path
-        The suffix gives the format; .json, .gml and .xml are told apart by content, .zip is opened.
-    options : ReadingOptions, optional
-        Answers to what the file leaves open.
-
-    Raises
-    ------
-    InputError
-        The file does not exist, is of no known format, or is damaged.
+    `path`: the suffix gives the format; .json, .gml and .xml are told apart by content, .zip is
+    opened. `options`: answers to what the file leaves open. Raises InputError: the file does not
+    exist, is of no known format, or is damaged.
     """
     options = options or ReadingOptions()
     crs = _projected(options.crs) if options.crs else ""
@@ -124,11 +101,11 @@ def _reader(path: Path, options: ReadingOptions) -> Callable[[Path], SourceMap]:
             file, class_name=options.class_name, layer=options.layer or None
         )
     if kind == ".city.json":
-        from .city_json import read_cityjson
+        from .city_models import read_cityjson
 
         return read_cityjson
     if kind == ".gml":
-        from .city_gml import read_citygml
+        from .city_models import read_citygml
 
         return read_citygml
     if kind in _MESHES:
@@ -187,9 +164,9 @@ def _projected(crs: str) -> str:
     try:
         system = parse_crs(crs)
     except CRSError:
-        raise InputError("--crs", crs, "one that pyproj knows, such as EPSG:25832") from None
+        raise InputError("crs", crs, "one that pyproj knows, such as EPSG:25832") from None
     if not system.is_projected or any(axis.unit_name != "metre" for axis in system.axis_info[:2]):
-        raise InputError("--crs", crs, "a projected one in metres")
+        raise InputError("crs", crs, "a projected one in metres")
     return crs
 
 
@@ -200,67 +177,39 @@ _RADIUS_LIMITS_M = (20.0, 500.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImportOptions:
-    """Which part of the maps becomes the scene.
+    """Which part of the maps becomes the scene."""
 
-    Attributes
-    ----------
-    junction : str
-        Name or id, see :func:`geometry.maps.junctions.choose_junction`.
-    at : (float, float), optional
-        A point near the junction instead of its name.
-    radius_m : float
-        Radius around the middle of the junction within which things are kept. [m]
-    sites : str
-        "auto", "map", "kerb:SPACING", or a CSV or GeoJSON file, see
-        :func:`geometry.maps.sites.choose_sites`.
-    ground_m : float, optional
-        Height of the road, see :func:`geometry.maps.cut.cut_out`. [m]
-    terrain : Path, optional
-        Raster with the heights of the ground, see :func:`geometry.maps.elevation.read_elevation`;
-        by default heights are those of the maps.
-    name : str
-        Name of the scene; empty: after the file and the junction.
-    reading : ReadingOptions
-        Answers to what the files leave open.
-    """
-
-    junction: str = ""
-    at: tuple[float, float] | None = None
+    junction: str = ""  # name or id, see :func:`geometry.maps.junctions.choose_junction`
+    at: tuple[float, float] | None = None  # a point near the junction instead of its name
+    # radius around the middle of the junction within which things are kept
     radius_m: float = DEFAULT_RADIUS_M
+    # "auto", "map", "kerb:SPACING", or a CSV or GeoJSON file, see
+    # :func:`geometry.maps.sites.choose_sites`
     sites: str = "auto"
-    ground_m: float | None = None
+    ground_m: float | None = None  # height of the road, see :func:`geometry.maps.cut.cut_out`
+    # raster with the heights of the ground, see :func:`geometry.maps.relief.read_elevation`; by
+    # default heights are those of the maps
     terrain: Path | None = None
-    name: str = ""
+    name: str = ""  # name of the scene; empty: after the file and the junction
+    # answers to what the files leave open
     reading: ReadingOptions = field(default_factory=ReadingOptions)
 
     def __post_init__(self) -> None:
         low, high = _RADIUS_LIMITS_M
         if not low <= self.radius_m <= high:
-            raise InputError("--radius", self.radius_m, f"metres, {low:g} to {high:g}")
+            raise InputError("radius_m", self.radius_m, f"metres, {low:g} to {high:g}")
         if self.junction and self.at is not None:
-            raise InputError("--at", Unquoted("it beside --junction"), "one of them")
+            raise InputError("at", Unquoted("it beside `junction`"), "one of them")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImportedScene:
-    """A scene and how it was made.
+    """A scene and how it was made."""
 
-    Attributes
-    ----------
-    scene : Scene
-        The part that was cut out.
-    junctions : tuple of Surveyed
-        All junctions of the map, the largest first.
-    chosen : Surveyed
-        The junction of the scene.
-    sources : tuple of str
-        Names of the files.
-    """
-
-    scene: Scene
-    junctions: tuple[Surveyed, ...]
-    chosen: Surveyed
-    sources: tuple[str, ...]
+    scene: Scene  # the part that was cut out
+    junctions: tuple[Surveyed, ...]  # all junctions of the map, the largest first
+    chosen: Surveyed  # the junction of the scene
+    sources: tuple[str, ...]  # names of the files
 
 
 def read_maps(
@@ -268,24 +217,10 @@ def read_maps(
 ) -> tuple[list[SourceMap], tuple[Surveyed, ...]]:
     """Read map files and list the junctions of the one with roads.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Exactly one has roads; the others have buildings and more.
-    reading : ReadingOptions
-        Answers to what the files leave open.
-
-    Returns
-    -------
-    maps : list of SourceMap
-        The map with the roads first, then the others in the given order.
-    junctions : tuple of Surveyed
-        See :func:`geometry.maps.junctions.survey_junctions`.
-
-    Raises
-    ------
-    InputError
-        A file cannot be read, or none or several have roads.
+    `paths`: exactly one has roads; the others have buildings and more. `reading`: answers to what
+    the files leave open. Returns `maps`: the map with the roads first, then the others in the given
+    order. `junctions`: see :func:`geometry.maps.junctions.survey_junctions`. Raises InputError: a
+    file cannot be read, or none or several have roads.
     """
     if not paths:
         raise InputError("FILE", Unquoted("nothing"), "a map: OpenDRIVE or OpenStreetMap")
@@ -302,23 +237,10 @@ def read_maps(
 def import_scene(paths: Sequence[Path], options: ImportOptions) -> ImportedScene:
     """Make a scene from map files.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        See :func:`read_maps`.
-    options : ImportOptions
-        Which junction, how far around it, and which sites.
-
-    Returns
-    -------
-    imported : ImportedScene
-        At least one arm leads into its junction, and it has at least one site.
-
-    Raises
-    ------
-    InputError
-        A file cannot be read, there is no such junction, no lane leads into it, or there is no
-        place for a sensor.
+    `paths`: see :func:`read_maps`. `options`: which junction, how far around it, and which sites.
+    Returns `imported`: at least one arm leads into its junction, and it has at least one site.
+    Raises InputError: a file cannot be read, there is no such junction, no lane leads into it, or
+    there is no place for a sensor.
     """
     maps, junctions = read_maps(paths, options.reading)
     chosen = choose_junction(maps[0], junctions, name=options.junction, at=options.at)
@@ -337,24 +259,9 @@ def import_scene(paths: Sequence[Path], options: ImportOptions) -> ImportedScene
 def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOptions) -> ImportedScene:
     """Make a scene of one junction of maps that are read already.
 
-    Parameters
-    ----------
-    maps : sequence of SourceMap
-        The one with the roads first.
-    chosen : Surveyed
-        A junction of it.
-    options : ImportOptions
-        How far around it, and which sites.
-
-    Returns
-    -------
-    imported : ImportedScene
-        Of the junctions of the map, it knows the chosen one.
-
-    Raises
-    ------
-    InputError
-        No lane leads into the junction, or there is no place for a sensor.
+    `maps`: the one with the roads first. `chosen`: a junction of it. `options`: how far around it,
+    and which sites. Returns `imported`: of the junctions of the map, it knows the chosen one.
+    Raises InputError: no lane leads into the junction, or there is no place for a sensor.
     """
     roads = maps[0]
     if not chosen.n_driven:
@@ -365,7 +272,7 @@ def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOption
         )
     elevation = None
     if options.terrain is not None:
-        from .elevation import read_elevation
+        from .relief import read_elevation
 
         elevation = read_elevation(
             options.terrain,

@@ -24,33 +24,16 @@ _BESIDE_M = 15.0  # from the outline: signals and crosswalks of the arms
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Surveyed:
-    """A junction of a map and the lanes that lead to it.
+    """A junction of a map and the lanes that lead to it."""
 
-    Attributes
-    ----------
-    junction : MapJunction
-        The junction itself.
-    arms : tuple of str
-        Names of its arms; empty if no lane ends at its outline.
-    n_lanes : int
-        Driving lanes into it and out of it.
-    n_driven : int
-        Arms from which a driving lane leads into it.
-    n_signals : int
-        Poles with traffic lights inside it, or at most 15 m from its outline.
-    n_crossings : int
-        Crosswalks whose middle lies inside it, or at most 15 m from its outline.
-    position : (2,) float
-        Its middle in the file's coordinate reference system: longitude and latitude, or metres.
-    """
-
-    junction: MapJunction
-    arms: tuple[str, ...]
-    n_lanes: int
-    n_driven: int
+    junction: MapJunction  # the junction itself
+    arms: tuple[str, ...]  # names of its arms; empty if no lane ends at its outline
+    n_lanes: int  # driving lanes into it and out of it
+    n_driven: int  # arms from which a driving lane leads into it
+    # (2,); its middle in the file's coordinate reference system: longitude and latitude, or metres
     position: FloatArray
-    n_signals: int = 0
-    n_crossings: int = 0
+    n_signals: int = 0  # poles with traffic lights inside it, or at most 15 m from its outline
+    n_crossings: int = 0  # crosswalks whose middle lies inside it, or at most 15 m from its outline
 
 
 def survey_junctions(source: SourceMap) -> tuple[Surveyed, ...]:
@@ -100,28 +83,19 @@ def _count_near(junctions: Sequence[MapJunction], points_m: FloatArray) -> list[
 SORTS = ("arms", "lanes", "signals", "crossings", "name")
 
 
-def sort_junctions(surveyed: Sequence[Surveyed], by: str) -> tuple[Surveyed, ...]:
+def sort_junctions(surveyed: Sequence[Surveyed], sort: str) -> tuple[Surveyed, ...]:
     """Junctions in another order: the most first, or names by the alphabet.
 
-    Parameters
-    ----------
-    surveyed : sequence of Surveyed
-        As :func:`survey_junctions` returns them; equal ones stay in this order.
-    by : str
-        One of ``SORTS``; "arms" is the order that they come in.
-
-    Raises
-    ------
-    InputError
-        `by` is none of them.
+    `surveyed`: as :func:`survey_junctions` returns them; equal ones stay in this order. `sort`: one
+    of ``SORTS``; "arms" is the order that they come in. Raises InputError: `sort` is none of them.
     """
-    if by not in SORTS:
-        raise InputError("--sort", by, "one of " + ", ".join(SORTS))
-    if by == "name":
+    if sort not in SORTS:
+        raise InputError("sort", sort, "one of " + ", ".join(SORTS))
+    if sort == "name":
         return tuple(sorted(surveyed, key=lambda one: one.junction.name.casefold()))
-    if by == "arms":
+    if sort == "arms":
         return tuple(surveyed)
-    return tuple(sorted(surveyed, key=lambda one: -int(getattr(one, f"n_{by}"))))
+    return tuple(sorted(surveyed, key=lambda one: -int(getattr(one, f"n_{sort}"))))
 
 
 def choose_junction(
@@ -132,6 +106,8 @@ def choose_junction(
     at: tuple[float, float] | None = None,
 ) -> Surveyed:
     """Choose a junction by name or point; by default the first.
+
+    Raises InputError: the map has no junction, or none or several match.
 
     Parameters
     ----------
@@ -146,20 +122,15 @@ def choose_junction(
     at : (float, float), optional
         A point within 100 m, in the file's coordinate reference system: longitude and latitude, or
         metres.
-
-    Raises
-    ------
-    InputError
-        The map has no junction, or none or several match.
     """
     if not surveyed:
         raise InputError(source.name, Unquoted("no junction"), "a map in which roads meet")
-    where = "--at"
+    where = "at"
     if name:
         place = _LAT_LON.fullmatch(name)
         if place is None or any(one.junction.id == name for one in surveyed):
             return _by_name(surveyed, name)
-        where, at = "--junction", _from_degrees(source, (float(place[2]), float(place[1])), name)
+        where, at = "junction", _from_degrees(source, (float(place[2]), float(place[1])), name)
     if at is None:
         return surveyed[0]
     point = _in_map(source, at)
@@ -197,10 +168,10 @@ def _by_name(surveyed: Sequence[Surveyed], name: str) -> Surveyed:
         if len(matches) == 1:
             return matches[0]
         if matches:
-            raise InputError("--junction", name, f"one of {_listed(matches)}")
+            raise InputError("junction", name, f"one of {_listed(matches)}")
     close = {one: SequenceMatcher(None, wanted, one.casefold()).ratio() for one in _names(surveyed)}
     nearest = sorted(surveyed, key=lambda one: -close[one.junction.name])
-    raise InputError("--junction", name, f"one of {_listed(nearest)}")
+    raise InputError("junction", name, f"one of {_listed(nearest)}")
 
 
 def _names(surveyed: Sequence[Surveyed]) -> set[str]:
@@ -243,7 +214,7 @@ def _from_degrees(
 ) -> tuple[float, float]:
     """A point in the map's own coordinates, as ``at`` has it."""
     if not source.crs:
-        raise InputError("--junction", name, "an id or a name: the map does not say where it lies")
+        raise InputError("junction", name, "an id or a name: the map does not say where it lies")
     x, y = transform(np.array(lon_lat_deg), WGS84, source.source_crs or source.crs)
     return float(x), float(y)
 

@@ -13,8 +13,7 @@ from ..files import open_file, read_bytes
 from ..scene import CLASS_NAMES
 from ..untrusted_files import MAX_FILE_BYTES, check_gltf
 from .solids import is_closed, volume_m3
-from .source_map import MAX_TRIANGLES, SourceMap, Thing, counted, unique_id
-from .thing_kinds import kind_from_name
+from .source_map import MAX_TRIANGLES, SourceMap, Thing, counted, kind_from_name, unique_id
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")
 UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "ft": 0.3048, "in": 0.0254}
@@ -57,22 +56,21 @@ def read_mesh(
         raise InputError(
             where,
             Unquoted(f"a mesh format ({suffix}) that does not say its unit and its up axis"),
-            "--unit and --up, such as --unit m --up z",
+            "`unit` and `up`, such as `unit` m `up` z",
         )
     unit, up = unit or "m", up or "y"
     if unit not in UNITS_M:
-        raise InputError("--unit", unit, "one of " + ", ".join(UNITS_M))
+        raise InputError("unit", unit, "one of " + ", ".join(UNITS_M))
     if up not in UP_AXES:
-        raise InputError("--up", up, "one of " + ", ".join(UP_AXES))
+        raise InputError("up", up, "one of " + ", ".join(UP_AXES))
     parts, left_out = _parts(path, is_gltf)
     axes = UNITS_M[unit] * np.array(UP_AXES[up], dtype=np.float64)
     ids: Counter[str] = Counter()
     things = [
-        Thing(
-            id=unique_id(name, ids),
-            class_name=kind.class_name if (kind := kind_from_name(name)) else class_name,
-            vertices_m=vertices @ axes.T,
-            triangles=_outwards(vertices, triangles),
+        Thing.of(
+            unique_id(name, ids),
+            kind.class_name if (kind := kind_from_name(name)) else class_name,
+            (vertices @ axes.T, _outwards(vertices, triangles)),
         )
         for name, vertices, triangles in parts
     ]
@@ -214,7 +212,7 @@ def _check_size(things: list[Thing], where: str, unit: str) -> None:
         raise InputError(
             where,
             Unquoted(f"a mesh {size_m:.3g} m across, taken in {unit}"),
-            f"{_MIN_SIZE_M} m to {_MAX_SIZE_M / 1000:.0f} km; another --unit "
+            f"{_MIN_SIZE_M} m to {_MAX_SIZE_M / 1000:.0f} km; another `unit` "
             f"({', '.join(UNITS_M)})",
         )
 
@@ -242,5 +240,5 @@ def _check_roofs(things: list[Thing], where: str, up: str) -> None:
         raise InputError(
             where,
             Unquoted(f"{100 * down_m2 / slanted_m2:.0f} % of the slanted roofs facing down"),
-            f"an upright mesh; is up the other way: --up={other}?",
+            f"an upright mesh; is up the other way: `up`={other}?",
         )

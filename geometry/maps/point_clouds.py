@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError, Unquoted
 from ..notes import Note
 from ..scene import CLASS_NAMES
-from . import voxels
 from .georeferences import Georeference, georeference
 from .point_files import open_points
 from .source_map import MAX_TRIANGLES, SourceMap, Thing, counted
@@ -210,10 +209,7 @@ class _Scan:
         cells = np.argwhere(~np.isnan(height_m))
         east_north_m = (cells + first + 0.5) * CELL_M
         assert self.origin_m is not None
-        points: FloatArray = self.origin_m + np.column_stack(
-            [east_north_m, height_m[tuple(cells.T)]]
-        )
-        return points
+        return self.origin_m + np.column_stack([east_north_m, height_m[tuple(cells.T)]])
 
     def add(self, points_m: FloatArray, classes: NDArray[np.uint8], class_name: str) -> None:
         """Add a chunk of points."""
@@ -228,14 +224,14 @@ class _Scan:
         if self.origin_m is None:
             self.origin_m = np.floor(points_m.min(axis=0))
         local = points_m - self.origin_m
-        reach = voxels.MAX_VOXELS_PER_AXIS // 2 * self.voxel_m
+        reach = MAX_VOXELS_PER_AXIS // 2 * self.voxel_m
         if (np.abs(local) > reach).any():
             raise InputError(
                 self.where, Unquoted(f"points {np.abs(local).max():.3g} m apart"), "one place"
             )
         self.lowest.add(local)
         self.lowest_ground.add(local[np.isin(classes, _GROUND)])
-        keys = voxels.to_keys(np.floor(local / self.voxel_m).astype(np.int64) + _MIDDLE)
+        keys = to_keys(np.floor(local / self.voxel_m).astype(np.int64) + _MIDDLE)
         kinds = {
             "vegetation": np.isin(classes, _VEGETATION),
             "roofs": np.isin(classes, _BUILDING),
@@ -266,20 +262,20 @@ def _above_ground(scan: _Scan) -> tuple[dict[str, IntArray], float, list[Note]]:
         ground_m = filter_ground(lowest_m)
     heights: dict[str, IntArray] = {}
     for kind, keys in scan.keys.items():
-        middles_m = (voxels.to_cells(keys) - _MIDDLE + 0.5) * scan.voxel_m
+        middles_m = (to_cells(keys) - _MIDDLE + 0.5) * scan.voxel_m
         cells = np.floor(middles_m[:, :2] / CELL_M).astype(np.int64) - low
         cells = np.clip(cells, 0, np.array(ground_m.shape) - 1)
         above_m = middles_m[:, 2] - ground_m[cells[:, 0], cells[:, 1]]
-        kept = voxels.to_cells(keys)
+        kept = to_cells(keys)
         kept[:, 2] = np.floor(above_m / scan.voxel_m).astype(np.int64) + _MIDDLE
-        heights[kind] = np.unique(voxels.to_keys(kept[above_m > _GROUND_M]))
+        heights[kind] = np.unique(to_keys(kept[above_m > _GROUND_M]))
     voxel_m, notes = scan.voxel_m, []
     solid = [keys for kind, keys in heights.items() if kind != "vegetation" and len(keys)]
     everything = np.unique(np.concatenate(solid or list(heights.values())))
     while (
         len(everything)
         and 2.0 * voxel_m <= _MAX_VOXEL_M
-        and voxels.mean_neighbours(everything) < _MIN_NEIGHBOURS
+        and mean_neighbours(everything) < _MIN_NEIGHBOURS
     ):
         voxel_m *= 2.0
         heights = {kind: _coarser(keys) for kind, keys in heights.items()}
@@ -296,8 +292,8 @@ def _above_ground(scan: _Scan) -> tuple[dict[str, IntArray], float, list[Note]]:
 
 def _coarser(keys: IntArray) -> IntArray:
     """Voxels of twice the edge."""
-    cells = (voxels.to_cells(keys) - _MIDDLE) // 2 + _MIDDLE
-    return np.unique(voxels.to_keys(cells))
+    cells = (to_cells(keys) - _MIDDLE) // 2 + _MIDDLE
+    return np.unique(to_keys(cells))
 
 
 def _things(
@@ -310,9 +306,9 @@ def _things(
         if not len(keys):
             continue
         if kind != "vegetation":
-            keys = voxels.bridged(keys)
+            keys = bridged(keys)
         keys = _stood(keys, voxel_m)
-        labels = voxels.clusters(keys)
+        labels = clusters(keys)
         order = np.argsort(labels, kind="stable")
         parts = np.split(keys[order], np.cumsum(np.bincount(labels))[:-1])
         for part in parts:
@@ -327,35 +323,28 @@ def _things(
         )
     things: list[Thing] = []
     names: Counter[str] = Counter()
-    n_left, n_walls = MAX_TRIANGLES, voxels.MAX_WALL_VOXELS
+    n_left, n_walls = MAX_TRIANGLES, MAX_WALL_VOXELS
     for kind, part in found:
         name = "building" if kind == "roofs" else kind
         if kind == "roofs" or (name == class_name == "building" and _is_roof(part, voxel_m)):
-            part = voxels.columns_to(part, _MIDDLE, scan.where, n_left=n_walls)
+            part = columns_to(part, _MIDDLE, scan.where, n_left=n_walls)
             n_walls -= len(part)
         if kind != "vegetation":
-            part = voxels.filled(part, _MIDDLE)
+            part = filled(part, _MIDDLE)
         names[name] += 1
         assert scan.origin_m is not None
         origin_m = np.append(scan.origin_m[:2], 0.0) - _MIDDLE * voxel_m
-        vertices, triangles = voxels.faces(
+        mesh = faces(
             part, origin_m=origin_m, voxel_m=voxel_m, max_triangles=n_left, where=scan.where
         )
-        n_left -= len(triangles)
-        things.append(
-            Thing(
-                id=f"{name} {names[name]}",
-                class_name=name,
-                vertices_m=vertices,
-                triangles=triangles,
-            )
-        )
+        n_left -= len(mesh[1])
+        things.append(Thing.of(f"{name} {names[name]}", name, mesh))
     return things, small
 
 
 def _stood(keys: IntArray, voxel_m: float) -> IntArray:
     """Voxels with those below them that were taken for ground: columns that begin just above it."""
-    cells = voxels.to_cells(keys)
+    cells = to_cells(keys)
     columns, start = np.unique(cells[:, :2], axis=0, return_index=True)
     lowest = np.minimum.reduceat(cells[:, 2], start)
     stands = (lowest - _MIDDLE) * voxel_m <= _GROUND_M + voxel_m
@@ -363,12 +352,12 @@ def _stood(keys: IntArray, voxel_m: float) -> IntArray:
         np.column_stack([columns[stands & (lowest > z)], np.full((stands & (lowest > z)).sum(), z)])
         for z in range(_MIDDLE, _MIDDLE + int(_GROUND_M / voxel_m) + 2)
     ]
-    return np.unique(np.concatenate([keys, voxels.to_keys(np.concatenate(added))]))
+    return np.unique(np.concatenate([keys, to_keys(np.concatenate(added))]))
 
 
 def _is_roof(keys: IntArray, voxel_m: float) -> bool:
     """An even patch with nothing below: a roof seen from the air."""
-    cells = voxels.to_cells(keys)
+    cells = to_cells(keys)
     columns, start = np.unique(cells[:, :2], axis=0, return_index=True)
     if len(columns) * voxel_m**2 < _MIN_ROOF_M2:
         return False
@@ -380,3 +369,178 @@ def _is_roof(keys: IntArray, voxel_m: float) -> bool:
     return bool(
         hangs.mean() > _MIN_FLAT_SHARE and len(is_even) and is_even.mean() > _MIN_FLAT_SHARE
     )
+
+
+# ---------- voxels: cubes where there are points
+
+
+_BITS = 20  # per axis in a key: 1,048,575 voxels, 262 km of 0.25 m
+_MASK = (1 << _BITS) - 1
+MAX_VOXELS_PER_AXIS = _MASK - 1
+MAX_COLUMN_VOXELS = 20_000_000  # of a thing: 10,000 m^2 of roof 30 m above ground, 0.25 m
+MAX_WALL_VOXELS = 100_000_000  # of all things of a file
+_MAX_DENSE = 30_000_000  # cells of a cluster's box that is searched for voids
+_HALF_OF_NEIGHBOURS = tuple(  # differences of keys
+    (x << 2 * _BITS) + (y << _BITS) + z
+    for x in (-1, 0, 1)
+    for y in (-1, 0, 1)
+    for z in (-1, 0, 1)
+    if (x, y, z) > (0, 0, 0)
+)
+
+
+def to_keys(cells: IntArray) -> IntArray:
+    """One integer per cell (n, 3), ordered as x, y, z: each from 1 to ``MAX_VOXELS_PER_AXIS``."""
+    return (cells[:, 0] << 2 * _BITS) | (cells[:, 1] << _BITS) | cells[:, 2]
+
+
+def to_cells(keys: IntArray) -> IntArray:
+    """Inverse of :func:`to_keys`."""
+    return np.stack([keys >> 2 * _BITS, (keys >> _BITS) & _MASK, keys & _MASK], axis=1)
+
+
+def is_in(keys: IntArray, sorted_keys: IntArray) -> BoolArray:
+    """Which keys are in `sorted_keys`."""
+    if not len(sorted_keys):
+        return np.zeros(len(keys), dtype=np.bool_)
+    places = np.minimum(np.searchsorted(sorted_keys, keys), len(sorted_keys) - 1)
+    found: BoolArray = sorted_keys[places] == keys
+    return found
+
+
+def clusters(keys: IntArray) -> IntArray:
+    """Cluster number of every voxel: voxels that touch at a face, an edge or a corner are one.
+
+    `keys` are sorted and unique; numbers follow the order of the clusters' first voxels.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    n = len(keys)
+    pairs = []
+    for step in _HALF_OF_NEIGHBOURS:
+        moved = keys + step
+        here = np.flatnonzero(is_in(moved, keys))
+        pairs.append(np.stack([here, np.searchsorted(keys, moved[here])]))
+    first, second = np.concatenate(pairs, axis=1)
+    graph = coo_array((np.ones(len(first), dtype=np.bool_), (first, second)), shape=(n, n))
+    _, labels = connected_components(graph, directed=False)
+    _, seen, inverse = np.unique(labels, return_index=True, return_inverse=True)
+    order = np.argsort(np.argsort(seen))
+    return order[inverse].astype(np.int64)
+
+
+def bridged(keys: IntArray) -> IntArray:
+    """Voxels, and those between two that lie opposite one another, sorted."""
+    between = [keys]
+    for step in _HALF_OF_NEIGHBOURS:
+        between.append(keys[is_in(keys + 2 * step, keys)] + step)
+    return np.unique(np.concatenate(between))
+
+
+def mean_neighbours(keys: IntArray) -> float:
+    """Mean number of a voxel's 26 neighbours that exist."""
+    n_pairs = sum(int(is_in(keys + step, keys).sum()) for step in _HALF_OF_NEIGHBOURS)
+    return 2.0 * n_pairs / max(1, len(keys))
+
+
+def filled(keys: IntArray, floor: int) -> IntArray:
+    """Voxels of one cluster, and the voids that they enclose together with the ground, sorted.
+
+    `floor` is the lowest z above ground. A cluster whose box is too large stays as it is.
+    """
+    from scipy.ndimage import binary_fill_holes
+
+    cells = to_cells(keys)
+    low = cells.min(axis=0)
+    low[2] = min(low[2], floor)
+    shape = cells.max(axis=0) - low + 1
+    if np.prod(shape.astype(np.float64)) > _MAX_DENSE:
+        return keys
+    stands = bool((cells[:, 2] <= floor + 1).any())
+    dense = np.zeros(tuple(shape + [0, 0, 1]), dtype=np.bool_)
+    dense[tuple((cells - low + [0, 0, 1]).T)] = True
+    dense[:, :, 0] = stands  # the ground closes clusters that stand on it
+    dense = binary_fill_holes(dense)[:, :, 1:]
+    return np.sort(to_keys(np.argwhere(dense).astype(np.int64) + low))
+
+
+def columns_to(
+    keys: IntArray, floor: int, where: str, *, n_left: int = MAX_WALL_VOXELS
+) -> IntArray:
+    """Voxels from the floor to the highest of every column, sorted.
+
+    Raises InputError if they are more than any building has, or than `n_left` of what all buildings
+    of a file may have: heights in another unit, or damaged.
+    """
+    columns, start = np.unique(keys >> _BITS, return_index=True)
+    top = np.maximum.reduceat(keys & _MASK, start)
+    counts = np.maximum(top - floor + 1, 0)
+    total = int(counts.sum())
+    for n_voxels, most, whose in (
+        (total, MAX_COLUMN_VOXELS, "a thing"),
+        (MAX_WALL_VOXELS - n_left + total, MAX_WALL_VOXELS, "a file"),
+    ):
+        if n_voxels > most:
+            raise InputError(
+                where, Unquoted(f"walls of {n_voxels:,} voxels"), f"at most {most:,} of {whose}"
+            )
+    # Ascending, for columns are: one array, and no sorting.
+    walls = np.repeat((columns << _BITS) + floor - (np.cumsum(counts) - counts), counts)
+    walls += np.arange(total)
+    below = keys[(keys & _MASK) < floor]
+    return np.sort(np.concatenate([below, walls])) if len(below) else walls
+
+
+def faces(
+    keys: IntArray, *, origin_m: FloatArray, voxel_m: float, max_triangles: int, where: str
+) -> tuple[FloatArray, NDArray[np.int32]]:
+    """The surface of sorted voxels: rectangles as large as possible, of two triangles each.
+
+    It is closed, though a rectangle's edge may meet several smaller ones. `origin_m` (3,) is the
+    lower corner of cell (0, 0, 0). Triangles run counter-clockwise seen from outside. Raises
+    InputError if there are more than `max_triangles`.
+    """
+    quads = np.concatenate([_rectangles(keys, axis, sign) for axis in range(3) for sign in (-1, 1)])
+    if 2 * len(quads) > max_triangles:
+        raise InputError(
+            where, Unquoted(f"{2 * len(quads):,} triangles"), "a larger voxel, or fewer points"
+        )
+    unique, inverse = np.unique(quads.reshape(-1, 3), axis=0, return_inverse=True)
+    index = inverse.reshape(-1, 4)
+    triangles = np.concatenate([index[:, [0, 1, 2]], index[:, [0, 2, 3]]]).astype(np.int32)
+    return origin_m + voxel_m * unique, triangles
+
+
+def _rectangles(keys: IntArray, axis: int, sign: int) -> IntArray:
+    """Corners of the rectangles that face along an axis, (n, 4, 3), as indices of cells."""
+    step = sign << (2 - axis) * _BITS  # to the neighbour's key
+    cells = to_cells(keys[~is_in(keys + step, keys)])
+    u, v = [other for other in range(3) if other != axis]
+    slab, a, b = cells[:, axis], cells[:, u], cells[:, v]
+    # Runs of faces that follow one another along v, then of equal runs along u.
+    order = np.lexsort((b, a, slab))
+    slab, a, b = slab[order], a[order], b[order]
+    is_start = np.ones(len(slab), dtype=np.bool_)
+    is_start[1:] = (np.diff(slab) != 0) | (np.diff(a) != 0) | (np.diff(b) != 1)
+    start = np.flatnonzero(is_start)
+    end = np.append(start[1:], len(slab))
+    slab, a, b_low, b_high = slab[start], a[start], b[start], b[end - 1] + 1
+    order = np.lexsort((a, b_high, b_low, slab))
+    slab, a, b_low, b_high = slab[order], a[order], b_low[order], b_high[order]
+    is_start = np.ones(len(slab), dtype=np.bool_)
+    is_start[1:] = (
+        (np.diff(slab) != 0) | (np.diff(b_low) != 0) | (np.diff(b_high) != 0) | (np.diff(a) != 1)
+    )
+    start = np.flatnonzero(is_start)
+    end = np.append(start[1:], len(slab))
+    slab, a_low, a_high = slab[start], a[start], a[end - 1] + 1
+    b_low, b_high = b_low[start], b_high[start]
+    plane = slab + (sign > 0)
+    quads = np.empty((len(slab), 4, 3), dtype=np.int64)
+    quads[:, :, axis] = plane[:, None]
+    quads[:, :, u] = np.stack([a_low, a_high, a_high, a_low], axis=1)
+    quads[:, :, v] = np.stack([b_low, b_low, b_high, b_high], axis=1)
+    # u, v, axis are right-handed for x and z as axes, left-handed for y.
+    is_outward = (sign > 0) == (axis != 1)
+    return quads if is_outward else quads[:, ::-1]

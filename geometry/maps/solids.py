@@ -2,12 +2,17 @@
 
 from collections.abc import Sequence
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..arrays import FloatArray, float_array
 from ..errors import InputError, Unquoted
+
+if TYPE_CHECKING:
+    from shapely import Polygon
+    from shapely.geometry.base import BaseGeometry
 
 Polygon3D = Sequence[FloatArray]  # outer ring, then holes; (n, 3) each
 Mesh = tuple[FloatArray, NDArray[np.int32]]  # vertices (n, 3) and triangles (m, 3)
@@ -131,7 +136,7 @@ def extrude(
     InputError, with `where` in its message, if no area is left or the roof is not above the floor.
     """
     import trimesh
-    from shapely import MultiPolygon, Polygon, make_valid
+    from shapely import Polygon, make_valid
 
     if not top_m > bottom_m:
         raise InputError(f"{where}: height", top_m - bottom_m, "metres, > 0")
@@ -139,12 +144,7 @@ def extrude(
     if len(np.unique(outer, axis=0)) < 3:
         raise InputError(where, Unquoted(f"{len(outer)} points"), "at least three different points")
     shape = make_valid(Polygon(outer, [float_array(hole, (-1, 2), where) for hole in holes_m]))
-    parts = [
-        part
-        for geometry in getattr(shape, "geoms", [shape])
-        for part in (geometry.geoms if isinstance(geometry, MultiPolygon) else [geometry])
-        if isinstance(part, Polygon) and part.area > _MIN_FOOTPRINT_M2
-    ]
+    parts = polygons_of(shape, above_m2=_MIN_FOOTPRINT_M2)
     if not parts:
         raise InputError(where, Unquoted("an outline without area"), "a footprint")
     solids = [
@@ -152,6 +152,23 @@ def extrude(
     ]
     vertices, triangles = join([(solid.vertices, solid.faces) for solid in solids])
     return vertices + [0.0, 0.0, bottom_m], triangles
+
+
+def extrude_polygon(
+    polygon: "Polygon", *, bottom_m: float, top_m: float, where: str = "footprint"
+) -> Mesh:
+    """Closed solid over a shapely polygon with its holes; raises as :func:`extrude`."""
+    holes = [np.asarray(ring.coords)[:, :2] for ring in polygon.interiors]
+    outer = np.asarray(polygon.exterior.coords)[:, :2]
+    return extrude(outer, bottom_m=bottom_m, top_m=top_m, holes_m=holes, where=where)
+
+
+def polygons_of(shape: "BaseGeometry", *, above_m2: float = 0.0) -> list["Polygon"]:
+    """Polygons of a geometry, or of a collection of such, that have more than an area."""
+    pieces = getattr(shape, "geoms", None)
+    if pieces is not None:
+        return [part for piece in pieces for part in polygons_of(piece, above_m2=above_m2)]
+    return [shape] if shape.geom_type == "Polygon" and shape.area > above_m2 else []
 
 
 def join(meshes: Sequence[Mesh]) -> Mesh:

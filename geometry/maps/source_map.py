@@ -1,17 +1,23 @@
 """The content of a map file, whatever its format: lanes, junctions, crosswalks, things, poles."""
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cache
+from importlib.resources import files
 from typing import Literal
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray, float_array, freeze
+from ..arrays import FloatArray, freeze, set_arrays
 from ..errors import InputError
+from ..files import load_toml, pick
 from ..notes import Note
 from ..scene import LeadingRoad, Turn
+from .solids import Mesh
 
 LANE_KINDS = ("driving", "parking", "cycling", "walking")
 POLE_KINDS = ("lamp post", "traffic light", "sign", "pole")
@@ -23,35 +29,21 @@ _MAX_SKIPPED = 100  # entries
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MapLane:
-    """One lane between two junctions, or from one to where it ends.
+    """One lane between two junctions, or from one to where it ends."""
 
-    Attributes
-    ----------
-    id : str
-        From the source; unique in the map.
-    kind : str
-        One of ``LANE_KINDS``.
-    width_m : float
-        Mean full width; where it varies and the lane leads to a junction, that of the 30 m next to
-        it. [m]
-    centreline_m : (n, 3) float
-        At least two points in driving direction; lanes without one (walking, parking) have that of
-        the driving lane beside them. [m]
-    from_junction, to_junction : str
-        Ids of the junctions at its ends, where it stops at the outline; empty: none.
-    speed_limit_kmh : float, optional
-        Where it leads into a junction, or else out of one; None: the source gives none. [km/h]
-    turns : tuple of str
-        Where cars may drive from its end by its markings, see :class:`geometry.scene.Lane`.
-    """
-
-    id: str
-    kind: str
+    id: str  # from the source; unique in the map
+    kind: str  # one of ``LANE_KINDS``
+    # mean full width; where it varies and the lane leads to a junction, that of the 30 m next to it
     width_m: float
+    # (n, 3); at least two points in driving direction; lanes without one (walking, parking) have
+    # that of the driving lane beside them
     centreline_m: FloatArray
+    # ids of the junctions at its ends, where it stops at the outline; empty: none
     from_junction: str = ""
     to_junction: str = ""
+    # where it leads into a junction, or else out of one; None: the source gives none
     speed_limit_kmh: float | None = None
+    # where cars may drive from its end by its markings, see :class:`geometry.scene.Lane`
     turns: tuple[Turn, ...] = ()
 
     def __post_init__(self) -> None:
@@ -60,42 +52,28 @@ class MapLane:
             raise InputError(f"{where}.kind", self.kind, "one of " + ", ".join(LANE_KINDS))
         if not (np.isfinite(self.width_m) and self.width_m > 0.0):
             raise InputError(f"{where}.width_m", self.width_m, "metres, > 0")
-        points = float_array(self.centreline_m, (-1, 3), f"{where}.centreline_m")
-        if len(points) < 2:
-            raise InputError(f"{where}.centreline_m", len(points), "at least two points")
-        object.__setattr__(self, "centreline_m", points)
+        set_arrays(self, f"{where}.", centreline_m=(-1, 3))
+        if len(self.centreline_m) < 2:
+            raise InputError(f"{where}.centreline_m", len(self.centreline_m), "at least two points")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MapJunction:
-    """A junction of roads.
+    """A junction of roads."""
 
-    Attributes
-    ----------
-    id : str
-        From the source; unique in the map.
-    name : str
-        For people, such as the streets that meet; may be empty.
-    outline_m : (n, 2) float
-        Outline of its road surface, where the lanes of its arms begin and end. [m]
-    height_m : float
-        Height of the road in its middle, as the map counts heights. [m]
-    roads : tuple of LeadingRoad
-        Roads that lead to it, as the map's network has them: what its arms are compared with.
-    """
-
-    id: str
-    name: str
+    id: str  # from the source; unique in the map
+    name: str  # for people, such as the streets that meet; may be empty
+    # (n, 2); outline of its road surface, where the lanes of its arms begin and end
     outline_m: FloatArray
-    height_m: float = 0.0
+    height_m: float = 0.0  # height of the road in its middle, as the map counts heights
+    # roads that lead to it, as the map's network has them: what its arms are compared with
     roads: tuple[LeadingRoad, ...] = ()
 
     def __post_init__(self) -> None:
-        where = f"junction {self.id}.outline_m"
-        outline = float_array(self.outline_m, (-1, 2), where)
-        if len(outline) < 3:
-            raise InputError(where, len(outline), "at least three points")
-        object.__setattr__(self, "outline_m", outline)
+        where = f"junction {self.id}."
+        set_arrays(self, where, outline_m=(-1, 2))
+        if len(self.outline_m) < 3:
+            raise InputError(f"{where}outline_m", len(self.outline_m), "at least three points")
 
     @property
     def position_m(self) -> FloatArray:
@@ -106,70 +84,52 @@ class MapJunction:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Thing:
-    """A solid object.
+    """A solid object."""
 
-    Attributes
-    ----------
-    id : str
-        From the source; unique in the map.
-    class_name : str
-        One of :data:`geometry.scene.CLASS_NAMES`.
-    vertices_m : (n, 3) float
-        Heights as the map counts them. [m]
-    triangles : (m, 3) int32
-        Vertex indices, counter-clockwise seen from outside.
-    is_height_assumed : bool
-        The source does not give its height.
-    """
-
-    id: str
-    class_name: str
-    vertices_m: FloatArray
-    triangles: NDArray[np.int32]
-    is_height_assumed: bool = False
+    id: str  # from the source; unique in the map
+    class_name: str  # one of :data:`geometry.scene.CLASS_NAMES`
+    vertices_m: FloatArray  # (n, 3); heights as the map counts them
+    triangles: NDArray[np.int32]  # (m, 3); vertex indices, counter-clockwise seen from outside
+    is_height_assumed: bool = False  # the source does not give its height
 
     def __post_init__(self) -> None:
         where = f"{self.class_name} {self.id}"
-        vertices = float_array(self.vertices_m, (-1, 3), f"{where}.vertices_m")
-        object.__setattr__(self, "vertices_m", vertices)
+        set_arrays(self, f"{where}.", vertices_m=(-1, 3))
+        n_vertices = len(self.vertices_m)
         triangles = freeze(np.array(self.triangles, dtype=np.int32).reshape(-1, 3))
-        if len(triangles) and not (triangles.min() >= 0 and triangles.max() < len(vertices)):
-            raise InputError(
-                f"{where}.triangles", int(triangles.max()), f"indices below {len(vertices)}"
-            )
+        if len(triangles) and not (triangles.min() >= 0 and triangles.max() < n_vertices):
+            expected = f"indices below {n_vertices}"
+            raise InputError(f"{where}.triangles", int(triangles.max()), expected)
         object.__setattr__(self, "triangles", triangles)
+
+    @classmethod
+    def of(
+        cls, thing_id: str, class_name: str, mesh: Mesh, *, is_height_assumed: bool = False
+    ) -> "Thing":
+        """Thing with the vertices and triangles of a mesh."""
+        return cls(
+            id=thing_id,
+            class_name=class_name,
+            vertices_m=mesh[0],
+            triangles=mesh[1],
+            is_height_assumed=is_height_assumed,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Pole:
-    """A pole that could carry sensors.
+    """A pole that could carry sensors."""
 
-    Attributes
-    ----------
-    id : str
-        From the source; unique in the map.
-    kind : str
-        One of ``POLE_KINDS``.
-    position_m : (3,) float
-        Position of its foot. [m]
-    height_m : float, optional
-        Height of its top above its foot, if the source gives it. [m]
-    assumed : str
-        Why its position is not that of the source, in words; empty: it is.
-    """
-
-    id: str
-    kind: str
-    position_m: FloatArray
-    height_m: float | None = None
-    assumed: str = ""
+    id: str  # from the source; unique in the map
+    kind: str  # one of ``POLE_KINDS``
+    position_m: FloatArray  # (3,); position of its foot
+    height_m: float | None = None  # height of its top above its foot, if the source gives it
+    assumed: str = ""  # why its position is not that of the source, in words; empty: it is
 
     def __post_init__(self) -> None:
         if self.kind not in POLE_KINDS:
             raise InputError(f"pole {self.id}.kind", self.kind, "one of " + ", ".join(POLE_KINDS))
-        object.__setattr__(
-            self, "position_m", float_array(self.position_m, (3,), f"pole {self.id}.position_m")
-        )
+        set_arrays(self, f"pole {self.id}.", position_m=(3,))
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,61 +195,156 @@ def counted(counts: Counter[str], why: str) -> list[Note]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SourceMap:
-    """The content of one map file.
+    """The content of one map file."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the file.
-    crs : str
-        Projected coordinate reference system of all coordinates here, in metres, for pyproj; empty:
-        the file does not say where on earth it lies.
-    source_crs : str
-        The one that the file itself uses, such as "EPSG:4326".
-    heights : {"above ground", "absolute"}
-        Zero of the z axis.
-    lanes, junctions, things, poles : tuple
-        The objects of the map.
-    connections : tuple of MapLane
-        Lanes through junctions, each from the end of a lane to the begin of another; both their
-        junctions are the one through which they lead. None: the map does not have them.
-    crosswalks_m : (n, 2, 2) float
-        Lines on which pedestrians cross, from end to end. [m]
-    ground_m : (n, 3) float
-        Points of the ground: of roads' surfaces, nodes with a height, a scan's ground. Their
-        heights are absolute, whatever those of things are. [m]
-    keeps_left : bool
-        Traffic keeps left.
-    skipped : tuple of Note
-        What was left out, and why.
-    """
-
-    name: str
+    name: str  # name of the file
+    # projected coordinate reference system of all coordinates here, in metres, for pyproj; empty:
+    # the file does not say where on earth it lies
     crs: str
-    source_crs: str = ""
-    heights: Heights = "above ground"
+    source_crs: str = ""  # the one that the file itself uses, such as "EPSG:4326"
+    heights: Heights = "above ground"  # zero of the z axis
+    # the objects of the map
     lanes: tuple[MapLane, ...] = ()
+    # lanes through junctions, each from the end of a lane to the begin of another; both their
+    # junctions are the one through which they lead. None: the map does not have them.
     connections: tuple[MapLane, ...] = ()
     junctions: tuple[MapJunction, ...] = ()
     things: tuple[Thing, ...] = ()
     poles: tuple[Pole, ...] = ()
+    # (n, 2, 2); lines on which pedestrians cross, from end to end
     crosswalks_m: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
+    # (n, 3); points of the ground: of roads' surfaces, nodes with a height, a scan's ground. Their
+    # heights are absolute, whatever those of things are.
     ground_m: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
-    keeps_left: bool = False
-    skipped: tuple[Note, ...] = ()
+    keeps_left: bool = False  # traffic keeps left
+    skipped: tuple[Note, ...] = ()  # what was left out, and why
 
     def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "ground_m", float_array(self.ground_m, (-1, 3), f"{self.name}: ground_m")
-        )
-        object.__setattr__(
-            self,
-            "crosswalks_m",
-            float_array(self.crosswalks_m, (-1, 2, 2), f"{self.name}: crosswalks_m"),
-        )
+        set_arrays(self, f"{self.name}: ", ground_m=(-1, 3), crosswalks_m=(-1, 2, 2))
 
     def __repr__(self) -> str:
         return (
             f"SourceMap({self.name!r}, {len(self.lanes)} lanes, {len(self.junctions)} junctions, "
             f"{len(self.things)} things, {len(self.poles)} poles)"
         )
+
+
+# ---------- kinds of things and poles
+
+
+_MAX_NAME = 200  # characters of a name that are looked at
+_SECTIONS = 10  # of a pole's cylinder
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ThingKind:
+    """A kind of thing."""
+
+    kind: str
+    class_name: str  # one of geometry.scene.CLASS_NAMES
+    words: tuple[str, ...]  # in names of such things, in lower case
+    height_m: float  # assumed where nothing is stated, as is the thickness
+    thickness_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ThingDefaults:
+    """The content of ``data/things.toml``."""
+
+    storey_height_m: float
+    max_height_m: float  # larger values are not taken for heights
+    max_storeys: int  # larger values are not taken for numbers of storeys
+    kinds: tuple[ThingKind, ...]  # in the order in which names are searched for their words
+
+
+@cache
+def thing_defaults() -> ThingDefaults:
+    """Read ``data/things.toml``."""
+    table = load_toml(files(__package__) / "data" / "things.toml")
+    return msgspec.convert(table, ThingDefaults)
+
+
+def kind_from_name(name: str) -> ThingKind | None:
+    """The first kind in ``data/things.toml`` one of whose words is in a name; None: no kind.
+
+    Examples
+    --------
+    >>> kind_from_name("StreetLamp.003").class_name
+    'lamp post'
+    >>> kind_from_name("Wallace") is None
+    True
+    """
+    apart = re.sub(r"(?<=[a-zäöü])(?=[A-ZÄÖÜ])", " ", name[:_MAX_NAME]).lower()
+    words = " ".join(re.findall(r"[a-zäöüß]+", apart))
+    for kind in thing_defaults().kinds:
+        if any(re.search(rf"\b{re.escape(word)}s?\b", words) for word in kind.words):
+            return kind
+    return None
+
+
+def kind_of_class(class_name: str) -> ThingKind:
+    """The defaults of a class: its last kind in ``data/things.toml``."""
+    known = {kind.class_name: kind for kind in thing_defaults().kinds}
+    kind: ThingKind = pick(known, class_name, "class_name")
+    return kind
+
+
+MIN_POLE_M = 2.5
+"""A lower pole is a bollard: sensors on it could be reached from the pavement."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoleKind:
+    """A kind of pole, for poles of which the map gives no more."""
+
+    kind: str
+    height_m: float
+    radius_m: float
+    height_range_m: tuple[float, float]  # lowest and highest mount above the road
+    capacity_units: int  # sensors that it can carry
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AutoSites:
+    """What is a site where nothing else is asked for: ``[auto]`` of ``data/sites.toml``."""
+
+    spacing_m: float  # between masts along the kerbs
+    near_m: float  # they are assumed where no pole is as near to the middle
+    neighbour_m: float  # poles as near to another junction are that one's
+    min_sign_m: float  # lower sign posts are no sites
+
+
+@cache
+def load_auto_sites() -> AutoSites:
+    """Read ``[auto]`` of ``data/sites.toml``."""
+    return msgspec.convert(load_toml(files(__package__) / "data" / "sites.toml")["auto"], AutoSites)
+
+
+@cache
+def load_pole_kinds() -> dict[str, PoleKind]:
+    """All kinds of poles by name, from ``data/sites.toml``."""
+    table = load_toml(files(__package__) / "data" / "sites.toml")
+    return {one.kind: one for one in msgspec.convert(table["kinds"], list[PoleKind])}
+
+
+def build_pole_body(pole: Pole) -> tuple[str, Mesh]:
+    """Class and mesh of a pole that stands on the road plane."""
+    import trimesh
+
+    kind = load_pole_kinds()[pole.kind]
+    height_m = pole.height_m or kind.height_m
+    foot = np.append(pole.position_m[:2], 0.0)
+    body = trimesh.creation.cylinder(
+        radius=kind.radius_m, segment=[foot, foot + [0.0, 0.0, height_m]], sections=_SECTIONS
+    )
+    class_name = "traffic light" if pole.kind == "traffic light" else "lamp post"
+    return class_name, (np.asarray(body.vertices), np.asarray(body.faces, dtype=np.int32))
+
+
+def mount_range_m(pole: Pole) -> tuple[float, float]:
+    """Lowest and highest mount on a pole in metres: a low pole carries sensors at its top."""
+    low, high = load_pole_kinds()[pole.kind].height_range_m
+    if pole.height_m is None:
+        return low, high
+    top = min(max(high, low), max(pole.height_m, 1.0))
+    return min(low, top), top

@@ -9,8 +9,8 @@ import numpy as np
 
 from geometry.arrays import FloatArray
 from scenarios.aeb import AebRule
-from scenarios.exposure import weight_share
 from scenarios.runs import find_onsets
+from scenarios.weights import weight_share
 
 from ..evaluation import Evaluation, earliest_arrival_s, leave_each_out, units_by_site
 

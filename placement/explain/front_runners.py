@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from scenarios.aeb import AebRule
-from scenarios.exposure import weight_share
+from scenarios.weights import weight_share
 
 from ..evaluation import Evaluation, apr_one_failed
 from ..layout import Layout

@@ -12,8 +12,8 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.catalogue import Sensor, load_cameras
 from geometry.poses import Pose, wrap_deg
 from geometry.sensors import CameraModel, with_fov
-from scenarios.exposure import weight_share
 from scenarios.runs import live_confirmation_times_s
+from scenarios.weights import weight_share
 
 from ..candidates import CandidatePose, is_turn_useless
 from ..compute import DEFAULT_COMPUTE, Compute

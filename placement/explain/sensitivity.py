@@ -18,8 +18,8 @@ from geometry.files import Table, load_toml, take_list, take_number, take_text
 from geometry.poses import Pose, wrap_deg
 from geometry.scene import Scene, containing_instance
 from scenarios.aeb import TIME_TOLERANCE_S, AebRule, is_in_time
-from scenarios.exposure import weight_share
 from scenarios.runs import FrameAxis, find_onsets
+from scenarios.weights import weight_share
 
 from ..candidates import CandidatePose
 from ..compute import DEFAULT_COMPUTE, Compute

@@ -10,8 +10,8 @@ from threadpoolctl import threadpool_limits
 
 from geometry.arrays import BoolArray
 from geometry.poses import Pose, wrap_deg
-from scenarios.exposure import weight_share
 from scenarios.runs import find_onsets
+from scenarios.weights import weight_share
 
 from ..candidates import CandidatePose
 from ..compute import DEFAULT_COMPUTE, Compute

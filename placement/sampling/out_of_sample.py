@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 from geometry.arrays import BoolArray, FloatArray, float_array
 from geometry.errors import InputError, Unquoted
 from scenarios.aeb import AebRule
-from scenarios.exposure import weight_share
 from scenarios.runs import FrameAxis, find_onsets
+from scenarios.weights import weight_share
 
 from ..candidates import CandidatePose
 from ..compute import DEFAULT_COMPUTE, Compute, silent

@@ -12,7 +12,7 @@ import pytest
 from experiments.cli import main as program
 from geometry.errors import InputError
 from geometry.files import load_toml
-from geometry.maps import voxels
+from geometry.maps import point_clouds as voxels
 from geometry.maps.importing import read_map
 from geometry.scene import Scene
 from geometry.scene_files import SCENE_FILE, THINGS_FILE, load_scene
@@ -21,7 +21,7 @@ from placement.private_ground import load_private_ground
 from placement.recordings import read_recording
 from placement.verification.certificates import load_certificate
 from placement.verification.instances import load_problem
-from scenarios.exposure import weight_from_csv
+from scenarios.weights import weight_from_csv
 
 
 def refusal(function, *arguments) -> str:

@@ -156,6 +156,7 @@ def test_every_reader_is_registered() -> None:
     for package in PACKAGES:
         for path in (ROOT / package).rglob("*.py"):
             module = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+            module = module.removesuffix(".__init__")
             text = path.read_text(encoding="utf-8")
             if not any(f"\ndef {verb}" in text for verb in _VERBS):
                 continue
@@ -174,6 +175,8 @@ def test_every_registered_reader_exists() -> None:
     for reader in READERS.values():
         for name in reader.covers:
             module, _, function = name.rpartition(".")
-            text = (ROOT / f"{module.replace('.', '/')}.py").read_text(encoding="utf-8")
+            path = ROOT / module.replace(".", "/")
+            path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+            text = path.read_text(encoding="utf-8")
             defined = [one.name for one in ast.parse(text).body if isinstance(one, ast.FunctionDef)]
             assert function in defined, name

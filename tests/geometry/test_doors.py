@@ -27,7 +27,7 @@ EXCEPTIONS = {
     "geometry/untrusted_files.py": {"ZipFile", "ParquetFile", "open"},
     "experiments/results/reading.py": {"read_csv"},
     # Libraries that take names only: the door has looked at them before.
-    "geometry/maps/elevation.py": {"open"},
+    "geometry/maps/relief.py": {"open"},
     "geometry/maps/gis_files.py": {"list_layers", "read_info", "read_dataframe"},
     "geometry/maps/openstreetmap/elements.py": {"FileProcessor"},
     "placement/detectors/network.py": {"InferenceSession"},

@@ -197,7 +197,7 @@ def test_a_junction_of_a_map_is_loaded_by_name_by_place_or_as_the_largest(tmp_pa
     ):
         assert len(build_junction(other).arms) == 3
     assert load_scene(packed).lanes[0].id == largest.lanes[0].id
-    with pytest.raises(InputError, match="--at: got it beside --junction"):
+    with pytest.raises(InputError, match="at: got it beside `junction`"):
         load_scene(path, junction="2", at=(LON_DEG, LAT_DEG))
 
 

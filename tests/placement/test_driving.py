@@ -205,11 +205,11 @@ def test_forced_speeds_are_warned_about(caplog):
         ({"weather": ","}, "--weather: got ','; expected names with commas between, each once"),
         (
             {"cases": "CPXX"},
-            "--cases: got 'CPXX'; expected one of default, study, protocol-4.5.1, ",
+            "cases: got 'CPXX'; expected one of default, study, protocol-4.5.1, ",
         ),
-        ({"along_arms": "-15"}, "--along-arms: got '-15'; expected metres along the arm, 0 to 500"),
-        ({"along_arms": "0,15,15"}, "--along-arms: got '0,15,15'; expected every distance once"),
-        ({"along_arms": ","}, "--along-arms: got ''; expected metres along the arm"),
+        ({"along_arms": "-15"}, "along_arms: got '-15'; expected metres along the arm, 0 to 500"),
+        ({"along_arms": "0,15,15"}, "along_arms: got '0,15,15'; expected every distance once"),
+        ({"along_arms": ","}, "along_arms: got ''; expected metres along the arm"),
         (
             {"detector": "best"},
             "--detector: got 'best'; expected geometric, response, cnn-table, cnn, a ",
@@ -218,8 +218,8 @@ def test_forced_speeds_are_warned_about(caplog):
         ({"vut_sensors": ""}, "vut_sensors: got ''; expected one or more of camera, lidar"),
         ({"packet_loss": 1.5}, "question: packet_loss: got 1.5; expected a share of lost "),
         ({"vam_rate": -0.5}, "question: vam_rate: got -0.5; expected a share of equipped "),
-        ({"speeds": "130"}, "--speeds: got 130; expected 10 to 60 km/h as the protocol drives"),
-        ({"weights": "none"}, "--weights: got 'none'; expected run, case, fhwa-crash-types, "),
+        ({"speeds": "130"}, "speeds: got 130; expected 10 to 60 km/h as the protocol drives"),
+        ({"weights": "none"}, "weights: got 'none'; expected run, case, fhwa-crash-types, "),
         ({"deceleration_mps2": 0.0}, "question: deceleration_mps2: got 0.0; expected m/s^2, "),
         ({"deceleration_mps2": 0.5}, "--deceleration: got 0.5; expected a number, 1 to 15"),
         (

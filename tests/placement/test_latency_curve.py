@@ -25,8 +25,8 @@ from placement.latency import (
 )
 from placement.layout import Layout
 from scenarios.aeb import load_aeb_rule
-from scenarios.exposure import weight_share
 from scenarios.runs import FrameAxis, find_onsets
+from scenarios.weights import weight_share
 
 RULE = load_aeb_rule()
 TOLERANCE_S = 1.0e-9

@@ -24,8 +24,8 @@ from placement.optimiser import (
 from placement.pipeline import obtain_table, pick_layout, place
 from placement.setting import Setting
 from placement.wishes import Wishes, build_problem, check_wishes
-from scenarios.exposure import weight_per_run
 from scenarios.runs import build_frame_axis
+from scenarios.weights import weight_per_run
 
 
 @pytest.fixture(scope="module")

@@ -32,13 +32,13 @@ from scenarios.aeb import (
     load_track_memory_s,
     smallest_separation_m,
 )
+from scenarios.courses import pick_turn
 from scenarios.paths import (
     Motion,
     StraightPath,
     TurnPath,
     travel_time_s,
 )
-from scenarios.turns import pick_turn
 
 RULE = load_aeb_rule()
 A_MPS2 = 7.72

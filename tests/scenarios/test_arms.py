@@ -7,10 +7,10 @@ from junctions import ARMS, LANE_M, build_scene, lanes_of
 
 from geometry.junction import build_junction, mirrored
 from geometry.scene import Lane
-from scenarios.arms import joints, straight_lane
 from scenarios.cases import load_cases
 from scenarios.protocol import stage_by_protocol
 from scenarios.staging import NoRoadError
+from scenarios.ways import joints, straight_lane
 
 MOVEMENTS = {"left": "north", "through": "east", "right": "south"}
 

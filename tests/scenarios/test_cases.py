@@ -161,22 +161,22 @@ def test_a_case_like_another_says_only_what_differs(monkeypatch):
     ],
 )
 def test_cases_are_picked_by_name_or_family_each_once(text, names):
-    assert [case.name for case in cases.pick_cases(text, "--cases")] == names
+    assert [case.name for case in cases.pick_cases(text, "cases")] == names
 
 
 def test_a_set_is_picked_with_its_own_speeds():
-    picked = {case.name: case for case in cases.pick_cases("study", "--cases")}
+    picked = {case.name: case for case in cases.pick_cases("study", "cases")}
     assert picked["CPNCO-50"].vut_speeds_kmh[0] == 20.0
     assert cases.load_cases()["CPNCO-50"].vut_speeds_kmh[0] == 10.0
-    assert len(cases.pick_cases("all", "--cases")) == len(cases.load_cases())
+    assert len(cases.pick_cases("all", "cases")) == len(cases.load_cases())
 
 
 @pytest.mark.parametrize("text", ["CPXX", "", "study,,CBLA", "cbla"])
 def test_unknown_cases_list_sets_and_cases(text):
     with pytest.raises(
-        InputError, match=r"--cases: got '.*'; expected one of default, study, protocol"
+        InputError, match=r"cases: got '.*'; expected one of default, study, protocol"
     ):
-        cases.pick_cases(text, "--cases")
+        cases.pick_cases(text, "cases")
 
 
 def test_the_vru_is_never_read_off_the_letters_of_a_case():
@@ -201,7 +201,7 @@ vru_from = "far"
 def test_own_cases_are_read_from_a_file_and_may_be_like_ours(tmp_path):
     path = tmp_path / "own.toml"
     path.write_text(OWN)
-    near, far, ours = cases.pick_cases(f"{path},CBLA", "--cases")
+    near, far, ours = cases.pick_cases(f"{path},CBLA", "cases")
     like = cases.load_cases()["CPNA-25"]
     assert (near.name, far.name, ours.name) == ("SCHOOL", "SCHOOL-FAR", "CBLA")
     assert (near.vru.name, near.vru_speed_kmh, near.vut_speeds_kmh) == ("child", 10.0, (30.0, 40.0))
@@ -226,5 +226,5 @@ def test_own_cases_that_are_wrong_are_told_with_file_and_field(tmp_path, text, m
     path = tmp_path / "own.toml"
     path.write_text(text)
     with pytest.raises(InputError) as caught:
-        cases.pick_cases(str(path), "--cases")
+        cases.pick_cases(str(path), "cases")
     assert str(caught.value).startswith(f"{path}{message}")

@@ -10,10 +10,9 @@ from oracles import distance_to_chain_m
 
 from geometry.errors import InputError
 from geometry.junction import Line
-from scenarios.courses import follow_lane, follow_lanes, join_by_turn
+from scenarios.courses import follow_lane, follow_lanes, join_by_turn, pick_turn
 from scenarios.encounters import Encounter, first_contact_s
 from scenarios.paths import CoursePath, Motion, TowedPath, TurnPath
-from scenarios.turns import pick_turn
 
 AXLES = {"wheelbase_m": 2.7, "front_axle_ahead_m": 1.3}
 LANE_M = 3.5

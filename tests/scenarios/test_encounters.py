@@ -10,6 +10,7 @@ from geometry.actors import load_actors
 from geometry.errors import InputError
 from geometry.footprints import footprint_corners, footprint_separation
 from scenarios.aeb import braking_distance_m, load_aeb_rule
+from scenarios.courses import pick_turn
 from scenarios.encounters import (
     GRAZING_M,
     Cells,
@@ -19,7 +20,6 @@ from scenarios.encounters import (
     first_contact_s,
 )
 from scenarios.paths import Motion, StraightPath, TurnPath
-from scenarios.turns import pick_turn
 
 
 def _later(encounter, vut_s, vru_s):

@@ -26,8 +26,6 @@ from geometry.junction import build_junction, lane_length_m
 from geometry.scene import Lane
 from geometry.study_scene import load_study_scene
 from scenarios.cases import load_case_sets, load_cases, select_cases
-from scenarios.exposure import default_weights
-from scenarios.laying import load_way_rules
 from scenarios.paths import StraightPath, TowedPath
 from scenarios.positions import (
     AT_ZERO,
@@ -43,7 +41,8 @@ from scenarios.positions import (
     spread_speeds,
 )
 from scenarios.runs import FrameAxis, build_frame_axis, build_runs
-from scenarios.staging import lateral_acceleration_mps2
+from scenarios.staging import lateral_acceleration_mps2, load_way_rules
+from scenarios.weights import default_weights
 
 FREE = tuple(name for name, case in load_cases().items() if not is_bound(case))
 CROSSWALK_M = MOUTH_M - 2.0  # from the middle of the protocol's junction
@@ -386,8 +385,8 @@ def test_all_speeds_are_driven_about_equally_often(default_runs):
 @given(st.sampled_from(["+", "-", ""]), st.floats(0.0, 500.0).map(lambda x: round(x, 2)))
 def test_a_position_is_read_back_by_its_name(sign, metres):
     assume(sign or metres == 0.0)
-    position = read_position(f"{sign}{metres:g}", "--position")
-    assert read_position(position.name, "--position") == position
+    position = read_position(f"{sign}{metres:g}", "position")
+    assert read_position(position.name, "position") == position
     assert (position.name == "0") == (metres == 0.0 and sign != "+")
 
 
@@ -412,16 +411,16 @@ def test_positions_are_sorted_as_the_vut_passes_them():
 )
 def test_distances_that_cannot_be_are_one_line(text, message):
     with pytest.raises(InputError) as caught:
-        read_along_arms(text, "--along-arms")
-    assert str(caught.value).startswith(f"--along-arms: {message}")
+        read_along_arms(text, "along_arms")
+    assert str(caught.value).startswith(f"along_arms: {message}")
 
 
 @pytest.mark.parametrize("text", ["", "15", "+", "-", "+-3", "x", "-nan", "+501", "-15,-30"])
 def test_what_is_no_position_is_told(text):
     with pytest.raises(InputError) as caught:
-        read_position(text, "--position")
+        read_position(text, "position")
     assert str(caught.value).startswith(
-        f"--position: got {text!r}; expected 0, or metres before it such as -15"
+        f"position: got {text!r}; expected 0, or metres before it such as -15"
     )
 
 

@@ -14,7 +14,6 @@ from geometry.scene import Lane
 from geometry.study_scene import load_study_scene
 from scenarios.aeb import has_contact, is_in_time, live_confirmation_time_s
 from scenarios.cases import load_cases, pick_cases
-from scenarios.exposure import weight_per_run
 from scenarios.positions import build_positions
 from scenarios.runs import (
     FrameAxis,
@@ -23,6 +22,7 @@ from scenarios.runs import (
     find_onsets,
     live_confirmation_times_s,
 )
+from scenarios.weights import weight_per_run
 
 
 def _vru_in_vut_frame(encounter):

@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 from strategies import numbers
 
 from geometry.errors import InputError
-from scenarios.turns import (
+from scenarios.courses import (
     LEFT,
     RIGHT,
     Turn,

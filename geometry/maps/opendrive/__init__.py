@@ -1,5 +1,200 @@
 """Maps in ASAM OpenDRIVE 1.4 to 1.8."""
 
-from .reader import read_opendrive
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from ...errors import InputError, Unquoted
+from ...untrusted_files import local_name, read_xml
+from ..source_map import MapJunction, MapLane, Omissions, SourceMap
+from .attributes import Offset, numbered, read_crs, read_offset, take_id, take_number
+from .junctions import build_junctions, find_road_ends, leading_roads, read_junction_records
+from .lanes import (
+    MAX_POINTS,
+    RoadEnds,
+    SampledSection,
+    build_lanes,
+    connecting_lanes,
+    join_stubs,
+    sample_road,
+)
+from .objects import build_rows, cross_paths, merge_poles, read_objects, read_signals
+from .roads import NO_JUNCTION, Road, RoadLink, read_links, read_road
 
 __all__ = ["read_opendrive"]
+
+
+def read_opendrive(path: Path) -> SourceMap:
+    """Read a file in ASAM OpenDRIVE 1.4 to 1.8.
+
+    Roads outside junctions become lanes in driving direction, connecting roads lanes through their
+    junctions, whose outlines are those of these roads' surface; objects and signals become things,
+    poles, crosswalks and parking lanes. Heights are absolute; across, roads have their
+    superelevation and shape.
+
+    Raises InputError if the file cannot be read, is no OpenDRIVE, has no roads, lacks a number or
+    has one out of range, or needs too many points.
+
+    References
+    ----------
+    .. [1] ASAM OpenDRIVE 1.8.1, and 1.4 to 1.7 for features that were dropped.
+    """
+    where = path.name
+    root = read_xml(path, expected="OpenDRIVE")
+    for element in root.iter():
+        element.tag = local_name(element)
+    if root.tag != "OpenDRIVE":
+        raise InputError(where, Unquoted(f"a document <{root.tag[:40]}>"), "<OpenDRIVE>")
+    omissions = Omissions()
+    crs, source_crs = read_crs(root, omissions)
+    offset = read_offset(root, where)
+    roads = _read_roads(root, where, offset, omissions)
+    sampled = _sample(roads, where)
+    records = read_junction_records(root, where, omissions)
+    ends = find_road_ends(roads, records, omissions)
+    lanes = join_stubs(
+        [
+            lane
+            for road in roads.values()
+            if road.junction == NO_JUNCTION
+            for lane in build_lanes(road, sampled[road.id], ends[road.id])
+        ]
+    )
+    junctions, lanes = build_junctions(records, roads, sampled, lanes, omissions, where)
+    leading = leading_roads(roads, ends, sampled)
+    junctions = [replace(one, roads=leading.get(one.id, ())) for one in junctions]
+    connections = _connections(roads, junctions, where)
+    junctions = _without_merges(junctions, roads, ends, omissions)
+    found = read_objects(roads, omissions)
+    lanes += [
+        lane for road, spaces in found.spaces.items() for lane in build_rows(roads[road], spaces)
+    ]
+    poles, painted = read_signals(roads, sampled, offset, omissions)
+    crosswalks = [*found.crosswalks_m, *painted, *cross_paths(records, roads)]
+    _note_ignored(root, omissions)
+    return SourceMap(
+        name=where,
+        crs=crs,
+        source_crs=source_crs,
+        heights="absolute",
+        lanes=tuple(lanes),
+        connections=connections,
+        junctions=tuple(junctions),
+        things=tuple(found.things),
+        poles=tuple(merge_poles([*found.poles, *poles])),
+        crosswalks_m=np.array(crosswalks).reshape(-1, 2, 2),
+        keeps_left=_keeps_left(roads, omissions),
+        ground_m=np.concatenate(
+            [section.surface_m() for sections in sampled.values() for section in sections]
+        ),
+        skipped=omissions.listed(),
+    )
+
+
+_JOINED_M = 1.0e-3  # a road that is shorter is but a joint between its neighbours
+
+
+def _read_roads(root: Element, where: str, offset: Offset, omissions: Omissions) -> dict[str, Road]:
+    """All roads by id; the neighbours of those without a length are joined, which is noted."""
+    roads: dict[str, Road] = {}
+    joints: dict[str, tuple[RoadLink, RoadLink]] = {}
+    for element, _ in numbered(root, "road", where):
+        road_id = take_id(element, f"{where}: road")
+        if road_id in roads or road_id in joints:
+            raise InputError(f"{where}: road {road_id}.id", road_id, "every id once")
+        length_m = take_number(element, "length", f"{where}: road {road_id}")
+        if 0.0 < length_m < _JOINED_M:
+            joints[road_id] = read_links(element)
+            why = f"shorter than {_JOINED_M * 1e3:g} mm: its neighbours are joined"
+            omissions.add("roads", f"road {road_id}", why)
+        else:
+            roads[road_id] = read_road(element, where, offset)
+    if not roads:
+        raise InputError(where, Unquoted("no road"), "a document with roads")
+    return {
+        road_id: replace(
+            road, before=_beyond(road.before, joints), after=_beyond(road.after, joints)
+        )
+        for road_id, road in roads.items()
+    }
+
+
+def _beyond(link: RoadLink, joints: Mapping[str, tuple[RoadLink, RoadLink]]) -> RoadLink:
+    """What a link leads to, roads without a length passed over."""
+    for _ in range(len(joints)):
+        if link.kind != "road" or link.id not in joints:
+            break
+        before, after = joints[link.id]
+        link = before if link.contact == "end" else after
+    return link
+
+
+def _sample(roads: Mapping[str, Road], where: str) -> dict[str, tuple[SampledSection, ...]]:
+    sampled: dict[str, tuple[SampledSection, ...]] = {}
+    n_points = 0
+    for road in roads.values():
+        sampled[road.id] = sample_road(road)
+        n_points += sum(len(section.s_m) * (1 + len(section.lanes)) for section in sampled[road.id])
+        if n_points > MAX_POINTS:
+            raise InputError(
+                road.where,
+                Unquoted(f"more than {MAX_POINTS:,} points up to here"),
+                "a smaller file: cut it out first",
+            )
+    return sampled
+
+
+def _connections(
+    roads: Mapping[str, Road], junctions: Sequence[MapJunction], where: str
+) -> tuple[MapLane, ...]:
+    there = {junction.id for junction in junctions}
+    found: list[MapLane] = []
+    n_points = 0
+    for road in roads.values():
+        if road.junction in there:
+            here = connecting_lanes(road)
+            n_points += sum(len(lane.centreline_m) for lane in here)
+            if n_points > MAX_POINTS:
+                got = Unquoted(f"more than {n_points:,} points of lanes through junctions")
+                raise InputError(where, got, f"at most {MAX_POINTS:,}")
+            found += here
+    return tuple(found)
+
+
+def _without_merges(
+    junctions: Sequence[MapJunction],
+    roads: Mapping[str, Road],
+    ends: Mapping[str, RoadEnds],
+    omissions: Omissions,
+) -> list[MapJunction]:
+    """Junctions but for those of motorways, where nobody walks; cars are led on through these."""
+    kept = []
+    for junction in junctions:
+        arms = [roads[name] for name, at in ends.items() if junction.id in (at.start, at.end)]
+        if arms and all(road.is_motorway for road in arms):
+            why = "motorways merge or part where nobody walks"
+            omissions.add("junctions", f"junction {junction.id}", why)
+        else:
+            kept.append(junction)
+    return kept
+
+
+def _keeps_left(roads: Mapping[str, Road], omissions: Omissions) -> bool:
+    n_left = sum(road.keeps_left for road in roads.values())
+    if 0 < n_left < len(roads):
+        omissions.add(
+            "rules",
+            f"rule of {min(n_left, len(roads) - n_left)} of {len(roads)} roads",
+            "traffic in a map keeps one side: that of most roads",
+        )
+    return 2 * n_left > len(roads)
+
+
+def _note_ignored(root: Element, omissions: Omissions) -> None:
+    for element in root.iter("include"):
+        omissions.add(
+            "included files", f"include {element.get('file', '')[:80]}", "other files are not read"
+        )

@@ -10,9 +10,8 @@ from ...arrays import FloatArray
 from ...errors import InputError, Unquoted
 from ..source_map import MapLane
 from .attributes import lane_kinds
-from .cross_sections import CrossSections
 from .reference_line import MAX_COORDINATE_M, PiecewiseCubic, evaluate
-from .roads import LaneRecord, LaneSection, Road
+from .roads import CrossSections, LaneRecord, LaneSection, Road
 
 MAX_POINTS = 5_000_000  # of a file
 _CHORD_ERROR_M = 0.02  # below the 3 cm that are asked for: bounds of bends are sampled
@@ -36,8 +35,7 @@ class SampledLane:
     def width_m(self) -> FloatArray:
         """Full width at the stations, not below 0, (n,)."""
         side = 1.0 if self.record.number > 0 else -1.0
-        width: FloatArray = np.maximum(side * (self.outer_m - self.inner_m), 0.0)
-        return width
+        return np.maximum(side * (self.outer_m - self.inner_m), 0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -453,8 +451,7 @@ def _joined(lane: MapLane, pieces: Sequence[MapLane]) -> MapLane:
 
 def _chain(first_m: FloatArray, second_m: FloatArray) -> FloatArray:
     """Both lines as one; of the two points at the joint the second line's stays."""
-    chained: FloatArray = np.concatenate([first_m[:-1], second_m])
-    return chained
+    return np.concatenate([first_m[:-1], second_m])
 
 
 def _length_m(lane: MapLane) -> float:

@@ -481,8 +481,7 @@ def _sweep(road: Road, sweep: Sweep, height_m: float) -> Mesh:
         one, other = getattr(sweep.start, name), getattr(sweep.end, name)
         one = fallback if one is None else one
         other = one if other is None else other
-        mixed: FloatArray = one + share * (other - one)
-        return mixed
+        return one + share * (other - one)
 
     diameter_m = 2.0 * (sweep.start.radius_m or 0.0)
     bottom_m = points[:, 2] + mix("z_m", 0.0)

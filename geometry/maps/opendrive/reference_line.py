@@ -72,18 +72,15 @@ def graph_parameter(s_m: FloatArray, v: FloatArray, length_m: float) -> FloatArr
     grid = np.linspace(0.0, length_m, _N_ARC_LENGTH)
     speed = np.hypot(1.0, _slope(grid, v))
     steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(grid)
-    u: FloatArray = np.interp(s_m, np.append(0.0, np.cumsum(steps)), grid)
-    return u
+    return np.interp(s_m, np.append(0.0, np.cumsum(steps)), grid)
 
 
 def _cubic(p: FloatArray, k: FloatArray) -> FloatArray:
-    values: FloatArray = k[..., 0] + p * (k[..., 1] + p * (k[..., 2] + p * k[..., 3]))
-    return values
+    return k[..., 0] + p * (k[..., 1] + p * (k[..., 2] + p * k[..., 3]))
 
 
 def _slope(p: FloatArray, k: FloatArray) -> FloatArray:
-    slopes: FloatArray = k[..., 1] + p * (2.0 * k[..., 2] + 3.0 * p * k[..., 3])
-    return slopes
+    return k[..., 1] + p * (2.0 * k[..., 2] + 3.0 * p * k[..., 3])
 
 
 # ---------- the reference line
@@ -284,8 +281,7 @@ class PiecewiseCubic:
 
     def at(self, s_m: FloatArray) -> FloatArray:
         """Values, (k,)."""
-        values: FloatArray = self.rebased(s_m, s_m)[:, 0]
-        return values
+        return self.rebased(s_m, s_m)[:, 0]
 
 
 def evaluate(coefficients: FloatArray, ds_m: FloatArray) -> FloatArray:

@@ -1,7 +1,7 @@
 """Roads as a file has them: reference line, elevation, superelevation, lane sections, links."""
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element
@@ -11,8 +11,13 @@ import numpy as np
 from ...arrays import FloatArray
 from ...errors import InputError, Unquoted
 from .attributes import Offset, lane_kinds, numbered, take_id, take_number, take_number_or
-from .cross_sections import CrossSections, read_cross_sections
-from .reference_line import PiecewiseCubic, ReferenceLine, read_cubics, read_reference_line
+from .reference_line import (
+    PiecewiseCubic,
+    ReferenceLine,
+    build_cubics,
+    read_cubics,
+    read_reference_line,
+)
 
 NO_JUNCTION = "-1"
 _MAX_LENGTH_M = 100_000.0
@@ -32,6 +37,52 @@ class RoadLink:
 SpeedLimits = tuple[tuple[float, float | None], ...]
 """Stations from which speed limits hold, ascending, in metres, and these in km/h; None: none."""
 _KMH = {"m/s": 3.6, "km/h": 1.0, "mph": 1.609344}
+
+
+# ---------- how the surface rises and falls across
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CrossSections:
+    """Heights across a road at some stations; between two of them in proportion."""
+
+    stations_m: FloatArray  # (n,); ascending; none: the road is a line across
+    # height over the distance t to the left of the reference line, one for each station
+    profiles: tuple[PiecewiseCubic, ...]
+
+    def at(self, s_m: FloatArray, t_m: FloatArray) -> FloatArray:
+        """Heights at stations, some metres to the left of the reference line, (k,)."""
+        height = np.zeros(len(s_m))
+        if not len(self.stations_m):
+            return height
+        place = np.interp(s_m, self.stations_m, np.arange(len(self.stations_m)))
+        for index, profile in enumerate(self.profiles):
+            share = np.maximum(1.0 - np.abs(place - index), 0.0)
+            near = share > 0.0
+            height[near] += share[near] * profile.at(np.maximum(t_m[near], profile.starts_m[0]))
+        return height
+
+
+def read_cross_sections(lateral: Element | None, where: str) -> CrossSections:
+    """The shapes of a road's lateral profile; none if all of them are flat.
+
+    Raises InputError if a number is missing or out of range.
+
+    References
+    ----------
+    .. [1] ASAM OpenDRIVE 1.8, section on lateral profiles: road shape.
+    """
+    rows: dict[float, list[tuple[float, ...]]] = defaultdict(list)
+    for piece, here in numbered(lateral, "shape", where):
+        row = tuple(take_number(piece, key, here) for key in ("t", *"abcd"))
+        rows[take_number(piece, "s", here)].append(row)
+    if not any(value for pieces in rows.values() for row in pieces for value in row[1:]):
+        rows.clear()
+    stations = sorted(rows)
+    return CrossSections(
+        stations_m=np.array(stations, dtype=np.float64),
+        profiles=tuple(build_cubics(rows[station]) for station in stations),
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -98,8 +149,7 @@ class Road:
 
     def height_at(self, s_m: FloatArray) -> FloatArray:
         """Height of the reference line, (n,)."""
-        heights: FloatArray = self.elevation.at(np.clip(s_m, 0.0, self.length_m)) + self.base_m
-        return heights
+        return self.elevation.at(np.clip(s_m, 0.0, self.length_m)) + self.base_m
 
     def place(self, s_m: FloatArray, t_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Points (n, 3) on the road's surface, and headings (n,) of its reference line there."""

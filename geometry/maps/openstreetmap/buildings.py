@@ -11,7 +11,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ...arrays import FloatArray
 from ...errors import InputError
-from ..solids import extrude
+from ..solids import extrude, extrude_polygon, polygons_of
 from ..source_map import Omissions, Thing
 from .elements import (
     DEFAULTS,
@@ -23,10 +23,12 @@ from .elements import (
     parse_length_m,
     parse_number,
 )
+from .junctions import Reach
 from .network import Network, known_runs, level
 
 _NOT_THERE = ("no", "construction", "proposed", "demolished", "razed", "collapsed")
 _COVERED = ("yes", "arcade", "colonnade")
+_LEAST_M2 = 1.0  # of what is left of a building
 _GATES = ("gate", "gatehouse", "city_gate")
 
 
@@ -97,14 +99,8 @@ def _without_parts(outlines: Sequence[Area], parts: Sequence[Area]) -> list[list
         covered = shapely.union_all([part_shapes[member] for member in members])
         rest = shapes[outline].difference(covered)
         is_covered = rest.area <= (1.0 - least) * shapes[outline].area
-        rests[outline] = [] if is_covered else list(_polygons(rest))
+        rests[outline] = [] if is_covered else polygons_of(rest, above_m2=_LEAST_M2)
     return rests
-
-
-def _polygons(shape: BaseGeometry) -> Iterator[Polygon]:
-    for part in getattr(shape, "geoms", [shape]):
-        if isinstance(part, Polygon) and part.area > 1.0:
-            yield part
 
 
 def _pieces(area: Area, shapes: Sequence[Polygon], name: str) -> Iterator[Area]:
@@ -127,18 +123,18 @@ def _solid(area: Area, passages: "_Passages", omissions: Omissions) -> Iterator[
         yield from _prism(area, span, omissions)
         return
     whole = make_valid(area.polygon)
-    for piece in _pieces(area, list(_polygons(whole.difference(ways))), area.id):
+    for piece in _pieces(area, polygons_of(whole.difference(ways), above_m2=_LEAST_M2), area.id):
         yield from _prism(piece, span, omissions)
     if clear_m < span.top_m:
         over = replace(span, bottom_m=clear_m)
-        shapes = list(_polygons(whole.intersection(ways)))
+        shapes = polygons_of(whole.intersection(ways), above_m2=_LEAST_M2)
         for piece in _pieces(area, shapes, f"{area.id} over a passage"):
             yield from _prism(piece, over, omissions)
 
 
 def _prism(area: Area, span: "_Span", omissions: Omissions) -> Iterator[Thing]:
     try:
-        vertices, triangles = extrude(
+        mesh = extrude(
             area.outer_m,
             bottom_m=span.bottom_m,
             top_m=span.top_m,
@@ -148,13 +144,7 @@ def _prism(area: Area, span: "_Span", omissions: Omissions) -> Iterator[Thing]:
     except InputError as error:
         omissions.add("buildings", _element(area), f"its outline has {error.got}")
         return
-    yield Thing(
-        id=area.id,
-        class_name="building",
-        vertices_m=vertices,
-        triangles=triangles,
-        is_height_assumed=span.is_assumed,
-    )
+    yield Thing.of(area.id, "building", mesh, is_height_assumed=span.is_assumed)
 
 
 # ---------- heights
@@ -287,3 +277,56 @@ def _leads_through(tags: Tags) -> bool:
 
 def _is_gate(tags: Tags) -> bool:
     return tags.get("historic") in _GATES or _kind(tags) in _GATES
+
+
+# ---------- bridges over roads
+
+
+def find_bridges(
+    network: Network, reaches: Sequence[Reach], elements: Elements, omissions: Omissions
+) -> Iterator[Thing]:
+    """Decks of roads, footways and railways over roads on the ground.
+
+    Road users on a bridge are not lifted to its deck: where a road on a bridge leads to a junction
+    nearby, its deck would be above them, and is left out, which is noted.
+    """
+    usual = DEFAULTS["bridge"]
+    below = STRtree([LineString(edge.points_m) for edge in network.edges if edge.level == 0])
+
+    def is_over_road(line_m: FloatArray, tags: Tags) -> bool:
+        is_bridge = level(tags) > 0 and is_yes(tags.get("bridge"))
+        return is_bridge and len(below.query(LineString(line_m), predicate="crosses")) > 0
+
+    for reach in reaches:
+        breaks_m = reach.street.breaks_m
+        for index, (edge, _) in enumerate(reach.street.parts):
+            if not is_over_road(edge.points_m, edge.tags):
+                continue
+            from_m, to_m = breaks_m[index] - reach.begin_m, reach.end_m - breaks_m[index + 1]
+            if (reach.from_junction and from_m < usual["junction_m"]) or (
+                reach.to_junction and to_m < usual["junction_m"]
+            ):
+                why = "a junction is near on it: its deck is left out"
+                omissions.add("bridges", f"way {edge.way_id}", why)
+            else:
+                yield from _deck(edge.id, edge.points_m, edge.section.width_m, edge.level)
+    for way in elements.ways:
+        is_rail = way.tags.get("railway") in usual["railways"]
+        if not is_rail and way.tags.get("highway") not in DEFAULTS["building"]["foot_ways"]:
+            continue
+        width_m = usual["track_width_m" if is_rail else "foot_width_m"]
+        for number, rows in enumerate(known_runs(way.rows, network.positions_m)):
+            line_m = network.positions_m[rows]
+            if is_over_road(line_m, way.tags):
+                name = f"w{way.id}.{number}" if number else f"w{way.id}"
+                yield from _deck(name, line_m, width_m, level(way.tags))
+
+
+def _deck(name: str, line_m: FloatArray, width_m: float, layer: int) -> Iterator[Thing]:
+    bottom_m = DEFAULTS["building"]["clear_height_m"] * layer
+    area = LineString(line_m).buffer(0.5 * width_m, cap_style="flat")
+    top_m = bottom_m + DEFAULTS["bridge"]["thickness_m"]
+    for number, part in enumerate(polygons_of(area)):
+        mesh = extrude_polygon(part, bottom_m=bottom_m, top_m=top_m, where=name)
+        deck_id = f"{name} bridge" + (f" {number}" if number else "")
+        yield Thing.of(deck_id, "building", mesh, is_height_assumed=True)

@@ -123,8 +123,7 @@ def _from_kerb_to_kerb(part: LineString, carriageway: BaseGeometry, beyond_m: fl
     ]
     own = [ends for ends in stations if ends[0] < part.length and ends[-1] > 0.0]
     low, high = min(ends[0] for ends in own), max(ends[-1] for ends in own)
-    ends: FloatArray = begin + np.array([[low - beyond_m], [high + beyond_m]]) * along
-    return ends
+    return begin + np.array([[low - beyond_m], [high + beyond_m]]) * along
 
 
 def _edges_at(network: Network) -> dict[int, tuple[int, int]]:

@@ -232,8 +232,7 @@ def _rows(node_ids: IntArray, wanted: IntArray) -> IntArray:
     if not len(node_ids):
         return np.full(len(wanted), -1, dtype=np.int64)
     found = np.minimum(np.searchsorted(node_ids, wanted), len(node_ids) - 1)
-    rows: IntArray = np.where(node_ids[found] == wanted, found, -1).astype(np.int64)
-    return rows
+    return np.where(node_ids[found] == wanted, found, -1).astype(np.int64)
 
 
 # ---------- areas

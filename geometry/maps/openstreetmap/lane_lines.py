@@ -11,9 +11,8 @@ from ...arrays import FloatArray
 from ..source_map import MapLane
 from .elements import DEFAULTS
 from .junctions import Reach
-from .lanes import Strip
+from .lanes import Strip, speed_limit_kmh
 from .network import axis_points, has_no_knot, stations_between
-from .speed_limits import speed_limit_kmh
 
 _BESIDE_END_M = 12.0  # between the end of one carriageway and the lane it leads into
 _MIN_LENGTH_M = 0.5

@@ -298,8 +298,7 @@ _MAX_MITRE = 2.0  # at sharp bends lines beside a street are cut off
 def points_beside(street: Street, stations_m: ArrayLike, left_m: ArrayLike) -> FloatArray:
     """Points (n, 2) beside a street at ascending stations; at bends on the angle's bisector."""
     middle, across = axis_points(street, stations_m)
-    beside: FloatArray = middle + np.asarray(left_m, dtype=np.float64).reshape(-1, 1) * across
-    return beside
+    return middle + np.asarray(left_m, dtype=np.float64).reshape(-1, 1) * across
 
 
 def axis_points(street: Street, stations_m: ArrayLike) -> tuple[FloatArray, FloatArray]:

@@ -9,7 +9,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ...arrays import FloatArray
 from ...errors import InputError
-from ..solids import Mesh, extrude, join, unit_ball
+from ..solids import Mesh, extrude_polygon, join, polygons_of, unit_ball
 from ..source_map import Omissions, Pole, Thing
 from .elements import (
     DEFAULTS,
@@ -43,23 +43,13 @@ def find_barriers(
         thickness_m, _ = _size_m(way.tags, kind, "thickness", omissions, element)
         for number, footprint in enumerate(_footprints(way, positions_m, thickness_m)):
             try:
-                vertices, triangles = extrude(
-                    np.asarray(footprint.exterior.coords),
-                    bottom_m=0.0,
-                    top_m=height_m,
-                    holes_m=[np.asarray(ring.coords) for ring in footprint.interiors],
-                    where=element,
-                )
+                mesh = extrude_polygon(footprint, bottom_m=0.0, top_m=height_m, where=element)
             except InputError as error:
                 omissions.add("barriers", element, f"its outline has {error.got}")
                 continue
-            yield Thing(
-                id=f"w{way.id} {kind}" + (f" {number}" if number else ""),
-                class_name="vegetation" if kind == "hedge" else "wall",
-                vertices_m=vertices,
-                triangles=triangles,
-                is_height_assumed=is_assumed,
-            )
+            name = f"w{way.id} {kind}" + (f" {number}" if number else "")
+            class_name = "vegetation" if kind == "hedge" else "wall"
+            yield Thing.of(name, class_name, mesh, is_height_assumed=is_assumed)
 
 
 def _footprints(way: Way, positions_m: FloatArray, thickness_m: float) -> Iterator[Polygon]:
@@ -75,9 +65,7 @@ def _footprints(way: Way, positions_m: FloatArray, thickness_m: float) -> Iterat
         ]
     )
     for shape in shapes:
-        for part in getattr(shape, "geoms", [shape]):
-            if isinstance(part, Polygon) and not part.is_empty:
-                yield part
+        yield from polygons_of(shape)
 
 
 def _size_m(
@@ -142,10 +130,7 @@ def _along(line_m: FloatArray) -> FloatArray:
     along = np.append(0.0, np.cumsum(np.hypot(*np.diff(line_m, axis=0).T)))
     n_trees = min(round(float(along[-1]) / usual["row_spacing_m"]) + 1, usual["max_in_row"])
     stations = np.linspace(0.0, along[-1], max(n_trees, 2))
-    feet: FloatArray = np.column_stack(
-        [np.interp(stations, along, line_m[:, axis]) for axis in (0, 1)]
-    )
-    return feet
+    return np.column_stack([np.interp(stations, along, line_m[:, axis]) for axis in (0, 1)])
 
 
 def _tree(name: str, foot_m: FloatArray, tags: Tags, element: str, omissions: Omissions) -> Thing:
@@ -168,13 +153,8 @@ def _tree(name: str, foot_m: FloatArray, tags: Tags, element: str, omissions: Om
     prism, prism_faces = _prism()
     trunk = prism * [0.5 * trunk_m, 0.5 * trunk_m, middle_m]
     vertices, triangles = join([(trunk, prism_faces), (crown, ball_faces)])
-    return Thing(
-        id=name,
-        class_name="vegetation",
-        vertices_m=vertices + np.append(foot_m, 0.0),
-        triangles=triangles,
-        is_height_assumed=tagged_m is None,
-    )
+    mesh = vertices + np.append(foot_m, 0.0), triangles
+    return Thing.of(name, "vegetation", mesh, is_height_assumed=tagged_m is None)
 
 
 @cache

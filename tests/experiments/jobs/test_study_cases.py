@@ -23,8 +23,8 @@ from placement.layout import Layout
 from placement.question import Question
 from placement.setting import build_setting
 from placement.study_layout import load_carlancap_layout
-from scenarios.exposure import weight_per_case
 from scenarios.runs import build_frame_axis
+from scenarios.weights import weight_per_case
 
 ASKED = Question(
     cases="CPNC-50,CBNA",

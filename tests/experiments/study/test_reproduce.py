@@ -24,8 +24,8 @@ from placement.compute import Compute
 from placement.evaluation import apr, detected_share
 from placement.evaluator import evaluate_layout
 from placement.layout import Layout
-from scenarios.exposure import weight_per_run
 from scenarios.runs import build_frame_axis
+from scenarios.weights import weight_per_run
 
 SOME = ("CPNC-50/east/55", "CBNA/east/60", "CBLA/east/50", "CPNC-50/west/20")
 

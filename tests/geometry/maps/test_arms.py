@@ -146,5 +146,5 @@ def test_junctions_are_sorted_by_what_they_have(town: SourceMap) -> None:
     by_lanes = [one.n_lanes for one in sort_junctions(surveyed, "lanes")]
     assert by_lanes == sorted(by_lanes, reverse=True)
     assert sort_junctions(surveyed, "arms") == surveyed
-    with pytest.raises(InputError, match="--sort: got 'size'"):
+    with pytest.raises(InputError, match="sort: got 'size'"):
         sort_junctions(surveyed, "size")

@@ -14,7 +14,7 @@ from geometry.errors import InputError
 from geometry.maps import gis_files
 from geometry.maps.gis_files import read_footprints
 from geometry.maps.solids import is_closed, volume_m3
-from geometry.maps.thing_kinds import kind_of_class, thing_defaults
+from geometry.maps.source_map import kind_of_class, thing_defaults
 
 X, Y = 390_000.0, 5_819_000.0
 HOUSE = box(X, Y, X + 10, Y + 8)

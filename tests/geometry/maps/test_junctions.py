@@ -101,7 +101,7 @@ def test_a_junction_is_chosen_by_latitude_and_longitude(source):
     lon_deg, lat_deg = transform(np.array([500_905.0, 5_800_010.0]), crs, WGS84)
     chosen = choose_junction(moved, found, name=f"{lat_deg:.6f}, {lon_deg:.6f}")
     assert chosen.junction.id == "other"
-    with pytest.raises(InputError, match=r"--junction: got 10\.5,20\.5; expected a point within"):
+    with pytest.raises(InputError, match=r"junction: got 10\.5,20\.5; expected a point within"):
         choose_junction(moved, found, name="10.5,20.5")
     with pytest.raises(InputError, match="does not say where it lies"):
         choose_junction(source, survey_junctions(source), name="52.5,13.4")
@@ -110,8 +110,8 @@ def test_a_junction_is_chosen_by_latitude_and_longitude(source):
 @pytest.mark.parametrize(
     ("choice", "message"),
     [
-        ({"name": "street"}, "--junction: got 'street'; expected one of large"),
-        ({"name": "lane"}, "--junction: got 'lane'"),
+        ({"name": "street"}, "junction: got 'street'; expected one of large"),
+        ({"name": "lane"}, "junction: got 'lane'"),
         ({"at": (0.0, 500.0)}, "X,Y: it is the other way round"),
         ({"at": (0.0, 300.0)}, "the nearest one, small, is at 0, 0"),
     ],
@@ -135,5 +135,5 @@ def test_a_junction_that_no_lane_reaches_has_no_arms(source):
 
 @pytest.mark.parametrize("crs", ["nonsense", "EPSG:4326", "EPSG:2263"])
 def test_a_crs_that_is_no_plane_in_metres_is_refused_before_reading(tmp_path, crs):
-    with pytest.raises(InputError, match="--crs: got"):
+    with pytest.raises(InputError, match="crs: got"):
         read_map(tmp_path / "gone.osm", ReadingOptions(crs=crs))

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from geometry.errors import InputError
-from geometry.maps.site_files import SiteWish
+from geometry.maps.place_lists import SiteWish
 from geometry.maps.sites import SETBACK_M, kerb_sites, tidy_sites
 from geometry.maps.solids import extrude
 from geometry.maps.source_map import MapLane, Thing

@@ -108,7 +108,7 @@ def test_objects_of_an_obj_file_are_things(tmp_path):
 def test_formats_without_a_standard_need_words(tmp_path, suffix, said):
     path = tmp_path / f"a.{suffix}"
     street().to_geometry().export(path)
-    with pytest.raises(InputError, match="--unit and --up"):
+    with pytest.raises(InputError, match="`unit` and `up`"):
         read_mesh(path, **said)
 
 
@@ -148,7 +148,7 @@ def test_houses_on_their_heads_are_refused(tmp_path):
     path = tmp_path / "a.ply"
     gabled().export(path)
     assert len(read_mesh(path, unit="m", up="z").things) == 1
-    with pytest.raises(InputError, match=r"facing down.*--up=z"):
+    with pytest.raises(InputError, match=r"facing down.*`up`=z"):
         read_mesh(path, unit="m", up="-z")
 
 
@@ -160,7 +160,7 @@ def test_boxes_and_trees_are_not_judged_by_their_roofs(tmp_path):
     assert read_mesh(tmp_path / "b.obj", unit="m", up="-z", class_name="vegetation").things
 
 
-@pytest.mark.parametrize(("unit", "message"), [("km", "another --unit"), ("mm", "another --unit")])
+@pytest.mark.parametrize(("unit", "message"), [("km", "another `unit`"), ("mm", "another `unit`")])
 def test_sizes_of_another_unit_are_refused(tmp_path, unit, message):
     box((40, 40, 6), (0, 0, 0)).export(tmp_path / "a.stl")
     with pytest.raises(InputError, match=message):

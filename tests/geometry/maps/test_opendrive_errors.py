@@ -251,7 +251,7 @@ def test_widths_that_nobody_can_follow_are_refused(tmp_path):
 
 
 def test_too_many_points_altogether_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("geometry.maps.opendrive.reader.MAX_POINTS", 100)
+    monkeypatch.setattr("geometry.maps.opendrive.MAX_POINTS", 100)
     message = _refused(tmp_path, document(road("5"), road("6")))
     assert message == (
         "made.xodr: road 6: got more than 100 points up to here; "

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from opendrive_text import cubic, document, read_text, road
 
-from geometry.maps.opendrive.signals import merge_poles
+from geometry.maps.opendrive.objects import merge_poles
 from geometry.maps.source_map import POLE_KINDS, Pole
 
 

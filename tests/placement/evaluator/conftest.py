@@ -20,9 +20,9 @@ from placement.detectors import GeometricDetector
 from placement.setting import Setting
 from scenarios.aeb import Encounter, load_aeb_rule
 from scenarios.cases import load_cases, select_cases
-from scenarios.exposure import weight_per_run
 from scenarios.paths import Motion, StraightPath
 from scenarios.runs import Run, build_frame_axis, build_runs
+from scenarios.weights import weight_per_run
 
 Box = tuple[Sequence[float], Sequence[float]]  # lowest and highest corner
 

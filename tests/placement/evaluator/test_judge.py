@@ -11,8 +11,8 @@ from placement.evaluation import run_outcomes
 from placement.evaluator import evaluate as judge_module
 from placement.evaluator.evaluate import Judge
 from scenarios.aeb import has_contact, is_in_time, load_aeb_rule
-from scenarios.exposure import weight_per_run
 from scenarios.runs import build_frame_axis, find_onsets, live_confirmation_times_s
+from scenarios.weights import weight_per_run
 
 RULE = load_aeb_rule()
 

@@ -12,8 +12,8 @@ from placement.layout import Layout
 from placement.setting import Links, Setting
 from placement.study_layout import load_carlancap_layout
 from placement.visibility import build_detection_table
-from scenarios.exposure import weight_per_run
 from scenarios.runs import build_frame_axis
+from scenarios.weights import weight_per_run
 
 RUNS = ("CPNC-50/east/40", "CBLA/east/50")
 

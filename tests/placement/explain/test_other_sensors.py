@@ -14,8 +14,8 @@ from placement.optimiser import apr
 from placement.setting import Setting
 from placement.visibility import build_detection_table
 from placement.wishes import Wishes, build_problem
-from scenarios.exposure import weight_per_run
 from scenarios.runs import build_frame_axis
+from scenarios.weights import weight_per_run
 
 CAMERAS = load_cameras()
 WAYS = ("CBNA/east/60", "CPNC-50/east/55", "CPNC-50/west/60", "CBNA/south/60", "CBLA/east/25")

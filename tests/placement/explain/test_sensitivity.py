@@ -29,8 +29,8 @@ from placement.visibility import build_detection_table
 from placement.visibility.build import detected_frames
 from placement.wishes import Wishes, build_problem
 from scenarios.cases import pick_cases
-from scenarios.exposure import weight_per_run
 from scenarios.runs import build_frame_axis, build_runs
+from scenarios.weights import weight_per_run
 
 CAMERA = load_cameras()["carla-ncap-rgb-90"]
 WAYS = ("CBNA/east/60", "CPNC-50/east/55", "CPNC-50/west/60", "CBNA/south/60", "CBLA/east/25")

@@ -13,8 +13,8 @@ from placement.optimiser import run_margins_s
 from placement.setting import Setting
 from placement.visibility import build_detection_table
 from placement.wishes import Wishes, build_problem
-from scenarios.exposure import weight_per_run
 from scenarios.runs import build_frame_axis
+from scenarios.weights import weight_per_run
 
 CAMERA = load_cameras()["carla-ncap-rgb-90"]
 

@@ -23,9 +23,9 @@ from placement.setting import Setting
 from placement.visibility import build_detection_table
 from scenarios.aeb import Encounter, load_aeb_rule
 from scenarios.cases import load_cases
-from scenarios.exposure import weight_per_run
 from scenarios.paths import Motion, StraightPath
 from scenarios.runs import Run, build_frame_axis
+from scenarios.weights import weight_per_run
 
 FAR = (-390.0, -390.0)
 N_FRAMES = 20

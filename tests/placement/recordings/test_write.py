@@ -17,8 +17,8 @@ from placement.recordings import (
     recorded_table,
     write_recording,
 )
-from scenarios.exposure import weight_per_run
 from scenarios.runs import build_frame_axis, live_confirmation_times_s
+from scenarios.weights import weight_per_run
 
 N_RESETS = 30
 MIN_HEIGHT_PX = 25.0

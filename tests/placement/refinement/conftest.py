@@ -13,9 +13,9 @@ from placement.setting import Setting
 from placement.wishes import Wishes
 from scenarios.aeb import Encounter, load_aeb_rule
 from scenarios.cases import load_cases
-from scenarios.exposure import weight_per_run
 from scenarios.paths import Motion, StraightPath
 from scenarios.runs import Run, build_frame_axis
+from scenarios.weights import weight_per_run
 
 N_FRAMES = 40
 _SIZE_M = 60.0

@@ -10,8 +10,8 @@ from placement.candidates import CandidatePose
 from placement.detectors import load_planning_detector
 from placement.refinement.poses import RayRows
 from placement.visibility import build_detection_table
-from scenarios.exposure import weight_per_run
 from scenarios.runs import build_frame_axis
+from scenarios.weights import weight_per_run
 
 SENSORS = ("carla-ncap-rgb", "varifocal-1080p", "carla-ncap-lidar")
 

@@ -14,8 +14,8 @@ from placement.detectors import GeometricDetector, load_detector, load_planning_
 from placement.sampling import load_uncertainty
 from placement.setting import Setting
 from scenarios.cases import load_cases
-from scenarios.exposure import weight_per_run
 from scenarios.runs import build_frame_axis, build_runs
+from scenarios.weights import weight_per_run
 
 PARKING_M = 2.6
 _LAST = 41

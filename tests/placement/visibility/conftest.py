@@ -14,9 +14,9 @@ from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
 from scenarios.aeb import Encounter, load_aeb_rule
 from scenarios.cases import load_cases, select_cases
-from scenarios.exposure import weight_per_run
 from scenarios.paths import Motion, StraightPath
 from scenarios.runs import Run, build_frame_axis, build_runs
+from scenarios.weights import weight_per_run
 
 
 def _build_scene(*boxes) -> Scene:

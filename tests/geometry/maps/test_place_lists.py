@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from pyproj import Transformer
 
 from geometry.errors import InputError
-from geometry.maps.site_files import read_sites
+from geometry.maps.place_lists import read_sites
 
 UTM = "EPSG:25833"
 AT_M = np.array([390_000.0, 5_819_000.0])

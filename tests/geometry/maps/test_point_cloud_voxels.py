@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from geometry.errors import InputError
-from geometry.maps import voxels
+from geometry.maps import point_clouds as voxels
 from geometry.maps.solids import volume_m3
 
 SHAPE = (6, 5, 4)

@@ -10,9 +10,9 @@ import pytest
 import rasterio
 
 from geometry.errors import InputError, MissingExtraError
-from geometry.maps import elevation
-from geometry.maps.elevation import read_elevation
+from geometry.maps import relief
 from geometry.maps.georeferences import transform
+from geometry.maps.relief import read_elevation
 
 UTM = "EPSG:32633"
 AT_M = np.array([400_000.0, 5_800_000.0])
@@ -160,7 +160,7 @@ def test_a_mask_beside_the_raster_is_not_opened(read, tmp_path):
 
 
 def test_blocks_that_take_gigabytes_are_refused(read, monkeypatch):
-    monkeypatch.setattr(elevation, "_MAX_BLOCK_BYTES", 10_000)
+    monkeypatch.setattr(relief, "_MAX_BLOCK_BYTES", 10_000)
     assert len(read(plane()))  # strips of five lines
     with pytest.raises(InputError, match="got blocks of 346,112 bytes; expected at most 10,000"):
         read(plane(more={"tiled": True, "blockxsize": 208, "blockysize": 208}))

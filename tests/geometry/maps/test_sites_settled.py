@@ -13,8 +13,7 @@ from osm_text import OsmText, crossing
 from geometry.maps.cut import Surroundings, cut_out
 from geometry.maps.importing import ImportOptions, import_scene
 from geometry.maps.openstreetmap import read_openstreetmap
-from geometry.maps.site_places import find_places, settle_poles
-from geometry.maps.sites import choose_sites
+from geometry.maps.sites import choose_sites, find_places, settle_poles
 from geometry.maps.source_map import Pole, SourceMap, Thing
 from geometry.scene import Site, covered_area, road_area
 from geometry.scene_checks import check_scene

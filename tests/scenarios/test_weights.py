@@ -7,9 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from geometry.errors import InputError, MissingExtraError
-from scenarios import exposure
+from scenarios import weights
 from scenarios.cases import select_cases
-from scenarios.exposure import (
+from scenarios.runs import Refusal
+from scenarios.weights import (
     default_weights,
     load_crash_types,
     weigh,
@@ -17,7 +18,6 @@ from scenarios.exposure import (
     weight_per_run,
     weight_share,
 )
-from scenarios.runs import Refusal
 
 
 def run(case, approach="north", weather="day", speed_kmh=20, position="0"):
@@ -146,7 +146,7 @@ def test_unknown_words_list_the_known_ones(how):
     with pytest.raises(InputError) as caught:
         weigh(DRIVEN, how)
     assert str(caught.value) == (
-        f"--weights: got {how!r}; expected run, case, fhwa-crash-types, euroncap-rating-2026, "
+        f"weights: got {how!r}; expected run, case, fhwa-crash-types, euroncap-rating-2026, "
         "or a CSV file that exists"
     )
 
@@ -268,7 +268,7 @@ def test_points_are_those_of_the_package_shared_by_the_runs_of_a_case_and_weathe
 
 
 def test_every_score_of_the_mapping_is_one_of_the_package(scores):
-    points = exposure.load_points()
+    points = weights.load_points()
     assert set(points.values()) <= set(scores.values())
     vru = [name for name in scores if name[:2] in ("CP", "CB") and "SfS" not in name]
     left_out = {"CPMRCm", "CPMRCs", "CPMFC", "CBDA"}  # reversing, forward creep, dooring
@@ -286,14 +286,14 @@ def test_runs_without_points_alone_cannot_be_weighed(scores):
     with pytest.raises(InputError) as caught:
         weigh((run("CPNA-25", weather="rain"),), "euroncap-rating-2026")
     assert str(caught.value) == (
-        "--weights: got 'euroncap-rating-2026'; expected a run that has points in 2026; "
+        "weights: got 'euroncap-rating-2026'; expected a run that has points in 2026; "
         "driven: CPNA-25 (rain)"
     )
 
 
 def test_a_missing_package_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "euroncap_rating_2026.crash_avoidance.data_model", None)
-    exposure.load_points.cache_clear()
+    weights.load_points.cache_clear()
     with pytest.raises(MissingExtraError, match=r"pip install place-rsus\[rating\]"):
         weigh(DRIVEN, "euroncap-rating-2026")
 
@@ -337,7 +337,7 @@ def test_accident_types_ask_for_a_case_that_they_have():
     with pytest.raises(InputError) as caught:
         weigh((run("CPRA"),), "fhwa-crash-types")
     assert str(caught.value) == (
-        "--weights: got 'fhwa-crash-types'; expected a run of a type it has; driven: CPRA"
+        "weights: got 'fhwa-crash-types'; expected a run of a type it has; driven: CPRA"
     )
 
 
@@ -348,11 +348,11 @@ def test_every_case_of_the_default_set_stands_for_a_type():
 
 
 def test_a_function_weighs_runs(runs):
-    weight = exposure.weight_by_function(runs, lambda run: 3.0 if run.approach == "east" else 1.0)
+    weight = weights.weight_by_function(runs, lambda run: 3.0 if run.approach == "east" else 1.0)
     is_east = np.array([run.approach == "east" for run in runs])
     assert weight.sum() == pytest.approx(1.0)
     assert weight[is_east] == pytest.approx(3.0 * weight[~is_east].min())
     with pytest.raises(InputError, match=r": got -1.0; expected a finite number >= 0"):
-        exposure.weight_by_function(runs, lambda run: -1.0)
+        weights.weight_by_function(runs, lambda run: -1.0)
     with pytest.raises(InputError, match="weights: got 0 for all runs; expected one weight more"):
-        exposure.weight_by_function(runs, lambda run: 0.0)
+        weights.weight_by_function(runs, lambda run: 0.0)

@@ -5,8 +5,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from geometry.errors import InputError
-from geometry.maps.city_gml import read_citygml
-from geometry.maps.city_json import read_cityjson
+from geometry.maps.city_models import read_citygml, read_cityjson
 from geometry.maps.solids import is_closed, volume_m3
 
 ORIGIN = np.array([390_000.0, 5_819_000.0, 30.0])

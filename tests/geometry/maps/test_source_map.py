@@ -1,7 +1,7 @@
 import pytest
 
 from geometry.errors import InputError
-from geometry.maps.thing_kinds import kind_from_name, kind_of_class, thing_defaults
+from geometry.maps.source_map import kind_from_name, kind_of_class, thing_defaults
 from geometry.scene import CLASS_NAMES
 
 

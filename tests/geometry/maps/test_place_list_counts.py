@@ -7,8 +7,8 @@ import pytest
 from osm_text import LAT_DEG, LON_DEG
 
 from geometry.errors import InputError
-from geometry.maps.city_layers import areas_of, read_areas, read_counts, snap
 from geometry.maps.georeferences import transform
+from geometry.maps.place_lists import areas_of, read_areas, read_counts, snap
 
 CRS = "EPSG:25833"
 HERE = transform([LON_DEG, LAT_DEG], "EPSG:4326", CRS)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from city_maps import write_city
 
+from geometry.maps.cut import Neighbourhoods
 from geometry.maps.importing import (
     ImportOptions,
     ReadingOptions,
@@ -13,7 +14,6 @@ from geometry.maps.importing import (
     import_scene,
     read_maps,
 )
-from geometry.maps.neighbourhoods import Neighbourhoods
 from geometry.notes import assumptions
 
 

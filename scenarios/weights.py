@@ -33,19 +33,14 @@ _ANY = ("", "*")
 
 
 def weight_from_csv(path: Path, runs: Sequence[Run]) -> FloatArray:
-    """Weights by a user's own exposure table.
+    """Weights by a user's own table.
 
     The file is UTF-8, separated by commas or semicolons, with columns case, approach, weight, and
     if wanted position and weather; "*" or nothing in approach, position or weather stands for all,
-    and a position without sign, but for 0, lies behind the junction.
-    The weight of a row is shared equally by the runs that it names; what no row names weighs
-    nothing. The weights sum to 1.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, a column is missing, a row names no run, or a run again, or its
-        weight is not a number >= 0; all weights are 0.
+    and a position without sign, but for 0, lies behind the junction. The weight of a row is shared
+    equally by the runs that it names; what no row names weighs nothing. The weights sum to 1.
+    Raises InputError: the file cannot be read, a column is missing, a row names no run, or a run
+    again, or its weight is not a number >= 0; all weights are 0.
     """
     weight = np.zeros(len(runs))
     named = np.zeros(len(runs), dtype=np.int64)  # by which line
@@ -165,14 +160,8 @@ def weight_by_rating(runs: Sequence[Run]) -> FloatArray:
 
     The points that a score can earn at most (standard and extended range, robustness) are shared
     equally by the runs that belong to it; those of scores without runs do not count. Runs without a
-    score, such as all in the rain, weigh nothing. The weights sum to 1.
-
-    Raises
-    ------
-    MissingExtraError
-        The package is not installed.
-    InputError
-        No run has points.
+    score, such as all in the rain, weigh nothing. The weights sum to 1. Raises MissingExtraError:
+    the package is not installed. InputError: no run has points.
     """
     points = load_points()
     weight = np.zeros(len(runs))
@@ -185,7 +174,7 @@ def weight_by_rating(runs: Sequence[Run]) -> FloatArray:
         weight[members] = score / max(len(members), 1)
     if not weight.any():
         driven = ", ".join(dict.fromkeys(f"{run.case.name} ({run.weather})" for run in runs))
-        raise InputError("--weights", RATING, f"a run that has points in 2026; driven: {driven}")
+        raise InputError("weights", RATING, f"a run that has points in 2026; driven: {driven}")
     shares: FloatArray = weight / weight.sum()
     return shares
 
@@ -194,18 +183,14 @@ def weight_by_rating(runs: Sequence[Run]) -> FloatArray:
 def load_points() -> dict[tuple[tuple[str, ...], str], float]:
     """Points by cases (what our names begin with) and weather, from the installed package.
 
-    Raises
-    ------
-    MissingExtraError
-        The package is not installed.
-    InputError
-        The package does not know a score any more.
+    Raises MissingExtraError: the package is not installed. InputError: the package does not know a
+    score any more.
     """
     try:
         from euroncap_rating_2026.crash_avoidance.data_model import TOTAL_SCORES
     except ModuleNotFoundError:
         raise MissingExtraError(
-            f"--weights {RATING} needs that package: pip install place-rsus[rating]"
+            f"`weights` {RATING} needs that package: pip install place-rsus[rating]"
         ) from None
     where = "rating_2026.toml"
     table = read_table(load_toml(files(__package__) / "data" / where), _Rating, where)
@@ -264,12 +249,7 @@ def weight_by_crash_types(runs: Sequence[Run]) -> FloatArray:
     A type's share is that of its road users' accidents, times how many of them are injured. It is
     shared by the cases that stand for it, near the junction or away from it, as
     :func:`weight_per_case` does. Types without runs do not count, nor do runs without a type. The
-    weights sum to 1.
-
-    Raises
-    ------
-    InputError
-        No run is of any of the types.
+    weights sum to 1. Raises InputError: no run is of any of the types.
     """
     table = load_crash_types()
     weight = np.zeros(len(runs))
@@ -285,7 +265,7 @@ def weight_by_crash_types(runs: Sequence[Run]) -> FloatArray:
             weight[members] += kind.share * table.injured[kind.vru] * of_type
     if not weight.any():
         driven = ", ".join(dict.fromkeys(run.case.name for run in runs))
-        raise InputError("--weights", CRASH_TYPES, f"a run of a type it has; driven: {driven}")
+        raise InputError("weights", CRASH_TYPES, f"a run of a type it has; driven: {driven}")
     shares: FloatArray = weight / weight.sum()
     return shares
 
@@ -318,10 +298,10 @@ def weigh(runs: Sequence[Run], how: str, *, refused: Sequence[Refusal] = ()) -> 
         At least one.
     how : str
         "run": every run the same, as in the study; "case": every case the same, see
-        :func:`scenarios.exposure.weight_per_case`; "fhwa-crash-types": by accident statistics, see
-        :func:`scenarios.exposure.weight_by_crash_types`; "euroncap-rating-2026": by its points,
-        see :func:`scenarios.exposure.weight_by_rating`; else a CSV file, see
-        :func:`scenarios.exposure.weight_from_csv`.
+        :func:`scenarios.weights.weight_per_case`; "fhwa-crash-types": by accident statistics, see
+        :func:`scenarios.weights.weight_by_crash_types`; "euroncap-rating-2026": by its points,
+        see :func:`scenarios.weights.weight_by_rating`; else a CSV file, see
+        :func:`scenarios.weights.weight_from_csv`.
     refused : sequence of Refusal
         What was asked for beside the runs, and could not be laid: "case" alone looks at it.
 
@@ -367,7 +347,7 @@ def check_weights(how: str) -> None:
 def _weights_file(how: str) -> Path:
     path = Path(how)
     if not how or not path.exists():
-        raise InputError("--weights", how, f"{', '.join(_BY_WORD)}, or a CSV file that exists")
+        raise InputError("weights", how, f"{', '.join(_BY_WORD)}, or a CSV file that exists")
     return path
 
 
@@ -401,19 +381,8 @@ def weight_per_case(runs: Sequence[Run], *, refused: Sequence[Refusal] = ()) -> 
     carry the case at all, take their shares away with them: the case weighs less, and the few runs
     that remain of it no more than they would among all others. Otherwise the only turn that a map
     allows would weigh as much as a hundred crossings. Positions that the mapped lanes do not reach
-    have no share.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-        At least one.
-    refused : sequence of Refusal
-        What was asked for beside them, and could not be laid.
-
-    Returns
-    -------
-    weight : (n_runs,) float
-        Sums to 1.
+    have no share. `runs`: at least one. `refused`: what was asked for beside them, and could not be
+    laid. Returns `weight` (n_runs,): sums to 1.
     """
     keys = [(run.case.name, run.approach, run.position) for run in runs]
     n_weathers = len({run.weather for run in runs})
