@@ -9,7 +9,7 @@ def main() -> NoReturn:
     """Load the command line, and run it."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _end)
-    from .cli.main import main as run
+    from .main import main as run
 
     run()
 

@@ -812,7 +812,12 @@ def _demands() -> Mapping[str, tuple[str, Files]]:
 def _manifests() -> Mapping[str, tuple[str, Files]]:
     from msgspec import json
 
-    from experiments.results.datasets import MANIFEST, DatasetDrive, DatasetRecord, DatasetUnit
+    from experiments.perception_lab.dataset import (
+        MANIFEST,
+        DatasetDrive,
+        DatasetRecord,
+        DatasetUnit,
+    )
 
     rows = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     unit = DatasetUnit(
@@ -851,7 +856,7 @@ def _manifests() -> Mapping[str, tuple[str, Files]]:
 
 
 def _read_manifest(path: Path) -> Any:
-    from experiments.results.datasets import load_manifest
+    from experiments.perception_lab.dataset import load_manifest
 
     return load_manifest(path)
 
@@ -883,7 +888,9 @@ def _read_raster(path: Path) -> Any:
 
 READERS: Mapping[str, Reader] = {
     "heights": Reader(_read_raster, _rasters, ("geometry.maps.relief.read_elevation",)),
-    "datasets": Reader(_read_manifest, _manifests, ("experiments.results.datasets.load_manifest",)),
+    "datasets": Reader(
+        _read_manifest, _manifests, ("experiments.perception_lab.dataset.load_manifest",)
+    ),
     "traffic": Reader(
         _read_traffic, _traffic, ("placement.sampling.moving.fcd.load_fcd",), share=2
     ),

@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 import pytest
 
-from experiments.cli.main import cli
+from experiments.main import cli
 from geometry.catalogue import load_catalogue
 from geometry.maps.place_lists import read_sites
 from placement.latency import load_latency_budget

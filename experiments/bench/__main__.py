@@ -207,7 +207,7 @@ def _measure_command(budget: int) -> Figures:
 def _run_command(arguments: list[str], environment: dict[str, str]) -> float:
     began_s = time.perf_counter()
     subprocess.run(
-        [sys.executable, "-m", "experiments.cli.main", *arguments],
+        [sys.executable, "-m", "experiments.main", *arguments],
         env=environment,
         stdout=subprocess.DEVNULL,
         check=True,

@@ -104,20 +104,21 @@ def measure_casting(setting: Setting, candidates: tuple[CandidatePose, ...]) -> 
                 for_lidar=False,
             )
 
-    scene = Recorder(world.lasting.caster, of_mounts)
+    scene = Recorder(world.shared.caster, of_mounts)
     parked = [Recorder(caster, of_mounts) for caster in world.standing.casters]
-    bodies = [Recorder(body, of_mounts) for body in world.lasting.bodies]
+    bodies = [Recorder(body, of_mounts) for body in world.shared.bodies]
     vut = Recorder(world.vehicles.casters[0], of_mounts)
     vehicles = replace(world.vehicles, casters=(vut,))
     vut_shape = world.vehicles.actors[0].shapes[0]
     standing = replace(world.standing, casters=tuple(parked))
-    lasting = replace(world.lasting, caster=scene, bodies=tuple(bodies))
-    cast(replace(world, lasting=lasting, standing=standing, vehicles=vehicles))
+    shared = replace(world.shared, caster=scene, bodies=tuple(bodies))
+    cast(replace(world, shared=shared, standing=standing, vehicles=vehicles))
     meshes = [
         (setting.scene.vertices_m - world.origin_m, setting.scene.triangles, scene),
         *(
             (shape.vertices_m, shape.triangles, body)
-            for shape, body in zip(world.standing.shapes, parked, strict=True)
+            for actor, body in zip(world.standing.actors, parked, strict=True)
+            for shape in (actor.shapes[0],)
         ),
         *(
             (shape.vertices_m, shape.triangles, body)

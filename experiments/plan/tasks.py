@@ -176,9 +176,8 @@ class Tasks:
         """What a camera sees in a frame of a run, as JPEG."""
         from PIL import Image
 
+        from placement.evaluator.pictures import find_frame, find_viewpoint, render
         from placement.imaging import Picture
-
-        from ..jobs.render import find_frame, find_viewpoint, render
 
         run = self.setting.runs[self._run_index(run_id)]
         frame = find_frame(run, frame)

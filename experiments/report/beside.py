@@ -109,8 +109,7 @@ _SLOW_TO_LOAD = (
     "experiments.report.page",
     "placement.explain.other_sensors",
     "placement.explain.sensitivity",
-    "placement.visibility.projecting",  # the compiler
-    "placement.visibility.spreading",
+    "placement.visibility.point_kernels",  # the compiler
     "scipy.integrate",
     "scipy.optimize",
     "trimesh",

@@ -336,7 +336,7 @@ def _read_alarms(document: Table) -> Interval | None:
     if where not in document:
         return None
     rate = read_table(document[where], dict[str, float], where)
-    interval = Interval(*(take_number(rate, key, where) for key in Interval._fields))
+    interval = Interval(*(take_number(rate, key, where) for key in Interval.__slots__))
     if not 0.0 <= interval.low <= interval.value <= interval.high < np.inf:
         raise InputError(where, rate, "0 <= low <= value <= high")
     return interval

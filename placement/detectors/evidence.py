@@ -38,12 +38,17 @@ def aspects_deg(sightline_m: FloatArray, yaw_deg: FloatArray) -> FloatArray:
     return aspect
 
 
-class Interval(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Interval:
     """A figure with its 95 % interval."""
 
     value: float
     low: float
     high: float
+
+    def times(self, factor: float) -> "Interval":
+        """All three multiplied by a factor that is not negative."""
+        return Interval(factor * self.value, factor * self.low, factor * self.high)
 
 
 class Crop(NamedTuple):

@@ -130,33 +130,14 @@ class LabelledPicture:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FalseAlarms:
-    """Boxes on nothing.
+    """Boxes on nothing, and tracks of them."""
 
-    Attributes
-    ----------
-    pictures, alarms : int
-        How many were looked at, and boxes that overlap no label at all.
-    chances, confirmed : int
-        Pictures with as many consecutive ones before them as confirm a track, and false tracks
-        that were confirmed there.
-    """
-
-    pictures: int
-    alarms: int
-    chances: int
-    confirmed: int
-
-    @property
-    def per_picture(self) -> Interval:
-        """Boxes on nothing in a picture."""
-        return poisson(self.alarms, self.pictures)
-
-    def per_hour(self, frame_rate_hz: float) -> Interval | None:
-        """Tracks of nothing that one unit confirms in an hour; None without consecutive frames."""
-        if not self.chances:
-            return None
-        rate = poisson(self.confirmed, self.chances)
-        return Interval(*(3600.0 * frame_rate_hz * value for value in rate))
+    pictures: int  # looked at
+    alarms: int  # boxes in them that overlap no label at all
+    per_picture: Interval
+    chances: int  # pictures with enough consecutive ones before them to confirm a track
+    confirmed: int  # false tracks that were confirmed there
+    per_hour: Interval | None  # of these, by one unit; None without consecutive pictures
 
 
 @dataclass(slots=True)
@@ -169,7 +150,7 @@ class _Open:
 
 
 def gather_sightings(
-    pictures: Iterable[LabelledPicture], *, n_confirmations: int
+    pictures: Iterable[LabelledPicture], *, n_confirmations: int, frame_rate_hz: float
 ) -> tuple[Sightings, FalseAlarms]:
     """Match boxes with labels, picture by picture.
 
@@ -179,6 +160,8 @@ def gather_sightings(
         Those of a track in the order of their frames.
     n_confirmations : int
         Frames in a row that confirm a track.
+    frame_rate_hz : float
+        Of consecutive pictures. [Hz]
 
     Returns
     -------
@@ -230,7 +213,16 @@ def gather_sightings(
         box_error=columns[7:].T,
         track=columns[5].astype(np.int64),
         frame=columns[6].astype(np.int64),
-    ), FalseAlarms(pictures=n_pictures, alarms=n_alarms, chances=n_chances, confirmed=n_confirmed)
+    ), FalseAlarms(
+        pictures=n_pictures,
+        alarms=n_alarms,
+        per_picture=poisson(n_alarms, max(n_pictures, 1)),
+        chances=n_chances,
+        confirmed=n_confirmed,
+        per_hour=poisson(n_confirmed, n_chances).times(3600.0 * frame_rate_hz)
+        if n_chances
+        else None,
+    )
 
 
 def _errors(picture: LabelledPicture, overlap: FloatArray) -> FloatArray:

@@ -1,8 +1,8 @@
-"""Pictures for networks: whole ones, and crops around the road user."""
+"""Pictures: for networks, whole ones and crops around the road user; and of one frame of a run."""
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from threading import Lock
 from typing import NamedTuple
 
@@ -10,6 +10,9 @@ import numpy as np
 
 from geometry.actors import PlacedActor
 from geometry.arrays import FloatArray
+from geometry.catalogue import Sensor
+from geometry.errors import InputError
+from geometry.lidar import LidarModel
 from geometry.poses import Pose, to_world
 from geometry.scene import Scene
 from geometry.sensors import CameraModel, project_points
@@ -19,12 +22,20 @@ from scenarios.runs import Run
 
 from ..compute import Compute
 from ..detectors.evidence import Crop, Image
-from ..imaging import Backdrop, build_backdrop, draw_picture
+from ..imaging import (
+    Backdrop,
+    PointCloud,
+    build_backdrop,
+    draw_picture,
+    render_picture,
+    scan_cloud,
+)
 from ..imaging.crops import crop_onto, draw_crop, meter, window_around
 from ..imaging.mesh import FrameMesh, move_origin, place_mesh, vut_pose
 from ..imaging.picture import Picture, Window
 from ..imaging.stills import Still, draw_still
-from .surroundings import VutCamera, vut_pitch_deg
+from ..layout import Layout
+from .surroundings import VutCamera, load_vut_camera, load_vut_lidar, vut_pitch_deg
 
 PictureOfFrame = Callable[[int], Image]
 
@@ -342,4 +353,98 @@ def vut_camera_pose(mount: VutCamera, run: Run, frame_index: int) -> Pose:
         position_m=to_world(on_vut.position_m[None], vut)[0],
         yaw_deg=yaw_deg + on_vut.yaw_deg,
         pitch_deg=vut.pitch_deg + on_vut.pitch_deg,
+    )
+
+
+# ---------- a frame of a run as one unit sees it
+
+
+VUT_UNIT, VUT_LIDAR_UNIT = "VUT", "VUT-LIDAR"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Viewpoint:
+    """From where a frame is seen."""
+
+    pose: Pose  # of the sensor, world frame
+    sensor: Sensor
+    with_vut: bool  # is the VUT there to be seen? Not by its own sensors
+
+
+def find_frame(run: Run, frame: int) -> int:
+    """Index of a frame from the start; negative numbers count from the end.
+
+    Raises
+    ------
+    InputError
+        The run has no such frame.
+    """
+    n_frames = len(run.time_s)
+    if not -n_frames <= frame < n_frames:
+        raise InputError(
+            "frame", frame, f"0 to {n_frames - 1}, or -{n_frames} to -1 from the end of {run.id}"
+        )
+    return frame % n_frames
+
+
+def find_viewpoint(layout: Layout, unit_id: str, run: Run, frame_index: int) -> Viewpoint:
+    """Where a unit's sensor is in a frame.
+
+    Parameters
+    ----------
+    layout : Layout
+        The units.
+    unit_id : str
+        One of them, or "VUT" for its camera, "VUT-LIDAR" for its LiDAR.
+    run : Run
+        What drives.
+    frame_index : int
+        When.
+
+    Returns
+    -------
+    viewpoint : Viewpoint
+        Pose and sensor.
+
+    Raises
+    ------
+    InputError
+        There is no such unit.
+    """
+    mount = load_vut_camera()
+    own: dict[str, Sensor] = {VUT_UNIT: mount.camera, VUT_LIDAR_UNIT: load_vut_lidar()}
+    if unit_id.upper() in own:
+        pose = vut_camera_pose(mount, run, frame_index)
+        return Viewpoint(pose=pose, sensor=own[unit_id.upper()], with_vut=False)
+    units = {unit.id: unit for unit in layout.units}
+    if unit_id not in units:
+        raise InputError("unit_id", unit_id, "one of " + ", ".join([*units, *own]))
+    return Viewpoint(pose=units[unit_id].pose, sensor=units[unit_id].sensor, with_vut=True)
+
+
+def render(
+    scene: Scene, run: Run, frame_index: int, viewpoint: Viewpoint, *, compute: Compute
+) -> Picture | PointCloud:
+    """The picture, or point cloud, of a frame in the run's weather."""
+    weather = pick_weather(run.weather, "weather")
+    if isinstance(viewpoint.sensor, LidarModel):
+        return scan_cloud(
+            scene,
+            run,
+            frame_index,
+            viewpoint.pose,
+            viewpoint.sensor,
+            weather=weather,
+            with_vut=viewpoint.with_vut,
+            seed=compute.seed,
+        )
+    return render_picture(
+        scene,
+        run,
+        frame_index,
+        viewpoint.pose,
+        viewpoint.sensor,
+        weather=weather,
+        with_vut=viewpoint.with_vut,
+        compute=compute,
     )

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError, Unquoted
-from geometry.poses import body_rotation
 from geometry.raycast import FloatRays, build_caster, ray_lengths_m
 from geometry.scene import Scene
 from geometry.terrain import on_ground
@@ -25,9 +24,8 @@ from ..optimiser import PlacementProblem, run_margins_s
 from ..optimiser.limits import fitting
 from ..setting import Setting
 from ..visibility.build import N_POINTS, table_fingerprint
-from ..visibility.casting import Sight, World, build_world, cast_sight
+from ..visibility.casting import Sight, World, build_world, cast_sight, find_obstructions
 from ..visibility.sensing import build_sensing
-from ..visibility.standing import find_obstructions
 
 Cause = Literal["hidden", "out of view", "cut off", "too dark", "too far", "otherwise"]
 
@@ -106,13 +104,13 @@ def _causes(
     nothing = build_caster(np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
     standing = replace(world.standing, casters=(nothing,) * len(world.standing.casters))
     vehicles = replace(world.vehicles, casters=(nothing,) * len(world.vehicles.casters))
-    lasting = replace(
-        world.lasting,
+    shared = replace(
+        world.shared,
         caster=nothing,
-        triangles_m=world.lasting.triangles_m[:0],
+        triangles_m=world.shared.triangles_m[:0],
         hidden_by_scene=None,
     )
-    empty = replace(world, lasting=lasting, standing=standing, vehicles=vehicles)
+    empty = replace(world, shared=shared, standing=standing, vehicles=vehicles)
     position_m, near_m = unit.pose.position_m, unit.sensor.near_m
     open_sight = cast_sight(empty, position_m, near_m=near_m, max_distance_m=np.inf)
     sensing = build_sensing(empty, open_sight, position_m, setting.planner)
@@ -159,9 +157,9 @@ def _things_between(
         faces_eye = open_sight.is_visible[open_sight.entry_of_frame[frame]]
         rays = _rays(eye, views.points_m[view][faces_eye], unit.sensor.near_m)
         index = int(views.obstruction_index[view])
-        share, triangle = world.lasting.caster.first_triangle(*rays)
+        share, triangle = world.shared.caster.first_triangle(*rays)
         nearer, parked = world.standing.first_triangle(index, *rays)
-        of_bodies = len(world.lasting.triangles_m) + parked
+        of_bodies = len(world.shared.triangles_m) + parked
         share, triangle = np.minimum(share, nearer), np.where(nearer < share, of_bodies, triangle)
         thing = names[index][np.where(share < 1.0, triangle, -1)]
         for name, nearer in _vehicle_shares(world, frame, rays):
@@ -190,9 +188,9 @@ def _vehicle_shares(
     """How far along each ray each vehicle is first hit, in its own frame, and its name."""
     vehicles = world.vehicles
     starts, ways = rays
-    for row in np.flatnonzero(vehicles.frame == frame).tolist():
-        index = int(vehicles.actor_index[row])
-        rotation = body_rotation(vehicles.yaw_deg[row])
+    for row in vehicles.of_group(frame).tolist():
+        index = int(vehicles.kind[row])
+        rotation = vehicles.rotation[row]
         position = vehicles.position_m[row]
         name = THE_VUT if index == 0 else f"{vehicles.actors[index].name}, driving"
         yield (

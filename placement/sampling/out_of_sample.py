@@ -19,7 +19,7 @@ from ..compute import DEFAULT_COMPUTE, Compute, silent
 from ..evaluation import earliest_arrival_s
 from ..layout import Layout
 from ..setting import Setting
-from ..visibility.casting import LastingScene
+from ..visibility.casting import SharedScene
 from .moving import NO_TRAFFIC, TrafficCount
 from .tables import build_sample_tables, share_scene, tell_traffic
 from .uncertainty import Uncertainty
@@ -280,7 +280,7 @@ def look_at_fresh_worlds(
 
 
 @lru_cache(maxsize=1)  # worlds of one question may be looked at in parts
-def _shared(setting: Setting, is_still: bool, compute: Compute) -> LastingScene:
+def _shared(setting: Setting, is_still: bool, compute: Compute) -> SharedScene:
     return share_scene(setting, is_still=is_still, compute=compute)
 
 

@@ -25,7 +25,7 @@ from ..evaluator.surroundings import draw_index
 from ..setting import Setting
 from ..visibility import build_detection_table, load_table, save_table, table_fingerprint
 from ..visibility.build import N_POINTS
-from ..visibility.casting import LastingScene, World, build_lasting_scene, build_world
+from ..visibility.casting import SharedScene, World, build_shared_scene, build_world
 from ..visibility.sensing import build_sensing, cast_for
 from .moving import TrafficCount
 from .uncertainty import Uncertainty
@@ -39,7 +39,7 @@ def build_drawn_table(
     detector: ResponseDetector,
     *,
     compute: Compute,
-    lasting: LastingScene | None = None,
+    lasting: SharedScene | None = None,
 ) -> DetectionTable:
     """Detection table of a sampled world in which chance decides every frame of a camera.
 
@@ -55,7 +55,7 @@ def build_drawn_table(
         n_points=N_POINTS,
         seed=compute.seed,
         rays=compute.rays,
-        lasting=lasting,
+        shared=lasting,
     )
     groups: dict[tuple[float, ...], list[int]] = {}
     for row, candidate in enumerate(sample.candidates):
@@ -260,7 +260,7 @@ def build_sample_tables(
     n_samples: int = 1,
     compute: Compute = DEFAULT_COMPUTE,
     at_once: int = 1,
-    lasting: LastingScene | None = None,
+    lasting: SharedScene | None = None,
 ) -> Iterator[tuple[Sample, DetectionTable]]:
     """Detection table of one sampled world after the other, from the cache or built anew.
 
@@ -273,7 +273,7 @@ def build_sample_tables(
     """
     lock, shared = Lock(), [] if lasting is None else [lasting]
 
-    def share(sample: Sample) -> LastingScene:
+    def share(sample: Sample) -> SharedScene:
         with lock:  # where all tables are in the cache, nobody asks
             if not shared:
                 is_still = sample.uncertainty.moving is None
@@ -302,18 +302,18 @@ def build_sample_tables(
             yield _received(*pending.popleft())
 
 
-def share_scene(setting: Setting, *, is_still: bool, compute: Compute) -> LastingScene:
+def share_scene(setting: Setting, *, is_still: bool, compute: Compute) -> SharedScene:
     """What sampled worlds have in common, and keep of one another.
 
     In worlds that are still nothing drives that was not planned.
     """
-    return build_lasting_scene(
+    return build_shared_scene(
         setting.scene,
         setting.runs,
         n_points=N_POINTS,
         seed=compute.seed,
         rays=compute.rays,
-        keeps="all" if is_still else "still",
+        caches="all" if is_still else "still",
     )
 
 
@@ -323,7 +323,7 @@ def _received(sample: Sample, table: "Future[DetectionTable]") -> tuple[Sample, 
 
 
 def _obtain(
-    sample: Sample, compute: Compute, share: Callable[[Sample], LastingScene]
+    sample: Sample, compute: Compute, share: Callable[[Sample], SharedScene]
 ) -> DetectionTable:
     """Table of a world before messages are lost, from the cache or built anew."""
     setting, detector = sample.setting, sample.drawn_detector
@@ -347,7 +347,7 @@ def _obtain(
     return table
 
 
-def _build(sample: Sample, compute: Compute, lasting: LastingScene) -> DetectionTable:
+def _build(sample: Sample, compute: Compute, lasting: SharedScene) -> DetectionTable:
     setting, detector = sample.setting, sample.drawn_detector
     if detector is not None:
         return build_drawn_table(sample, detector, compute=compute, lasting=lasting)
@@ -358,7 +358,7 @@ def _build(sample: Sample, compute: Compute, lasting: LastingScene) -> Detection
         setting.axis,
         detector=setting.planner,
         compute=compute,
-        lasting=lasting,
+        shared=lasting,
     )
 
 

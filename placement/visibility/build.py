@@ -25,7 +25,7 @@ from ..compute import DEFAULT_COMPUTE, Compute
 from ..detection_table import DetectionTable
 from ..detectors import PlanningDetector
 from ..setting import Setting
-from .casting import LastingScene, World, build_world
+from .casting import SharedScene, World, build_world
 from .sensing import build_sensing, cast_for
 
 N_POINTS = 160  # per VRU: neighbouring points are about 10 cm apart
@@ -41,15 +41,15 @@ def build_detection_table(
     *,
     detector: PlanningDetector,
     compute: Compute = DEFAULT_COMPUTE,
-    lasting: LastingScene | None = None,
+    shared: SharedScene | None = None,
 ) -> DetectionTable:
     """Detections V[c, f] of every candidate pose in every frame; all runs have the same VUT.
 
-    The detector says what counts as a detection of a camera; a LiDAR counts points. Progress is
-    told the mount positions. `lasting` is what this world shares with others, if there are some.
+    The detector says what counts as a detection of a camera; a LiDAR counts points. Progress
+    counts mount positions. `shared` is what this world has in common with others, if there are any.
     """
     world = build_world(
-        scene, runs, n_points=N_POINTS, seed=compute.seed, rays=compute.rays, lasting=lasting
+        scene, runs, n_points=N_POINTS, seed=compute.seed, rays=compute.rays, shared=shared
     )
     mounts = _group_by_mount(candidates)
     packed = np.zeros((len(candidates), -(-axis.n_frames // 8)), dtype=np.uint8)

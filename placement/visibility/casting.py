@@ -1,12 +1,14 @@
 """Rays from a mount position to the VRU's points: once per position and unique VRU pose.
 
 A ray does not depend on where the camera looks, and the VRU's pose and gait depend on the time to
-impact only, not on the VUT's speed. What moves needs no scene of its own: the rays are taken into
-the frame of the VRU, or of the VUT, and cast against one fixed scene each.
+impact only, not on the VUT's speed. Few kinds of bodies stand or drive in many places: rays are
+taken into the frame of each body that they may meet, and cast against its shape there, so that what
+is prepared for a shape serves wherever it is.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -14,62 +16,180 @@ from numpy.typing import NDArray
 
 from geometry.actors import Actor, MovingActor, PlacedActor, Shape
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.poses import body_rotation
+from geometry.poses import body_rotation, to_world
 from geometry.raycast import FloatRays, RayCaster, build_caster
 from geometry.scene import Scene
 from geometry.terrain import Terrain, on_ground, terrain_of
 from scenarios.runs import Run
 
-from .standing import (
-    AROUND_BODY_M,
-    Standing,
-    bodies_mesh,
-    box_m,
-    build_standing,
-    find_obstructions,
-    shape_caster,
+from .views import (
+    HiddenPoints,
+    Places,
+    Surface,
+    VruViews,
+    build_places,
+    build_views,
+    count_in_rows,
 )
-from .surfaces import Surface
-from .views import HiddenPoints, Places, VruViews, build_places, build_views, count_in_rows
+
+AROUND_BODY_M = 2.0e-3  # rays that pass a body this near are cast
+_OFF_SURFACE_M = 1.0e-3
+_ROWS_TOGETHER = 4096  # of bodies, whose rays are cast in one go
 
 
 def build_static_mesh(
-    scene: Scene, obstruction: tuple[PlacedActor, ...], origin_m: FloatArray
+    scene: Scene, obstruction: Sequence[PlacedActor], origin_m: FloatArray
 ) -> tuple[FloatArray, NDArray[np.int32]]:
     """Vertices (n, 3) from an origin, and triangles (m, 3), of a scene with an obstruction."""
-    vertices, triangles = bodies_mesh(obstruction, origin_m)
-    return (
-        np.concatenate([scene.vertices_m - origin_m, vertices]),
-        np.concatenate([scene.triangles, triangles + np.int32(len(scene.vertices_m))]),
+    vertices, triangles = [scene.vertices_m - origin_m], [scene.triangles]
+    for body in obstruction:
+        shape = body.actor.shapes[0]
+        triangles.append((shape.triangles + sum(map(len, vertices))).astype(np.int32))
+        vertices.append(to_world(shape.vertices_m, body.pose) - origin_m)
+    return np.concatenate(vertices), np.concatenate(triangles)
+
+
+# ---------- bodies
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Bodies:
+    """Bodies that are there in some of the runs, or in some frames; in groups.
+
+    Of what stands, a group is an obstruction, as some of the runs have it; of what drives, the VUT
+    among it, a group is a frame of the frame axis.
+    """
+
+    actors: tuple[Actor, ...]  # distinct kinds of bodies; of what drives the VUT comes first
+    casters: tuple[RayCaster, ...]  # of each kind, in its own frame
+    kind: IntArray  # (n,): into `actors`
+    position_m: FloatArray  # (n, 3): on the ground, relative to the origin of `World`. [m]
+    rotation: FloatArray  # (n, 3, 3): from the frame of each into the world's
+    members: IntArray  # (m,): bodies, group by group
+    first: IntArray  # (n_groups + 1,): where each group begins in `members`
+
+    def of_group(self, group: int) -> IntArray:
+        """Bodies of a group."""
+        return self.members[self.first[group] : self.first[group + 1]]
+
+    def first_triangle(
+        self, group: int, origins_m: FloatRays, vectors_m: FloatRays
+    ) -> tuple[FloatRays, IntArray]:
+        """First hits of rays on the bodies of a group; see :class:`.RayCaster`.
+
+        Their triangles are numbered body after body.
+        """
+        share = np.full(len(origins_m), np.inf, dtype=np.float32)
+        index = np.full(len(origins_m), -1, dtype=np.int64)
+        n_before = 0
+        for body in self.of_group(group).tolist():
+            rotation, kind = self.rotation[body], self.kind[body]
+            hit, triangle = self.casters[kind].first_triangle(
+                ((origins_m - self.position_m[body]) @ rotation).astype(np.float32),
+                (vectors_m @ rotation).astype(np.float32),
+            )
+            is_nearer = hit < share
+            share[is_nearer] = hit[is_nearer]
+            index[is_nearer] = n_before + triangle[is_nearer]
+            n_before += len(self.actors[kind].shapes[0].triangles)
+        return share, index
+
+
+@lru_cache(maxsize=256)
+def shape_caster(shape: Shape, rays: str) -> RayCaster:
+    """Caster of a body in its own frame; tables of many worlds ask for the same ones."""
+    return build_caster(shape.vertices_m, shape.triangles, library=rays)
+
+
+@lru_cache(maxsize=256)
+def _shape_box_m(shape: Shape) -> FloatArray:
+    return np.array([shape.vertices_m.min(axis=0), shape.vertices_m.max(axis=0)])
+
+
+def _box_m(shape: Shape) -> FloatArray:
+    """Lowest and highest coordinates, (2, 3), of all ways that are cast against a shape."""
+    box: FloatArray = _shape_box_m(shape) + [[-AROUND_BODY_M], [AROUND_BODY_M]]
+    return box
+
+
+def find_obstructions(runs: Sequence[Run]) -> tuple[list[tuple[PlacedActor, ...]], IntArray]:
+    """Distinct obstructions in the order of their groups, and which each run has, (n_runs,).
+
+    Those are equal that have the same bodies at the same places.
+    """
+    keys = {body: body.key for body in {body for run in runs for body in run.obstruction}}
+    numbers: dict[tuple[object, ...], int] = {}
+    found: list[tuple[PlacedActor, ...]] = []
+    index = []
+    for run in runs:
+        key = tuple(keys[body] for body in run.obstruction)
+        if numbers.setdefault(key, len(found)) == len(found):
+            found.append(run.obstruction)
+        index.append(numbers[key])
+    return found, np.array(index)
+
+
+def _build_standing(
+    obstructions: Iterable[tuple[PlacedActor, ...]], origin_m: FloatArray, rays: str
+) -> Bodies:
+    numbers: dict[tuple[object, ...], int] = {}
+    placed: list[PlacedActor] = []
+    groups = []
+    for obstruction in obstructions:
+        for body in obstruction:
+            if numbers.setdefault(body.key, len(placed)) == len(placed):
+                placed.append(body)
+        groups.append([numbers[body.key] for body in obstruction])
+    actors = {body.actor.shapes[0]: body.actor for body in placed}
+    kinds = {shape: kind for kind, shape in enumerate(actors)}
+    poses = [body.pose for body in placed]
+    return Bodies(
+        actors=tuple(actors.values()),
+        casters=tuple(shape_caster(shape, rays) for shape in actors),
+        kind=np.array([kinds[body.actor.shapes[0]] for body in placed], dtype=np.int64),
+        position_m=np.array([pose.position_m - origin_m for pose in poses]).reshape(-1, 3),
+        rotation=body_rotation([p.yaw_deg for p in poses], [p.pitch_deg for p in poses]),
+        members=np.array([body for group in groups for body in group], dtype=np.int64),
+        first=np.cumsum([0, *map(len, groups)]),
     )
 
 
-def _corners(vertices_m: FloatArray, triangles: NDArray[np.int32]) -> FloatArray:
-    corners: FloatArray = np.asarray(vertices_m, dtype=np.float64)[triangles]
-    return corners.reshape(-1, 3, 3)
+def _build_vehicles(
+    runs: Sequence[Run], origin_m: FloatArray, rays: str, terrain: Terrain | None
+) -> Bodies:
+    actors = {runs[0].encounter.vut: 0}
+    kind, frame, position, yaw = [], [], [], []
+    n_frames = 0
+    for run in runs:
+        vut = MovingActor(
+            actor=run.encounter.vut, position_m=run.vut_position_m, yaw_deg=run.vut_yaw_deg
+        )
+        for body in (vut, *run.traffic):
+            there = np.flatnonzero(body.is_there)
+            kind.append(np.full(len(there), actors.setdefault(body.actor, len(actors))))
+            frame.append(n_frames + there)
+            position.append(on_ground(body.position_m[there], terrain) - origin_m)
+            yaw.append(body.yaw_deg[there])
+        n_frames += len(run.time_s)
+    members = np.argsort(np.concatenate(frame), kind="stable")
+    counts = np.bincount(np.concatenate(frame), minlength=n_frames)
+    return Bodies(
+        actors=tuple(actors),
+        casters=tuple(shape_caster(actor.shapes[0], rays) for actor in actors),
+        kind=np.concatenate(kind),
+        position_m=np.concatenate(position),
+        rotation=body_rotation(np.concatenate(yaw)),
+        members=members,
+        first=np.concatenate([[0], np.cumsum(counts)]),
+    )
 
 
-# ---------- rays
-
-
-_OFF_SURFACE_M = 1.0e-3
+# ---------- all that rays meet
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Vehicles:
-    """Bodies that move: the VUT, and what else drives by; one row for each and each frame."""
-
-    actors: tuple[Actor, ...]  # distinct bodies, the VUT first
-    casters: tuple[RayCaster, ...]  # of each, in its own frame
-    actor_index: IntArray  # (n,): into `actors`
-    frame: IntArray  # (n,): of the frame axis
-    position_m: FloatArray  # (n, 3): on the ground, relative to the origin of `World`. [m]
-    yaw_deg: FloatArray  # (n,): heading. [deg]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LastingScene:
-    """What does not change from one sampled world to the next."""
+class SharedScene:
+    """Everything that all sampled worlds of a scene have in common."""
 
     # (3,): subtracted from every coordinate: rays are cast in single precision. [m]
     origin_m: FloatArray
@@ -77,9 +197,9 @@ class LastingScene:
     triangles_m: FloatArray  # (n, 3, 3): corners of its triangles, relative to `origin_m`. [m]
     places: Places  # where VRUs are looked at
     bodies: tuple[RayCaster, ...]  # their shapes in their own frame, of each of the surfaces
-    vehicles: Vehicles | None = None  # what moves, if that is the same in all of them
-    # what the scene hides of places, what bodies hide of themselves, and what `vehicles` hide in
-    # each frame; where that is kept
+    vehicles: Bodies | None = None  # what drives, if that is the same in all of them
+    # Caches: points of places that the scene hides, or the body itself; and points that `vehicles`
+    # hide in each frame.
     hidden_by_scene: HiddenPoints | None = None
     hidden_by_itself: HiddenPoints | None = None
     hidden_by_vehicles: HiddenPoints | None = None
@@ -89,20 +209,20 @@ class LastingScene:
 class World:
     """All that rays are cast against, and all that they are cast to."""
 
-    lasting: LastingScene
-    standing: Standing  # what stands there in some runs
-    vehicles: Vehicles  # what moves
+    shared: SharedScene
+    standing: Bodies  # what stands there in some runs
+    vehicles: Bodies  # what drives
     views: VruViews  # what is looked at
 
     @property
     def origin_m(self) -> FloatArray:
-        """What is subtracted from every coordinate, (3,), in metres."""
-        return self.lasting.origin_m
+        """Subtracted from every coordinate, (3,), in metres."""
+        return self.shared.origin_m
 
     @property
     def surfaces(self) -> tuple[Surface, ...]:
         """Each distinct shape of a VRU."""
-        return self.lasting.places.surfaces
+        return self.shared.places.surfaces
 
     @property
     def radius_m(self) -> float:
@@ -138,86 +258,59 @@ def build_world(
     n_points: int,
     seed: int,
     rays: str = "auto",
-    lasting: LastingScene | None = None,
+    shared: SharedScene | None = None,
 ) -> World:
     """Prepare scene, bodies and views for :func:`cast_sight`, from any thread.
 
-    All runs have the same VUT. `rays` names the library that casts them. `lasting` is what another
+    All runs have the same VUT. `rays` names the library that casts them. `shared` is what another
     world of the same scene and VRUs was built from, where there is one.
     """
-    if lasting is None:
-        lasting = build_lasting_scene(scene, runs, n_points=n_points, seed=seed, rays=rays)
-    origin = lasting.origin_m
+    if shared is None:
+        shared = build_shared_scene(scene, runs, n_points=n_points, seed=seed, rays=rays)
+    origin = shared.origin_m
     obstructions, obstruction_index = find_obstructions(runs)
     return World(
-        lasting=lasting,
-        standing=build_standing(obstructions, origin, rays),
-        vehicles=lasting.vehicles or _build_vehicles(runs, origin, rays, terrain_of(scene)),
-        views=build_views(lasting.places, runs, obstruction_index),
+        shared=shared,
+        standing=_build_standing(obstructions, origin, rays),
+        vehicles=shared.vehicles or _build_vehicles(runs, origin, rays, terrain_of(scene)),
+        views=build_views(shared.places, runs, obstruction_index),
     )
 
 
-def build_lasting_scene(
+def build_shared_scene(
     scene: Scene,
     runs: Sequence[Run],
     *,
     n_points: int,
     seed: int,
     rays: str = "auto",
-    keeps: Literal["nothing", "still", "all"] = "nothing",
-) -> LastingScene:
-    """Prepare what worlds of one scene share, in which the VRUs of runs walk as they do here.
+    caches: Literal["nothing", "still", "all"] = "nothing",
+) -> SharedScene:
+    """Prepare everything that worlds of one scene share whose VRUs walk as in these runs.
 
-    It keeps what is hidden in all of them, where mounts come up again: by what stands "still", or
-    by "all" if vehicles drive the same way, too.
+    It caches the points that are hidden in all of them, where mounts come up again: by what stands
+    "still", or by "all" if vehicles drive the same way, too.
     """
     origin = np.append(scene.outline_m.mean(axis=0), 0.0)
     places = build_places(scene, runs, origin, n_points=n_points, seed=seed)
     n_places = len(places.yaw_deg)
-    return LastingScene(
+    return SharedScene(
         origin_m=origin,
         caster=build_caster(scene.vertices_m - origin, scene.triangles, library=rays),
-        triangles_m=_corners(scene.vertices_m - origin, scene.triangles),
+        triangles_m=(scene.vertices_m - origin)[scene.triangles],
         places=places,
         bodies=tuple(
             shape_caster(surface.actor.shapes[surface.shape_index], rays)
             for surface in places.surfaces
         ),
         vehicles=(
-            _build_vehicles(runs, origin, rays, terrain_of(scene)) if keeps == "all" else None
+            _build_vehicles(runs, origin, rays, terrain_of(scene)) if caches == "all" else None
         ),
-        hidden_by_scene=None if keeps == "nothing" else HiddenPoints(n_places, n_points),
-        hidden_by_itself=None if keeps == "nothing" else HiddenPoints(n_places, n_points),
+        hidden_by_scene=None if caches == "nothing" else HiddenPoints(n_places, n_points),
+        hidden_by_itself=None if caches == "nothing" else HiddenPoints(n_places, n_points),
         hidden_by_vehicles=(
-            HiddenPoints(len(places.place_of_frame), n_points) if keeps == "all" else None
+            HiddenPoints(len(places.place_of_frame), n_points) if caches == "all" else None
         ),
-    )
-
-
-def _build_vehicles(
-    runs: Sequence[Run], origin_m: FloatArray, rays: str, terrain: Terrain | None
-) -> Vehicles:
-    actors = {runs[0].encounter.vut: 0}
-    index, frame, position, yaw = [], [], [], []
-    first = 0
-    for run in runs:
-        vut = MovingActor(
-            actor=run.encounter.vut, position_m=run.vut_position_m, yaw_deg=run.vut_yaw_deg
-        )
-        for body in (vut, *run.traffic):
-            there = np.flatnonzero(body.is_there)
-            index.append(np.full(len(there), actors.setdefault(body.actor, len(actors))))
-            frame.append(first + there)
-            position.append(on_ground(body.position_m[there], terrain) - origin_m)
-            yaw.append(body.yaw_deg[there])
-        first += len(run.time_s)
-    return Vehicles(
-        actors=tuple(actors),
-        casters=tuple(shape_caster(actor.shapes[0], rays) for actor in actors),
-        actor_index=np.concatenate(index),
-        frame=np.concatenate(frame),
-        position_m=np.concatenate(position),
-        yaw_deg=np.concatenate(yaw),
     )
 
 
@@ -231,14 +324,14 @@ def cast_sight(
     is_foreseen: BoolArray | None = None,
     for_lidar: bool = True,
 ) -> Sight:
-    """Find what is seen from a mount position; entries without any visible point are left out.
+    """Find the visible points from a mount position; entries without any are left out.
 
     What is nearer than `near_m` to the lens hides nothing; VRUs farther than `max_distance_m`, and
     views that are not asked for, (n_views,), are not looked at. Rays are cast where something may
     stand in their way. What a body hides of itself is of no account for a camera as long as nothing
     else hides anything: with `for_lidar` false, no rays are cast for it, and all points of such a
     body are taken to be visible. Views that are foreseen, (n_views,), may be asked for later, from
-    the same eye: it costs less to find out about them now, where that is kept.
+    the same eye: it costs less to find out about them now, where that is cached.
     """
     views = world.views
     eye = np.asarray(position_m, dtype=np.float64) - world.origin_m
@@ -254,9 +347,7 @@ def cast_sight(
     is_left = n_blocked < blocked.shape[1]
     row_of_view[near_views[is_left]] = np.flatnonzero(is_left)
     row_of_frame = row_of_view[views.view_of_frame]
-    frames, behind = _hidden_by_vehicles(
-        world, eye, row_of_frame, near_views, blocked, near_m=near_m
-    )
+    frames, behind = _hidden_by_vehicles(world, eye, row_of_frame, blocked, near_m=near_m)
     rows = row_of_frame[frames]
 
     is_cast = is_left & (for_lidar | (n_blocked > 0) | _is_close(world, eye, near_views))
@@ -293,7 +384,7 @@ def cast_sight(
 
 
 def _is_close(world: World, eye_m: FloatArray, view_index: IntArray) -> BoolArray:
-    """Views from in or just beside the body: it may hide all of itself."""
+    """Views from in or right next to the body: it may hide all of itself."""
     distance = np.linalg.norm(world.views.middle_m[view_index] - eye_m, axis=1)
     is_close: BoolArray = distance < 2.0 * world.views.radius_m[view_index]
     return is_close
@@ -301,29 +392,37 @@ def _is_close(world: World, eye_m: FloatArray, view_index: IntArray) -> BoolArra
 
 def _is_self_visible(world: World, eye_m: FloatArray, view_index: IntArray) -> BoolArray:
     """Points that the VRU's own body does not hide, (n, n_points)."""
-    from .own_shadows import find_own_visible
-
-    lasting = world.lasting
-    places = lasting.places
+    shared = world.shared
+    places = shared.places
 
     def find(index: IntArray) -> BoolArray:
         offset = np.column_stack(
             [eye_m[:2] - places.position_m[index], eye_m[2] - places.up_m[index]]
         )
-        return ~find_own_visible(
-            places.surfaces,
-            lasting.bodies,
-            surface_index=places.surface_index[index],
-            # Row vectors times R_world_body = coordinates in the body frame.
-            eye_m=np.einsum("ni,nij->nj", offset, body_rotation(places.yaw_deg[index])),
-        )
+        # Row vectors times R_world_body = coordinates in the body frame.
+        eyes_m = np.einsum("ni,nij->nj", offset, body_rotation(places.yaw_deg[index]))
+        hidden = np.empty((len(index), places.axes_m.shape[2]), dtype=bool)
+        for number in np.unique(places.surface_index[index]).tolist():
+            rows = np.flatnonzero(places.surface_index[index] == number)
+            starts, vectors = _rays_to_own_points(places.surfaces[number], eyes_m[rows])
+            hidden[rows] = shared.bodies[number].is_blocked(starts, vectors).reshape(len(rows), -1)
+        return hidden
 
     asked, row = np.unique(world.views.place_index[view_index], return_inverse=True)
-    if lasting.hidden_by_itself is None:
+    if shared.hidden_by_itself is None:
         hidden = find(asked)
     else:
-        hidden = lasting.hidden_by_itself.look(eye_m.tobytes(), asked, find)
+        hidden = shared.hidden_by_itself.look(eye_m.tobytes(), asked, find)
     return ~hidden[row]
+
+
+def _rays_to_own_points(surface: Surface, eyes_m: FloatArray) -> tuple[FloatRays, FloatRays]:
+    """Rays (n * n_points, 3) from eyes (n, 3) to just before a body's points, in its frame."""
+    distance_m = np.sqrt((eyes_m**2).sum(axis=1))  # to the body's origin
+    share = (1.0 - _OFF_SURFACE_M / np.maximum(distance_m, 1.0e-9)).astype(np.float32)
+    eyes = eyes_m.astype(np.float32)[:, None]
+    vectors: FloatRays = (surface.points_m.astype(np.float32) - eyes) * share[:, None, None]
+    return np.broadcast_to(eyes, vectors.shape).reshape(-1, 3), vectors.reshape(-1, 3)
 
 
 def _hidden_by_scene(
@@ -334,225 +433,142 @@ def _hidden_by_scene(
     *,
     near_m: float,
 ) -> BoolArray:
-    """Points hidden by what stands there in all runs, (n, n_points); some more may be foreseen."""
-    from .shadow_kernels import (
-        N_AROUND,
-        N_UP,
-        find_blocks,
-        find_unclear_points,
-        mark_covered,
-        mark_nearest,
-    )
+    """Points hidden by what stands there in all runs, (n, n_points); `foreseen`: more views."""
+    from .ray_kernels import N_AROUND, N_UP, fill_rays, find_unclear_points, mark_nearest
 
-    lasting = world.lasting
-    places, triangles = lasting.places, lasting.triangles_m
+    shared = world.shared
+    places = shared.places
 
     def find(index: IntArray) -> BoolArray:
-        hidden = np.zeros((len(index), places.axes_m.shape[2]), dtype=bool)
+        unclear = np.zeros((len(index), places.axes_m.shape[2]), dtype=bool)
         if len(index) == 0:
-            return hidden
+            return unclear
         # Things farther than this are behind all bodies.
         away_m = np.hypot(*(places.position_m[index] - eye_m[:2]).T)
         farthest_m = float(np.hypot(away_m, eye_m[2] - places.up_m[index]).max())
         far_m = farthest_m + 2.0 * world.radius_m + 1.0
         nearest = np.full((N_UP, N_AROUND), np.inf, dtype=np.float32)
-        heights = world.height_limits_m
-        mark_nearest(nearest, triangles, eye_m, near_m, far_m, *heights)
-        covered = np.full_like(nearest, np.inf)
-        is_asked = find_blocks(places.middle_m, places.radius_m, eye_m, index)
-        mark_covered(covered, triangles, eye_m, near_m, *heights, is_asked)
+        mark_nearest(nearest, shared.triangles_m, eye_m, near_m, far_m, *world.height_limits_m)
         bodies = (places.axes_m, places.middle_m, places.radius_m, eye_m)
-        unclear = np.zeros_like(hidden)
-        find_unclear_points(nearest, covered, *bodies, index, hidden, unclear)
-        _cast_to_points(lasting.caster, places.axes_m, eye_m, index, unclear, near_m=near_m)
-        return hidden | unclear
+        find_unclear_points(nearest, *bodies, index, unclear)
+        starts, vectors = (np.empty((np.count_nonzero(unclear), 3), np.float32) for _ in range(2))
+        fill_rays(places.axes_m, index, unclear, eye_m, near_m, _OFF_SURFACE_M, starts, vectors)
+        unclear[unclear] = shared.caster.is_blocked(starts, vectors)
+        return unclear
 
     asked, row = np.unique(world.views.place_index[view_index], return_inverse=True)
-    if lasting.hidden_by_scene is None:
+    if shared.hidden_by_scene is None:
         return find(asked)[row]
     if foreseen is not None:
         foreseen = world.views.place_index[foreseen]
     eye = near_m, eye_m.tobytes()
-    return lasting.hidden_by_scene.look(eye, asked, find, foreseen=foreseen)[row]
+    return shared.hidden_by_scene.look(eye, asked, find, foreseen=foreseen)[row]
+
+
+def _find_between(
+    world: World, eye_m: FloatArray, bodies: Bodies, view_index: IntArray, group: IntArray
+) -> tuple[IntArray, IntArray]:
+    """Rows and bodies (n_pairs,): body m of group `group[n]` may hide points of view n."""
+    from .ray_kernels import find_bodies_between
+
+    if not len(bodies.kind):
+        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+    boxes = np.array([_box_m(actor.shapes[0]) for actor in bodies.actors])[bodies.kind]
+    pairs = np.empty((int(np.diff(bodies.first)[group].sum()), 2), dtype=np.int32)
+    n_pairs = find_bodies_between(
+        *(world.views.middle_m, world.views.radius_m, eye_m, view_index, group),
+        *(bodies.members, bodies.first, bodies.position_m, bodies.rotation, boxes),
+        pairs,
+    )
+    row, body = pairs[:n_pairs].T.astype(np.int64)
+    return row, body
 
 
 def _add_hidden_by_standing(
-    world: World, eye_m: FloatArray, view_index: IntArray, blocked: BoolArray, *, near_m: float
+    world: World, eye_m: FloatArray, view_index: IntArray, hidden: BoolArray, *, near_m: float
 ) -> None:
-    """Add the points that standing bodies hide to `blocked`, (n, n_points)."""
-    from .ray_kernels import find_bodies_between
-
-    views, standing = world.views, world.standing
-    if not len(standing.shape_index):
-        return
-    boxes = np.array([_box_m(shape) for shape in standing.shapes])[standing.shape_index]
-    n_bodies = np.array([len(bodies) for bodies in standing.bodies])
-    obstruction = views.obstruction_index[view_index]
-    pairs = np.empty((int(n_bodies[obstruction].sum()), 2), dtype=np.int32)
-    n_pairs = find_bodies_between(
-        *(views.middle_m, views.radius_m, eye_m, view_index, obstruction),
-        *(np.concatenate(standing.bodies), np.cumsum([0, *n_bodies])),
-        *(standing.position_m, standing.rotation, boxes),
-        pairs,
-    )
-    rows, bodies = pairs[:n_pairs].T.astype(np.int64)
+    """Add the points that standing bodies hide to `hidden`, (n, n_points)."""
+    obstruction = world.views.obstruction_index[view_index]
+    row, body = _find_between(world, eye_m, world.standing, view_index, obstruction)
     _add_hidden_by_bodies(
-        *(world, eye_m, standing.shapes, standing.casters, standing.shape_index[bodies]),
-        *(standing.position_m[bodies], standing.rotation[bodies]),
-        view_index[rows],
-        rows,
-        blocked,
-        near_m=near_m,
+        world, eye_m, world.standing, body, view_index[row], row, hidden, near_m=near_m
     )
-
-
-def _box_m(shape: Shape) -> FloatArray:
-    """Lowest and highest coordinates, (2, 3), of all ways that are cast against a shape."""
-    box: FloatArray = box_m(shape) + [[-AROUND_BODY_M], [AROUND_BODY_M]]
-    return box
-
-
-_ROWS_TOGETHER = 4096  # of bodies, whose rays are cast in one go
 
 
 def _add_hidden_by_bodies(
     world: World,
     eye_m: FloatArray,
-    shapes: Sequence[Shape],
-    casters: Sequence[RayCaster],
-    shape_index: IntArray,
-    position_m: FloatArray,
-    rotation: FloatArray,
+    bodies: Bodies,
+    body_index: IntArray,
     view_index: IntArray,
-    place: IntArray,
+    row_index: IntArray,
     hidden: BoolArray,
     *,
     near_m: float,
 ) -> None:
     """Add the points that bodies hide to rows of `hidden`, (n_rows, n_points).
 
-    Body n, of `shapes[shape_index[n]]`, is where `position_m` (n, 3) and `rotation` (n, 3, 3) say,
-    while view `view_index[n]` is looked at, whose points have row `place[n]`.
+    Body `body_index[n]` is there while view `view_index[n]` is looked at, whose points have row
+    `row_index[n]`.
     """
     from .ray_kernels import find_rays_at_body
 
-    for number, (shape, caster) in enumerate(zip(shapes, casters, strict=True)):
-        of_shape = np.flatnonzero(shape_index == number)
-        of_shape = of_shape[np.argsort(place[of_shape], kind="stable")]
-        low_m, high_m = _box_m(shape)
-        for start in range(0, len(of_shape), _ROWS_TOGETHER):
-            chosen = of_shape[start : start + _ROWS_TOGETHER]
-            row = place[chosen]
+    for kind, (actor, caster) in enumerate(zip(bodies.actors, bodies.casters, strict=True)):
+        of_kind = np.flatnonzero(bodies.kind[body_index] == kind)
+        of_kind = of_kind[np.argsort(row_index[of_kind], kind="stable")]
+        low_m, high_m = _box_m(actor.shapes[0])
+        for start in range(0, len(of_kind), _ROWS_TOGETHER):
+            chosen = of_kind[start : start + _ROWS_TOGETHER]
+            row, body = row_index[chosen], body_index[chosen]
             blocked = np.zeros((len(chosen), hidden.shape[1]), dtype=bool)
             starts, vectors = (np.empty((blocked.size, 3), np.float32) for _ in range(2))
             n_rays = find_rays_at_body(
-                world.views.axes_m,
-                view_index[chosen],
-                hidden[row],
-                eye_m,
-                position_m[chosen],
-                rotation[chosen],
-                low_m,
-                high_m,
+                *(world.views.axes_m, view_index[chosen], hidden[row], eye_m),
+                *(bodies.position_m[body], bodies.rotation[body], low_m, high_m),
                 near_m,
                 _OFF_SURFACE_M,
-                starts,
-                vectors,
-                blocked,
+                *(starts, vectors, blocked),
             )
             blocked[blocked] = caster.is_blocked(starts[:n_rays], vectors[:n_rays])
             shown, first = np.unique(row, return_index=True)
             hidden[shown] |= np.logical_or.reduceat(blocked, first, axis=0)
 
 
-def _cast_to_points(
-    caster: RayCaster,
-    axes_m: FloatRays,
-    eye_m: FloatArray,
-    index: IntArray,
-    asked: BoolArray,
-    *,
-    near_m: float,
-) -> None:
-    """Of the points asked for, (n, n_points), of places, leave those that something hides."""
-    from .ray_kernels import fill_rays
-
-    starts, vectors = (np.empty((np.count_nonzero(asked), 3), np.float32) for _ in range(2))
-    fill_rays(axes_m, index, asked, eye_m, near_m, _OFF_SURFACE_M, starts, vectors)
-    asked[asked] = caster.is_blocked(starts, vectors)
-
-
-def _rows_between(world: World, eye_m: FloatArray, row_of_frame: IntArray) -> IntArray:
-    """Rows of vehicles that may stand between eye and VRU: a conservative sieve.
-
-    Those in frames whose row is -1 are left out.
-    """
-    vehicles, views = world.vehicles, world.views
-    rows = np.flatnonzero(row_of_frame[vehicles.frame] >= 0)
-    actor = vehicles.actor_index[rows]
-    view = views.view_of_frame[vehicles.frame[rows]]
-    way = views.position_m[view] - eye_m[:2]
-    to_vehicle = vehicles.position_m[rows, :2] - eye_m[:2]
-    share = np.clip(
-        (to_vehicle * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-9), 0.0, 1.0
-    )
-    beside_m = np.hypot(*(to_vehicle - share[:, None] * way).T)
-    half_diagonal_m = [0.5 * np.hypot(body.length_m, body.width_m) for body in vehicles.actors]
-    reach_m = np.array(half_diagonal_m)[actor] + max(
-        0.5 * np.hypot(surface.actor.length_m, surface.actor.width_m) for surface in world.surfaces
-    )
-    # Lowest ray over the far end of the vehicle: from the eye down to the road below the VRU.
-    reach_share = reach_m / np.maximum(np.hypot(*way.T), 1e-9)
-    drop_m = eye_m[2] - views.up_m[view]
-    low_end = np.clip(share + np.copysign(reach_share, drop_m), 0.0, 1.0)
-    lowest_m = views.up_m[view] + drop_m * (1.0 - low_end)
-    height_m = np.array([body.height_m for body in vehicles.actors])[actor]
-    height_m = height_m + vehicles.position_m[rows, 2]
-    kept: IntArray = rows[(beside_m <= reach_m) & (lowest_m <= height_m)]
-    return kept
-
-
 def _hidden_by_vehicles(
-    world: World,
-    eye_m: FloatArray,
-    row_of_frame: IntArray,
-    view_of_row: IntArray,
-    hidden: BoolArray,
-    *,
-    near_m: float,
+    world: World, eye_m: FloatArray, row_of_frame: IntArray, hidden: BoolArray, *, near_m: float
 ) -> tuple[IntArray, BoolArray]:
     """Frames (n,) in which vehicles hide points, and all that is hidden then, (n, n_points).
 
-    Points of a view that are `hidden` (n_rows, n_points) in any case are among these.
+    Points of a view that are `hidden` (n_rows, n_points) in any case are among these; frames whose
+    row is -1 are left out.
     """
-    vehicles, kept = world.vehicles, world.lasting.hidden_by_vehicles
-    between = _rows_between(world, eye_m, row_of_frame)
-    frames = np.unique(vehicles.frame[between])
+    vehicles, cache = world.vehicles, world.shared.hidden_by_vehicles
+    view_of_frame = world.views.view_of_frame
+    shown = np.flatnonzero(row_of_frame >= 0)
+    row, body = _find_between(world, eye_m, vehicles, view_of_frame[shown], shown)
+    frame = shown[row]
+    frames = np.unique(frame)
     before = hidden[row_of_frame[frames]]
 
-    def find(asked: IntArray, behind: BoolArray) -> BoolArray:
-        """Add what is behind vehicles in frames, all of them among those above."""
-        place_of_frame = np.full(len(row_of_frame), -1)
-        place_of_frame[asked] = np.arange(len(asked))
-        rows = between[place_of_frame[vehicles.frame[between]] >= 0]
+    def add_behind(asked: IntArray, behind: BoolArray) -> BoolArray:
+        """Add the points behind vehicles in frames, all of them among those above."""
+        row_of = np.full(len(row_of_frame), -1)
+        row_of[asked] = np.arange(len(asked))
+        chosen = np.flatnonzero(row_of[frame] >= 0)
+        at = frame[chosen]
         _add_hidden_by_bodies(
-            *(world, eye_m, [actor.shapes[0] for actor in vehicles.actors], vehicles.casters),
-            *(vehicles.actor_index[rows], vehicles.position_m[rows]),
-            body_rotation(vehicles.yaw_deg[rows]),
-            view_of_row[row_of_frame[vehicles.frame[rows]]],
-            place_of_frame[vehicles.frame[rows]],
-            behind,
+            *(world, eye_m, vehicles, body[chosen], view_of_frame[at], row_of[at], behind),
             near_m=near_m,
         )
         return behind
 
-    if kept is None:
-        behind = find(frames, before.copy())
+    if cache is None:
+        behind = add_behind(frames, before.copy())
     else:
-        behind = before | kept.look(
+        behind = before | cache.look(
             (near_m, eye_m.tobytes()),
             frames,
-            lambda asked: find(asked, np.zeros((len(asked), hidden.shape[1]), dtype=bool)),
+            lambda asked: add_behind(asked, np.zeros((len(asked), hidden.shape[1]), dtype=bool)),
         )
     is_hit = (behind != before).any(axis=1)
     return frames[is_hit], behind[is_hit]

@@ -1,5 +1,6 @@
-"""Detections of the sensors of one mount position: projects the points that the rays reach."""
+"""Detections of the sensors of one mount position, from the points that the rays reach."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -9,16 +10,15 @@ from numpy.typing import NDArray
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.catalogue import Sensor
 from geometry.image_boxes import box_height_px
-from geometry.lidar import LidarModel
+from geometry.lidar import LidarModel, beams_per_steradian, load_lidar_detection, return_probability
 from geometry.poses import body_rotation, camera_rotation
 from geometry.sensors import CameraModel
 
 from ..candidates import CandidatePose
 from ..detectors import VRU_CLASSES, Evidence, PlanningDetector, aspects_deg, vru_class
 from .casting import Sight, World, cast_sight
-from .echoes import find_echoes
 
-_MIN_DEPTH_M = 0.01  # points beside or behind the lens are projected far outside the image
+_MIN_DEPTH_M = 0.01  # points next to or behind the lens are projected far outside the image
 _SLACK = 1.0e-6  # of a cosine: nobody at the edge is left out
 _FORESEEN_RAD = 0.06  # by which mounts may be turned from world to world: three times one degree
 _WIDEST_RAD = 1.5  # half of a lens
@@ -27,7 +27,7 @@ _PAIRS = 1 << 21  # of sensors and entries that are looked at together
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sensing:
-    """One mount position and all that is seen from it, whatever hangs there."""
+    """One mount position and all that is seen from it, whatever is mounted there."""
 
     world: World  # what is looked at
     sight: Sight  # which points the rays reach
@@ -71,7 +71,7 @@ class Sensing:
 
         As bits, the first frame in the lowest.
         """
-        from .projecting import pack_frames
+        from .point_kernels import pack_frames
 
         weather_of_frame = self.world.views.weather_of_frame
         packed = np.zeros((len(candidates), -(-len(weather_of_frame) // 8)), dtype=np.uint8)
@@ -170,7 +170,7 @@ def cast_for(
         is_asked=_may_detect(world, position_m, looks),
         is_foreseen=(
             None
-            if world.lasting.hidden_by_scene is None
+            if world.shared.hidden_by_scene is None
             else _may_detect(world, position_m, looks, turned_rad=_FORESEEN_RAD)
         ),
         for_lidar=has_lidar([candidate for candidate, _ in looks]),
@@ -197,7 +197,7 @@ def _may_detect(
         else:
             least_px.setdefault(detector.min_box_height_px, []).append(candidate)
     for height_px, candidates in least_px.items():
-        from .projecting import find_views
+        from .point_kernels import find_views
 
         find_views(
             views.middle_m,
@@ -248,7 +248,7 @@ def max_distance_m(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Boxes:
-    """Boxes in cameras, as ``projecting.box_bodies`` finds them."""
+    """Boxes in cameras, as ``point_kernels.box_bodies`` finds them."""
 
     # plain, part: (n, 2): the camera's index among the candidates, and the entry
     plain: IntArray
@@ -261,7 +261,7 @@ class _Boxes:
 
 def _box(sensing: Sensing, candidates: Sequence[CandidatePose], rows: IntArray) -> _Boxes:
     """Boxes in some of the candidates, all of them cameras."""
-    from .projecting import box_bodies
+    from .point_kernels import box_bodies
 
     views, sight = sensing.world.views, sensing.sight
     chosen = [candidates[row] for row in rows.tolist()]
@@ -290,8 +290,8 @@ def _box(sensing: Sensing, candidates: Sequence[CandidatePose], rows: IntArray) 
 
 
 def _lenses(candidates: Sequence[CandidatePose], *, turned_rad: float = 0.0) -> NDArray[np.float32]:
-    """Cameras as ``projecting.box_bodies`` takes them; with images as large as if turned, too."""
-    from .projecting import pack_lenses
+    """Cameras for ``point_kernels.box_bodies``, with images as large as if turned a little, too."""
+    from .point_kernels import pack_lenses
 
     cameras = [c.sensor for c in candidates if isinstance(c.sensor, CameraModel)]
     poses = [candidate.pose for candidate in candidates]
@@ -317,4 +317,100 @@ def _evidence(sensing: Sensing, boxes: _Boxes, *, is_plain: bool) -> tuple[IntAr
         aspect_deg=sensing.aspect_deg[entries],
         vru_class=sensing.vru_class[entries],
         draw_index=entries,
+    )
+
+
+# ---------- LiDARs
+
+
+_SLACK_LIMIT = 1.0e-12  # of a cosine and a sine: limits of a field of view count
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Echoes:
+    """Points on VRUs that a LiDAR model may see from a mount, and how many beams each sends back.
+
+    Each visible point stands for the part of the surface around it: its solid angle, seen from the
+    LiDAR, times the density of beams in that direction is the number of beams that hit it.
+    """
+
+    lidar: LidarModel
+    first: IntArray  # (n_entries + 1,): points from first[i] to first[i + 1] are on entry i
+    directions: FloatArray  # (k, 3): unit vectors from the mount
+    # (n_weathers, k): beams that come back where these are as dense as at the LiDAR's horizon
+    expected: FloatArray
+    needed: FloatArray  # (n_entries,): for a detection
+
+    def detected(self, candidates: Sequence[CandidatePose], is_near: BoolArray) -> BoolArray:
+        """Whether each of some of these LiDARs has enough points on each entry in each weather.
+
+        `is_near` (n, n_entries): entries of which some part may be in its field of view. The result
+        has the shape (n, n_weathers, n_entries).
+        """
+        from .point_kernels import count_echoes
+
+        found = np.zeros((len(candidates), len(self.expected), len(self.needed)), dtype=bool)
+        poses = [candidate.pose for candidate in candidates]
+        count_echoes(
+            np.stack([body_rotation(pose.yaw_deg, pose.pitch_deg) for pose in poses]),
+            is_near,
+            self.first,
+            self.directions,
+            self.expected,
+            self.needed,
+            math.cos(math.radians(0.5 * self.lidar.horizontal_fov_deg)) - _SLACK_LIMIT,
+            math.sin(math.radians(0.5 * self.lidar.vertical_fov_deg)) + _SLACK_LIMIT,
+            found,
+        )
+        return found
+
+
+def find_echoes(
+    world: World, sight: Sight, eye_m: FloatArray, vru_class: IntArray, lidar: LidarModel
+) -> Echoes:
+    """All that does not depend on where a LiDAR looks; `eye_m` and classes as in ``Sensing``."""
+    views = world.views
+    entry, point = np.nonzero(sight.is_visible)
+    view = sight.view_index[entry]
+    offsets = views.points_m[view, point] - eye_m
+    distance = np.linalg.norm(offsets, axis=-1)
+    areas = np.stack([surface.area_m2 for surface in world.surfaces])
+    area = areas[views.surface_index[view], point]
+    yaw = np.radians(views.yaw_deg[view])
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    facing_m2 = -(
+        (area[:, 0] * cos - area[:, 1] * sin) * offsets[:, 0]
+        + (area[:, 0] * sin + area[:, 1] * cos) * offsets[:, 1]
+        + area[:, 2] * offsets[:, 2]
+    ) / np.maximum(distance, 1.0e-12)
+    faces = (facing_m2 > 0.0) & (distance <= lidar.range_m) & (distance >= lidar.near_m)
+    entry, offsets, distance, facing_m2, area = (
+        values[faces] for values in (entry, offsets, distance, facing_m2, area)
+    )
+    detection = load_lidar_detection()
+    classes = vru_class[entry]
+    reflectivity = np.array([detection.reflectivity[name] for name in VRU_CLASSES])
+    needed = np.array([detection.min_points[name] for name in VRU_CLASSES], dtype=np.float64)
+    beams = facing_m2 / distance**2 * beams_per_steradian(lidar, 0.0)
+    cosine = facing_m2 / np.maximum(np.linalg.norm(area, axis=-1), 1.0e-12)
+    expected = np.stack(
+        [
+            beams
+            * return_probability(
+                lidar,
+                distance,
+                reflectivity=reflectivity[classes],
+                incidence_cos=cosine,
+                extinction_per_m=weather.lidar_extinction_per_m(lidar.wavelength_nm),
+            )
+            for weather in views.weathers
+        ]
+    )
+    counts = np.bincount(entry, minlength=len(sight.view_index))
+    return Echoes(
+        lidar=lidar,
+        first=np.concatenate([[0], np.cumsum(counts)]),
+        directions=np.ascontiguousarray(offsets / distance[:, None]),
+        expected=np.ascontiguousarray(expected),
+        needed=needed[vru_class],
     )

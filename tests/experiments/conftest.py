@@ -13,7 +13,7 @@ from small_results import (
     vary_few_assumptions,
 )
 
-from experiments.cli import main
+from experiments import main
 from experiments.jobs import baselines, placement, writing
 from experiments.report import beside
 from geometry.poses import Pose

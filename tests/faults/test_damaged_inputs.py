@@ -199,7 +199,7 @@ def crash(monkeypatch, tmp_path, capsys):
         raise ZeroDivisionError("a fault of ours")
 
     def run(*arguments: str) -> tuple[int, str]:
-        monkeypatch.setattr("experiments.cli.main.cli.invoke", fail)
+        monkeypatch.setattr("experiments.main.cli.invoke", fail)
         monkeypatch.setenv("TMPDIR", str(tmp_path))
         monkeypatch.setattr("tempfile.tempdir", None)
         with pytest.raises(SystemExit) as ended:

@@ -125,7 +125,7 @@ NO_USERS_FILES = {
     "geometry.untrusted_files.open_stream": "within readers of traffic",
     "experiments.jobs.city_inputs.load_city": "maps, by read_map",
     "experiments.jobs.city_inputs.load_kept": "layouts, by load_layout",
-    "experiments.training.crops.load_crops": "written by the training itself",
+    "experiments.perception_lab.training.crops.load_crops": "written by the training itself",
     "geometry.actors.read_actors": "facts of the package",
     "geometry.scene_files.pack_scene": "writes",
     "placement.detectors.network.load_onnx_model": "a network is a program: SECURITY.md",

@@ -259,7 +259,7 @@ def test_too_little_memory_is_one_line(monkeypatch, capsys):
     def fail(*_arguments: object, **_values: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr("experiments.cli.main.cli.invoke", fail)
+    monkeypatch.setattr("experiments.main.cli.invoke", fail)
     assert refusal(capsys, "--budget", "3").startswith("memory: got too little in stage 'start'")
 
 

@@ -57,7 +57,11 @@ EXCEPTIONS = {
     "placement/memory.py": {"read_text"},
     "experiments/cli/plan.py": {"open"},  # the browser
 }
-TOOLS = ("experiments/bench/", "experiments/training/", "screenshots.py")  # of this repository
+TOOLS = (
+    "experiments/bench/",
+    "experiments/perception_lab/training/",
+    "screenshots.py",
+)  # of this repository
 
 
 def opened(text: str) -> set[str]:

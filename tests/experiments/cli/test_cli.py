@@ -458,7 +458,7 @@ def test_a_reader_that_goes_away_gets_no_traceback():
     reader, writer = os.pipe()
     os.close(reader)
     done = subprocess.run(
-        [sys.executable, "-m", "experiments.cli.main", "--help"],
+        [sys.executable, "-m", "experiments.main", "--help"],
         stdout=writer,
         stderr=subprocess.PIPE,
         check=False,

@@ -10,9 +10,9 @@ import pytest
 from click.shell_completion import ShellComplete
 from click.testing import CliRunner
 
-from experiments.cli.main import cli
 from experiments.cli.options import PROGRAM
 from experiments.cli.terminal import sentences
+from experiments.main import cli
 from experiments.progress import StderrLog
 from placement.question import SECTIONS
 

@@ -31,7 +31,7 @@ import json, os, signal, sys, time
 from pathlib import Path
 from functools import partial
 from experiments.jobs import placement
-from experiments.cli.main import main
+from experiments.main import main
 from placement.explain.sensitivity import load_assumptions
 
 placement.on_study_cases = lambda *given, **options: None  # as at any other junction: takes long

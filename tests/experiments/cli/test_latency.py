@@ -16,7 +16,7 @@ import pytest
 from click.testing import CliRunner
 from PIL import Image
 
-from experiments.cli import main
+from experiments import main
 from experiments.cli.latency import latency, latency_text
 from experiments.cli.options import JUDGED, question_options
 from experiments.figures.latency import plot_latency

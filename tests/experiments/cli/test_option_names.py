@@ -1,8 +1,8 @@
 import click
 import pytest
 
-from experiments.cli.main import cli
 from experiments.cli.option_names import with_option_names
+from experiments.main import cli
 
 
 @pytest.mark.parametrize(

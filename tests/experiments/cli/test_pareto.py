@@ -16,7 +16,7 @@ from msgspec.structs import asdict as fields_of
 from PIL import Image
 from small_tables import avoiding_problem
 
-from experiments.cli import main
+from experiments import main
 from experiments.cli.pareto import front_text, pareto
 from experiments.figures.front import plot_front
 from experiments.jobs import pareto as pareto_job

@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from experiments.cli import main
+from experiments import main
 from experiments.cli.retrofit import retrofit, retrofit_text
 from experiments.jobs import retrofit as retrofit_job
 from experiments.jobs.retrofit import describe_retrofit

@@ -14,7 +14,7 @@ LARGE = {
 }
 CODE = """
 import sys
-from experiments.cli.main import main
+from experiments.main import main
 for command in sys.argv[1:]:
     try:
         main(command.split())

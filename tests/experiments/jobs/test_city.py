@@ -559,7 +559,7 @@ def test_kill_9_loses_at_most_the_junctions_in_work_and_ends_the_workers(
     limits = (*seconds, "--workers", "1", "--out", city)
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     main = subprocess.Popen(
-        [sys.executable, "-m", "experiments.cli.main", *command, *limits, *FEW_RUNS_OPTIONS],
+        [sys.executable, "-m", "experiments.main", *command, *limits, *FEW_RUNS_OPTIONS],
         env=environment,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

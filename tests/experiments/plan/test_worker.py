@@ -80,7 +80,7 @@ def test_the_command_serves_until_it_ends_and_leaves_nothing_behind(tmp_path, is
     words = ["plan", "--no-open", "--cases", "CPNC-50", "--along-arms", "0", "--speeds", "50"]
     environment = os.environ | {"TMPDIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
     with subprocess.Popen(
-        [sys.executable, "-m", "experiments.cli.main", *words, "--layout", "carlancap-12"],
+        [sys.executable, "-m", "experiments.main", *words, "--layout", "carlancap-12"],
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         text=True,
@@ -130,7 +130,7 @@ def test_ctrl_c_ends_it_at_once_while_a_thousand_units_are_counted(tmp_path):
     layout.write_text(to_json(replace(study, units=tuple(units))))
     words = ["plan", "--no-open", "--cases", "CPNC-50", "--along-arms", "0", "--speeds", "50"]
     with subprocess.Popen(
-        [sys.executable, "-m", "experiments.cli.main", *words, "--layout", str(layout)],
+        [sys.executable, "-m", "experiments.main", *words, "--layout", str(layout)],
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         text=True,

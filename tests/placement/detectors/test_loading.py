@@ -11,6 +11,7 @@ from placement.detectors import (
     load_detector,
     load_planning_detector,
 )
+from placement.detectors.evidence import Interval
 
 OURS = (files("placement.detectors") / "data" / "detectors.toml").read_text(encoding="utf-8")
 TABLE = """# A user's own response.
@@ -169,7 +170,7 @@ def test_a_table_may_tell_how_often_nothing_is_confirmed(write):
     assert "tracks of nothing" not in silent.description
     rate = "\n[false_tracks_per_hour]\nvalue = 12.5\nlow = 3\nhigh = 31\n"
     told = load_detector(str(write(TABLE + rate)))
-    assert tuple(told.false_tracks_per_hour) == (12.5, 3.0, 31.0)
+    assert told.false_tracks_per_hour == Interval(12.5, 3.0, 31.0)
     assert "confirms 12.5 tracks of nothing per hour (95 %: 3 to 31)" in told.description
     # What it plans with is the same.
     assert told.fingerprint() == silent.fingerprint()

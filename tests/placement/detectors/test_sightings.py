@@ -38,7 +38,7 @@ def moved(box, right):
 
 
 def gather(*pictures):
-    return gather_sightings(pictures, n_confirmations=3)
+    return gather_sightings(pictures, n_confirmations=3, frame_rate_hz=10.0)
 
 
 def test_a_box_that_overlaps_enough_is_found_and_its_sides_are_compared():
@@ -96,7 +96,7 @@ def test_false_tracks_are_confirmed_by_frames_in_a_row(rights, n_confirmed):
 def test_a_frame_that_is_missing_breaks_a_false_track():
     _, alarms = gather(*(picture(frame, found=[BESIDE]) for frame in (0, 1, 3, 4)))
     assert (alarms.confirmed, alarms.chances) == (0, 0)
-    assert alarms.per_hour(10.0) is None
+    assert alarms.per_hour is None
 
 
 def test_two_alarms_side_by_side_do_not_swap():
@@ -112,7 +112,7 @@ def test_tracks_of_two_cameras_are_apart():
 
 def test_false_tracks_per_hour_follow_from_the_frame_rate():
     _, alarms = gather(*(picture(frame, found=[BESIDE]) for frame in range(12)))
-    assert alarms.per_hour(10.0).value == pytest.approx(3600.0 * 10.0 / 10.0)
+    assert alarms.per_hour.value == pytest.approx(3600.0 * 10.0 / 10.0)
 
 
 @pytest.mark.parametrize("n_events", [0, 1, 7])

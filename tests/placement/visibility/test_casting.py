@@ -9,7 +9,7 @@ from geometry.poses import Pose, to_world
 from geometry.raycast import CASTERS
 from geometry.study_scene import load_study_scene
 from placement.visibility import casting
-from placement.visibility.casting import build_lasting_scene, build_world, cast_sight
+from placement.visibility.casting import build_shared_scene, build_world, cast_sight
 
 NEAR_M = 0.35
 FAR_M = 1000.0
@@ -170,12 +170,12 @@ def test_sight_is_the_naive_one_with_parked_bodies_of_one_run_only(build_scene, 
     assert (seen[n:] <= seen[:n] + 1e-12).all()
 
 
-def test_worlds_that_share_what_lasts_are_seen_as_each_alone(build_scene, build_run, actors):
+def test_worlds_that_share_a_scene_are_seen_as_each_alone(build_scene, build_run, actors):
     """Other things stand there, and some views are asked for only later."""
     rng = np.random.default_rng(21)
     scene = build_scene(*WALLS)
     runs = _random_runs(build_run, rng, 24, vut_between_of=np.zeros(2))
-    lasting = build_lasting_scene(scene, runs, n_points=N_POINTS, seed=0, keeps="all")
+    common = build_shared_scene(scene, runs, n_points=N_POINTS, seed=0, caches="all")
     eyes = rng.uniform([-15, -15, 1], [15, 15, 8], (3, 3))
     n_hidden = set()
     for _ in range(3):
@@ -184,17 +184,17 @@ def test_worlds_that_share_what_lasts_are_seen_as_each_alone(build_scene, build_
         changed = [runs[0], replace(runs[1], obstruction=parked)]
         options = {"n_points": N_POINTS, "seed": 0}
         worlds = [
-            build_world(scene, changed, **options, lasting=shared) for shared in (lasting, None)
+            build_world(scene, changed, **options, shared=shared) for shared in (common, None)
         ]
         is_asked = rng.random(len(worlds[0].views.yaw_deg)) < 0.6
         for eye in eyes:
-            kept, alone = (
+            cached, alone = (
                 cast_sight(world, eye, near_m=NEAR_M, is_asked=is_asked, is_foreseen=is_asked)
                 for world in worlds
             )
             for name in ("view_index", "is_visible", "is_whole", "visible_share", "entry_of_frame"):
-                assert np.array_equal(getattr(kept, name), getattr(alone, name))
-            n_hidden.add(int((~kept.is_visible).sum()))
+                assert np.array_equal(getattr(cached, name), getattr(alone, name))
+            n_hidden.add(int((~cached.is_visible).sum()))
     assert len(n_hidden) > 3
 
 
@@ -252,23 +252,18 @@ def test_the_sieve_keeps_every_frame_in_which_the_vut_blocks_a_ray(
         padded = np.vstack([sight.is_visible, np.zeros((1, N_POINTS), dtype=bool)])
         return padded[sight.entry_of_frame]
 
-    sieve = casting._rows_between
-    kept = []
+    sieve, sieved = casting._find_between, []
 
-    def watched(world, eye_m, row_of_frame):
-        kept.append(sieve(world, eye_m, row_of_frame))
-        return kept[-1]
+    def watched(*given):
+        sieved.append(sieve(*given))
+        return sieved[-1]
 
-    monkeypatch.setattr(casting, "_rows_between", watched)
+    monkeypatch.setattr(casting, "_find_between", watched)
     with_sieve = cast()
-    monkeypatch.setattr(
-        casting,
-        "_rows_between",
-        lambda world, eye_m, row: np.flatnonzero(row[world.vehicles.frame] >= 0),
-    )
+    monkeypatch.setattr(casting, "AROUND_BODY_M", 1.0e6)  # nothing passes a box as large
     assert np.array_equal(with_sieve, cast())
     n_frames = sum(len(run.time_s) for run in runs)
-    assert 0 < len(kept[0]) < 0.8 * n_frames
+    assert 0 < len(sieved[1][0]) < 0.8 * n_frames
 
 
 @pytest.mark.system
@@ -285,8 +280,8 @@ def test_both_ray_libraries_see_the_same(build_scene, build_run):
         assert {
             type(caster)
             for caster in (
-                world.lasting.caster,
-                *world.lasting.bodies,
+                world.shared.caster,
+                *world.shared.bodies,
                 *world.vehicles.casters,
             )
         } == {CASTERS[name]}
@@ -319,7 +314,7 @@ def test_equal_obstructions_are_one_static_world(build_scene, build_run, actors)
         for number, obstruction in enumerate((park(3.0), (), park(3.0), park(3.5)))
     ]
     world = build_world(build_scene(), runs, n_points=N_POINTS, seed=0)
-    assert [len(bodies) for bodies in world.standing.bodies] == [1, 0, 1]
+    assert np.diff(world.standing.first).tolist() == [1, 0, 1]
     assert len(world.standing.casters) == 1
     obstruction = world.views.obstruction_index[world.views.view_of_frame]
     assert obstruction[0] == obstruction[2]

@@ -17,7 +17,7 @@ from placement.evaluator import scan
 from placement.evaluator.perceive import perceive_from_roadside
 from placement.evaluator.scan import scan_from_roadside
 from placement.evaluator.surroundings import build_surroundings
-from placement.visibility import build_detection_table, echoes
+from placement.visibility import build_detection_table, sensing
 from placement.visibility.build import N_POINTS
 from placement.visibility.casting import build_world, cast_sight
 from placement.visibility.sensing import build_sensing
@@ -176,7 +176,7 @@ def expected_points(monkeypatch, build_scene, axis_of):
                 min_points=dict.fromkeys(VRU_CLASSES, n_points),
                 reflectivity=load_lidar_detection().reflectivity,
             )
-            monkeypatch.setattr(echoes, "load_lidar_detection", lambda: detection)
+            monkeypatch.setattr(sensing, "load_lidar_detection", lambda: detection)
             table = build_detection_table(
                 build_scene(), [candidate], [run], axis_of([run]), detector=FAR_SIGHTED
             )

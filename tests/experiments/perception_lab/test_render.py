@@ -7,9 +7,10 @@ import pytest
 from kept_backdrops import kept_backdrop
 from PIL import Image
 
-from experiments.jobs.render import find_frame, find_run, instance_colours
+from experiments.perception_lab.render import find_run, instance_colours
 from geometry.errors import InputError
 from geometry.study_scene import load_study_scene
+from placement.evaluator.pictures import find_frame
 
 ASKED = {
     "--layout": "carlancap-12",

@@ -33,9 +33,9 @@ from placement.imaging.materials import Materials, load_materials, vary_material
 from placement.imaging.mesh import build_frame_mesh, scan_mesh
 from scenarios.runs import Run
 
+from ..jobs.schedulers import connect_to_scheduler, program, run_alike
 from ..progress import StageProgress, follow_parent
 from .render import cloud_bytes, depth_image, instance_image
-from .schedulers import connect_to_scheduler, program, run_alike
 
 DRAW = "draw"
 """The stage in which pictures are drawn."""

@@ -1,9 +1,9 @@
-"""Drawn pictures, to look at: ``python -m experiments.training.pictures sheet`` and ``.. judge``.
+"""Pages of drawn pictures, and how much drawn people look like people.
 
-``sheet`` puts forty of them on one page. ``judge`` shows many to a detector that was trained on
-photographs by others, the people detector of OpenCV: what it finds says how much drawn people look
-like people. It is no part of the program, and OpenCV none of its dependencies:
-``uv run --no-default-groups --group judge python -m experiments.training.pictures judge ..``.
+``python -m experiments.perception_lab.training.pictures sheet`` puts forty of them on one
+page. ``.. judge`` shows many to a detector that was trained on photographs by others, the people
+detector of OpenCV, which is no dependency of the program: it comes with ``uv run
+--no-default-groups --group judge python -m ..``.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -24,12 +24,12 @@ from placement.detectors.sightings import poisson, wilson
 from placement.question import Question
 from placement.setting import Setting, build_setting
 
-from ..results.numbers import percent
+from ...results.numbers import percent
 from .crops import WEATHERS, Backdrops, Crops, Framing, load_crops, load_junction, look_around
 
 _CASES = "CPNA-75,CPFA-50,CPLA-25,CPNCO-50,CBNA,CBLA"
 _WORDS = ("adult", "child", "cyclist")
-_TRAINING = "python -m experiments.training"
+_TRAINING = "python -m experiments.perception_lab.training"
 _LEAST_SEEN = 0.95  # share: what is hidden more is not judged
 _LEAST_SPREAD = 8.0  # of grey, 0 .. 255: at night, who stands in no light is not on the page
 _MOST_DARK = 100  # of these one after the other
@@ -323,7 +323,7 @@ def main() -> None:
 @click.option(
     "--crops",
     type=click.Path(path_type=Path),
-    help="Folder of crops kept by python -m experiments.training, in place of new pictures.",
+    help="Folder of crops of python -m experiments.perception_lab.training, in place of new ones.",
 )
 @click.option("--seed", default=0, show_default=True)
 @click.option("--out", type=click.Path(path_type=Path), required=True)

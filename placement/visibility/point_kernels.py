@@ -1,4 +1,4 @@
-"""Loops over bodies and cameras: the boxes around bodies in the images of all cameras of a mount.
+"""Numba kernels: points of bodies, spread over them, projected into cameras, counted by LiDARs.
 
 Most bodies are seen whole, and inside the image: the corners of their convex hulls say all. Many
 cameras are projected into at once, side by side in lanes. The others are looked at one by one,
@@ -367,3 +367,73 @@ def pack_frames(
             entry = entry_of_frame[frame]
             if entry >= 0 and detected[row, weather_of_frame[frame], entry]:
                 packed[row, frame >> 3] |= np.uint8(1 << (frame & 7))
+
+
+@kernel
+def count_echoes(
+    rotations: Array,
+    is_near: Array,
+    first: Array,
+    directions: Array,
+    expected: Array,
+    needed: Array,
+    cos_across: float,
+    sin_up: float,
+    detected: Array,
+) -> None:
+    """Set `detected` (m, n_weathers, n_entries) where points that come back are as many as needed.
+
+    Points from ``first[i]`` on belong to entry i. `directions` (k, 3) are unit vectors from the
+    mount, `expected` (n_weathers, k) what comes back of each where beams are as dense as at the
+    horizon: their density grows as the circles of latitude shrink. `rotations` (m, 3, 3) have the
+    axes ahead, left and up as columns; `is_near` (m, n_entries): entries that may be in view. The
+    field of view has half angles with this cosine across and this sine up, limits included.
+    """
+    n_weathers = len(expected)
+    total = np.zeros(n_weathers)
+    for row in range(len(rotations)):  # LiDARs, entries, and the points on each
+        r = rotations[row]
+        for entry in range(len(needed)):
+            if not is_near[row, entry]:
+                continue
+            total[:] = 0.0
+            for point in range(first[entry], first[entry + 1]):
+                x, y, z = directions[point, 0], directions[point, 1], directions[point, 2]
+                up = x * r[0, 2] + y * r[1, 2] + z * r[2, 2]
+                if abs(up) > sin_up:
+                    continue
+                ahead = x * r[0, 0] + y * r[1, 0] + z * r[2, 0]
+                left = x * r[0, 1] + y * r[1, 1] + z * r[2, 1]
+                level = np.sqrt(ahead * ahead + left * left)
+                if ahead < cos_across * level:
+                    continue
+                for weather in range(n_weathers):
+                    total[weather] += expected[weather, point] / level
+            for weather in range(n_weathers):
+                detected[row, weather, entry] = total[weather] >= needed[entry]
+
+
+@kernel
+def farthest_samples(samples: Array, first: Array, n: int) -> Array:
+    """Indices (n,) of samples (m, 3): one by one the farthest from all points so far.
+
+    The points `first` (k, 3) are there from the beginning.
+    """
+    distance = np.empty(len(samples))
+    for i in range(len(samples)):
+        distance[i] = np.inf
+    chosen = np.empty(n, np.int64)
+    for step in range(len(first) + n):  # points that are there, then those that are chosen
+        if step < len(first):
+            point = first[step]
+        else:
+            farthest = 0
+            for i in range(1, len(samples)):
+                if distance[i] > distance[farthest]:
+                    farthest = i
+            chosen[step - len(first)] = farthest
+            point = samples[farthest]
+        for i in range(len(samples)):  # how far each sample now is from all points
+            x, y, z = samples[i, 0] - point[0], samples[i, 1] - point[1], samples[i, 2] - point[2]
+            distance[i] = min(distance[i], np.sqrt(x * x + y * y + z * z))
+    return chosen

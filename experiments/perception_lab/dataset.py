@@ -20,7 +20,7 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray
 from geometry.catalogue import pick_sensor
 from geometry.errors import InputError, Unquoted
-from geometry.files import read_text, write_atomically
+from geometry.files import read_bytes, read_text, write_atomically
 from geometry.lidar import LidarModel
 from geometry.poses import Pose
 from geometry.sensors import CameraModel
@@ -33,28 +33,22 @@ from placement.evaluator import (
     perceive_from_roadside,
     perceive_from_vut,
 )
+from placement.evaluator.pictures import VUT_UNIT
 from placement.evaluator.watch import VUT_KEY, build_rng, unit_key
 from placement.layout import Layout
 from placement.question import Question, split_names
-from placement.recordings import WrittenDrive, load_format, write_folder, write_recording
+from placement.recordings import FrameKey, WrittenDrive, load_format, write_folder, write_recording
 from placement.recordings.files import read_labels
 from placement.setting import Setting, build_setting
 from scenarios.runs import Run
 
 from ..export.calibration import calibrations, camera_matrix
 from ..progress import StageProgress
-from ..results.datasets import (
-    MANIFEST,
-    SCHEMA,
-    DatasetDrive,
-    DatasetRecord,
-    DatasetSummary,
-    DatasetUnit,
-    load_manifest,
-)
+from ..results.record import Record
 from .drawing import DEPTHS, DRAW, MASKS, DrawTask, Viewer, draw_all, start_executors
-from .render import VUT_UNIT
 
+MANIFEST = "dataset.json"
+_SCHEMA = "place-rsus/dataset/1"
 FORMATS = ("carlancap", "coco")
 NO_LIDAR = "none"
 _COCO_FILE = "coco.json"
@@ -97,6 +91,143 @@ class DatasetWish:
     vehicles: bool = False
     vary: bool = False
     scheduler: str = ""
+
+
+class DatasetUnit(Record, frozen=True):
+    """A unit of a dataset: its folder, and its camera's calibration as OpenCV has it.
+
+    Attributes
+    ----------
+    folder : str
+        Name of its folder.
+    id : str
+        Of the unit in its layout, or "VUT".
+    width_px, height_px : int
+        Size of the pictures.
+    camera_matrix : tuple
+        K; the middle of the first pixel is (0, 0). [px]
+    world_to_camera, translation_m : tuple or None
+        R and t, x_camera = R x_world + t; None of the VUT's camera, which drives.
+    """
+
+    folder: str
+    id: str
+    width_px: int
+    height_px: int
+    camera_matrix: tuple[tuple[float, ...], ...]
+    world_to_camera: tuple[tuple[float, ...], ...] | None
+    translation_m: tuple[float, ...] | None
+
+
+class DatasetDrive(Record, frozen=True):
+    """A run as part of a dataset: files of its frames are called SCENARIO_NUMBER.
+
+    Attributes
+    ----------
+    run : str
+        Id.
+    weather : str
+        Of the run.
+    scenario, first_number, frames : int
+        Of the names of its files; numbers run on.
+    last_brake_time_s : float or None
+        Relative to the impact, which is the last frame; None: braking cannot help. [s]
+    """
+
+    run: str
+    weather: str
+    scenario: int
+    first_number: int
+    frames: int
+    last_brake_time_s: float | None
+
+    def pictured(self, every: int) -> range:
+        """Frames with pictures: every so many."""
+        return range(0, self.frames, every)
+
+    def stem(self, frame: int) -> str:
+        """Name of a frame's files, without its ending."""
+        return FrameKey(self.scenario, self.first_number + frame).file_name.removesuffix(".txt")
+
+
+class DatasetRecord(Record, frozen=True):
+    """``dataset.json``: what a dataset holds; a folder with another one is not added to.
+
+    Attributes
+    ----------
+    schema : str
+        Name and version of the file's format.
+    format : str
+        One of ``FORMATS``.
+    scene : str
+        Name of the junction.
+    detector : str
+        Whose detections are in ``Eval``.
+    every : int
+        Pictures are of every so many frames of a run.
+    lidar : str
+        Model of the LiDAR beside each camera; "none" for none.
+    masks, depth : bool
+        Whether there are pictures of instances and of depths.
+    vehicles : bool
+        Whether vehicles have labels, too, in frames with pictures.
+    vary : bool
+        Whether clothes, paints and facades are others in each run.
+    seed : int
+        Of noise, of what is left to chance.
+    units, drives : tuple
+        Who looks, and at what.
+    """
+
+    schema: str
+    format: str
+    scene: str
+    detector: str
+    every: int
+    lidar: str
+    masks: bool
+    depth: bool
+    vehicles: bool
+    vary: bool
+    seed: int
+    units: tuple[DatasetUnit, ...]
+    drives: tuple[DatasetDrive, ...]
+
+
+class DatasetSummary(Record, frozen=True):
+    """What a call has done.
+
+    Attributes
+    ----------
+    folder : str
+        Where the dataset is.
+    pictures, drawn : int
+        In it, and of these drawn by this call.
+    frames, runs, units : int
+        Of the dataset.
+    size_bytes : int
+        Of pictures and clouds drawn by this call.
+    seconds : float
+        For drawing.
+    """
+
+    folder: str
+    pictures: int
+    drawn: int
+    frames: int
+    runs: int
+    units: int
+    size_bytes: int
+    seconds: float
+
+
+def load_manifest(path: Path) -> DatasetRecord:
+    """Read ``dataset.json``; InputError if it is something else."""
+    data = read_bytes(path)
+    try:
+        return msgspec.json.decode(data, type=DatasetRecord)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise InputError(str(path), Unquoted(error), "a manifest of place-rsus dataset") from None
 
 
 def run_dataset(
@@ -231,7 +362,7 @@ def _build_record(
         )
     ]
     return DatasetRecord(
-        schema=SCHEMA,
+        schema=_SCHEMA,
         format=wish.format,
         scene=setting.scene.name,
         detector=setting.detector.name,

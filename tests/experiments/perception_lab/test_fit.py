@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from experiments.export.json import to_json
-from experiments.jobs import detector as job
+from experiments.perception_lab import fit as job
 from placement.compute import Compute
 from placement.detectors import load_detector
 from placement.detectors.network import ImageBoxes, NetworkDetector
@@ -252,7 +252,7 @@ def test_a_network_is_shown_the_frames_that_its_labels_are_of(tmp_path, monkeypa
         job._look(setting, layout, network, wish, Compute(workers=1), lambda *told: None)
     )
     assert len(pictures) == 90
-    seen, alarms = job.gather_sightings(pictures, n_confirmations=3)
+    seen, alarms = job.gather_sightings(pictures, n_confirmations=3, frame_rate_hz=10.0)
     assert 0.4 < seen.is_found.mean() < 0.9
     np.testing.assert_allclose(seen.box_error[seen.is_found], 0.0)
     assert alarms.alarms == 90  # the same corner in every picture

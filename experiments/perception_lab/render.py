@@ -1,7 +1,6 @@
 """A picture or point cloud of one frame: which run, frame and unit, and the files that show it."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -14,25 +13,14 @@ from geometry.files import check_target, write_atomically
 from geometry.image_boxes import mask_box
 from geometry.junction import build_junction
 from geometry.lidar import LidarModel
-from geometry.poses import Pose
 from geometry.scene import Scene
 from geometry.weather import pick_weather
-from placement.compute import Compute
-from placement.evaluator.pictures import vut_camera_pose
-from placement.evaluator.surroundings import load_vut_camera, load_vut_lidar
-from placement.imaging import (
-    Picture,
-    PointCloud,
-    render_picture,
-    scan_cloud,
-)
-from placement.layout import Layout
+from placement.imaging import Picture, PointCloud
 from placement.question import Question
 from placement.setting import drive_one
 from scenarios.positions import AT_ZERO
 from scenarios.runs import WEATHERS, Run
 
-VUT_UNIT, VUT_LIDAR_UNIT = "VUT", "VUT-LIDAR"
 COLOUR_SUFFIXES = (".png", ".jpg", ".jpeg")
 CLOUD_SUFFIXES = (".ply", ".bin")
 _RUN_ID = (
@@ -41,25 +29,6 @@ _RUN_ID = (
 )
 _JPEG_QUALITY = 85
 _MAX_CM = 65535  # what 16 bits hold
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Viewpoint:
-    """From where a frame is seen.
-
-    Attributes
-    ----------
-    pose : Pose
-        Of the camera, world frame.
-    sensor : CameraModel or LidarModel
-        What looks.
-    with_vut : bool
-        Whether the VUT is there to be seen: not for its own sensors.
-    """
-
-    pose: Pose
-    sensor: Sensor
-    with_vut: bool
 
 
 def find_run(run_id: str, scene: Scene, *, weather: str | None = None) -> Run:
@@ -91,7 +60,7 @@ def find_run(run_id: str, scene: Scene, *, weather: str | None = None) -> Run:
     case, place, speed = parts[:3]
     approach, position = _split_place(place, tuple(build_junction(scene).arms))
     if weather is not None:
-        pick_weather(weather, "--weather")
+        pick_weather(weather, "weather")
     light = weather or (parts[3] if len(parts) == 4 else WEATHERS[0])
     question = Question(cases=case, approaches=approach, speeds=speed, weather=light)
     try:
@@ -107,85 +76,6 @@ def _split_place(place: str, arms: Sequence[str]) -> tuple[str, str]:
         if place.startswith(arm):
             return arm, place.removeprefix(arm) or AT_ZERO.name
     return place, AT_ZERO.name
-
-
-def find_frame(run: Run, frame: int) -> int:
-    """Index of a frame from the start; negative numbers count from the end.
-
-    Raises
-    ------
-    InputError
-        The run has no such frame.
-    """
-    n_frames = len(run.time_s)
-    if not -n_frames <= frame < n_frames:
-        raise InputError(
-            "--frame", frame, f"0 to {n_frames - 1}, or -{n_frames} to -1 from the end of {run.id}"
-        )
-    return frame % n_frames
-
-
-def find_viewpoint(layout: Layout, unit_id: str, run: Run, frame_index: int) -> Viewpoint:
-    """Where a unit's sensor is in a frame.
-
-    Parameters
-    ----------
-    layout : Layout
-        The units.
-    unit_id : str
-        One of them, or "VUT" for its camera, "VUT-LIDAR" for its LiDAR.
-    run : Run
-        What drives.
-    frame_index : int
-        When.
-
-    Returns
-    -------
-    viewpoint : Viewpoint
-        Pose and sensor.
-
-    Raises
-    ------
-    InputError
-        There is no such unit.
-    """
-    mount = load_vut_camera()
-    own: dict[str, Sensor] = {VUT_UNIT: mount.camera, VUT_LIDAR_UNIT: load_vut_lidar()}
-    if unit_id.upper() in own:
-        pose = vut_camera_pose(mount, run, frame_index)
-        return Viewpoint(pose=pose, sensor=own[unit_id.upper()], with_vut=False)
-    units = {unit.id: unit for unit in layout.units}
-    if unit_id not in units:
-        raise InputError("--unit", unit_id, "one of " + ", ".join([*units, *own]))
-    return Viewpoint(pose=units[unit_id].pose, sensor=units[unit_id].sensor, with_vut=True)
-
-
-def render(
-    scene: Scene, run: Run, frame_index: int, viewpoint: Viewpoint, *, compute: Compute
-) -> Picture | PointCloud:
-    """The picture, or point cloud, of a frame in the run's weather."""
-    weather = pick_weather(run.weather, "--weather")
-    if isinstance(viewpoint.sensor, LidarModel):
-        return scan_cloud(
-            scene,
-            run,
-            frame_index,
-            viewpoint.pose,
-            viewpoint.sensor,
-            weather=weather,
-            with_vut=viewpoint.with_vut,
-            seed=compute.seed,
-        )
-    return render_picture(
-        scene,
-        run,
-        frame_index,
-        viewpoint.pose,
-        viewpoint.sensor,
-        weather=weather,
-        with_vut=viewpoint.with_vut,
-        compute=compute,
-    )
 
 
 def suffixes_of(sensor: Sensor) -> tuple[str, ...]:

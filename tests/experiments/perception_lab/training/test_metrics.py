@@ -5,7 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from experiments.training.metrics import average_precision, log_average_miss_rate, match_boxes
+from experiments.perception_lab.training.metrics import (
+    average_precision,
+    log_average_miss_rate,
+    match_boxes,
+)
 
 BOX = np.array([[10.0, 10.0, 30.0, 50.0]])
 NOTHING = np.zeros((0, 4))

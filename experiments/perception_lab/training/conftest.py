@@ -2,5 +2,5 @@
 
 from importlib.util import find_spec
 
-_WITH_TORCH = ["__main__.py", "card.py", "network.py", "table.py", "train.py"]
+_WITH_TORCH = ["__main__.py", "card.py", "network.py"]
 collect_ignore = [] if find_spec("torch") else _WITH_TORCH

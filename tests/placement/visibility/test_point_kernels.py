@@ -14,7 +14,7 @@ from geometry.poses import Pose
 from placement.detectors import GeometricDetector, load_planning_detector
 from placement.visibility.build import N_POINTS
 from placement.visibility.casting import build_world, cast_sight
-from placement.visibility.projecting import pack_frames
+from placement.visibility.point_kernels import pack_frames
 from placement.visibility.sensing import build_sensing, cast_for
 
 WALLS = (((4, -6, 0), (4.3, 1, 2.2)), ((-9, 3, 0), (-2, 3.4, 1.2)), ((8, -9, 0), (12, -5, 6)))

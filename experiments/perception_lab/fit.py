@@ -4,7 +4,7 @@ Three sources: a network that looks at rendered pictures, a recording in the stu
 COCO's files of labels and results. Each gives labelled pictures; what follows is the same.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -22,10 +22,11 @@ from geometry.scene_files import load_scene
 from geometry.sensors import CameraModel
 from placement.compute import Compute
 from placement.detectors import VRU_CLASSES, Evidence, load_detector
-from placement.detectors.fitting import ResponseFit, fit_response
+from placement.detectors.evidence import Interval
+from placement.detectors.fitting import Group, ResponseFit, fit_response
 from placement.detectors.network import ImageBoxes, NetworkDetector, vru_boxes
 from placement.detectors.onnx_exports import kind_of_name
-from placement.detectors.sightings import LabelledPicture, gather_sightings
+from placement.detectors.sightings import FalseAlarms, LabelledPicture, gather_sightings
 from placement.evaluator import build_surroundings, load_vut_camera
 from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
 from placement.evaluator.pictures import PictureSource
@@ -36,11 +37,14 @@ from placement.setting import Setting, build_rule, build_setting
 
 from ..export.json import to_json_text
 from ..progress import WRITING, StageProgress
-from ..results.detectors import DetectorFitResult, build_alarms_record, build_fit_records
 from ..results.drives import versions
 from ..results.folders import check_folder, write_files
+from ..results.record import Record
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
     from placement.evaluator.pictures import Crops, PictureOfFrame
 
 LOOK, FIT = "look", "fit"
@@ -88,6 +92,24 @@ class _Source:
     unknown: tuple[str, ...] = ()
 
 
+class FitResult(Record, frozen=True, kw_only=True):
+    """Fitted table, recall by group, false alarms: ``fit.json``, and what ``--json`` prints."""
+
+    name: str  # of the table
+    source: str  # what was looked at, in words
+    frames: int  # with a road user
+    found: int  # of these, those in which it was found
+    tracks: int  # cameras and runs that the frames are of
+    unknown: tuple[str, ...]  # what the source does not say, and is as in the built-in table
+    table: Mapping[str, Interval]
+    groups: Mapping[str, tuple[Group, ...]]
+    calibration: tuple[Group, ...]
+    false_alarms: FalseAlarms
+    command: str
+    seconds: dict[str, float]
+    versions: dict[str, str]
+
+
 def run_detector_fit(
     question: Question,
     *,
@@ -96,7 +118,7 @@ def run_detector_fit(
     command: str,
     compute: Compute,
     progress: StageProgress,
-) -> DetectorFitResult:
+) -> FitResult:
     """Fit a response table to what a detector finds; table, figure and numbers to `out`.
 
     Parameters
@@ -124,7 +146,11 @@ def run_detector_fit(
         progress.kept = f"nothing was written to {out}"
     source = _open_source(question, wish, compute, progress)
     rule = build_rule(question)
-    sightings, alarms = gather_sightings(source.pictures, n_confirmations=rule.n_confirmations)
+    sightings, alarms = gather_sightings(
+        source.pictures,
+        n_confirmations=rule.n_confirmations,
+        frame_rate_hz=rule.frame_rate_hz,
+    )
     fit = fit_response(
         sightings,
         name=TABLE_NAME if out is None else str(out / TABLE_NAME),
@@ -134,29 +160,33 @@ def run_detector_fit(
     unknown = source.unknown
     if not fit.is_contrast_fitted and "contrast" not in unknown:
         unknown = (*unknown, "contrast")
-    table, groups, calibration = build_fit_records(fit)
-    result = DetectorFitResult(
+    result = FitResult(
         name=fit.detector.name,
         source=source.words,
         frames=fit.frames,
         found=fit.found,
         tracks=fit.tracks,
         unknown=unknown,
-        table=table,
-        groups=groups,
-        calibration=calibration,
-        false_alarms=build_alarms_record(alarms, rule.frame_rate_hz),
+        table=fit.intervals,
+        groups=fit.groups,
+        calibration=fit.calibration,
+        false_alarms=alarms,
         command=command,
         seconds={},
         versions=versions(),
     )
     if out is not None:
         from ..figures.axes import to_png
-        from ..figures.calibration import plot_calibration
 
         progress(WRITING, 0, 0)
         files = {
-            TABLE_NAME: table_text(fit, result).encode(),
+            TABLE_NAME: table_text(
+                fit,
+                source=source.words,
+                command=command,
+                unknown=unknown,
+                false_tracks_per_hour=alarms.per_hour,
+            ).encode(),
             PNG_NAME: to_png(plot_calibration(result)),
         }
         result = replace_fields(result, seconds=progress.finish())
@@ -501,17 +531,24 @@ _NOTES = {
 }
 
 
-def table_text(fit: ResponseFit, result: DetectorFitResult) -> str:
+def table_text(
+    fit: ResponseFit,
+    *,
+    source: str,
+    command: str,
+    unknown: Sequence[str],
+    false_tracks_per_hour: Interval | None,
+) -> str:
     """The table as TOML, for ``--detector FILE``; each figure with its 95 % interval."""
     detector, intervals = fit.detector, fit.intervals
     lines = [
-        f"# Response table fitted to {result.source}:",
-        f"# {result.frames} frames with a road user, {result.found} found, "
-        f"{result.tracks} cameras and runs.",
-        f"# {result.command}",
+        f"# Response table fitted to {source}:",
+        f"# {fit.frames} frames with a road user, {fit.found} found, "
+        f"{fit.tracks} cameras and runs.",
+        f"# {command}",
     ]
-    if result.unknown:
-        lines.append(f"# Not told by them, and as built in: {', '.join(result.unknown)}.")
+    if unknown:
+        lines.append(f"# Not told by them, and as built in: {', '.join(unknown)}.")
     lines += ["", "[response]"]
 
     def add(key: str, value: object, *names: str) -> None:
@@ -532,11 +569,47 @@ def table_text(fit: ResponseFit, result: DetectorFitResult) -> str:
         add(key, f"{getattr(detector, key):.6g}", key)
     add("frame_correlation", f"{detector.frame_correlation:.6g}", "frame_correlation")
     add("plan_probability", f"{detector.plan_probability:g}")
-    rate = result.false_alarms.per_hour
-    if rate is not None:
+    if false_tracks_per_hour is not None:
         lines += [
             "",
             "[false_tracks_per_hour] # that one unit confirms, with the 95 % interval",
-            *(f"{key} = {getattr(rate, key):.6g}" for key in ("value", "low", "high")),
+            *(
+                f"{key} = {getattr(false_tracks_per_hour, key):.6g}"
+                for key in ("value", "low", "high")
+            ),
         ]
     return "\n".join(lines) + "\n"
+
+
+# ---------- figure
+
+
+def plot_calibration(result: FitResult) -> "Figure":
+    """Share found by predicted probability and by height in the image, with 95 % intervals."""
+    from ..figures.axes import GREY, WIDTH_IN, finish_axes, new_figure
+
+    figure = new_figure(WIDTH_IN, 3.2)
+    left, right = figure.subplots(1, 2)
+    left.plot([0.0, 1.0], [0.0, 1.0], color=GREY, linestyle="--", linewidth=1.0)
+    _draw_recall(left, result.calibration, [group.expected for group in result.calibration])
+    left.set_xlim(0.0, 1.0)
+    finish_axes(left, x="probability of the table", y="share found", grid="both")
+    heights = result.groups["height"]
+    places = [float(number) for number in range(len(heights))]
+    right.plot(places, [group.expected for group in heights], "s", mfc="none", mec="black", ms=6)
+    _draw_recall(right, heights, places)
+    right.set_xticks(places, [group.name.removesuffix(" px") for group in heights], rotation=35)
+    finish_axes(right, x="height in the image, px (squares: the table)", grid="y")
+    for axes in (left, right):
+        axes.set_ylim(0.0, 1.02)
+    return figure
+
+
+def _draw_recall(axes: "Axes", groups: tuple[Group, ...], places: list[float]) -> None:
+    """Dots with bars from the lower to the upper end of their intervals."""
+    from ..figures.axes import BLUE
+
+    value = [group.recall.value for group in groups]
+    low = [max(0.0, group.recall.value - group.recall.low) for group in groups]
+    high = [max(0.0, group.recall.high - group.recall.value) for group in groups]
+    axes.errorbar(places, value, yerr=[low, high], fmt="o", color=BLUE, markersize=4, capsize=2)

@@ -10,27 +10,25 @@ from typing import NoReturn
 import click
 from click.shell_completion import get_completion_class
 
-from ..progress import Interrupted, StageProgress, StderrLog, ending_on_signals, tell
-from .city import city
-from .compare import compare
-from .dataset import dataset
-from .detector import detector
-from .doctor import doctor
-from .evaluate import evaluate
-from .export import export
-from .latency import latency
-from .option_names import with_option_names
-from .pareto import pareto
-from .place import cli
-from .plan import plan
-from .render import render
-from .retrofit import retrofit
-from .running import command_line
-from .scenarios import scenarios
-from .scene import scene
-from .sheet import sheet
-from .solve import solve
-from .verify import verify
+from .cli.city import city
+from .cli.compare import compare
+from .cli.doctor import doctor
+from .cli.evaluate import evaluate
+from .cli.export import export
+from .cli.latency import latency
+from .cli.option_names import with_option_names
+from .cli.pareto import pareto
+from .cli.place import cli
+from .cli.plan import plan
+from .cli.retrofit import retrofit
+from .cli.running import command_line
+from .cli.scenarios import scenarios
+from .cli.scene import scene
+from .cli.sheet import sheet
+from .cli.solve import solve
+from .cli.verify import verify
+from .perception_lab.commands import dataset, detector, render
+from .progress import Interrupted, StageProgress, StderrLog, ending_on_signals, tell
 
 _EXIT_BAD_INPUT = 2
 _EXIT_UNEXPECTED = 70  # EX_SOFTWARE of BSD's sysexits.h

@@ -1,18 +1,24 @@
-"""The model card: how well a network finds what it has not learnt, beside what is assumed."""
+"""Model card and response table of a network, by what it finds in crops of junctions held out."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from importlib.resources import files
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.weather import pick_weather
+from placement.compute import Compute
 from placement.detectors import Evidence, ResponseDetector, load_planning_detector
+from placement.detectors.evidence import Interval
+from placement.detectors.fitting import fit_response
+from placement.detectors.sightings import LabelledPicture, gather_sightings
 
+from ..fit import table_text
 from .crops import CROP_PX, WEATHERS, Crops
 from .metrics import Scored, average_precision, log_average_miss_rate, match_boxes
-from .network import CLASSES, VruNetwork
-from .train import Found, Recipe, class_of, counted
+from .network import CLASSES, Found, Recipe, VruNetwork, class_of, counted
 
 _PICTURE_PX = 1920 * 1080
 _HEIGHTS_PX = (10.0, 20.0, 30.0, 50.0, 80.0, 1000.0)
@@ -150,4 +156,66 @@ def _score(
         label=np.concatenate([part.label for part in parts])[order],
         n_labels=sum(part.n_labels for part in parts),
         n_pictures=parts[0].n_pictures,
+    )
+
+
+# ---------- response table
+
+
+_LEAST_PX = 8.0
+_UNKNOWN = ("aspect", "frame_correlation")
+
+
+def fit_table(crops: Crops, found: Found, *, source: str, command: str, compute: Compute) -> str:
+    """The table as TOML, for ``--detector FILE``.
+
+    Parameters
+    ----------
+    crops : Crops
+        With labels; each is a track of its own.
+    found : list
+        Boxes and confidence of each crop, by class.
+    source, command : str
+        What the crops are of, and how this was called.
+    compute : Compute
+        Seed of the intervals.
+    """
+    pictures = [_picture(crops, row, by_class) for row, by_class in enumerate(found)]
+    sightings, _ = gather_sightings(pictures, n_confirmations=3, frame_rate_hz=10.0)
+    fit = fit_response(sightings, name="vru.toml", seed=compute.seed)
+    builtin = load_planning_detector("response")
+    assert isinstance(builtin, ResponseDetector)
+    detector = replace(
+        fit.detector,
+        cyclist_end_on=builtin.cyclist_end_on,
+        frame_correlation=builtin.frame_correlation,
+    )
+    builtins = {key: getattr(builtin, key) for key in ("cyclist_end_on", "frame_correlation")}
+    intervals = {key: Interval(value, value, value) for key, value in builtins.items()}
+    fit = replace(fit, detector=detector, intervals={**fit.intervals, **intervals})
+    return table_text(
+        fit, source=source, command=command, unknown=_UNKNOWN, false_tracks_per_hour=None
+    )
+
+
+def _picture(
+    crops: Crops, row: int, by_class: list[tuple[np.ndarray, np.ndarray]]
+) -> LabelledPicture:
+    """A crop, its label if it is large enough, and the boxes that count for it."""
+    kind, box = int(crops.vru_class[row]), crops.box_px[row]
+    n_labels = int(kind >= 0 and box[3] - box[1] >= _LEAST_PX)
+    sure = [boxes[confidence >= MIN_CONFIDENCE] for boxes, confidence in by_class]
+    # A cyclist may be found as a person, as in an evaluation.
+    own = np.concatenate(sure) if kind == 2 else sure[0]
+    weather = pick_weather(WEATHERS[int(crops.weather[row])], "weather")
+    return LabelledPicture(
+        track=row,
+        frame=0,
+        label_px=box[None][:n_labels],
+        label_class=np.full(n_labels, kind),
+        seen_share=np.full(n_labels, min(crops.visible_share[row], 1.0)),
+        contrast=np.full(n_labels, weather.contrast),
+        aspect_deg=np.full(n_labels, 90.0),
+        found_px=own,
+        is_whole=False,
     )

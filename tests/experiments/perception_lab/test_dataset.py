@@ -18,8 +18,8 @@ from kept_backdrops import kept_backdrop
 from PIL import Image
 
 from experiments.export.json import to_json
-from experiments.jobs import drawing as job
 from experiments.jobs import schedulers
+from experiments.perception_lab import drawing as job
 from geometry.sensors import CameraModel
 from placement.study_layout import load_carlancap_layout
 
@@ -275,7 +275,7 @@ _draw_task = job.draw_task
 @pytest.mark.long
 def test_killed_in_the_middle_it_goes_on(dataset, tmp_path):
     command = [
-        *(sys.executable, "-m", "experiments.cli.main", "dataset"),
+        *(sys.executable, "-m", "experiments.main", "dataset"),
         *("--layout", str(tmp_path / "two.json"), *ASKED, "--units", "RSU3,RSU8"),
         *("--every", "20", "--lidar", "none", "--workers", "1", "--out", "data", "--quiet"),
     ]

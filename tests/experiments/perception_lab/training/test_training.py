@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from experiments.training.crops import CROP_PX, Crops, load_crops, save_crops
+from experiments.perception_lab.training.crops import CROP_PX, Crops, load_crops, save_crops
 
 torch = pytest.importorskip("torch", reason="the group `train` is not installed")
 
@@ -34,7 +34,7 @@ def _toys(n_crops, seed):
 
 @pytest.fixture(scope="module")
 def trained():
-    from experiments.training.train import Recipe, train
+    from experiments.perception_lab.training.network import Recipe, train
 
     torch.set_num_threads(1)
     told = []
@@ -44,10 +44,8 @@ def trained():
 
 
 def test_a_minute_of_training_beats_chance(trained):
-    from experiments.training.card import _score
-    from experiments.training.metrics import average_precision
-    from experiments.training.network import VruNetwork
-    from experiments.training.train import find_boxes
+    from experiments.perception_lab.training.card import _score, average_precision
+    from experiments.perception_lab.training.network import VruNetwork, find_boxes
 
     network, told = trained
     assert [done for done, _ in told] == [20, 40, 60]
@@ -62,8 +60,7 @@ def test_a_minute_of_training_beats_chance(trained):
 def test_the_exported_file_says_what_the_network_says(trained, tmp_path):
     pytest.importorskip("onnx")
     pytest.importorskip("onnxruntime")
-    from experiments.training.network import export_onnx
-    from experiments.training.train import find_boxes
+    from experiments.perception_lab.training.network import export_onnx, find_boxes
     from placement.detectors.network import load_onnx_model, vru_boxes
 
     network, _ = trained
@@ -80,7 +77,7 @@ def test_the_exported_file_says_what_the_network_says(trained, tmp_path):
 
 
 def test_training_that_was_stopped_goes_on(tmp_path):
-    from experiments.training.train import Recipe, train
+    from experiments.perception_lab.training.network import Recipe, train
 
     class Stop(Exception):
         pass

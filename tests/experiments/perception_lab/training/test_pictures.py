@@ -7,8 +7,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from experiments.training import pictures
-from experiments.training.crops import CROP_PX, Crops, Framing, look_around, save_crops
+from experiments.perception_lab.training import pictures
+from experiments.perception_lab.training.crops import (
+    CROP_PX,
+    Crops,
+    Framing,
+    look_around,
+    save_crops,
+)
 from geometry.errors import InputError
 from geometry.image_boxes import iou
 from geometry.study_scene import load_study_scene

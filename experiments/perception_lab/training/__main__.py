@@ -1,7 +1,7 @@
-"""Draw crops, train, test, export: ``python -m experiments.training --map A.osm .. --out vru``.
+"""Draw crops, train, test, export the network that is shipped. Needs the group ``train``.
 
-Crops are kept in a folder, so that a call that was stopped goes on. Needs the group ``train``:
-``uv run --group train python -m experiments.training ..``.
+``uv run --group train python -m experiments.perception_lab.training --map A.osm .. --out vru``;
+crops are stored in a folder, so that a call that was stopped goes on.
 """
 
 import time
@@ -13,11 +13,9 @@ import torch
 from geometry.errors import InputError
 from placement.compute import Compute
 
-from .card import card_text
+from .card import card_text, fit_table
 from .crops import Crops, draw_crops, join_crops, load_crops, load_junction, save_crops
-from .network import VruNetwork, export_onnx
-from .table import fit_table
-from .train import Recipe, find_boxes, train
+from .network import Recipe, VruNetwork, export_onnx, find_boxes, train
 
 _EXPORT_PX = 160
 
@@ -80,7 +78,7 @@ def main(
         held,
         found,
         source=f"crops of junctions held out ({', '.join(apart)})",
-        command="python -m experiments.training",
+        command="python -m experiments.perception_lab.training",
         compute=Compute(seed=seed),
     )
     (out / "vru.toml").write_text(table, encoding="utf-8")

@@ -1,0 +1,484 @@
+"""Commands of the perception lab: ``place-rsus dataset``, ``detector`` and ``render``."""
+
+import os
+from errno import ENOENT
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from placement.compute import Compute
+from placement.question import Question, question_fields
+
+from ..cli.options import (
+    PICTURED,
+    SectionedCommand,
+    compute_options,
+    folder_option,
+    is_given,
+    job_options,
+    json_option,
+    layout_option,
+    option,
+    question_options,
+    quiet_option,
+    scene_option,
+)
+from ..cli.running import begin, command_line, load_one_layout, print_result, unwritable
+from ..cli.terminal import sentences, table
+from ..progress import StageProgress, tell
+from ..results.numbers import percent
+
+if TYPE_CHECKING:
+    from placement.detectors.evidence import Interval
+    from placement.detectors.sightings import FalseAlarms
+
+    from .dataset import DatasetSummary
+    from .fit import FitResult
+
+# ---------- dataset
+
+
+@click.command(
+    cls=SectionedCommand,
+    epilog="""\b
+Examples:
+  place-rsus dataset --layout carlancap-12 --cases CPNC-50,CBNA \\
+      --out ncap_data
+  place-rsus dataset --layout results/latest/layout.json --every 10 \\
+      --weather day,night,rain --lidar none --format coco --out training
+  place-rsus evaluate --recording ncap_data      reads it back""",
+)
+@layout_option
+@option(
+    "--out",
+    required=True,
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="FOLDER",
+    help="New folder, or one of the same dataset: what is there is not drawn again.",
+)
+@option(
+    "--format",
+    "form",
+    type=click.Choice(("carlancap", "coco")),
+    default="carlancap",
+    show_default=True,
+    help="carlancap: the study's folders; coco: pictures and coco.json.",
+)
+@option(
+    "--units",
+    default="",
+    metavar="NAMES",
+    help="Cameras of the layout, with commas between; VUT is the car's. Default: all.",
+)
+@option(
+    "--every",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    metavar="N",
+    expected="a number of frames, at least 1",
+    help="A picture of every Nth frame of a run; labels and motion are of all frames.",
+)
+@option(
+    "--lidar",
+    default="carla-ncap-lidar",
+    show_default=True,
+    metavar="MODEL",
+    help="Scans beside each camera; none for none.",
+)
+@option("--masks", is_flag=True, help="Also a picture of each frame's things, a colour each.")
+@option("--depth", is_flag=True, help="Also depths: 16 bits, centimetres, 0 where nothing is.")
+@option("--vehicles", is_flag=True, help="Also labels of vehicles, in frames with pictures.")
+@option(
+    "--vary",
+    is_flag=True,
+    help="Other clothes, paints and facades in each run, by seed; for training.",
+)
+@option(
+    "--scheduler",
+    default="",
+    metavar="ADDRESS",
+    help="Draw on the workers of a dask scheduler, which must have this program and see the "
+    "folder; default: on this machine.",
+)
+@question_options(*PICTURED)
+@json_option
+@quiet_option
+@compute_options()
+@click.pass_obj
+def dataset(
+    progress: StageProgress,
+    *,
+    layout_names: tuple[str, ...],
+    out: Path,
+    form: str,
+    units: str,
+    every: int,
+    lidar: str,
+    masks: bool,
+    depth: bool,
+    vehicles: bool,
+    vary: bool,
+    scheduler: str,
+    question: Question,
+    as_json: bool,
+    quiet: bool,
+    compute: Compute,
+) -> None:
+    """Write a dataset: what the cameras of a layout see of all runs, with labels."""
+    layout = load_one_layout(layout_names)
+    progress.start(quiet=quiet)
+    from . import dataset as job
+
+    def announce(sentence: str) -> None:
+        if not quiet:
+            tell(f"place-rsus: {sentence}", err=True)
+
+    summary = job.run_dataset(
+        question,
+        layout=layout,
+        wish=job.DatasetWish(
+            format=form,
+            units=units,
+            every=every,
+            lidar=lidar,
+            masks=masks,
+            depth=depth,
+            vehicles=vehicles,
+            vary=vary,
+            scheduler=scheduler,
+        ),
+        out=out,
+        compute=compute,
+        progress=progress,
+        tell=announce,
+    )
+    print_result(summary, progress, as_json, lambda: _dataset_text(summary, form))
+
+
+def _dataset_text(summary: "DatasetSummary", form: str) -> str:
+    n_before = summary.pictures - summary.drawn
+    was_there = f", {n_before:,} of them were there before" if n_before else ""
+    lines = [
+        f"{summary.pictures:,} pictures of {summary.units} cameras in {summary.folder}{was_there}: "
+        f"{summary.frames:,} frames of {summary.runs} runs."
+    ]
+    if summary.drawn:
+        each = summary.seconds / summary.drawn
+        lines.append(
+            f"{summary.size_bytes / 1e9:.2f} GB written, {each:.2f} s per picture on all "
+            "processors together."
+        )
+    if form == "carlancap":
+        lines.append(f"Read it back: place-rsus evaluate --recording {summary.folder}")
+    return "\n".join(line for text in lines for line in sentences(text))
+
+
+# ---------- detector fit
+
+
+@click.group()
+def detector() -> None:
+    """Response tables of detectors: what a detector finds, by height, cover, class and light."""
+
+
+@detector.command(
+    cls=SectionedCommand,
+    epilog="""\b
+Examples:
+  place-rsus detector fit --detector cnn --layout carlancap-12 --out cnn
+  place-rsus detector fit --detector net.onnx --layout carlancap-12 \\
+      --weather day,night,rain --out mine
+  place-rsus detector fit --recording ncap_data --out mine
+  place-rsus detector fit --labels coco.json --results found.json --out mine
+  place-rsus --budget 3 --detector mine/response.toml      plans with it""",
+)
+@layout_option
+@option(
+    "--pictures",
+    type=click.IntRange(min=50),
+    default=1000,
+    show_default=True,
+    metavar="N",
+    needs="layout_names",
+    expected="a number of pictures, at least 50",
+    help="With --detector: how many are rendered and looked at, about a second each.",
+)
+@option(
+    "--recording",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Fit to the labels and detections of a recording in the study's folder format.",
+)
+@option(
+    "--labels",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Fit to COCO's files: annotations, such as coco.json of place-rsus dataset ..",
+)
+@option(
+    "--results",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help=".. and what a detector found: a list of image_id, category_id, bbox, score.",
+)
+@option(
+    "--min-confidence",
+    type=click.FloatRange(min=0.0, max=1.0),
+    metavar="SHARE",
+    expected="a confidence, 0 to 1",
+    default=0.5,
+    show_default=True,
+    help="Detections below do not count.",
+)
+@folder_option("response.toml, fit.json and calibration.png")
+@question_options(*PICTURED)
+@job_options()
+@click.pass_obj
+def fit(
+    progress: StageProgress,
+    *,
+    layout_names: tuple[str, ...],
+    pictures: int,
+    recording: Path | None,
+    labels: Path | None,
+    results: Path | None,
+    min_confidence: float,
+    out: Path | None,
+    question: Question,
+    as_json: bool,
+    quiet: bool,
+    compute: Compute,
+) -> None:
+    """Fit a response table to what a detector really finds.
+
+    The table is then what --detector mine/response.toml plans and judges with, in place of the
+    built-in assumptions.
+    """
+    _check_one_source(layout_names, recording, labels, results)
+    layout = load_one_layout(layout_names) if layout_names else None
+    question = begin(progress, question, quiet=quiet)
+    from . import fit as job
+
+    result = job.run_detector_fit(
+        question,
+        wish=job.FitWish(
+            layout=layout,
+            pictures=pictures,
+            recording=recording,
+            labels=labels,
+            results=results,
+            min_confidence=min_confidence,
+        ),
+        out=out,
+        command=command_line(),
+        compute=compute,
+        progress=progress,
+    )
+    print_result(result, progress, as_json, lambda: fit_text(result, out))
+
+
+_OF_RULE = ("deceleration_mps2", "build_up_s", "latency_s", "latency_budget") + (
+    "n_confirmations",
+    "track_memory_s",
+)
+
+
+def _check_one_source(
+    layout_names: tuple[str, ...], recording: Path | None, labels: Path | None, results: Path | None
+) -> None:
+    """Refuse no source, several, and half of one.
+
+    Raises
+    ------
+    click.UsageError
+        What is missing or too much.
+    """
+    if (labels is None) != (results is None):
+        alone, other = ("--labels", "--results") if results is None else ("--results", "--labels")
+        raise click.UsageError(f"{alone}: got it without {other}; expected both")
+    given = {
+        "--layout": bool(layout_names),
+        "--recording": recording is not None,
+        "--labels": labels is not None,
+    }
+    names = [name for name, is_there in given.items() if is_there]
+    if len(names) != 1:
+        got = " and ".join(names) or "no source"
+        raise click.UsageError(
+            f"detector fit: got {got}; expected one of --layout with --detector cnn or FILE.onnx, "
+            "--recording, or --labels with --results"
+        )
+    driven = [name for name in PICTURED if name not in _OF_RULE and is_given(name)]
+    if driven and not layout_names:
+        field = question_fields()[driven[0]].option_name
+        raise click.UsageError(f"{field}: got it with {names[0]}; expected it with --layout alone")
+
+
+def fit_text(result: "FitResult", out: Path | None) -> str:
+    """How much was found, recall by group, the table, and false alarms."""
+    share = percent(result.found / result.frames)
+    lines = [
+        *sentences(
+            f"{share} of {result.frames} frames with a road user are detected ({result.source})."
+        ),
+    ]
+    if result.unknown:
+        lines += sentences(
+            f"Not told by them, and as in the built-in table: {', '.join(result.unknown)}."
+        )
+    lines += ["", *sentences(_alarms_words(result.false_alarms)), ""]
+    for kind, groups in result.groups.items():
+        rows = [
+            [
+                group.name,
+                f"{group.frames}",
+                percent(group.recall.value),
+                f"{percent(group.recall.low)} to {percent(group.recall.high)}",
+                percent(group.expected),
+            ]
+            for group in groups
+        ]
+        lines += [*table([kind, "frames", "detected", "95 % interval", "the table says"], rows), ""]
+    rows = [
+        [key, f"{one.value:.3g}", f"{one.low:.3g} to {one.high:.3g}" if one.low < one.high else "-"]
+        for key, one in result.table.items()
+    ]
+    lines += table(["response table", "value", "95 % interval (-: not fitted)"], rows)
+    if out is not None:
+        lines += [
+            "",
+            *sentences(
+                f"Written to {out}: response.toml, fit.json and calibration.png. Plan with it: "
+                f"place-rsus --budget 3 --detector {out}/response.toml"
+            ),
+        ]
+    return "\n".join(lines)
+
+
+def _alarms_words(alarms: "FalseAlarms") -> str:
+    """False alarms per picture, and false tracks per hour, in sentences."""
+    words = (
+        f"{alarms.alarms} false alarms in {alarms.pictures} pictures: "
+        f"{_rate(alarms.per_picture)} per picture."
+    )
+    if alarms.per_hour is None:
+        return f"{words} How many of them would be confirmed is unknown: no consecutive frames."
+    return (
+        f"{words} {alarms.confirmed} false tracks were confirmed in {alarms.chances} chances: "
+        f"{_rate(alarms.per_hour)} per hour and unit. Not each of them would brake a car: it must "
+        "also seem to cross its path."
+    )
+
+
+def _rate(interval: "Interval") -> str:
+    return f"{interval.value:.3g} (95 %: {interval.low:.3g} to {interval.high:.3g})"
+
+
+# ---------- render
+
+
+@click.command(
+    cls=SectionedCommand,
+    epilog="""\b
+Examples:
+  place-rsus render --layout carlancap-12 --run CPNC-50/east/40 \\
+      --frame -13 --unit RSU3
+  place-rsus render --layout carlancap-12 --run CBNA/east/60/rain \\
+      --frame -1 --unit VUT
+  place-rsus render --layout results/latest/layout.json \\
+      --run CPNC-50/east/55/night --frame -20 --unit RSU1 --out night.jpg
+  place-rsus render --layout carlancap-12 --run CBLA/west/50 \\
+      --frame -11 --unit VUT-LIDAR""",
+)
+@layout_option
+@option(
+    "--run",
+    "run_id",
+    required=True,
+    metavar="RUN",
+    help="case/approach/speed or case/approach/speed/weather; away from the junction the position "
+    "stands behind the approach: CPLA-50/east-15/40.",
+)
+@option(
+    "--frame",
+    required=True,
+    type=click.IntRange(min=-(10**9), max=10**9),
+    metavar="N",
+    expected="a frame of the run, such as 40, or -1 for the last",
+    help="Of the run, from 0; negative: from the end, -1 is at the impact.",
+)
+@option(
+    "--unit",
+    "unit_id",
+    required=True,
+    metavar="UNIT",
+    help="One of the layout's, VUT or VUT-LIDAR.",
+)
+@option("--weather", metavar="WEATHER", help="day, night, rain or fog; default: that of the run.")
+@option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="File to write, .png or .jpg; -instances.png and -depth.png are written beside it; of a "
+    "LiDAR .ply, or .bin with float32 x, y, z, intensity; default: in results/renders.",
+)
+@scene_option
+@quiet_option
+@compute_options()
+@click.pass_obj
+def render(
+    progress: StageProgress,
+    *,
+    layout_names: tuple[str, ...],
+    run_id: str,
+    frame: int,
+    unit_id: str,
+    weather: str | None,
+    out: Path | None,
+    scene: str,
+    quiet: bool,
+    compute: Compute,
+) -> None:
+    """Render what a camera sees in one frame (colours, instances, depths), or scan by LiDAR."""
+    layout = load_one_layout(layout_names)
+    progress.start(quiet=quiet)
+    progress("lay the run", 0, 0)
+    from geometry.scene_files import load_scene
+    from placement.evaluator.pictures import find_frame, find_viewpoint
+    from placement.evaluator.pictures import render as render_frame
+    from placement.layout import check_layout
+
+    from . import render as job
+
+    around = load_scene(scene)
+    check_layout(layout, around)
+    run = job.find_run(run_id, around, weather=weather)
+    frame_index = find_frame(run, frame)
+    viewpoint = find_viewpoint(layout, unit_id, run, frame_index)
+    suffix = job.suffixes_of(viewpoint.sensor)[0]
+    path = out or _default_path(run, unit_id, frame_index, suffix)
+    job.check_path(path, viewpoint.sensor)
+    if out is not None and not out.parent.is_dir():
+        raise unwritable(path, FileNotFoundError(ENOENT, os.strerror(ENOENT)))
+    progress("render", 0, 0)
+    seen = render_frame(around, run, frame_index, viewpoint, compute=compute)
+    try:
+        if out is None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        written = job.save(path, seen)
+    except OSError as error:
+        raise unwritable(path, error) from None
+    progress.stop()
+    for file in written:
+        tell(f"Written to {file}.")
+    tell(job.vru_sentence(seen))
+
+
+def _default_path(run: Any, unit_id: str, frame_index: int, suffix: str) -> Path:
+    from scenarios.positions import AT_ZERO
+
+    place = run.approach if run.position == AT_ZERO.name else f"{run.approach}{run.position}"
+    parts = [*run.case.name.split("/"), place, f"{run.vut_speed_kmh:g}", run.weather]
+    name = "_".join([*parts, f"frame-{frame_index}", unit_id])
+    return Path("results", "renders", name.replace(os.sep, "_") + suffix)
