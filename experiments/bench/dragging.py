@@ -15,8 +15,8 @@ from placement.question import Question
 from placement.setting import Setting
 from placement.study_layout import load_carlancap_layout
 
-from ..plan.numbers import state_record, table_numbers
-from ..plan.session import ChangeUnit, Stock, Variant, begin_history, change_state
+from ..planner.numbers import state_record, table_numbers
+from ..planner.plan import ChangeUnit, Stock, Variant, begin_history, change_state
 from .rays import Figures
 
 _TURNS, _LIFTS = 60, 12
@@ -93,7 +93,7 @@ def _in_browser(setting: Setting, question: Question) -> Figures:
     try:
         from playwright.sync_api import sync_playwright
 
-        from ..plan.screenshots import BROWSER_ARGUMENTS, open_page, serve_page
+        from ..planner.screenshots import BROWSER_ARGUMENTS, open_page, serve_page
     except ModuleNotFoundError as error:
         return {"dragging: in a browser": f"not measured: no package {error.name}"}
     if name is None:

@@ -38,7 +38,7 @@ from placement.setting import Setting, build_setting
 from scenarios.staging import BENDS, ON_ROAD, lateral_acceleration_mps2
 
 from ..figures.axes import to_png
-from ..figures.scene import plot_scene_plan
+from ..scene.pictures import plot_scene_plan
 
 _WORKERS = 2
 _NO_MAPS = ("_16mm.json", "_8mm.json", ".boundary.geojson")  # calibrations, outlines

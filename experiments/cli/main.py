@@ -5,13 +5,13 @@ import os
 import sys
 import time
 from collections.abc import Sequence
+from importlib import import_module
 from typing import NoReturn
 
 import click
 from click.shell_completion import get_completion_class
 
 from ..progress import Interrupted, StageProgress, StderrLog, ending_on_signals, tell
-from .city import city
 from .compare import compare
 from .dataset import dataset
 from .detector import detector
@@ -22,12 +22,10 @@ from .latency import latency
 from .option_names import with_option_names
 from .pareto import pareto
 from .place import cli
-from .plan import plan
 from .render import render
 from .retrofit import retrofit
 from .running import command_line
 from .scenarios import scenarios
-from .scene import scene
 from .sheet import sheet
 from .solve import solve
 from .verify import verify
@@ -36,6 +34,8 @@ _EXIT_BAD_INPUT = 2
 _EXIT_UNEXPECTED = 70  # EX_SOFTWARE of BSD's sysexits.h
 _SHELLS = ("bash", "zsh", "fish")
 _COMPLETE_VARIABLE = "_PLACE_RSUS_COMPLETE"
+# Commands of programs of their own, by name: these import the options here, nothing imports them.
+_PROGRAMS = {"city": "city", "plan": "planner", "scene": "scene"}
 
 
 @click.command(
@@ -82,7 +82,6 @@ def completion(context: click.Context, *, shell: str) -> None:
 
 for _command in (
     *(
-        city,
         compare,
         completion,
         dataset,
@@ -92,13 +91,14 @@ for _command in (
         export,
         latency,
         pareto,
-        plan,
         render,
         retrofit,
     ),
-    *(scenarios, scene, sheet, solve, verify),
+    *(scenarios, sheet, solve, verify),
 ):
     cli.add_command(_command)
+for _name, _program in _PROGRAMS.items():
+    cli.add_command(getattr(import_module(f"experiments.{_program}.command"), _name))
 cli.add_command(help_command, "help")
 
 
