@@ -10,7 +10,7 @@ from typing import NoReturn
 import click
 from click.shell_completion import get_completion_class
 
-from .cli.city import city
+from .city.command import city
 from .cli.compare import compare
 from .cli.doctor import doctor
 from .cli.evaluate import evaluate
@@ -19,16 +19,16 @@ from .cli.latency import latency
 from .cli.option_names import with_option_names
 from .cli.pareto import pareto
 from .cli.place import cli
-from .cli.plan import plan
 from .cli.retrofit import retrofit
 from .cli.running import command_line
 from .cli.scenarios import scenarios
-from .cli.scene import scene
 from .cli.sheet import sheet
 from .cli.solve import solve
 from .cli.verify import verify
 from .perception_lab.commands import dataset, detector, render
+from .planner.command import plan
 from .progress import Interrupted, StageProgress, StderrLog, ending_on_signals, tell
+from .scene.command import scene
 
 _EXIT_BAD_INPUT = 2
 _EXIT_UNEXPECTED = 70  # EX_SOFTWARE of BSD's sysexits.h

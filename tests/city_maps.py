@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from osm_text import OsmText
 
-from experiments.jobs import city, city_workers
+from experiments.city import run, workers
 from placement.question import Question
 
 PLACES_M = ((0.0, 0.0), (250.0, 0.0), (500.0, 10.0))
@@ -43,10 +43,10 @@ def _no_workers(scheduler: str, **settings: Any) -> Iterator[None]:
 
 def _run_here(client: None, tasks: Any) -> Iterator[Any]:
     for task in tasks:
-        yield task, city_workers.run_junction(task)
+        yield task, workers.run_junction(task)
 
 
 def solve_here(patch: pytest.MonkeyPatch) -> None:
     """Solve junctions in this process, in place of workers."""
-    patch.setattr(city, "start_workers", _no_workers)
-    patch.setattr(city, "run_junctions", _run_here)
+    patch.setattr(run, "start_workers", _no_workers)
+    patch.setattr(run, "run_junctions", _run_here)

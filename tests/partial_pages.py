@@ -14,12 +14,13 @@ from matplotlib.legend import Legend
 from matplotlib.text import Text
 from PIL import Image
 
-from experiments.figures import dangers, plan, scene
+from experiments.figures import dangers, plan
 from experiments.figures.axes import root_figure
 from experiments.report import coverage, section
 from experiments.report.page import page_environment
 from experiments.report.section import Bullets, Picture, Section, Table
 from experiments.results.result import Result
+from experiments.scene import pictures
 
 
 def blank_png(drawn: Axes | Figure) -> bytes:
@@ -52,7 +53,7 @@ def blank_pictures() -> Iterator[None]:
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(section, "to_png", blank_png)
-        for module in (coverage, dangers, plan, scene):
+        for module in (coverage, dangers, pictures, plan):
             patch.setattr(module, "draw_scene", lambda axes, scene: None)
         yield
 

@@ -341,13 +341,8 @@ def _read_places(path: Path) -> Any:
 def _city_folder() -> Mapping[str, tuple[str, Files]]:
     import msgspec
 
-    from experiments.results.city import (
-        CityEntry,
-        CityFrontRecord,
-        CityManifest,
-        CityMapRecord,
-        CityPointRecord,
-    )
+    from experiments.city.answer import CityEntry, CityFrontRecord, CityManifest, CityPointRecord
+    from experiments.city.inputs import CityMapRecord
 
     manifest = CityManifest(
         maps=(CityMapRecord(name="a.osm", sha256="0", has_roads=True),),
@@ -381,7 +376,7 @@ def _city_folder() -> Mapping[str, tuple[str, Files]]:
 
 
 def _read_city_folder(path: Path) -> Any:
-    from experiments.results.city import load_front, load_manifest
+    from experiments.city.answer import load_front, load_manifest
 
     if path.name == "manifest.json":
         return load_manifest(path)
@@ -941,7 +936,7 @@ READERS: Mapping[str, Reader] = {
     "folder of a city": Reader(
         _read_city_folder,
         _city_folder,
-        ("experiments.results.city.load_manifest", "experiments.results.city.load_front"),
+        ("experiments.city.answer.load_manifest", "experiments.city.answer.load_front"),
     ),
     "scenes": Reader(
         read=_read_scene,

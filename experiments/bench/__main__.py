@@ -1,8 +1,8 @@
 """Speed as ratios to named references, measured in one run: ``python -m experiments.bench``.
 
 Absolute times depend on the machine and its load; the ratios depend on them little, because both
-sides are measured in turn, in the same process or as the same kind of process. Each part runs in a
-process of its own, and is ended when its time is up: what it has not measured then is said so.
+sides are measured in turn. Each part runs in a process of its own, and is ended when its time is
+up.
 """
 
 import json
@@ -23,41 +23,30 @@ import click
 from geometry.raycast import caster_name
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose, build_candidates, load_candidate_grid
-from placement.compute import Compute
-from placement.evaluator import evaluate_layout
-from placement.layout import Layout
 from placement.question import Question
 from placement.setting import Setting, build_setting
 from placement.study_layout import load_carlancap_layout
-from placement.visibility.build import build_detection_table
 
 from .city import measure_city
-from .dragging import measure_dragging
-from .optimiser import (
-    build_bench_problem,
-    measure_covering,
-    measure_large,
-    measure_optimiser,
-    measure_relaxation,
-    measure_single,
+from .optimiser import build_bench_problem, measure_optimiser, measure_single
+from .planner import measure_dragging
+from .rays import (
+    REPEATS,
+    Figures,
+    measure_casting,
+    measure_evaluation,
+    measure_table,
 )
-from .perception import measure_perception
-from .rays import N_MOUNTS, REPEATS, Figures, measure_casting, measure_table
 
-_WORKERS = os.cpu_count() or 1
 _OWN_CASES = "CPNC-50,CBNA,CBLA"  # the study's: rays are measured on their 104 runs
 _LIMIT_S = 240.0
 _INSIDE = "PLACE_RSUS_BENCH_PART"  # set in the processes that measure
 
 
 @cache
-def _own_setting() -> Setting:
-    return build_setting(Question(cases=_OWN_CASES, along_arms="0"), load_study_scene())
-
-
-@cache
-def _default_setting() -> Setting:
-    return build_setting(Question(), load_study_scene())
+def _setting(cases: str = "") -> Setting:
+    question = Question(cases=cases, along_arms="0") if cases else Question()
+    return build_setting(question, load_study_scene())
 
 
 @cache
@@ -68,38 +57,32 @@ def _candidates() -> tuple[CandidatePose, ...]:
 
 PARTS: dict[str, Callable[[int], Figures]] = {
     "command": lambda budget: _measure_command(budget),
-    "rays": lambda _: measure_casting(_own_setting(), _candidates()),
-    "table": lambda _: measure_table(_default_setting(), _candidates()),
+    "rays": lambda _: measure_casting(_setting(_OWN_CASES), _candidates()),
+    "table": lambda _: measure_table(_setting(), _candidates()),
+    "evaluator": lambda _: measure_evaluation(_setting()),
     "optimiser": lambda budget: measure_optimiser(
-        build_bench_problem(_default_setting(), _candidates(), budget)
-    ),
-    "relaxation": lambda budget: measure_relaxation(
-        build_bench_problem(_default_setting(), _candidates(), budget + 1)
+        build_bench_problem(_setting(), _candidates(), budget)
     ),
     "single": lambda budget: measure_single(
-        build_bench_problem(_default_setting(), _candidates(), budget, fusion="single")
+        build_bench_problem(_setting(), _candidates(), budget, fusion="single")
     ),
-    "covering": lambda _: measure_covering(),
-    "dragging": lambda _: measure_dragging(_default_setting(), Question()),
     "city": lambda _: measure_city(),
-    "growth": lambda _: _measure_growth(_candidates()),
-    "perception": lambda _: measure_perception(_own_setting()),
-    "large": lambda _: measure_large(),
+    "dragging": lambda _: measure_dragging(_setting(), Question()),
 }
-"""What is measured, by its name: a function of the budget of units."""
+"""Functions of the budget of units that measure, by name."""
 
 
 @click.command()
 @click.option("--budget", default=3, show_default=True, help="Units of the main job.")
 @click.option(
-    "--parts", default=",".join(PARTS), show_default=True, help="What to measure, commas between."
+    "--parts", default=",".join(PARTS), show_default=True, help="To measure, commas between."
 )
 @click.option(
     "--limit", default=_LIMIT_S, show_default=True, help="Seconds after which a part is ended."
 )
 @click.option("--out", type=click.Path(path_type=Path), help="JSON file for the figures.")
 def main(budget: int, parts: str, limit: float, out: Path | None) -> None:
-    """Measure rays, optimiser, a city, growth with the runs, perception, and the whole command.
+    """Measure the whole command, rays, evaluator, optimiser, a city, and the planner's page.
 
     Figures of parts that are not measured this time stay in the file as they are.
     """
@@ -123,7 +106,7 @@ def main(budget: int, parts: str, limit: float, out: Path | None) -> None:
         for figure, value in figures[name].items():
             shown = f"{value:.3g}" if isinstance(value, float) else value
             click.echo(f"{figure:<72} {shown}")
-        if out is not None:  # after each part: what is measured is kept, whatever comes
+        if out is not None:  # after each part, in case a later one is interrupted
             ordered = {"machine": machine, **{n: figures[n] for n in PARTS if n in figures}}
             out.write_text(json.dumps(ordered, indent=2) + "\n", encoding="utf-8")
 
@@ -153,48 +136,26 @@ def run_part(name: str, *, budget: int, limit_s: float) -> Figures:
     return figures | {f"{name}: seconds to measure": time.perf_counter() - began_s}
 
 
-# ---------- more cases
-
-
-def _measure_growth(candidates: tuple[CandidatePose, ...]) -> Figures:
-    """Seconds per run of everything but the optimiser, as cases are added."""
-    scene = load_study_scene()
-    mounts = {tuple(c.pose.position_m) for c in candidates}
-    some = set(sorted(mounts)[:: max(1, len(mounts) // N_MOUNTS)])
-    few = [c for c in candidates if tuple(c.pose.position_m) in some]
-    layout = Layout(name="three", units=load_carlancap_layout().units[:3])
-    figures: Figures = {}
-    per_run_s = []
-    compute = Compute(workers=_WORKERS)
-    for cases in ("CBLA", _OWN_CASES, "study", "protocol-4.5.1"):
-        began_s = time.perf_counter()
-        setting = build_setting(Question(cases=cases, along_arms="0"), scene)
-        laid_s = time.perf_counter()
-        build_detection_table(
-            scene, few, setting.runs, setting.axis, detector=setting.planner, compute=compute
-        )
-        evaluate_layout(layout, setting, compute=compute)
-        n_runs = len(setting.runs)
-        per_run_s.append((time.perf_counter() - began_s) / n_runs)
-        name = f"growth: {cases}, {n_runs} runs"
-        figures[f"{name}: seconds to lay them"] = laid_s - began_s
-        figures[f"{name}: time per run / that of CBLA alone"] = per_run_s[-1] / per_run_s[0]
-    return figures
-
-
-# ---------- whole command
-
-
 def _measure_command(budget: int) -> Figures:
     """The main job cold and warm, its memory, and the start-up."""
     with tempfile.TemporaryDirectory() as folder:
         environment = os.environ | {"PLACE_RSUS_CACHE": str(Path(folder) / "cache")}
+
+        def seconds(*arguments: str) -> float:
+            began_s = time.perf_counter()
+            subprocess.run(
+                [sys.executable, "-m", "experiments.cli.main", *arguments],
+                env=environment,
+                stdout=subprocess.DEVNULL,
+                check=True,
+            )
+            return time.perf_counter() - began_s
+
         job = ["--budget", str(budget), "--quiet", "--out", str(Path(folder) / "out")]
-        cold_s = _run_command(job, environment)
-        warm_s = _run_command(job, environment)
-        evaluate_s = _run_command(["evaluate", "--layout", "carlancap-12", "--quiet"], environment)
+        cold_s, warm_s = seconds(*job), seconds(*job)
+        evaluate_s = seconds("evaluate", "--layout", "carlancap-12", "--quiet")
         peak_kib = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
-        help_s = statistics.median(_run_command(["--help"], environment) for _ in range(REPEATS))
+        help_s = statistics.median(seconds("--help") for _ in range(REPEATS))
     return {
         "command: seconds, cold (under 120)": cold_s,
         "command: seconds, warm": warm_s,
@@ -202,17 +163,6 @@ def _measure_command(budget: int) -> Figures:
         "command: peak memory, GiB (under 2)": peak_kib / 2**20,
         "command: seconds, --help (under 0.5)": help_s,
     }
-
-
-def _run_command(arguments: list[str], environment: dict[str, str]) -> float:
-    began_s = time.perf_counter()
-    subprocess.run(
-        [sys.executable, "-m", "experiments.main", *arguments],
-        env=environment,
-        stdout=subprocess.DEVNULL,
-        check=True,
-    )
-    return time.perf_counter() - began_s
 
 
 if __name__ == "__main__":

@@ -1,7 +1,6 @@
-"""How the detection table's cost grows: ``python -m experiments.bench.growth --out FOLDER``.
+"""Growth of the detection table's cost: ``python -m experiments.bench.growth --out FOLDER``.
 
-Processor time of whole tables, as more mounts, runs, weathers or sampled worlds are asked for. By
-processor time, for other work on the machine then matters little.
+Processor time of whole tables, with more mounts, runs, weathers or sampled worlds.
 """
 
 import json
@@ -24,13 +23,13 @@ from scenarios.runs import WEATHERS, build_frame_axis
 from scenarios.weights import weight_per_run
 
 Growth = dict[str, dict[str, float]]
-"""By what grows: the processor time in seconds of each amount of it."""
+"""Processor time in seconds by quantity and amount."""
 
 _MOUNTS = (4, 8, 16)
 _PARTS = (4, 2, 1)  # every so manieth run
 _WEATHERS = (1, 2, 4)
 _WORLDS = (1, 2, 4)
-_MARKERS = "osv^"  # so that lines are told apart without colour, too
+_MARKERS = "osv^"  # lines can be distinguished without colour, too
 
 
 @click.command()
@@ -62,48 +61,47 @@ def measure_growth(question: Question, *, n_mounts: Sequence[int] = _MOUNTS) -> 
 
     few = poses(n_mounts[0])
     compute = Compute(workers=1)
-    parts = {len(setting.runs[::part]): setting.runs[::part] for part in _PARTS}
-    drawn = replace(question, detector="response")
-    uncertain, uncertainty = build_setting(drawn), load_uncertainty()
-    # These compile, and fill what is kept from one table to the next.
-    _seconds(setting, few, compute)
-    sampled_table(uncertain, few, uncertainty, n_samples=1, compute=compute)
+    uncertain, uncertainty = (
+        build_setting(replace(question, detector="response")),
+        load_uncertainty(),
+    )
+
+    def table(of: Setting, candidates: Sequence[CandidatePose] = few) -> float:
+        return _timed(lambda: obtain_table(of, candidates, compute=compute))
+
+    def worlds(n: int) -> float:
+        return _timed(
+            lambda: sampled_table(uncertain, few, uncertainty, n_samples=n, compute=compute)
+        )
+
+    table(setting)  # these compile, and fill caches from one table to the next
+    worlds(1)
+    parts = [setting.runs[::part] for part in _PARTS]
     return {
-        "mounts": {str(n): _seconds(setting, poses(n), compute) for n in n_mounts},
+        "mounts": {str(n): table(setting, poses(n)) for n in n_mounts},
         "runs": {
-            str(n): _seconds(
-                replace(setting, runs=runs, axis=build_frame_axis(runs, weight_per_run(runs))),
-                few,
-                compute,
+            str(len(runs)): table(
+                replace(setting, runs=runs, axis=build_frame_axis(runs, weight_per_run(runs)))
             )
-            for n, runs in parts.items()
+            for runs in parts
         },
         "weathers": {
-            str(n): _seconds(
-                build_setting(replace(question, weather=",".join(WEATHERS[:n]))), few, compute
-            )
+            str(n): table(build_setting(replace(question, weather=",".join(WEATHERS[:n]))))
             for n in _WEATHERS
         },
-        "worlds": {
-            str(n): _timed(
-                lambda n=n: sampled_table(  # type: ignore[misc]
-                    uncertain, few, uncertainty, n_samples=n, compute=compute
-                )
-            )
-            for n in _WORLDS
-        },
+        "worlds": {str(n): worlds(n) for n in _WORLDS},
     }
 
 
 def proportions(seconds: dict[str, float]) -> list[tuple[float, float]]:
-    """How many times the least amount each amount is, and how many times its cost it costs."""
+    """Each amount over the least one, and its cost over that of the least."""
     amounts = [(float(amount), cost) for amount, cost in seconds.items()]
     least, cheapest = min(amounts)
     return [(amount / least, cost / cheapest) for amount, cost in sorted(amounts)]
 
 
 def plot_growth(growth: Growth, path: Path) -> None:
-    """Draw cost over amount, both relative to the least, beside a line in proportion."""
+    """Draw cost over amount, both relative to the least, with a line in proportion."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(5.0, 4.0), layout="constrained")
@@ -118,11 +116,6 @@ def plot_growth(growth: Growth, path: Path) -> None:
     axes.set_ylabel("times the processor time of the table")
     axes.legend()
     figure.savefig(path, dpi=150)
-
-
-def _seconds(setting: Setting, candidates: Sequence[CandidatePose], compute: Compute) -> float:
-    """Processor time of a table."""
-    return _timed(lambda: obtain_table(setting, candidates, compute=compute))
 
 
 def _timed(work: Callable[[], object]) -> float:

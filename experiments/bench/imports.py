@@ -1,16 +1,15 @@
-"""Try map files from import to placement: ``python -m experiments.bench.imports FOLDER``.
+"""Map files from import to placement: ``python -m experiments.bench.imports FOLDER``.
 
-Writes ``imports.md`` and a plan of each junction: arms, lanes, things, sites, runs, what of the
-possible runs is driven, APR, seconds. With ``--budget 0`` nothing is placed: a minute or two.
-Files without roads - buildings, city models - are put beside a junction of another file, into the
-quadrant between its north and its east arm: where they really stand, nobody says.
+Writes ``imports.md`` and a plan of each junction: arms, lanes, things, sites, runs, share of the
+possible runs that is driven, APR, seconds. Files without roads - buildings, city models - are put
+at a junction of another file, between its north and its east arm: their real place is not known.
 """
 
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import click
 import numpy as np
@@ -38,7 +37,7 @@ from placement.setting import Setting, build_setting
 from scenarios.staging import BENDS, ON_ROAD, lateral_acceleration_mps2
 
 from ..figures.axes import to_png
-from ..figures.scene import plot_scene_plan
+from ..scene.pictures import plot_scene_plan
 
 _WORKERS = 2
 _NO_MAPS = ("_16mm.json", "_8mm.json", ".boundary.geojson")  # calibrations, outlines
@@ -51,8 +50,7 @@ _HEADS = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Task:
+class _Task(NamedTuple):
     """Files that make one scene."""
 
     name: str
@@ -101,23 +99,18 @@ def _tasks(folder: Path, beside: str) -> Iterator[_Task]:
     )
     roads = next((path for path in files if path.name == beside), None)
     for path in files:
+        task = _Task(path.name, (path,))
         try:
             source = read_map(path)
         except InputError:
-            yield _Task(name=path.name, paths=(path,))  # its import says why
-            continue
-        if source.lanes or not source.things or roads is None:
-            yield _Task(name=path.name, paths=(path,))
-        else:
-            yield _Task(
-                name=f"{path.name} beside {roads.stem}",
-                paths=(roads, path),
-                offset_m=_beside(source, roads),
-            )
+            source = None  # its import says why
+        if source and source.things and not source.lanes and roads:
+            task = _Task(f"{path.name} beside {roads.stem}", (roads, path), _beside(source, roads))
+        yield task
 
 
 def _beside(source: SourceMap, roads: Path) -> tuple[float, float]:
-    """What moves the most south-western thing to the north-east of a junction."""
+    """Offset of the most south-western thing to the north-east of a junction."""
     maps, junctions = read_maps([roads], ReadingOptions())
     middle = choose_junction(maps[0], junctions).junction.position_m
     corners = np.array([thing.vertices_m.min(axis=0) for thing in source.things])

@@ -1,32 +1,39 @@
-"""Benchmark of the detection table's rays against bare Embree."""
+"""Speed of the detection table, its rays against bare Embree, and of the evaluator."""
 
 import os
 import statistics
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.raycast import (
-    FloatRays,
-    Open3dCaster,
-    RayCaster,
-    caster_name,
-)
-from placement.candidates import CandidatePose
+from geometry.raycast import FloatRays, Open3dCaster, RayCaster, caster_name
+from placement.candidates import CandidatePose, build_candidates, load_candidate_grid
+from placement.compute import Compute
+from placement.evaluator import evaluate_layout
+from placement.layout import Layout
 from placement.setting import Setting
+from placement.study_layout import load_carlancap_layout
 from placement.visibility.build import N_POINTS, build_detection_table
 from placement.visibility.casting import World, build_world, cast_sight
 
 REPEATS = 5
+WORKERS = os.cpu_count() or 1
 Figures = dict[str, float | str | None]
-"""What is measured, by its name."""
+"""Measured figures by their names."""
+Rays = tuple[FloatRays, FloatRays]
+"""Origins and vectors, (n, 3) float32 each."""
+Calls = list[tuple[Callable[..., object], Any]]
+
+_N_MOUNTS = 24
+_MAX_DISTANCE_M = 60.0
+_EVERY_MOUNT = 4  # of which the table's verdicts are counted
+_N_OTHERS = 6  # cameras, with the study's twelve
 
 
 def in_turn(
@@ -35,11 +42,11 @@ def in_turn(
     """Seconds of both, A B A B .., after one run of each that does not count."""
     seconds: tuple[list[float], list[float]] = ([], [])
     for repeat in range(repeats + 1):
-        for kept, work in zip(seconds, (ours, theirs), strict=True):
+        for each, work in zip(seconds, (ours, theirs), strict=True):
             began_s = time.perf_counter()
             work()
             if repeat > 0:
-                kept.append(time.perf_counter() - began_s)
+                each.append(time.perf_counter() - began_s)
     return seconds
 
 
@@ -48,86 +55,68 @@ def ratio(ours_s: list[float], theirs_s: list[float]) -> float:
     return statistics.median(a / b for a, b in zip(ours_s, theirs_s, strict=True))
 
 
-N_MOUNTS = 24
-_WORKERS = os.cpu_count() or 1
-_MAX_DISTANCE_M = 60.0
-_EVERY_MOUNT = 4  # of which the table's verdicts are counted
+def bare_embree(
+    vertices_m: FloatArray,
+    triangles: Any,
+    rays: Sequence[Rays],
+) -> Callable[[], object]:
+    """The library's own query of all rays in one call, with everything prepared that can be."""
+    origins, vectors = (np.concatenate(part) for part in zip(*rays, strict=True))
+    vertices = np.ascontiguousarray(vertices_m, dtype=np.float32)
+    if caster_name() == "open3d":
+        import open3d
+
+        scene = open3d.t.geometry.RaycastingScene()
+        to_tensor: Any = open3d.core.Tensor
+        scene.add_triangles(to_tensor(vertices), to_tensor(triangles.astype(np.uint32)))
+        tensor = to_tensor(np.hstack([origins, vectors]))
+        return lambda: scene.test_occlusions(
+            tensor, tnear=0.0, tfar=1.0, nthreads=Open3dCaster.n_threads
+        )
+    from embreex.mesh_construction import TriangleMesh
+    from embreex.rtcore_scene import EmbreeScene
+
+    embree = EmbreeScene()
+    mesh = TriangleMesh(embree, vertices, triangles.astype(np.int32))
+    ends = np.ones(len(origins), dtype=np.float32)
+    return lambda: (mesh, embree.run(origins, vectors, dists=ends, query="OCCLUDED"))
 
 
-Calls = list[tuple[Callable[..., object], Any]]
+# ---------- the detection table
 
 
-class Recorder:
-    """A caster that keeps the rays it is asked for, and notes the call in the last list of some."""
+class _Recorder:
+    """A caster that records the rays it is asked for, and the calls by mount."""
 
     def __init__(self, caster: RayCaster, calls: list[Calls]) -> None:
         self.caster, self.calls = caster, calls
-        self.rays: list[tuple[FloatRays, FloatRays]] = []
+        self.rays: list[Rays] = []
 
     def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
-        """See :class:`geometry.raycast.RayCaster`."""
         self.rays.append((np.array(origins_m), np.array(vectors_m)))
         self.calls[-1].append((self.caster.is_blocked, self.rays[-1]))
         return self.caster.is_blocked(origins_m, vectors_m)
 
     def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
-        """See :class:`geometry.raycast.RayCaster`."""
         self.rays.append((np.array(origins_m), np.array(vectors_m)))
         return self.caster.first_hit(origins_m, vectors_m)
 
     def first_triangle(
         self, origins_m: FloatRays, vectors_m: FloatRays
     ) -> tuple[FloatRays, IntArray]:
-        """See :class:`geometry.raycast.RayCaster`."""
         return self.caster.first_triangle(origins_m, vectors_m)
 
 
-def measure_casting(setting: Setting, candidates: tuple[CandidatePose, ...]) -> Figures:
-    """The table's rays: how many are cast, and how long that takes beside bare Embree.
+def measure_casting(setting: Setting, candidates: Sequence[CandidatePose]) -> Figures:
+    """Number of the table's rays, and their time against bare Embree.
 
     Ours are cast as when the table is built, all of one mount in one thread. Bare Embree gets the
     same rays in one call per scene and thread, with everything prepared.
     """
     world = build_world(setting.scene, setting.runs, n_points=N_POINTS, seed=0)
-    mounts = list({tuple(c.pose.position_m): c for c in candidates}.values())[:N_MOUNTS]
-
+    mounts = list({tuple(c.pose.position_m): c for c in candidates}.values())[:_N_MOUNTS]
     of_mounts: list[Calls] = []
-
-    def cast(cast_world: World) -> None:
-        for mount in mounts:
-            of_mounts.append([])
-            cast_sight(
-                cast_world,
-                mount.pose.position_m,
-                near_m=mount.sensor.near_m,
-                max_distance_m=_MAX_DISTANCE_M,
-                for_lidar=False,
-            )
-
-    scene = Recorder(world.shared.caster, of_mounts)
-    parked = [Recorder(caster, of_mounts) for caster in world.standing.casters]
-    bodies = [Recorder(body, of_mounts) for body in world.shared.bodies]
-    vut = Recorder(world.vehicles.casters[0], of_mounts)
-    vehicles = replace(world.vehicles, casters=(vut,))
-    vut_shape = world.vehicles.actors[0].shapes[0]
-    standing = replace(world.standing, casters=tuple(parked))
-    shared = replace(world.shared, caster=scene, bodies=tuple(bodies))
-    cast(replace(world, shared=shared, standing=standing, vehicles=vehicles))
-    meshes = [
-        (setting.scene.vertices_m - world.origin_m, setting.scene.triangles, scene),
-        *(
-            (shape.vertices_m, shape.triangles, body)
-            for actor, body in zip(world.standing.actors, parked, strict=True)
-            for shape in (actor.shapes[0],)
-        ),
-        *(
-            (shape.vertices_m, shape.triangles, body)
-            for surface, body in zip(world.surfaces, bodies, strict=True)
-            for shape in (surface.actor.shapes[surface.shape_index],)
-        ),
-        (vut_shape.vertices_m, vut_shape.triangles, vut),
-    ]
-    cast_to = [mesh for mesh in meshes if mesh[2].rays]
+    cast_to = _record(world, setting, mounts, of_mounts)
     with threadpool_limits(1):
         seconds = {
             n_threads: in_turn(
@@ -141,33 +130,58 @@ def measure_casting(setting: Setting, candidates: tuple[CandidatePose, ...]) -> 
                     n_threads,
                 ),
             )
-            for n_threads in dict.fromkeys((1, _WORKERS))
+            for n_threads in dict.fromkeys((1, WORKERS))
         }
-        sight_s, bare_s = in_turn(
-            lambda: cast(world),
-            _together(
-                [(bare_embree(v, np.asarray(t), recorder.rays), ()) for v, t, recorder in cast_to],
-                1,
-            ),
-        )
-    n_rays = sum(len(origins) for *_, recorder in meshes for origins, _ in recorder.rays)
-    n_points = (
-        sum(
-            int((np.linalg.norm(_from_mount(world, mount), axis=1) <= _MAX_DISTANCE_M).sum())
-            for mount in mounts
-        )
-        * world.views.axes_m.shape[2]
+    n_rays = sum(len(origins) for *_, recorder in cast_to for origins, _ in recorder.rays)
+    n_views = sum(
+        int((np.linalg.norm(_from_mount(world, mount), axis=1) <= _MAX_DISTANCE_M).sum())
+        for mount in mounts
     )
+    n_points = n_views * world.views.axes_m.shape[2]
     return {
         "rays cast": n_rays,
         "rays: cast / points looked at (before 1.57; at most 0.52)": n_rays / n_points,
-        "rays: million per second, all processors": n_rays
-        / statistics.median(seconds[_WORKERS][0])
-        / 1e6,
         "rays: casting / bare Embree, one thread (at most 1.2)": ratio(*seconds[1]),
-        "rays: casting / bare Embree, all processors (at most 1.2)": ratio(*seconds[_WORKERS]),
-        "rays: with all that spares them / bare Embree, one thread": ratio(sight_s, bare_s),
+        "rays: casting / bare Embree, all processors (at most 1.2)": ratio(*seconds[WORKERS]),
     }
+
+
+def _record(
+    world: World, setting: Setting, mounts: Sequence[CandidatePose], calls: list[Calls]
+) -> list[tuple[FloatArray, Any, _Recorder]]:
+    """Cast from all mounts with recorders; meshes of the world with those that were asked."""
+    scene = _Recorder(world.shared.caster, calls)
+    parked = [_Recorder(caster, calls) for caster in world.standing.casters]
+    bodies = [_Recorder(body, calls) for body in world.shared.bodies]
+    vut = _Recorder(world.vehicles.casters[0], calls)
+    recording = replace(
+        world,
+        shared=replace(world.shared, caster=scene, bodies=tuple(bodies)),
+        standing=replace(world.standing, casters=tuple(parked)),
+        vehicles=replace(world.vehicles, casters=(vut,)),
+    )
+    for mount in mounts:
+        calls.append([])
+        cast_sight(
+            recording,
+            mount.pose.position_m,
+            near_m=mount.sensor.near_m,
+            max_distance_m=_MAX_DISTANCE_M,
+            for_lidar=False,
+        )
+    shapes = [
+        *zip((actor.shapes[0] for actor in world.standing.actors), parked, strict=True),
+        *(
+            (surface.actor.shapes[surface.shape_index], body)
+            for surface, body in zip(world.surfaces, bodies, strict=True)
+        ),
+        (world.vehicles.actors[0].shapes[0], vut),
+    ]
+    meshes = [
+        (setting.scene.vertices_m - world.origin_m, setting.scene.triangles, scene),
+        *((shape.vertices_m, shape.triangles, recorder) for shape, recorder in shapes),
+    ]
+    return [mesh for mesh in meshes if mesh[2].rays]
 
 
 def _from_mount(world: World, mount: CandidatePose) -> FloatArray:
@@ -177,10 +191,7 @@ def _from_mount(world: World, mount: CandidatePose) -> FloatArray:
     return np.column_stack([ground_m, offset_m[2] - world.views.up_m])
 
 
-def _split(
-    rays: list[tuple[FloatRays, FloatRays]], n_parts: int
-) -> Iterator[tuple[FloatRays, FloatRays]]:
-    """All rays in as many parts, each in one piece."""
+def _split(rays: Sequence[Rays], n_parts: int) -> Iterator[Rays]:
     origins, vectors = (np.concatenate(part) for part in zip(*rays, strict=True))
     yield from zip(np.array_split(origins, n_parts), np.array_split(vectors, n_parts), strict=True)
 
@@ -201,68 +212,38 @@ def _together(calls: Calls, n_threads: int) -> Callable[[], None]:
     return run
 
 
-def measure_table(setting: Setting, candidates: tuple[CandidatePose, ...]) -> Figures:
+def measure_table(setting: Setting, candidates: Sequence[CandidatePose]) -> Figures:
     """Verdicts of the table per second, over the whole build for some mounts."""
     positions = list(dict.fromkeys(tuple(c.pose.position_m) for c in candidates))[::_EVERY_MOUNT]
     some = [c for c in candidates if tuple(c.pose.position_m) in set(positions)]
+    seconds = _seconds(
+        lambda: build_detection_table(
+            setting.scene, some, setting.runs, setting.axis, detector=setting.planner
+        )
+    )
+    per_second = len(some) * setting.axis.n_frames / seconds
+    return {"table: million verdicts per second (before 3.4; at least 30)": per_second / 1e6}
+
+
+def _seconds(work: Callable[[], object]) -> float:
+    """Median time of some work, after one run that may compile."""
     seconds = []
     for repeat in range(REPEATS + 1):
         began_s = time.perf_counter()
-        build_detection_table(
-            setting.scene, some, setting.runs, setting.axis, detector=setting.planner
-        )
-        if repeat > 0:  # the first one may compile
+        work()
+        if repeat > 0:
             seconds.append(time.perf_counter() - began_s)
-    n_verdicts = len(some) * setting.axis.n_frames
-    return {
-        "table: verdicts": n_verdicts,
-        "table: million verdicts per second (before 3.4; at least 30)": n_verdicts
-        / statistics.median(seconds)
-        / 1e6,
-    }
+    return statistics.median(seconds)
 
 
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Open3D on one thread; embreex is so anyway."""
-    all_threads, Open3dCaster.n_threads = Open3dCaster.n_threads, 1
-    try:
-        yield
-    finally:
-        Open3dCaster.n_threads = all_threads
+# ---------- the evaluator
 
 
-def bare_embree(
-    vertices_m: FloatArray,
-    triangles: Any,
-    rays: list[tuple[FloatRays, FloatRays]],
-    *,
-    query: Literal["any hit", "first hit"] = "any hit",
-) -> Callable[[], object]:
-    """The library's own query, with everything prepared that can be.
-
-    `rays` are pairs of origins and vectors, (n, 3) float32; all are cast in one call.
-    """
-    origins = np.concatenate([origin for origin, _ in rays])
-    vectors = np.concatenate([vector for _, vector in rays])
-    vertices = np.ascontiguousarray(vertices_m, dtype=np.float32)
-    if caster_name() == "open3d":
-        import open3d
-
-        scene = open3d.t.geometry.RaycastingScene()
-        to_tensor: Any = open3d.core.Tensor
-        scene.add_triangles(to_tensor(vertices), to_tensor(triangles.astype(np.uint32)))
-        tensor = to_tensor(np.hstack([origins, vectors]))
-        if query == "first hit":
-            return lambda: scene.cast_rays(tensor, nthreads=Open3dCaster.n_threads)
-        return lambda: scene.test_occlusions(
-            tensor, tnear=0.0, tfar=1.0, nthreads=Open3dCaster.n_threads
-        )
-    from embreex.mesh_construction import TriangleMesh
-    from embreex.rtcore_scene import EmbreeScene
-
-    embree = EmbreeScene()
-    mesh = TriangleMesh(embree, vertices, triangles.astype(np.int32))
-    ends = np.full(len(origins), 1.0 if query == "any hit" else 1.0e6, dtype=np.float32)
-    name = "OCCLUDED" if query == "any hit" else "DISTANCE"
-    return lambda: (mesh, embree.run(origins, vectors, dists=ends, query=name))
+def measure_evaluation(setting: Setting) -> Figures:
+    """The default runs from as many poses as found, greedy and the study's layout have, and VUT."""
+    others = build_candidates(setting.scene, load_candidate_grid(), extra=())
+    units = (*load_carlancap_layout().units, *others[:: -(-len(others) // _N_OTHERS)])
+    layout = Layout(name="bench", units=units)
+    seconds = _seconds(lambda: evaluate_layout(layout, setting, compute=Compute(workers=WORKERS)))
+    name = f"evaluator: {len(setting.runs)} runs, {len(units)} cameras and VUT"
+    return {f"{name}: seconds (at most 5)": seconds}

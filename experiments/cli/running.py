@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from placement.layout import Layout
     from placement.question import Question
 
-    from ..results.scenes import SceneResult
-
 
 def begin(progress: StageProgress, question: "Question", *, quiet: bool) -> "Question":
     """Show what happens from here on; the question, with a map imported and told of on stderr.
@@ -43,15 +41,16 @@ def begin(progress: StageProgress, question: "Question", *, quiet: bool) -> "Que
 
     if has_scene(Path(question.scene)) and not map_options(question):
         return question
-    from ..jobs.scene import import_into_cache
+    from importlib import import_module
 
-    folder, told = import_into_cache(question, cache=cache_folder(), progress=progress)
+    program = import_module("experiments.scene.run")  # a program of its own
+    folder, told = program.import_into_cache(question, cache=cache_folder(), progress=progress)
     if not quiet:
         tell(_imported_text(told, folder), err=True)
     return replace(question, scene=folder, junction="", at="", sites="", driving_side="map")
 
 
-def _imported_text(summary: "SceneResult", folder: str) -> str:
+def _imported_text(summary: Any, folder: str) -> str:
     """What a map was cut down to on the way to an answer, and where that lies."""
     (junction,) = summary.junctions
     side = "left" if summary.keeps_left else "right"

@@ -116,15 +116,15 @@ def test_hypothesis_finds_no_text_that_is_neither_read_nor_refused(
 # ---------- the next reader
 
 NO_USERS_FILES = {
-    "experiments.results.city.load_summary": "written by this program, within read_city",
+    "experiments.city.answer.load_summary": "written by this program, within read_city",
     "geometry.files.open_file": "the door itself: tests/faults/test_hostile_paths.py",
     "geometry.files.open_new": "writes",
     "geometry.files.read_bytes": "the door itself",
     "geometry.private_folders.open_own": "caches: tests/geometry/test_private_folders.py",
     "geometry.untrusted_files.open_parquet": "within readers of traffic and results",
     "geometry.untrusted_files.open_stream": "within readers of traffic",
-    "experiments.jobs.city_inputs.load_city": "maps, by read_map",
-    "experiments.jobs.city_inputs.load_kept": "layouts, by load_layout",
+    "experiments.city.inputs.load_city": "maps, by read_map",
+    "experiments.city.inputs.load_kept": "layouts, by load_layout",
     "experiments.perception_lab.training.crops.load_crops": "written by the training itself",
     "geometry.actors.read_actors": "facts of the package",
     "geometry.scene_files.pack_scene": "writes",

@@ -32,16 +32,16 @@ EXCEPTIONS = {
     "geometry/maps/openstreetmap/elements.py": {"FileProcessor"},
     "placement/detectors/network.py": {"InferenceSession"},
     # Into memory, or a folder of this program's own.
-    "experiments/export/city.py": {"write_dataframe"},
     "experiments/export/gpkg.py": {"write_dataframe"},
     "experiments/export/parquet.py": {"to_parquet"},
     "experiments/jobs/writing.py": {"to_parquet"},
-    "experiments/results/city.py": {"to_parquet"},
+    "experiments/city/answer.py": {"to_parquet"},
+    "experiments/city/run.py": {"write_dataframe"},
     "experiments/figures/film.py": {"savefig"},
     "experiments/jobs/sheet.py": {"savefig"},
     "experiments/report/section.py": {"open"},
-    "experiments/plan/tasks.py": {"ZipFile", "read_text"},
-    "experiments/plan/server.py": {"open", "read_bytes", "read_text"},
+    "experiments/planner/tasks.py": {"ZipFile", "read_text"},
+    "experiments/planner/server.py": {"open", "read_bytes", "read_text"},
     "placement/sampling/moving/child.py": {"read_text", "savez"},
     # Folders that are put in place as a whole.
     "experiments/results/folders.py": {"rename"},
@@ -55,7 +55,7 @@ EXCEPTIONS = {
     "placement/cache.py": {"load", "read_bytes"},
     "experiments/jobs/local_workers.py": {"read_text"},
     "placement/memory.py": {"read_text"},
-    "experiments/cli/plan.py": {"open"},  # the browser
+    "experiments/planner/command.py": {"open"},  # the browser
 }
 TOOLS = (
     "experiments/bench/",

@@ -5,8 +5,8 @@ import json
 import numpy as np
 import osqp
 import pytest
+from synthetic_instances import SyntheticSize, build_synthetic_instance
 
-from experiments.bench.optimiser import SyntheticSize, build_synthetic_instance
 from placement.optimiser import Limits, PlacementProblem
 from placement.verification.instances import save_problem
 from scenarios.aeb import AebRule

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.patches import PathPatch
 
+from experiments.figures.axes import new_axes
 from experiments.figures.plan import ground_footprint, plot_plan
-from experiments.figures.scene import new_axes
 from experiments.figures.sensors import (
     blind_footprint,
     compass_word,

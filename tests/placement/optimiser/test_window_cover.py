@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from synthetic_instances import SyntheticSize, build_synthetic_instance
 
-from experiments.bench.optimiser import SyntheticSize, build_synthetic_instance
 from placement.optimiser.bounds import Coverage, Supply, first_seen_values, prove, timely_windows
 from placement.optimiser.window_cover import find_window_cover
 from scenarios.aeb import AebRule

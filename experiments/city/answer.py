@@ -1,0 +1,581 @@
+"""A city's answer: the choice for each junction, its sentences, and the files it is in.
+
+``junctions/ID/front.json`` says what a junction may get, ``city.json`` what each gets, and
+``manifest.json`` which city a folder is of.
+"""
+
+import io
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+from msgspec.structs import replace
+
+from geometry.arrays import FloatArray, IntArray
+from geometry.errors import InputError, Unquoted
+from geometry.files import read_bytes
+from placement.city.choose import CityChoice, choose, city_front
+from placement.city.fronts import JunctionFront, Options, Point, stack_bounds, stack_fronts
+from placement.city.junction import SolvedJunction
+from placement.city.phases import Phases, plan_phases
+from placement.layout import Layout
+from placement.optimiser.tolerances import TOLERANCE
+
+from ..results.numbers import euros, percent, several
+from ..results.record import (
+    Record,
+    Share,
+    StageRecord,
+    UnitRecord,
+    build_stage_records,
+    build_unit_records,
+)
+from .inputs import JUNCTIONS, City, CityJunction, CityMapRecord, CitySearch, CityValues, CityWish
+
+SCHEMA = "place-rsus/city/1"
+MANIFEST, SUMMARY, FRONT, FRONTS = "manifest.json", "city.json", "front.json", "fronts.parquet"
+_CHOICE_S = 120.0
+_MAX_STEPS = 200
+
+Count = Annotated[int, Meta(ge=0)]
+Amount = Annotated[float, Meta(ge=0)]
+
+# ---------- one junction
+
+
+class CityPointRecord(Record, frozen=True, kw_only=True):
+    """A :class:`placement.city.fronts.Point` with its layout: units mounted there already, too."""
+
+    units: Count  # new ones
+    cost_eur: Amount
+    apr: Share
+    apr_one_failed: Share
+    smallest_margin_s: float
+    mean_margin_s: float
+    layout: tuple[UnitRecord, ...]
+
+
+_POINT = tuple(Point.__dataclass_fields__)
+
+
+class CityFrontRecord(Record, frozen=True, kw_only=True):
+    """``front.json``: what a junction may get, or why there is nothing.
+
+    Attributes
+    ----------
+    key : str
+        Hash of all that it was made from.
+    id, name, map, scene : str
+        Of the junction in its map, the streets that meet, the map's file, the scene.
+    reason : str
+        Why there is no front; empty: there is one.
+    is_final : bool
+        False where another try may end otherwise: a worker died, or time was up.
+    points, by_units, by_cost
+        As :class:`placement.city.fronts.JunctionFront` has them.
+    seconds : dict of float
+        Processor time by stage. [s]
+    """
+
+    schema: str = SCHEMA
+    key: str
+    id: str
+    name: str
+    map: str
+    scene: str
+    reason: str = ""
+    is_final: bool = True
+    points: tuple[CityPointRecord, ...] = ()
+    by_units: tuple[tuple[float, float], ...] = ()
+    by_cost: tuple[tuple[float, float], ...] = ()
+    sites: Count = 0
+    poses: Count = 0
+    runs: Count = 0
+    frames: Count = 0
+    seconds: dict[str, float] = msgspec.field(default_factory=dict)
+    peak_memory_mib: Amount
+    notes: tuple[str, ...] = ()
+
+    @property
+    def front(self) -> JunctionFront:
+        """The front without its layouts."""
+        points = (Point(**{name: getattr(point, name) for name in _POINT}) for point in self.points)
+        return JunctionFront(points=tuple(points), by_units=self.by_units, by_cost=self.by_cost)
+
+    def without_layouts(self) -> "CityFrontRecord":
+        """A record without what takes memory: its layouts and notes."""
+        return replace(self, points=tuple(replace(p, layout=()) for p in self.points), notes=())
+
+
+def build_points(solved: SolvedJunction) -> tuple[CityPointRecord, ...]:
+    """The points of a junction's front with their layouts."""
+    return tuple(
+        CityPointRecord(
+            **{name: getattr(point, name) for name in _POINT},
+            layout=() if layout is None else build_unit_records(layout),
+        )
+        for point, layout in zip(solved.front.points, solved.layouts, strict=True)
+    )
+
+
+def load_front(path: Path) -> CityFrontRecord | None:
+    """Read ``front.json``; None if there is none, or it is damaged: then it is made anew."""
+    try:
+        return msgspec.json.decode(read_bytes(path), type=CityFrontRecord)
+    except (InputError, msgspec.DecodeError, UnicodeDecodeError):
+        return None
+
+
+def fronts_table(records: Iterable[CityFrontRecord]) -> bytes:
+    """All fronts as Parquet: a row for each point, and one for each junction that has none."""
+    import pandas as pd
+
+    rows = []
+    for record in records:
+        head = {"junction": record.id, "name": record.name, "map": record.map}
+        for point in record.points:
+            values = {name: getattr(point, name) for name in _POINT}
+            poses = " ".join(unit.id for unit in point.layout)
+            rows.append(head | values | {"layout": poses, "reason": ""})
+        if not record.points:
+            rows.append(head | dict.fromkeys(_POINT) | {"layout": "", "reason": record.reason})
+    file = io.BytesIO()
+    pd.DataFrame(rows).astype(dict.fromkeys(_POINT, "float64")).to_parquet(file)
+    return file.getvalue()
+
+
+# ---------- the folder
+
+
+class CityEntry(Record, frozen=True, kw_only=True):
+    """A junction's folder, and the hashes of what it was made from and of its front."""
+
+    id: str
+    map: str
+    folder: str
+    key: str
+    sha256: str
+
+
+class CityManifest(Record, frozen=True, kw_only=True):
+    """``manifest.json``: which city a folder is of, and what has been computed.
+
+    Attributes
+    ----------
+    crs : str
+        Of `bounds`; empty: the maps' own.
+    bounds : tuple of float
+        West, south, east and north of the junctions.
+    junctions : tuple of CityEntry
+        Those that are done.
+    """
+
+    schema: str = SCHEMA
+    maps: tuple[CityMapRecord, ...]
+    crs: str
+    bounds: tuple[float, float, float, float]
+    junctions: tuple[CityEntry, ...] = ()
+
+
+def load_manifest(path: Path) -> CityManifest:
+    """Read ``manifest.json``; InputError if it is something else."""
+    data = read_bytes(path)
+    try:
+        found = msgspec.json.decode(data, type=CityManifest)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise InputError(str(path), Unquoted(error), "a manifest of place-rsus city") from None
+    if found.schema != SCHEMA:
+        raise InputError(f"{path}: schema", found.schema, SCHEMA)
+    return found
+
+
+# ---------- the answer
+
+
+class CityJunctionRecord(Record, frozen=True, kw_only=True):
+    """A junction of the city, and what it gets.
+
+    Attributes
+    ----------
+    x, y : float
+        In the map's own coordinates: longitude and latitude, or metres.
+    weight : float
+        Its accidents, as a share of the city's.
+    reason : str
+        Why it has no front; empty: it has.
+    units, cost_eur
+        New units, and the cost of these and their sites.
+    year : int
+        In which it is ready, from 1; 0: not known, or nothing.
+    apr_before, apr, apr_one_failed : float
+        APR of the units mounted already; with the new ones; then if the most needed one fails.
+    layout, kept
+        All units, and how many of them are mounted already.
+    """
+
+    id: str
+    name: str
+    map: str
+    folder: str
+    x: float
+    y: float
+    weight: Amount
+    district: str = ""
+    reason: str = ""
+    units: Count = 0
+    cost_eur: Amount = 0.0
+    year: Count = 0
+    apr_before: Share = 0.0
+    apr: Share = 0.0
+    apr_one_failed: Share = 0.0
+    layout: tuple[UnitRecord, ...] = ()
+    kept: Count = 0
+
+    @property
+    def label(self) -> str:
+        """Name for people."""
+        return self.name or self.id
+
+    @property
+    def gain(self) -> float:
+        """Weighted accidents that the new units prevent."""
+        return self.weight * (self.apr - self.apr_before)
+
+
+class CityStepRecord(Record, frozen=True, kw_only=True):
+    """A step of the city's front: a junction gets more."""
+
+    junction: str
+    units: Count  # new ones at it from here on
+    taken: Amount  # by all junctions together: EUR, or units
+    apr: Share  # accidents prevented at all junctions together, by weight
+
+
+class CityPurchaseRecord(Record, frozen=True, kw_only=True):
+    """A line of what has to be ordered; its sum is 0 where no price is known."""
+
+    part: Literal["sensor", "site"]
+    name: str  # the sensor's model, or the kind of site
+    count: Annotated[int, Meta(ge=1)]
+    sum_eur: Amount
+
+
+class CitySearchRecord(Record, frozen=True, kw_only=True):
+    """How the fronts were searched for, see :class:`.inputs.CitySearch`."""
+
+    poses: Literal["fine", "coarse"]
+    max_units: Annotated[int, Meta(ge=1)]
+    max_junction_seconds: float
+    radius_m: float
+    sites: str
+
+
+class CityResult(Record, frozen=True, kw_only=True):
+    """Result of ``place-rsus city``: ``city.json``, and the output of ``--json``.
+
+    Attributes
+    ----------
+    weights : str
+        Source of the junctions' weights, in words.
+    apr_before : float
+        Accidents prevented by the units mounted already, by weight.
+    stages : tuple of StageRecord
+        Objectives, in order.
+    bound_of_fronts : float
+        Upper bound of the first stage for all choices among the points of the fronts.
+    not_done, computed : int
+        Junctions without a front; junctions whose fronts this call has computed.
+    by : str
+        What the city's front counts.
+    cheapest : str
+        Cost and benefit of the cheapest useful unit.
+    gain_years : float, optional
+        Gain times years of what is mounted earlier.
+    """
+
+    schema: str = SCHEMA
+    command: str = ""
+    maps: tuple[CityMapRecord, ...]
+    budget_units: int | None
+    budget_eur: float | None
+    weights: str
+    units: Count
+    cost_eur: Amount
+    apr_before: Share
+    stages: tuple[StageRecord, ...]
+    bound_of_fronts: Share
+    solver: str
+    is_proven: bool
+    junctions: tuple[CityJunctionRecord, ...]
+    not_done: Count
+    computed: Count = 0
+    by: Literal["units", "cost"]
+    front: tuple[CityStepRecord, ...]
+    cheapest: str = ""
+    gain_years: float | None = None
+    purchases: tuple[CityPurchaseRecord, ...] = ()
+    search: CitySearchRecord
+    sentences: tuple[str, ...] = ()
+    notes: tuple[str, ...]
+    seconds: dict[str, float] = msgspec.field(default_factory=dict)
+    versions: dict[str, str] = msgspec.field(default_factory=dict)
+
+
+def load_summary(path: Path) -> CityResult | None:
+    """Read ``city.json``; None if there is none, or it is of another program."""
+    try:
+        return msgspec.json.decode(read_bytes(path), type=CityResult)
+    except (OSError, InputError, msgspec.DecodeError, UnicodeDecodeError):
+        return None
+
+
+# ---------- the choice
+
+
+def choose_for_city(
+    out: Path,
+    city: City,
+    values: CityValues,
+    done: dict[str, CityFrontRecord],
+    *,
+    wish: CityWish,
+    search: CitySearch,
+    kept: dict[str, Layout],
+) -> CityResult:
+    """Choose a point of each junction's front; `done` has the fronts by their folders.
+
+    Raises
+    ------
+    InputError
+        No junction, or none with a weight, has a front; a wish cannot be met.
+    """
+    records = [done[one.folder] for one in city.junctions]
+    solved = _solved(city, records)
+    weight = values.weight[solved]
+    if not weight.sum() > 0.0:
+        raise InputError(
+            "--junction-weights",
+            Unquoted("weights only of junctions that have no front"),
+            "a weight above 0 for one that has",
+        )
+    fronts = [records[index].front for index in solved]
+    options = stack_fronts(fronts)
+    asked = values.wishes(wish, solved)
+    by_cost = asked.budget_eur is not None
+    choice = choose(
+        options,
+        weight,
+        asked,
+        bounds=stack_bounds(
+            fronts, counts_units=asked.budget_units is not None, counts_cost=by_cost
+        ),
+        names=[city.junctions[index].label for index in solved],
+        gap=search.gap,
+        time_limit_s=_CHOICE_S,
+    )
+    first = np.flatnonzero(np.diff(options.junction, prepend=-1))
+    share = weight / weight.sum()
+    phases = _phases(options, choice, first, share, wish)
+    shares = values.weight / values.weight.sum()
+    junctions = [
+        _row_of(one, record, weight=float(shares[index]), district=values.district_of(index))
+        for index, (one, record) in enumerate(zip(city.junctions, records, strict=True))
+    ]
+    for place, index in enumerate(solved):
+        one, point = city.junctions[index], int(choice.rows[place] - first[place])
+        chosen = records[index].points[point]
+        if chosen.units or one.scene_name in kept:
+            chosen = _with_layout(out, one, point)
+        junctions[index] = replace(
+            junctions[index],
+            units=chosen.units,
+            cost_eur=chosen.cost_eur,
+            apr_before=records[index].points[0].apr,
+            apr=chosen.apr,
+            apr_one_failed=chosen.apr_one_failed,
+            layout=chosen.layout,
+            kept=len(chosen.layout) - chosen.units,
+            year=0 if phases is None else int(phases.year[place]),
+        )
+    steps = city_front(options, weight, by_cost=by_cost)[:_MAX_STEPS]
+    result = CityResult(
+        maps=city.records,
+        budget_units=wish.budget_units,
+        budget_eur=wish.budget_eur,
+        weights=values.source,
+        units=sum(one.units for one in junctions),
+        cost_eur=sum(one.cost_eur for one in junctions),
+        apr_before=float(share @ options.apr[first]),
+        stages=build_stage_records(choice.certificate),
+        bound_of_fronts=choice.bound_of_points,
+        solver=choice.certificate.solver,
+        is_proven=choice.certificate.is_proven,
+        junctions=tuple(junctions),
+        not_done=len(records) - len(solved),
+        by="cost" if by_cost else "units",
+        front=tuple(
+            CityStepRecord(
+                junction=city.junctions[solved[step.junction]].label,
+                units=int(options.units[step.row]),
+                taken=step.taken,
+                apr=step.apr,
+            )
+            for step in steps
+        ),
+        cheapest=_cheapest(city, options, solved, share, first),
+        gain_years=None if phases is None else phases.gain_years,
+        search=CitySearchRecord(
+            poses="coarse" if search.is_coarse else "fine",
+            max_units=search.max_units,
+            max_junction_seconds=search.max_junction_s,
+            radius_m=search.radius_m,
+            sites=search.sites,
+        ),
+        notes=(*city.notes, *values.notes),
+    )
+    return replace(result, sentences=_sentences(result, wish, phases))
+
+
+def _solved(city: City, records: Sequence[CityFrontRecord]) -> list[int]:
+    """Indices of the junctions that have a front."""
+    solved = [index for index, record in enumerate(records) if not record.reason]
+    if not solved:
+        # One that another try could mend says what to change.
+        failed = min(records, key=lambda record: record.is_final)
+        raise InputError(
+            city.records[0].name,
+            Unquoted(f"no junction with a front; {failed.name or failed.id}: {failed.reason}"),
+            "one at which runs can be laid and sites can carry units"
+            if failed.is_final
+            else "more time or memory for each: --max-junction-seconds, --worker-memory",
+        )
+    return solved
+
+
+def _row_of(
+    one: CityJunction, record: CityFrontRecord, *, weight: float, district: str
+) -> CityJunctionRecord:
+    """A junction that gets nothing yet."""
+    x, y = (float(value) for value in one.surveyed.position)
+    return CityJunctionRecord(
+        id=one.surveyed.junction.id,
+        name=one.surveyed.junction.name,
+        map=one.roads.name,
+        folder=f"{JUNCTIONS}/{one.folder}",
+        x=x,
+        y=y,
+        weight=weight,
+        district=district,
+        reason=record.reason,
+    )
+
+
+def _with_layout(out: Path, one: CityJunction, index: int) -> CityPointRecord:
+    """A point of a junction's front as it stands in the folder."""
+    path = out / JUNCTIONS / one.folder / FRONT
+    record = load_front(path)
+    if record is None or index >= len(record.points):
+        raise InputError(str(path), Unquoted("a file that has changed"), "what was written")
+    return record.points[index]
+
+
+def _phases(
+    options: Options, choice: CityChoice, first: IntArray, share: FloatArray, wish: CityWish
+) -> Phases | None:
+    if wish.units_per_year is None:
+        return None
+    gain = share * (options.apr[choice.rows] - options.apr[first])
+    return plan_phases(
+        options.units[choice.rows],
+        np.maximum(gain, 0.0),
+        units_per_year=wish.units_per_year,
+        years=wish.years,
+    )
+
+
+def _cheapest(
+    city: City,
+    options: Options,
+    solved: Sequence[int],
+    share: FloatArray,
+    first: IntArray,
+) -> str:
+    """Cost and benefit of the cheapest useful option, in words."""
+    gain = share[options.junction] * (options.apr - options.apr[first][options.junction])
+    useful = np.flatnonzero(gain > TOLERANCE)
+    if not len(useful):
+        return "No unit at any junction prevents anything."
+    order = np.lexsort((-gain[useful], options.units[useful], options.cost_eur[useful]))
+    best = int(useful[order[0]])
+    one = city.junctions[solved[int(options.junction[best])]]
+    return (
+        f"The cheapest useful choice is {several(int(options.units[best]), 'unit', 'units')} at "
+        f"{one.label} for {euros(options.cost_eur[best])}: it would prevent "
+        f"{percent(float(gain[best]))} of the city's accidents."
+    )
+
+
+def _sentences(result: CityResult, wish: CityWish, phases: Phases | None) -> tuple[str, ...]:
+    """The answer in words, the most important sentence first."""
+    apr = result.stages[0]
+    served = sum(one.units > 0 for one in result.junctions)
+    n_fronts = len(result.junctions) - result.not_done
+    of_all = sum(one.weight * one.apr for one in result.junctions)
+    head = (
+        f"{several(result.units, 'unit', 'units')} at {served} of {len(result.junctions)} "
+        f"junctions for {euros(result.cost_eur)}: {percent(of_all)} of the accidents at all of "
+        "them are prevented"
+    )
+    if result.units == 0:
+        budget = (
+            several(result.budget_units or 0, "unit", "units")
+            if result.budget_eur is None
+            else euros(result.budget_eur)
+        )
+        head = f"Nothing at {several(n_fronts, 'junction', 'junctions')} for at most {budget}"
+    if result.not_done:
+        head += f"; {several(result.not_done, 'junction is', 'junctions are')} not done"
+    lines = [head + "."]
+    if result.units == 0:
+        lines.append(result.cheapest)
+    lines.append(_proof(apr, result.bound_of_fronts))
+    if result.apr_before > 0.0:
+        lines.append(
+            f"Units mounted already prevent {percent(result.apr_before)} of the accidents."
+        )
+    if phases is not None:
+        n_years = int(phases.year.max(initial=0))
+        lines.append(
+            f"At most {wish.units_per_year} units a year: all are mounted after "
+            f"{several(n_years, 'year', 'years')}, those that gain most per unit first"
+            + (" (proven)." if phases.bound <= phases.gain_years else ".")
+        )
+    if result.not_done:
+        lost = sum(one.weight for one in result.junctions if one.reason)
+        lines.append(
+            f"Junctions that are not done have {percent(lost)} of the accidents and count as if "
+            f"nothing were prevented there; of those at the others {percent(apr.objective)} are "
+            "prevented. The table says why."
+        )
+    return tuple(lines)
+
+
+def _proof(apr: StageRecord, of_fronts: float) -> str:
+    if apr.gap == 0.0:
+        return (
+            "Proven: no other units for the same budget, at these sites and in these poses, "
+            "prevent more."
+        )
+    bound = percent(apr.bound)
+    if of_fronts <= apr.objective + TOLERANCE:
+        return (
+            f"No choice prevents more than {bound}; among the layouts found this choice is the "
+            "best one, what is open are the fronts of the junctions."
+        )
+    return (
+        f"No choice prevents more than {bound}, none among the layouts found more than "
+        f"{percent(of_fronts)}."
+    )

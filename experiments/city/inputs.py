@@ -1,0 +1,518 @@
+"""Inputs of a city question: maps, junctions, weights, areas, and units mounted already."""
+
+import hashlib
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from geometry.arrays import FloatArray
+from geometry.errors import InputError, Unquoted
+from geometry.files import read_text
+from geometry.maps.cut import Neighbourhoods
+from geometry.maps.georeferences import transform
+from geometry.maps.importing import DEFAULT_RADIUS_M, ReadingOptions, read_map
+from geometry.maps.junctions import Surveyed, choose_junction, survey_junctions
+from geometry.maps.place_lists import areas_of, read_areas, read_counts, snap
+from geometry.maps.source_map import SourceMap
+from placement.city.choose import CityWishes, District
+from placement.layout import Layout, load_layout
+
+from ..results.folders import LAYOUT_FILE, sha256
+from ..results.record import Record
+
+JUNCTIONS = "junctions"
+"""Folder of the junctions in that of a city, and the layer of them in its GeoPackage."""
+
+_SAME_M = 15.0  # two junctions of different maps that are one
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CityWish:
+    """Budget of a city, the junctions that count and how much, and what has to be reached.
+
+    Attributes
+    ----------
+    budget_units, budget_eur : optional
+        Most new units, most money for units and sites.
+    within : Path, optional
+        Areas in which junctions count.
+    junctions : str
+        Ids or names with semicolons between, or a file with one a line; empty: all.
+    min_arms, signals_only
+        Least arms of a junction that counts; whether it needs traffic lights.
+    weights_file, weight_column, snap_m
+        Counts at places or by junction, see :func:`geometry.maps.place_lists.read_counts`, and how
+        far a place may be from its junction. [m]
+    districts, min_district_apr
+        Areas, and the least APR of all junctions of each.
+    areas, near_m
+        Areas with columns "weight" (a factor) or "min_apr" (of each junction), and how far away
+        a junction still belongs to one. [m]
+    keep : tuple of Path
+        Layout files, or folders of a city, with the units mounted already.
+    units_per_year, years : int, optional
+        Most units mounted in a year, most years.
+    """
+
+    budget_units: int | None = None
+    budget_eur: float | None = None
+    within: Path | None = None
+    junctions: str = ""
+    min_arms: int = 3
+    signals_only: bool = False
+    weights_file: Path | None = None
+    weight_column: str = ""
+    snap_m: float = 50.0
+    districts: Path | None = None
+    min_district_apr: float = 0.0
+    areas: Path | None = None
+    near_m: float = 0.0
+    keep: tuple[Path, ...] = ()
+    units_per_year: int | None = None
+    years: int | None = None
+
+    def __post_init__(self) -> None:
+        for name, other in _TOGETHER.items():
+            value = getattr(self, name)
+            if value and not getattr(self, other):
+                raise InputError(name, value, f"`{other}` as well")
+
+
+# Wishes that need another one.
+_TOGETHER = {
+    "years": "units_per_year",
+    "min_district_apr": "districts",
+    "districts": "min_district_apr",
+    "weight_column": "weights_file",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CitySearch:
+    """Effort for the front of each junction.
+
+    Attributes
+    ----------
+    is_coarse : bool
+        Try a ninth of the poses.
+    max_units, max_junction_s
+        Most new units at a junction; most time for one. [s]
+    radius_m, sites
+        Of the scene of a junction, see :class:`geometry.maps.importing.ImportOptions`.
+    reading : ReadingOptions
+        Facts that map files do not state of themselves.
+    gap : float
+        Relative gap at which the city's choice counts as settled.
+    """
+
+    is_coarse: bool = False
+    max_units: int = 6
+    max_junction_s: float = 300.0
+    radius_m: float = DEFAULT_RADIUS_M
+    sites: str = "auto"
+    reading: ReadingOptions = field(default_factory=ReadingOptions)
+    gap: float = 0.0
+
+
+class CityMapRecord(Record, frozen=True, kw_only=True):
+    """A map of the city."""
+
+    name: str
+    sha256: str
+    has_roads: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CityJunction:
+    """A junction that counts, the map with its roads, and the name of its folder.
+
+    Its position, (2,) float, is in the coordinates of the first map with roads. [m]
+    """
+
+    surveyed: Surveyed
+    roads: SourceMap
+    folder: str
+    position_m: FloatArray
+
+    @property
+    def scene_name(self) -> str:
+        """Name of its scene."""
+        return f"{Path(self.roads.name).stem}/{self.surveyed.junction.id}"
+
+    @property
+    def label(self) -> str:
+        """Name for people."""
+        return self.surveyed.junction.name or self.surveyed.junction.id
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class City:
+    """Maps with and without roads, their files, and the junctions that count, the largest first.
+
+    `n_all` counts all junctions of the maps; `bounds` are their west, south, east and north, in the
+    coordinates of the first map's file; `notes` say what was left out.
+    """
+
+    roads: tuple[SourceMap, ...]
+    others: tuple[SourceMap, ...]
+    records: tuple[CityMapRecord, ...]
+    junctions: tuple[CityJunction, ...]
+    n_all: int
+    bounds: tuple[float, float, float, float]
+    notes: tuple[str, ...]
+
+    def neighbourhoods(self, *, radius_m: float) -> dict[str, Neighbourhoods]:
+        """Sources of surroundings, by the name of the map with the roads."""
+        return {
+            source.name: Neighbourhoods([source, *self.others], radius_m=radius_m)
+            for source in self.roads
+        }
+
+    @property
+    def crs(self) -> str:
+        """Coordinate reference system of the first map's file."""
+        return self.roads[0].source_crs or self.roads[0].crs
+
+
+# ---------- maps and junctions
+
+
+def load_city(paths: Sequence[Path], reading: ReadingOptions, wish: CityWish) -> City:
+    """Read maps once, and find the junctions that count.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, none has roads, two have the same name or overlap, or no junction
+        counts.
+    """
+    if not paths:
+        raise InputError("MAP", Unquoted("nothing"), "a map: OpenDRIVE or OpenStreetMap")
+    names = [path.name for path in paths]
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise InputError("MAP", Unquoted(f"two files called {twice[0]}"), "each map once")
+    maps = [read_map(path, reading) for path in paths]
+    roads = tuple(source for source in maps if source.lanes)
+    if not roads:
+        raise InputError(", ".join(names), Unquoted("no roads"), "a map with roads")
+    records = tuple(
+        CityMapRecord(name=source.name, sha256=sha256(path), has_roads=bool(source.lanes))
+        for source, path in zip(maps, paths, strict=True)
+    )
+    found: list[CityJunction] = []
+    for source in roads:
+        for surveyed in survey_junctions(source):
+            place = surveyed.junction.position_m
+            if source.crs != roads[0].crs:
+                if not (source.crs and roads[0].crs):
+                    raise InputError(
+                        source.name,
+                        Unquoted(f"coordinates unlike those of {roads[0].name}"),
+                        "maps that all say where on earth they lie, or none of them",
+                    )
+                place = transform(place, source.crs, roads[0].crs)
+            folder = _folder_name(source.name if len(roads) > 1 else "", surveyed.junction.id)
+            found.append(
+                CityJunction(surveyed=surveyed, roads=source, folder=folder, position_m=place)
+            )
+    if not found:
+        raise InputError(", ".join(s.name for s in roads), Unquoted("no junction"), "some")
+    _refuse_overlap(found)
+    chosen, notes = _counting(found, roads[0], wish)
+    return City(
+        roads=roads,
+        others=tuple(source for source in maps if not source.lanes),
+        records=records,
+        junctions=tuple(chosen),
+        n_all=len(found),
+        bounds=_bounds([one.surveyed for one in found if one.roads.crs == roads[0].crs]),
+        notes=tuple(notes),
+    )
+
+
+def _bounds(found: Sequence[Surveyed]) -> tuple[float, float, float, float]:
+    points = np.array([one.position for one in found])
+    (west, south), (east, north) = points.min(axis=0), points.max(axis=0)
+    return float(west), float(south), float(east), float(north)
+
+
+def _folder_name(map_name: str, junction_id: str) -> str:
+    """A name for a folder; ids that had to be changed, or are long, have a hash behind them."""
+    name = f"{Path(map_name).stem}-{junction_id}" if map_name else junction_id
+    plain = re.sub(r"[^A-Za-z0-9_-]+", "-", name).strip("-")[:60] or "junction"
+    if plain == name:
+        return plain
+    return f"{plain}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
+
+
+def _refuse_overlap(found: Sequence[CityJunction]) -> None:
+    from scipy.spatial import cKDTree
+
+    places = np.array([one.position_m for one in found])
+    for one, other in sorted(cKDTree(places).query_pairs(_SAME_M)):
+        first, second = found[one], found[other]
+        if first.roads is not second.roads:
+            raise InputError(
+                f"{first.roads.name} and {second.roads.name}",
+                Unquoted(f"maps that overlap: both have a junction at {first.label}"),
+                "maps of different places",
+            )
+
+
+def _counting(
+    found: Sequence[CityJunction], roads: SourceMap, wish: CityWish
+) -> tuple[list[CityJunction], list[str]]:
+    """Junctions that count, and how many do not, and why."""
+    left = list(found)
+    notes = []
+    if wish.within is not None:
+        areas = read_areas(wish.within, crs=roads.crs)
+        hits = areas_of(areas, np.array([one.position_m for one in left]))
+        left = [one for one, hit in zip(left, hits, strict=True) if hit]
+        if not left:
+            raise InputError(
+                "--within", str(wish.within), f"an area with some of the {len(found)} junctions"
+            )
+        notes.append(f"{len(found) - len(left)} junctions lie outside {wish.within.name}")
+    if wish.junctions:
+        return _named(left, roads, wish.junctions), notes
+    few = [one for one in left if len(one.surveyed.arms) < wish.min_arms]
+    dark = [
+        one for one in left if wish.signals_only and one not in few and not one.surveyed.n_signals
+    ]
+    if few:
+        notes.append(f"{len(few)} junctions have fewer than {wish.min_arms} arms")
+    if dark:
+        notes.append(f"{len(dark)} junctions have no traffic lights")
+    out = {id(one) for one in (*few, *dark)}
+    left = [one for one in left if id(one) not in out]
+    if not left:
+        raise InputError(
+            roads.name, Unquoted("no junction that counts: " + "; ".join(notes)), "some"
+        )
+    return left, notes
+
+
+def _named(found: Sequence[CityJunction], roads: SourceMap, text: str) -> list[CityJunction]:
+    path = Path(text)
+    names = (
+        read_text(path, "a list of junctions").splitlines() if path.is_file() else text.split(";")
+    )
+    by_survey = {id(one.surveyed): one for one in found}
+    chosen: dict[int, CityJunction] = {}
+    for name in (name.strip() for name in names):
+        if not name:
+            continue
+        try:
+            surveyed = choose_junction(roads, [one.surveyed for one in found], name=name)
+        except InputError as error:
+            raise InputError("--junctions", error.got, error.expected) from None
+        chosen[id(surveyed)] = by_survey[id(surveyed)]
+    if not chosen:
+        raise InputError("--junctions", text, "ids or names, or a file with one a line")
+    return list(chosen.values())
+
+
+# ---------- weights, areas, districts
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CityValues:
+    """Weight of each junction, the source of the weights in words, and what has to be reached.
+
+    Attributes
+    ----------
+    weight, least_apr : (n,) float
+        Not all 0; 0: nothing is asked.
+    districts : tuple of (str, indices)
+        Names and junctions.
+    notes : tuple of str
+        Rows and districts that were not used.
+    """
+
+    weight: FloatArray
+    source: str
+    least_apr: FloatArray
+    districts: tuple[tuple[str, tuple[int, ...]], ...]
+    notes: tuple[str, ...]
+
+    def district_of(self, junction: int) -> str:
+        """Names of the districts of a junction, with commas between."""
+        return ", ".join(name for name, members in self.districts if junction in members)
+
+    def wishes(self, wish: CityWish, solved: Sequence[int]) -> CityWishes:
+        """The wishes for the junctions that have a front, by their indices."""
+        place = {index: row for row, index in enumerate(solved)}
+        districts = []
+        for name, members in self.districts:
+            rows = np.array([place[index] for index in members if index in place], dtype=np.int64)
+            if len(rows) and self.weight[list(members)].sum() > 0.0:
+                districts.append(
+                    District(name=name, junctions=rows, least_apr=wish.min_district_apr)
+                )
+        limit = wish.budget_units
+        if wish.units_per_year is not None and wish.years is not None:
+            most = wish.units_per_year * wish.years
+            limit = most if limit is None else min(limit, most)
+        return CityWishes(
+            budget_units=limit,
+            budget_eur=wish.budget_eur,
+            districts=tuple(districts),
+            least_apr=self.least_apr[list(solved)],
+        )
+
+
+def load_values(city: City, wish: CityWish) -> CityValues:
+    """Weights, areas and districts of a city's junctions.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, or nothing of it is at the junctions.
+    """
+    places = np.array([one.position_m for one in city.junctions])
+    crs = city.roads[0].crs
+    weight, source, notes = np.ones(len(places)), "every junction counts the same", []
+    if wish.weights_file is not None:
+        weight, source, more = _weights(city, wish.weights_file, wish, places)
+        notes += more
+    least = np.zeros(len(places))
+    if wish.areas is not None:
+        areas = read_areas(wish.areas, crs=crs)
+        columns = {name for area in areas for name in area.values}
+        if not columns & {"weight", "min_apr"}:
+            known = ", ".join(sorted(columns)) or "none"
+            raise InputError(
+                f"{wish.areas}: columns", Unquoted(known), "weight or min_apr, or both"
+            )
+        for index, hits in enumerate(areas_of(areas, places, within_m=wish.near_m)):
+            for hit in hits:
+                area = areas[hit]
+                weight[index] *= _number(area.values.get("weight"), area.where, "weight", 1.0)
+                floor = _number(area.values.get("min_apr"), area.where, "min_apr", 0.0, most=1.0)
+                least[index] = max(least[index], floor)
+    districts: list[tuple[str, tuple[int, ...]]] = []
+    if wish.districts is not None:
+        areas = read_areas(wish.districts, crs=crs)
+        inside = areas_of(areas, places)
+        for number, area in enumerate(areas):
+            members = tuple(index for index, hit in enumerate(inside) if number in hit)
+            if members:
+                districts.append((area.name, members))
+            else:
+                notes.append(f"district {area.name}: no junction in it")
+        if not districts:
+            raise InputError("--districts", str(wish.districts), "areas with junctions in them")
+    if not weight.sum() > 0.0:
+        raise InputError("--junction-weights", Unquoted("only zeros"), "a weight above 0")
+    return CityValues(
+        weight=weight,
+        source=source,
+        least_apr=least,
+        districts=tuple(districts),
+        notes=tuple(notes),
+    )
+
+
+def _weights(
+    city: City, path: Path, wish: CityWish, places: FloatArray
+) -> tuple[FloatArray, str, list[str]]:
+    """Weights, their source in words, and notes on what was not used."""
+    counts = read_counts(path, crs=city.roads[0].crs, column=wish.weight_column)
+    weight = np.zeros(len(places))
+    what = f"column {counts.column}" if counts.column else "each place counts 1"
+    if counts.positions_m is None:
+        known: dict[str, int] = {}
+        for index, one in enumerate(city.junctions):
+            known.setdefault(one.surveyed.junction.id, index)
+            known.setdefault(one.surveyed.junction.name, index)
+        lost = []
+        for name, value in zip(counts.junctions, counts.values, strict=True):
+            if name in known:
+                weight[known[name]] += value
+            else:
+                lost.append(name)
+        if len(lost) == len(counts.junctions):
+            raise InputError(f"{path}: junction", lost[0], "ids or names of junctions that count")
+        source = f"{path.name}, {what}, by junction"
+        notes = [f"{path.name}: {len(lost)} rows of junctions that do not count, such as {lost[0]}"]
+        return weight, source, notes if lost else []
+    nearest, distance = snap(counts.positions_m, places, within_m=wish.snap_m)
+    is_near = nearest >= 0
+    if not is_near.any():
+        raise InputError(
+            "--junction-weights",
+            Unquoted(f"{path}, whose nearest place is {distance.min():,.0f} m from a junction"),
+            f"places within {wish.snap_m:g} m (--snap) of a junction that counts",
+        )
+    np.add.at(weight, nearest[is_near].astype(np.int64), counts.values[is_near])
+    source = f"{path.name}, {what}, at the nearest junction within {wish.snap_m:g} m"
+    notes = []
+    if not is_near.all():
+        gone = float(counts.values[~is_near].sum())
+        notes.append(
+            f"{path.name}: {int((~is_near).sum())} of {len(is_near)} places, which count "
+            f"{gone:g} of {float(counts.values.sum()):g}, are farther than {wish.snap_m:g} m from "
+            "every junction that counts: not used"
+        )
+    n_zero = int((weight == 0.0).sum())
+    if n_zero:
+        notes.append(f"{n_zero} junctions have no weight and get nothing for themselves")
+    return weight, source, notes
+
+
+def _number(
+    value: object, where: str, name: str, otherwise: float, *, most: float = np.inf
+) -> float:
+    if value is None:
+        return otherwise
+    try:
+        number = np.nan if isinstance(value, bool) else float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        number = np.nan
+    if not (np.isfinite(number) and 0.0 <= number <= most):
+        top = "" if most == np.inf else f" to {most:g}"
+        raise InputError(f"{where}: {name}", value, f"a number from 0{top}")
+    return number
+
+
+# ---------- units mounted already
+
+
+def load_kept(paths: Sequence[Path], city: City) -> dict[str, Layout]:
+    """Layouts of the units mounted already, by the name of the scene.
+
+    A folder is one of a city, and stands for the layouts that it chose.
+
+    Raises
+    ------
+    InputError
+        A file is no layout, two are of the same junction, or one is of none that counts.
+    """
+    files: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            inside = sorted((path / JUNCTIONS).glob(f"*/{LAYOUT_FILE}"))
+            if not inside:
+                raise InputError("--keep", str(path), "a folder of place-rsus city with layouts")
+            files += inside
+        else:
+            files.append(path)
+    scenes = {one.scene_name for one in city.junctions}
+    kept: dict[str, Layout] = {}
+    for file in files:
+        layout = load_layout(file)
+        if layout.scene_name not in scenes:
+            raise InputError(
+                f"--keep {file}: scene",
+                layout.scene_name or Unquoted("nothing"),
+                "a junction that counts, such as " + sorted(scenes)[0],
+            )
+        if layout.scene_name in kept:
+            raise InputError("--keep", str(file), f"one layout of {layout.scene_name}")
+        kept[layout.scene_name] = layout
+    return kept

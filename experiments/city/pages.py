@@ -1,0 +1,358 @@
+"""Pages of a city: the report of all junctions, and one for each."""
+
+from collections.abc import Container, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+from matplotlib.axes import Axes
+
+from geometry.scene import Scene
+from placement.layout import Layout
+
+from ..figures.axes import VERMILION
+from ..report.page import page_template
+from ..report.section import Block, Bullets, Code, Section, Table, build_picture
+from ..results.numbers import euros, number, percent
+from ..scene.pictures import plot_scene_plan
+from .answer import CityFrontRecord, CityJunctionRecord, CityResult
+from .map import plot_junction_front
+
+MAX_ROWS = 400
+"""Junctions and poles that are listed, and junctions that get pages."""
+
+_MAX_STEPS = 60
+_ARROW_M = 9.0
+_STAGES = {
+    "apr": "accidents prevented",
+    "apr_one_failed": "if at each junction the unit needed most fails",
+    "smallest_margin_s": "smallest time to spare (s)",
+    "mean_margin_s": "mean time to spare (s)",
+    "cost_eur": "cost (EUR)",
+}
+
+
+def render_city_report(
+    result: CityResult,
+    city_map: Axes,
+    front: Axes,
+    *,
+    poles: Sequence[Mapping[str, Any]],
+    paged: Container[str],
+) -> str:
+    """The city's report as one HTML page; it links the pages of the folders that have one."""
+    sections = [
+        _map_section(result, city_map),
+        _junction_section(result, paged),
+        _front_section(result, front),
+        _proof_section(result),
+        _order_section(result, poles),
+        _not_done_section(result),
+        _assumptions_section(result),
+    ]
+    names = " and ".join(one.name for one in result.maps if one.has_roads)
+    return page_template().render(
+        title=f"Roadside units for {names}",
+        answer=list(result.sentences),
+        sections=[section for section in sections if section is not None],
+        interactive=None,
+        details=[Section("again", "Make it again", [Code(result.command)])],
+    )
+
+
+def _map_section(result: CityResult, city_map: Axes) -> Section:
+    picture = build_picture(
+        city_map,
+        title="What each junction gets",
+        caption="Circles grow with the gain and darken with the number of units, which stands in "
+        "them. Next to the largest ones is the rank, as in the table below. Streets and buildings "
+        "are those of the maps.",
+        alt=f"Map with {sum(one.units > 0 for one in result.junctions)} junctions that get units "
+        f"and {sum(not one.units for one in result.junctions)} that get none; the table below "
+        "lists all of them.",
+    )
+    return Section("map", "Where", [picture])
+
+
+def _junction_section(result: CityResult, paged: Container[str]) -> Section:
+    served = sorted((one for one in result.junctions if one.units), key=lambda one: -one.gain)
+    listed = served[:MAX_ROWS]
+    columns: dict[str, list[str]] = {
+        "rank": [str(rank) for rank in range(1, len(listed) + 1)],
+        "junction": [_link(one, paged) for one in listed],
+        "district": [one.district for one in listed],
+        "units": [str(one.units) for one in listed],
+        "year": [str(one.year) for one in listed],
+        "cost (EUR)": [f"{one.cost_eur:,.0f}" for one in listed],
+        "weight": [percent(one.weight) for one in listed],
+        "APR before": [percent(one.apr_before) for one in listed],
+        "APR": [percent(one.apr) for one in listed],
+        "APR if a unit fails": [percent(one.apr_one_failed) for one in listed],
+        "gain for the city": [percent(one.gain) for one in listed],
+    }
+    is_asked = {
+        "district": any(one.district for one in served),
+        "year": any(one.year for one in served),
+        "APR before": result.apr_before > 0.0,
+    }
+    columns = {name: cells for name, cells in columns.items() if is_asked.get(name, True)}
+    blocks: list[Block] = []
+    if served:
+        left = len(served) - len(listed)
+        blocks.append(
+            Table(
+                caption="Junctions that get units, by their gain"
+                + (f" ({left} more in junctions.csv)" if left else ""),
+                columns=list(columns),
+                rows=list(zip(*columns.values(), strict=True)),
+                numeric=range(2 + is_asked["district"], len(columns)),
+            )
+        )
+    rest = [one for one in result.junctions if not one.units and not one.reason]
+    if rest:
+        blocks.append(
+            Table(
+                caption="Junctions that get nothing",
+                summary=f"{len(rest)} junctions get nothing",
+                columns=["junction", "weight", "APR"],
+                rows=[
+                    [_link(one, paged), percent(one.weight), percent(one.apr)]
+                    for one in rest[:MAX_ROWS]
+                ],
+                numeric=(1, 2),
+            )
+        )
+    return Section("junctions", "What each junction gets", blocks)
+
+
+def _link(one: CityJunctionRecord, paged: Container[str]) -> str:
+    """The name of a junction that leads to its page, if it has one."""
+    if one.folder not in paged:
+        return one.label
+    return Markup('<a href="{}">{}</a>').format(f"{one.folder}/report.html", one.label)
+
+
+def _front_section(result: CityResult, front: Axes) -> Section:
+    counted = "euros" if result.by == "cost" else "units"
+    budget = result.budget_eur if result.by == "cost" else result.budget_units
+    unit = " EUR" if result.by == "cost" else ""
+    picture = build_picture(
+        front,
+        title=f"What more {counted} buy",
+        caption="Each dot is a step at which a junction joins or gets more, and the best choice "
+        "for what it takes. Between two dots other choices are best; made of the layouts found, "
+        "none is above the line. Wishes for districts and areas are not counted here.",
+        alt=f"Accidents prevented against {counted}, rising from {percent(result.apr_before)}.",
+    )
+    rows = [
+        [str(index), step.junction, str(step.units), f"{step.taken:,.0f}", percent(step.apr)]
+        for index, step in enumerate(result.front[:_MAX_STEPS], start=1)
+    ]
+    within = sum(1 for step in result.front if budget is not None and step.taken <= budget + 1e-6)
+    table = Table(
+        caption="Steps of the city's front",
+        summary=f"The first {len(rows)} steps; {within} of them fit into the budget",
+        columns=["step", "junction", "units from here on", f"together{unit}", "prevented"],
+        rows=rows,
+        numeric=(2, 3, 4),
+    )
+    return Section("front", f"What more {counted} buy", [picture, table])
+
+
+def _proof_section(result: CityResult) -> Section:
+    rows = [
+        [
+            _STAGES[stage.name],
+            _shown(stage.name, stage.objective),
+            _shown(stage.name, stage.bound),
+            "proven" if stage.gap == 0.0 else "open",
+        ]
+        for stage in result.stages
+    ]
+    table = Table(
+        caption="Objectives in order; each holds those above it",
+        columns=["objective", "found", "bound", "gap"],
+        rows=rows,
+        numeric=(1, 2),
+    )
+    note = (
+        "The first bound holds for all layouts at all junctions: it is made of the bounds of the "
+        "junctions' fronts and of the choice among them. The others hold for the choice among the "
+        f"points of the fronts, of which none exceeds {percent(result.bound_of_fronts)} in the "
+        f"first objective. Solver: {result.solver}."
+    )
+    return Section("proof", "How good it is proven to be", [table, note])
+
+
+def _shown(objective: str, value: float | None) -> str:
+    if value is None:
+        return number(None)
+    if objective.startswith("apr"):
+        return percent(value)
+    return f"{value:,.0f}" if objective == "cost_eur" else number(value)
+
+
+def _order_section(result: CityResult, poles: Sequence[Mapping[str, Any]]) -> Section | None:
+    if not result.purchases:
+        return None
+    order = Table(
+        caption="To order",
+        columns=["part", "what", "number", "sum (EUR)"],
+        rows=[
+            [
+                one.part,
+                one.name,
+                str(one.count),
+                f"{one.sum_eur:,.0f}" if one.sum_eur else "unknown",
+            ]
+            for one in result.purchases
+        ],
+        numeric=(2, 3),
+    )
+    has_map = all("map_x" in pole for pole in poles)
+    listed = Table(
+        caption="Poles",
+        summary=f"{len(poles)} poles that carry units",
+        columns=["junction", "pole", "kind", "units", *(["x", "y"] if has_map else [])],
+        rows=[
+            [
+                str(pole["name"] or pole["junction"]),
+                str(pole["site"]),
+                str(pole["kind"]),
+                str(pole["units"]),
+                *([f"{pole['map_x']:.6f}", f"{pole['map_y']:.6f}"] if has_map else []),
+            ]
+            for pole in poles[:MAX_ROWS]
+        ],
+        numeric=(3, 4, 5),
+    )
+    note = (
+        "Prices are those of the catalogue; sites without a known price have those that "
+        "placement/data/prices.toml assumes. All units are in city.gpkg, all poles in poles.csv."
+    )
+    return Section("order", "What to order", [order, listed, note])
+
+
+def _not_done_section(result: CityResult) -> Section | None:
+    failed = [one for one in result.junctions if one.reason]
+    if not failed:
+        return None
+    table = Table(
+        caption="Junctions without a front",
+        columns=["junction", "weight", "why"],
+        rows=[[one.label, percent(one.weight), one.reason] for one in failed[:MAX_ROWS]],
+        numeric=(1,),
+    )
+    return Section("not-done", "What was not done", [table])
+
+
+def _assumptions_section(result: CityResult) -> Section:
+    search = result.search
+    sentences = [
+        f"Weights: {result.weights}.",
+        f"Poses at each site: {search.poses}; at most {search.max_units} new units at a junction, "
+        f"{search.max_junction_seconds:g} s for each; sites: {search.sites}; "
+        f"{search.radius_m:g} m around each junction.",
+        "Junctions do not help one another: a unit counts at the junction that it was chosen for.",
+        "Each APR is that of the detection table; the page of a junction has the command that "
+        "evaluates its units by full perception and braking.",
+        *result.notes,
+    ]
+    return Section("assumptions", "What this rests on", [Bullets(sentences)])
+
+
+# ---------- one junction
+
+
+def render_junction_page(
+    one: CityJunctionRecord,
+    record: CityFrontRecord,
+    scene: Scene,
+    layout: Layout,
+    *,
+    question: str,
+) -> str:
+    """The page of a junction: its units, its front, and how to look closer.
+
+    `question` is the name of the file of the runs that are driven, in the page's folder.
+    """
+    again = f"place-rsus evaluate --scene . --layout layout.json --question {question} --out report"
+    answer = [
+        f"{one.units} new units for {euros(one.cost_eur)}: APR {percent(one.apr)}"
+        + (f", before {percent(one.apr_before)}." if one.kept else ".")
+        if one.units
+        else "This junction gets no new unit.",
+        f"{record.runs} runs, {record.sites} sites, {record.poses} poses.",
+    ]
+    sections = [
+        Section("plan", "Plan", _plan_blocks(one, scene, layout)),
+        Section("front", "What money buys here", _front_blocks(one, record)),
+        Section(
+            "closer",
+            "Look closer",
+            ["In this folder, full perception and emergency braking:", Code(again)],
+        ),
+    ]
+    if record.notes:
+        sections.append(Section("notes", "Left out or assumed", [Bullets(record.notes[:60])]))
+    return page_template().render(
+        title=one.label, answer=answer, sections=sections, interactive=None, details=[]
+    )
+
+
+def _plan_blocks(one: CityJunctionRecord, scene: Scene, layout: Layout) -> list[Block]:
+    plan = plot_scene_plan(scene)
+    _draw_units(plan, layout)
+    picture = build_picture(
+        plan,
+        title="Plan",
+        caption="Sites, and the units that are chosen, with the direction in which they look.",
+        alt=f"Plan of {one.label} with {len(one.layout)} units.",
+    )
+    rows = [
+        [
+            *(unit.id, unit.site, number(unit.x_m), number(unit.y_m), number(unit.z_m)),
+            *(number(unit.yaw_deg, 0), number(unit.pitch_deg, 0)),
+        ]
+        for unit in one.layout
+    ]
+    columns = ["unit", "site", "east (m)", "north (m)", "height (m)", "yaw (deg)", "pitch (deg)"]
+    return [picture, Table(caption="Units", columns=columns, rows=rows, numeric=range(2, 7))]
+
+
+def _front_blocks(one: CityJunctionRecord, record: CityFrontRecord) -> list[Block]:
+    chosen = next(
+        index
+        for index, point in enumerate(record.points)
+        if (point.units, point.cost_eur, point.apr) == (one.units, one.cost_eur, one.apr)
+    )
+    points = [(point.cost_eur, point.apr, point.units) for point in record.points]
+    front = build_picture(
+        plot_junction_front(points, record.by_cost, chosen=chosen),
+        title="What money buys here",
+        caption="Layouts found, and the upper bound of all.",
+        alt="APR against cost; the table below has the numbers.",
+    )
+    rows = [
+        [
+            *(str(point.units), f"{point.cost_eur:,.0f}", percent(point.apr)),
+            *(percent(point.apr_one_failed), "yes" if index == chosen else ""),
+        ]
+        for index, point in enumerate(record.points)
+    ]
+    columns = ["new units", "cost (EUR)", "APR", "APR if a unit fails", "chosen"]
+    return [front, Table(caption="Layouts", columns=columns, rows=rows, numeric=(0, 1, 2, 3))]
+
+
+def _draw_units(axes: Axes, layout: Layout) -> None:
+    for unit in layout.units:
+        x, y = unit.pose.position_m[:2]
+        yaw = np.radians(unit.pose.yaw_deg)
+        axes.annotate(
+            "",
+            xy=(x + _ARROW_M * np.cos(yaw), y + _ARROW_M * np.sin(yaw)),
+            xytext=(x, y),
+            arrowprops={"arrowstyle": "-|>", "color": VERMILION, "linewidth": 2.0},
+            zorder=10,
+        )
+        axes.plot([x], [y], marker="o", ms=7.0, mfc=VERMILION, mec="black", mew=0.6, zorder=11)

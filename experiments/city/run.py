@@ -1,0 +1,666 @@
+"""``place-rsus city``: fronts of many junctions, the choice among them, and a folder with all.
+
+The folder has a folder for each junction with its scene and front, written as soon as that is
+known; started again, only what is missing, or whose inputs have changed, is computed.
+"""
+
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass, fields
+from dataclasses import replace as replace_field
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from msgspec.structs import replace
+
+from geometry.catalogue import Sensor
+from geometry.errors import InputError, Unquoted
+from geometry.files import read_bytes
+from geometry.maps.georeferences import transform
+from geometry.maps.importing import ImportOptions
+from geometry.maps.sites import check_sites
+from geometry.scene import Scene
+from geometry.scene_files import load_scene_folder
+from placement.cache import ALL_PACKAGES, Fingerprints, hash_of_files
+from placement.candidates import CandidateGrid
+from placement.city.junction import JunctionWishes
+from placement.layout import Layout, layout_from_records
+from placement.planning import build_grid
+from placement.question import Question, question_text, save_question
+from placement.setting import check_question
+
+from ..export.json import to_json, to_json_text
+from ..export.places import placed_records
+from ..figures.axes import to_png
+from ..progress import WRITING, StageProgress, follow_parent
+from ..report.bill_of_materials import build_bill
+from ..results.csv_text import csv_text
+from ..results.drives import versions
+from ..results.folders import LAYOUT_FILE, check_folder, sha256, write_files, write_manifest
+from ..results.numbers import several
+from ..results.record import to_plain
+from .answer import (
+    FRONT,
+    FRONTS,
+    MANIFEST,
+    SCHEMA,
+    SUMMARY,
+    CityEntry,
+    CityFrontRecord,
+    CityJunctionRecord,
+    CityManifest,
+    CityPurchaseRecord,
+    CityResult,
+    choose_for_city,
+    fronts_table,
+    load_front,
+    load_manifest,
+    load_summary,
+)
+from .inputs import (
+    JUNCTIONS,
+    City,
+    CityJunction,
+    CitySearch,
+    CityWish,
+    load_city,
+    load_kept,
+    load_values,
+)
+from .map import plot_city_front, plot_city_map
+from .pages import MAX_ROWS, render_city_report, render_junction_page
+from .workers import JunctionAnswer, JunctionTask, check_memory, run_junctions, start_workers
+
+REPORT, GEOPACKAGE, QUESTION = "report.html", "city.gpkg", "question.toml"
+JUNCTION_TABLE, POLE_TABLE, UNITS = "junctions.csv", "poles.csv", "units"
+CITY_VERSION = 3
+"""Counts up when the same inputs give another front: older ones in a folder are made anew."""
+
+SOLVE = "junctions"
+"""The stage in which fronts are found."""
+
+SERVE = "junctions with units"
+"""The stage in which their layouts and pages are written."""
+
+_NEW_FOR_A_PROCESS = 8  # a process takes some seconds to start, a page half of one
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CityWorkers:
+    """A dask scheduler by its address, or processes on this machine and the most memory of each."""
+
+    scheduler: str = ""
+    n_workers: int = 1
+    memory: str = "1.5GiB"
+
+
+def run_city(
+    question: Question,
+    *,
+    maps: Sequence[Path],
+    wish: CityWish,
+    search: CitySearch,
+    workers: CityWorkers,
+    out: Path,
+    seed: int,
+    command: str,
+    progress: StageProgress,
+    tell: Callable[[str], None],
+) -> CityResult:
+    """Choose the units of each junction of a city, and write the answer.
+
+    Parameters
+    ----------
+    question : Question
+        Runs and sensors at each junction.
+    maps : sequence of Path
+        Maps with roads, and others with buildings.
+    wish, search, workers
+        Budgets and junctions that count; effort for each front; where these are solved.
+    out : Path
+        Folder: new, empty, or of the same city.
+    seed : int
+        Of points on the road users.
+    command : str
+        Command line that makes the result again.
+    progress, tell
+        Shows the stages; prints the amount of work and the workers.
+
+    Returns
+    -------
+    result : CityResult
+        As ``city.json`` has it.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, the maps overlap, no junction can be solved, a wish cannot be met,
+        or the folder is of something else.
+    """
+    check_folder(out)
+    progress.kept = f"nothing was written to {out}"
+    grid = build_grid(question, is_coarse=search.is_coarse)
+    check_question(question)
+    check_memory(workers.memory)
+    progress("read maps", 0, 0)
+    city = load_city(maps, search.reading, wish)
+    for source in city.roads:
+        check_sites(search.sites, crs=source.crs)
+    values = load_values(city, wish)
+    kept = load_kept(wish.keep, city)
+    manifest = _begin(out, city)
+    tasks = _Tasks(city, question, search, grid, kept=kept, seed=seed)
+    done = _find_done(out, tasks)
+    n_todo = len(city.junctions) - len(done)
+    tell(
+        f"{several(len(city.junctions), 'junction', 'junctions')} of {city.n_all}; "
+        f"{len(done)} {'is' if len(done) == 1 else 'are'} done already. {values.source}."
+    )
+    progress.kept = f"junctions that are done are kept in {out}; the same command goes on"
+    if n_todo:
+        _find_missing(out, tasks, done, workers, progress, tell)
+    unchanged = _update_manifest(out, manifest, city, done)
+    progress("choose", 0, 0)
+    result = choose_for_city(out, city, values, done, wish=wish, search=search, kept=kept)
+    result = replace(result, command=command, computed=n_todo, versions=versions())
+    sensors = {model.name: model for model in grid.sensors}
+    for layout in kept.values():
+        sensors |= {unit.sensor.name: unit.sensor for unit in layout.units}
+    serving = _served_tasks(
+        out,
+        result,
+        question=question,
+        kept=kept,
+        sensors=sensors,
+        same_fronts=unchanged,
+    )
+    served = _write_served(serving, workers.n_workers, progress)
+    progress(WRITING, 0, 0)
+    result = replace(result, purchases=_purchases(served))
+    result = write_city(
+        out,
+        result,
+        city,
+        [done[one.folder] for one in city.junctions],
+        served,
+        finish=progress.finish,
+    )
+    progress.kept = f"the city is in {out}"
+    return result
+
+
+# ---------- the folder
+
+
+def _begin(out: Path, city: City) -> CityManifest:
+    """The folder's manifest, new or as it is; InputError if the folder is of something else."""
+    new = CityManifest(maps=city.records, crs=city.crs, bounds=city.bounds)
+    path = out / MANIFEST
+    if not path.exists():
+        if out.is_dir() and any(out.iterdir()):
+            raise InputError(
+                "--out", Unquoted(f"{out}, which holds other things"), "a new folder, or a city's"
+            )
+        _write_manifest(out, new)
+        return new
+    found = load_manifest(path)
+    old = {one.name for one in found.maps if one.has_roads}
+    names = {one.name for one in city.records if one.has_roads}
+    west, south, east, north = city.bounds
+    is_apart = found.crs != city.crs or not (
+        found.bounds[0] <= east
+        and west <= found.bounds[2]
+        and found.bounds[1] <= north
+        and south <= found.bounds[3]
+    )
+    if is_apart or not old & names:
+        raise InputError(
+            "--out",
+            Unquoted(f"{out}, the folder of another city ({', '.join(sorted(old))})"),
+            "a new folder, or that of the same maps",
+        )
+    return replace(new, junctions=found.junctions)
+
+
+def _write_manifest(out: Path, manifest: CityManifest) -> None:
+    text = msgspec.json.format(msgspec.json.encode(manifest), indent=1)
+    write_files(out, {MANIFEST: text + b"\n"})
+
+
+def _find_done(out: Path, tasks: "_Tasks") -> dict[str, CityFrontRecord]:
+    """Fronts of the same question, by their junction's folder; without layouts."""
+    found = {}
+    for one in tasks.city.junctions:
+        record = load_front(out / JUNCTIONS / one.folder / FRONT)
+        if record is None or record.schema != SCHEMA or not record.is_final:
+            continue
+        if record.key == tasks.task(one).key:
+            found[one.folder] = record.without_layouts()
+    return found
+
+
+def _find_missing(
+    out: Path,
+    tasks: "_Tasks",
+    done: dict[str, CityFrontRecord],
+    workers: CityWorkers,
+    progress: StageProgress,
+    tell: Callable[[str], None],
+) -> None:
+    """Find the fronts that are not `done`, write each at once, and add it."""
+    todo = {one.scene_name: one for one in tasks.city.junctions if one.folder not in done}
+    n_all = len(tasks.city.junctions)
+    with start_workers(
+        workers.scheduler,
+        n_workers=min(workers.n_workers, len(todo)),
+        memory=workers.memory,
+        tell=tell,
+    ) as started:
+        progress(SOLVE, len(done), n_all)
+        for task, answer in run_junctions(started, map(tasks.task, todo.values())):
+            one = todo[task.options.name]
+            _keep(out, one, answer)
+            done[one.folder] = answer.record.without_layouts()
+            progress(SOLVE, len(done), n_all)
+
+
+def _keep(out: Path, one: CityJunction, answer: JunctionAnswer) -> None:
+    """Write a junction's scene, then its front: where a front is, the scene is whole."""
+    text = msgspec.json.format(msgspec.json.encode(answer.record), indent=1)
+    write_files(out / JUNCTIONS / one.folder, {**answer.files, FRONT: text + b"\n"})
+
+
+def _update_manifest(
+    out: Path, manifest: CityManifest, city: City, done: dict[str, CityFrontRecord]
+) -> set[str]:
+    """Write the manifest with the fronts that are done; folders whose fronts were there before."""
+    before = {entry.folder: entry.sha256 for entry in manifest.junctions}
+    entries = {
+        one.folder: CityEntry(
+            id=one.surveyed.junction.id,
+            map=one.roads.name,
+            folder=one.folder,
+            key=done[one.folder].key,
+            sha256=sha256(out / JUNCTIONS / one.folder / FRONT),
+        )
+        for one in city.junctions
+        if one.folder in done
+    }
+    others = [entry for entry in manifest.junctions if entry.folder not in entries]
+    _write_manifest(out, replace(manifest, junctions=(*entries.values(), *others)))
+    return {
+        f"{JUNCTIONS}/{folder}"
+        for folder, entry in entries.items()
+        if before.get(folder) == entry.sha256
+    }
+
+
+# ---------- tasks
+
+
+class _Tasks:
+    """Tasks for junctions, each made when it is asked for.
+
+    The key of each is a hash of all that the front depends on, the program's code included.
+    """
+
+    def __init__(
+        self,
+        city: City,
+        question: Question,
+        search: CitySearch,
+        grid: CandidateGrid,
+        *,
+        kept: dict[str, Layout],
+        seed: int,
+    ) -> None:
+        self.city = city
+        self._question, self._search, self._grid = question, search, grid
+        self._kept, self._seed = kept, seed
+        self._around = city.neighbourhoods(radius_m=search.radius_m)
+        sites = Path(search.sites)
+        listed = sha256(sites) if sites.is_file() else ""
+        code = [hash_of_files(package) for package in ALL_PACKAGES]
+        self._prints = Fingerprints()
+        self._same = self._prints.of(
+            *(CITY_VERSION, code, seed, listed, search.radius_m, search.sites, question, grid)
+        )
+
+    def task(self, one: CityJunction) -> JunctionTask:
+        """The task of a junction."""
+        search = self._search
+        maps = self._around[one.roads.name].around(one.surveyed.junction)
+        wishes = JunctionWishes(
+            grid=self._grid,
+            max_units=search.max_units,
+            time_limit_s=search.max_junction_s,
+            kept=self._kept.get(one.scene_name),
+        )
+        # Lanes and things lie around several junctions and are hashed once; maps are cut out anew.
+        parts = [[getattr(part, field.name) for field in fields(part)] for part in maps]
+        limits = (wishes.max_units, wishes.time_limit_s, wishes.kept)
+        return JunctionTask(
+            key=self._prints.of(self._same, *limits, parts),
+            maps=maps,
+            chosen=one.surveyed,
+            options=ImportOptions(
+                radius_m=search.radius_m,
+                sites=search.sites,
+                reading=search.reading,
+                name=one.scene_name,
+            ),
+            question=self._question,
+            wishes=wishes,
+            seed=self._seed,
+        )
+
+
+# ---------- the junctions that get units
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ServedTask:
+    """A junction with units, to be equipped by any process that sees the folder."""
+
+    out: Path
+    one: CityJunctionRecord
+    sensors: tuple[Sensor, ...]
+    question: Question
+    kept: Layout | None
+    has_page: bool
+    is_new: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Served:
+    """A junction's rows of the city's tables; items are (part, name, count, sum_eur)."""
+
+    items: tuple[tuple[str, str, int, float | None], ...]
+    units: tuple[dict[str, Any], ...]
+    poles: tuple[dict[str, Any], ...]
+
+
+def write_served(task: ServedTask) -> Served:
+    """Write layout, question and page of a junction if they are new; returns its rows."""
+    one, question = task.one, task.question
+    folder = task.out / one.folder
+    scene = load_scene_folder(folder)
+    layout = _junction_layout(one, scene, {sensor.name: sensor for sensor in task.sensors})
+    names = [unit.id for unit in layout.units]
+    kept = () if task.kept is None else task.kept.units
+    items: list[tuple[str, str, int, float | None]] = []
+    if one.units:
+        bill = build_bill(
+            layout,
+            scene,
+            site_cost_eur=question.site_cost_eur,
+            kept_ids=[unit.id for unit in kept if unit.id in names],
+        )
+        items = [
+            (item.part, item.name if item.part == "sensor" else item.kind, item.count, item.sum_eur)
+            for item in (*bill.sensors, *bill.sites)
+            if item.count
+        ]
+    if task.is_new:
+        save_question(folder / QUESTION, question)
+        files = {LAYOUT_FILE: to_json(layout, scene).encode()}
+        if task.has_page:
+            record = load_front(folder / FRONT)
+            assert record is not None
+            page = render_junction_page(one, record, scene, layout, question=QUESTION)
+            files[REPORT] = page.encode()
+        write_files(folder, files)
+    head = {"junction": one.id, "name": one.name, "year": one.year}
+    placed = [head | unit for unit in placed_records(layout, scene)]
+    return Served(items=tuple(items), units=tuple(placed), poles=tuple(_poles(one, scene, placed)))
+
+
+def _write_served(
+    tasks: Sequence[ServedTask], n_workers: int, progress: StageProgress
+) -> list[Served]:
+    """Write what junctions with units have, by several processes where many are new."""
+    progress(SERVE, 0, len(tasks))
+    served: list[Served] = []
+    n_processes = min(n_workers, sum(task.is_new for task in tasks) // _NEW_FOR_A_PROCESS)
+    with ExitStack() as stack:
+        answers: Iterator[Served] = map(write_served, tasks)
+        if n_processes > 1:
+            pool = ProcessPoolExecutor(
+                n_processes, mp_context=get_context("spawn"), initializer=follow_parent
+            )
+            answers = stack.enter_context(pool).map(write_served, tasks)
+        for answer in answers:
+            served.append(answer)
+            progress(SERVE, len(served), len(tasks))
+    return served
+
+
+def _junction_layout(
+    one: CityJunctionRecord, scene: Scene, sensors: Mapping[str, Sensor]
+) -> Layout:
+    """The units that a junction gets, with those that are mounted already."""
+    layout = layout_from_records(
+        f"city-{len(one.layout)}",
+        [to_plain(unit) for unit in one.layout],
+        one.folder,
+        sensors=sensors,
+    )
+    return replace_field(layout, scene_name=scene.name)
+
+
+def _served_tasks(
+    out: Path,
+    result: CityResult,
+    *,
+    question: Question,
+    kept: Mapping[str, Layout],
+    sensors: Mapping[str, Sensor],
+    same_fronts: Container[str],
+) -> list[ServedTask]:
+    """A task for each junction with units; layouts and pages of the others are removed.
+
+    `same_fronts` are folders whose fronts are those of the last call: where it chose the same,
+    nothing is written again. The junctions that gain most, which the report lists, get pages.
+    """
+    last = load_summary(out / SUMMARY)
+    chosen = () if last is None or last.versions != result.versions else last.junctions
+    same = {one.folder: one for one in chosen if one.folder in same_fronts}
+    asked = question_text(question).encode()
+    served = [one for one in result.junctions if one.layout and not one.reason]
+    by_gain = sorted(served, key=lambda one: -one.gain)[:MAX_ROWS]
+    paged = {one.folder for one in by_gain}
+    right = {
+        one.folder
+        for one in served
+        if same.get(one.folder) == one and _content(out / one.folder / QUESTION) == asked
+    }
+    for path in (out / JUNCTIONS).glob("*/" + REPORT):
+        folder = path.parent.relative_to(out).as_posix()
+        if folder not in right or folder not in paged:
+            path.unlink()
+    for path in (out / JUNCTIONS).glob("*/" + LAYOUT_FILE):
+        if path.parent.relative_to(out).as_posix() not in right:
+            path.unlink()
+    return [
+        ServedTask(
+            out=out,
+            one=one,
+            sensors=tuple(sensors.values()),
+            question=question,
+            kept=kept.get(f"{Path(one.map).stem}/{one.id}"),
+            has_page=one.folder in paged,
+            is_new=one.folder not in right
+            or (one.folder in paged and not (out / one.folder / REPORT).exists()),
+        )
+        for one in served
+    ]
+
+
+def _content(path: Path) -> bytes:
+    try:
+        return read_bytes(path)
+    except InputError:
+        return b""
+
+
+def _purchases(served: Iterable[Served]) -> tuple[CityPurchaseRecord, ...]:
+    """Parts to order for all junctions."""
+    count: Counter[tuple[str, str]] = Counter()
+    cents: Counter[tuple[str, str]] = Counter()
+    for one in served:
+        for part, name, n, sum_eur in one.items:
+            count[part, name] += n
+            cents[part, name] += round(100.0 * (sum_eur or 0.0))
+    return tuple(
+        CityPurchaseRecord(part=key[0], name=key[1], count=n, sum_eur=cents[key] / 100.0)  # type: ignore[arg-type]
+        for key, n in count.most_common()
+    )
+
+
+# ---------- tables, map, report
+
+
+def write_city(
+    out: Path,
+    result: CityResult,
+    city: City,
+    records: Sequence[CityFrontRecord],
+    served: Sequence[Served],
+    *,
+    finish: Callable[[], dict[str, float]],
+) -> CityResult:
+    """Write tables, map and report; the hashes of all files come last.
+
+    `records` are without layouts, which are read again where they are needed. `finish` gives the
+    seconds of all stages, when all but the summary is written.
+    """
+    units = [row for one in served for row in one.units]
+    poles = [row for one in served for row in one.poles]
+    fronts = (
+        load_front(out / one.folder / FRONT) or record
+        for one, record in zip(result.junctions, records, strict=True)
+    )
+    tables = {
+        JUNCTION_TABLE: csv_text(_junction_table(result, records)).encode(),
+        POLE_TABLE: csv_text(_frame(poles, _POLE_COLUMNS)).encode(),
+        FRONTS: fronts_table(fronts),
+    }
+    (out / GEOPACKAGE).unlink(missing_ok=True)
+    if city.roads[0].crs:
+        tables[GEOPACKAGE] = _to_geopackage(units, result.junctions, crs=city.crs)
+    places = {one.folder: one.position_m for one in city.junctions}
+    position = [places[one.folder.split("/", 1)[1]] for one in result.junctions]
+    drawn = plot_city_map([*city.roads, *city.others], position, result)
+    front = plot_city_front(result)
+    tables["map.png"] = to_png(drawn)
+    tables["front.png"] = to_png(front)
+    write_files(out, tables)
+    paged = {one.folder for one in result.junctions if (out / one.folder / REPORT).exists()}
+    report = render_city_report(result, drawn, front, poles=poles, paged=paged)
+    result = replace(result, seconds=finish())
+    write_files(out, {REPORT: report.encode(), SUMMARY: to_json_text(result).encode()})
+    write_manifest(out)
+    return result
+
+
+_POLE_COLUMNS = (
+    *("junction", "name", "year", "site", "kind", "units", "x_m", "y_m"),
+    *("map_x", "map_y", "map_crs", "assumed"),
+)
+
+
+def _poles(
+    one: CityJunctionRecord, scene: Scene, placed: Sequence[Mapping[str, Any]]
+) -> list[dict[str, Any]]:
+    """A row for each pole that carries units."""
+    kinds = {site.id: site.kind for site in scene.sites}
+    at: dict[str, list[Mapping[str, Any]]] = {}
+    for unit in placed:
+        at.setdefault(unit["site"] or unit["id"], []).append(unit)
+    return [
+        {
+            "junction": one.id,
+            "name": one.name,
+            "year": one.year,
+            "site": site,
+            "kind": kinds.get(site, "unknown"),
+            "units": len(units),
+            **{key: units[0][key] for key in _POLE_COLUMNS[6:] if key in units[0]},
+        }
+        for site, units in at.items()
+    ]
+
+
+def _to_geopackage(
+    units: Sequence[Mapping[str, Any]], junctions: Sequence[CityJunctionRecord], *, crs: str
+) -> bytes:
+    """Layers "units" (points with height) and "junctions" in the coordinates of the map.
+
+    Units may be of maps with other reference systems. Format: OGC 12-128, "GeoPackage Encoding
+    Standard".
+    """
+    import geopandas as gpd
+    import pandas as pd
+    import pyogrio
+
+    def layer(rows: Any, x: Any, y: Any, z: Any, path: Path, name: str) -> None:
+        points = gpd.points_from_xy(x, y, z=z)
+        table = gpd.GeoDataFrame(pd.DataFrame(rows), geometry=points, crs=crs)
+        kind = "Point" if z is None else "Point Z"
+        pyogrio.write_dataframe(
+            table, path, layer=name, driver="GPKG", geometry_type=kind, append=path.exists()
+        )
+
+    columns = (
+        *("id", "name", "map", "weight", "district", "units", "cost_eur", "year"),
+        *("apr_before", "apr", "apr_one_failed", "gain", "reason"),
+    )
+    rows = [{name: getattr(one, name) for name in columns} for one in junctions]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / GEOPACKAGE
+        layer(
+            rows, [one.x for one in junctions], [one.y for one in junctions], None, path, JUNCTIONS
+        )
+        if units:
+            places = [
+                transform([unit["map_x"], unit["map_y"]], unit["map_crs"], crs)
+                if unit["map_crs"] != crs
+                else (unit["map_x"], unit["map_y"])
+                for unit in units
+            ]
+            heights_m = [unit.get("map_z", unit["z_m"]) for unit in units]
+            x, y = zip(*places, strict=True)
+            layer(units, x, y, heights_m, path, UNITS)
+        return read_bytes(path)
+
+
+_SIZES = ("sites", "poses", "runs", "frames")
+
+
+def _junction_table(result: CityResult, records: Sequence[CityFrontRecord]) -> Any:
+    """A row for each junction: what it gets, how large its question was, and what that took."""
+    columns = (
+        *("id", "name", "map", "x", "y", "weight", "district", "units", "cost_eur", "year"),
+        *("apr_before", "apr", "apr_one_failed", "reason", "folder"),
+    )
+    rows = [
+        {name: getattr(one, name) for name in columns}
+        | {name: getattr(record, name) for name in _SIZES}
+        | {
+            "cpu_s": round(sum(record.seconds.values()), 1),
+            "peak_memory_mib": record.peak_memory_mib,
+        }
+        for one, record in zip(result.junctions, records, strict=True)
+    ]
+    return _frame(rows, (*columns, *_SIZES, "cpu_s", "peak_memory_mib"))
+
+
+def _frame(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> Any:
+    import pandas as pd
+
+    return pd.DataFrame(rows, columns=list(columns))

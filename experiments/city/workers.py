@@ -1,0 +1,235 @@
+"""Junctions of a city, each a task for a process on this machine or a worker of dask."""
+
+import re
+import resource
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from geometry.errors import InputError, MissingExtraError
+from geometry.files import read_bytes
+from geometry.maps.importing import ImportOptions, cut_scene
+from geometry.maps.junctions import Surveyed
+from geometry.maps.source_map import SourceMap
+from geometry.scene_files import save_scene
+from placement.city.junction import JunctionWishes, TimeUpError, solve_junction
+from placement.compute import Compute
+from placement.question import Question
+
+from ..jobs.local_workers import LocalWorkers, WorkerDiedError
+from ..jobs.schedulers import connect_to_scheduler, program, run_alike
+from ..results.numbers import several
+from .answer import CityFrontRecord, build_points
+
+TRIES = 3
+"""Of a junction whose worker dies, or that fails for no reason of its own."""
+
+_AHEAD = 2  # tasks per worker of a cluster that are handed over before their turn
+_WATCH_S = 0.2  # the memory of processes is looked at as often
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JunctionTask:
+    """Inputs of a worker for a junction; it reads no file but the list of sites."""
+
+    key: str
+    maps: tuple[SourceMap, ...]
+    chosen: Surveyed
+    options: ImportOptions
+    question: Question
+    wishes: JunctionWishes
+    seed: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JunctionAnswer:
+    """Answer of a worker: the front, and the files of the scene."""
+
+    record: CityFrontRecord
+    files: dict[str, bytes]
+
+
+def run_junction(task: JunctionTask) -> JunctionAnswer:
+    """Cut a junction out and find its front; what cannot be done is a record with its reason."""
+    notes: tuple[str, ...] = ()
+    files: dict[str, bytes] = {}
+    try:
+        imported = cut_scene(task.maps, task.chosen, task.options)
+        notes = tuple(str(note) for note in imported.scene.notes)
+        with tempfile.TemporaryDirectory() as folder:
+            save_scene(Path(folder), imported.scene, sources=imported.sources)
+            files = {path.name: read_bytes(path) for path in sorted(Path(folder).iterdir())}
+        solved = solve_junction(
+            imported.scene,
+            task.question,
+            task.wishes,
+            compute=Compute(seed=task.seed, workers=1),
+        )
+    except (InputError, TimeUpError) as error:
+        # Another time, the machine may be less busy, and what it compiles once is compiled.
+        is_final = isinstance(error, InputError)
+        record = _failed_record(task, str(error), is_final=is_final, notes=notes)
+        return JunctionAnswer(record=record, files=files)
+    record = _record(
+        task,
+        scene=imported.scene.name,
+        points=build_points(solved),
+        by_units=solved.front.by_units,
+        by_cost=solved.front.by_cost,
+        sites=solved.n_sites,
+        poses=solved.n_poses,
+        runs=solved.n_runs,
+        frames=solved.n_frames,
+        seconds=solved.seconds,
+        notes=notes,
+    )
+    return JunctionAnswer(record=record, files=files)
+
+
+def _failed_record(
+    task: JunctionTask, reason: str, *, is_final: bool, notes: tuple[str, ...] = ()
+) -> CityFrontRecord:
+    """The record of a junction that has no front."""
+    return _record(task, reason=" ".join(reason.split()), is_final=is_final, notes=notes)
+
+
+def _record(task: JunctionTask, **found: Any) -> CityFrontRecord:
+    source, junction = task.maps[0].name, task.chosen.junction
+    peak_mib = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0, 1)
+    head = {"scene": f"{Path(source).stem}/{junction.id}", "peak_memory_mib": peak_mib}
+    return CityFrontRecord(
+        key=task.key, id=junction.id, name=junction.name, map=source, **{**head, **found}
+    )
+
+
+# ---------- workers
+
+
+class DaskWorkers:
+    """The workers of a dask scheduler, which tries a task again that failed."""
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+        self._executor = client.get_executor(retries=TRIES - 1, pure=False)
+        self._pending: set[Future[Any]] = set()
+
+    @property
+    def capacity(self) -> int:
+        """Tasks that are handed over at a time: some more than there are workers."""
+        return _AHEAD * max(len(self._client.scheduler_info(n_workers=-1)["workers"]), 1)
+
+    def submit(self, function: Callable[[Any], Any], task: Any) -> Future[Any]:
+        """Hand a task over."""
+        future: Future[Any] = self._executor.submit(run_alike, program(), function, task)
+        self._pending.add(future)
+        return future
+
+    def wait(self, timeout_s: float) -> None:
+        """Wait for answers, no longer than a time."""
+        _, self._pending = wait(self._pending, timeout_s, FIRST_COMPLETED)
+
+    def cancel(self) -> None:
+        """Give up what is not done."""
+        for future in self._pending:
+            future.cancel()
+        self._executor.shutdown(wait=False)
+
+
+@contextmanager
+def start_workers(
+    scheduler: str, *, n_workers: int, memory: str, tell: Callable[[str], None]
+) -> Iterator[LocalWorkers | DaskWorkers]:
+    """Processes on this machine, or the workers of a dask scheduler by its address.
+
+    Raises
+    ------
+    MissingExtraError
+        A scheduler is asked for, and dask is not installed.
+    InputError
+        The scheduler does not answer, has no workers, or these lack this program.
+    """
+    if not scheduler:
+        with LocalWorkers(n_workers, max_bytes=check_memory(memory)) as processes:
+            tell(f"{several(n_workers, 'worker', 'workers')} of at most {memory} memory each.")
+            yield processes
+        return
+    try:
+        connected = connect_to_scheduler(scheduler)
+    except ImportError:
+        raise MissingExtraError(
+            "place-rsus city --scheduler needs dask: pip install 'place-rsus[cluster]'"
+        ) from None
+    with connected as client:
+        workers = DaskWorkers(client)
+        try:
+            yield workers
+        finally:
+            workers.cancel()
+
+
+_UNITS = {"": 1, "B": 1, **{f"{unit}B": 1000**power for power, unit in enumerate("kMGT", start=1)}}
+_UNITS |= {f"{unit}iB": 1024**power for power, unit in enumerate("KMGT", start=1)}
+
+
+def check_memory(text: str) -> int:
+    """The memory of a worker, in bytes; InputError if that is no amount, or too little."""
+    found = re.fullmatch(r"([0-9.]+) *([a-zA-Z]*)", text.strip())
+    units = {unit.lower(): size for unit, size in _UNITS.items()}
+    try:
+        size = float(found[1]) * units[found[2].lower()] if found else 0.0
+    except (ValueError, KeyError):
+        size = 0.0
+    if not 2**28 <= size <= 2**60:
+        raise InputError("--worker-memory", text, "an amount such as 1.5GiB, at least 0.25GiB")
+    return int(size)
+
+
+def run_junctions(
+    workers: LocalWorkers | DaskWorkers, tasks: Iterable[JunctionTask]
+) -> Iterator[tuple[JunctionTask, JunctionAnswer]]:
+    """Run tasks on workers, in the order in which they end.
+
+    A task is taken when there is a worker for it. One that fails for no reason of its own, or whose
+    worker dies, is tried three times in all; then its record says so.
+    """
+    waiting = iter(tasks)
+    running: dict[Future[Any], tuple[JunctionTask, int]] = {}
+
+    def hand_over(task: JunctionTask, attempt: int) -> None:
+        running[workers.submit(run_junction, task)] = (task, attempt)
+
+    while True:
+        for task in islice(waiting, max(workers.capacity - len(running), 0)):
+            hand_over(task, 1)
+        if not running:
+            return
+        workers.wait(_WATCH_S)
+        for future in [one for one in running if one.done()]:
+            task, attempt = running.pop(future)
+            try:
+                answer: JunctionAnswer = future.result()
+            except InputError:  # a worker with another program
+                raise
+            except Exception as error:  # of a task, or of a worker that died
+                if isinstance(workers, LocalWorkers) and attempt < TRIES:
+                    hand_over(task, attempt + 1)
+                    continue
+                answer = _failed(error, task)
+            yield task, answer
+
+
+def _failed(error: Exception, task: JunctionTask) -> JunctionAnswer:
+    if isinstance(error, WorkerDiedError) or type(error).__name__ == "KilledWorker":
+        cause = f" of {error}" if isinstance(error, WorkerDiedError) and str(error) else ""
+        reason = f"its worker died{cause}, {TRIES} times: more --worker-memory, or fewer poses"
+    else:
+        text = " ".join(str(error).split())[:200]
+        if type(error) is not RuntimeError:  # those of processes here begin with the kind
+            text = f"{type(error).__name__}: {text}"
+        reason = f"an unexpected error, {TRIES} times: {text}"
+    return JunctionAnswer(record=_failed_record(task, reason, is_final=False), files={})

@@ -1,0 +1,221 @@
+"""``place-rsus plan``: a page in the browser for planning by hand."""
+
+import signal
+import tempfile
+import webbrowser
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from placement.compute import Compute
+from placement.question import MOUNTED, Question
+
+from ..cli.options import (
+    JUDGED,
+    SectionedCommand,
+    compute_options,
+    fields_in,
+    layout_option,
+    option,
+    question_options,
+    quiet_option,
+)
+from ..cli.running import begin
+from ..progress import Interrupted, StageProgress, tell
+
+if TYPE_CHECKING:
+    from geometry.scene import Scene
+
+    from .plan import Plan
+
+_ASKED = (
+    *fields_in(MOUNTED, but=("keep", "within", "force_site")),
+    *("solver", "time_limit_s", "gap"),
+    *JUDGED,
+)
+_LOCAL = "127.0.0.1"
+
+
+@click.command(
+    cls=SectionedCommand,
+    epilog="""\b
+Examples:
+  place-rsus plan
+  place-rsus plan --layout carlancap-12 --cases study
+  place-rsus plan --scene scene --layout mine.json --save plan.json
+  place-rsus plan --scene city.osm --port 8042 --no-open""",
+)
+@layout_option
+@option(
+    "--port",
+    type=click.IntRange(0, 65535),
+    default=0,
+    metavar="N",
+    expected="a port, 0 to 65535",
+    help="Of the page; default: one that is free.",
+)
+@option(
+    "--open/--no-open",
+    "opens",
+    default=True,
+    show_default=True,
+    help="Open the page in the browser.",
+)
+@option(
+    "--keep-open",
+    is_flag=True,
+    help="Go on after the page is closed; else all ends some seconds later.",
+)
+@option(
+    "--save",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="Keep the plan in this file, whenever it rests; opened again if it is there.",
+)
+@option(
+    "--host",
+    default=_LOCAL,
+    show_default=True,
+    is_common=False,
+    help="Address to listen at; another one lets others in, see --i-know.",
+)
+@option(
+    "--i-know",
+    is_flag=True,
+    needs="host",
+    is_common=False,
+    help="With --host: whoever has the page's address can change the plan and send files.",
+)
+@question_options(*_ASKED)
+@quiet_option
+@compute_options(has_cache=True)
+@click.pass_obj
+def plan(
+    progress: StageProgress,
+    *,
+    layout_names: tuple[str, ...],
+    port: int,
+    opens: bool,
+    keep_open: bool,
+    save: Path | None,
+    host: str,
+    i_know: bool,
+    question: Question,
+    quiet: bool,
+    compute: Compute,
+) -> None:
+    """Plan by hand in the browser: mount sensors, drag them, see at once who is saved.
+
+    The page is served from this computer, to this computer alone, and loads nothing from elsewhere.
+    Numbers of a drag are by the detection table; the evaluator's follow, the same as `evaluate`
+    gives. The optimiser proposes what to do next. It ends when the page is closed, or by Ctrl-C.
+    """
+    if host != _LOCAL and not i_know:
+        raise click.UsageError(
+            f"--host: got {host}; expected --i-know beside it: others could change the plan"
+        )
+    question = begin(progress, question, quiet=quiet)
+    progress.kept = "nothing was written" if save is None else f"the plan is in {save}"
+    from geometry.files import check_target
+    from geometry.scene_files import load_scene
+    from placement.setting import build_setting
+
+    from .server import RunningServer
+    from .session import Session
+    from .tasks import Work
+
+    if save is not None:
+        check_target(save)
+    scene = load_scene(question.scene)
+    begun = _begun_plan(layout_names, save, scene)
+    progress("setting", 0, 0)
+    setting = build_setting(question, scene, compute=compute)
+    with tempfile.TemporaryDirectory(prefix="place-rsus-plan-") as folder:
+        work = Work(
+            question=question,
+            scratch=Path(folder),
+            cache=compute.cache_folder,
+            seed=compute.seed,
+            workers=compute.workers,
+            rays=compute.rays,
+        )
+        server = RunningServer(
+            lambda: Session(work, setting, plan=begun, save=save),
+            host=host,
+            port=port,
+            keeps_open=keep_open,
+        )
+        server.start()
+        progress.stop()
+        try:
+            ends = "Ctrl-C ends it." if keep_open else "It ends when the page is closed, or Ctrl-C."
+            tell(f"The page is at {server.address}\n{ends}")
+            if host != _LOCAL:
+                tell(f"--host {host}: whoever has this address can change the plan.", err=True)
+            if opens:
+                webbrowser.open(_redirect(server.address, Path(folder)))
+            server.wait()
+            ended = "The page was closed: ended"
+        except Interrupted as interrupted:
+            if interrupted.signum != signal.SIGINT:
+                raise
+            ended = "Ended"
+        finally:
+            problem = server.stop()
+        if problem:
+            tell(f"place-rsus: {problem}", err=True)
+        saved = [] if server.session is None else server.session.saved_files()
+        tell("; the plan is in ".join([ended, *filter(None, [" and ".join(saved)])]) + ".")
+
+
+def _begun_plan(layout_names: Sequence[str], save: Path | None, scene: "Scene") -> "Plan":
+    """The first plan: the saved one, then layouts that it does not have yet."""
+    from geometry.files import read_bytes
+    from placement.layout import check_layout
+    from placement.planning import find_layout
+
+    from .numbers import key_of
+    from .plan import (
+        MAX_PLAN_BYTES,
+        MAX_UNITS,
+        Plan,
+        Variant,
+        check_count,
+        check_plan,
+        read_plan,
+    )
+
+    begun = Plan(variants=())
+    if save is not None and save.exists():
+        begun = read_plan(read_bytes(save, max_bytes=MAX_PLAN_BYTES), str(save))
+        check_plan(begun, scene)
+    known = {key_of(variant.units) for variant in begun.variants}
+    variants = [variant for variant in begun.variants if variant.units]
+    for name in layout_names:
+        layout = find_layout(name, "--layout")
+        check_count(len(layout.units), f"--layout {name}: units", MAX_UNITS)
+        check_layout(layout, scene)
+        if key_of(layout.units) not in known:
+            variants.append(Variant(name=layout.name, units=layout.units))
+    return replace(begun, variants=tuple(variants))
+
+
+def _redirect(address: str, folder: Path) -> str:
+    """Address of a file that leads to the page and that only its owner can read.
+
+    Programs' command lines can be read by everybody on the machine: the token is not for them.
+    """
+    from geometry.files import write_atomically
+
+    path = folder / "open.html"
+    page = (
+        f'<!DOCTYPE html><meta charset="utf-8"><title>place-rsus plan</title>'
+        f'<meta name="referrer" content="no-referrer">'
+        f'<meta http-equiv="refresh" content="0; url={address}">'
+        f'<a href="{address}">To the page</a>\n'
+    )
+    write_atomically(path, page, is_private=True)
+    return path.as_uri()

@@ -1,0 +1,341 @@
+"""Messages to the page: the junction once, then units and numbers whenever they change."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from geometry.catalogue import Sensor, sensor_kind
+from geometry.scene import Scene
+from geometry.sensors import CameraModel
+from geometry.terrain import ground_height_m
+from placement.candidates import CandidatePose, is_ring
+from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, run_outcomes
+from placement.ground_coverage import BANDS, find_ground_coverage
+from placement.layout import Layout
+from placement.private_ground import PrivateGround, PrivateSight
+from placement.setting import Setting
+
+from ..export.json import to_json_text
+from ..figures.axes import describe_run
+from ..report.bill_of_materials import build_bill
+from ..report.interactive.records import plan_record, svg_path, to_base64, unit_records
+from ..results.evaluations import build_evaluation_record
+from ..results.numbers import euros, finite_or_none, percent
+from .plan import SCHEMA, Background, History, PlanState
+
+BY_TABLE, BY_EVALUATOR = "table", "evaluator"
+
+
+def key_of(units: Sequence[CandidatePose]) -> tuple[object, ...]:
+    """Equal for units that achieve the same together, one by one and by name."""
+    return tuple(
+        (
+            unit.id,
+            *unit.pose.position_m.tolist(),
+            *(unit.pose.yaw_deg, unit.pose.pitch_deg, unit.sensor, unit.latency_s),
+        )
+        for unit in units
+    )
+
+
+# ---------- the junction
+
+
+def scene_record(
+    setting: Setting,
+    *,
+    models: Sequence[Sensor],
+    chosen: Sequence[str],
+    ground: PrivateGround | None = None,
+) -> dict[str, Any]:
+    """The constant part of a session: plan, sites, runs, models of sensors."""
+    scene, axis = setting.scene, setting.axis
+    return {
+        "name": scene.name,
+        "plan": plan_record(scene, np.zeros((0, 2))),
+        "sites": [
+            {
+                "id": site.id,
+                "kind": site.kind,
+                "place": centimetres(site.position_m[:2]),
+                "low": float(site.height_range_m[0]),
+                "high": float(site.height_range_m[1]),
+                "capacity": site.capacity_units,
+                "isForbidden": site.use == "forbidden",
+            }
+            for site in scene.sites
+        ],
+        "sensors": [
+            {
+                "name": model.name,
+                "kind": sensor_kind(model),
+                "price": model.price_eur,
+                "isRing": is_ring(model),
+            }
+            for model in models
+        ],
+        "grid": list(chosen),
+        "runs": [
+            {
+                "id": run.id,
+                "title": describe_run(axis, index),
+                "frames": len(run.time_s),
+            }
+            for index, run in enumerate(setting.runs)
+        ],
+        "arms": _arm_records(setting),
+        "bands": [name for name, _ in BANDS],
+        "private": [
+            {"name": name, "path": svg_path(shape)}
+            for name, shape in zip(ground.names, ground.shapes, strict=True)
+        ]
+        if ground is not None
+        else [],
+    }
+
+
+def _arm_records(setting: Setting) -> list[dict[str, Any]]:
+    """Every approach and position that is driven: the VUT's way, and where the impacts are."""
+    found: dict[tuple[str, str], list[int]] = {}
+    for index, run in enumerate(setting.runs):
+        found.setdefault((run.approach, run.position), []).append(index)
+    records = []
+    for (approach, position), indices in found.items():
+        impacts = np.array([setting.runs[index].vut_position_m[-1] for index in indices])
+        longest = max(indices, key=lambda index: len(setting.runs[index].time_s))
+        records.append(
+            {
+                "approach": approach,
+                "position": position,
+                "place": centimetres(impacts.mean(axis=0)),
+                "way": centimetres(setting.runs[longest].vut_position_m),
+            }
+        )
+    return records
+
+
+def centimetres(values_m: Any) -> Any:
+    """Metres as lists of whole centimetres, as messages have them."""
+    return np.rint(100.0 * np.asarray(values_m)).astype(int).tolist()
+
+
+# ---------- units and variants
+
+
+def state_record(history: History, scene: Scene) -> dict[str, Any]:
+    """Units of the variant that is worked on, and the names of all variants."""
+    state = history.state
+    units = state.variant.units
+    drawn = unit_records(state.variant.layout(scene), scene) if units else []
+    return {
+        "units": [
+            record | _unit_fields(unit, scene) for unit, record in zip(units, drawn, strict=True)
+        ],
+        "variants": [
+            {"name": variant.name, "units": len(variant.units)} for variant in state.variants
+        ],
+        "current": state.current,
+        "canUndo": history.can_undo,
+        "canRedo": history.can_redo,
+        "cost": cost_record(units, scene),
+    }
+
+
+def _unit_fields(unit: CandidatePose, scene: Scene) -> dict[str, Any]:
+    """Fields of a unit that can be changed, and their ranges."""
+    site = next((site for site in scene.sites if site.id == unit.site_id), None)
+    foot_m = (
+        float(ground_height_m(scene, unit.pose.position_m[:2]))
+        if site is None
+        else float(site.position_m[2])
+    )
+    sensor = unit.sensor
+    lens = sensor.fov_range_deg if isinstance(sensor, CameraModel) else None
+    return {
+        "id": unit.id,
+        "site": unit.site_id,
+        "sensor": sensor.name,
+        "yawDeg": unit.pose.yaw_deg,
+        "pitchDeg": unit.pose.pitch_deg,
+        "heightM": float(unit.pose.position_m[2]) - foot_m,
+        "heightRange": [0.5, 50.0] if site is None else site.height_range_m.tolist(),
+        "fovDeg": sensor.horizontal_fov_deg,
+        "fovRange": list(lens) if lens else None,
+        "isRing": is_ring(sensor),
+    }
+
+
+def cost_record(units: Sequence[CandidatePose], scene: Scene) -> dict[str, Any] | None:
+    """Cost of units and their sites, as the bill of materials has it; None of nothing.
+
+    "sensors", "sites" and "all" are amounts in words; "assumed" says what is assumed of sites.
+    """
+    if not units:
+        return None
+    layout = Layout(name="cost", units=tuple(units))
+    bill = build_bill(layout, scene)
+    sums = [_sum([item.sum_eur for item in items]) for items in (bill.sensors, bill.sites)]
+    names = ("sensors", "sites", "all")
+    return {
+        name: euros(amount) for name, amount in zip(names, (*sums, _sum(sums)), strict=True)
+    } | {"assumed": list(bill.assumed)}
+
+
+def _sum(amounts: Sequence[float | None]) -> float | None:
+    known = [amount for amount in amounts if amount is not None]
+    return sum(known) if len(known) == len(amounts) else None
+
+
+def layout_text(state: PlanState, scene: Scene) -> str:
+    """The variant that is worked on as the layout file that ``--layout`` takes.
+
+    Raises InputError if nothing is mounted.
+    """
+    from ..export.json import to_json
+
+    return to_json(state.variant.layout(scene))
+
+
+def plan_text(state: PlanState, scene: Scene, background: Background | None = None) -> str:
+    """All variants in one file, each as a layout file has it, and the image below them."""
+    import json
+
+    from ..export.json import to_json
+
+    variants = [
+        json.loads(to_json(variant.layout(scene)))
+        if variant.units
+        else {"name": variant.name, "layout": []}
+        for variant in state.variants
+    ]
+    record: dict[str, Any] = {"schema": SCHEMA, "scene": scene.name, "variants": variants}
+    if background is not None:
+        record["background"] = background.record()
+    return to_json_text(record)
+
+
+# ---------- numbers
+
+
+def table_numbers(
+    units: Sequence[CandidatePose],
+    together: Verdict,
+    alone: Mapping[str, Verdict],
+    setting: Setting,
+) -> dict[str, Any]:
+    """Numbers by the detection table, which a drag shows at once."""
+    axis = setting.axis
+    return {
+        "source": BY_TABLE,
+        **_shares(together, setting),
+        "units": {unit.id: percent(finite_or_none(apr(alone[unit.id], axis))) for unit in units},
+    }
+
+
+def evaluated_numbers(evaluation: Evaluation, setting: Setting) -> dict[str, Any]:
+    """Numbers by the evaluator; "record" is what ``evaluate --json`` has as "evaluation"."""
+    import json
+
+    axis = evaluation.axis
+    record = json.loads(to_json_text(build_evaluation_record(evaluation, setting.rule)))
+    return {
+        "source": BY_EVALUATOR,
+        **_shares(evaluation.rsu_all, setting),
+        "units": {
+            name: percent(finite_or_none(apr(verdict, axis)))
+            for name, verdict in evaluation.units.items()
+        },
+        "vut": percent(record["vut"]["all"]),
+        "withVut": percent(record["vut_and_rsus"]["all"]),
+        "oneFails": percent(record["apr_without_worst_unit"]) if len(evaluation.units) > 1 else "",
+        "record": record,
+    }
+
+
+def _shares(verdict: Verdict, setting: Setting) -> dict[str, Any]:
+    """APR in total, by case, approach and position; runs that are lost, and how each ends."""
+    axis = setting.axis
+    approaches = np.array(axis.approaches)
+    positions = np.array(axis.positions)
+    arms = dict.fromkeys(zip(axis.approaches, axis.positions, strict=True))
+    outcomes = run_outcomes(verdict, axis)
+    weight = axis.weight
+    lost = [
+        [index, outcome, bool(weight[index] > 0.0)]
+        for index, outcome in enumerate(outcomes)
+        if outcome != "avoided"
+    ]
+
+    def share(mask: Any) -> float | None:
+        return finite_or_none(apr(verdict, axis, mask))
+
+    return {
+        "apr": percent(finite_or_none(apr(verdict, axis))),
+        "byCase": {
+            case: percent(finite_or_none(value))
+            for case, value in apr_by_case(verdict, axis).items()
+        },
+        "byApproach": {
+            approach: percent(share(approaches == approach))
+            for approach in dict.fromkeys(axis.approaches)
+        },
+        "byArm": [
+            share((approaches == approach) & (positions == position)) for approach, position in arms
+        ],
+        "lost": lost,
+    }
+
+
+_MAX_AREAS = 200  # those that are seen the most
+
+
+def private_record(
+    units: Sequence[CandidatePose],
+    ground: PrivateGround,
+    sight: PrivateSight,
+    *,
+    max_share: float,
+) -> list[dict[str, Any]]:
+    """Private areas that units have in their pictures, those that are seen the most first.
+
+    For each its name and the share that each unit sees, as `evaluate` reports; "isTooMuch" where
+    that is more than ``--no-look-share`` allows.
+    """
+    shares = sight.shares(units)
+    most = shares.max(axis=0, initial=0.0)
+    order = [int(column) for column in np.argsort(-most, kind="stable") if most[column] > 0.0]
+    return [
+        {
+            "area": ground.names[column],
+            "seen": [
+                {
+                    "unit": units[row].id,
+                    "share": percent(float(shares[row, column])),
+                    "isTooMuch": bool(shares[row, column] > max_share),
+                }
+                for row in np.argsort(-shares[:, column], kind="stable").tolist()
+                if shares[row, column] > 0.0
+            ],
+        }
+        for column in order[:_MAX_AREAS]
+    ]
+
+
+def coverage_record(scene: Scene, units: Sequence[CandidatePose]) -> dict[str, Any]:
+    """Pixel density on the road: the band of each cell, the finest 0; 254 coarser, 255 unseen."""
+    found = find_ground_coverage(scene, units)
+    band = np.full(found.density.shape, 255, dtype=np.uint8)
+    band[found.density > 0.0] = 254
+    for index, (_, least) in reversed([*enumerate(BANDS)]):
+        band[found.density >= least] = index
+    middles = (found.east_m, found.north_m)
+    west, south = (float(line[0] - 0.5 * (line[1] - line[0])) for line in middles)
+    east, north = (float(line[-1] + 0.5 * (line[1] - line[0])) for line in middles)
+    return {
+        "box": centimetres([west, south, east, north]),
+        "columns": len(found.east_m),
+        "band": to_base64(band),
+        "road": to_base64(found.is_road.astype(np.uint8)),
+        "shares": {name: percent(value) for name, value in found.shares().items()},
+    }

@@ -1,0 +1,699 @@
+"""The plan: variants of layouts, every way to change them, undo and redo, and its file.
+
+Pure values: what browsers ask for is a value, too. A plan may have an image of one's own below it,
+laid by two points that are known in both.
+"""
+
+import base64
+import binascii
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from msgspec import UNSET, Struct, UnsetType
+
+from geometry.arrays import FloatArray
+from geometry.catalogue import Sensor
+from geometry.errors import InputError, Unquoted
+from geometry.files import pick
+from geometry.poses import Pose, wrap_deg
+from geometry.scene import Scene, Site
+from geometry.sensors import CameraModel, with_fov
+from geometry.terrain import ground_height_m
+from placement.advice import free_name
+from placement.candidates import CandidatePose, is_ring, load_candidate_grid
+from placement.layout import Layout, check_layout, read_layout
+
+MAX_UNITS = 1000
+MAX_VARIANTS = 12
+_MAX_NAME = 80
+MAX_STEPS = 500
+"""Steps that can be undone."""
+MAX_IMAGE_BYTES = 8_000_000
+
+_DEFAULT_PITCH_DEG = -15.0
+_LEVEL_DEG = 0.5  # an axis less steep meets the ground too far away to be aimed at it
+_FAR_M = 45.0
+_DECIMALS = 6  # of degrees and metres: finer than anybody mounts
+_MAX_SIDE_PX = 30_000
+_LEAST_APART_PX, _LEAST_APART_M = 2.0, 0.5
+_MAX_COORDINATE_M = 1.0e6
+_STARTS = {b"\x89PNG\r\n\x1a\n": "image/png", b"\xff\xd8\xff": "image/jpeg", b"GIF8": "image/gif"}
+
+
+def check_count(n: int, where: str, most: int) -> None:
+    """Raise InputError for more than there may be."""
+    if n > most:
+        raise InputError(where, Unquoted(f"{n:,}"), f"at most {most:,}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Variant:
+    """A layout that is being planned; unlike a :class:`placement.layout.Layout` it may be empty.
+
+    Raises InputError if it has too many units.
+    """
+
+    name: str
+    units: tuple[CandidatePose, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_count(len(self.units), "units", MAX_UNITS)
+
+    def layout(self, scene: Scene) -> Layout:
+        """Layout of a scene. Raises InputError if nothing is mounted."""
+        return Layout(name=self.name, units=self.units, scene_name=scene.name)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlanState:
+    """All variants, and which of them is worked on."""
+
+    variants: tuple[Variant, ...]
+    current: int = 0
+
+    @property
+    def variant(self) -> Variant:
+        """The one that is worked on."""
+        return self.variants[self.current]
+
+    @property
+    def is_empty(self) -> bool:
+        """True if nothing is mounted in any variant."""
+        return not any(variant.units for variant in self.variants)
+
+    def with_units(self, units: Sequence[CandidatePose]) -> "PlanState":
+        """The state with other units in the variant that is worked on.
+
+        Raises InputError if there are too many.
+        """
+        return self.with_variant(replace(self.variant, units=tuple(units)))
+
+    def with_variant(self, variant: Variant) -> "PlanState":
+        """The state with another variant in place of the one that is worked on."""
+        before, after = self.variants[: self.current], self.variants[self.current + 1 :]
+        return replace(self, variants=(*before, variant, *after))
+
+
+# ---------- requests of browsers
+
+
+class _Request(Struct, tag_field="do", forbid_unknown_fields=True):
+    pass
+
+
+class AddUnit(_Request, tag="add"):
+    """Mount a sensor at a site; by default it looks at the middle of the junction."""
+
+    site: str
+    sensor: str
+    yaw_deg: float | None = None
+    pitch_deg: float | None = None
+
+
+class ChangeUnit(_Request, tag="change"):
+    """Turn, tilt, raise, zoom, move or exchange a unit; steps of one gesture are undone at once."""
+
+    unit: str
+    yaw_deg: float | UnsetType = UNSET
+    pitch_deg: float | UnsetType = UNSET
+    height_m: float | UnsetType = UNSET
+    fov_deg: float | UnsetType = UNSET
+    site: str | UnsetType = UNSET
+    sensor: str | UnsetType = UNSET
+    gesture: str = ""
+
+
+class RemoveUnit(_Request, tag="remove"):
+    """Take a unit down."""
+
+    unit: str
+
+
+class AddVariant(_Request, tag="add-variant"):
+    """Copy the variant that is worked on, and go on with the copy."""
+
+    name: str = ""
+
+
+class SelectVariant(_Request, tag="select-variant"):
+    """Go on with another variant."""
+
+    index: int
+
+
+class RenameVariant(_Request, tag="rename-variant"):
+    """Name the variant that is worked on."""
+
+    name: str
+
+
+class RemoveVariant(_Request, tag="remove-variant"):
+    """Drop the variant that is worked on."""
+
+
+class Undo(_Request, tag="undo"):
+    """Take the last change back."""
+
+
+class Redo(_Request, tag="redo"):
+    """Make the change again that was taken back."""
+
+
+Change = (
+    AddUnit | ChangeUnit | RemoveUnit | AddVariant | SelectVariant | RenameVariant | RemoveVariant
+)
+
+
+class Ask(_Request, tag="ask"):
+    """Ask the optimiser: "next", "complete" to `units`, "re-aim", "cheapest", "why-not" `site`."""
+
+    request: str
+    units: int = 0
+    site: str = ""
+
+
+class Revert(_Request, tag="revert"):
+    """Take a gesture back that is given up, as if it had not been begun."""
+
+    gesture: str
+
+
+class Cancel(_Request, tag="cancel"):
+    """Let the optimiser stop."""
+
+
+class TakeProposal(_Request, tag="take"):
+    """Take a proposal over, in place of what is worked on or as a further variant."""
+
+    number: int
+    as_variant: bool = False
+
+
+class DropProposal(_Request, tag="drop"):
+    """Drop a proposal."""
+
+    number: int
+
+
+class ShowCoverage(_Request, tag="coverage"):
+    """Show or hide pixel density and blind spots on the road."""
+
+    is_shown: bool
+
+
+class ChooseSensors(_Request, tag="sensors"):
+    """Models that the optimiser may mount; none: the default grid's."""
+
+    names: list[str]
+
+
+Message = (
+    Change
+    | Undo
+    | Redo
+    | Revert
+    | Ask
+    | Cancel
+    | TakeProposal
+    | DropProposal
+    | ShowCoverage
+    | ChooseSensors
+)
+_DECODER = msgspec.json.Decoder(Message)
+
+
+def read_message(text: bytes) -> Message:
+    """A request from its JSON. Raises InputError if it is none of these."""
+    try:
+        message: Message = _DECODER.decode(text)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise InputError("message", Unquoted(error), "one that the page sends") from None
+    return message
+
+
+# ---------- changes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Stock:
+    """The scene with its sites, and the sensor models that can be mounted, by name."""
+
+    scene: Scene
+    models: Mapping[str, Sensor]
+
+
+def change_state(state: PlanState, change: Change, stock: Stock) -> PlanState:
+    """The state after a change.
+
+    Raises
+    ------
+    InputError
+        There is no such unit, site, sensor or variant; a site is full or forbidden; a number is
+        not one that can be mounted. The state is then as it was.
+    """
+    return _CHANGES[type(change)](state, change, stock)
+
+
+def _add_unit(state: PlanState, change: AddUnit, stock: Stock) -> PlanState:
+    units, scene = state.variant.units, stock.scene
+    site = _free_site(change.site, units, scene)
+    sensor = pick(stock.models, change.sensor, "sensor")
+    height_m = float(np.clip(load_candidate_grid().heights_m.max(), *site.height_range_m))
+    middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
+    east, north = middle - site.position_m[:2]
+    towards_deg = math.degrees(math.atan2(north, east)) if east or north else 0.0
+    pitch_deg = 0.0 if is_ring(sensor) else _DEFAULT_PITCH_DEG
+    unit = CandidatePose(
+        id=free_name({unit.id for unit in units}),
+        site_id=site.id,
+        pose=Pose(
+            position_m=site.position_m + [0.0, 0.0, height_m],
+            yaw_deg=_yaw(towards_deg if change.yaw_deg is None else change.yaw_deg),
+            pitch_deg=_pitch(pitch_deg if change.pitch_deg is None else change.pitch_deg),
+        ),
+        sensor=sensor,
+    )
+    return state.with_units([*units, unit])
+
+
+def first_units(stock: Stock, sensor: str) -> tuple[CandidatePose, ...]:
+    """A unit alone at the first site that may carry one; none where there is no such site."""
+    free = [site.id for site in stock.scene.sites if site.use != "forbidden"]
+    if not free:
+        return ()
+    empty = begin_history(()).state
+    return _add_unit(empty, AddUnit(site=free[0], sensor=sensor), stock).variant.units
+
+
+def _change_unit(state: PlanState, change: ChangeUnit, stock: Stock) -> PlanState:
+    units, scene = state.variant.units, stock.scene
+    index = _find(units, change.unit)
+    unit = units[index]
+    pose, sensor = unit.pose, unit.sensor
+    if change.sensor is not UNSET:
+        sensor = pick(stock.models, change.sensor, "sensor")
+        if is_ring(sensor) != is_ring(unit.sensor):  # what scans all round is level by default
+            pose = replace(pose, pitch_deg=0.0 if is_ring(sensor) else _DEFAULT_PITCH_DEG)
+    if change.fov_deg is not UNSET:
+        if not isinstance(sensor, CameraModel):
+            raise InputError("lens", change.fov_deg, "nothing: only cameras have lenses")
+        sensor = with_fov(sensor, _finite("lens", change.fov_deg), "lens")
+    others = [other for other in units if other is not unit]
+    site_id = unit.site_id
+    if change.site is not UNSET and change.site != site_id:
+        site = _free_site(change.site, others, scene)
+        ground_m = float(ground_height_m(scene, pose.position_m[:2]))
+        above_m = float(np.clip(pose.position_m[2] - ground_m, *site.height_range_m))
+        pose = _moved(pose, site.position_m + [0.0, 0.0, above_m], sensor, scene)
+        site_id = site.id
+    if change.height_m is not UNSET:
+        pose = _raised(pose, site_id, _finite("height", change.height_m), scene)
+    if change.yaw_deg is not UNSET:
+        pose = replace(pose, yaw_deg=_yaw(change.yaw_deg))
+    if change.pitch_deg is not UNSET:
+        pose = replace(pose, pitch_deg=_pitch(change.pitch_deg))
+    changed = replace(unit, site_id=site_id, pose=pose, sensor=sensor)
+    return state.with_units([*units[:index], changed, *units[index + 1 :]])
+
+
+def _moved(pose: Pose, position_m: FloatArray, sensor: Sensor, scene: Scene) -> Pose:
+    """A pose at another place that looks at the same point of the ground.
+
+    One whose axis does not meet the ground keeps its tilt and turns to where it looked.
+    """
+    eye_m = pose.position_m
+    up_m = float(eye_m[2] - ground_height_m(scene, eye_m[:2]))
+    is_tilted = pose.pitch_deg < -_LEVEL_DEG and not is_ring(sensor)
+    reach_m = up_m / math.tan(math.radians(-pose.pitch_deg)) if is_tilted else _FAR_M
+    yaw = math.radians(pose.yaw_deg)
+    target_m = eye_m[:2] + reach_m * np.array([math.cos(yaw), math.sin(yaw)])
+    east, north = target_m - position_m[:2]
+    pitch_deg = pose.pitch_deg
+    if is_tilted:
+        above_m = float(position_m[2] - ground_height_m(scene, target_m))
+        pitch_deg = -math.degrees(math.atan2(above_m, math.hypot(east, north)))
+    yaw_deg = math.degrees(math.atan2(north, east)) if east or north else pose.yaw_deg
+    return Pose(position_m=position_m, yaw_deg=_yaw(yaw_deg), pitch_deg=_pitch(pitch_deg))
+
+
+def _raised(pose: Pose, site_id: str, height_m: float, scene: Scene) -> Pose:
+    """A pose at another height above the foot of its site, or above the ground below it."""
+    site = next((site for site in scene.sites if site.id == site_id), None)
+    if site is None:
+        foot_m = float(ground_height_m(scene, pose.position_m[:2]))
+        low_m, high_m = 0.5, 50.0
+    else:
+        foot_m = float(site.position_m[2])
+        low_m, high_m = site.height_range_m.tolist()
+    if not low_m - 1.0e-9 <= height_m <= high_m + 1.0e-9:
+        at = f"the range of {site_id}" if site_id else "above the ground"
+        raise InputError("height", height_m, f"{low_m:g} .. {high_m:g} m, {at}")
+    east, north = pose.position_m[:2]
+    return replace(pose, position_m=np.array([east, north, foot_m + round(height_m, _DECIMALS)]))
+
+
+def _remove_unit(state: PlanState, change: RemoveUnit, stock: Stock) -> PlanState:
+    units = state.variant.units
+    index = _find(units, change.unit)
+    return state.with_units([*units[:index], *units[index + 1 :]])
+
+
+def _add_variant(state: PlanState, change: AddVariant, stock: Stock) -> PlanState:
+    name = change.name or free_name({variant.name for variant in state.variants}, "Variant ")
+    return add_variant(state, Variant(name=name, units=state.variant.units))
+
+
+def add_variant(state: PlanState, variant: Variant, *, source: str = "") -> PlanState:
+    """The state with a further variant, which is worked on from here.
+
+    Where its name is taken, `source`, such as the file's name, is added, and then a number.
+    Raises InputError if there are too many, or the name cannot be printed.
+    """
+    check_count(len(state.variants) + 1, "variants", MAX_VARIANTS)
+    names = {each.name for each in state.variants}
+    name, number = _printable(variant.name), 2
+    if name in names and source:
+        name = _printable(f"{source}: {name}"[:_MAX_NAME])
+    base = name
+    while name in names:
+        name, number = f"{base} ({number})", number + 1
+    variants = (*state.variants, replace(variant, name=name))
+    return PlanState(variants=variants, current=len(variants) - 1)
+
+
+def _select_variant(state: PlanState, change: SelectVariant, stock: Stock) -> PlanState:
+    if not 0 <= change.index < len(state.variants):
+        raise InputError("variant", change.index, f"0 to {len(state.variants) - 1}")
+    return replace(state, current=change.index)
+
+
+def _rename_variant(state: PlanState, change: RenameVariant, stock: Stock) -> PlanState:
+    name = _printable(change.name)
+    if any(each.name == name for each in state.variants if each is not state.variant):
+        raise InputError("name", name, "a name that no other variant has")
+    return state.with_variant(replace(state.variant, name=name))
+
+
+def _remove_variant(state: PlanState, change: RemoveVariant, stock: Stock) -> PlanState:
+    if len(state.variants) == 1:
+        raise InputError("variant", state.variant.name, "another one: the last one stays")
+    variants = tuple(each for each in state.variants if each is not state.variant)
+    return PlanState(variants=variants, current=min(state.current, len(variants) - 1))
+
+
+_CHANGES: Mapping[type, Callable[[PlanState, Any, Stock], PlanState]] = {
+    AddUnit: _add_unit,
+    ChangeUnit: _change_unit,
+    RemoveUnit: _remove_unit,
+    AddVariant: _add_variant,
+    SelectVariant: _select_variant,
+    RenameVariant: _rename_variant,
+    RemoveVariant: _remove_variant,
+}
+
+
+def _find(units: Sequence[CandidatePose], unit_id: str) -> int:
+    for index, unit in enumerate(units):
+        if unit.id == unit_id:
+            return index
+    raise InputError("unit", unit_id, "one that is mounted there")
+
+
+def _free_site(site_id: str, units: Sequence[CandidatePose], scene: Scene) -> Site:
+    """A site that may carry one more unit."""
+    site = next((site for site in scene.sites if site.id == site_id), None)
+    if site is None:
+        raise InputError("site", site_id, f"a site of {scene.name}")
+    if site.use == "forbidden":
+        raise InputError("site", site_id, "a site that may carry units: the scene forbids this one")
+    n_there = sum(unit.site_id == site_id for unit in units)
+    if n_there >= site.capacity_units:
+        raise InputError(
+            f"site {site_id}",
+            Unquoted(f"a unit more than the {n_there} there"),
+            f"at most {site.capacity_units}",
+        )
+    return site
+
+
+def _finite(where: str, value: float) -> float:
+    if not math.isfinite(value):
+        raise InputError(where, value, "a finite number")
+    return value
+
+
+def _yaw(yaw_deg: float) -> float:
+    return round(float(wrap_deg(_finite("direction", yaw_deg))), _DECIMALS)
+
+
+def _pitch(pitch_deg: float) -> float:
+    if not -90.0 <= pitch_deg <= 90.0:
+        raise InputError("tilt", pitch_deg, "-90 .. 90 degrees")
+    return round(float(pitch_deg), _DECIMALS)
+
+
+def _printable(name: str) -> str:
+    name = " ".join(name.split())
+    if not name or len(name) > _MAX_NAME or not name.isprintable():
+        raise InputError("name", name, f"1 to {_MAX_NAME} letters")
+    return name
+
+
+# ---------- undo and redo
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class History:
+    """States in the order in which they came about, and which of them is now."""
+
+    states: tuple[PlanState, ...]
+    now: int = 0
+    gesture: str = ""  # that the newest step belongs to; empty: none
+
+    @property
+    def state(self) -> PlanState:
+        """The state that is shown."""
+        return self.states[self.now]
+
+    @property
+    def can_undo(self) -> bool:
+        """True if there is an earlier state."""
+        return self.now > 0
+
+    @property
+    def can_redo(self) -> bool:
+        """True if there is a later state."""
+        return self.now + 1 < len(self.states)
+
+    def went_on(self, state: PlanState, *, gesture: str = "") -> "History":
+        """One state further; a step of the same gesture as the last one takes its place."""
+        is_same = bool(gesture) and gesture == self.gesture and not self.can_redo
+        before = self.states[: self.now + (0 if is_same else 1)]
+        states = (*before, state)[-MAX_STEPS:]
+        return History(states=states, now=len(states) - 1, gesture=gesture)
+
+    def reverted(self, gesture: str) -> "History":
+        """Without the newest step, if it belongs to a gesture."""
+        if not gesture or gesture != self.gesture or not self.can_undo:
+            return self
+        return History(states=self.states[:-1], now=self.now - 1)
+
+    def undone(self) -> "History":
+        """One state back, where there is one."""
+        return replace(self, now=max(self.now - 1, 0), gesture="")
+
+    def redone(self) -> "History":
+        """One state on, where there is one."""
+        return replace(self, now=min(self.now + 1, len(self.states) - 1), gesture="")
+
+
+def begin_history(variants: Sequence[Variant]) -> History:
+    """A history of one state with these variants, the first one worked on; or with an empty one.
+
+    Raises InputError as :func:`add_variant`.
+    """
+    first = variants[0] if variants else Variant(name="Variant 1")
+    state = PlanState(variants=(first,))
+    for variant in variants[1:]:
+        state = add_variant(state, variant)
+    return History(states=(replace(state, current=0),))
+
+
+# ---------- an image below the plan
+
+
+class LiePoint(Struct, frozen=True, forbid_unknown_fields=True):
+    """A place in the image, from its upper left corner, and the same in the world frame."""
+
+    x_px: float
+    y_px: float
+    east_m: float
+    north_m: float
+
+
+class Lie(Struct, frozen=True, forbid_unknown_fields=True):
+    """How an image lies on the plan: its size, and two points."""
+
+    width_px: int
+    height_px: int
+    points: tuple[LiePoint, LiePoint]
+
+
+class _BackgroundRecord(Struct, frozen=True, forbid_unknown_fields=True):
+    """As a plan's file has it."""
+
+    lie: Lie
+    image: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Background:
+    """An image and how it lies; browsers draw it, and nothing here decodes it."""
+
+    content: bytes
+    media_type: str
+    lie: Lie
+
+    def record(self) -> dict[str, Any]:
+        """Its part of a plan's file."""
+        image = base64.b64encode(self.content).decode()
+        return {"lie": msgspec.to_builtins(self.lie), "image": image}
+
+
+def background_message(background: Background | None) -> dict[str, Any]:
+    """Message about the image: its address, size and points; an empty address: none."""
+    if background is None:
+        return {"type": "background", "address": ""}
+    lie = background.lie
+    return {
+        "type": "background",
+        "address": f"background?{id(background)}",  # another one is not taken from a cache
+        "size": [lie.width_px, lie.height_px],
+        "points": [msgspec.structs.astuple(point) for point in lie.points],
+    }
+
+
+def build_background(content: bytes, lie: bytes, where: str) -> Background:
+    """A background from an image and the JSON of its :class:`Lie`.
+
+    Raises InputError if it is none that browsers draw, too large, or the points do not lay it.
+    """
+    try:
+        found = msgspec.json.decode(lie, type=Lie)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise InputError(f"{where}: points", Unquoted(error), "two points of the image") from None
+    return _checked(content, found, where)
+
+
+def read_background(record: Any, where: str) -> Background:
+    """A background from a plan's file. Raises InputError as :func:`build_background` does."""
+    try:
+        found = msgspec.convert(record, _BackgroundRecord)
+        content = base64.b64decode(found.image, validate=True)
+    except (msgspec.ValidationError, binascii.Error, ValueError) as error:
+        raise InputError(where, Unquoted(error), "an image and how it lies") from None
+    return _checked(content, found.lie, where)
+
+
+def _checked(content: bytes, lie: Lie, where: str) -> Background:
+    if len(content) > MAX_IMAGE_BYTES:
+        raise InputError(where, Unquoted(f"{len(content):,} bytes"), f"at most {MAX_IMAGE_BYTES:,}")
+    kind = next((kind for start, kind in _STARTS.items() if content.startswith(start)), "")
+    if content[:4] == b"RIFF" and content[8:12] == b"WEBP":
+        kind = "image/webp"
+    if not kind:
+        raise InputError(where, Unquoted("another format"), "PNG, JPEG, WebP or GIF")
+    if not (1 <= lie.width_px <= _MAX_SIDE_PX and 1 <= lie.height_px <= _MAX_SIDE_PX):
+        size = Unquoted(f"{lie.width_px} by {lie.height_px} pixels")
+        raise InputError(where, size, f"1 to {_MAX_SIDE_PX:,} pixels")
+    first, second = lie.points
+    numbers = [value for point in lie.points for value in msgspec.structs.astuple(point)]
+    if not all(math.isfinite(value) and abs(value) <= _MAX_COORDINATE_M for value in numbers):
+        raise InputError(f"{where}: points", numbers, f"numbers up to {_MAX_COORDINATE_M:,.0f}")
+    apart_px = math.hypot(second.x_px - first.x_px, second.y_px - first.y_px)
+    apart_m = math.hypot(second.east_m - first.east_m, second.north_m - first.north_m)
+    if apart_px < _LEAST_APART_PX or apart_m < _LEAST_APART_M:
+        raise InputError(
+            f"{where}: points",
+            Unquoted(f"points {apart_px:.1f} px and {apart_m:.2f} m from each other"),
+            f"at least {_LEAST_APART_PX:g} px and {_LEAST_APART_M:g} m",
+        )
+    return Background(content=content, media_type=kind, lie=lie)
+
+
+# ---------- plans as files
+
+SCHEMA = "place-rsus/plan/1"
+MAX_PLAN_BYTES = 16_000_000
+"""Of a plan's file."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Plan:
+    """Contents of a plan's file; an empty name: of any scene."""
+
+    variants: tuple[Variant, ...]
+    scene_name: str = ""
+    background: Background | None = None
+
+
+def check_plan(plan: Plan, scene: Scene) -> None:
+    """Raise InputError unless all variants of a plan can be mounted in a scene."""
+    for variant in plan.variants:
+        if variant.units:
+            layout = Layout(name=variant.name, units=variant.units, scene_name=plan.scene_name)
+            check_layout(layout, scene)
+
+
+def read_plan(text: bytes, where: str) -> Plan:
+    """A plan from the text of a plan's or a layout's file, layouts as ``--layout`` reads them.
+
+    `where` is the file's name, for error messages. Raises InputError if it is neither.
+    """
+    try:
+        document = msgspec.json.decode(text)
+    except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
+        raise InputError(where, Unquoted(error), "a layout or a plan as JSON") from None
+    if not (isinstance(document, dict) and document.get("schema") == SCHEMA):
+        variants = [_read_variant(document, text, where, Path(where).stem)]
+        return Plan(variants=tuple(variants), scene_name=_scene_of(document))
+    records = document.get("variants")
+    if not isinstance(records, list) or not 1 <= len(records) <= MAX_VARIANTS:
+        raise InputError(f"{where}: variants", Unquoted("none"), f"a list of 1 to {MAX_VARIANTS}")
+    variants = []
+    for index, record in enumerate(records):
+        at = f"{where}: variants[{index}]"
+        if not isinstance(record, dict):
+            raise InputError(at, record, "a layout")
+        name = record.get("name")
+        if record.get("layout") == [] and isinstance(name, str):
+            variants.append(Variant(name=_printable(name)))
+        else:
+            encoded = msgspec.json.encode(record)
+            variants.append(_read_variant(record, encoded, at, f"{index + 1}"))
+    background = document.get("background")
+    return Plan(
+        variants=tuple(variants),
+        scene_name=_scene_of(document),
+        background=None
+        if background is None
+        else read_background(background, f"{where}: background"),
+    )
+
+
+def _read_variant(document: Any, text: bytes, where: str, name: str) -> Variant:
+    """A layout as a variant; too many units are refused before they are read."""
+    records = document.get("layout") if isinstance(document, dict) else None
+    if isinstance(records, list):
+        check_count(len(records), f"{where}: units", MAX_UNITS)
+    layout = read_layout(text, where=where, name=name)
+    return Variant(name=_printable(layout.name), units=layout.units)
+
+
+def _scene_of(document: Any) -> str:
+    return str(document.get("scene", "")) if isinstance(document, dict) else ""

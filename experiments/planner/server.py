@@ -1,0 +1,532 @@
+"""The planner's page over HTTP: who may ask, what is answered, how it all ends."""
+
+import asyncio
+import json
+import re
+import secrets
+import shutil
+import socket
+import threading
+import time
+from collections.abc import Awaitable, Callable, Mapping
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from itertools import count
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+from geometry.errors import InputError, MissingExtraError, Unquoted
+
+from .numbers import layout_text
+from .plan import MAX_IMAGE_BYTES, MAX_PLAN_BYTES, build_background, read_plan
+from .session import MAX_MAP_BYTES, Session
+from .tasks import Cancelled, TaskError, turn_page
+
+try:
+    import uvicorn
+    from starlette.applications import Starlette
+    from starlette.requests import Request
+    from starlette.responses import JSONResponse, Response
+    from starlette.routing import Mount, Route, WebSocketRoute
+    from starlette.types import ASGIApp, Receive, Scope, Send
+    from starlette.websockets import WebSocket, WebSocketDisconnect
+except ModuleNotFoundError as error:
+    raise MissingExtraError(
+        f"place-rsus plan needs the package {error.name}: install place-rsus[plan]"
+    ) from None
+
+_MAX_MESSAGE_BYTES = 64_000
+_MAX_NAME_BYTES = 500
+_EACH = ("problem", "notice", "view")  # messages of which not only the newest counts
+_MAX_WAITING = 2000  # messages for a browser that does not read
+_CLOSED_CODES = (1000, 1001, 1005)  # the page was closed or is loaded again; others: it was lost
+_PATIENCE_S = 2.0  # with a server that is told to end
+LINGER_S = 8.0
+"""After the last page was closed: it may be loaded again."""
+LINGER_LOST_S = 180.0
+"""After the connection to the last page was lost: the page tries again as long as it is open."""
+_MAP_SUFFIXES = (".osm", ".osm.pbf", ".pbf", ".osm.gz", ".osm.bz2", ".xodr", ".zip")
+_IMAGES = "img-src 'self' data: blob:"
+_STRICT = (
+    f"default-src 'none'; script-src 'self'; style-src 'self'; {_IMAGES}; connect-src 'self'; "
+    "frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
+)
+# The player's page is one file, as the report is: its own scripts and styles stand in it.
+_INLINE = (
+    f"default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; {_IMAGES}; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
+)
+
+# ---------- who may ask
+
+
+def allowed_hosts(host: str, port: int) -> frozenset[str] | None:
+    """Values of the header Host that are answered; None: any, where all interfaces listen."""
+    if host in ("0.0.0.0", "::"):
+        return None
+    names = {host, "127.0.0.1", "localhost"} if host == "127.0.0.1" else {host}
+    return frozenset(f"{name}:{port}" for name in names)
+
+
+class Guard:
+    """Answers only who has the token, by this very address, from a page of this very server."""
+
+    def __init__(self, app: ASGIApp, *, token: str, hosts: frozenset[str] | None) -> None:
+        self._app, self._token, self._hosts = app, token, hosts
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on, or refuse it."""
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+            return
+        problem = self._problem(scope)
+        if not problem:
+            await self._app(scope, receive, send)
+        elif scope["type"] == "websocket":
+            await send({"type": "websocket.close", "code": 1008, "reason": problem})
+        else:
+            await Response(f"{problem}\n", 403, media_type="text/plain")(scope, receive, send)
+
+    def _problem(self, scope: Scope) -> str:
+        names: Mapping[bytes, bytes] = dict(scope["headers"])
+        host = names.get(b"host", b"").decode("latin-1")
+        if self._hosts is not None and host not in self._hosts:
+            return "another host"
+        origin = names.get(b"origin", b"").decode("latin-1")
+        is_read = scope["type"] == "http" and scope["method"] in ("GET", "HEAD")
+        if (origin or not is_read) and origin != f"http://{host}":
+            return "another origin"
+        token = scope["path"].split("/")[1] if scope["path"].startswith("/") else ""
+        if not secrets.compare_digest(token.encode(), self._token.encode()):
+            return "no such page; the address is the one that place-rsus plan has printed"
+        return ""
+
+
+# ---------- what is answered
+
+
+@cache
+def page_files() -> dict[str, tuple[bytes, str]]:
+    """Everything that the page is made of, by name: content and media type.
+
+    ``shared.js`` is made of the report's own scripts.
+    """
+    page = files("experiments.planner") / "page"
+    kinds = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
+    found = {
+        item.name: (item.read_bytes(), kinds[Path(item.name).suffix])
+        for item in page.iterdir()
+        if Path(item.name).suffix in kinds
+    }
+    report = files("experiments.report") / "templates"
+    shared = [
+        (report / name).read_text(encoding="utf-8")
+        for name in ("run_numbers.js", "plan_drawing.js")
+    ]
+    names = ("element", "drawGround", "drawScale", "addPatterns", "MARKS")
+    exported = f"export {{ {', '.join(names)} }};\n"
+    found["shared.js"] = ("\n".join([*shared, exported]).encode(), "text/javascript")
+    return found
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Received:
+    """A map or a scene that a browser has sent."""
+
+    path: Path
+    name: str
+    found: dict[str, Any]  # as :meth:`.tasks.Tasks.survey` tells
+
+
+class Pages:
+    """Answers to addresses below the token."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._numbers = count(1)
+        self._map: _Received | None = None  # the map or scene that was sent last
+
+    def routes(self) -> list[Route | WebSocketRoute]:
+        """All of them."""
+        return [
+            Route("/", self._index),
+            Route("/files/{name}", self._file),
+            WebSocketRoute("/live", self._live),
+            Route("/layout.json", self._answer(self._layout)),
+            Route("/plan.json", self._answer(self._plan)),
+            Route("/watch", self._answer(self._watch)),
+            Route("/turn", self._answer(self._turn)),
+            Route("/explain", self._answer(self._explain)),
+            Route("/private", self._answer(self._private)),
+            Route("/background", self._answer(self._background), methods=["GET", "POST"]),
+            Route("/picture", self._answer(self._picture)),
+            Route("/report.zip", self._answer(self._report)),
+            Route("/sheet.pdf", self._answer(self._sheet)),
+            Route("/open", self._answer(self._open), methods=["POST"]),
+            Route("/import", self._answer(self._import), methods=["POST"]),
+        ]
+
+    def _answer(
+        self, make: Callable[[Request], Awaitable[Response]]
+    ) -> Callable[[Request], Awaitable[Response]]:
+        """An answer, or the sentence that says why there is none."""
+
+        async def answer(request: Request) -> Response:
+            try:
+                return _guarded(await make(request))
+            except (InputError, TaskError) as error:
+                return _guarded(JSONResponse({"problem": str(error)}, 400))
+            except Cancelled:
+                return _guarded(JSONResponse({"problem": "it was stopped"}, 409))
+
+        return answer
+
+    async def _index(self, request: Request) -> Response:
+        content, kind = page_files()["index.html"]
+        return _guarded(Response(content, media_type=kind))
+
+    async def _file(self, request: Request) -> Response:
+        found = page_files().get(request.path_params["name"])
+        if found is None:
+            return _guarded(Response("no such file\n", 404, media_type="text/plain"))
+        return _guarded(Response(found[0], media_type=found[1]))
+
+    # ---------- the line on which browsers and session talk
+
+    async def _live(self, socket: WebSocket) -> None:
+        await socket.accept()
+        waiting: asyncio.Queue[dict[str, Any]] = asyncio.Queue(_MAX_WAITING)
+        is_lost = asyncio.Event()
+
+        def listen(message: dict[str, Any]) -> None:
+            try:
+                waiting.put_nowait(message)
+            except asyncio.QueueFull:  # it joins again and is told everything
+                is_lost.set()
+
+        sender = asyncio.create_task(_send_all(socket, waiting, is_lost))
+        self._session.join(listen)
+        code = 1006
+        try:
+            for number in count(1):
+                text = await socket.receive_text()
+                try:
+                    if len(text) > _MAX_MESSAGE_BYTES:
+                        raise InputError("message", Unquoted(f"{len(text)} bytes"), "fewer")
+                    self._session.handle(text.encode())
+                except InputError as error:
+                    listen({"type": "problem", "text": str(error)})
+                listen({"type": "heard", "number": number})
+        except WebSocketDisconnect as ended:
+            code = ended.code
+        except (RuntimeError, KeyError):  # it is closed already, or bytes came in place of text
+            pass
+        finally:
+            self._session.leave(listen, is_lost=code not in _CLOSED_CODES)
+            sender.cancel()
+
+    # ---------- files out
+
+    async def _layout(self, request: Request) -> Response:
+        text = layout_text(self._session.history.state, self._session.setting.scene)
+        return _download(text.encode(), "layout.json", "application/json")
+
+    async def _plan(self, request: Request) -> Response:
+        return _download(self._session.plan_text(), "plan.json", "application/json")
+
+    async def _watch(self, request: Request) -> Response:
+        run_id = request.query_params.get("run", "")
+        page = await self._session.call("watch", self._session.layout(), run_id)
+        return _inline(page)
+
+    async def _turn(self, request: Request) -> Response:
+        units = self._session.history.state.variant.units
+        return _inline(await asyncio.to_thread(turn_page, self._session.setting.scene, units))
+
+    async def _private(self, request: Request) -> Response:
+        return JSONResponse(await self._session.private_view(request.query_params.get("unit", "")))
+
+    async def _background(self, request: Request) -> Response:
+        """The image below the plan; or another one, or with an empty body none any more."""
+        session = self._session
+        if request.method == "POST":
+            path = await self._received(request, "image", MAX_IMAGE_BYTES)
+            content = path.read_bytes()
+            _remove(path)
+            points = request.headers.get("x-points", "")[:2000].encode("latin-1", "replace")
+            session.lay_background(build_background(content, points, "image") if content else None)
+            return JSONResponse({})
+        if session.background is None:
+            return Response("no image\n", 404, media_type="text/plain")
+        return Response(session.background.content, media_type=session.background.media_type)
+
+    async def _explain(self, request: Request) -> Response:
+        run_id = request.query_params.get("run", "")
+        return JSONResponse(await self._session.call("explain", self._session.layout(), run_id))
+
+    async def _picture(self, request: Request) -> Response:
+        values = request.query_params
+        try:
+            frame = int(values.get("frame", "-1")[:9])
+        except ValueError:
+            raise InputError("frame", values["frame"], "a whole number") from None
+        picture = await self._session.call(
+            "picture", self._session.layout(), values.get("unit", ""), values.get("run", ""), frame
+        )
+        return Response(picture, media_type="image/jpeg")
+
+    async def _report(self, request: Request) -> Response:
+        content = await self._session.call(
+            "report", self._session.layout(), "place-rsus plan", is_long=True
+        )
+        return _download(content, "report.zip", "application/zip")
+
+    async def _sheet(self, request: Request) -> Response:
+        content = await self._session.call("sheet", self._session.layout(), is_long=True)
+        return _download(content, "mounting.pdf", "application/pdf")
+
+    # ---------- files in
+
+    async def _open(self, request: Request) -> Response:
+        """Open a layout or a plan; look what a map or a scene has: its name says what it is."""
+        name = unquote(request.headers.get("x-file-name", ""))[:200]
+        lower = name.lower()
+        if lower.endswith(".json"):
+            path = await self._received(request, "layout.json", MAX_PLAN_BYTES)
+            try:
+                plan = read_plan(path.read_bytes(), name)
+            finally:
+                _remove(path)
+            self._session.open_plan(plan, Path(name).stem)
+            return JSONResponse({"opened": [variant.name for variant in plan.variants]})
+        suffix = next((end for end in _MAP_SUFFIXES if lower.endswith(end)), None)
+        if suffix is None:
+            expected = "a name that ends in .json, " + ", ".join(_MAP_SUFFIXES)
+            raise InputError("file", name, expected)
+        path = await self._received(request, _plain_name(name, suffix), MAX_MAP_BYTES)
+        try:
+            found = await self._session.call("survey", str(path), is_long=True)
+        except TaskError as error:
+            _remove(path)
+            raise TaskError(str(error).replace(str(path), name)) from None
+        before, self._map = self._map, _Received(path=path, name=name, found=found)
+        if before is not None:  # one at a time is kept
+            _remove(before.path)
+        return JSONResponse({"map": name, **found})
+
+    async def _import(self, request: Request) -> Response:
+        """Go on at the junction that was chosen of the map that was sent last, or in that scene."""
+        if self._map is None:
+            raise InputError("map", Unquoted("none"), "one that was dropped on the page before")
+        sent = self._map
+        named = bytearray()
+        async for chunk in request.stream():
+            named += chunk
+            if len(named) > _MAX_NAME_BYTES:
+                raise InputError("junction", Unquoted("a longer name"), "one that is shown")
+        junction = named.decode("utf-8", errors="replace")
+        try:
+            if sent.found["isScene"]:
+                await self._session.open_scene(str(sent.path))
+                self._map = None  # the session's file from here on
+            else:
+                folder = str(self._session.work.scratch / f"scene-{next(self._numbers)}")
+                given = (str(sent.path), junction, folder)
+                await self._session.call("import_junction", *given, is_long=True)
+                named_so = [one["name"] for one in sent.found["junctions"] if one["id"] == junction]
+                await self._session.open_scene(folder, title=named_so[0] if named_so else "")
+        except TaskError as error:
+            raise TaskError(str(error).replace(str(sent.path), sent.name)) from None
+        return JSONResponse({"scene": self._session.workspace.title})
+
+    async def _received(self, request: Request, name: str, max_bytes: int) -> Path:
+        """A file of the session with what is sent, in a folder of its own."""
+        path = self._session.work.scratch / f"received-{next(self._numbers)}" / name
+        path.parent.mkdir()
+        n_bytes = 0
+        try:
+            with path.open("wb") as file:
+                async for chunk in request.stream():
+                    n_bytes += len(chunk)
+                    if n_bytes > max_bytes:
+                        raise InputError(
+                            "file", Unquoted(f"more than {max_bytes:,} bytes"), "a smaller one"
+                        )
+                    file.write(chunk)
+        except BaseException:
+            _remove(path)
+            raise
+        return path
+
+
+def _remove(received: Path) -> None:
+    shutil.rmtree(received.parent, ignore_errors=True)
+
+
+def _plain_name(name: str, suffix: str) -> str:
+    """A file's own name as one that is safe to write: scenes that are cut from it are named so.
+
+    Examples
+    --------
+    >>> _plain_name("../My town: north.osm", ".osm")
+    'My_town_north.osm'
+    """
+    stem = re.sub(r"[^\w-]+", "_", Path(name).name[: -len(suffix)]).strip("_")[:60]
+    return (stem or "map") + suffix
+
+
+async def _send_all(
+    socket: WebSocket, waiting: asyncio.Queue[dict[str, Any]], is_lost: asyncio.Event
+) -> None:
+    """Send what waits; of several numbers or states that wait only the newest."""
+    while True:
+        messages = [await waiting.get()]
+        while not waiting.empty():
+            messages.append(waiting.get_nowait())
+        newest = {message["type"]: index for index, message in enumerate(messages)}
+        for index, message in enumerate(messages):
+            if message["type"] in _EACH or newest[message["type"]] == index:
+                await socket.send_text(json.dumps(message, separators=(",", ":"), allow_nan=False))
+        if is_lost.is_set():
+            await socket.close(1013)
+            return
+
+
+def _inline(page: str) -> Response:
+    """A page that is one file, scripts and styles in it."""
+    response = Response(page, media_type="text/html")
+    response.headers["content-security-policy"] = _INLINE
+    return response
+
+
+def _download(content: bytes, name: str, kind: str) -> Response:
+    response = Response(content, media_type=kind)
+    response.headers["content-disposition"] = f'attachment; filename="{name}"'
+    return response
+
+
+def _guarded(response: Response) -> Response:
+    headers = response.headers
+    headers.setdefault("content-security-policy", _STRICT)
+    headers["x-content-type-options"] = "nosniff"
+    headers["referrer-policy"] = "no-referrer"
+    headers["cross-origin-resource-policy"] = "same-origin"
+    headers["cache-control"] = "no-store"
+    return response
+
+
+def build_app(session: Session, *, token: str, hosts: frozenset[str] | None) -> ASGIApp:
+    """The application of a session; every address begins with the token."""
+
+    @asynccontextmanager
+    async def life(app: Starlette) -> Any:
+        session.start()
+        yield
+        session.stop()
+
+    inner = Starlette(routes=[Mount(f"/{token}", routes=Pages(session).routes())], lifespan=life)
+    return Guard(inner, token=token, hosts=hosts)
+
+
+# ---------- a server that runs beside the main thread
+
+
+class RunningServer:
+    """A server in a thread of its own: the main thread waits, and is free to be interrupted.
+
+    Unless it `keeps_open`, it ends by itself some seconds after the last page was closed.
+
+    Attributes
+    ----------
+    address : str
+        Of the page, with its token.
+    """
+
+    def __init__(
+        self, make_session: Callable[[], Session], *, host: str, port: int, keeps_open: bool = True
+    ) -> None:
+        self._keeps_open = keeps_open
+        try:
+            self._socket = socket.create_server((host, port))
+        except (OSError, OverflowError) as error:
+            where = getattr(error, "strerror", None) or error
+            raise InputError("--port", Unquoted(f"{host}:{port}: {where}"), "a free port") from None
+        self.port: int = self._socket.getsockname()[1]
+        self._host = host
+        self.token = secrets.token_urlsafe(24)
+        shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
+        self.address = f"http://{shown}:{self.port}/{self.token}/"
+        self._make_session = make_session
+        self.session: Session | None = None
+        self._server: uvicorn.Server | None = None
+        self._thread = threading.Thread(target=self._run, name="plan", daemon=True)
+        self._is_up = threading.Event()
+        self._error: BaseException | None = None
+
+    def start(self) -> None:
+        """Serve from here on."""
+        self._thread.start()
+        self._is_up.wait()
+        if self._error is not None:
+            self._socket.close()
+            raise self._error
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether it serves."""
+        return self._thread.is_alive()
+
+    def wait(self) -> None:
+        """Wait until it has ended."""
+        while self._thread.is_alive():
+            self._thread.join(0.5)
+
+    def stop(self) -> str:
+        """End it and every process that it has started; what could not be saved, in words."""
+        if self._server is not None:
+            self._server.should_exit = self._server.force_exit = True
+        if self.session is not None:
+            self.session.stop()
+        self._thread.join(_PATIENCE_S)
+        with suppress(OSError):
+            self._socket.close()
+        return "" if self.session is None else self.session.save_plan()
+
+    def _run(self) -> None:
+        try:
+            asyncio.run(self._serve())
+        except BaseException as error:
+            self._error = error
+        finally:
+            self._is_up.set()
+
+    async def _serve(self) -> None:
+        self.session = self._make_session()
+        hosts = allowed_hosts(self._host, self.port)
+        config = uvicorn.Config(
+            build_app(self.session, token=self.token, hosts=hosts),
+            log_level="critical",
+            access_log=False,
+            server_header=False,
+            ws="websockets-sansio",
+            ws_max_size=2 * _MAX_MESSAGE_BYTES,
+            timeout_graceful_shutdown=1,
+        )
+        self._server = uvicorn.Server(config)
+        self._is_up.set()  # the socket takes connections already
+        watching = asyncio.create_task(self._end_when_alone(self.session, self._server))
+        await self._server.serve(sockets=[self._socket])
+        watching.cancel()
+
+    async def _end_when_alone(self, session: Session, server: uvicorn.Server) -> None:
+        while not self._keeps_open:
+            await asyncio.sleep(0.5)
+            if session.left_at_s is None:  # nobody came yet, or somebody is here
+                continue
+            waits_s = LINGER_LOST_S if session.is_lost else LINGER_S
+            if time.monotonic() - session.left_at_s > waits_s:
+                server.should_exit = True
+                return

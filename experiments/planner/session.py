@@ -1,0 +1,794 @@
+"""One session of the page, shared by several browsers: the plan, its numbers, the work on it."""
+
+import asyncio
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geometry.catalogue import Sensor, load_cameras
+from geometry.errors import InputError, Unquoted
+from geometry.files import pick, write_atomically
+from geometry.lidar import load_lidars
+from geometry.scene import Scene
+from placement.candidates import CandidatePose, load_candidate_grid
+from placement.compute import Compute
+from placement.layout import Layout
+from placement.live import LiveTable, table_verdict
+from placement.planning import build_grid, own_models
+from placement.private_ground import PrivateGround, PrivateSight, load_private_ground
+from placement.setting import Setting
+
+from ..figures.views import GroundViews
+from ..report.interactive.records import unit_records, view_paths
+from .numbers import (
+    centimetres,
+    cost_record,
+    coverage_record,
+    key_of,
+    plan_text,
+    private_record,
+    scene_record,
+    state_record,
+    table_numbers,
+)
+from .plan import (
+    MAX_IMAGE_BYTES,
+    MAX_PLAN_BYTES,
+    Ask,
+    Background,
+    Cancel,
+    ChangeUnit,
+    ChooseSensors,
+    DropProposal,
+    History,
+    Plan,
+    PlanState,
+    Redo,
+    Revert,
+    ShowCoverage,
+    Stock,
+    TakeProposal,
+    Undo,
+    Variant,
+    add_variant,
+    background_message,
+    begin_history,
+    change_state,
+    check_plan,
+    first_units,
+    read_message,
+)
+from .tasks import Cancelled, DiedError, TaskError, Work, Worker
+
+Listener = Callable[[dict[str, Any]], None]
+Key = tuple[object, ...]
+
+MAX_MAP_BYTES = 300_000_000
+"""Of a file that a browser sends."""
+MAX_ALONE = 60
+"""Units of which each one's own APR is shown while something is dragged."""
+
+_REST_S = 0.3  # without a change, before pixels are asked
+_MAX_PROPOSALS = 12
+_MAX_WORKSPACES = 4  # scenes that Undo leads back to
+_AT_ONCE = 16  # units between two looks whether anybody waits
+_MAX_KNOWN = 300  # layouts by the evaluator
+
+# ---------- a scene and its numbers
+
+
+class Workspace:
+    """A scene in which somebody plans: rays, views, private ground, and numbers known so far.
+
+    Parameters
+    ----------
+    work : Work
+        Question and files of the session.
+    setting : Setting
+        As :func:`placement.setting.build_setting` builds it for the same question.
+    title : str
+        For people, such as the streets that meet; by default the scene's name.
+    save : Path, optional
+        File that gets the plan whenever it rests.
+
+    Raises
+    ------
+    InputError
+        Areas of ``--no-look`` cannot lie in this scene.
+    """
+
+    def __init__(
+        self, work: Work, setting: Setting, *, title: str = "", save: Path | None = None
+    ) -> None:
+        self.work, self.setting, self.save = work, setting, save
+        self.title = title or setting.scene.name
+        self.ground: PrivateGround | None = None
+        self._sight: PrivateSight | None = None
+        if work.question.no_look:
+            self.ground = load_private_ground(Path(work.question.no_look), setting.scene)
+            self._sight = PrivateSight(setting.scene, self.ground)
+        self._sight_turn = threading.Lock()
+        compute = Compute(seed=work.seed, workers=work.workers, rays=work.rays)
+        self.live = LiveTable(setting, compute=compute)
+        self.views = GroundViews(setting)
+        self.is_over = threading.Event()  # nobody waits for numbers any longer
+        self.known: OrderedDict[Key, dict[str, Any]] = OrderedDict()  # by the evaluator
+        self.failed: dict[Key, str] = {}
+        self.died: set[Key] = set()  # layouts at which the evaluator's process died
+        self.by_table: dict[Key, str] = {}
+
+    def learn(self, units: Sequence[CandidatePose], numbers: dict[str, Any]) -> None:
+        """Remember numbers by the evaluator."""
+        self.known[key_of(units)] = numbers
+        while len(self.known) > _MAX_KNOWN:
+            self.known.popitem(last=False)
+
+    def numbers_by_table(self, units: Sequence[CandidatePose]) -> dict[str, Any]:
+        """Numbers by the detection table; not for several threads at once.
+
+        Raises Cancelled soon after `is_over` was set.
+        """
+        if not units:
+            return {"source": "none"}
+        rows = []
+        for first in range(0, len(units), _AT_ONCE):
+            if self.is_over.is_set():
+                raise Cancelled
+            rows.append(self.live.detected(units[first : first + _AT_ONCE]))
+        detected = np.concatenate(rows)
+        together = table_verdict(units, detected, self.setting)
+        alone = {
+            unit.id: table_verdict([unit], detected[index : index + 1], self.setting)
+            for index, unit in enumerate(units[:MAX_ALONE])
+        }
+        numbers = table_numbers(units[:MAX_ALONE], together, alone, self.setting)
+        self.by_table[key_of(units)] = numbers["apr"]
+        return numbers
+
+    def private_areas(self, units: Sequence[CandidatePose]) -> dict[str, Any]:
+        """Private areas in view, as a part of the numbers; nothing without any area."""
+        if self.ground is None or self._sight is None:
+            return {}
+        allowed = self.work.question.no_look_share or 0.0
+        with self._sight_turn:
+            found = private_record(units, self.ground, self._sight, max_share=allowed)
+        return {"private": found}
+
+    def private_places(self, unit: CandidatePose) -> list[list[int]]:
+        """Places of private ground that a unit has in its picture, a metre apart, centimetres."""
+        if self.ground is None or self._sight is None:
+            return []
+        with self._sight_turn:
+            seen = self._sight.seen(unit)
+        places: list[list[int]] = centimetres(self.ground.points_m[seen, :2])
+        return places
+
+    def view_record(self, unit: CandidatePose) -> dict[str, Any]:
+        """A unit's view on the ground, where it looks from, and how far its detector reaches."""
+        (path,) = view_paths([unit], self.views)
+        return {
+            "unit": unit.id,
+            "place": centimetres(unit.pose.position_m[:2]),
+            "view": path,
+            "reachM": self.views.reach_m(unit.sensor),
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Visit:
+    """A workspace with what was planned there."""
+
+    workspace: Workspace
+    history: History
+    background: Background | None
+
+
+def build_workspace(
+    work: Work, setting: Setting, *, title: str, save: Path | None
+) -> tuple[Workspace, str]:
+    """A workspace, without private areas where they are of another scene; and a notice of that."""
+    try:
+        return Workspace(work, setting, title=title, save=save), ""
+    except InputError as error:
+        question = replace(work.question, no_look="", no_look_share=None)
+        work = replace(work, question=question)
+        return Workspace(work, setting, title=title, save=save), f"without private areas: {error}"
+
+
+def free_path(path: Path) -> Path:
+    """A path that does not exist, made of another: with -2, -3 .. before the suffix."""
+    number = 2
+    while (found := path.with_name(f"{path.stem}-{number}{path.suffix}")).exists():
+        number += 1
+    return found
+
+
+# ---------- proposals of the optimiser
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Proposal:
+    """An answer of the optimiser."""
+
+    number: int
+    title: str
+    words: str
+    units: tuple[CandidatePose, ...]
+    views: tuple[str, ...]  # of each unit, as an SVG path
+    fields: dict[str, Any]
+
+    def record(self, summary: dict[str, Any], scene: Scene) -> dict[str, Any]:
+        """Its message to browsers; `summary` has the numbers known of its units."""
+        layout = Layout(name=self.title, units=self.units, scene_name=scene.name)
+        return {
+            "number": self.number,
+            "title": self.title,
+            "words": self.words,
+            **self.fields,
+            **summary,
+            "onTable": self.fields["apr"],
+            "drawn": [
+                {"place": record["place"], "view": view}
+                for record, view in zip(unit_records(layout, scene), self.views, strict=True)
+            ],
+        }
+
+
+def sensor_words(sensors: str) -> dict[str, str]:
+    """Words of ``--sensors`` by the names of the models that may be mounted."""
+    words = {name: name for name in (*load_cameras(), *load_lidars())}
+    for word in filter(None, sensors.split(",")):
+        for model in own_models(word).values():
+            words[model.name] = f"{word}:{model.name}" if word.endswith(".toml") else word
+    return words
+
+
+# ---------- the session
+
+
+class Session:
+    """The plan, the browsers that show it, and the processes that work for it.
+
+    All methods but :meth:`stop` are called from the server's event loop.
+
+    Parameters
+    ----------
+    work : Work
+        Question and files of the session.
+    setting : Setting
+        As :func:`placement.setting.build_setting` builds it for the same question.
+    plan : Plan, optional
+        To begin with.
+    save : Path, optional
+        File that gets the plan whenever it rests.
+    make_worker : function of Work
+        Starts a process for tasks.
+    """
+
+    def __init__(
+        self,
+        work: Work,
+        setting: Setting,
+        *,
+        plan: Plan | None = None,
+        save: Path | None = None,
+        make_worker: Callable[[Work], Worker] = Worker,
+    ) -> None:
+        self.workspace = Workspace(work, setting, save=save)
+        self._make_worker = make_worker
+        self.history: History = begin_history(plan.variants if plan else ())
+        self.background: Background | None = plan.background if plan else None
+        self._earlier: list[Visit] = []  # other scenes that Undo and Redo lead to
+        self._later: list[Visit] = []
+        self.revision = 0
+        self.listeners: set[Listener] = set()
+        self.left_at_s: float | None = None  # since when nobody looks, who looked before
+        self.is_lost = False
+        self._exact, self._advice = make_worker(work), make_worker(work)
+        self._proposals: list[Proposal] = []
+        self._numbers_of_proposals = count(1)
+        self._words = sensor_words(work.question.sensors)
+        self._models: dict[str, Sensor] = {
+            model.name: model
+            for word in self._words.values()
+            for model in own_models(word).values()
+        }
+        self._chosen: list[str] = [sensor.name for sensor in build_grid(work.question).sensors]
+        self._shows_coverage = False
+        self._changed, self._rests, self._moved = asyncio.Event(), asyncio.Event(), asyncio.Event()
+        self._views: dict[str, tuple[Key, dict[str, Any]]] = {}  # by unit, with its pose
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._doing: dict[str, Any] = {}
+
+    @property
+    def work(self) -> Work:
+        """Question and files of the session."""
+        return self.workspace.work
+
+    @property
+    def setting(self) -> Setting:
+        """Scene and runs."""
+        return self.workspace.setting
+
+    # ---------- life
+
+    def start(self) -> None:
+        """Begin to count and to judge."""
+        for loop in (self._count(), self._judge(), self._look()):
+            self._spawn(loop)
+        self._changed.set()
+        self._moved.set()
+
+    def stop(self) -> None:
+        """End all work, here and in other processes; from any thread."""
+        self.workspace.is_over.set()
+        self.stop_processes()
+
+    def stop_processes(self) -> None:
+        """End everything that works in other processes; from any thread."""
+        for worker in (self._exact, self._advice):
+            worker.stop()
+
+    def _spawn(self, work: Any) -> None:
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    # ---------- talk
+
+    def send(self, message: dict[str, Any]) -> None:
+        """Send a message to every browser."""
+        for listener in [*self.listeners]:
+            listener(message)
+
+    def _notice(self, text: str) -> None:
+        if text:
+            self.send({"type": "notice", "text": text})
+
+    def join(self, listener: Listener) -> None:
+        """Add a browser, and send it everything."""
+        self.listeners.add(listener)
+        self.left_at_s = None
+        listener(self._scene_message())
+        listener(self._state_message())
+        listener(self._proposals_message())
+        listener(background_message(self.background))
+        for _, view in self._views.values():
+            listener(view)
+        if self._doing:
+            listener(self._doing)
+        self._changed.set()
+
+    def leave(self, listener: Listener, *, is_lost: bool = False) -> None:
+        """Remove a browser: its page was closed, or the connection to it is lost."""
+        self.listeners.discard(listener)
+        if not self.listeners:
+            self.left_at_s, self.is_lost = time.monotonic(), is_lost
+
+    def _scene_message(self) -> dict[str, Any]:
+        return {
+            "type": "scene",
+            **scene_record(
+                self.setting,
+                models=[*self._models.values()],
+                chosen=self._chosen,
+                ground=self.workspace.ground,
+            ),
+            "title": self.workspace.title,
+            "isKept": self.workspace.save is not None,
+            "mostBytes": {"plan": MAX_PLAN_BYTES, "map": MAX_MAP_BYTES, "image": MAX_IMAGE_BYTES},
+        }
+
+    def _stock(self) -> Stock:
+        return Stock(scene=self.setting.scene, models=self._models)
+
+    def _state_message(self) -> dict[str, Any]:
+        record = state_record(self.history, self.setting.scene)
+        record["canUndo"] |= bool(self._earlier)
+        record["canRedo"] |= bool(self._later)
+        return {"type": "state", "revision": self.revision, **record}
+
+    def _do(self, who: str, stage: str, done: int = 0, total: int = 0) -> None:
+        """Show the stage of some work; empty: it has ended."""
+        self._doing = {"type": "doing", "who": who, "stage": stage, "done": done, "total": total}
+        self.send(self._doing)
+
+    # ---------- changes
+
+    def handle(self, text: bytes) -> None:
+        """Carry out a request. Raises InputError if that cannot be done."""
+        message = read_message(text)
+        if isinstance(message, Undo):
+            self._undo()
+        elif isinstance(message, Redo):
+            self._redo()
+        elif isinstance(message, Revert):
+            self._go_to(self.history.reverted(message.gesture))
+        elif isinstance(message, Ask):
+            self._ask(message)
+        elif isinstance(message, Cancel):
+            self._spawn(asyncio.to_thread(self._advice.stop))
+        elif isinstance(message, TakeProposal):
+            self._take(message)
+        elif isinstance(message, DropProposal):
+            self._proposals = [each for each in self._proposals if each.number != message.number]
+            self.send(self._proposals_message())
+        elif isinstance(message, ShowCoverage):
+            self._shows_coverage = message.is_shown
+            self._changed.set()
+        elif isinstance(message, ChooseSensors):
+            for name in message.names:  # files are not named by browsers
+                pick(self._models, name, "sensors")
+            self._chosen = message.names
+            self.send({"type": "sensors", "grid": self._chosen})
+        else:
+            state = change_state(self.history.state, message, self._stock())
+            gesture = message.gesture if isinstance(message, ChangeUnit) else ""
+            self._go_on(state, gesture=gesture)
+
+    def lay_background(self, background: Background | None) -> None:
+        """Show another image below the plan, or none."""
+        self.background = background
+        self.send(background_message(self.background))
+        self._changed.set()  # saved when the plan rests
+
+    def open_plan(self, plan: Plan, source: str) -> None:
+        """Add variants from a file; an only one that is empty gives way to them.
+
+        `source` is the file's name, for variants whose own name is taken. Raises InputError if a
+        unit cannot be mounted in this scene, or there are too many.
+        """
+        check_plan(plan, self.setting.scene)
+        state = self.history.state
+        if len(state.variants) == 1 and not state.variant.units:
+            state = begin_history(plan.variants).state
+        else:
+            for variant in plan.variants:
+                state = add_variant(state, variant, source=source)
+        if plan.background is not None:
+            self.lay_background(plan.background)
+        self._go_on(state)
+
+    def _go_on(self, state: PlanState, *, gesture: str = "") -> None:
+        self._later.clear()
+        self._go_to(self.history.went_on(state, gesture=gesture))
+
+    def _go_to(self, history: History) -> None:
+        self.history = history
+        self.revision += 1
+        self.send(self._state_message())
+        self._changed.set()
+        self._moved.set()
+
+    def _undo(self) -> None:
+        if self.history.can_undo or not self._earlier:
+            self._go_to(self.history.undone())
+        else:
+            self._later.append(self._visit())
+            self._enter(self._earlier.pop())
+
+    def _redo(self) -> None:
+        if self.history.can_redo or not self._later:
+            self._go_to(self.history.redone())
+        else:
+            self._earlier.append(self._visit())
+            self._enter(self._later.pop())
+
+    def _visit(self) -> Visit:
+        return Visit(workspace=self.workspace, history=self.history, background=self.background)
+
+    def _enter(self, visit: Visit, exact: Worker | None = None) -> None:
+        """Go on in another scene; `exact` has read it already."""
+        self._notice(self.save_plan())
+        self.stop_processes()
+        self.workspace, self.history, self.background = (
+            visit.workspace,
+            visit.history,
+            visit.background,
+        )
+        self._exact = self._make_worker(self.work) if exact is None else exact
+        self._advice = self._make_worker(self.work)
+        self._proposals = []
+        self._views.clear()
+        self.send(self._scene_message())
+        self._go_to(self.history)
+        self.send(self._proposals_message())
+        self.send(background_message(self.background))
+
+    # ---------- numbers
+
+    async def _count(self) -> None:
+        """Numbers of the newest state, at once: by the table unless the evaluator's are known."""
+        while True:
+            await self._changed.wait()
+            self._changed.clear()
+            workspace = self.workspace
+            if workspace.live.n_mounts == 0:
+                self._do("rays", "prepare the rays")
+                await asyncio.to_thread(workspace.numbers_by_table, self._first_units())
+                self._do("rays", "")
+            revision, units = self.revision, self.history.state.variant.units
+            try:
+                numbers = workspace.known.get(key_of(units))
+                if numbers is None:
+                    numbers = await asyncio.to_thread(workspace.numbers_by_table, units)
+                private = await asyncio.to_thread(workspace.private_areas, units)
+                numbers = workspace.known.get(key_of(units), numbers)  # the evaluator was no slower
+                self.send({"type": "numbers", "revision": revision, **numbers, **private})
+                self._send_variants()
+                if self._shows_coverage and not self._changed.is_set():
+                    scene = workspace.setting.scene
+                    found = await asyncio.to_thread(coverage_record, scene, units)
+                    self.send({"type": "coverage", "revision": revision, **found})
+            except Cancelled:
+                return
+            except Exception as error:  # the next change may be one that can be counted
+                self._notice(f"no numbers: {error}")
+            self._rests.set()
+
+    async def _look(self) -> None:
+        """Views of all units that are shown; first of those whose rays have been cast."""
+        while True:
+            await self._moved.wait()
+            self._moved.clear()
+            while todo := self._without_view():
+                workspace = self.workspace
+                unit = next((each for each in todo if workspace.views.has_rays(each)), todo[0])
+                found = await asyncio.to_thread(workspace.view_record, unit)
+                if workspace is self.workspace:
+                    self._views[unit.id] = key_of([unit]), {"type": "view", **found}
+                    self.send(self._views[unit.id][1])
+
+    def _without_view(self) -> list[CandidatePose]:
+        units = {unit.id: unit for unit in self.history.state.variant.units}
+        self._views = {name: view for name, view in self._views.items() if name in units}
+        drawn = {key for key, _ in self._views.values()}
+        return [unit for unit in units.values() if key_of([unit]) not in drawn]
+
+    def _first_units(self) -> tuple[CandidatePose, ...]:
+        """A unit that is mounted nowhere: counting it prepares all that the first drag needs."""
+        model = self._chosen[0] if self._chosen else load_candidate_grid().sensors[0].name
+        return first_units(self._stock(), model)
+
+    async def private_view(self, unit_id: str) -> list[list[int]]:
+        """Places of private ground that a unit has in its picture, in centimetres.
+
+        Raises InputError if there is no such unit.
+        """
+        unit = next((u for u in self.history.state.variant.units if u.id == unit_id), None)
+        if unit is None:
+            raise InputError("unit", unit_id, "one that is mounted there")
+        return await asyncio.to_thread(self.workspace.private_places, unit)
+
+    async def _judge(self) -> None:
+        """Numbers by the evaluator, of whatever is shown and rests: the newest first."""
+        while True:
+            await self._rests.wait()
+            self._rests.clear()
+            await asyncio.sleep(_REST_S)
+            if self._rests.is_set() or self._changed.is_set():
+                continue
+            self._notice(self.save_plan())
+            for units in self._unknown():
+                await self._evaluate(units)
+                if self._rests.is_set():
+                    break
+
+    def _unknown(self) -> list[tuple[CandidatePose, ...]]:
+        """Layouts that are shown and not evaluated yet, the one that is worked on first."""
+        state = self.history.state
+        shown = [each.units for each in (state.variant, *state.variants)]
+        shown += [each.units for each in self._proposals]
+        shown.append(self._first_units())  # so that the car's own sensors are known
+        found = {key_of(units): units for units in shown if units}
+        return [
+            units
+            for key, units in found.items()
+            if key not in self.workspace.known and key not in self.workspace.failed
+        ]
+
+    async def _evaluate(self, units: tuple[CandidatePose, ...]) -> None:
+        key, workspace = key_of(units), self.workspace
+        layout = Layout(name="plan", units=units, scene_name=self.setting.scene.name)
+        self._do("evaluator", "evaluate")
+        try:
+            numbers = await self._exact.call(
+                "evaluate", layout, on_progress=self._stages("evaluator")
+            )
+        except Cancelled:
+            return
+        except TaskError as error:
+            if isinstance(error, DiedError) and key not in workspace.died:
+                workspace.died.add(key)  # once more, by a new process
+                self._notice(f"{error}; it is tried again")
+                self._rests.set()
+                return
+            workspace.failed[key] = str(error)
+            self._notice(f"not evaluated: {error}")
+            return
+        finally:
+            self._do("evaluator", "")
+        workspace.learn(units, numbers)
+        if workspace is not self.workspace:  # another scene was opened meanwhile
+            return
+        if key == key_of(self.history.state.variant.units):
+            revision = self.revision
+            private = await asyncio.to_thread(workspace.private_areas, units)
+            self.send({"type": "numbers", "revision": revision, **numbers, **private})
+        self._send_variants()
+        self.send(self._proposals_message())
+
+    def _stages(self, who: str) -> Callable[[str, int, int], None]:
+        return lambda stage, done, total: self._do(who, stage, done, total)
+
+    def _send_variants(self) -> None:
+        """Send the numbers of all variants, as far as they are known."""
+        self.send(
+            {
+                "type": "variants",
+                "variants": [
+                    {"name": variant.name, **self._summary(variant.units)}
+                    for variant in self.history.state.variants
+                ],
+            }
+        )
+
+    def _summary(self, units: Sequence[CandidatePose]) -> dict[str, Any]:
+        key = key_of(units)
+        numbers = self.workspace.known.get(key)
+        cost = cost_record(units, self.setting.scene)
+        return {
+            "units": len(units),
+            "cost": cost["all"] if cost else "",
+            "apr": numbers["apr"] if numbers else self.workspace.by_table.get(key, ""),
+            "source": "evaluator"
+            if numbers
+            else "table"
+            if key in self.workspace.by_table
+            else "none",
+            "byCase": numbers["byCase"] if numbers else {},
+            "oneFails": numbers["oneFails"] if numbers else "",
+            "problem": self.workspace.failed.get(key, ""),
+        }
+
+    def save_plan(self) -> str:
+        """Write the plan to its file, if there is one; returns an error in words.
+
+        An empty plan makes no file.
+        """
+        save = self.workspace.save
+        is_empty = self.background is None and self.history.state.is_empty
+        if save is None or (is_empty and not save.exists()):
+            return ""
+        text = self.plan_text()
+        try:
+            write_atomically(save, text)
+        except OSError as error:
+            return f"not saved: {save}: {error.strerror or error}"
+        return ""
+
+    def saved_files(self) -> list[str]:
+        """Files of the plans of this session, in the order of their scenes."""
+        places = [visit.workspace for visit in (*self._earlier, self._visit(), *self._later[::-1])]
+        return [
+            str(workspace.save)
+            for workspace in places
+            if workspace.save and workspace.save.exists()
+        ]
+
+    # ---------- the optimiser
+
+    def _ask(self, ask: Ask) -> None:
+        if self._advice.is_busy:
+            raise InputError("the optimiser", Unquoted("another request"), "one at a time")
+        self._spawn(self._advise(ask, self.history.state.variant.units))
+
+    async def _advise(self, ask: Ask, units: tuple[CandidatePose, ...]) -> None:
+        tell = self._stages("optimiser")
+        words = [self._words[name] for name in self._chosen]
+        tell("start", 0, 0)
+        try:
+            await self._advice.call("choose_sensors", ",".join(words), on_progress=tell)
+            answers = await self._advice.call(
+                "advise", units, ask.request, n_units=ask.units, site=ask.site, on_progress=tell
+            )
+        except Cancelled:
+            self._notice("The optimiser was stopped.")
+            return
+        except TaskError as error:
+            self._notice(str(error))
+            return
+        finally:
+            self._do("optimiser", "")
+        workspace = self.workspace
+        for answer in answers:
+            views = await asyncio.to_thread(view_paths, answer["units"], workspace.views)
+            if workspace is not self.workspace:
+                return
+            proposal = Proposal(
+                number=next(self._numbers_of_proposals),
+                title=answer["title"],
+                words=answer["words"],
+                units=answer["units"],
+                views=tuple(views),
+                fields={name: answer[name] for name in ("apr", "bound", "isProven")},
+            )
+            self._proposals = [*self._proposals, proposal][-_MAX_PROPOSALS:]
+        self.send(self._proposals_message())
+        self._rests.set()
+
+    def _proposals_message(self) -> dict[str, Any]:
+        scene = self.setting.scene
+        records = [each.record(self._summary(each.units), scene) for each in self._proposals]
+        return {"type": "proposals", "proposals": records}
+
+    def _take(self, message: TakeProposal) -> None:
+        proposal = next((each for each in self._proposals if each.number == message.number), None)
+        if proposal is None:
+            raise InputError("proposal", message.number, "one that is shown")
+        state = self.history.state
+        if message.as_variant:
+            state = add_variant(state, Variant(name=proposal.title, units=proposal.units))
+        else:
+            state = state.with_units(proposal.units)
+        self._proposals = [each for each in self._proposals if each is not proposal]
+        self._go_on(state)
+        self.send(self._proposals_message())
+
+    # ---------- answers to addresses
+
+    def plan_text(self) -> bytes:
+        """Contents of the plan's file."""
+        return plan_text(self.history.state, self.setting.scene, self.background).encode()
+
+    def layout(self) -> Layout:
+        """The layout that is worked on. Raises InputError if nothing is mounted."""
+        return self.history.state.variant.layout(self.setting.scene)
+
+    async def call(self, method: str, *args: Any, is_long: bool = False) -> Any:
+        """Result of a task, by the evaluator's process, or the optimiser's if it takes long.
+
+        Raises TaskError, or Cancelled.
+        """
+        worker, who = (self._advice, "optimiser") if is_long else (self._exact, "evaluator")
+        try:
+            return await worker.call(method, *args, on_progress=self._stages(who))
+        finally:
+            self._do(who, "")
+
+    async def open_scene(self, path: str, title: str = "") -> None:
+        """Go on in another scene, from nothing; Undo leads back.
+
+        Raises TaskError if it has no runs. Where the plan has a file, that of the new scene gets
+        another one.
+        """
+        work = replace(self.work, question=replace(self.work.question, scene=path))
+        exact = self._make_worker(work)
+        try:
+            setting: Setting = await exact.call("open_setting", on_progress=self._stages("scene"))
+            save = None if self.workspace.save is None else free_path(self.workspace.save)
+            workspace, notice = await asyncio.to_thread(
+                build_workspace, work, setting, title=title, save=save
+            )
+        except BaseException:
+            exact.stop()
+            raise
+        finally:
+            self._do("scene", "")
+        if notice:
+            exact.stop()
+            exact = self._make_worker(workspace.work)
+        self._notice(notice)
+        self._later.clear()
+        self._earlier = [*self._earlier, self._visit()][-_MAX_WORKSPACES:]
+        self._enter(Visit(workspace=workspace, history=begin_history(()), background=None), exact)
+        if save is not None:
+            before = self._earlier[-1].workspace
+            self._notice(f"The plan at {before.title} is in {before.save}; this one: {save}.")

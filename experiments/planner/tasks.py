@@ -1,0 +1,518 @@
+"""Tasks that take long, in a process that can be ended: evaluation, advice, reports, imports."""
+
+import asyncio
+import io
+import multiprocessing
+import zipfile
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from msgspec import UNSET
+
+from geometry.errors import InputError
+from geometry.scene import Scene
+from geometry.scene_files import load_scene
+from placement.advice import LEAST_GAIN, Advice, Adviser
+from placement.candidates import CandidatePose
+from placement.compute import Compute, Progress
+from placement.evaluation import Evaluation
+from placement.evaluator import evaluate_layout
+from placement.explain.tolerances import find_tolerances
+from placement.explain.unavoided import Look, find_reasons
+from placement.layout import Layout
+from placement.planning import build_grid, build_plan, own_models
+from placement.question import Question
+from placement.setting import Setting, build_setting
+from scenarios.aeb import is_in_time
+
+from ..progress import StageProgress, follow_parent
+from ..report.interactive.part import interactive_part, view_part
+from ..report.page import page_environment
+from ..results.numbers import euros, percent
+from .numbers import evaluated_numbers, key_of
+
+_MAX_EVALUATIONS = 40
+_MAX_WATCHED = 60
+_MAX_JUNCTIONS = 400
+_REQUESTS = ("next", "complete", "re-aim", "cheapest", "why-not")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Work:
+    """The question of a session, and where and how it is computed.
+
+    Attributes
+    ----------
+    question : Question
+        Its scene is a path that the server chose.
+    scratch : Path
+        Folder of this session, removed at its end; detections of units are cached there.
+    cache : Path, optional
+        The user's cache, for tables of whole grids.
+    seed, workers, rays
+        As :class:`placement.compute.Compute`.
+    """
+
+    question: Question
+    scratch: Path
+    cache: Path | None
+    seed: int
+    workers: int
+    rays: str
+
+
+class Tasks:
+    """All about one setting that takes longer than a drag may; built in the process."""
+
+    def __init__(self, work: Work, progress: Progress) -> None:
+        self._work, self._progress = work, progress
+        self._compute = Compute(
+            seed=work.seed,
+            workers=work.workers,
+            rays=work.rays,
+            cache_folder=work.scratch / "views",
+            progress=progress,
+        )
+        self._setting: Setting | None = None
+        self._evaluations: OrderedDict[tuple[object, ...], Evaluation] = OrderedDict()
+        self._adviser: Adviser | None = None
+        self._sensors = work.question.sensors
+
+    @property
+    def setting(self) -> Setting:
+        """Scene and runs, as ``evaluate`` builds them."""
+        if self._setting is None:
+            self._progress("setting", 0, 0)
+            question = self._work.question
+            self._setting = build_setting(
+                question,
+                load_scene(question.scene),
+                compute=replace(self._compute, cache_folder=self._work.cache),
+            )
+        return self._setting
+
+    def open_setting(self) -> Setting:
+        """The setting itself, for the server."""
+        return self.setting
+
+    # ---------- by the evaluator
+
+    def evaluate(self, layout: Layout) -> dict[str, Any]:
+        """Numbers of a layout, the same as ``evaluate`` gives."""
+        return evaluated_numbers(self._evaluation(layout), self.setting)
+
+    def _evaluation(self, layout: Layout) -> Evaluation:
+        key = (layout.name, *key_of(layout.units))
+        if key not in self._evaluations:
+            self._evaluations[key] = evaluate_layout(layout, self.setting, compute=self._compute)
+            while len(self._evaluations) > _MAX_EVALUATIONS:
+                self._evaluations.popitem(last=False)
+        self._evaluations.move_to_end(key)
+        return self._evaluations[key]
+
+    def watch(self, layout: Layout, run_id: str) -> str:
+        """A page that plays runs of a layout, the one asked for first: the report's own player."""
+        self._run_index(run_id)
+        evaluation = self._evaluation(layout)
+        part = interactive_part(
+            self.setting, {layout.name: evaluation}, first_runs=(run_id,), max_runs=_MAX_WATCHED
+        )
+        template = page_environment().from_string(_page_text("watch.html.j2"))
+        page: str = template.render(interactive=part, title=run_id)
+        return page
+
+    def explain(self, layout: Layout, run_id: str) -> dict[str, Any]:
+        """Why units do not detect the road user of a run early enough: who hides whom, when."""
+        index = self._run_index(run_id)
+        setting, evaluation = self.setting, self._evaluation(layout)
+        axis, rule = setting.axis, setting.rule
+        frames = axis.frames_of(index)
+        counts = np.asarray(
+            is_in_time(
+                axis.time_s[frames],
+                float(axis.last_brake_time_s[index]),
+                latency_s=rule.latency_s,
+            )
+        )
+        looks = []
+        for unit in layout.units:
+            detected = evaluation.units[unit.id].detected[frames]
+            missed = np.flatnonzero(counts & ~detected)
+            if len(missed):
+                looks.append(Look(unit=unit, run_index=index, frame_index=missed))
+        reasons = find_reasons(setting, looks, compute=self._compute)
+        return {
+            "run": run_id,
+            "inTime": int(counts.sum()),
+            "frames": [
+                {"index": frame, "time": f"{axis.time_s[frames][frame]:.1f} s"}
+                for frame in range(len(counts))
+            ],
+            "units": [
+                {
+                    "unit": look.unit.id,
+                    "detected": int(counts.sum()) - len(look.frame_index),
+                    "reasons": [
+                        {
+                            "words": f"hidden by {reason.thing}" if reason.thing else reason.cause,
+                            "frames": reason.n_frames,
+                        }
+                        for reason in why
+                    ],
+                }
+                for look, why in zip(looks, reasons, strict=True)
+            ],
+        }
+
+    def _run_index(self, run_id: str) -> int:
+        if run_id not in self.setting.axis.run_ids:
+            raise InputError("run", run_id, "a run of this plan")
+        return self.setting.axis.run_ids.index(run_id)
+
+    def picture(self, layout: Layout, unit_id: str, run_id: str, frame: int) -> bytes:
+        """Picture of a camera in a frame of a run, as JPEG."""
+        from PIL import Image
+
+        from placement.evaluator.pictures import find_frame, find_viewpoint, render
+        from placement.imaging import Picture
+
+        run = self.setting.runs[self._run_index(run_id)]
+        frame = find_frame(run, frame)
+        viewpoint = find_viewpoint(layout, unit_id, run, frame)
+        seen = render(self.setting.scene, run, frame, viewpoint, compute=self._compute)
+        if not isinstance(seen, Picture):
+            raise InputError("unit", unit_id, "a camera: a LiDAR takes no picture")
+        buffer = io.BytesIO()
+        Image.fromarray(seen.rgb).save(buffer, format="JPEG", quality=85)
+        return buffer.getvalue()
+
+    # ---------- by the optimiser
+
+    def choose_sensors(self, sensors: str) -> None:
+        """Models that advice may mount, with commas between; none: the grid's own."""
+        if sensors != self._sensors:
+            own_models(sensors)  # names are checked now
+            self._sensors, self._adviser = sensors, None
+
+    def advise(
+        self, units: Sequence[CandidatePose], request: str, *, n_units: int = 0, site: str = ""
+    ) -> list[dict[str, Any]]:
+        """Answers to a request, each with its units and a sentence."""
+        adviser = self._advise()
+        if request == "next":
+            return [_answer("The best next unit", adviser.best_next(units), costs="more")]
+        if request == "complete":
+            advice = adviser.complete(units, n_units=n_units)
+            return [_answer(f"Completed to {n_units}", advice, costs="more")]
+        if request == "re-aim":
+            return [_answer("All re-aimed, poles kept", adviser.re_aim(units), costs="")]
+        if request == "cheapest":
+            return [
+                _answer("The cheapest that keeps this", adviser.cheapest(units), costs="in all")
+            ]
+        if request == "why-not":
+            beside, instead = adviser.why_not(units, site)
+            return [
+                _answer(f"One more unit at {site}", beside, costs="more"),
+                _answer(f"The best {len(units)} with {site}", instead, costs="in all"),
+            ]
+        raise InputError("request", request, "one of " + ", ".join(_REQUESTS))
+
+    def _advise(self) -> Adviser:
+        if self._adviser is None:
+            question = replace(
+                self._work.question,
+                sensors=self._sensors,
+                budget=1,
+                budget_cost=None,
+                target="",
+                survive="0",
+                min_case_apr=0.0,
+            )
+            self._adviser = Adviser(
+                self.setting,
+                build_plan(question, self.setting.scene),
+                build_grid(question),
+                assumes_prices=question.site_cost_eur is None,
+                compute=replace(self._compute, cache_folder=self._work.cache),
+            )
+        return self._adviser
+
+    # ---------- files
+
+    def report(self, layout: Layout, command: str) -> bytes:
+        """The folder that ``evaluate --out`` writes, as a ZIP file."""
+        from ..jobs.placement import run_evaluation
+
+        folder = self._work.scratch / "report"
+        run_evaluation(
+            self._work.question,
+            layout=layout,
+            no_look=self._work.question.no_look,
+            out=folder,
+            compute=self._compute,
+            command=command,
+            progress=_Forwarding(self._progress),
+        )
+        buffer = io.BytesIO()
+        with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+            for path in sorted(folder.rglob("*")):
+                if path.is_file():
+                    archive.write(path, path.relative_to(folder))
+        return buffer.getvalue()
+
+    def sheet(self, layout: Layout) -> bytes:
+        """The mounting sheet, a PDF with a page for each unit."""
+        from ..jobs.sheet import mounting_sheet
+
+        self._progress("tolerances", 0, 0)
+        tolerances = find_tolerances(self.setting, layout.units, compute=self._compute)
+        self._progress("draw the sheet", 0, 0)
+        return mounting_sheet(layout, self.setting, tolerances, compute=self._compute)
+
+    # ---------- maps
+
+    def survey(self, path: str) -> dict[str, Any]:
+        """Contents of a file: junctions of a map to choose from; none in a scene."""
+        from geometry.maps.importing import ReadingOptions
+
+        from ..scene.run import run_show
+
+        found = run_show([path], ReadingOptions(), out=None, progress=_Forwarding(self._progress))
+        if found.site_list is not UNSET:
+            return {"name": found.name, "isScene": True, "junctions": []}
+        return {
+            "name": found.name,
+            "isScene": False,
+            "junctions": [
+                {
+                    "id": one.id,
+                    "name": one.name,
+                    "arms": one.arms,
+                    "lanes": one.lanes,
+                    "x": one.x_m,
+                    "y": one.y_m,
+                }
+                for one in found.junctions[:_MAX_JUNCTIONS]
+            ],
+            "left": max(0, len(found.junctions) - _MAX_JUNCTIONS),
+        }
+
+    def import_junction(self, path: str, junction: str, out: str) -> str:
+        """Cut a junction out of a map into a folder; its path."""
+        from geometry.maps.importing import ImportOptions
+
+        from ..scene.run import run_import
+
+        run_import(
+            [path],
+            ImportOptions(junction=junction),
+            bbox="",
+            out=Path(out),
+            progress=_Forwarding(self._progress),
+        )
+        return out
+
+
+class _Forwarding(StageProgress):
+    """Stages of a job of the command line, shown on the page."""
+
+    def __init__(self, progress: Progress) -> None:
+        super().__init__()
+        self._to = progress
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """Pass a stage on."""
+        super().__call__(stage, done, total)
+        self._to(stage, done, total)
+
+
+@cache
+def _page_text(name: str) -> str:
+    return (Path(__file__).parent / "page" / name).read_text(encoding="utf-8")
+
+
+def turn_page(scene: Scene, units: Sequence[CandidatePose]) -> str:
+    """A page with the junction and its units in three dimensions: the report's own view."""
+    layout = Layout(name="plan", units=tuple(units)) if units else None
+    page: str = (
+        page_environment()
+        .from_string(_page_text("turn.html.j2"))
+        .render(interactive=view_part(scene, layout))
+    )
+    return page
+
+
+def _answer(title: str, advice: Advice, *, costs: str) -> dict[str, Any]:
+    """An answer as the page shows it: units, numbers in words, and the proof."""
+    after, before = advice.after, advice.before
+    gain = after.apr - (0.0 if before is None else before.apr)
+    if before is not None and abs(gain) <= LEAST_GAIN:
+        change = "as much as now"
+    elif before is None:
+        change = ""
+    else:
+        change = f"now {percent(before.apr)}"
+    said = f"APR {percent(after.apr)}" + (f" ({change})" if change else "")
+    if costs:
+        said += f", {euros(after.cost_eur)} {costs}"
+        if costs == "in all" and before is not None:
+            said += f" (now {euros(before.cost_eur)})"
+    return {
+        "title": title,
+        "words": f"On the detection table: {said}; {_proof(advice)}.",
+        "apr": percent(after.apr),
+        "bound": percent(advice.bound),
+        "isProven": advice.is_proven,
+        "units": advice.units,
+    }
+
+
+def _proof(advice: Advice) -> str:
+    """The proof of an answer in words; bounds are those of the detection table."""
+    if advice.n_compared:
+        return f"the best of {advice.n_compared} tried, all that there are"
+    if advice.is_all_proven:
+        return "proven: nothing of its kind is better"
+    first = None if advice.certificate is None else advice.certificate.stages[0]
+    by_cost = first is not None and first.name == "cost_eur"
+    if advice.is_proven:
+        best, equal = ("none costs less", "price") if by_cost else ("no APR is higher", "APR")
+        return f"proven: {best}; of those with the same {equal} not all were compared in time"
+    limit = (
+        f"nothing for less than {euros(first.bound)} is possible there"
+        if first is not None and by_cost
+        else f"no APR above {percent(advice.bound)} is possible there"
+    )
+    return f"not proven in the time given: {limit}"
+
+
+# ---------- the process
+
+OnProgress = Callable[[str, int, int], None]
+
+
+class TaskError(RuntimeError):
+    """A task that could not be done, in a sentence for the page."""
+
+
+class DiedError(TaskError):
+    """The process ended while it worked, and nobody had asked for it."""
+
+
+class Cancelled(RuntimeError):
+    """The process was ended while it worked."""
+
+
+class Worker:
+    """Runs methods of :class:`Tasks` in a second process, which starts when it is needed.
+
+    Attributes
+    ----------
+    is_busy : bool
+        True while it works.
+    """
+
+    def __init__(self, work: Work) -> None:
+        self._work = work
+        self._process: Any = None
+        self._connection: Connection | None = None
+        self._turn = asyncio.Lock()
+        self.is_busy = False
+
+    async def call(self, method: str, *args: Any, on_progress: OnProgress, **kwargs: Any) -> Any:
+        """Result of a method; waits for its turn.
+
+        Raises
+        ------
+        TaskError
+            The method refused what it was given, or something went wrong that nobody foresaw.
+        DiedError
+            Its process ended by itself or was killed, for example because memory ran out.
+        Cancelled
+            :meth:`stop` was called meanwhile.
+        """
+        loop = asyncio.get_running_loop()
+
+        def tell(stage: str, done: int, total: int) -> None:
+            loop.call_soon_threadsafe(on_progress, stage, done, total)
+
+        async with self._turn:
+            self.is_busy = True
+            try:
+                connection = self._start()
+                kind, value = await asyncio.to_thread(
+                    _exchange, connection, (method, args, kwargs), tell
+                )
+            finally:
+                self.is_busy = False
+        if kind == "done":
+            return value
+        if kind == "ended":
+            was_stopped = self._connection is not connection
+            self.stop()
+            if was_stopped:
+                raise Cancelled
+            raise DiedError(f"the process that did it ({method}) was ended from outside")
+        raise TaskError(value)
+
+    def stop(self) -> None:
+        """End the process, whatever it does; the next call starts another one."""
+        process, self._process = self._process, None
+        connection, self._connection = self._connection, None
+        if process is not None:
+            process.terminate()
+            process.join(timeout=2.0)
+            if process.is_alive():
+                process.kill()
+                process.join()
+        if connection is not None and not self.is_busy:  # else its reader sees the end and closes
+            connection.close()
+
+    def _start(self) -> Connection:
+        if self._process is None or self._connection is None or not self._process.is_alive():
+            context = multiprocessing.get_context("spawn")
+            ours, theirs = context.Pipe()
+            self._process = context.Process(target=_serve, args=(theirs, self._work), daemon=False)
+            self._process.start()
+            theirs.close()
+            self._connection = ours
+        return self._connection
+
+
+def _exchange(connection: Connection, request: Any, tell: OnProgress) -> tuple[str, Any]:
+    """Send a request and wait for its answer; ("ended", None) where the process ends."""
+    try:
+        connection.send(request)
+        while True:
+            kind, value = connection.recv()
+            if kind != "progress":
+                return kind, value
+            tell(*value)
+    except (EOFError, OSError):
+        connection.close()
+        return "ended", None
+
+
+def _serve(connection: Connection, work: Work) -> None:
+    """Main function of the process: tasks until the pipe is closed."""
+    follow_parent()
+    tasks = Tasks(work, lambda *stage: connection.send(("progress", stage)))
+    while True:
+        try:
+            method, args, kwargs = connection.recv()
+        except EOFError:
+            return
+        try:
+            answer = ("done", getattr(tasks, method)(*args, **kwargs))
+        except InputError as error:
+            answer = ("refused", str(error))
+        except Exception as error:
+            answer = ("failed", f"{type(error).__name__}: {' '.join(str(error).split())[:300]}")
+        connection.send(answer)

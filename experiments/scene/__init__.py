@@ -1,0 +1,1 @@
+"""``place-rsus scene``: a program that makes scenes of maps, shows and checks them."""

@@ -1,0 +1,349 @@
+"""``place-rsus scene``: scenes cut out of maps, shown and checked."""
+
+import sys
+from collections.abc import Callable, Sequence
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+from msgspec import UNSET
+
+from placement.question import read_point
+
+from ..cli.options import json_option, option, quiet_option
+from ..cli.running import print_result
+from ..cli.terminal import listing, sentences, table
+from ..progress import StageProgress
+
+if TYPE_CHECKING:
+    from geometry.maps.importing import ReadingOptions
+
+    from .run import JunctionRecord, SceneCheckResult, SceneResult, SiteRecord
+
+_EXIT_FAILED = 1
+
+
+# Where a command lists its options in sections, --help-all alone shows these.
+_READING_OPTIONS = (
+    option(
+        "--unit",
+        is_common=False,
+        type=click.Choice(("m", "km", "cm", "mm", "ft", "in")),
+        help="Of meshes whose format does not say (OBJ, PLY, STL).",
+    ),
+    option(
+        "--up",
+        is_common=False,
+        type=click.Choice(("x", "y", "z", "-x", "-y", "-z")),
+        help="Axis of meshes that points up, where the format does not say.",
+    ),
+    option(
+        "--class",
+        "class_name",
+        is_common=False,
+        type=click.Choice(("building", "wall", "vegetation")),
+        default="building",
+        show_default=True,
+        help="Of meshes, point clouds and footprints that do not say.",
+    ),
+    option(
+        "--driving-side",
+        is_common=False,
+        type=click.Choice(("map", "left", "right")),
+        default="map",
+        show_default=True,
+        help="On which traffic keeps; map: as it says or shows.",
+    ),
+    option(
+        "--crs",
+        is_common=False,
+        default="",
+        metavar="CRS",
+        help="Of files that do not say where they lie: EPSG:25832.",
+    ),
+    option("--layer", is_common=False, default="", metavar="NAME", help="Of a GeoPackage."),
+    option(
+        "--offset",
+        "offset_m",
+        is_common=False,
+        type=lambda text: read_point(text, "--offset"),
+        metavar="X,Y",
+        expected="two numbers: X,Y",
+        help="Metres by which buildings, meshes and clouds are moved, into the coordinates "
+        "of the map with the roads.",
+    ),
+)
+
+
+def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options about facts that files do not state; the command gets one `reading`."""
+
+    @wraps(command)
+    def with_reading(*args: Any, **values: Any) -> Any:
+        from geometry.maps.importing import ReadingOptions
+
+        side = values.pop("driving_side")
+        names = ("unit", "up", "class_name", "crs", "layer", "offset_m")
+        reading = ReadingOptions(
+            keeps_left=None if side == "map" else side == "left",
+            **{name: values.pop(name) for name in names},
+        )
+        return command(*args, reading=reading, **values)
+
+    decorated: Callable[..., Any] = with_reading
+    for add in reversed(_READING_OPTIONS):
+        decorated = add(decorated)
+    return decorated
+
+
+@click.group()
+def scene() -> None:
+    """Scenes: cut out of maps, looked at, checked.
+
+    A scene is a junction, its surroundings, and the sites at which sensors may be mounted; every
+    command about a junction takes one with --scene.
+    """
+
+
+@scene.command(
+    "import",
+    epilog="""\b
+Examples:
+  place-rsus scene import city.osm -o scene
+  place-rsus scene import city.osm --junction "Mill Lane / High St" -o scene
+  place-rsus scene import town.xodr --junction 189 -o scene.zip
+  place-rsus scene import city.osm.pbf --at 13.4412,52.4771 -o scene
+  place-rsus scene import roads.xodr houses.gml --sites poles.csv -o scene
+  place-rsus scene import roads.xodr scan.laz --class vegetation -o scene
+  place-rsus scene import town05 -o scene          the study's junction
+  place-rsus --scene scene --budget 3              and then""",
+)
+@click.argument("files", nargs=-1, metavar="FILE...")
+@option(
+    "--junction", default="", metavar="ID", help='Id, name ("A Street / B Street") or part of it.'
+)
+@option(
+    "--at",
+    type=lambda text: read_point(text, "--at"),
+    metavar="X,Y",
+    expected="two numbers: X,Y",
+    help="A point near the junction, in the file's own coordinates: longitude,latitude or metres.",
+)
+@option(
+    "--radius",
+    "radius_m",
+    type=click.FloatRange(min=0.0, min_open=True),
+    metavar="METRES",
+    expected="metres, more than 0",
+    default=80.0,
+    show_default=True,
+    help="Of what is kept around the junction.",
+)
+@option(
+    "--sites",
+    default="auto",
+    show_default=True,
+    metavar="WHERE",
+    help="map: its lamps, signals and poles; kerb:15: every 15 m along the kerbs; a CSV or GeoJSON "
+    "file; auto: map, but for low sign posts and poles of other junctions, and kerb:15 where "
+    "none is within 25 m.",
+)
+@option("--ground", "ground_m", type=float, help="Height of the road in city models and meshes.")
+@option(
+    "--terrain",
+    type=click.Path(path_type=Path),
+    metavar="DEM",
+    help="Heights of the ground: a GeoTIFF (extra: terrain). By default those of the maps.",
+)
+@option("--name", default="", metavar="NAME", help="Of the scene.")
+@option(
+    "--bbox",
+    default="",
+    metavar="W,S,E,N",
+    help="Fetch OpenStreetMap there instead of a file (extra: online).",
+)
+@reading_options
+@option("-o", "--out", type=click.Path(path_type=Path), required=True, help="Folder, or .zip file.")
+@json_option
+@quiet_option
+@click.pass_obj
+def import_(
+    progress: StageProgress,
+    /,
+    *,
+    files: tuple[str, ...],
+    bbox: str,
+    out: Path,
+    as_json: bool,
+    quiet: bool,
+    **cut: Any,
+) -> None:
+    """Make a scene of map files, around one junction.
+
+    Roads come from OpenDRIVE (.xodr) or OpenStreetMap (.osm, .osm.pbf); buildings and other things
+    from these, GeoJSON, GeoPackage, Shapefile, CityJSON, CityGML, meshes (glTF, OBJ, PLY, STL) and
+    point clouds (LAS, LAZ, PCD). Where several junctions are in the map and none is named, the one
+    with the most arms is taken; `scene show FILE` lists them.
+    """
+    progress.start(quiet=quiet)
+    from geometry.maps.importing import ImportOptions
+
+    from . import run
+
+    options = ImportOptions(**cut)
+    summary = run.run_import(files, options, bbox=bbox, out=out, progress=progress)
+    print_result(summary, progress, as_json, lambda: scene_text(summary))
+
+
+@scene.command(
+    epilog="""\b
+Examples:
+  place-rsus scene show                            the study's junction
+  place-rsus scene show scene --out pictures
+  place-rsus scene show city.osm --sort signals    all junctions of a map
+  place-rsus scene show city.osm --out pictures    .. drawn with their names
+  place-rsus scene show city.osm --json --quiet | jq .junctions"""
+)
+@click.argument("paths", nargs=-1, metavar="[SCENE | FILE...]")
+@reading_options
+@option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Folder for plan.png and view.png; of a map for junctions.png; else none.",
+)
+@option(
+    "--sort",
+    type=click.Choice(("arms", "lanes", "signals", "crossings", "name")),
+    default="arms",
+    show_default=True,
+    help="Of the junctions of a map: the most first, or by name.",
+)
+@json_option
+@quiet_option
+@click.pass_obj
+def show(
+    progress: StageProgress,
+    *,
+    paths: tuple[str, ...],
+    reading: "ReadingOptions",
+    out: Path | None,
+    sort: str,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Show a scene or a map: arms, lanes, sites, things, and what was left out and why."""
+    progress.start(quiet=quiet)
+    from . import run
+
+    summary = run.run_show(paths, reading, out=out, progress=progress, sort=sort)
+    print_result(summary, progress, as_json, lambda: scene_text(summary))
+
+
+@scene.command(
+    epilog="""\b
+Examples:
+  place-rsus scene check scene
+  place-rsus scene check scene.zip --json --quiet | jq .findings
+
+Exit codes: 0 no errors (there may be warnings), 1 errors, 2 the input is wrong."""
+)
+@click.argument("path", metavar="[SCENE]", default="")
+@json_option
+@quiet_option
+@click.pass_obj
+def check(progress: StageProgress, *, path: str, as_json: bool, quiet: bool) -> None:
+    """Look for what may be wrong: holes, floating or overlapping buildings, sites inside walls."""
+    progress.start(quiet=quiet)
+    from . import run
+
+    summary = run.run_check(path, progress=progress)
+    print_result(summary, progress, as_json, lambda: findings_text(summary))
+    if not summary.is_sound:
+        sys.exit(_EXIT_FAILED)
+
+
+_MAX_LISTED = 20
+
+
+def scene_text(summary: "SceneResult") -> str:
+    """Summary of a scene or a map for the terminal."""
+    side = "left" if summary.keeps_left else "right"
+    lines = sentences(
+        f"{summary.name}: {_count(len(summary.junctions), 'junction')}, "
+        f"{_count(summary.buildings, 'building')}, {_count(summary.things, 'thing')} in all, "
+        f"{_count(summary.sites, 'site')}, {_count(summary.crosswalks, 'crosswalk')}; "
+        f"traffic keeps {side}; coordinates: {summary.crs or 'of no known place'}"
+    )
+    lines += ["", *_junction_lines(summary.junctions)]
+    if summary.site_list is not UNSET:
+        lines += ["", *_site_lines(summary.site_list)]
+    skipped = summary.skipped
+    if skipped:
+        lines += ["", "Left out, or assumed:"]
+        left_out = (f"{entry.what}: {entry.why}" for entry in skipped[:_MAX_LISTED])
+        lines += [*sentences(*left_out, indent=2, hanging=2), *_more(len(skipped))]
+    if summary.written is not UNSET:
+        lines += ["", f"Written to {summary.written}."]
+    return "\n".join(lines)
+
+
+def findings_text(summary: "SceneCheckResult") -> str:
+    """Findings about a scene for the terminal."""
+    if not summary.findings:
+        return f"{summary.name}: nothing found."
+    findings = (f"{one.level}: {one.what}: {one.why}" for one in summary.findings)
+    return "\n".join([f"{summary.name}:", *sentences(*findings, indent=2, hanging=2)])
+
+
+def _junction_lines(junctions: "Sequence[JunctionRecord]") -> list[str]:
+    """The arms of the only junction, or the junctions of a map."""
+    if not junctions:
+        return ["  no junctions"]
+    if len(junctions) == 1 and junctions[0].arm_list is not UNSET:
+        arms = [
+            [arm.name, str(arm.lanes_in), str(arm.lanes_out), str(arm.parking_lanes)]
+            for arm in junctions[0].arm_list
+        ]
+        return table(["arm", "lanes in", "lanes out", "parking"], arms)
+    rows, names = [], []
+    for one in junctions[:_MAX_LISTED]:
+        counts = (one.arms, one.lanes, one.signals, one.crossings)
+        rows.append(
+            [
+                one.id,
+                *("-" if count is UNSET else str(count) for count in counts),
+                f"{one.x_m:.6f}",
+                f"{one.y_m:.6f}",
+            ]
+        )
+        names.append(f"{len(rows)}. {one.name}")
+    heads = ["junction", "arms", "lanes", "signals", "crossings", "x", "y"]
+    return [*listing(heads, rows, names), *_more(len(junctions))]
+
+
+def _site_lines(sites: "Sequence[SiteRecord]") -> list[str]:
+    rows = []
+    for site in sites[:_MAX_LISTED]:
+        low_m, high_m = site.height_range_m
+        rows.append(
+            [
+                site.id,
+                site.kind,
+                f"{site.x_m:.3f}",
+                f"{site.y_m:.3f}",
+                f"{low_m:g} to {high_m:g}",
+                str(site.capacity_units),
+            ]
+        )
+    heads = ["site", "kind", "x m", "y m", "mount m", "units"]
+    return [*listing(heads, rows), *_more(len(sites))]
+
+
+def _more(count: int) -> list[str]:
+    left = count - _MAX_LISTED
+    return [f"  and {left} more: --json"] if left > 0 else []
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"

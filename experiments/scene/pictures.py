@@ -1,0 +1,273 @@
+"""Pictures: plan and view of a scene, and the junctions of a map."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.patheffects import withStroke
+
+from geometry.arrays import BoolArray, FloatArray
+from geometry.junction import build_junction
+from geometry.maps.georeferences import transform
+from geometry.maps.junctions import Surveyed
+from geometry.maps.source_map import SourceMap
+from geometry.poses import camera_rotation
+from geometry.raycast import build_caster
+from geometry.scene import Scene, road_area
+
+from ..figures.axes import BLUE, WIDTH_IN, finish_axes, literal, new_axes, show_square
+from ..figures.labels import Label, arm_names, draw_labels
+from ..figures.plan import draw_scene
+
+_COLOURS = {
+    "ground": (0.93, 0.92, 0.89),
+    "building": (0.80, 0.74, 0.66),
+    "wall": (0.52, 0.50, 0.49),
+    "vegetation": (0.55, 0.70, 0.48),
+    "parked vehicle": (0.66, 0.66, 0.68),
+    "lamp post": (0.25, 0.25, 0.30),
+    "traffic light": (0.75, 0.30, 0.10),
+}
+_ROAD = (0.70, 0.70, 0.71)
+_SKY = (0.97, 0.98, 1.0)
+_SUN = np.array([0.45, -0.55, 0.70]) / np.linalg.norm([0.45, -0.55, 0.70])
+_WIDTH_PX, _HEIGHT_PX = 1200, 800
+_VIEW_DEG, _PITCH_DEG, _YAW_DEG = 42.0, -50.0, 60.0
+
+_MAX_TRIANGLES = 400_000  # of buildings; more are not drawn
+_ROADS, _BUILDINGS = "#b8b8b8", "#e9e9e9"
+_BEYOND = 0.08  # of the span of the junctions, around them
+_LEAST_M = 120.0
+_FEW, _MOST_WIDTHS = 12, 3.0  # junctions in a figure of the usual width; its widest
+HALO = withStroke(linewidth=2.5, foreground="white")
+
+
+def plot_scene_plan(scene: Scene) -> Axes:
+    """Plan of a scene: lanes with their directions, arms, crosswalks, sites, things; north up.
+
+    The square has all things and sites, and a side of 90 m to 180 m.
+    """
+    junction = build_junction(scene)
+    middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
+    half = _half_size_m(scene, middle)
+    axes = new_axes(WIDTH_IN, WIDTH_IN)
+    draw_scene(axes, scene)
+    outline = np.vstack([scene.outline_m, scene.outline_m[:1]])
+    axes.plot(*outline.T, color=BLUE, linewidth=1.4, zorder=3)
+    for arm in junction.arms.values():
+        for lanes, is_in in ((arm.lanes_in, True), (arm.lanes_out, False)):
+            for lane in lanes:
+                if lane.kind == "driving":
+                    _draw_direction(axes, lane.centreline_m, is_in=is_in)
+    show_square(axes, middle, half)
+    places = np.array([site.position_m[:2] for site in scene.sites]).reshape(-1, 2)
+    names = [
+        Label(
+            text=site.id,
+            point_m=(float(place[0]), float(place[1])),
+            size=5.5,
+            is_kept=False,
+            style={"color": "#333333", "zorder": 8},
+        )
+        for site, place in zip(scene.sites, places, strict=True)
+    ]
+    draw_labels(axes, [*arm_names(scene, middle, half), *names], marks_m=places, mark=2.5)
+    finish_axes(axes, x="east (m)", y="north (m)", size=9, hidden=())
+    axes.set_title(literal(scene.name), fontsize=10)
+    return axes
+
+
+def plot_scene_view(scene: Scene) -> Axes:
+    """View of a scene from a height in the south-west: ray-cast, shaded by the sun's direction."""
+    middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
+    half = min(_half_size_m(scene, middle), 70.0)
+    picture = _cast_view(scene, middle, distance_m=2.6 * half)
+    axes = new_axes(WIDTH_IN, WIDTH_IN * _HEIGHT_PX / _WIDTH_PX)
+    axes.imshow(picture)
+    axes.set_axis_off()
+    axes.set_title(literal(f"{scene.name}, seen from the south-west"), fontsize=10)
+    return axes
+
+
+def _half_size_m(scene: Scene, middle_m: FloatArray) -> float:
+    is_thing = np.array([thing.class_name != "ground" for thing in scene.instances])
+    corners = scene.vertices_m[scene.triangles[is_thing[scene.triangle_instance]]][..., :2]
+    points = [corners.reshape(-1, 2), *(site.position_m[None, :2] for site in scene.sites)]
+    reach = np.abs(np.concatenate([scene.outline_m, *points]) - middle_m).max()
+    return float(np.clip(reach + 5.0, 45.0, 90.0))
+
+
+def _draw_direction(axes: Axes, points_m: FloatArray, *, is_in: bool) -> None:
+    """An arrow along a lane, some metres from its mouth."""
+    mouth_first = points_m[::-1] if is_in else points_m
+    steps = np.append(0.0, np.cumsum(np.hypot(*np.diff(mouth_first, axis=0).T)))
+    far, near = (
+        np.array([np.interp(min(at_m, steps[-1]), steps, mouth_first[:, axis]) for axis in (0, 1)])
+        for at_m in (9.0, 4.0)
+    )
+    start, end = (far, near) if is_in else (near, far)
+    axes.annotate(
+        "",
+        xy=(end[0], end[1]),
+        xytext=(start[0], start[1]),
+        arrowprops={"arrowstyle": "-|>", "color": "#333333", "linewidth": 0.9},
+        zorder=4,
+    )
+
+
+def _cast_view(scene: Scene, middle_m: FloatArray, *, distance_m: float) -> FloatArray:
+    """Colours of every pixel, (height, width, 3), 0 .. 1."""
+    rotation = camera_rotation(_YAW_DEG, _PITCH_DEG)  # camera: x right, y down, z ahead
+    position = -distance_m * rotation[:, 2]
+    focal = 0.5 * _WIDTH_PX / np.tan(np.radians(0.5 * _VIEW_DEG))
+    u, v = np.meshgrid(np.arange(_WIDTH_PX) + 0.5, np.arange(_HEIGHT_PX) + 0.5)
+    rays = np.stack(
+        [(u - 0.5 * _WIDTH_PX) / focal, (v - 0.5 * _HEIGHT_PX) / focal, np.ones_like(u)], axis=-1
+    ).reshape(-1, 3)
+    vectors = (rays @ rotation.T * (4.0 * distance_m)).astype(np.float32)
+    vertices = scene.vertices_m - [*middle_m, 0.0]
+    caster = build_caster(vertices, scene.triangles)
+    origins = np.broadcast_to(position.astype(np.float32), vectors.shape)
+    share, triangle = caster.first_triangle(np.ascontiguousarray(origins), vectors)
+    is_hit = triangle >= 0
+    picture = np.tile(np.array(_SKY), (len(vectors), 1))
+    hit = triangle[is_hit]
+    corners = vertices[scene.triangles[hit]]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1.0e-12)
+    # Which way a triangle winds does not matter here: the side that is seen is lit.
+    normal *= -np.sign((normal * vectors[is_hit]).sum(axis=1, keepdims=True))
+    point = origins[is_hit] + share[is_hit, None] * vectors[is_hit]
+    to_sun = np.broadcast_to((300.0 * _SUN).astype(np.float32), point.shape)
+    lifted = (point + 0.05 * normal).astype(np.float32)
+    in_shadow = caster.is_blocked(np.ascontiguousarray(lifted), np.ascontiguousarray(to_sun))
+    light = 0.55 + 0.45 * np.where(in_shadow, 0.0, np.clip(normal @ _SUN, 0.0, 1.0))
+    classes = np.array([_COLOURS[thing.class_name] for thing in scene.instances])
+    colour = classes[scene.triangle_instance[hit]]
+    is_ground = np.array([thing.class_name == "ground" for thing in scene.instances])
+    on_road = is_ground[scene.triangle_instance[hit]]
+    on_road[on_road] = _is_road(scene, point[on_road, :2] + middle_m)
+    colour[on_road] = _ROAD
+    picture[is_hit] = colour * light[:, None]
+    shaded: FloatArray = np.clip(picture, 0.0, 1.0).reshape(_HEIGHT_PX, _WIDTH_PX, 3)
+    return shaded
+
+
+def _is_road(scene: Scene, points_m: FloatArray) -> BoolArray:
+    """Mask of the points on a lane or in the junction."""
+    import shapely
+
+    road = road_area(scene)
+    shapely.prepare(road)
+    is_road: BoolArray = shapely.contains_xy(road, *points_m.T)
+    return is_road
+
+
+# ---------- maps
+
+
+def plot_junctions(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed]) -> Axes:
+    """Streets and buildings of maps with all junctions of the first, numbered in their order.
+
+    The figure grows with their number. Names that would lie on others are left out; a junction
+    without a name is labelled with its id.
+    """
+    places = np.array([one.junction.position_m for one in surveyed]).reshape(-1, 2)
+    widths = float(np.clip(np.sqrt(len(surveyed) / _FEW), 1.0, _MOST_WIDTHS))
+    axes = new_map_axes(maps, places, width_in=WIDTH_IN * widths)
+    axes.plot(*places.T, "o", markersize=11.0, color=BLUE, zorder=5)
+    for number, place in enumerate(places, start=1):
+        axes.annotate(
+            str(number),
+            tuple(place),
+            color="white",
+            fontsize=6.0,
+            ha="center",
+            va="center",
+            zorder=6,
+        )
+    names = [
+        Label(
+            text=one.junction.name or one.junction.id,
+            point_m=(float(x), float(y)),
+            toward_deg=0.0,
+            gap=7.0,
+            size=6.5,
+            is_kept=False,
+        )
+        for one, (x, y) in zip(surveyed, places, strict=True)
+    ]
+    draw_labels(axes, names, marks_m=places)
+    return axes
+
+
+def new_map_axes(
+    maps: Sequence[SourceMap], places_m: FloatArray, *, width_in: float = WIDTH_IN
+) -> Axes:
+    """Axes with streets and buildings of maps around some places, a scale, and nothing else.
+
+    Parameters
+    ----------
+    maps : sequence of SourceMap
+        The first one's coordinates are those of the axes.
+    places_m : (n, 2) float
+        To be shown. [m]
+    width_in : float
+        Of the figure; its height follows from the places. [in]
+    """
+    low, high = places_m.min(axis=0), places_m.max(axis=0)
+    half = 0.5 * np.maximum(high - low, _LEAST_M) * (1.0 + 2.0 * _BEYOND) + 60.0
+    middle = 0.5 * (low + high)
+    axes = new_axes(width_in, width_in * float(np.clip(half[1] / half[0], 0.4, 1.6)))
+    for source in maps:
+        _draw_map(axes, source, maps[0].crs, middle - half, middle + half)
+    axes.set_aspect("equal")
+    axes.set_xlim(middle[0] - half[0], middle[0] + half[0])
+    axes.set_ylim(middle[1] - half[1], middle[1] + half[1])
+    axes.set_xticks([])
+    axes.set_yticks([])
+    _draw_scale(axes, middle, half)
+    return axes
+
+
+def _draw_map(axes: Axes, source: SourceMap, crs: str, low: FloatArray, high: FloatArray) -> None:
+    def here(points: FloatArray) -> FloatArray:
+        if source.crs and crs and source.crs != crs:
+            return transform(points[:, :2], source.crs, crs)
+        return points[:, :2]
+
+    faces = []
+    for thing in source.things:
+        if thing.class_name != "building" or not len(thing.triangles):
+            continue
+        points = here(thing.vertices_m)
+        if (points.max(axis=0) < low).any() or (points.min(axis=0) > high).any():
+            continue
+        faces.append(points[thing.triangles])
+    if faces and sum(map(len, faces)) <= _MAX_TRIANGLES:
+        corners = np.concatenate(faces)
+        axes.add_collection(
+            PolyCollection(
+                list(corners), facecolor=_BUILDINGS, edgecolor=_BUILDINGS, lw=0.2, zorder=1
+            )
+        )
+    lines = [here(lane.centreline_m) for lane in source.lanes if lane.kind == "driving"]
+    axes.add_collection(LineCollection(lines, colors=_ROADS, linewidths=0.7, zorder=2))
+
+
+def _draw_scale(axes: Axes, middle: FloatArray, half: FloatArray) -> None:
+    """A bar of a round length in the corner, and north."""
+    length = 10.0 ** np.floor(np.log10(half[0]))
+    length *= next(step for step in (5.0, 2.0, 1.0) if step * length <= 0.6 * half[0] or step == 1)
+    x, y = middle[0] - 0.95 * half[0], middle[1] - 0.95 * half[1]
+    axes.plot([x, x + length], [y, y], color="black", lw=2.0, zorder=9, path_effects=[HALO])
+    axes.annotate(
+        f"{length:g} m, north is up",
+        (x, y),
+        xytext=(0.0, 3.0),
+        textcoords="offset points",
+        fontsize=7,
+        zorder=9,
+        path_effects=[HALO],
+    )

@@ -1,0 +1,136 @@
+"""``place-rsus city`` on the command line: help, what it prints, errors of one line."""
+
+import json
+
+import pytest
+from city_maps import FEW_RUNS_OPTIONS, solve_here, write_city
+from msgspec.structs import replace as replace_fields
+
+from experiments.city import run as job
+from experiments.city.answer import CityResult, load_manifest
+from experiments.city.command import city as command
+from experiments.city.command import city_text
+from experiments.cli.terminal import table
+
+
+@pytest.fixture
+def solved_here(monkeypatch):
+    """Solves junctions in this process, and draws nothing."""
+    solve_here(monkeypatch)
+    monkeypatch.setattr(job, "write_city", lambda out, result, *args, **settings: result)
+    monkeypatch.setattr(job, "_write_served", lambda *args: [])
+
+
+def test_the_first_line_says_what_matters_and_json_says_all(run, solved_here, tmp_path):
+    path, out = write_city(tmp_path), tmp_path / "city"
+    few = ("--coarse", "--max-units", 1, "--junctions", "n1;n3", *FEW_RUNS_OPTIONS)
+    code, text, err = run("city", path, "--budget", 1, "--out", out, *few)
+    assert code == 0
+    assert text.startswith("1 unit at 1 of 2 junctions for ")
+    assert "2 junctions of 3; 0 are done already. every junction counts the same." in err
+    code, text, err = run("city", path, "--budget", 1, "--out", out, *few, "--json", "--quiet")
+    assert (code, err) == (0, "")
+    result = json.loads(text)
+    assert (result["units"], result["computed"], result["not_done"]) == (1, 0, 0)
+    assert [stage["name"] for stage in result["stages"]][:2] == ["apr", "apr_one_failed"]
+    manifest = load_manifest(out / "manifest.json")
+    assert [entry.folder for entry in manifest.junctions] == ["n1", "n3"]
+
+
+def test_names_are_never_cut_and_no_line_is_wider_than_a_terminal():
+    name = " / ".join(f"{letter}-Street of a very long name" for letter in "ABC")
+    lines = table(["junction", "units"], [[name, "2"], ["n1", "1"]])
+    assert max(map(len, lines)) <= 80
+    assert " ".join(line.removesuffix("2").strip() for line in lines[1:-1]) == name
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            (),
+            "--budget: got nothing; expected a whole number of units, at least 0, or --budget-eur",
+        ),
+        (("--budget", "-3"), "--budget: got '-3'; expected a whole number of units, at least 0"),
+        (("--budget-eur", "-1"), "--budget-eur: got '-1'; expected euros, at least 0"),
+        (("--budget-eur", "nan"), "--budget-eur: got 'nan'; expected euros, at least 0"),
+        # What no junction could take is told before any is cut out.
+        (("--budget", "1", "--along-arms", "0,-15"), "--along-arms: got '-15'; expected metres"),
+        (("--budget", "1", "--cases", "FOO"), "--cases: got 'FOO'; expected one of default, "),
+        (("--budget", "1", "--speeds", "7"), "--speeds: got 7; expected 10 to 60 km/h"),
+        (("--budget", "1", "--sensors", "eye"), "--sensors: got 'eye'; expected one of "),
+        (("--budget", "1", "--weather", "hail"), "--weather: got 'hail'; expected one or more of"),
+        (("--budget", "1", "--approaches", "up"), "--approaches: got 'up'; expected one or more"),
+        (("--budget", "1", "--weights", "no.csv"), "--weights: got 'no.csv'; expected run, case,"),
+        (("--budget", "1", "--detector", "eye"), "--detector: got 'eye'; expected geometric, "),
+        (("--budget", "1", "--latency-budget", "z"), "--latency-budget: got 'z'; expected study"),
+        (("--budget", "1", "--sites", "kerb:x"), "--sites: got 'kerb:x'; expected kerb:SPACING"),
+        (("--budget", "1", "--sites", "no.csv"), "no.csv: got No such file or directory; expect"),
+        (("--budget", "1", "--max-units", "0"), "--max-units: got '0'; expected a number of units"),
+        (
+            ("--budget", "1", "--worker-memory", "much"),
+            "--worker-memory: got 'much'; expected an amount such as 1.5GiB",
+        ),
+    ],
+)
+def test_what_cannot_be_asked_is_one_line(run, tmp_path, arguments, message):
+    code, out, err = run(
+        "city", write_city(tmp_path), "--out", tmp_path / "c", "--quiet", *arguments
+    )
+    assert (code, out) == (2, "")
+    assert err.startswith(f"place-rsus: {message}")
+    assert err.count("\n") == 1
+
+
+def test_the_help_has_examples(run):
+    code, out, _ = run("city", "--help")
+    assert code == 0
+    assert "place-rsus city town.osm.pbf --budget-eur 400000 --out city" in out
+    assert command.name == "city"
+
+
+def test_what_was_not_done_stands_in_the_text():
+    from experiments.city.answer import CityJunctionRecord, CitySearchRecord
+
+    failed = CityJunctionRecord(
+        id="n1",
+        name="A / B",
+        map="m.osm",
+        folder="junctions/n1",
+        x=0.0,
+        y=0.0,
+        weight=1.0,
+        reason="no lane leads in",
+    )
+    result = CityResult(
+        command="",
+        maps=(),
+        budget_units=1,
+        budget_eur=None,
+        weights="equal",
+        units=0,
+        cost_eur=0.0,
+        apr_before=0.0,
+        stages=(),
+        bound_of_fronts=0.0,
+        solver="",
+        is_proven=True,
+        junctions=(failed,),
+        not_done=1,
+        computed=1,
+        by="units",
+        front=(),
+        purchases=(),
+        search=CitySearchRecord(
+            poses="fine", max_units=1, max_junction_seconds=1.0, radius_m=80.0, sites="auto"
+        ),
+        sentences=("First.",),
+        notes=("a note",),
+        seconds={},
+        versions={},
+    )
+    lines = city_text(result, "city").splitlines()
+    assert lines[0] == "First."
+    assert "  A / B: no lane leads in" in lines
+    many = replace_fields(result, junctions=(failed,) * 20)
+    assert "  and 8 more: junctions.csv" in city_text(many, "city")

@@ -1,0 +1,601 @@
+"""A whole city on a street with three junctions: choice, folder, resume, workers, bad input."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from concurrent.futures import Future
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from city_maps import FEW_RUNS, FEW_RUNS_OPTIONS, solve_here, write_city
+from once import make_once
+
+from experiments.city import answer as city_answer
+from experiments.city import run as job
+from experiments.city import workers as city_workers
+from experiments.city.answer import load_front
+from experiments.city.inputs import CitySearch, CityWish
+from experiments.jobs import local_workers, schedulers
+from experiments.progress import WRITING, StageProgress
+from experiments.results.folders import changed_files
+from experiments.results.numbers import percent
+from geometry.errors import InputError, MissingExtraError
+from placement.city.fronts import Options
+from placement.layout import load_layout
+from placement.question import Question, load_question_values
+
+SEARCH = CitySearch(is_coarse=True, max_units=2, max_junction_s=3600.0)
+LEAST_S = 1.0e-6
+
+
+def run(maps, out, *, question=FEW_RUNS, search=SEARCH, workers=None, told=None, **wish):
+    wish = wish if "budget_units" in wish or "budget_eur" in wish else {"budget_units": 2, **wish}
+    return job.run_city(
+        question,
+        maps=[maps] if isinstance(maps, Path) else maps,
+        wish=CityWish(**wish),
+        search=search,
+        workers=workers or job.CityWorkers(),
+        out=out,
+        seed=0,
+        command="place-rsus city tiny.osm",
+        progress=StageProgress(),
+        tell=(told if told is not None else []).append,
+    )
+
+
+@pytest.fixture(scope="session")
+def tiny(tmp_path_factory):
+    """The map, and the folder of a city for two units."""
+
+    def make(folder):
+        path = write_city(folder)
+        with pytest.MonkeyPatch.context() as patch:
+            solve_here(patch)
+            run(path, folder / "city")
+
+    return make_once(tmp_path_factory, "tiny-city", make)
+
+
+@pytest.fixture
+def no_pages(monkeypatch):
+    """Draws nothing, and writes no tables."""
+    monkeypatch.setattr(job, "write_city", lambda out, result, *args, **settings: result)
+    monkeypatch.setattr(job, "render_junction_page", lambda *args, **settings: "")
+
+
+@pytest.fixture
+def here(monkeypatch):
+    """Solves junctions in this process."""
+    solve_here(monkeypatch)
+
+
+@pytest.fixture
+def never(monkeypatch):
+    """Fails where anything is solved."""
+
+    def fail(client, tasks):
+        pytest.fail(f"{len(list(tasks))} junctions are solved")
+
+    solve_here(monkeypatch)
+    monkeypatch.setattr(job, "run_junctions", fail)
+
+
+@pytest.fixture
+def city(tiny, tmp_path):
+    """A copy of the folder, to be written to."""
+    shutil.copytree(tiny / "city", tmp_path / "city")
+    return tmp_path / "city"
+
+
+def fronts_of(folder):
+    return [load_front(path) for path in sorted(folder.glob("junctions/*/front.json"))]
+
+
+def test_the_choice_is_the_best_of_all_points_of_three_junctions(tiny, city, never, no_pages):
+    fronts = fronts_of(city)
+    assert [len(front.points) > 1 for front in fronts] == [True] * 3
+    for wish in ({"budget_units": n} for n in (1, 2, 3, 4)):
+        result = run(tiny / "tiny.osm", city, **wish)
+        best = max(
+            sum(point.apr for point in points) / 3.0
+            for points in product(*(front.points for front in fronts))
+            if sum(point.units for point in points) <= wish["budget_units"]
+        )
+        assert result.stages[0].objective == pytest.approx(best, abs=1e-9)
+        assert result.units == sum(len(one.layout) for one in result.junctions)
+    for budget_eur in (5_000.0, 12_000.0, 20_000.0):
+        result = run(tiny / "tiny.osm", city, budget_eur=budget_eur)
+        best = max(
+            sum(point.apr for point in points) / 3.0
+            for points in product(*(front.points for front in fronts))
+            if sum(point.cost_eur for point in points) <= budget_eur
+        )
+        assert result.stages[0].objective == pytest.approx(best, abs=1e-9)
+        assert result.cost_eur <= budget_eur
+
+
+def test_the_folder_has_all_of_it_and_nothing_is_done_twice(tiny, city, never):
+    assert not changed_files(city)
+    result = run(tiny / "tiny.osm", city)
+    assert result.computed == 0
+    assert not changed_files(city)
+    written = json.loads((city / "city.json").read_text())
+    assert written["units"] == result.units == 2
+    assert written["sentences"][0].startswith("2 units at 2 of 3 junctions for ")
+    table = pd.read_parquet(city / "fronts.parquet")
+    assert set(table.junction) == {one.id for one in result.junctions}
+    assert len(table) == sum(len(front.points) for front in fronts_of(city))
+    rows = pd.read_csv(city / "junctions.csv")
+    assert (rows.runs > 0).all()
+    assert (rows.cpu_s > 0.0).all()
+    poles = pd.read_csv(city / "poles.csv")
+    assert poles.units.sum() == 2
+    assert {one.part for one in result.purchases} == {"sensor", "site"}
+    assert sum(one.count for one in result.purchases if one.part == "site") == len(poles)
+    page = (city / "report.html").read_text()
+    served = [one for one in result.junctions if one.units]
+    for one in served:
+        assert f'href="{one.folder}/report.html"' in page
+        assert one.label in (city / one.folder / "report.html").read_text()
+        layout = load_layout(city / one.folder / "layout.json")
+        assert len(layout.units) == one.units
+        asked = load_question_values(city / one.folder / "question.toml")
+        assert asked == {"cases": "CPNC-50", "along_arms": "0", "speeds": "50"}
+    idle = next(one for one in result.junctions if not one.units)
+    assert not (city / idle.folder / "layout.json").exists()
+    import geopandas as gpd
+
+    units = gpd.read_file(city / "city.gpkg", layer="units")
+    assert len(units) == 2
+    assert units.crs == "EPSG:4326"
+    places = gpd.read_file(city / "city.gpkg", layer="junctions")
+    assert places.units.sum() == 2
+    assert places.union_all().convex_hull.buffer(0.002).contains(units.union_all())
+
+
+def test_only_what_is_missing_or_changed_is_computed(tiny, city, here, tmp_path, no_pages):
+    first, second, *_ = sorted(path.parent for path in city.glob("junctions/*/front.json"))
+    (first / "front.json").unlink()
+    (second / "front.json").write_text("{ half of")
+    assert run(tiny / "tiny.osm", city).computed == 2
+    assert run(tiny / "tiny.osm", city).computed == 0
+    changed = tmp_path / "tiny.osm"
+    text = (tiny / "tiny.osm").read_text()
+    changed.write_text(text.replace('v="9"', 'v="12"', 1))  # one house: that at the first junction
+    assert run(changed, city).computed == 1
+
+
+def test_another_citys_folder_and_other_things_are_refused(tiny, city, never, tmp_path, no_pages):
+    other = write_city(tmp_path, "tiny.osm", east_m=5_000.0)
+    with pytest.raises(
+        InputError, match=r"city, the folder of another city \(tiny.osm\); expected"
+    ):
+        run(other, city)
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match=r"full, which holds other things; expected a new folder"):
+        run(tiny / "tiny.osm", tmp_path / "full")
+
+
+def test_a_junction_that_cannot_be_done_is_a_row_with_its_reason(tiny, here, tmp_path, city):
+    sites = tmp_path / "sites.csv"  # at the first junction alone
+    sites.write_text("id,lat,lon\nlamp,52.50006,13.40009\n")
+    result = run(tiny / "tiny.osm", tmp_path / "new", search=replace(SEARCH, sites=str(sites)))
+    reasons = [one.reason for one in result.junctions]
+    assert sum(map(bool, reasons)) == result.not_done == 2
+    assert any("--sites: got" in reason for reason in reasons)
+    part = percent(result.stages[0].objective)
+    of_all = percent(result.stages[0].objective / 3.0)
+    assert f": {of_all} of the accidents at all of them are prevented" in result.sentences[0]
+    assert result.sentences[0].endswith("; 2 junctions are not done.")
+    assert any(f"of those at the others {part} are prevented" in one for one in result.sentences)
+    rows = pd.read_csv(tmp_path / "new" / "junctions.csv")
+    assert rows.reason.notna().sum() == 2
+    assert "What was not done" in (tmp_path / "new" / "report.html").read_text()
+    # More time is another question: what was in time stays in the folder, the rest is told.
+    with pytest.raises(InputError, match=r"no junction with a front.*; expected more time or memo"):
+        run(tiny / "tiny.osm", city, search=replace(SEARCH, max_junction_s=LEAST_S))
+
+
+def test_weights_decide_and_what_is_not_used_is_told(tiny, city, never, tmp_path, no_pages):
+    table = tmp_path / "accidents.csv"
+    table.write_text("lat,lon,count\n52.5,13.4,1\n52.5,13.40741,8\n52.6,13.4,5\n")
+    result = run(tiny / "tiny.osm", city, budget_units=1, weights_file=table)
+    weights = sorted(one.weight for one in result.junctions)
+    assert weights == pytest.approx([0.0, 1 / 9, 8 / 9])
+    served = next(one for one in result.junctions if one.units)
+    assert served.weight == pytest.approx(8 / 9)
+    assert "C Lane" in served.name
+    assert any(
+        "1 of 3 places, which count 5 of 14, are farther than 50 m" in n for n in result.notes
+    )
+    table.write_text("lat,lon\n10,20\n")
+    with pytest.raises(InputError, match=r"nearest place is .* m from a junction; expected places"):
+        run(tiny / "tiny.osm", city, weights_file=table)
+    table.write_text("junction,cars\nn1,3\nn99,4\n")
+    result = run(tiny / "tiny.osm", city, weights_file=table)
+    assert [one.weight for one in result.junctions if one.id == "n1"] == [1.0]
+    assert any(
+        "1 rows of junctions that do not count, such as n99" in note for note in result.notes
+    )
+
+
+def area(path, lon_deg, half_deg=0.0005, **values):
+    low, high = lon_deg - half_deg, lon_deg + half_deg
+    ring = [[low, 52.49], [high, 52.49], [high, 52.51], [low, 52.51], [low, 52.49]]
+    feature = {
+        "type": "Feature",
+        "geometry": {"type": "Polygon", "coordinates": [ring]},
+        "properties": values,
+    }
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+    return path
+
+
+def test_districts_areas_and_years(tiny, city, never, tmp_path, no_pages):
+    middle = area(tmp_path / "middle.geojson", 13.40368, name="middle", min_apr=0.3, weight=3)
+    heavy = run(tiny / "tiny.osm", city, areas=middle)
+    at = next(one for one in heavy.junctions if "B Lane" in one.name)
+    assert at.weight == pytest.approx(3 / 5)
+    assert at.apr >= 0.3
+    served = run(tiny / "tiny.osm", city, budget_units=1, districts=middle, min_district_apr=0.3)
+    assert [one.units for one in served.junctions if one.district == "middle"] == [1]
+    with pytest.raises(
+        InputError, match=r"--budget-eur: got 10.0; expected at least [\d,]+ EUR, to"
+    ):
+        run(tiny / "tiny.osm", city, budget_eur=10.0, districts=middle, min_district_apr=0.3)
+    years = run(tiny / "tiny.osm", city, budget_units=3, units_per_year=1)
+    assert sorted(one.year for one in years.junctions if one.units)[-1] == years.units
+    few = run(tiny / "tiny.osm", city, budget_units=3, units_per_year=1, years=2)
+    assert few.units == 2
+
+
+def test_a_budget_below_the_cheapest_unit_buys_nothing_and_says_what_it_would(
+    tiny, city, never, no_pages
+):
+    result = run(tiny / "tiny.osm", city, budget_eur=10.0)
+    assert (result.units, result.cost_eur) == (0, 0.0)
+    assert result.sentences[0] == "Nothing at 3 junctions for at most 10 EUR."
+    assert result.sentences[1].startswith("The cheapest useful choice is 1 unit at ")
+    for nothing in ({"budget_units": 0}, {"budget_eur": 0.0}):
+        result = run(tiny / "tiny.osm", city, **nothing)
+        assert (result.units, result.stages[0].objective) == (0, 0.0)
+        assert result.stages[0].gap == 0.0
+        assert result.sentences[1].startswith("The cheapest useful choice is 1 unit at ")
+
+
+def test_the_cheapest_useful_choice_is_that_for_the_least_money(tiny):
+    city = job.load_city([tiny / "tiny.osm"], SEARCH.reading, CityWish(budget_units=1))
+    cost_eur, apr = [0.0, 8_560.0, 0.0, 4_040.0, 5_000.0], [0.0, 0.9, 0.0, 0.2, 0.3]
+    options = Options(
+        junction=[0, 0, 1, 1, 1],
+        units=[0, 1, 0, 1, 1],
+        cost_eur=cost_eur,
+        apr=apr,
+        **{name: np.zeros(5) for name in ("apr_one_failed", "smallest_margin_s", "mean_margin_s")},
+    )
+    said = city_answer._cheapest(city, options, [0, 1], np.array([0.5, 0.5]), np.array([0, 2]))
+    assert said.startswith("The cheapest useful choice is 1 unit at ")
+    assert said.endswith("for 4,040 EUR: it would prevent 10.0 % of the city's accidents.")
+
+
+def test_pages_of_junctions_that_stay_as_they_were_are_not_drawn_again(tiny, city, never):
+    def pages():
+        return {path: path.stat().st_mtime_ns for path in city.glob("junctions/*/report.html")}
+
+    before = pages()
+    assert len(before) == 2
+    run(tiny / "tiny.osm", city)
+    assert pages() == before
+    run(tiny / "tiny.osm", city, budget_units=1)
+    assert len(pages()) == 1
+    run(tiny / "tiny.osm", city, budget_units=0)
+    assert pages() == {}
+    assert not changed_files(city)
+
+
+def test_seconds_are_those_of_all_stages(tiny, city, never):
+    seconds = run(tiny / "tiny.osm", city).seconds
+    assert {"read maps", "choose", job.SERVE, WRITING} < seconds.keys()
+    assert seconds["total"] == pytest.approx(
+        sum(value for name, value in seconds.items() if name != "total"), abs=0.01
+    )
+
+
+def test_what_hangs_there_is_kept_and_paid(tiny, here, tmp_path, no_pages):
+    before = json.loads((tiny / "city" / "city.json").read_text())
+    served = next(one for one in before["junctions"] if one["units"])
+    folder = tiny / "city" / served["folder"]
+    after = run(
+        tiny / "tiny.osm",
+        tmp_path / "next",
+        budget_units=1,
+        keep=(folder / "layout.json",),
+        junctions=served["id"],
+    )
+    [kept] = after.junctions
+    assert (kept.kept, kept.units) == (served["units"], after.units)
+    assert kept.apr_before == pytest.approx(served["apr"])
+    assert after.apr_before == pytest.approx(served["apr"])
+    assert after.stages[0].objective >= after.apr_before
+    assert sum(one.count for one in after.purchases if one.part == "sensor") == after.units
+    assert any("mounted already prevent" in sentence for sentence in after.sentences)
+    with pytest.raises(InputError, match=r"scene: got 'tiny/n\d'; expected a junction that counts"):
+        run(
+            tiny / "tiny.osm",
+            tmp_path / "other",
+            keep=(tiny / "city",),
+            junctions=next(one["id"] for one in before["junctions"] if not one["units"]),
+        )
+
+
+def test_which_junctions_count(tiny, city, never, tmp_path, no_pages):
+    tiny_map = tiny / "tiny.osm"
+    assert len(run(tiny_map, city, min_arms=4).junctions) == 2
+    assert [one.id for one in run(tiny_map, city, signals_only=True).junctions] == ["n3"]
+    assert [one.id for one in run(tiny_map, city, junctions="n2").junctions] == ["n2"]
+    names = tmp_path / "names.txt"
+    names.write_text("n1\nMain Street / C Lane\n")
+    assert {one.id for one in run(tiny_map, city, junctions=str(names)).junctions} == {"n1", "n3"}
+    east = area(tmp_path / "east.geojson", 13.407, 0.001)
+    assert [one.id for one in run(tiny_map, city, within=east).junctions] == ["n3"]
+    for wish, message in (
+        ({"junctions": "n77"}, r"--junctions: got 'n77'; expected one of n\d"),
+        ({"min_arms": 9}, r"no junction that counts: 3 junctions have fewer than 9 arms"),
+        ({"within": area(tmp_path / "far.geojson", 20.0)}, r"--within: .* expected an area with"),
+        ({"keep": (tmp_path,)}, r"--keep: .* expected a folder of place-rsus city with layouts"),
+        ({"years": 2}, r"years: got 2; expected `units_per_year` as well"),
+        ({"min_district_apr": 0.5}, r"min_district_apr: got 0.5; expected `districts` as well"),
+    ):
+        with pytest.raises(InputError, match=message):
+            run(tiny_map, city, **wish)
+
+
+def test_maps_that_overlap_or_have_no_junction_are_refused(tiny, never, tmp_path):
+    second = write_city(tmp_path, "second.osm", east_m=2.0)
+    with pytest.raises(InputError, match=r"got maps that overlap: both have a junction at "):
+        run([tiny / "tiny.osm", second], tmp_path / "city")
+    empty = tmp_path / "empty.osm"
+    empty.write_text('<osm version="0.6"><node id="1" lat="52.5" lon="13.4"/></osm>')
+    with pytest.raises(InputError):
+        run(empty, tmp_path / "city")
+    assert not (tmp_path / "city").exists()
+
+
+# ---------- workers
+
+
+def test_dask_that_is_missing_is_one_line(tiny, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    workers = job.CityWorkers(scheduler="tcp://127.0.0.1:9")
+    with pytest.raises(MissingExtraError, match=r"pip install 'place-rsus\[cluster\]'"):
+        run(tiny / "tiny.osm", tmp_path / "city", workers=workers)
+
+
+class OtherProgram:
+    """A client of a cluster whose workers have another program."""
+
+    def wait_for_workers(self, n, timeout):
+        pass
+
+    def run(self, function):
+        return {"tcp://worker": "place-rsus 0.0.9 (0123)"}
+
+
+def test_workers_with_another_program_are_refused(monkeypatch):
+    said = r"--scheduler: got tcp://x: tcp://worker with place-rsus 0\.0\.9 \(0123\); expected"
+    with pytest.raises(InputError, match=said):
+        schedulers._check_workers(OtherProgram(), "tcp://x")
+    assert schedulers.run_alike(schedulers.program(), abs, -1) == 1
+    with pytest.raises(InputError, match="joined later with place-rsus 0\\.0\\.9"):
+        schedulers.run_alike("place-rsus 0.0.9 (0123)", abs, -1)
+
+
+def test_the_program_is_told_by_version_and_by_code_and_data(monkeypatch):
+    said = schedulers.program()
+    assert said.startswith("place-rsus ")
+    monkeypatch.setattr(
+        schedulers, "hash_of_files", lambda name: b"other" if name == "scenarios" else b"same"
+    )
+    assert schedulers.program.__wrapped__() != said
+
+
+def test_a_scheduler_that_is_not_there_is_one_line(tiny, tmp_path, monkeypatch):
+    monkeypatch.setattr(schedulers, "ANSWER_S", 0.3)
+    with pytest.raises(InputError, match=r"--scheduler: got tcp://127.0.0.1:9: .*; expected the"):
+        run(
+            tiny / "tiny.osm",
+            tmp_path / "city",
+            workers=job.CityWorkers(scheduler="tcp://127.0.0.1:9"),
+        )
+
+
+@pytest.mark.filterwarnings("ignore")  # those of dask
+def test_a_cluster_by_its_address_gives_the_same_fronts(tiny, tmp_path, no_pages):
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp"
+    ) as cluster:
+        check_fronts_of(cluster.scheduler_address, tiny, tmp_path)
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore")  # those of dask
+def test_a_cluster_of_processes_gives_the_same_fronts(tiny, tmp_path, no_pages):
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    address_file = tmp_path / "scheduler.json"
+    started = [
+        subprocess.Popen(
+            [sys.executable, "-m", f"distributed.cli.dask_{role}", *arguments],
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        for role, arguments in (
+            (
+                "scheduler",
+                (
+                    "--scheduler-file",
+                    address_file,
+                    "--port",
+                    "0",
+                    "--no-dashboard",
+                    "--host",
+                    "127.0.0.1",
+                ),
+            ),
+            *(
+                [
+                    (
+                        "worker",
+                        (
+                            "--scheduler-file",
+                            address_file,
+                            "--nthreads",
+                            "1",
+                            "--no-dashboard",
+                            "--local-directory",
+                            tmp_path,
+                        ),
+                    )
+                ]
+                * 2
+            ),
+        )
+    ]
+    try:
+        deadline = threading.Event()
+        for _ in range(600):
+            if address_file.exists() and address_file.stat().st_size:
+                break
+            deadline.wait(0.1)
+        address = json.loads(address_file.read_text())["address"]
+        check_fronts_of(address, tiny, tmp_path)
+    finally:
+        for process in started:
+            process.terminate()
+        for process in started:
+            process.wait()
+
+
+def check_fronts_of(address, tiny, tmp_path):
+    result = run(tiny / "tiny.osm", tmp_path / "city", workers=job.CityWorkers(scheduler=address))
+    assert result.computed == 3
+    for mine, theirs in zip(fronts_of(tiny / "city"), fronts_of(tmp_path / "city"), strict=True):
+        assert mine.key == theirs.key
+        assert mine.points == theirs.points
+
+
+def tasks_of(path):
+    city = job.load_city([path], SEARCH.reading, CityWish(budget_units=1))
+    grid = job.build_grid(Question(), is_coarse=True)
+    tasks = job._Tasks(city, FEW_RUNS, SEARCH, grid, kept={}, seed=0)
+    return [tasks.task(one) for one in city.junctions]
+
+
+class Dying:
+    """Workers of which each dies, and how often one was asked."""
+
+    capacity, times = 1, 0
+
+    def submit(self, function, task):
+        self.times += 1
+        future = Future()
+        future.set_exception(local_workers.WorkerDiedError("more than 1.5 GiB of memory"))
+        return future
+
+    def wait(self, timeout_s):
+        pass
+
+
+def test_a_junction_whose_worker_died_thrice_is_told(tmp_path, monkeypatch):
+    monkeypatch.setattr(city_workers, "LocalWorkers", Dying)
+    [task, *_] = tasks_of(write_city(tmp_path))
+    workers = Dying()
+    [(_, answer)] = city_workers.run_junctions(workers, [task])
+    assert workers.times == 3
+    assert answer.record.id == task.chosen.junction.id
+    assert answer.record.reason == (
+        "its worker died of more than 1.5 GiB of memory, 3 times: more --worker-memory, or fewer "
+        "poses"
+    )
+    assert not answer.record.is_final
+
+
+@pytest.mark.long
+def test_a_worker_that_is_killed_loses_nothing(tiny):
+    tasks = tasks_of(tiny / "tiny.osm")
+    with city_workers.start_workers(
+        "", n_workers=2, memory="1.5GiB", tell=lambda sentence: None
+    ) as workers:
+        killer = threading.Timer(1.0, lambda: os.kill(workers.pids()[0], signal.SIGKILL))
+        killer.start()
+        answers = [answer.record for _, answer in city_workers.run_junctions(workers, tasks)]
+        killer.join()
+        assert [record.reason for record in answers] == [""] * 3
+        assert {record.id for record in answers} == {"n1", "n2", "n3"}
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="signals and processes as on Linux")
+def test_kill_9_loses_at_most_the_junctions_in_work_and_ends_the_workers(
+    tiny, city, here, no_pages
+):
+    import psutil
+
+    kept, *missing = sorted(path.parent for path in city.glob("junctions/*/front.json"))
+    before = (kept / "front.json").read_bytes()
+    for folder in missing:
+        shutil.rmtree(folder)
+    command = ("city", tiny / "tiny.osm", "--budget", "2", "--coarse", "--max-units", "2")
+    seconds = ("--max-junction-seconds", "3600", "--time-limit", f"{FEW_RUNS.time_limit_s:g}")
+    limits = (*seconds, "--workers", "1", "--out", city)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    main = subprocess.Popen(
+        [sys.executable, "-m", "experiments.main", *command, *limits, *FEW_RUNS_OPTIONS],
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    pause = threading.Event()
+    children = []
+    for _ in range(6000):
+        if any((folder / "front.json").exists() for folder in missing) or main.poll() is not None:
+            children = psutil.Process(main.pid).children(recursive=True)
+            main.kill()
+            break
+        pause.wait(0.02)
+    assert main.wait() == -signal.SIGKILL
+    assert children  # a worker had been there
+    _, alive = psutil.wait_procs(children, timeout=60)
+    assert not alive
+    done = {folder: (folder / "front.json").exists() for folder in missing}
+    written = {folder: (folder / "front.json").read_bytes() for folder in missing if done[folder]}
+    assert written
+    assert (kept / "front.json").read_bytes() == before
+    again = run(tiny / "tiny.osm", city)
+    assert again.computed == list(done.values()).count(False)
+    assert all((folder / "front.json").read_bytes() == text for folder, text in written.items())
+    for mine, theirs in zip(fronts_of(tiny / "city"), fronts_of(city), strict=True):
+        assert (mine.key, mine.points) == (theirs.key, theirs.points)
+
+
+def test_numbers_of_the_figure_are_those_of_the_result(tiny, city, never, no_pages):
+    from experiments.city.map import plot_city_front
+
+    result = run(tiny / "tiny.osm", city, budget_eur=20_000.0)
+    axes = plot_city_front(result)
+    drawn = {line.get_gid(): line.get_xydata() for line in axes.lines if line.get_gid()}
+    np.testing.assert_allclose(
+        drawn["chosen"], [[result.cost_eur, 100 * result.stages[0].objective]]
+    )
+    assert len(drawn["steps"]) == len(result.front) + 1

@@ -1,0 +1,108 @@
+"""The command `plan` without a browser: what it opens, and what it begins with."""
+
+import json
+import stat
+from dataclasses import replace
+from pathlib import Path
+from urllib.parse import urlsplit
+from urllib.request import url2pathname, urlopen
+
+import pytest
+
+pytest.importorskip("starlette", reason="place-rsus[plan] is not installed")
+
+from experiments.export.json import to_json
+from experiments.planner import command
+from experiments.planner.numbers import plan_text
+from experiments.planner.plan import PlanState, Variant
+from experiments.planner.server import RunningServer
+from geometry.study_scene import load_study_scene
+from placement.study_layout import load_carlancap_layout
+
+FEW = ("--cases", "CPNC-50", "--along-arms", "0", "--speeds", "50")
+SCENE = load_study_scene()
+STUDY = load_carlancap_layout()
+
+
+def save_plan(path, *variants, scene=SCENE):
+    path.write_text(plan_text(PlanState(variants=variants), scene))
+    return path
+
+
+def save_layout(path, units, **fields):
+    path.write_text(to_json(replace(STUDY, name="layout", units=tuple(units), **fields)))
+    return str(path)
+
+
+def test_no_command_line_has_the_token_of_the_page(run, monkeypatch):
+    opened = []
+
+    def look(address):
+        path = Path(url2pathname(urlsplit(address).path))
+        opened.append((address, path.read_text(), path.stat().st_mode, path.parent.stat().st_mode))
+
+    monkeypatch.setattr(command.webbrowser, "open", look)
+    monkeypatch.setattr(RunningServer, "wait", lambda self: None)
+    code, out, err = run("plan", *FEW)
+    assert (code, err.count("problem")) == (0, 0)
+    ((address, text, mode, folder_mode),) = opened
+    (page,) = [word for word in out.split() if word.startswith("http://127.0.0.1:")]
+    token = page.split("/")[3]
+    assert address.startswith("file:")
+    assert token not in address
+    assert f'content="0; url={page}"' in text
+    assert stat.S_IMODE(mode) == 0o600
+    assert stat.S_IMODE(folder_mode) == 0o700
+    with pytest.raises(OSError, match="refused"):
+        urlopen(page)
+
+
+def test_a_saved_plan_is_opened_again_and_layouts_are_further_variants(tmp_path):
+    saved = save_plan(
+        tmp_path / "plan.json",
+        Variant(name="layout", units=STUDY.units[:1]),
+        Variant(name="empty"),
+    )
+    names = [
+        save_layout(tmp_path / f"{n}.json", STUDY.units[:n]) for n in (1, 2)
+    ]  # the first is there already
+    begun = command._begun_plan(tuple(names), saved, SCENE)
+    assert [len(variant.units) for variant in begun.variants] == [1, 2]
+    assert command._begun_plan((), tmp_path / "none.json", SCENE).variants == ()
+
+
+def test_what_cannot_be_begun_with_is_refused_and_stays_as_it_is(run, tmp_path):
+    other = save_plan(
+        tmp_path / "plan.json",
+        Variant(name="mine", units=STUDY.units[:1]),
+        scene=replace(SCENE, name="elsewhere"),
+    )
+    before = other.read_text()
+    code, _, err = run("plan", *FEW, "--no-open", "--save", str(other))
+    assert (code, other.read_text()) == (2, before)
+    assert err.endswith(
+        "got one made for elsewhere; expected one of town05, the scene that is looked at\n"
+    )
+    code, _, err = run("plan", "--no-open", "--save", "/dev/zero")
+    assert code == 2
+    assert "/dev/zero: got a device; expected a regular file's name, or one that is free" in err
+    many = [replace(STUDY.units[0], id=f"U{index}") for index in range(1001)]
+    layout = save_layout(tmp_path / "many.json", many)
+    code, _, err = run("plan", "--no-open", "--layout", layout)
+    assert code == 2
+    assert err.endswith("many.json: units: got 1,001; expected at most 1,000\n")
+
+
+def test_the_last_change_is_saved_when_it_ends(run, tmp_path, monkeypatch):
+    path = tmp_path / "plan.json"
+
+    def change(server):
+        """As a browser does just before Ctrl-C."""
+        message = {"do": "add", "site": "corner-ne", "sensor": "carla-ncap-rgb"}
+        server.session.handle(json.dumps(message).encode())
+
+    monkeypatch.setattr(RunningServer, "wait", change)
+    code, out, _ = run("plan", *FEW, "--no-open", "--save", str(path))
+    assert code == 0
+    assert out.endswith(f"; the plan is in {path}.\n")
+    assert json.loads(path.read_text())["variants"][0]["layout"][0]["site"] == "corner-ne"

@@ -1,0 +1,688 @@
+"""The planner's page in a browser: by mouse, by keyboard, and when the line breaks."""
+
+import json
+import re
+from contextlib import contextmanager
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+from browser_pages import ENGINES, start_browser
+from plan_sessions import few_poses, start_server  # noqa: F401
+from shapely import box
+
+pytest.importorskip("starlette", reason="place-rsus[plan] is not installed")
+
+from experiments.export.json import to_json_text
+from experiments.planner.plan import Variant
+from experiments.results.numbers import percent
+from experiments.results.result import build_evaluation_record
+from geometry.frames import to_geographic
+from geometry.poses import Pose
+from placement.candidates import CandidatePose
+from placement.compute import Compute
+from placement.evaluator import evaluate_layout
+from placement.layout import load_layout
+from placement.study_layout import load_carlancap_layout
+
+pytestmark = pytest.mark.system
+
+PATIENCE_MS = 120_000
+
+
+def expect(locator):
+    """What playwright waits for; the tests are skipped where it is not installed."""
+    return pytest.importorskip("playwright.sync_api").expect(locator)
+
+
+@pytest.fixture(scope="module", params=ENGINES)
+def browser(request, tmp_path_factory):
+    with start_browser(request.param, folder=tmp_path_factory.mktemp("browser")) as opened:
+        yield opened
+
+
+@pytest.fixture
+def garden(tmp_path, small_setting):
+    """Private ground at the junction's corner."""
+    scene = small_setting.scene
+    x, y = scene.outline_m.mean(axis=0)
+    ring = to_geographic(np.array(box(x - 20, y + 8, x - 4, y + 18).exterior.coords), scene.crs)
+    shape = {"type": "Polygon", "coordinates": [ring.tolist()]}
+    feature = {"type": "Feature", "properties": {"name": "garden"}, "geometry": shape}
+    path = tmp_path / "garden.geojson"
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+    return path
+
+
+@pytest.fixture
+def serve(tmp_path, small_setting, few_poses):  # noqa: F811
+    servers = []
+
+    def start(units=(), **given):
+        variants = [Variant(name="mine", units=tuple(units))] if units else []
+        servers.append(start_server(tmp_path, small_setting, variants=variants, **given))
+        return servers[-1]
+
+    yield start
+    for server in servers:
+        server.stop()
+
+
+@contextmanager
+def opened(browser, server, *, width=1280, height=900, may_complain=False, before=None, **options):
+    """The page; it must neither complain nor ask for anything from elsewhere."""
+    context = browser.new_context(viewport={"width": width, "height": height}, **options)
+    page = context.new_page()
+    page.set_default_timeout(PATIENCE_MS)
+    complaints = []
+    page.on("console", lambda message: complaints.append(message.text))
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    home = urlsplit(server.address).netloc
+    page.on(
+        "request",
+        lambda request: (
+            None if urlsplit(request.url).netloc in (home, "") else complaints.append(request.url)
+        ),
+    )
+    if before is not None:
+        before(page)
+    page.goto(server.address)
+    page.wait_for_selector("[data-site]")
+    yield page
+    context.close()
+    assert may_complain or complaints == []
+
+
+def middle(locator):
+    box = locator.bounding_box()
+    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+
+def told(page, *sources):
+    """What the page says once a source has answered about what is shown."""
+    named = sources or ("evaluator",)
+    answered = (f"p:has(> #apr:not(.old)) + #source.{source}" for source in named)
+    page.wait_for_selector(", ".join(answered))
+    return page.locator("#apr").inner_text()
+
+
+def downloaded(page, button, path):
+    with page.expect_download() as download:
+        page.locator(button).click()
+    download.value.save_as(path)
+    return path
+
+
+def saved(page, tmp_path):
+    return load_layout(downloaded(page, "#save-layout", tmp_path / "saved.json"))
+
+
+def write(field, text):
+    """Type in place of what a field has; ``fill`` adds to numbers in Firefox."""
+    field.focus()
+    field.press("Control+a")
+    field.press_sequentially(text)
+
+
+def drop(page, name, content):
+    """Drop a file on the plan."""
+    dropped = page.evaluate_handle(
+        """([name, text]) => { const data = new DataTransfer();
+        data.items.add(new File([text], name)); return data; }""",
+        [name, content],
+    )
+    page.dispatch_event("#plan", "drop", {"dataTransfer": dropped})
+
+
+def test_a_camera_is_hung_and_dragged_by_mouse_and_the_numbers_are_those_of_evaluate(
+    browser, serve, small_setting, tmp_path
+):
+    with opened(browser, serve()) as page:
+        assert page.locator("#apr").inner_text() in ("No sensor yet", "computing \u2026")
+        x, y = middle(page.locator('[data-site="corner-ne"]'))
+        page.mouse.move(x, y)
+        page.mouse.down()
+        page.mouse.move(x + 160, y - 20, steps=4)  # along the eastern arm
+        page.mouse.up()
+        page.wait_for_selector("[data-aim]")
+        away = told(page)
+        yaw = page.locator("#yaw").input_value()
+        x, y = middle(page.locator("[data-aim]"))
+        site_x, site_y = middle(page.locator('[data-site="corner-ne"]'))
+        page.mouse.move(x, y)
+        page.mouse.down()
+        page.mouse.move(site_x - 60, site_y + 60, steps=12)
+        page.mouse.up()
+        south_west = re.compile(r"^-13[45]\b")  # the last step's: others may be evaluated, too
+        expect(page.locator("#yaw")).to_have_value(south_west, timeout=PATIENCE_MS)
+        shown = told(page)
+        assert shown != away
+        layout = saved(page, tmp_path)
+        (unit,) = layout.units
+        assert unit.site_id == "corner-ne"
+        assert -180.0 < unit.pose.yaw_deg < -90.0
+        evaluation = evaluate_layout(layout, small_setting, compute=Compute(workers=2))
+        record = json.loads(to_json_text(build_evaluation_record(evaluation, small_setting.rule)))
+        assert shown == percent(record["rsu_all"]["all"])
+        for case, share in record["rsu_all"]["by_case"].items():
+            row = page.locator("#by-case tr").filter(has_text=re.compile(f"^{case}"))
+            assert row.locator("td").inner_text() == percent(share)
+        assert percent(record["vut_and_rsus"]["all"]) in page.locator("#beside").inner_text()
+        page.keyboard.press("Control+z")  # a drag is one step
+        expect(page.locator("#yaw")).to_have_value(yaw, timeout=PATIENCE_MS)
+        assert told(page) == away
+
+
+def test_everything_by_keyboard(browser, serve, tmp_path):
+    with opened(browser, serve()) as page:
+        page.locator('[data-site="corner-sw"]').focus()
+        page.keyboard.press("Enter")
+        assert page.locator("#site").input_value() == "corner-sw"
+        page.locator("#hang").focus()
+        page.keyboard.press("Enter")
+        page.wait_for_selector('[data-unit="U1"]')
+        page.locator('[data-unit="U1"]').focus()
+        yaw, pitch = (float(page.locator(name).input_value()) for name in ("#yaw", "#pitch"))
+        for key in ("ArrowLeft", "Shift+ArrowLeft", "ArrowDown", "PageDown"):
+            page.keyboard.press(key)  # faster than answers come
+        expect(page.locator("#yaw")).to_have_value(
+            re.compile(rf"^{yaw + 11.0:.1f}"), timeout=PATIENCE_MS
+        )
+        told(page)
+        (unit,) = saved(page, tmp_path).units
+        assert unit.pose.yaw_deg == pytest.approx(yaw + 11.0, abs=0.06)
+        assert unit.pose.pitch_deg == pytest.approx(pitch - 1.0)
+        page.locator("#show-help").focus()
+        page.keyboard.press("Enter")
+        page.locator("#help-dialog").wait_for()
+        page.keyboard.press("Escape")
+        page.locator("#help-dialog").wait_for(state="hidden")
+        page.locator('[data-unit="U1"]').focus()
+        page.keyboard.press("Delete")
+        page.wait_for_selector('[data-unit="U1"]', state="detached")
+        page.keyboard.press("Control+z")
+        page.wait_for_selector('[data-unit="U1"]')
+        page.keyboard.press("Control+y")
+        page.wait_for_selector('[data-unit="U1"]', state="detached")
+
+
+def test_complete_to_three_take_it_over_and_undo(browser, serve):
+    with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
+        write(page.locator("#complete-to"), "3")
+        page.locator('[data-ask="complete"]').click()
+        card = page.locator("#proposals li")
+        card.wait_for()
+        assert "Completed to 3" in card.inner_text()
+        card.get_by_text("Show on the plan").click()
+        page.wait_for_selector("#proposals [aria-pressed=true]")
+        page.locator("#proposals li").get_by_text("Take it over").click()
+        expect(page.locator("#units button")).to_have_count(3, timeout=PATIENCE_MS)
+        page.locator("#undo").click()
+        expect(page.locator("#units button")).to_have_count(1, timeout=PATIENCE_MS)
+
+
+def test_save_and_open_again_and_variants_side_by_side(browser, serve, tmp_path):
+    study = load_carlancap_layout()
+    with opened(browser, serve(study.units[:2]), may_complain=True) as page:
+        page.locator("#copy-variant").click()
+        expect(page.locator("#variants tbody tr")).to_have_count(2, timeout=PATIENCE_MS)
+        write(page.locator("#variant-name"), "fewer")
+        page.locator("#variant-name").press("Enter")
+        page.locator("#variants").get_by_text("fewer").wait_for()
+        page.locator("#remove").click()
+        expect(page.locator("#units button")).to_have_count(1, timeout=PATIENCE_MS)
+        plan = downloaded(page, "#save-plan", tmp_path / "plan.json")
+        page.locator("#open-file").set_input_files(plan)
+        page.locator("#variants").get_by_text("plan: fewer").wait_for()
+        notice = page.locator("#notice")  # comes by another way than the variants
+        expect(notice).to_contain_text("Opened: mine, fewer", timeout=PATIENCE_MS)
+        (tmp_path / "bad.json").write_text("{")
+        page.locator("#open-file").set_input_files(tmp_path / "bad.json")
+        page.get_by_text(re.compile(r"^bad\.json: got")).wait_for()
+
+
+def is_in_three_dimensions(page, frame):
+    """The view is drawn, or the browser has no WebGL, and that is told."""
+    if page.evaluate("document.createElement('canvas').getContext('webgl') === null"):
+        frame.get_by_text("This browser has no WebGL").wait_for()
+        return
+    frame.locator("#view-buttons").wait_for()
+    assert frame.locator("#view-message").inner_text() == ""
+    assert frame.locator("#view-3d canvas").count() > 0
+
+
+def test_the_junction_is_seen_in_three_dimensions_with_what_hangs(browser, serve):
+    with opened(browser, serve(load_carlancap_layout().units[:2])) as page:
+        page.locator("#turn").click()
+        is_in_three_dimensions(page, page.frame_locator("#turn-view"))
+
+
+def test_private_areas_are_drawn_and_told_for_the_chosen_camera(browser, serve, garden):
+    units = load_carlancap_layout().units[:2]
+    with opened(browser, serve(units, asked={"no_look": str(garden)})) as page:
+        told(page, "table", "evaluator")
+        title = page.locator("#plan title").get_by_text("private: garden", exact=True)
+        expect(title).to_have_count(1)
+        shares = page.locator("#private-list li")
+        expect(shares).to_have_count(1, timeout=PATIENCE_MS)
+        seeing = re.search(r"(\S+) [\d.]+ % \(more than is allowed\)", shares.inner_text())[1]
+        page.locator(f'[data-chip="{seeing}"]').click()
+        assert "garden" in page.locator("#unit-private").inner_text()
+        page.wait_for_selector("#plan .seen", state="attached")
+        write(page.locator("#pitch"), "-90")  # its own foot
+        page.locator("#pitch").press("Tab")
+        page.get_by_text("No private area in its picture.").wait_for()
+        page.wait_for_selector("#plan .seen", state="detached")
+
+
+def test_an_image_lies_below_the_plan_and_is_kept_with_it(browser, serve, tmp_path):
+    from PIL import Image
+
+    Image.new("RGB", (200, 100), (90, 120, 90)).save(tmp_path / "aerial.png")
+    with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
+        page.locator("#background").click()
+        page.locator("#image-file").set_input_files(tmp_path / "aerial.png")
+        page.locator("#image-shown").click(position={"x": 20, "y": 10})
+        assert float(page.locator("#x1").input_value()) == pytest.approx(20.0, abs=1.0)
+        points = ((0.0, 0.0, -20.0, 10.0), (200.0, 0.0, 20.0, 10.0))
+        for number, point in enumerate(points, start=1):
+            for name, value in zip(("x", "y", "east", "north"), point, strict=True):
+                write(page.locator(f"#{name}{number}"), f"{value:g}")
+        page.locator("#image-lay").click()
+        image = page.locator('#plan image[href^="background"]')
+        image.wait_for(state="attached")
+        lies = "matrix(20 0 0 -20 -2000 1000)"  # 40 m over 200 pixels, in centimetres
+        assert image.get_attribute("transform") == lies
+        plan = downloaded(page, "#save-plan", tmp_path / "plan.json")
+        page.locator("#background").click()
+        page.locator("#image-drop").click()
+        image.wait_for(state="detached")
+        page.locator("#open-file").set_input_files(plan)
+        image.wait_for(state="attached")
+        page.reload()
+        image.wait_for(state="attached")
+        assert image.get_attribute("transform") == lies
+        fetched = page.evaluate(
+            """async () => { const image = new Image();
+            image.src = document.querySelector('#plan image[href^="background"]')
+                .getAttribute("href");
+            await image.decode(); return [image.naturalWidth, image.naturalHeight]; }"""
+        )
+        assert fetched == [200, 100]
+
+
+def test_all_ends_when_the_page_is_closed_but_not_when_it_is_loaded_again(
+    browser, serve, monkeypatch
+):
+    from experiments.planner import server as module
+
+    monkeypatch.setattr(module, "LINGER_S", 3.0)
+    server = serve(load_carlancap_layout().units[:1], keeps_open=False)
+    with opened(browser, server) as page:
+        page.reload()
+        page.wait_for_selector("[data-unit]")
+        page.wait_for_timeout(4000)
+        assert server.is_alive
+    server.wait()
+    assert not server.is_alive
+
+
+def test_a_file_that_is_too_large_is_told_before_it_is_sent(browser, serve, monkeypatch, tmp_path):
+    from experiments.planner import session
+
+    monkeypatch.setattr(session, "MAX_PLAN_BYTES", 1000)
+    (tmp_path / "long.json").write_text("[" + " " * 1000 + "]")
+    with opened(browser, serve()) as page:
+        page.locator("#open-file").set_input_files(tmp_path / "long.json")
+        page.get_by_text("long.json: got 1,002 bytes; expected at most 1,000").wait_for()
+
+
+def test_a_plan_that_is_in_no_file_is_not_closed_without_a_word(browser, serve, tmp_path):
+    with opened(browser, serve(load_carlancap_layout().units[:2])) as page:
+        asked = []
+        page.on("dialog", lambda dialog: (asked.append(dialog.type), dialog.accept()))
+        page.locator("#remove").click()
+        expect(page.locator("#units button")).to_have_count(1, timeout=PATIENCE_MS)
+        page.reload()
+        page.wait_for_selector("[data-unit]")
+        assert asked == ["beforeunload"]
+        page.locator("#undo").click()
+        expect(page.locator("#units button")).to_have_count(2, timeout=PATIENCE_MS)
+        downloaded(page, "#save-plan", tmp_path / "plan.json")
+        page.reload()
+        page.wait_for_selector("[data-unit]")
+        assert asked == ["beforeunload"]
+
+
+def test_a_lost_run_is_told_and_played(browser, serve):
+    with opened(browser, serve(load_carlancap_layout().units[7:8])) as page:
+        told(page)
+        page.locator("#lost button").first.click()
+        page.locator("#run-why li").first.wait_for()
+        assert "frames come early enough" in page.locator("#run-why").inner_text()
+        page.locator("#play").click()
+        frame = page.frame_locator("#player")
+        frame.locator("#player-plan svg").wait_for()
+        before = frame.locator("#player-status").inner_text()
+        frame.locator("#player-frame").focus()
+        page.keyboard.press("ArrowLeft")
+        assert frame.locator("#player-status").inner_text() != before
+        frame.locator("#view-show").click()
+        is_in_three_dimensions(page, frame)
+        page.keyboard.press("Escape")
+
+
+def test_a_map_is_dropped_and_a_junction_of_it_chosen(browser, serve):
+    text = (Path(__file__).parents[3] / "docs" / "maps" / "crossing.osm").read_text()
+    with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
+        drop(page, "crossing.osm", text)
+        page.locator("#map-dialog").wait_for()
+        assert "crossing.osm has" in page.locator("#map-text").inner_text()
+        assert (
+            page.locator("#map-plan circle").count() == page.locator("#map-junction option").count()
+        )
+        page.locator("#map-take").click()
+        page.locator("#map-dialog").wait_for(state="hidden")
+        assert "town05" not in page.locator("#scene-name").inner_text()
+        assert page.locator("#units button").count() == 0
+        page.locator("#hang").click()
+        page.locator('[data-unit="U1"]').wait_for()
+        assert "%" in told(page, "table", "evaluator")
+
+
+def test_a_lost_connection_is_told_and_mended(browser, serve):
+    lines, is_broken = [], []
+
+    def route(line):
+        if is_broken:
+            line.close()
+            return
+        line.connect_to_server()
+        lines.append(line)
+
+    with opened(
+        browser,
+        serve(load_carlancap_layout().units[:1]),
+        before=lambda page: page.route_web_socket("**/live", route),
+    ) as page:
+        told(page)
+        is_broken.append(True)
+        lines[-1].close()
+        page.locator("#connection").wait_for()
+        assert "%" not in page.locator("#apr").inner_text()
+        assert page.locator("#main").evaluate("element => element.inert")
+        is_broken.clear()
+        page.locator("#connection").wait_for(state="hidden")
+        told(page)
+        assert page.locator("#units button").count() == 1
+
+
+def test_two_hundred_units_are_shown_and_turned(browser, serve, small_setting):
+    camera = load_carlancap_layout().units[0].sensor
+    rng = np.random.default_rng(0)
+    units = [
+        CandidatePose(
+            id=f"U{index}",
+            site_id="",
+            pose=Pose(
+                position_m=site.position_m + [0.0, 0.0, 5.0],
+                yaw_deg=float(rng.uniform(-180.0, 180.0)),
+                pitch_deg=-15.0,
+            ),
+            sensor=camera,
+        )
+        for index in range(200)
+        for site in [small_setting.scene.sites[index % 28]]
+    ]
+    with opened(browser, serve(units)) as page:
+        expect(page.locator("#units button")).to_have_count(200, timeout=PATIENCE_MS)
+        page.locator('[data-chip="U0"]').click()
+        write(page.locator("#yaw"), "12")
+        page.locator("#yaw").press("Tab")
+        turned = page.locator('[data-unit="U0"] path').first
+        expect(turned).to_have_attribute("transform", "rotate(-12)", timeout=PATIENCE_MS)
+        told(page, "table", "evaluator")
+        x, y = middle(page.locator("[data-aim]"))
+        page.mouse.move(x, y)
+        page.mouse.down()
+        page.mouse.move(x + 40, y + 40, steps=6)
+        page.mouse.up()
+        expect(turned).not_to_have_attribute("transform", "rotate(-12)", timeout=PATIENCE_MS)
+
+
+def test_the_page_has_no_serious_fault_for_who_cannot_see_it(browser, serve, garden):
+    library = pytest.importorskip(
+        "axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed"
+    )
+    units = load_carlancap_layout().units[7:8]
+    text = (Path(__file__).parents[3] / "docs" / "maps" / "crossing.osm").read_text()
+    with opened(browser, serve(units, asked={"no_look": str(garden)})) as page:
+        told(page)
+        axe = library.Axe()
+
+        def has_no_fault():
+            found = axe.run(page).response["violations"]
+            serious = [
+                (one["id"], [node["target"] for node in one["nodes"]][:3])
+                for one in found
+                if one["impact"] in ("serious", "critical")
+            ]
+            assert serious == []
+            page.keyboard.press("Escape")
+
+        has_no_fault()
+        for opens in ("#show-help", "#background", "#turn"):
+            page.locator(opens).click()
+            has_no_fault()
+        page.locator("#lost button").first.click()
+        page.locator("#run-why li").first.wait_for()
+        page.locator("#picture-show").click()
+        page.locator("#picture").wait_for()
+        has_no_fault()
+        drop(page, "crossing.osm", text)
+        page.locator("#map-dialog").wait_for()
+        has_no_fault()
+
+
+@pytest.mark.parametrize("width", [820, 390])
+def test_nothing_is_cut_off_on_tablets_and_phones(browser, serve, width):
+    with opened(browser, serve(load_carlancap_layout().units[:1]), width=width) as page:
+        told(page, "table", "evaluator")
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        page.locator("#remove").click()
+        page.locator("#plan").scroll_into_view_if_needed()
+        x, y = middle(page.locator('[data-site="corner-ne"]'))
+        page.mouse.move(x, y)
+        page.mouse.down()
+        page.mouse.move(x - 40, y + 40, steps=4)
+        page.mouse.up()
+        page.wait_for_selector('[data-unit="U1"]')
+
+
+# ---------- hands
+
+
+def drag(page, start, *places):
+    page.mouse.move(*start)
+    page.mouse.down()
+    for place in places:
+        page.mouse.move(*place, steps=4)
+
+
+def number(page, field):
+    return float(page.locator(field).input_value())
+
+
+def test_keys_work_after_a_slider_and_escape_gives_a_drag_up(browser, serve):
+    with opened(browser, serve(load_carlancap_layout().units[:2])) as page:
+        page.locator('[data-chip="RSU0"]').click()
+        before = number(page, "#yaw")
+        slider = page.locator("#yaw-slide")
+        slider.focus()
+        slider.press("ArrowRight")
+        expect(page.locator("#yaw")).not_to_have_value(f"{before:g}", timeout=PATIENCE_MS)
+        slider.press("Control+z")
+        expect(page.locator("#yaw")).to_have_value(f"{before:g}", timeout=PATIENCE_MS)
+        write(page.locator("#yaw"), "12")
+        page.locator("#yaw").press("Enter")
+        expect(page.locator("#yaw-slide")).to_have_value("12", timeout=PATIENCE_MS)
+        page.locator("#yaw").press("Control+z")  # what is typed is done
+        expect(page.locator("#yaw-slide")).not_to_have_value("12", timeout=PATIENCE_MS)
+        page.locator("#plan").scroll_into_view_if_needed()
+        x, y = middle(page.locator("[data-aim]"))
+        drag(page, (x, y), (x + 60, y + 60))
+        expect(page.locator("#yaw-slide")).not_to_have_value(
+            f"{round(before)}", timeout=PATIENCE_MS
+        )
+        page.keyboard.press("Escape")
+        expect(page.locator("#yaw-slide")).to_have_value(f"{round(before)}", timeout=PATIENCE_MS)
+        page.mouse.move(x + 90, y)
+        page.mouse.up()
+        assert page.locator("#redo").is_disabled()  # the drag has left nothing
+        x, y = middle(page.locator('[data-site="corner-sw"]'))
+        drag(page, (x, y), (x + 60, y - 60))
+        page.keyboard.press("Escape")
+        page.mouse.up()
+        slider.focus()
+        slider.press("Delete")
+        expect(page.locator("#units button")).to_have_count(1, timeout=PATIENCE_MS)
+
+
+def test_a_pole_with_a_unit_takes_a_second_one_and_what_is_moved_keeps_its_aim(
+    browser, serve, tmp_path
+):
+    with opened(browser, serve(load_carlancap_layout().units[1:2])) as page:
+        x, y = middle(page.locator('[data-site="corner-ne"]'))
+        drag(page, (x, y), (x - 80, y + 20))
+        page.mouse.up()
+        expect(page.locator("#units button")).to_have_count(2, timeout=PATIENCE_MS)
+        first, second = saved(page, tmp_path).units
+        assert first.site_id == second.site_id == "corner-ne"
+        page.locator('[data-chip="RSU1"]').click()
+        expect(page.locator("[data-aim]")).to_have_attribute("data-aim", "RSU1")
+        aim = middle(page.locator("[data-aim]"))
+        drag(
+            page,
+            middle(page.locator('[data-unit="RSU1"] circle')),
+            middle(page.locator('[data-site="corner-sw"]')),
+        )
+        page.mouse.up()
+        expect(page.locator("#unit-site")).to_have_value("corner-sw", timeout=PATIENCE_MS)
+        assert middle(page.locator("[data-aim]")) == pytest.approx(aim, abs=2.0)
+
+
+def test_a_lidar_that_scans_all_round_is_level_by_dragging_and_by_the_button(
+    browser, serve, tmp_path
+):
+    with opened(browser, serve()) as page:
+        page.locator("#sensor").select_option("ouster-os1-128")
+        x, y = middle(page.locator('[data-site="corner-ne"]'))
+        drag(page, (x, y), (x - 80, y + 60))
+        page.mouse.up()
+        expect(page.locator("#units button")).to_have_count(1, timeout=PATIENCE_MS)
+        page.locator("#site").select_option("corner-sw")
+        page.locator("#hang").click()
+        expect(page.locator("#units button")).to_have_count(2, timeout=PATIENCE_MS)
+        assert [unit.pose.pitch_deg for unit in saved(page, tmp_path).units] == [0.0, 0.0]
+
+
+TOUCH = """([kind, fingers]) => {
+    const svg = document.querySelector("#plan svg");
+    svg.setPointerCapture = () => {};
+    fingers.forEach(([x, y], index) => svg.dispatchEvent(new PointerEvent(kind, {
+        pointerId: 7 + index, pointerType: "touch", clientX: x, clientY: y, bubbles: true })));
+}"""
+
+
+def test_the_ground_between_two_fingers_stays_and_a_wheel_goes_the_way_it_is_turned(browser, serve):
+    with opened(browser, serve()) as page:
+        site = page.locator('[data-site="corner-ne"]')
+        far = page.locator('[data-site="corner-sw"]')
+        x, y = middle(site)
+        fingers = [[x - 40, y - 40], [x + 40, y + 40]]
+        page.evaluate(TOUCH, ["pointerdown", fingers])
+        apart = abs(middle(far)[0] - x)
+        moved = [[x + 30 - 80, y + 20 - 80], [x + 30 + 80, y + 20 + 80]]
+        page.evaluate(TOUCH, ["pointermove", moved])
+        page.evaluate(TOUCH, ["pointerup", moved])
+        assert middle(site) == pytest.approx((x + 30, y + 20), abs=1.5)
+        assert abs(middle(far)[0] - middle(site)[0]) == pytest.approx(2.0 * apart, rel=0.01)
+        x, y = middle(site)
+        page.mouse.move(x, y)
+        page.mouse.wheel(60, 0)
+        page.wait_for_function(
+            "x => document.querySelector('[data-site=corner-ne]').getBoundingClientRect().x < x",
+            arg=x - 20,
+        )
+        moved = middle(site)
+        assert moved[1] == pytest.approx(y, abs=0.5)
+        assert abs(middle(far)[0] - moved[0]) == pytest.approx(2.0 * apart, rel=0.01)
+
+
+# ---------- words and widths
+
+
+def test_views_are_drawn_and_say_how_far_they_reach(browser, serve):
+    with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
+        page.locator('[data-view="RSU0"][d^="M"]').wait_for(state="attached")
+        page.get_by_text(re.compile(r"its detector reaches \d+ m")).wait_for()
+        before = page.locator('[data-view="RSU0"]').get_attribute("d")
+        write(page.locator("#yaw"), "0")
+        page.locator("#yaw").press("Tab")
+        expect(page.locator('[data-view="RSU0"]')).not_to_have_attribute(
+            "d", before, timeout=PATIENCE_MS
+        )
+        told(page)
+        assert "by the car's own sensors alone" in page.locator("#beside").inner_text()
+
+
+def test_a_server_that_does_not_answer_makes_numbers_old(browser, serve):
+    held, lines = [], []
+
+    def route(line):
+        server = line.connect_to_server()
+        line.on_message(lambda text: held.append(text) if "change" in text else server.send(text))
+        lines.append(server)
+
+    with opened(
+        browser,
+        serve(load_carlancap_layout().units[:1]),
+        before=lambda page: page.route_web_socket("**/live", route),
+    ) as page:
+        told(page)
+        write(page.locator("#yaw"), "12")
+        page.locator("#silence").wait_for()
+        assert "has not answered for" in page.locator("#silence").inner_text()
+        assert "old" in page.locator("#apr").get_attribute("class")
+        lines[-1].send(held[-1])
+        page.locator("#silence").wait_for(state="hidden")
+
+
+def test_another_scene_is_asked_for_and_undo_leads_back(browser, serve):
+    text = (Path(__file__).parents[3] / "docs" / "maps" / "crossing.osm").read_text()
+    with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
+        drop(page, "crossing.osm", text)
+        page.locator("#map-dialog").wait_for()
+        assert "Undo leads back to the plan at town05" in page.locator("#map-text").inner_text()
+        street = page.locator("#map-junction option").first.inner_text().split(":")[0]
+        page.locator("#map-take").click()
+        page.locator("#map-dialog").wait_for(state="hidden")
+        assert page.locator("#scene-name").inner_text().startswith(f"at {street},")
+        page.locator("#undo").click()
+        expect(page.locator("#scene-name")).to_contain_text("town05", timeout=PATIENCE_MS)
+        expect(page.locator("#units button")).to_have_count(1, timeout=PATIENCE_MS)
+
+
+@pytest.mark.parametrize("size", [(1280, 900), (820, 1180), (844, 390), (390, 844)])
+def test_the_key_of_densities_and_the_page_are_no_wider_than_the_screen(browser, serve, size):
+    width, height = size
+    units = load_carlancap_layout().units[:1]
+    with opened(browser, serve(units), width=width, height=height) as page:
+        page.locator("#coverage").check()
+        page.locator("#coverage-key .key").first.wait_for()
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        key = page.locator("#coverage-key").bounding_box()
+        stage = page.locator("#stage").bounding_box()
+        assert key["x"] + key["width"] <= stage["x"] + stage["width"]
+        assert page.locator("#plan").bounding_box()["height"] >= 0.4 * min(height, 600)

@@ -1,0 +1,272 @@
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from experiments.planner.numbers import layout_text, plan_text
+from experiments.planner.plan import (
+    MAX_STEPS,
+    MAX_UNITS,
+    MAX_VARIANTS,
+    AddUnit,
+    AddVariant,
+    ChangeUnit,
+    RemoveUnit,
+    RemoveVariant,
+    RenameVariant,
+    SelectVariant,
+    Stock,
+    Variant,
+    add_variant,
+    begin_history,
+    change_state,
+    check_plan,
+    read_plan,
+)
+from geometry.catalogue import load_cameras
+from geometry.errors import InputError
+from geometry.lidar import load_lidars
+from geometry.study_scene import load_study_scene
+from placement.layout import layout_records, load_layout
+from placement.study_layout import load_carlancap_layout
+
+SCENE = load_study_scene()
+CAMERA = "carla-ncap-rgb"
+STOCK = Stock(scene=SCENE, models={**load_cameras(), **load_lidars()})
+EMPTY = begin_history(()).state
+
+
+def changed(*changes, state=EMPTY):
+    for change in changes:
+        state = change_state(state, change, STOCK)
+    return state
+
+
+ONE = changed(AddUnit(site="corner-ne", sensor=CAMERA))
+
+
+def test_a_new_unit_hangs_at_the_pole_and_looks_at_the_middle():
+    (unit,) = ONE.variant.units
+    site = SCENE.sites[0]
+    assert unit.site_id == site.id == "corner-ne"
+    assert (unit.pose.position_m[:2] == site.position_m[:2]).all()
+    assert site.height_range_m[0] <= unit.pose.position_m[2] <= site.height_range_m[1]
+    assert -180.0 < unit.pose.yaw_deg < -90.0  # from the north-east to the south-west
+
+
+def test_a_unit_is_turned_tilted_raised_moved_and_exchanged():
+    state = changed(
+        ChangeUnit(unit="U1", yaw_deg=190.0, pitch_deg=-33.25, height_m=5.5),
+        ChangeUnit(unit="U1", site="corner-sw"),
+        state=ONE,
+    )
+    (unit,) = state.variant.units
+    assert unit.pose.position_m[2] == 5.5
+    assert unit.site_id == "corner-sw"
+    site = next(site for site in SCENE.sites if site.id == "corner-sw")
+    assert (unit.pose.position_m[:2] == site.position_m[:2]).all()
+    state = changed(ChangeUnit(unit="U1", sensor="carla-ncap-lidar"), state=state)
+    assert state.variant.units[0].sensor.name == "carla-ncap-lidar"
+    assert changed(RemoveUnit(unit="U1"), state=state).variant.units == ()
+
+
+def target_m(unit):
+    """Where the axis of a unit meets the ground."""
+    pose = unit.pose
+    reach_m = pose.position_m[2] / math.tan(math.radians(-pose.pitch_deg))
+    yaw = math.radians(pose.yaw_deg)
+    return pose.position_m[:2] + reach_m * np.array([math.cos(yaw), math.sin(yaw)])
+
+
+@pytest.mark.parametrize("pitch_deg", [-60.0, -20.0, -7.0])
+def test_a_unit_that_is_moved_to_another_pole_looks_where_it_looked(pitch_deg):
+    before = changed(ChangeUnit(unit="U1", pitch_deg=pitch_deg), state=ONE)
+    for site in ("corner-sw", "signal-n"):
+        after = changed(ChangeUnit(unit="U1", site=site), state=before)
+        (one,), (other,) = before.variant.units, after.variant.units
+        np.testing.assert_allclose(target_m(other), target_m(one), atol=1e-3)
+    level = changed(ChangeUnit(unit="U1", pitch_deg=0.0), state=ONE)
+    (unit,) = changed(ChangeUnit(unit="U1", site="corner-sw"), state=level).variant.units
+    assert unit.pose.pitch_deg == 0.0
+
+
+def test_what_scans_all_round_is_level_however_it_comes():
+    (unit,) = changed(ChangeUnit(unit="U1", sensor="ouster-os1-128"), state=ONE).variant.units
+    assert unit.pose.pitch_deg == 0.0
+    state = changed(AddUnit(site="corner-sw", sensor="ouster-os1-128"), state=ONE)
+    assert state.variant.units[1].pose.pitch_deg == 0.0
+    state = changed(ChangeUnit(unit="U2", sensor=CAMERA), state=state)
+    assert state.variant.units[1].pose.pitch_deg == ONE.variant.units[0].pose.pitch_deg
+
+
+def test_no_way_leads_to_more_units_than_the_limit():
+    unit = ONE.variant.units[0]
+    many = [replace(unit, id=f"U{index}", site_id="") for index in range(MAX_UNITS + 1)]
+    full = ONE.with_units(many[:-1])
+    with pytest.raises(InputError, match="units: got 1,001; expected at most 1,000"):
+        changed(AddUnit(site="corner-ne", sensor=CAMERA), state=full)
+    with pytest.raises(InputError, match="units: got 1,001"):
+        Variant(name="many", units=tuple(many))
+    record = json.dumps({"layout": [{}] * (MAX_UNITS + 1)}).encode()
+    with pytest.raises(InputError, match=r"x\.json: units: got 1,001; expected at most 1,000"):
+        read_plan(record, "x.json")
+    plan = b'{"schema": "place-rsus/plan/1", "variants": [' + record + b"]}"
+    with pytest.raises(InputError, match=r"x\.json: variants\[0\]: units: got 1,001"):
+        read_plan(plan, "x.json")
+    with pytest.raises(InputError, match="variants: got 13; expected at most 12"):
+        begin_history([Variant(name="x")] * (MAX_VARIANTS + 1))
+
+
+def test_variants_from_files_are_told_apart():
+    state = begin_history([Variant(name="layout")] * 2).state
+    assert [each.name for each in state.variants] == ["layout", "layout (2)"]
+    for source in ("north", "south", "south"):
+        state = add_variant(state, Variant(name="layout"), source=source)
+    names = [each.name for each in state.variants[2:]]
+    assert names == ["north: layout", "south: layout", "south: layout (2)"]
+    (unnamed,) = read_plan(
+        json.dumps({"layout": layout_records(load_carlancap_layout())}).encode(), "../a/north.json"
+    ).variants
+    assert unnamed.name == "north"
+
+
+def test_a_plan_of_another_scene_is_refused():
+    text = plan_text(ONE, replace(SCENE, name="elsewhere")).encode()
+    with pytest.raises(InputError, match="got one made for elsewhere; expected one of town05"):
+        check_plan(read_plan(text, "plan.json"), SCENE)
+    check_plan(read_plan(plan_text(ONE, SCENE).encode(), "plan.json"), SCENE)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (AddUnit(site="nowhere", sensor=CAMERA), "site: got 'nowhere'; expected a site of town05"),
+        (AddUnit(site="corner-ne", sensor="x"), "sensor: got 'x'; expected one of"),
+        (ChangeUnit(unit="U9", yaw_deg=0.0), "unit: got 'U9'; expected one that is mounted there"),
+        (ChangeUnit(unit="U1", height_m=99.0), r"height: got 99.0; expected 4 \.\. 8.5 m, the ran"),
+        (ChangeUnit(unit="U1", pitch_deg=91.0), r"tilt: got 91.0; expected -90 \.\. 90 degrees"),
+        (ChangeUnit(unit="U1", yaw_deg=float("nan")), "direction: got nan; expected a finite"),
+        (ChangeUnit(unit="U1", fov_deg=50.0), "lens: got 50.0; expected .* a fixed lens"),
+        (SelectVariant(index=1), "variant: got 1; expected 0 to 0"),
+        (RenameVariant(name=" "), "name: got ''; expected 1 to 80 letters"),
+        (RemoveVariant(), "variant: got 'Variant 1'; expected another one: the last one stays"),
+    ],
+)
+def test_what_cannot_be_done_is_told(change, message):
+    with pytest.raises(InputError, match=message):
+        changed(change, state=ONE)
+
+
+def test_a_pole_carries_two_units_and_no_third():
+    add = AddUnit(site="corner-ne", sensor=CAMERA)
+    two = changed(add, state=ONE)
+    assert [unit.id for unit in two.variant.units] == ["U1", "U2"]
+    with pytest.raises(InputError, match="site corner-ne: got a unit more than the 2 there"):
+        changed(add, state=two)
+    elsewhere = changed(AddUnit(site="corner-sw", sensor=CAMERA), state=two)
+    with pytest.raises(InputError, match="site corner-ne"):
+        changed(ChangeUnit(unit="U3", site="corner-ne"), state=elsewhere)
+
+
+def test_variants_are_apart():
+    state = changed(AddVariant(), RemoveUnit(unit="U1"), RenameVariant(name="without"), state=ONE)
+    assert [(each.name, len(each.units)) for each in state.variants] == [
+        ("Variant 1", 1),
+        ("without", 0),
+    ]
+    assert changed(SelectVariant(index=0), state=state).variant.units == ONE.variant.units
+    assert changed(RemoveVariant(), state=state).variants[0].name == "Variant 1"
+    with pytest.raises(InputError, match="name: got 'Variant 1'"):
+        changed(RenameVariant(name="Variant 1"), state=state)
+    with pytest.raises(InputError, match="variants"):
+        changed(*[AddVariant()] * MAX_VARIANTS, state=ONE)
+
+
+@given(st.lists(st.sampled_from(["go", "undo", "redo"]), max_size=60))
+def test_undo_and_redo_walk_through_what_was(steps):
+    history, past, future = begin_history(()), [], []
+    now, number = history.state, 0
+    for step in steps:
+        if step == "go":
+            number += 1
+            past, future, now = [*past, now], [], changed(RenameVariant(name=f"{number}"))
+            history = history.went_on(now)
+        elif step == "undo":
+            history = history.undone()
+            if past:
+                future, now, past = [now, *future], past[-1], past[:-1]
+        else:
+            history = history.redone()
+            if future:
+                past, now, future = [*past, now], future[0], future[1:]
+        assert history.state is now
+        assert (history.can_undo, history.can_redo) == (bool(past), bool(future))
+
+
+def test_a_drag_is_one_step():
+    history = begin_history(()).went_on(ONE)
+    for yaw in range(5):
+        turned = changed(ChangeUnit(unit="U1", yaw_deg=float(yaw)), state=history.state)
+        history = history.went_on(turned, gesture="drag 1")
+    assert history.undone().state is ONE
+    other = history.went_on(ONE, gesture="drag 2")
+    assert other.undone().state is history.state
+    for _ in range(3):
+        other = other.went_on(ONE, gesture="drag 2")
+    given_up = other.reverted("drag 2")
+    assert (given_up.state, given_up.can_redo) == (history.state, False)
+    assert given_up.reverted("drag 2") is given_up
+
+
+def test_the_oldest_steps_are_forgotten():
+    history = begin_history(())
+    for _ in range(MAX_STEPS + 5):
+        history = history.went_on(ONE)
+    assert len(history.states) == MAX_STEPS
+
+
+def test_a_layout_is_saved_as_the_command_line_reads_it(tmp_path):
+    study = load_carlancap_layout()
+    (tmp_path / "layout.json").write_text(layout_text(ONE.with_units(study.units), SCENE))
+    back = load_layout(tmp_path / "layout.json")
+    assert layout_records(back) == layout_records(study)
+    assert back.scene_name == SCENE.name
+
+
+def test_a_plan_comes_back_with_all_its_variants():
+    state = changed(AddVariant(name="more"), AddUnit(site="corner-sw", sensor=CAMERA), state=ONE)
+    state = changed(AddVariant(name="none"), RemoveUnit(unit="U1"), state=state)
+    state = changed(RemoveUnit(unit="U2"), state=state)
+    back = read_plan(plan_text(state, SCENE).encode(), "plan.json").variants
+    assert [each.name for each in back] == ["Variant 1", "more", "none"]
+    for one, other in zip(back, state.variants, strict=True):
+        if one.units:
+            assert layout_records(one.layout(SCENE)) == layout_records(other.layout(SCENE))
+        else:
+            assert other.units == ()
+    (alone,) = read_plan(layout_text(ONE, SCENE).encode(), "layout.json").variants
+    assert layout_records(alone.layout(SCENE)) == layout_records(ONE.variant.layout(SCENE))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (b"{", "x.json: got "),
+        (b"\xff", "x.json: got "),
+        (b"[" * 100_000, "x.json: got "),
+        (b"[]", "x.json: got no list 'layout'"),
+        (b'{"schema": "place-rsus/plan/1", "variants": []}', "x.json: variants: got none"),
+        (b'{"schema": "place-rsus/plan/1", "variants": [1]}', r"variants\[0\]: got 1"),
+        (
+            json.dumps({"schema": "place-rsus/plan/1", "variants": [{"layout": [{}]}]}).encode(),
+            r"variants\[0\]: layout\[0\].id: got nothing",
+        ),
+    ],
+)
+def test_what_is_no_plan_is_told(text, message):
+    with pytest.raises(InputError, match=message):
+        read_plan(text, "x.json")

@@ -1,0 +1,726 @@
+"""The server without a browser: who is let in, what is answered, and that numbers agree."""
+
+import asyncio
+import io
+import json
+import shutil
+import threading
+import time
+import zipfile
+from dataclasses import replace
+from itertools import count
+from pathlib import Path
+
+import numpy as np
+import pytest
+from plan_sessions import InThread, few_poses, small_session, small_work  # noqa: F401
+from shapely import box
+
+pytest.importorskip("starlette", reason="place-rsus[plan] is not installed")
+pytest.importorskip("httpx2", reason="starlette's test client needs httpx2")
+
+from starlette.testclient import TestClient
+from starlette.websockets import WebSocketDisconnect
+
+from experiments.export.json import to_json_text
+from experiments.jobs.placement import run_evaluation
+from experiments.planner import server
+from experiments.planner.plan import Variant
+from experiments.planner.server import build_app
+from experiments.planner.session import Workspace
+from experiments.planner.tasks import Cancelled, DiedError
+from experiments.progress import StageProgress
+from experiments.results.explanations import build_private_ground_record
+from experiments.results.numbers import percent
+from geometry.frames import to_geographic
+from geometry.scene_files import save_scene
+from geometry.study_scene import load_study_scene
+from placement.compute import Compute
+from placement.layout import load_layout
+from placement.private_ground import load_private_ground
+from placement.question import Question
+from placement.study_layout import load_carlancap_layout
+
+TOKEN = "a-token"
+HOST = "127.0.0.1:8000"
+ORIGIN = {"origin": f"http://{HOST}"}
+MAPS = Path(__file__).parents[3] / "docs" / "maps"
+
+
+@pytest.fixture
+def open_client(tmp_path, small_setting, few_poses):  # noqa: F811
+    """A client of a session with some units, and the line to it."""
+    clients = []
+
+    def make(units=(), **given):
+        variants = [Variant(name="mine", units=tuple(units))] if units else []
+        session = small_session(tmp_path, small_setting, variants=variants, **given)
+        app = build_app(session, token=TOKEN, hosts=frozenset({HOST}))
+        client = TestClient(app, base_url=f"http://{HOST}")
+        client.__enter__()
+        clients.append(client)
+        return client
+
+    yield make
+    for client in clients:
+        client.__exit__(None, None, None)
+
+
+class Line:
+    """Messages both ways; what comes is sorted by its type."""
+
+    def __init__(self, socket):
+        self.socket, self.last, self.seen = socket, {}, []
+
+    def until(self, is_it, *, most=4000):
+        for _ in range(most):
+            message = json.loads(self.socket.receive_text())
+            self.last[message["type"]] = message
+            self.seen.append(message)
+            if is_it(message):
+                return message
+        raise AssertionError("it never came")
+
+    def state(self):
+        return self.until(lambda message: message["type"] == "state")
+
+    def numbers(self, *sources):
+        def is_it(message):
+            return (
+                message["type"] == "numbers"
+                and message["source"] in sources
+                and message["revision"] == self.last["state"]["revision"]
+            )
+
+        return self.until(is_it)
+
+    def send(self, **message):
+        self.socket.send_text(json.dumps(message))
+
+
+@pytest.fixture
+def join():
+    def joined(client):
+        socket = client.websocket_connect(f"ws://{HOST}/{TOKEN}/live", headers=ORIGIN)
+        line = Line(socket.__enter__())
+        opened.append(socket)
+        line.state()
+        return line
+
+    opened = []
+    yield joined
+    for socket in opened:
+        socket.__exit__(None, None, None)
+
+
+# ---------- who is let in
+
+
+@pytest.mark.parametrize(
+    ("path", "headers", "said"),
+    [
+        ("/", {}, "no such page"),
+        ("/another/", {}, "no such page"),
+        ("/a-token-and-more/", {}, "no such page"),
+        (f"/{TOKEN}/", {"host": "evil.example:8000"}, "another host"),
+        (f"/{TOKEN}/", {"host": "127.0.0.1:8001"}, "another host"),
+        (f"/{TOKEN}/", {"origin": "http://evil.example"}, "another origin"),
+        (f"/{TOKEN}/", {"origin": "null"}, "another origin"),
+    ],
+)
+def test_who_has_not_the_address_is_not_let_in(open_client, path, headers, said):
+    response = open_client().get(path, headers=headers)
+    assert response.status_code == 403
+    assert said in response.text
+    assert "mine" not in response.text
+
+
+@pytest.mark.parametrize("headers", [{}, {"origin": "http://evil.example"}, {"origin": "null"}])
+def test_a_line_is_open_to_this_page_alone(open_client, headers):
+    client = open_client()
+    with (
+        pytest.raises(WebSocketDisconnect),
+        client.websocket_connect(f"ws://{HOST}/{TOKEN}/live", headers=headers),
+    ):
+        pass
+
+
+def test_nothing_is_taken_from_another_page(open_client):
+    client = open_client()
+    for headers in ({}, {"origin": "http://evil.example"}):
+        assert client.post(f"/{TOKEN}/open", content=b"{}", headers=headers).status_code == 403
+
+
+def test_the_page_asks_for_nothing_from_elsewhere(open_client):
+    client = open_client()
+    page = client.get(f"/{TOKEN}/")
+    assert page.status_code == 200
+    policy = page.headers["content-security-policy"]
+    assert "default-src 'none'" in policy
+    assert "unsafe" not in policy
+    assert page.headers["referrer-policy"] == "no-referrer"
+    assert page.headers["cache-control"] == "no-store"
+    for name in server.page_files():
+        content = client.get(f"/{TOKEN}/files/{name}")
+        assert content.status_code == 200
+        text = content.text.replace("http://www.w3.org/2000/svg", "")
+        assert "http://" not in text
+        assert "https://" not in text
+    assert "<script>" not in page.text
+
+
+@pytest.mark.parametrize("name", ["..%2f..%2fpyproject.toml", "tasks.py", "watch.html.j2", "x"])
+def test_no_path_of_a_browser_is_opened(open_client, name):
+    assert open_client().get(f"/{TOKEN}/files/{name}").status_code == 404
+
+
+def test_hosts_that_are_answered():
+    assert server.allowed_hosts("127.0.0.1", 5) == {"127.0.0.1:5", "localhost:5"}
+    assert server.allowed_hosts("planner.example", 5) == {"planner.example:5"}
+    assert server.allowed_hosts("0.0.0.0", 5) is None
+
+
+# ---------- planning
+
+
+def test_hang_turn_undo_and_the_evaluator_agrees_to_the_last_digit(
+    open_client, join, few_runs, tmp_path
+):
+    client = open_client()
+    line = join(client)
+    assert line.last["state"]["units"] == []
+    line.send(do="add", site="corner-ne", sensor="carla-ncap-rgb")
+    assert [unit["id"] for unit in line.state()["units"]] == ["U1"]
+    line.numbers("table")
+    line.send(do="change", unit="U1", yaw_deg=-150.5, pitch_deg=-17.25, gesture="g")
+    line.send(do="change", unit="U1", yaw_deg=-140.5, pitch_deg=-18.25, gesture="g")
+    while line.state()["units"][0]["yawDeg"] != -140.5:
+        pass
+    exact = line.numbers("evaluator")
+
+    response = client.get(f"/{TOKEN}/layout.json")
+    (tmp_path / "mine.json").write_text(response.text)
+    result = run_evaluation(
+        Question(),
+        layout=load_layout(tmp_path / "mine.json"),
+        out=None,
+        compute=Compute(workers=2),
+        command="",
+        progress=StageProgress(),
+    )
+    told = json.loads(to_json_text(result.evaluation))
+    assert exact["record"] == told
+    assert exact["apr"] == f"{100.0 * told['rsu_all']['all']:.1f} %"
+
+    line.send(do="undo")
+    state = line.state()
+    assert state["units"][0]["yawDeg"] != -140.5
+    assert state["canRedo"]
+    line.numbers("table", "evaluator")
+    line.send(do="redo")
+    line.state()
+    again = line.numbers("evaluator")  # known already
+    assert again["record"] == told
+
+
+def test_what_cannot_be_done_is_told_to_who_asked_and_changes_nothing(open_client, join):
+    line = join(open_client())
+    before = line.last["state"]["revision"]
+    for message, said in (
+        ({"do": "add", "site": "x", "sensor": "carla-ncap-rgb"}, "site: got 'x'"),
+        ({"do": "remove", "unit": "U1"}, "unit: got 'U1'"),
+        ({"do": "fly"}, "message: got"),
+        ({"do": "add", "site": "corner-ne", "sensor": "carla-ncap-rgb", "path": "/"}, "message"),
+        ({"do": "take", "number": 3}, "proposal: got 3"),
+        ({"do": "sensors", "names": ["/etc/passwd"]}, "sensors: got '/etc/passwd'"),
+    ):
+        line.send(**message)
+        problem = line.until(lambda told: told["type"] == "problem")
+        assert said in problem["text"]
+    line.socket.send_text("x" * 70_000)
+    assert "message: got 70000 bytes" in line.until(lambda told: told["type"] == "problem")["text"]
+    line.send(do="rename-variant", name="still there")
+    assert line.state()["revision"] == before + 1
+
+
+def test_bytes_in_place_of_text_end_one_line_alone(open_client, join):
+    client = open_client()
+    one, other = join(client), join(client)
+    one.socket.send_bytes(b"\x00\xff")
+    other.send(do="add", site="corner-ne", sensor="carla-ncap-rgb")
+    assert [unit["id"] for unit in other.state()["units"]] == ["U1"]
+
+
+def test_two_browsers_look_at_one_desk(open_client, join):
+    client = open_client()
+    one, other = join(client), join(client)
+    one.send(do="add", site="corner-ne", sensor="carla-ncap-rgb")
+    assert [unit["id"] for unit in other.state()["units"]] == ["U1"]
+    other.send(do="undo")
+    one.state()
+    assert one.until(lambda told: told["type"] == "state")["units"] == []
+
+
+def test_nothing_hangs_and_no_number_is_told(open_client, join):
+    line = join(open_client())
+    numbers = line.until(lambda told: told["type"] == "numbers")
+    assert numbers["source"] == "none"
+    assert "apr" not in numbers
+
+
+def test_pixel_density_is_told_when_asked_for(open_client, join):
+    line = join(open_client(load_carlancap_layout().units[:2]))
+    line.send(do="coverage", is_shown=True)
+    found = line.until(lambda told: told["type"] == "coverage")
+    assert list(found["shares"])[-2:] == ["coarser", "unseen"]
+
+
+def test_the_optimiser_proposes_and_is_taken_over_or_dropped(open_client, join, tmp_path):
+    line = join(open_client(load_carlancap_layout().units[:1]))
+    line.send(do="ask", request="next")
+    told = line.until(lambda message: message["type"] == "proposals" and message["proposals"])
+    (proposal,) = told["proposals"]
+    assert proposal["isProven"]
+    assert len(proposal["drawn"]) == 2
+    assert proposal["words"].startswith(f"On the detection table: APR {proposal['onTable']}")
+    line.send(do="take", number=proposal["number"])
+    assert len(line.state()["units"]) == 2
+    line.send(do="undo")
+    assert len(line.state()["units"]) == 1
+    line.send(do="ask", request="re-aim")
+    told = line.until(lambda message: message["type"] == "proposals" and message["proposals"])
+    number = told["proposals"][0]["number"]
+    line.send(do="take", number=number, as_variant=True)
+    state = line.state()
+    assert [each["name"] for each in state["variants"]] == ["mine", "All re-aimed, poles kept"]
+    assert state["current"] == 1
+    line.send(do="ask", request="complete", units=1)
+    notice = line.until(lambda message: message["type"] == "notice")
+    assert notice["text"] == "units in all: got 1; expected more than the 1 that hang already"
+
+
+def test_a_proposal_is_evaluated_too(open_client, join):
+    line = join(open_client())
+    line.send(do="ask", request="complete", units=1)
+
+    def is_evaluated(message):
+        known = [each["source"] for each in message.get("proposals", [])]
+        return message["type"] == "proposals" and known == ["evaluator"]
+
+    (proposal,) = line.until(is_evaluated)["proposals"]
+    line.send(do="drop", number=proposal["number"])
+    assert line.until(lambda told: told["type"] == "proposals")["proposals"] == []
+
+
+# ---------- files
+
+
+def test_plans_and_layouts_are_saved_and_opened_again(open_client, join):
+    client = open_client(load_carlancap_layout().units[:2])
+    line = join(client)
+    line.send(do="add-variant", name="other")
+    line.state()
+    plan = client.get(f"/{TOKEN}/plan.json").content
+    layout = client.get(f"/{TOKEN}/layout.json").content
+    for content, name in ((plan, "a plan.json"), (layout, "mine.json")):
+        response = client.post(
+            f"/{TOKEN}/open", content=content, headers=ORIGIN | {"x-file-name": name}
+        )
+        assert response.status_code == 200, response.text
+        line.state()
+    names = [each["name"] for each in line.last["state"]["variants"]]
+    assert names == ["mine", "other", "a plan: mine", "a plan: other", "mine: other"]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("x.json", b"{", "x.json: got "),
+        ("x.json", b'{"layout": []}', "got no unit"),
+        ("x.exe", b"MZ", "file: got 'x.exe'; expected a name that ends in .json, .osm"),
+        ("x.osm", b"<osm", "expected"),
+        ("x.zip", b"PK", "expected"),
+        ("../../x.xodr", b"<x/>", "expected"),
+    ],
+)
+def test_files_that_are_none_are_told_as_on_the_command_line(
+    open_client, tmp_path, name, content, said
+):
+    client = open_client()
+    response = client.post(
+        f"/{TOKEN}/open", content=content, headers=ORIGIN | {"x-file-name": name}
+    )
+    assert response.status_code == 400
+    assert said in response.json()["problem"]
+    assert str(tmp_path) not in response.json()["problem"]
+    assert not list(tmp_path.glob("received*"))
+
+
+def test_what_is_too_large_is_refused_and_not_kept(open_client, tmp_path, monkeypatch):
+    monkeypatch.setattr(server, "MAX_PLAN_BYTES", 1000)
+    client = open_client()
+    response = client.post(
+        f"/{TOKEN}/open", content=b"x" * 1001, headers=ORIGIN | {"x-file-name": "x.json"}
+    )
+    assert "more than 1,000 bytes" in response.json()["problem"]
+    assert not list(tmp_path.glob("received*"))
+
+
+# ---------- an image below the plan
+
+PNG = b"\x89PNG\r\n\x1a\n" + b"pixels"
+POINTS = {
+    "width_px": 200,
+    "height_px": 100,
+    "points": [
+        {"x_px": 0.0, "y_px": 0.0, "east_m": -20.0, "north_m": 10.0},
+        {"x_px": 200.0, "y_px": 0.0, "east_m": 20.0, "north_m": 10.0},
+    ],
+}
+
+
+def lay(client, content=PNG, points=POINTS):
+    return client.post(
+        f"/{TOKEN}/background", content=content, headers=ORIGIN | {"x-points": json.dumps(points)}
+    )
+
+
+def test_an_image_is_kept_in_the_plan_and_comes_back_with_it(open_client, join, tmp_path):
+    client = open_client()
+    line = join(client)
+    assert lay(client).status_code == 200
+    message = line.until(lambda told: told["type"] == "background" and told["address"])
+    assert message["points"] == [[0.0, 0.0, -20.0, 10.0], [200.0, 0.0, 20.0, 10.0]]
+    image = client.get(f"/{TOKEN}/{message['address']}")
+    assert (image.content, image.headers["content-type"]) == (PNG, "image/png")
+    assert "default-src 'none'" in image.headers["content-security-policy"]
+    plan = client.get(f"/{TOKEN}/plan.json").content
+    assert lay(client, b"").status_code == 200
+    assert client.get(f"/{TOKEN}/background").status_code == 404
+    assert "background" not in json.loads(client.get(f"/{TOKEN}/plan.json").content)
+    client.post(f"/{TOKEN}/open", content=plan, headers=ORIGIN | {"x-file-name": "p.json"})
+    assert client.get(f"/{TOKEN}/background").content == PNG
+    again = client.get(f"/{TOKEN}/plan.json").content
+    assert json.loads(again)["background"] == json.loads(plan)["background"]
+    assert not list(tmp_path.glob("received*"))
+
+
+@pytest.mark.parametrize(
+    ("content", "points", "said"),
+    [
+        (b"<svg onload='x'/>", POINTS, "image: got another format; expected PNG, JPEG"),
+        (PNG, {}, "image: points: got"),
+        (PNG, POINTS | {"path": "/etc/passwd"}, "image: points: got"),
+        (PNG, POINTS | {"width_px": 0}, "got 0 by 100 pixels"),
+        (PNG, POINTS | {"points": [POINTS["points"][0]] * 2}, "got points 0.0 px and 0.00 m"),
+        (PNG, POINTS | {"points": [POINTS["points"][0] | {"x_px": 1e300}] * 2}, "numbers up to"),
+    ],
+)
+def test_what_is_no_image_or_lies_nowhere_is_told(open_client, content, points, said):
+    client = open_client()
+    response = lay(client, content, points)
+    assert response.status_code == 400
+    assert said in response.json()["problem"]
+    assert client.get(f"/{TOKEN}/background").status_code == 404
+
+
+@pytest.mark.parametrize("image", ["%", "AAAA", 3])
+def test_a_plan_whose_image_is_damaged_is_refused(open_client, image):
+    client = open_client()
+    lay(client)
+    plan = json.loads(client.get(f"/{TOKEN}/plan.json").content)
+    plan["background"]["image"] = image
+    response = client.post(
+        f"/{TOKEN}/open",
+        content=json.dumps(plan).encode(),
+        headers=ORIGIN | {"x-file-name": "p.json"},
+    )
+    assert response.status_code == 400
+    assert "p.json: background: got" in response.json()["problem"]
+
+
+# ---------- private areas, three dimensions
+
+
+@pytest.fixture
+def garden(tmp_path):
+    scene = load_study_scene()
+    x, y = scene.outline_m.mean(axis=0)
+    ring = to_geographic(np.array(box(x - 20, y + 8, x - 4, y + 18).exterior.coords), scene.crs)
+    path = tmp_path / "garden.geojson"
+    shape = {"type": "Polygon", "coordinates": [ring.tolist()]}
+    feature = {"type": "Feature", "properties": {"name": "garden"}, "geometry": shape}
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+    return path
+
+
+def test_private_areas_in_view_are_those_that_evaluate_tells(open_client, join, garden):
+    units = load_carlancap_layout().units[:2]
+    client = open_client(units, asked={"no_look": str(garden), "no_look_share": 0.5})
+    line = join(client)
+    numbers = line.numbers("table")
+    scene = load_study_scene()
+    ground = load_private_ground(garden, scene)
+    told = build_private_ground_record(units, scene, ground).units
+    expected = sorted(
+        ((share["garden"], unit) for unit, share in told.items() if share["garden"]), reverse=True
+    )
+    (area,) = numbers["private"]
+    assert area["area"] == "garden"
+    assert [(one["unit"], one["share"], one["isTooMuch"]) for one in area["seen"]] == [
+        (unit, percent(share), share > 0.5) for share, unit in expected
+    ]
+    places = client.get(f"/{TOKEN}/private", params={"unit": expected[0][1]}).json()
+    assert len(places) == round(expected[0][0] * len(ground.points_m))
+    assert client.get(f"/{TOKEN}/private", params={"unit": "nobody"}).status_code == 400
+    assert line.last["scene"]["private"][0]["path"].startswith("M")
+    assert line.numbers("evaluator")["private"] == numbers["private"]
+
+
+def test_private_areas_are_kept_when_another_scene_is_opened(open_client, join, garden):
+    client = open_client(asked={"no_look": str(garden)})
+    line = join(client)
+    (garden.parent / "same").mkdir()
+    save_scene(garden.parent / "same", load_study_scene())
+    archive = shutil.make_archive(str(garden.parent / "same"), "zip", garden.parent / "same")
+    content = Path(archive).read_bytes()
+    headers = ORIGIN | {"x-file-name": "same.zip"}
+    line.last.clear()
+    response = client.post(f"/{TOKEN}/open", content=content, headers=headers)
+    assert response.json()["isScene"], response.text
+    assert client.post(f"/{TOKEN}/import", content=b"", headers=ORIGIN).status_code == 200
+    scene = line.until(lambda told: told["type"] == "scene")
+    assert [area["name"] for area in scene["private"]] == ["garden"]
+
+
+@pytest.mark.parametrize("n", [0, 2])
+def test_the_junction_is_shown_in_three_dimensions(open_client, n):
+    page = open_client(load_carlancap_layout().units[:n]).get(f"/{TOKEN}/turn")
+    assert page.status_code == 200
+    assert "startView(null)" in page.text
+    assert "player-data" not in page.text
+
+
+def test_an_evaluator_that_dies_is_told_and_asked_once_more(tmp_path, small_setting):
+    class Dies(InThread):
+        deaths = 0
+
+        async def call(self, method, *args, **kwargs):
+            if method == "evaluate" and Dies.deaths == 0:
+                Dies.deaths += 1
+                raise DiedError("the process that did it was ended from outside")
+            return await super().call(method, *args, **kwargs)
+
+    async def work():
+        session = small_session(
+            tmp_path,
+            small_setting,
+            variants=[Variant(name="mine", units=load_carlancap_layout().units[:1])],
+            make_worker=lambda work: Dies(work, small_setting),
+        )
+        told, is_known = [], asyncio.Event()
+
+        def listen(message):
+            told.append(message)
+            if message.get("source") == "evaluator":
+                is_known.set()
+
+        session.start()
+        session.join(listen)
+        await asyncio.wait_for(is_known.wait(), 120)
+        session.stop_processes()
+        return [message["text"] for message in told if message["type"] == "notice"]
+
+    notices = asyncio.run(work())
+    assert notices == ["the process that did it was ended from outside; it is tried again"]
+
+
+def test_numbers_of_the_table_never_follow_those_of_the_evaluator(tmp_path, small_setting):
+    async def work():
+        units = load_carlancap_layout().units[:1]
+        variants = [Variant(name="mine", units=units)]
+        session = small_session(tmp_path, small_setting, variants=variants)
+        sources, calls, is_judged, is_done = [], count(1), threading.Event(), asyncio.Event()
+
+        def listen(message):
+            if message["type"] != "numbers":
+                return
+            sources.append(message["source"])
+            if len(sources) == 1:
+                session._changed.set()  # as when another browser comes
+            elif len(sources) == 2:
+                is_judged.set()
+            else:
+                is_done.set()
+
+        def private(units):
+            if next(calls) == 2:  # the table's numbers wait for this until the evaluator is done
+                assert is_judged.wait(100)
+            return {}
+
+        session.workspace.private_areas = private
+        session.listeners.add(listen)
+        session.start()
+        await asyncio.wait_for(is_done.wait(), 120)
+        session.stop_processes()
+        return sources
+
+    assert asyncio.run(work()) == ["table", "evaluator", "evaluator"]
+
+
+# ---------- maps
+
+
+def test_a_map_is_dropped_and_a_junction_of_it_is_planned(open_client, join):
+    client = open_client(load_carlancap_layout().units[:1])
+    line = join(client)
+    content = (MAPS / "crossing.osm").read_bytes()
+    response = client.post(
+        f"/{TOKEN}/open", content=content, headers=ORIGIN | {"x-file-name": "crossing.osm"}
+    )
+    told = response.json()
+    assert told["map"] == "crossing.osm"
+    assert told["junctions"][0]["arms"] >= 3
+    response = client.post(
+        f"/{TOKEN}/import", content=told["junctions"][0]["id"].encode(), headers=ORIGIN
+    )
+    assert response.status_code == 200, response.text
+    chosen = told["junctions"][0]
+    assert response.json()["scene"] == chosen["name"]  # the streets that meet
+    scene = line.until(
+        lambda message: message["type"] == "scene" and message["title"] == chosen["name"]
+    )
+    assert scene["name"] == f"crossing/{chosen['id']}"  # as `scene import` names it
+    assert scene["runs"]
+    state = line.state()
+    assert (state["units"], state["canUndo"]) == ([], True)
+    for junction in (b"no such", b"x" * 501, b"\xff\x00", b"../../etc"):
+        response = client.post(f"/{TOKEN}/import", content=junction, headers=ORIGIN)
+        assert response.status_code == 400
+
+
+def test_a_plan_is_not_lost_when_another_scene_is_opened(open_client, join, tmp_path):
+    path = tmp_path / "kept.json"
+    client = open_client(load_carlancap_layout().units[:1], save=path)
+    line = join(client)
+    line.send(do="change", unit="RSU0", yaw_deg=11.0)
+    line.state()
+    (tmp_path / "other").mkdir()
+    save_scene(tmp_path / "other", replace(load_study_scene(), name="other"))
+    archive = Path(shutil.make_archive(str(tmp_path / "other"), "zip", tmp_path / "other"))
+    headers = ORIGIN | {"x-file-name": "other.zip"}
+    client.post(f"/{TOKEN}/open", content=archive.read_bytes(), headers=headers)
+    client.post(f"/{TOKEN}/import", content=b"", headers=ORIGIN)
+    line.until(lambda told: told["type"] == "scene" and told["name"] == "other")
+    assert line.state()["units"] == []
+    notice = line.until(lambda told: told["type"] == "notice")["text"]
+    assert notice.startswith("The plan at town05 is in")
+    kept = json.loads(path.read_text())
+    assert kept["variants"][0]["layout"][0]["yaw_deg"] == 11.0
+    line.send(do="add", site="corner-ne", sensor="carla-ncap-rgb")
+    line.state()
+    line.send(do="undo")
+    line.state()
+    line.send(do="undo")  # beyond what was done here: back to the scene before
+    line.until(lambda told: told["type"] == "scene" and told["name"] == "town05")
+    state = line.state()
+    assert [unit["yawDeg"] for unit in state["units"]] == [11.0]
+    assert state["canRedo"]
+    line.send(do="redo")
+    line.until(lambda told: told["type"] == "scene" and told["name"] == "other")
+    line.send(do="redo")
+    while not line.state()["units"]:
+        pass
+    line.numbers("table", "evaluator")
+    other = tmp_path / "kept-2.json"
+    for _ in range(100):
+        if other.exists():
+            break
+        time.sleep(0.1)
+    assert json.loads(other.read_text())["scene"] == "other"
+    assert json.loads(path.read_text()) == kept
+
+
+def test_a_count_of_many_units_ends_when_nobody_waits_for_it(tmp_path, small_setting):
+    place = Workspace(small_work(tmp_path), small_setting)
+    (unit,) = load_carlancap_layout().units[:1]
+    asked = []
+
+    def detected(units):
+        asked.append(len(units))
+        if len(asked) == 2:
+            place.is_over.set()
+        return np.zeros((len(units), small_setting.axis.n_frames), dtype=bool)
+
+    place.live.detected = detected
+    with pytest.raises(Cancelled):
+        place.numbers_by_table([replace(unit, id=f"U{index}") for index in range(1000)])
+    assert len(asked) == 2
+
+
+def test_views_are_told_for_every_unit_and_follow_what_is_turned(open_client, join):
+    line = join(open_client(load_carlancap_layout().units[:2]))
+
+    def view_of(unit):
+        return line.until(lambda told: told["type"] == "view" and told["unit"] == unit)
+
+    before = {unit: view_of(unit) for unit in ("RSU0", "RSU1")}
+    assert all(view["view"].startswith("M") and view["reachM"] > 20 for view in before.values())
+    line.send(do="change", unit="RSU1", yaw_deg=0.0)
+    assert view_of("RSU1")["view"] != before["RSU1"]["view"]
+
+
+def test_a_lost_run_is_explained_played_and_seen(open_client, small_setting):
+    study = load_carlancap_layout()
+    client = open_client(study.units[7:8])
+    run_id = small_setting.axis.run_ids[0]
+    told = client.get(f"/{TOKEN}/explain", params={"run": run_id}).json()
+    assert told["inTime"] > 0
+    for unit in told["units"]:
+        missed = sum(reason["frames"] for reason in unit["reasons"])
+        assert missed + unit["detected"] == told["inTime"]
+    page = client.get(f"/{TOKEN}/watch", params={"run": run_id})
+    assert page.status_code == 200
+    assert "startPlayer" in page.text
+    assert run_id in page.text
+    picture = client.get(
+        f"/{TOKEN}/picture", params={"run": run_id, "unit": study.units[7].id, "frame": "-5"}
+    )
+    assert picture.content[:2] == b"\xff\xd8"
+    for values, said in (
+        ({"run": "x"}, "run: got 'x'"),
+        ({"run": run_id, "unit": "nobody"}, "--unit: got 'nobody'"),
+        ({"run": run_id, "unit": "VUT", "frame": "x"}, "frame: got 'x'"),
+    ):
+        response = client.get(f"/{TOKEN}/picture", params=values)
+        assert response.status_code == 400
+        assert said in response.json()["problem"]
+
+
+def test_report_and_sheet_are_those_of_the_command_line(open_client, few_runs, monkeypatch):
+    client = open_client(load_carlancap_layout().units[:1])
+    sheet = client.get(f"/{TOKEN}/sheet.pdf")
+    assert sheet.content.startswith(b"%PDF")
+    from experiments.jobs import writing
+
+    monkeypatch.setattr(writing, "write_report", lambda *given, **options: None)
+    report = client.get(f"/{TOKEN}/report.zip")
+    with zipfile.ZipFile(io.BytesIO(report.content)) as archive:
+        summary = json.loads(archive.read("summary.json"))
+    assert summary["name"] == "mine"
+    assert summary["runs"] == few_runs.axis.n_runs
+
+
+def test_nothing_hangs_and_there_is_no_layout_to_save(open_client):
+    response = open_client().get(f"/{TOKEN}/layout.json")
+    assert response.status_code == 400
+    assert "no unit" in response.json()["problem"]
+
+
+def test_the_plan_is_kept_in_a_file_when_it_rests(open_client, join, tmp_path):
+    path = tmp_path / "kept.json"
+    line = join(open_client(save=path))
+    line.send(do="add", site="corner-ne", sensor="carla-ncap-rgb")
+    line.state()
+    line.numbers("evaluator")
+    assert json.loads(path.read_text())["variants"][0]["layout"][0]["site"] == "corner-ne"

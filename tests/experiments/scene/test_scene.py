@@ -1,0 +1,430 @@
+"""``place-rsus scene`` on small hand-made maps, and ``--scene`` with what it makes of them."""
+
+import csv
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+import pytest
+from opendrive_text import crossing, document
+from osm_text import LAT_DEG, LON_DEG, OsmText
+from osm_text import crossing as crossing_streets
+from PIL import Image
+
+from experiments.figures.axes import to_png
+from experiments.scene.command import scene_text
+from experiments.scene.pictures import plot_scene_plan, plot_scene_view
+from experiments.scene.run import SceneResult
+from geometry.errors import InputError
+from geometry.junction import build_junction
+from geometry.notes import assumed_sites
+from geometry.scene_files import load_scene_folder
+from geometry.study_scene import load_study_scene
+from placement import planning
+from placement.candidates import load_candidate_grid
+
+FOUR = [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)]
+
+
+class Result(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def command(run, monkeypatch):
+    """Runs a command without spending time on pictures of scenes."""
+    for name in ("plan", "view"):
+        monkeypatch.setattr(f"experiments.scene.run.plot_scene_{name}", lambda scene: None)
+    monkeypatch.setattr("experiments.scene.run.to_png", lambda figure: b"picture")
+    return lambda *arguments: Result(*run(*arguments))
+
+
+@pytest.fixture
+def scene_command(command):
+    return lambda *arguments: command("scene", *arguments)
+
+
+@pytest.fixture
+def city(tmp_path):
+    """Two streets with lamps, a house, and a second junction."""
+    osm = OsmText()
+    crossing_streets(osm, bearings=FOUR, highway="residential", lanes="2")
+    osm.node(9.0, 9.0, highway="street_lamp")
+    osm.node(-9.0, -9.0, highway="street_lamp")
+    corners = [(14.0, 14.0), (30.0, 14.0), (30.0, 30.0), (14.0, 30.0)]
+    osm.way([*corners, corners[0]], {"building": "yes", "height": "12"})
+    return osm.write(tmp_path, "city.osm")
+
+
+@pytest.fixture
+def roads(tmp_path):
+    path = tmp_path / "roads.xodr"
+    path.write_text(document(crossing()), encoding="utf-8")
+    return path
+
+
+def test_a_map_becomes_a_scene_that_says_what_was_understood(scene_command, city, tmp_path):
+    out = tmp_path / "scene"
+    result = scene_command("import", str(city), "-o", str(out), "--json", "--quiet")
+    assert (result.code, result.err) == (0, "")
+    summary = json.loads(result.out)
+    (junction,) = summary["junctions"]
+    assert (junction["arms"], junction["lanes"]) == (4, 8)
+    assert junction["name"] == "Street 0 / Street 1 / Street 2 / Street 3"
+    assert (summary["buildings"], summary["sites"]) == (1, 2)
+    assert summary["crs"] == "EPSG:4326"
+    assert sorted(path.name for path in out.iterdir()) == [
+        "plan.png",
+        "scene.toml",
+        "things.glb",
+        "view.png",
+    ]
+    scene = load_scene_folder(out)
+    house = scene.vertices_m[scene.triangles[scene.triangle_instance == 1]]
+    assert scene.instances[1].class_name == "building"
+    assert house[..., 2].max() == pytest.approx(12.0, abs=1e-3)
+    assert house[..., :2].min(axis=(0, 1)) == pytest.approx([14.0, 14.0], abs=1.0)
+    shown = scene_command("show", str(out), "--json", "--quiet")
+    again = json.loads(shown.out)
+    assert again["junctions"][0]["arms"] == 4
+    assert again["skipped"] == summary["skipped"]
+    assert [again["junctions"][0][key] for key in ("x_m", "y_m")] == pytest.approx(
+        [junction[key] for key in ("x_m", "y_m")]
+    )
+    archive = tmp_path / "scene.zip"
+    assert scene_command("import", str(city), "-o", str(archive), "--quiet").code == 0
+    assert load_scene_folder(archive).instances == scene.instances
+
+
+def test_a_map_is_listed_and_one_of_its_junctions_taken_by_point_or_name(scene_command, tmp_path):
+    osm = OsmText()
+    middle = osm.node(0.0, 0.0)
+    far = osm.node(300.0, 0.0)
+    for start, (east, north), name in (
+        (middle, (-100.0, 0.0), "West Road"),
+        (middle, (0.0, 100.0), "Church Lane"),
+        (far, (400.0, 0.0), "East Road"),
+        (far, (300.0, 100.0), "Mill Lane"),
+        (far, (300.0, -100.0), "Mill Lane"),
+    ):
+        osm.road([start, (east, north)], name=name, highway="residential")
+    osm.road([middle, far], name="High Street", highway="residential")
+    path = osm.write(tmp_path)
+    listed = json.loads(scene_command("show", str(path), "--json", "--quiet").out)
+    assert [one["arms"] for one in listed["junctions"]] == [4, 3]
+    text = scene_command("show", str(path), "--quiet").out
+    assert max(map(len, text.splitlines())) <= 80
+    assert "Church Lane" in text
+    small = listed["junctions"][1]
+    at = f"{small['x_m']:.6f},{small['y_m']:.6f}"
+    for choice in (["--at", at], ["--junction", small["id"]], ["--junction", "church"]):
+        out = tmp_path / "out"
+        result = scene_command("import", str(path), *choice, "-o", str(out), "--json", "--quiet")
+        assert json.loads(result.out)["junctions"][0]["id"] == small["id"]
+    result = scene_command("import", str(path), "-o", str(tmp_path / "out"), "--json", "--quiet")
+    summary = json.loads(result.out)
+    assert summary["junctions"][0]["id"] == listed["junctions"][0]["id"]
+    assert any("other junctions" in entry["what"] for entry in summary["skipped"])
+    for wrong, message in (
+        (["--junction", "lane"], "--junction: got 'lane'; expected one of"),
+        (["--junction", "nowhere"], "--junction: got 'nowhere'; expected one of"),
+        (["--at", "1,1"], "--at: got 1,1; expected a point within 100 m of a junction"),
+        (["--at", "1"], "--at: got '1'; expected two numbers: X,Y"),
+        (["--at", at, "--junction", "x"], "--at: got it beside --junction"),
+    ):
+        result = scene_command("import", str(path), *wrong, "-o", str(tmp_path / "x"), "--quiet")
+        assert result.code == 2
+        assert message in result.err
+        assert not (tmp_path / "x").exists()
+
+
+def test_sites_are_poles_kerbs_or_a_list(scene_command, city, tmp_path):
+    def sites(*options):
+        result = scene_command(
+            "import", str(city), *options, "-o", str(tmp_path / "s"), "--json", "--quiet"
+        )
+        assert result.code == 0, result.err
+        return json.loads(result.out)["site_list"]
+
+    assert {site["kind"] for site in sites()} == {"lamp post"}
+    kerbs = sites("--sites", "kerb:20")
+    assert len(kerbs) > 8
+    assert {site["kind"] for site in kerbs} == {"kerb"}
+    nearest = min(np.hypot(site["x_m"], site["y_m"]) for site in kerbs)
+    assert 3.0 < nearest < 12.0
+    lamp = sites()[0]
+    scene = load_scene_folder(tmp_path / "s")
+    from geometry.maps.georeferences import transform
+
+    lon, lat = transform([lamp["x_m"], lamp["y_m"]], scene.crs, "EPSG:4326")
+    listed = tmp_path / "poles.csv"
+    listed.write_text(
+        "id;lat;lon;min_height_m;max_height_m;cost_eur;capacity;forbidden\n"
+        f"pole 1;{lat:.8f};{lon:.8f};5;6;900;3;no\n"
+        f"pole 2;{lat + 0.0001:.8f};{lon:.8f};5;6;900;1;yes\n"
+        f"far away;{lat + 0.1:.8f};{lon:.8f};5;6;900;1;no\n"
+    )
+    found = sites("--sites", str(listed))
+    assert [site["id"] for site in found] == ["pole-1", "pole-2"]
+    assert found[0]["height_range_m"] == [5.0, 6.0]
+    assert (found[0]["capacity_units"], found[1]["use"]) == (3, "forbidden")
+    assert found[0]["x_m"] == pytest.approx(lamp["x_m"], abs=0.05)
+    for wrong, message in (
+        ("kerb:x", "--sites: got 'kerb:x'; expected kerb:SPACING in metres"),
+        ("somewhere", "--sites: got 'somewhere'; expected auto, map, kerb:SPACING"),
+        ("gone.csv", "gone.csv: got No such file"),
+    ):
+        result = scene_command("import", str(city), "--sites", wrong, "-o", str(tmp_path / "x"))
+        assert (result.code, message in result.err) == (2, True)
+
+
+def test_buildings_come_from_another_file(scene_command, roads, tmp_path):
+    import trimesh
+
+    box = trimesh.creation.box([10.0, 10.0, 8.0])
+    box.apply_translation([0.0, 0.0, 4.0])
+    (tmp_path / "house.stl").write_bytes(box.export(file_type="stl"))
+    files = [str(roads), str(tmp_path / "house.stl")]
+    out = tmp_path / "scene"
+    refused = scene_command("import", *files, "-o", str(out))
+    assert refused.code == 2
+    assert "--unit" in refused.err
+    result = scene_command(
+        *("import", *files, "--unit", "m", "--up", "z", "--offset", "25,25", "-o", str(out)),
+        *("--json", "--quiet"),
+    )
+    summary = json.loads(result.out)
+    assert summary["buildings"] == 1
+    assert any(entry["what"] == "poles of the map" for entry in summary["skipped"])
+    scene = load_scene_folder(out)
+    index = [thing.class_name for thing in scene.instances].index("building")
+    corners = scene.vertices_m[scene.triangles[scene.triangle_instance == index]]
+    assert corners.min(axis=(0, 1)) == pytest.approx([20.0, 20.0, 0.0], abs=1e-4)
+    checked = scene_command("check", str(out), "--quiet")
+    assert checked.code == 0
+    assert "crosswalks: none" in checked.out
+
+
+def test_what_is_wrong_with_a_scene_is_found(scene_command, tmp_path):
+    out = tmp_path / "scene"
+    assert scene_command("import", "town05", "-o", str(out), "--quiet").code == 0
+    assert "nothing found" in scene_command("check", str(out), "--quiet").out
+    assert scene_command("check", "--quiet").code == 0
+    text = (out / "scene.toml").read_text()
+    inside = load_study_scene()
+    house = next(thing for thing in inside.instances if thing.class_name == "building")
+    index = inside.instances.index(house)
+    corners = inside.vertices_m[np.unique(inside.triangles[inside.triangle_instance == index])]
+    x, y = corners[:, :2].mean(axis=0)
+    first = text.index("position_m = [", text.index("[[sites]]"))
+    end = text.index("]", first)
+    (out / "scene.toml").write_text(
+        text[:first] + f"position_m = [{x:.2f}, {y:.2f}, 0.0" + text[end:]
+    )
+    result = scene_command("check", str(out), "--json", "--quiet")
+    assert result.code == 1
+    summary = json.loads(result.out)
+    assert not summary["is_sound"]
+    (finding,) = summary["findings"]
+    assert finding["level"] == "error"
+    assert f"inside building {house.id}" in finding["why"]
+
+
+def test_bad_maps_are_one_line(scene_command, roads, city, tmp_path):
+    text = roads.read_text()
+    for name, content, message in (
+        ("cut.xodr", text[: len(text) // 2], "OpenDRIVE: well-formed XML"),
+        ("other.xodr", "<html/>", "OpenDRIVE"),
+        ("empty.osm", "", "empty.osm"),
+        ("a.txt", "hello", "got another kind of file; expected .xodr"),
+        ("bomb.xodr", '<!DOCTYPE x [<!ENTITY a "b">]><OpenDRIVE>&a;</OpenDRIVE>', "entities"),
+        ("house.xml", "<house/>", "got <house>; expected OpenDRIVE, OpenStreetMap or CityGML"),
+        ("list.json", "[1, 2", "list.json"),
+    ):
+        (tmp_path / name).write_text(content)
+        result = scene_command("import", str(tmp_path / name), "-o", str(tmp_path / "x"))
+        assert result.code == 2, name
+        line = result.err.strip().splitlines()[-1]
+        assert line.startswith("place-rsus: "), line
+        assert message in line, line
+        assert "Traceback" not in result.err
+        assert not (tmp_path / "x").exists()
+    for files, message in (
+        ([str(tmp_path / "gone.osm")], "gone.osm: got no such file; expected a map file"),
+        ([str(tmp_path)], "got a folder; expected a map file"),
+        ([], "FILE: got nothing; expected a map"),
+        ([str(roads), str(city)], "expected roads in one of the files"),
+    ):
+        result = scene_command("import", *files, "-o", str(tmp_path / "x"), "--quiet")
+        assert (result.code, message in result.err) == (2, True), result.err
+
+
+def test_other_peoples_folders_stay(scene_command, city, tmp_path):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine/letter.txt").write_text("dear")
+    (tmp_path / "file").write_text("x")
+    for out, message in (
+        ("mine", "which holds other things; expected a new folder, or a scene's"),
+        ("file", "a file; expected a folder, or a .zip file"),
+    ):
+        result = scene_command("import", str(city), "-o", str(tmp_path / out), "--quiet")
+        assert (result.code, message in result.err) == (2, True)
+    assert [path.name for path in (tmp_path / "mine").iterdir()] == ["letter.txt"]
+
+
+@pytest.mark.usefixtures("with_blank_pictures", "one_assumption")
+def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
+    command, city, tmp_path, monkeypatch
+):
+    out = tmp_path / "scene"
+    for keeps in ("right", "left"):
+        asked = ("scene", "import", str(city), "--driving-side", keeps, "-o", str(out), "--quiet")
+        imported = command(*asked)
+        assert imported.code == 0
+        assert f"traffic keeps {keeps}" in " ".join(imported.out.split())
+    grid = replace(
+        load_candidate_grid(),
+        heights_m=np.array([6.0]),
+        yaw_step_deg=45.0,
+        pitches_deg=np.array([-20.0]),
+    )
+    monkeypatch.setattr(planning, "load_candidate_grid", lambda **_: grid)
+    results = tmp_path / "results"
+    question = ["--cases", "CPNA-25,CBNA,CPTAfs-50", "--speeds", "20,40", "--approaches", "north"]
+    question += ["--along-arms", "0"]
+    result = command(
+        *("--scene", str(out), "--budget", "1", *question, "--json", "--quiet"),
+        *("--out", str(results)),
+    )
+    assert result.code == 0, result.err
+    summary = json.loads(result.out)
+    assert summary["baseline"] is None
+    assert summary["apr"] > 0.0
+    page = (results / "report.html").read_text()
+    assert "carlancap" not in page
+    assert json.loads((results / "layout.json").read_text())["scene"].startswith("city/")
+    rows = list(csv.DictReader(io.StringIO((results / "layout.csv").read_text())))
+    (unit,) = json.loads((results / "layout.geojson").read_text())["features"]
+    assert float(rows[0]["map_x"]) == pytest.approx(unit["geometry"]["coordinates"][0], abs=1e-9)
+    assert rows[0]["map_crs"] == "EPSG:4326"
+    layout = str(results / "layout.json")
+    elsewhere = command("evaluate", "--layout", layout, *question, "--quiet")
+    assert elsewhere.code == 2
+    assert "expected one of town05, the scene that is looked at" in elsewhere.err
+    here = command("export", "--layout", layout, "--scene", str(out), "--format", "csv")
+    assert here.out == (results / "layout.csv").read_text()
+
+
+def test_a_scene_of_no_known_place_has_no_geojson(command, roads, tmp_path):
+    out = tmp_path / "scene"
+    assert command("scene", "import", str(roads), "-o", str(out), "--quiet").code == 0
+    layout = {
+        "schema": "place-rsus/layout/1",
+        "name": "mine",
+        "layout": [
+            {"id": "a", "x_m": 9.0, "y_m": 9.0, "z_m": 6.0, "yaw_deg": 0.0, "pitch_deg": -20.0,
+             "camera": "carla-ncap-rgb"},
+        ],
+    }  # fmt: skip
+    path = tmp_path / "mine.json"
+    path.write_text(json.dumps(layout))
+    given = ["export", "--layout", str(path), "--scene", str(out), "--format"]
+    result = command(*given, "geojson")
+    assert (result.code, "a scene without crs" in result.err) == (2, True)
+    assert command(*given, "csv").code == 0
+
+
+def test_a_case_that_no_arm_carries_is_told_first_and_strict_makes_it_an_error(command, tmp_path):
+    osm = OsmText()
+    crossing_streets(osm, bearings=[FOUR[0], FOUR[2], FOUR[3]], highway="residential")
+    osm.node(9.0, -9.0, highway="street_lamp")
+    out, path = tmp_path / "scene", str(osm.write(tmp_path))
+    assert command("scene", "import", path, "-o", str(out), "--quiet").code == 0
+    lamp = {"id": "a", "x_m": 9.0, "y_m": -9.0, "z_m": 6.0, "yaw_deg": 90.0, "pitch_deg": -30.0}
+    layout = tmp_path / "mine.json"
+    layout.write_text(json.dumps({"layout": [lamp | {"camera": "carla-ncap-rgb"}]}))
+    given = ["evaluate", "--layout", str(layout), "--scene", str(out), "--quiet", "--json"]
+    # Where a street ends in another one, nobody can cross it beyond the junction: some cases
+    # remain, and those that do not are told.
+    few = ["--approaches", "east", "--cases"]
+    summary = json.loads(command(*given, *few, "study").out)
+    refused = {entry["case"] for entry in summary["not_driven"]} - set(summary["cases"])
+    assert summary["cases"]
+    assert refused
+    one = sorted(refused)[0]
+    assert summary["possible_runs"] >= summary["runs"]
+    assert one in " ".join(summary["driven"])
+    result = command(*given, *few, one)
+    assert (result.code, "which no approach carries" in result.err) == (2, True), result.err
+    both = f"{summary['cases'][0]},{one}"
+    told = json.loads(command(*given, *few, both).out)
+    assert told["cases"] == summary["cases"][:1]
+    assert told["driven"][0].endswith(f"no {one} at all.")
+    result = command(*given, "--strict", *few, both)
+    assert (result.code, f"{one}, which no approach carries" in result.err) == (2, True)
+
+
+def test_pictures_show_something():
+    scene = load_study_scene()
+    for figure in (plot_scene_plan(scene), plot_scene_view(scene)):
+        picture = np.asarray(Image.open(io.BytesIO(to_png(figure))).convert("L"))
+        assert picture.std() > 20.0
+
+
+def test_a_junction_of_a_map_is_imported_once_and_told(command, tmp_path, monkeypatch):
+    from experiments.jobs import placement
+
+    asked = []
+
+    def stop(question, **_):
+        asked.append(question)
+        raise InputError("here", "the question", "nothing more")
+
+    monkeypatch.setattr(placement, "run_placement", stop)
+    monkeypatch.setenv("PLACE_RSUS_CACHE", str(tmp_path / "cache"))
+    osm = OsmText()
+    crossing_streets(osm, bearings=[(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0)], lanes="2")
+    city = str(osm.write(tmp_path))
+    for _ in range(2):
+        result = command("--scene", city, "--junction", "Street 2 / Street 0", "--budget", "2")
+        assert result.code == 2
+        assert "Imported Street 0 / Street 1 / Street 2: 3 arms, 24 sites" in result.err
+    assert len(list((tmp_path / "cache" / "scenes").iterdir())) == 1
+    assert {one.scene for one in asked} == {str(next((tmp_path / "cache" / "scenes").iterdir()))}
+    assert len(build_junction(load_scene_folder(Path(asked[0].scene))).arms) == 3
+    options = ["--sites", "kerb:30", "--driving-side", "left", "--at", f"{LON_DEG},{LAT_DEG}"]
+    assert command("--scene", city, *options, "--budget", "2", "--quiet").code == 2
+    other = load_scene_folder(Path(asked[-1].scene))
+    assert other.keeps_left
+    assert len(other.sites) < 24
+    assert set(assumed_sites(other.notes)) == {site.id for site in other.sites}
+    for wrong in ([], ["--scene", str(tmp_path)], ["--scene", asked[0].scene]):
+        result = command(*wrong, "--junction", "Street 0", "--budget", "2", "--quiet")
+        assert result.code == 2
+        assert "expected --scene FILE, a map with roads" in result.err
+
+
+def test_lists_that_are_long_are_cut(monkeypatch):
+    summary = {
+        "name": "x" * 100,
+        "junctions": [
+            {"id": f"j{i}", "name": "n" * 50, "x_m": 1.0, "y_m": 2.0, "arms": 3, "lanes": 6}
+            for i in range(30)
+        ],
+        "buildings": 1,
+        "things": 2,
+        "sites": 0,
+        "crosswalks": 0,
+        "keeps_left": True,
+        "skipped": [{"what": "w" * 70, "why": "y" * 30}] * 30,
+        "crs": None,
+    }
+    text = scene_text(msgspec.convert(summary, SceneResult))
+    assert text.count("and 10 more: --json") == 2
+    assert max(map(len, text.splitlines())) <= 100

@@ -1,0 +1,82 @@
+"""A session of few runs and few poses, whose tasks run in a thread of this process."""
+
+import asyncio
+import threading
+
+import pytest
+from small_results import build_small_grid
+
+from experiments.planner.plan import Plan
+from experiments.planner.session import Session
+from experiments.planner.tasks import Cancelled, TaskError, Tasks, Work
+from geometry.errors import InputError
+from placement import planning
+from placement.question import Question
+
+
+class InThread:
+    """As :class:`experiments.planner.tasks.Worker`, on a setting that is at hand."""
+
+    def __init__(self, work, setting):
+        self._tasks = None
+        self._work, self._setting = work, setting
+        self._turn = asyncio.Lock()
+        self.is_busy = False
+        self.is_stopped = threading.Event()
+
+    async def call(self, method, *args, on_progress, **kwargs):
+        loop = asyncio.get_running_loop()
+
+        def tell(stage, done, total):
+            if self.is_stopped.is_set():
+                raise Cancelled
+            loop.call_soon_threadsafe(on_progress, stage, done, total)
+
+        async with self._turn:
+            self.is_busy = True
+            self.is_stopped.clear()
+            if self._tasks is None:
+                self._tasks = Tasks(self._work, tell)
+                if not self._work.question.scene:
+                    self._tasks._setting = self._setting
+            try:
+                return await asyncio.to_thread(getattr(self._tasks, method), *args, **kwargs)
+            except InputError as error:
+                raise TaskError(str(error)) from None
+            finally:
+                self.is_busy = False
+
+    def stop(self):
+        self.is_stopped.set()
+
+
+def small_work(folder, **asked):
+    return Work(
+        question=Question(**asked), scratch=folder, cache=folder, seed=0, workers=2, rays="auto"
+    )
+
+
+def small_session(folder, setting, *, variants=(), asked=None, **given):
+    work = small_work(folder, cases="CPNC-50", along_arms="0", speeds="50", **(asked or {}))
+    plan = Plan(variants=tuple(variants)) if variants else None
+    given.setdefault("make_worker", lambda work: InThread(work, setting))
+    return Session(work, setting, plan=plan, **given)
+
+
+@pytest.fixture
+def few_poses(monkeypatch):
+    """The optimiser chooses among a few directions."""
+    monkeypatch.setattr(planning, "load_candidate_grid", build_small_grid)
+
+
+def start_server(folder, setting, *, keeps_open=True, **given):
+    from experiments.planner.server import RunningServer  # only the extra plan has what it needs
+
+    server = RunningServer(
+        lambda: small_session(folder, setting, **given),
+        host="127.0.0.1",
+        port=0,
+        keeps_open=keeps_open,
+    )
+    server.start()
+    return server
