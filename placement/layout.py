@@ -2,30 +2,38 @@
 
 import json
 import math
+import os
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cache
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from geometry.arrays import float_array
 from geometry.catalogue import (
     SENSOR_KINDS,
     Sensor,
     load_cameras,
+    pick_camera,
     pick_sensor,
     read_sensor,
     sensor_kind,
 )
 from geometry.errors import InputError, Unquoted
-from geometry.files import read_text
+from geometry.files import load_toml, read_text, take_list, take_number, take_text
+from geometry.frames import from_carla_pose
 from geometry.poses import Pose
 from geometry.scene import Scene, containing_instance
 from geometry.sensors import CameraModel, with_fov
+from geometry.study_scene import load_study_scene
 
-from .candidates import CandidatePose, above_ground
+from .candidates import CandidatePose, above_ground, own_models
 from .layout_lists import is_list, read_layout_rows, unit_record
+from .question import BASELINE_NAME
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -383,3 +391,61 @@ def check_layout(layout: Layout, scene: Scene) -> None:
             raise InputError(
                 f"{where}.site", unit.site_id, f"a site of {scene.name}, or an empty text"
             )
+
+
+# ---------- layouts by name: a user's files, and the study's
+
+
+def find_layout(
+    name: str | Path,
+    option: str = "layout",
+    *,
+    scene: Scene | None = None,
+    sensors: str = "",
+) -> Layout:
+    """A layout by its name (carlancap-12, the study's) or from a file; else an InputError.
+
+    A list of units with places on earth takes the `scene`; `sensors` are models in addition to
+    those of the catalogue, as a user lists them.
+    """
+    if str(name) == BASELINE_NAME:
+        return load_carlancap_layout()
+    if not os.path.lexists(name):
+        raise InputError(option, str(name), f"{BASELINE_NAME}, or a layout file that exists")
+    return load_layout(Path(name), scene=scene, sensors=own_models(sensors))
+
+
+@cache
+def load_carlancap_layout() -> Layout:
+    """The study's 12 roadside cameras, from ``data/carla_ncap_layout.toml``."""
+    where = "carla_ncap_layout.toml"
+    table = load_toml(files(__package__) / "data" / where)
+    camera = pick_camera(take_text(table, "camera", where), f"{where}: camera")
+    units = []
+    for index, entry in enumerate(take_list(table, "units", where)):
+        here = f"{where}: units[{index}]"
+        units.append(
+            CandidatePose(
+                id=take_text(entry, "id", here),
+                site_id=take_text(entry, "site", here),
+                pose=from_carla_pose(
+                    position_m=float_array(
+                        take_list(entry, "position_m", here), (3,), f"{here}.position_m"
+                    ),
+                    yaw_deg=take_number(entry, "yaw_deg", here),
+                    pitch_deg=take_number(entry, "pitch_deg", here),
+                ),
+                sensor=camera,
+            )
+        )
+    return Layout(
+        name=take_text(table, "name", where),
+        units=tuple(units),
+        scene_name=load_study_scene().name,
+    )
+
+
+def find_baseline(scene: Scene) -> Layout | None:
+    """What layouts of a scene are compared with: the study's, or at another junction nothing."""
+    study = load_carlancap_layout()
+    return study if scene.name == study.scene_name else None

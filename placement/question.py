@@ -616,6 +616,19 @@ def split_names(text: str, where: str) -> tuple[str, ...]:
     return names
 
 
+def read_number(where: str, text: str, expected: str, low: float, high: float) -> float:
+    """A finite number from `low` to `high`; raises InputError for anything else."""
+    from geometry.errors import InputError
+
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not low <= number <= high or not math.isfinite(number):
+        raise InputError(where, text, expected)
+    return number
+
+
 def load_question_values(path: Path) -> dict[str, Any]:
     """Read a question file: the values that it gives, by the names of the fields.
 

@@ -11,7 +11,7 @@ from experiments.plan.session import Plan
 from experiments.plan.tasks import Tasks, Work
 from experiments.plan.worker import Cancelled, TaskError
 from geometry.errors import InputError
-from placement import planning
+from placement import candidates as poses
 from placement.question import Question
 
 
@@ -67,7 +67,7 @@ def small_desk(folder, setting, *, variants=(), asked=None, **given):
 @pytest.fixture
 def few_poses(monkeypatch):
     """The optimiser chooses among a few directions."""
-    monkeypatch.setattr(planning, "load_candidate_grid", build_small_grid)
+    monkeypatch.setattr(poses, "load_candidate_grid", build_small_grid)
 
 
 def start_server(folder, setting, *, keeps_open=True, **given):

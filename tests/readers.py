@@ -735,8 +735,7 @@ def _read_verified(path: Path) -> Any:
 @cache
 def _table() -> tuple[Any, Any]:
     from geometry.study_scene import load_study_scene
-    from placement.layout import Layout
-    from placement.study_layout import load_carlancap_layout
+    from placement.layout import Layout, load_carlancap_layout
     from scenarios.exposure import weight_per_run
     from scenarios.runs import build_frame_axis
 
@@ -971,7 +970,7 @@ READERS: Mapping[str, Reader] = {
         ("placement.detectors.built_in.load_detector",),
     ),
     "layout": Reader(
-        _read_layout, _layouts, ("placement.layout.load_layout", "placement.planning.find_layout")
+        _read_layout, _layouts, ("placement.layout.load_layout", "placement.layout.find_layout")
     ),
     "weights": Reader(_read_weights, _weights, ("scenarios.exposure.weight_from_csv",)),
     "no-look areas": Reader(

@@ -27,7 +27,11 @@ print(len(candidates), "poses; the first is", candidates[0].id)
 # %%
 # The best of them, with a bound for every objective that no layout of this size can exceed.
 # Units that add nothing to any objective are left out.
-found = placement.place(setting, candidates, wishes=placement.Wishes(budget_units=3))
+found = placement.place(
+    placement.Assembly(
+        setting=setting, candidates=candidates, wishes=placement.Wishes(budget_units=3)
+    )
+)
 print(found)
 
 # %%

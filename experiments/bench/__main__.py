@@ -25,10 +25,9 @@ from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose, build_candidates, load_candidate_grid
 from placement.compute import Compute
 from placement.evaluator import evaluate_layout
-from placement.layout import Layout
+from placement.layout import Layout, load_carlancap_layout
 from placement.question import Question
 from placement.setting import Setting, build_setting
-from placement.study_layout import load_carlancap_layout
 from placement.visibility.build import build_detection_table
 
 from .city import measure_city
@@ -171,7 +170,7 @@ def _measure_growth(candidates: tuple[CandidatePose, ...]) -> Figures:
         setting = build_setting(Question(cases=cases, along_arms="0"), scene)
         laid_s = time.perf_counter()
         build_detection_table(
-            scene, few, setting.runs, setting.axis, detector=setting.planner, compute=compute
+            scene, few, setting.runs, setting.axis, detector=setting.table_detector, compute=compute
         )
         evaluate_layout(layout, setting, compute=compute)
         n_runs = len(setting.runs)

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from placement.candidates import CandidatePose
+from placement.layout import load_carlancap_layout
 from placement.live import LiveTable, table_verdict
 from placement.question import Question
 from placement.setting import Setting
-from placement.study_layout import load_carlancap_layout
 
 from ..plan.numbers import state_record, table_numbers
 from ..plan.session import ChangeUnit, Stock, Variant, begin_history, change_state

@@ -333,7 +333,7 @@ def build_bench_problem(
         candidates,
         setting.runs,
         setting.axis,
-        detector=setting.planner,
+        detector=setting.table_detector,
         compute=Compute(workers=_WORKERS),
     )
     wishes = Wishes(budget_units=budget)

@@ -22,10 +22,9 @@ from placement.compute import Compute
 from placement.detectors import load_planning_detector
 from placement.evaluator import build_surroundings, evaluate_layout, perceive_from_roadside
 from placement.imaging import build_backdrop, draw_picture
-from placement.layout import Layout
+from placement.layout import Layout, load_carlancap_layout
 from placement.question import Question
 from placement.setting import Setting, build_setting
-from placement.study_layout import load_carlancap_layout
 from placement.visibility import build_detection_table
 from scenarios.runs import Run
 
@@ -139,7 +138,7 @@ def _measure_lidar(setting: Setting) -> Figures:
             poses,
             setting.runs,
             setting.axis,
-            detector=setting.planner,
+            detector=setting.table_detector,
             compute=Compute(workers=_WORKERS),
         )
 

@@ -208,7 +208,7 @@ def measure_table(setting: Setting, candidates: tuple[CandidatePose, ...]) -> Fi
     for repeat in range(REPEATS + 1):
         began_s = time.perf_counter()
         build_detection_table(
-            setting.scene, some, setting.runs, setting.axis, detector=setting.planner
+            setting.scene, some, setting.runs, setting.axis, detector=setting.table_detector
         )
         if repeat > 0:  # the first one may compile
             seconds.append(time.perf_counter() - began_s)

@@ -174,8 +174,7 @@ def plan(
 def _begun_plan(layout_names: Sequence[str], save: Path | None, scene: "Scene") -> "Plan":
     """What is planned to begin with: the saved plan, then layouts that it does not have yet."""
     from geometry.files import read_bytes
-    from placement.layout import check_layout
-    from placement.planning import find_layout
+    from placement.layout import check_layout, find_layout
 
     from ..plan.numbers import key_of
     from ..plan.session import (

@@ -72,7 +72,7 @@ class GroundViews:
                 vru_class=np.array([VRU_CLASSES.index(vru_class(tallest))]),
                 draw_index=np.arange(len(depth_m)),
             )
-            is_high |= height_px >= setting.planner.least_height_px(evidence)
+            is_high |= height_px >= setting.table_detector.least_height_px(evidence)
         return float(depth_m[is_high].max(initial=0.0))
 
     def shape(self, unit: CandidatePose) -> Any:

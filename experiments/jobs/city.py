@@ -17,10 +17,9 @@ from geometry.errors import InputError, Unquoted
 from geometry.maps.importing import ImportOptions
 from geometry.maps.sites import check_sites
 from placement.cache import ALL_PACKAGES, Fingerprints, hash_of_files
-from placement.candidates import CandidateGrid
+from placement.candidates import CandidateGrid, build_grid
 from placement.city.junction import JunctionWishes
 from placement.layout import Layout
-from placement.planning import build_grid
 from placement.question import Question
 from placement.setting import check_question
 
@@ -330,11 +329,11 @@ class _Tasks:
             grid=self._grid,
             max_units=search.max_units,
             time_limit_s=search.max_junction_s,
-            kept=self._kept.get(one.scene_name),
+            existing=self._kept.get(one.scene_name),
         )
         # Lanes and things lie around several junctions and are hashed once; maps are cut out anew.
         parts = [[getattr(part, field.name) for field in fields(part)] for part in maps]
-        limits = (wishes.max_units, wishes.time_limit_s, wishes.kept)
+        limits = (wishes.max_units, wishes.time_limit_s, wishes.existing)
         return JunctionTask(
             key=self._prints.of(self._same, *limits, parts),
             maps=maps,

@@ -11,9 +11,8 @@ from typing import Any
 from geometry.catalogue import Sensor
 from geometry.errors import InputError, Unquoted
 from geometry.files import pick, write_atomically
-from placement.candidates import CandidatePose, load_candidate_grid
+from placement.candidates import CandidatePose, build_grid, load_candidate_grid, own_models
 from placement.layout import Layout
-from placement.planning import build_grid, own_models
 from placement.setting import Setting
 
 from ..report.interactive.records import view_paths

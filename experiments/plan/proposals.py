@@ -6,9 +6,8 @@ from typing import Any
 from geometry.catalogue import load_cameras
 from geometry.lidar import load_lidars
 from geometry.scene import Scene
-from placement.candidates import CandidatePose
+from placement.candidates import CandidatePose, own_models
 from placement.layout import Layout
-from placement.planning import own_models
 
 from ..report.interactive.records import unit_records
 

@@ -15,9 +15,9 @@ from geometry.frames import to_geographic
 from geometry.scene import Scene
 from geometry.study_scene import load_study_scene
 from placement.compute import Compute
+from placement.layout import load_carlancap_layout
 from placement.question import Question
 from placement.setting import Setting, build_setting
-from placement.study_layout import load_carlancap_layout
 
 from ..report.section import with_palette
 from .desk import Desk

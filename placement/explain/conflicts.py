@@ -191,7 +191,7 @@ def build_separation(
         return None
     limits = problem.limits
     free = build_limits(
-        Wishes(budget_units=1, kept=wishes.kept, site_capacity=wishes.site_capacity),
+        Wishes(existing=wishes.existing, site_capacity=wishes.site_capacity),
         scene,
         candidates,
     )
@@ -236,7 +236,7 @@ class _Words:
         if kind == "floor":
             assert demand.floor is not None
             floor = self.problem.floors[demand.floor]
-            is_max = floor.name == "--target" and self.wishes.target == np.inf
+            is_max = floor.name == "`target`" and self.wishes.target == np.inf
             return _inserted(floor.name, "max" if is_max else f"{floor.share:g}")
         if kind == "forbidden":
             return f"--forbid-site {self._sites_of(np.flatnonzero(limits.is_forbidden).tolist())}"

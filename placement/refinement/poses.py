@@ -165,7 +165,7 @@ class RayRows:
     """
 
     def __init__(self, setting: Setting, *, seed: int = 0, workers: int = 1) -> None:
-        self.detector = setting.planner
+        self.detector = setting.table_detector
         self.world = build_world(setting.scene, setting.runs, n_points=N_POINTS, seed=seed)
         self.workers = workers
         self.n_casts = 0

@@ -97,7 +97,7 @@ class Sample:
     @property
     def drawn_detector(self) -> ResponseDetector | None:
         """The detector whose detections are drawn frame by frame, if any are."""
-        planner = self.setting.planner
+        planner = self.setting.table_detector
         if self.uncertainty.draws_detections and isinstance(planner, ResponseDetector):
             return planner
         return None
@@ -200,7 +200,7 @@ def _draw(
             setting,
             runs=runs,
             axis=replace(axis, last_brake_time_s=axis.last_brake_time_s - extra_s),
-            links=replace(setting.links, packet_loss=uncertainty.packet_loss),
+            radio=replace(setting.radio, packet_loss=uncertainty.packet_loss),
         ),
         planned=candidates,
         candidates=_as_mounted(candidates, uncertainty.mounting, luck),

@@ -17,7 +17,7 @@ from experiments.plan.numbers import plan_text
 from experiments.plan.server import RunningServer
 from experiments.plan.session import PlanState, Variant
 from geometry.study_scene import load_study_scene
-from placement.study_layout import load_carlancap_layout
+from placement.layout import load_carlancap_layout
 
 FEW = ("--cases", "CPNC-50", "--along-arms", "0", "--speeds", "50")
 SCENE = load_study_scene()

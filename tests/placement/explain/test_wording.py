@@ -7,8 +7,8 @@ from geometry.study_scene import load_study_scene
 from placement.candidates import CandidateGrid, build_candidates, load_candidate_grid
 from placement.detection_table import pack_table
 from placement.explain import build_separation, find_refusal
+from placement.layout import load_carlancap_layout
 from placement.setting import Setting
-from placement.study_layout import load_carlancap_layout
 from placement.wishes import Wishes, build_problem
 from scenarios.aeb import load_aeb_rule
 from scenarios.runs import FrameAxis
@@ -49,7 +49,7 @@ def setting(scene):
         time_s=np.tile(np.arange(1 - N_FRAMES, 1) / 10.0, N_RUNS),
     )
     return Setting(
-        scene=scene, runs=(), axis=axis, rule=load_aeb_rule(), detector=None, planner=None
+        scene=scene, runs=(), axis=axis, rule=load_aeb_rule(), detector=None, table_detector=None
     )
 
 

@@ -167,9 +167,9 @@ def test_a_run_that_no_braking_avoids_stays_one(setting, candidates):
 
 
 def test_the_evaluator_is_told_how_many_messages_are_lost(setting, candidates):
-    lossy = replace(setting, links=replace(setting.links, packet_loss=0.4, vam_rate=0.5))
+    lossy = replace(setting, radio=replace(setting.radio, packet_loss=0.4, vam_rate=0.5))
     (sample,) = draw_samples(lossy, candidates, Uncertainty(packet_loss=0.2), n_samples=1, seed=0)
-    assert (sample.setting.links.packet_loss, sample.setting.links.vam_rate) == (0.2, 0.5)
+    assert (sample.setting.radio.packet_loss, sample.setting.radio.vam_rate) == (0.2, 0.5)
 
 
 # Luck
