@@ -258,10 +258,10 @@ def _check_together(question: Question) -> None:
     """Raise InputError for fields that exclude or need one another."""
     for field_name in ("within", "samples", "no_look"):
         if question.refine and getattr(question, field_name):
-            got = Unquoted(f"it next to `{field_name}`")
+            got = Unquoted(f"it beside `{field_name}`")
             raise InputError("refine", got, "one of them: poses stay as they are")
     if question.no_look_share and not question.no_look:
-        raise InputError("no_look_share", question.no_look_share, "`no_look` next to it")
+        raise InputError("no_look_share", question.no_look_share, "`no_look` beside it")
 
 
 def _named_layout(name: str, where: str, scene: Scene, sensors: str) -> Layout | None:

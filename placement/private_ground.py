@@ -91,12 +91,12 @@ def build_private_ground(areas: Sequence[tuple[str, Any]]) -> PrivateGround:
     total_m2 = sum(float(shape.area) for _, shape in areas)
     if total_m2 > _MAX_POINTS * _POINT_SPACING_M**2:
         raise InputError(
-            "--no-look", Unquoted(f"{total_m2:,.0f} square metres"), f"at most {_MAX_POINTS:,}"
+            "no_look", Unquoted(f"{total_m2:,.0f} square metres"), f"at most {_MAX_POINTS:,}"
         )
     points, index = [], []
     for number, (name, shape) in enumerate(areas):
         if not shape.area > 0.0:
-            raise InputError(f"--no-look: {name}", Unquoted("no area"), "a polygon")
+            raise InputError(f"no_look: {name}", Unquoted("no area"), "a polygon")
         west, south, east, north = shape.bounds
         x, y = np.meshgrid(
             np.arange(west + 0.5 * _POINT_SPACING_M, east, _POINT_SPACING_M),
@@ -191,7 +191,7 @@ def respects_private_ground(shares: FloatArray, *, max_share: float) -> BoolArra
     if not kept.any():
         least = np.ceil(1000.0 * share.min()) / 1000.0
         raise InputError(
-            "--no-look-share",
+            "no_look_share",
             Unquoted(f"{100.0 * max_share:.1f} %"),
             f"at least {least:g}, the share that the pose with the least in its picture sees",
         )

@@ -134,7 +134,7 @@ def build_rule(question: Question) -> AebRule:
     changes["track_memory_s"] = _track_memory_s(question)
     if question.latency_budget:
         if question.latency_s is not None:
-            raise InputError("latency_s", Unquoted("it next to `latency_budget`"), "one of them")
+            raise InputError("latency_s", Unquoted("it beside `latency_budget`"), "one of them")
         budget = load_latency_budget(question.latency_budget, where="latency_budget")
         changes["latency_s"] = budget.mean_s
     try:

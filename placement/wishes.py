@@ -201,12 +201,12 @@ def build_problem(
         if share == np.inf:
             usable = np.flatnonzero(~problem.limits.is_forbidden)
             share = min(apr(problem, usable.tolist()), 1.0)
-        floors.append(Floor(name="`target`", share=share, n_failures=wishes.survive))
+        floors.append(Floor(name="target", share=share, n_failures=wishes.survive))
     if wishes.min_case_apr:
         axis = table.axis
         floors += [
             Floor(
-                name=f"`min_case_apr` in {case}",
+                name=f"min_case_apr in {case}",
                 share=wishes.min_case_apr,
                 is_counted=_is_case(axis.cases, case),
                 n_failures=wishes.survive,

@@ -20,6 +20,7 @@ from .options import (
     option,
     question_options,
 )
+from .question_options import option_of
 from .running import begin, command_line, load_one_layout, print_result
 from .terminal import sentences, table
 
@@ -161,7 +162,7 @@ def _check_one_source(
         )
     driven = [name for name in PICTURED if name not in _OF_RULE and is_given(name)]
     if driven and not layout_names:
-        field = question_fields()[driven[0]].option_name
+        field = option_of(question_fields()[driven[0]])
         raise click.UsageError(f"{field}: got it with {names[0]}; expected it with --layout alone")
 
 

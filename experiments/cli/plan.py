@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from placement.compute import Compute
-from placement.question import MOUNTED, Question
+from placement.question import Question
 
 from ..progress import Interrupted, StageProgress, tell
 from .options import (
@@ -24,6 +24,7 @@ from .options import (
     question_options,
     quiet_option,
 )
+from .question_options import MOUNTED
 from .running import begin
 
 if TYPE_CHECKING:

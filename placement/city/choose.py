@@ -58,7 +58,7 @@ class CityWishes:
 
     def __post_init__(self) -> None:
         if self.budget_units is None and self.budget_eur is None:
-            raise InputError("--budget", Unquoted("nothing"), "--budget or --budget-eur")
+            raise InputError("budget_units", Unquoted("nothing"), "`budget_units` or `budget_eur`")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -364,7 +364,7 @@ def _check_reach(
             first = int(short[0])
             name = names[first] if names else str(first)
             raise InputError(
-                "--areas: min_apr",
+                "areas: min_apr",
                 float(wishes.least_apr[first]),
                 f"at most {_floor(most[first])}, what the best layout found reaches at {name}",
             )
@@ -373,7 +373,7 @@ def _check_reach(
         reach = float((part * is_in) @ most)
         if reach < district.least_apr - TOLERANCE:
             raise InputError(
-                "--min-district-apr",
+                "min_district_apr",
                 district.least_apr,
                 f"at most {_floor(reach)}, what can be reached in {district.name}",
             )
@@ -400,7 +400,7 @@ def _unmet(options: Options, share: FloatArray, wishes: CityWishes) -> InputErro
             limits=problem.limits[finite],
         )
     )
-    option = "--budget-eur" if in_money else "--budget"
+    option = "budget_eur" if in_money else "budget_units"
     got = wishes.budget_eur if in_money else wishes.budget_units
     if found.chosen is None:
         return InputError(option, got, "least APRs that can be met together")

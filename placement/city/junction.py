@@ -402,6 +402,4 @@ class _Watch:
 
     def _check(self) -> None:
         if self.left_s() < 0.0 and not self._stage.startswith("front"):
-            raise TimeUpError(
-                f"{self._limit_s:g} s were up in the stage '{self._stage}': --max-junction-seconds"
-            )
+            raise TimeUpError(f"{self._limit_s:g} s were up in the stage '{self._stage}'")

@@ -67,7 +67,7 @@ def plan_phases(
     n_years = max(needed if years is None else years, 1)
     if needed > n_years:
         raise InputError(
-            "--years",
+            "years",
             years,
             f"at least {needed}, for {total} units, at most {units_per_year} of them a year",
         )

@@ -143,11 +143,11 @@ class CoveringBudget:
 
     def __post_init__(self) -> None:
         if self.units is None and self.cost is None:
-            raise InputError("--budget", Unquoted("nothing"), "a number of columns, or money")
+            raise InputError("budget_units", Unquoted("nothing"), "a number of columns, or money")
         if self.units is not None and self.units < 1:
-            raise InputError("--budget", self.units, "a whole number of columns, at least 1")
+            raise InputError("budget_units", self.units, "a whole number of columns, at least 1")
         if self.cost is not None and not 0.0 <= self.cost < math.inf:
-            raise InputError("--budget-cost", self.cost, "an amount of money, at least 0")
+            raise InputError("budget_cost", self.cost, "an amount of money, at least 0")
 
     @property
     def money(self) -> float:
@@ -171,7 +171,7 @@ def simplify_budget(instance: CoveringInstance, budget: CoveringBudget) -> Cover
     prices = np.unique(instance.cost[is_useful])
     if prices[0] > budget.money:
         raise InputError(
-            "--budget-cost",
+            "budget_cost",
             budget.cost,
             f"at least {prices[0]:g}, the least cost of a column that covers anything",
         )
@@ -190,13 +190,13 @@ def needed_weight(instance: CoveringInstance, target: float | None) -> float | N
     if target is None:
         return None
     if not 0.0 <= target <= 1.0:
-        raise InputError("--target", target, "max, or a share of the weight, 0 to 1")
+        raise InputError("target", target, "max, or a share of the weight, 0 to 1")
     total, coverable = float(instance.weight.sum()), instance.coverable_weight
     needed = (target - ROUNDING) * total
     if needed > coverable:
         most = math.floor(1.0e6 * coverable / total) / 1.0e6
         raise InputError(
-            "--target", target, f"at most {most:g}, the share that all columns together cover"
+            "target", target, f"at most {most:g}, the share that all columns together cover"
         )
     least = float(instance.weight[instance.weight > 0.0].min(initial=math.inf))
     if needed > coverable - least:
@@ -215,6 +215,6 @@ def check_effort(*, time_limit_s: float, gap: float) -> None:
     Raises InputError: the time is not positive, or the gap is no share.
     """
     if not time_limit_s > 0.0:
-        raise InputError("--time-limit", time_limit_s, "seconds, more than 0")
+        raise InputError("time_limit_s", time_limit_s, "seconds, more than 0")
     if not 0.0 <= gap < 1.0:
-        raise InputError("--gap", gap, "a share, 0 <= gap < 1")
+        raise InputError("gap", gap, "a share, 0 <= gap < 1")

@@ -199,12 +199,12 @@ def _has_proof(solver: str, instance: CoveringInstance) -> bool:
     if solver == GREEDY:
         return False
     if solver.upper() not in (HIGHS, _AUTO.upper()):
-        raise InputError("--solver", solver, f"a solver that is installed: {HIGHS}")
+        raise InputError("solver", solver, f"a solver that is installed: {HIGHS}")
     check_fits(
-        "--solver",
+        "solver",
         f"{solver} with {instance.covers.nnz:,} entries of a matrix",
         _MODEL_BYTES * instance.covers.nnz,
-        f"--solver {GREEDY}, or fewer rows or columns",
+        f"`solver` {GREEDY}, or fewer rows or columns",
     )
     return True
 

@@ -517,5 +517,5 @@ def _check_table(
         raise InputError("candidates", Unquoted("other poses"), "the rows of the placement's table")
     if problem.table.axis.run_ids != setting.axis.run_ids:
         raise InputError(
-            "--refine", Unquoted("a table of sampled worlds"), "a table of the runs as planned"
+            "refine", Unquoted("a table of sampled worlds"), "a table of the runs as planned"
         )

@@ -345,15 +345,15 @@ def test_wishes_that_contradict_each_other_are_named_with_ways_out(asked):
     with pytest.raises(InputError) as caught:
         place(asked(budget_units=1, target=1.0, survive=1))
     assert str(caught.value) == (
-        "`target` 1 and --budget 1: got demands that no layout meets together; "
-        "expected one of them to give way: `target` 0 or --budget 3"
+        "`target` 1 and `budget` 1: got demands that no layout meets together; "
+        "expected one of them to give way: `target` 0 or `budget` 3"
     )
     told: list[str] = []
     compute = Compute(progress=lambda *stage: told.append(stage[0]))
     with pytest.raises(InputError) as caught:
         place(asked(budget_units=1, forced_sites=("corner-ne", "mast-w"), compute=compute))
     assert str(caught.value) == (
-        "--budget 1 and --force-site corner-ne,mast-w: got demands that no layout meets together; "
-        "expected one of them to give way: --budget 2 or --force-site without corner-ne"
+        "`budget` 1 and `force_site` corner-ne,mast-w: got demands that no layout meets together; "
+        "expected one of them to give way: `budget` 2 or `force_site` without corner-ne"
     )
     assert told[-1] == "what has to give way"

@@ -65,7 +65,7 @@ def test_walls_hide():
 
 
 def test_areas_that_cannot_be_are_refused():
-    with pytest.raises(InputError, match="--no-look: line: got no area"):
+    with pytest.raises(InputError, match="no_look: line: got no area"):
         build_private_ground([("line", Polygon())])
     with pytest.raises(InputError, match="square metres; expected at most 20,000"):
         build_private_ground([("park", box(0, 0, 1000, 1000))])

@@ -12,9 +12,9 @@ from click.testing import CliRunner
 
 from experiments.cli.main import cli
 from experiments.cli.options import PROGRAM
+from experiments.cli.question_options import SECTIONS
 from experiments.cli.terminal import sentences
 from experiments.progress import StderrLog
-from placement.question import SECTIONS
 
 
 def _commands(group=cli, path=()):

@@ -211,5 +211,5 @@ def test_a_layout_is_chosen_in_sampled_worlds_and_judged_in_fresh_ones(
 
 
 def test_refinement_is_refused_where_poses_are_given(tmp_path):
-    with pytest.raises(InputError, match="refine: got it next to `within`; expected one of them"):
+    with pytest.raises(InputError, match="refine: got it beside `within`; expected one of them"):
         place(tmp_path / "out", refine=True, within="carlancap-12")

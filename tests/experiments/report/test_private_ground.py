@@ -89,7 +89,7 @@ def test_what_is_seen_is_told_and_too_much_to_ask_is_refused(garden, scene):
     assert watching
     with pytest.raises(InputError, match=r"no_look_share: got 0\.0 %; expected at least 0\."):
         respects_private_ground(private_shares(scene, watching, ground), max_share=0.0)
-    with pytest.raises(InputError, match="refine: got it next to `no_look`"):
+    with pytest.raises(InputError, match="refine: got it beside `no_look`"):
         assemble_without_runs(Question(budget=1, no_look=str(garden), refine=True), scene)
 
 

@@ -201,5 +201,5 @@ def test_years_are_the_best_of_all_orders(junctions, per_year):
 
 
 def test_too_few_years_are_told():
-    with pytest.raises(InputError, match=r"--years: got 1; expected at least 2, for 5 units"):
+    with pytest.raises(InputError, match=r"years: got 1; expected at least 2, for 5 units"):
         plan_phases(np.array([2, 3]), np.ones(2), units_per_year=3, years=1)

@@ -285,7 +285,7 @@ def test_a_table_of_sampled_worlds_is_refused(meadow, placements):
     with pytest.raises(InputError) as caught:
         refine(meadow, replace(placement, problem=problem), candidates)
     assert str(caught.value) == (
-        "--refine: got a table of sampled worlds; expected a table of the runs as planned"
+        "refine: got a table of sampled worlds; expected a table of the runs as planned"
     )
 
 

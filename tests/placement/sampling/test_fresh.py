@@ -170,7 +170,7 @@ def test_progress_counts_worlds(setting, layouts):
 def test_an_unknown_fusion_is_refused(setting, layouts):
     with pytest.raises(InputError) as caught:
         out_of_sample(setting, layouts[0], LOSSY, n_samples=1, fusion="all")
-    assert str(caught.value) == "--fusion: got 'all'; expected one of any, single"
+    assert str(caught.value) == "fusion: got 'all'; expected one of any, single"
 
 
 def test_a_judgement_must_fit_its_runs(setting, layouts):

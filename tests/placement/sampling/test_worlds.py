@@ -69,9 +69,9 @@ def test_worlds_are_drawn_when_they_are_asked_for_and_wishes_checked_at_once(set
     worlds = draw_samples(setting, (), default, n_samples=10**9, seed=0)
     assert next(iter(worlds)).luck == Luck(seed=0, purpose="choose", index=0)
     for field, value, message in (
-        ("n_samples", 0, "--samples: got 0; expected a whole number, at least 1"),
-        ("n_samples", 2.0, "--samples: got 2.0; expected a whole number, at least 1"),
-        ("seed", -1, "--seed: got -1; expected a whole number, at least 0"),
+        ("n_samples", 0, "samples: got 0; expected a whole number, at least 1"),
+        ("n_samples", 2.0, "samples: got 2.0; expected a whole number, at least 1"),
+        ("seed", -1, "seed: got -1; expected a whole number, at least 0"),
         ("purpose", "play", "purpose: got 'play'; expected one of choose, judge"),
     ):
         with pytest.raises(InputError) as caught:
