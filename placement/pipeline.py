@@ -18,6 +18,12 @@ from .candidates import CandidateGrid, CandidatePose, build_candidates, build_gr
 from .compute import DEFAULT_COMPUTE, Compute
 from .detection_table import DetectionTable
 from .explain import NextUnit, find_next_unit, find_refusal
+from .ground import (
+    PrivateGround,
+    load_private_ground,
+    private_shares,
+    respects_private_ground,
+)
 from .layout import Certificate, Layout, check_layout, find_baseline, find_layout
 from .memory import check_memory
 from .optimiser import (
@@ -33,12 +39,6 @@ from .optimiser import (
     solve_placement,
 )
 from .optimiser.problem import Fusion
-from .private_ground import (
-    PrivateGround,
-    load_private_ground,
-    private_shares,
-    respects_private_ground,
-)
 from .question import Question
 from .sampling import SampledTable, Uncertainty, load_drawn, obtain_table, sampled_table
 from .setting import Setting, build_setting

@@ -18,8 +18,7 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from placement.candidates import CandidatePose
 from placement.compute import Compute
-from placement.covering.instance import build_covering_instance
-from placement.covering.solve import solve_mclp
+from placement.covering.solve import build_covering_instance, solve_mclp
 from placement.detection_table import DetectionTable
 from placement.optimiser import (
     Effort,

@@ -16,7 +16,7 @@ from geometry.terrain import on_ground, terrain_of
 from geometry.weather import load_weathers
 from placement.candidates import CandidatePose, above_ground
 from placement.detectors import VRU_CLASSES, Evidence, vru_class
-from placement.ground_coverage import LOOK_AT_M, is_in_sight
+from placement.ground import LOOK_AT_M, is_in_sight
 from placement.setting import Setting
 
 from .plan import ground_footprint

@@ -8,9 +8,8 @@ import numpy as np
 
 from geometry.arrays import FloatArray, IntArray
 from geometry.errors import InputError, Unquoted
-from placement.city.choose import CityChoice, choose, city_front
+from placement.city.choose import CityChoice, Phases, choose, city_front, plan_phases
 from placement.city.fronts import Options, stack_bounds, stack_fronts
-from placement.city.phases import Phases, plan_phases
 from placement.layout import Layout
 from placement.optimiser.tolerances import TOLERANCE
 from placement.question import Question

@@ -24,11 +24,11 @@ from placement.explain.other_sensors import STAGE as OTHER_SENSORS
 from placement.explain.other_sensors import find_other_sensors
 from placement.explain.sensitivity import STAGE as WHAT_IF
 from placement.explain.sensitivity import find_sensitivity, prepare_sensitivity
+from placement.ground import load_private_ground
 from placement.layout import Layout, check_layout, find_baseline
 from placement.optimiser.front import Front, front_below
 from placement.pipeline import Assembly, Placement, assemble, place
 from placement.prices import assumed_prices
-from placement.private_ground import load_private_ground
 from placement.question import Question
 from placement.refinement.refine import refine
 from placement.sampling import (

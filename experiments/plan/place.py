@@ -12,8 +12,8 @@ import numpy as np
 from geometry.errors import InputError
 from placement.candidates import CandidatePose
 from placement.compute import Compute
+from placement.ground import PrivateGround, PrivateSight, load_private_ground
 from placement.live import LiveTable, table_verdict
-from placement.private_ground import PrivateGround, PrivateSight, load_private_ground
 from placement.setting import Setting
 
 from ..figures.views import GroundViews

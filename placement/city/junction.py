@@ -24,8 +24,19 @@ from ..optimiser.problem import PlacementValue, placement_value
 from ..optimiser.solve import of_pool
 from ..pipeline import assemble, pick_layout
 from ..question import Question
-from .fronts import JunctionFront, Point, Steps, build_junction_front, lowered, lowest
-from .site_front import SiteFront, bounds_by_money, front_by_sites, price_tiers_eur, rooms_of
+from .fronts import (
+    JunctionFront,
+    Point,
+    SiteFront,
+    Steps,
+    bounds_by_money,
+    build_junction_front,
+    front_by_sites,
+    lowered,
+    lowest,
+    price_tiers_eur,
+    rooms_of,
+)
 
 _log = logging.getLogger(__name__)
 

@@ -44,7 +44,7 @@ from geometry.files import open_file, write_atomically
 from geometry.untrusted_files import is_text, unpacked_bytes
 
 from ..memory import check_fits
-from .instance import CoveringInstance
+from .solve import CoveringInstance
 
 # ---------- others' formats
 

@@ -248,7 +248,7 @@ def test_districts_areas_and_years(tiny, city, never, tmp_path, no_pages):
     served = run(tiny / "tiny.osm", city, budget_units=1, districts=middle, min_district_apr=0.3)
     assert [one.units for one in served.junctions if one.district == "middle"] == [1]
     with pytest.raises(
-        InputError, match=r"--budget-eur: got 10.0; expected at least [\d,]+ EUR, to"
+        InputError, match=r"budget_eur: got 10.0; expected at least [\d,]+ EUR, to"
     ):
         run(tiny / "tiny.osm", city, budget_eur=10.0, districts=middle, min_district_apr=0.3)
     years = run(tiny / "tiny.osm", city, budget_units=3, units_per_year=1)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from geometry.errors import InputError
-from placement.city.choose import CityWishes, District, choose, city_front, city_values
+from placement.city.choose import CityWishes, District, choose, city_front, city_values, plan_phases
 from placement.city.fronts import (
     NOTHING,
     Point,
@@ -17,7 +17,6 @@ from placement.city.fronts import (
     stack_bounds,
     stack_fronts,
 )
-from placement.city.phases import plan_phases
 from placement.optimiser.objectives import Objective
 
 STAGES = (

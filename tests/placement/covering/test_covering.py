@@ -11,8 +11,12 @@ from hypothesis import strategies as st
 
 from geometry.errors import InputError
 from placement.covering.files import load_instance
-from placement.covering.instance import build_covering_instance
-from placement.covering.solve import CoveringSolution, solve_lscp, solve_mclp
+from placement.covering.solve import (
+    CoveringSolution,
+    build_covering_instance,
+    solve_lscp,
+    solve_mclp,
+)
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "cover"
 OPTIMA = tomllib.loads((GOLDEN / "optima.toml").read_text())

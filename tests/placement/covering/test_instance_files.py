@@ -17,7 +17,7 @@ from placement.covering.files import (
     load_instance,
     save_instance,
 )
-from placement.covering.instance import build_covering_instance
+from placement.covering.solve import build_covering_instance
 
 ORLIB = """\
  3 4

@@ -10,7 +10,7 @@ from geometry.errors import InputError
 from geometry.lidar import load_lidars
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
-from placement.private_ground import build_private_ground, private_shares
+from placement.ground import build_private_ground, private_shares
 
 CAMERA = load_cameras()["carla-ncap-rgb-90"]
 
