@@ -1,10 +1,10 @@
-"""Choose what to mount: question -> plan -> detection table -> optimiser -> layout -> evaluation.
+"""Choose what to mount: question -> assembly -> detection table -> layout -> evaluation.
 
-``build_setting()`` lays what is driven, ``build_plan()`` says what may be mounted and what is
-wanted, ``place()`` goes all the way to a proven layout, ``refine()`` looks between the poses of the
-grid, ``evaluate_layout()`` judges any layout by full perception and emergency braking,
-``verify_certificate()`` checks a proof. Every stage can be entered with its own values:
-``visibility`` builds the table, ``optimiser`` solves it, ``explain`` says why.
+``assemble()`` makes of a question what every answer needs - scene, runs, candidates, wishes, and
+when asked the detection table and the problem -, ``place()`` finds the proven layout, ``refine()``
+looks between the poses of the grid, ``evaluate_layout()`` judges any layout by full perception and
+emergency braking, ``verify_certificate()`` checks a proof. Every stage can be entered with its own
+values: ``visibility`` builds the table, ``optimiser`` solves it, ``explain`` says why.
 """
 
 from geometry.lazy_names import lazy_names

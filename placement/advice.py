@@ -13,15 +13,12 @@ from geometry.arrays import IntArray
 from geometry.errors import InputError, Unquoted
 
 from .candidates import CandidateGrid, CandidatePose
-from .compute import DEFAULT_COMPUTE, Compute
 from .detection_table import DetectionTable
 from .layout import Certificate, Layout
 from .live import LiveTable
 from .optimiser import PlacementProblem, PlacementValue, apr, placement_value, solve_placement
 from .optimiser.limits import fitting
-from .pipeline import obtain_table
-from .planning import Plan
-from .prices import load_prices
+from .pipeline import Assembly
 from .retrofit import (
     RetrofitPoses,
     best_joining,
@@ -29,8 +26,7 @@ from .retrofit import (
     combined_limits,
     find_addition,
 )
-from .setting import Setting
-from .wishes import Wishes, build_problem
+from .wishes import Wishes
 
 LEAST_GAIN = 1.0e-9
 """An APR that is higher by less is the same."""
@@ -81,36 +77,21 @@ class Advice:
 
 
 class Adviser:
-    """Answers questions about layouts in one setting; the grid's table is built when first asked.
+    """Answers to questions about layouts in one setting.
 
     Parameters
     ----------
-    setting : Setting
-        Scene, runs, rule.
-    plan : Plan
-        Candidates to choose from, the wishes that always hold (forbidden sites, capacities), the
-        optimiser's effort. Its budget does not matter.
+    assembly : Assembly
+        Setting, candidates to choose from, and the wishes that always hold (forbidden sites,
+        capacities, prices), without a budget.
     grid : CandidateGrid
         Directions in which units are re-aimed.
-    assumes_prices : bool
-        Whether sites that tell no price cost what is assumed of their kind.
-    compute : Compute
-        Seed, threads, cache of the table; is told the progress.
     """
 
-    def __init__(
-        self,
-        setting: Setting,
-        plan: Plan,
-        grid: CandidateGrid,
-        *,
-        assumes_prices: bool = True,
-        compute: Compute = DEFAULT_COMPUTE,
-    ) -> None:
-        self._setting, self._plan, self._grid, self._compute = setting, plan, grid, compute
-        self._wishes = replace(plan.wishes, prices=load_prices() if assumes_prices else None)
-        self._live = LiveTable(setting, compute=compute)
-        self._table: DetectionTable | None = None
+    def __init__(self, assembly: Assembly, grid: CandidateGrid) -> None:
+        self._assembly, self._grid, self._compute = assembly, grid, assembly.compute
+        self._wishes, self._setting = assembly.wishes, assembly.setting
+        self._live = LiveTable(assembly.setting, compute=assembly.compute)
 
     def best_next(self, units: Sequence[CandidatePose]) -> Advice:
         """The unit that gains most beside those that hang; costs are the new unit's and its site's.
@@ -149,8 +130,8 @@ class Adviser:
             return self.best_next(units)
         wishes = replace(
             self._wishes,
-            budget_units=n_units - len(units),
-            kept=tuple(unit.id for unit in units),
+            budget_units=n_units,
+            existing=tuple(unit.id for unit in units),
         )
         return self._search(units, wishes)
 
@@ -163,7 +144,7 @@ class Adviser:
             raise InputError("re-aim", Unquoted("no unit"), "at least one unit")
         layout = Layout(name="now", units=tuple(units))
         poses = build_retrofit_poses(layout, self._grid, ())
-        may_look = self._plan.may_look
+        may_look = self._assembly.may_look
         if may_look is not None:
             n = len(units)
             aims = np.flatnonzero(may_look(poses.candidates[n:])) + n
@@ -177,12 +158,14 @@ class Adviser:
         self._compute.progress("look from the units", 0, 0)
         table = self._rows(poses.candidates)
         wishes = replace(self._one_more(units), site_capacity=len(units) + 1)
-        problem = build_problem(self._setting, poses.candidates, table, wishes=wishes)
+        problem = replace(
+            self._assembly, candidates=poses.candidates, wishes=wishes, known_table=table
+        ).problem
         limits = combined_limits(problem.limits, poses, re_aim_eur=0.0, budget_eur=0.0)
         problem = replace(problem, limits=limits)
         solution = solve_placement(
             problem,
-            effort=self._plan.effort,
+            effort=self._assembly.effort,
             starts=[np.arange(len(units))],
             on_stage=self._tell,
         )
@@ -204,12 +187,10 @@ class Adviser:
         """
         if not units:
             raise InputError("the cheapest that keeps this", Unquoted("no unit"), "a unit")
-        share = apr(self._problem(units, replace(self._wishes, budget_units=1)), range(len(units)))
+        share = apr(self._problem(units, self._wishes), range(len(units)))
         if share <= 0.0:
             raise InputError("the cheapest that keeps this", Unquoted("an APR of 0"), "more")
-        wishes = replace(
-            self._wishes, budget_units=None, target=share, saves="cost", forced_sites=()
-        )
+        wishes = replace(self._wishes, target=share, saves="cost", forced_sites=())
         return self._search(units, wishes)
 
     def why_not(self, units: Sequence[CandidatePose], site_id: str) -> tuple[Advice, Advice]:
@@ -253,7 +234,7 @@ class Adviser:
         has_start = bool(len(units)) and wishes.budget_units is None
         solution = solve_placement(
             problem,
-            effort=self._plan.effort,
+            effort=self._assembly.effort,
             starts=[standing] if has_start else (),
             on_stage=self._tell,
         )
@@ -278,20 +259,23 @@ class Adviser:
     def _one_more(self, units: Sequence[CandidatePose]) -> Wishes:
         """One more row than those that hang: a further unit, or another direction of one."""
         return replace(
-            self._wishes, budget_units=1, kept=tuple(unit.id for unit in units), forced_sites=()
+            self._wishes,
+            budget_units=len(units) + 1,
+            existing=tuple(unit.id for unit in units),
+            forced_sites=(),
         )
 
     def _problem(self, units: Sequence[CandidatePose], wishes: Wishes) -> PlacementProblem:
         """The problem on the rows of the units, then those of the grid."""
-        if self._table is None:
-            self._table = obtain_table(self._setting, self._plan.candidates, compute=self._compute)
         candidates = self._candidates(units)
         table = DetectionTable(
             pose_ids=tuple(candidate.id for candidate in candidates),
             axis=self._setting.axis,
-            packed=np.concatenate([self._rows(units).packed, self._table.packed]),
+            packed=np.concatenate([self._rows(units).packed, self._assembly.table.packed]),
         )
-        return build_problem(self._setting, candidates, table, wishes=wishes)
+        return replace(
+            self._assembly, candidates=candidates, wishes=wishes, known_table=table
+        ).problem
 
     def _candidates(self, units: Sequence[CandidatePose]) -> tuple[CandidatePose, ...]:
         """The units, then the grid's poses; wishes find units by ids that no other row has.
@@ -301,7 +285,7 @@ class Adviser:
         taken = {unit.id for unit in units}
         grid = (
             replace(one, id=free_name(taken, f"{one.id}/")) if one.id in taken else one
-            for one in self._plan.candidates
+            for one in self._assembly.candidates
         )
         return (*units, *grid)
 

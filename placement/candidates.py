@@ -5,19 +5,22 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.resources import files
 from itertools import product
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, float_array
-from geometry.catalogue import Sensor, pick_sensor
+from geometry.catalogue import Sensor, load_catalogue, pick_sensor
 from geometry.errors import InputError, Unquoted
-from geometry.files import load_toml, take_list, take_number
+from geometry.files import load_toml, pick, take_list, take_number
 from geometry.lidar import LidarModel
 from geometry.poses import Pose, body_rotation
 from geometry.scene import Scene
 from geometry.sensors import project_points
 from geometry.terrain import ground_height_m
+
+from .question import Question, read_number, split_names
 
 if TYPE_CHECKING:  # solvers of differential equations come with it
     from scenarios.aeb import AebRule
@@ -92,21 +95,21 @@ class CandidateGrid:
 
     def __post_init__(self) -> None:
         for name in ("heights_m", "pitches_deg", "ring_pitches_deg"):
-            values = float_array(getattr(self, name), (-1,), f"grid.{name}")
+            values = float_array(getattr(self, name), (-1,), name)
             object.__setattr__(self, name, values)
             if len(values) == 0:
-                raise InputError(f"grid.{name}", Unquoted("none"), "at least one")
+                raise InputError(name, Unquoted("none"), "at least one")
             if name != "heights_m" and (np.abs(values) > 90.0).any():
-                raise InputError(f"grid.{name}", values.tolist(), "-90 .. 90 degrees")
+                raise InputError(name, values.tolist(), "-90 .. 90 degrees")
         if (self.heights_m <= 0.0).any():
-            raise InputError("grid.heights_m", self.heights_m.tolist(), "metres, > 0")
-        step_deg = float(float_array(self.yaw_step_deg, (), "grid.yaw_step_deg"))
+            raise InputError("heights_m", self.heights_m.tolist(), "metres, > 0")
+        step_deg = float(float_array(self.yaw_step_deg, (), "yaw_step_deg"))
         if not 0.0 < step_deg <= 360.0:
-            raise InputError("grid.yaw_step_deg", step_deg, "0 < degrees <= 360")
+            raise InputError("yaw_step_deg", step_deg, "0 < degrees <= 360")
         if not abs(self.n_yaws * step_deg - 360.0) <= 1.0e-9:
-            raise InputError("grid.yaw_step_deg", step_deg, "degrees that divide 360 evenly")
+            raise InputError("yaw_step_deg", step_deg, "degrees that divide 360 evenly")
         if not self.sensors:
-            raise InputError("grid.sensors", Unquoted("none"), "at least one")
+            raise InputError("sensors", Unquoted("none"), "at least one")
 
     @property
     def n_yaws(self) -> int:
@@ -226,3 +229,43 @@ def load_candidate_grid(*, is_coarse: bool = False) -> CandidateGrid:
             pick_sensor(name, f"{where}: sensors") for name in take_list(table, "sensors", where)
         ),
     )
+
+
+def build_grid(question: Question, *, is_coarse: bool = False) -> CandidateGrid:
+    """The default grid, with the sensors, heights, yaws and pitches of a question.
+
+    Raises InputError if a sensor is unknown, or a number cannot be.
+    """
+    changes: dict[str, Any] = {}
+    if question.sensors:
+        changes["sensors"] = tuple(own_models(question.sensors).values())
+    if question.heights:
+        changes["heights_m"] = _numbers("heights", question.heights, "metres", 0.5, 50.0)
+    if question.pitches:
+        changes["pitches_deg"] = _numbers("pitches", question.pitches, "degrees", -90.0, 90.0)
+    if question.yaw_step_deg is not None:
+        changes["yaw_step_deg"] = question.yaw_step_deg
+    return replace(load_candidate_grid(is_coarse=is_coarse), **changes)
+
+
+def _numbers(where: str, text: str, unit: str, low: float, high: float) -> FloatArray:
+    """Numbers with commas between, each once."""
+    expected = f"{unit} with commas between, {low:g} to {high:g}"
+    numbers = [read_number(where, word, expected, low, high) for word in split_names(text, where)]
+    return np.array(numbers)
+
+
+def own_models(sensors: str) -> dict[str, Sensor]:
+    """Models by name, as a user lists them: of the catalogue, or of files."""
+    names = split_names(sensors, "sensors")
+    return {model.name: model for name in names for model in _sensors(name)}
+
+
+def _sensors(word: str) -> Sequence[Sensor]:
+    """The model of a name; all of a catalogue FILE.toml, or FILE.toml:NAME."""
+    path, _, name = word.rpartition(":")
+    if word.endswith(".toml"):
+        return list(load_catalogue(Path(word)).values())
+    if path.endswith(".toml"):
+        return [pick(load_catalogue(Path(path)), name, f"sensors: {path}")]
+    return [pick_sensor(word, "sensors")]

@@ -16,13 +16,13 @@ from .candidates import CandidatePose, build_candidates, load_candidate_grid
 from .compute import Compute
 from .detection_table import DetectionTable, pack_table
 from .evaluator import evaluate_layouts
-from .explain import find_next_unit
 from .layout import Layout
-from .optimiser import Effort, presolve, solve_greedy, solve_placement
+from .optimiser import Effort
 from .optimiser.front import front_below
+from .pipeline import Assembly, place
 from .question import Question
 from .setting import Setting, build_setting
-from .wishes import Wishes, build_problem
+from .wishes import Wishes
 
 _QUESTION = Question(cases="CPNC-50,CBNA,CBLA", along_arms="0", speeds="50")
 _N_POSES = 300
@@ -54,12 +54,17 @@ def compile_ahead() -> None:
 def _optimise(setting: Setting, candidates: Sequence[CandidatePose]) -> None:
     """All that the main job asks the optimiser for, on made-up detections."""
     table = _table_of_chance(tuple(candidate.id for candidate in candidates), setting)
-    problem = build_problem(setting, candidates, table, wishes=Wishes(budget_units=3))
-    reduced, effort = presolve(problem), Effort(time_limit_s=_TIME_LIMIT_S)
-    solution = solve_placement(problem, reduced, effort=effort)
-    solve_greedy(problem, reduced)
-    find_next_unit(problem, reduced, solution.pose_index)
-    front_below(problem, solution.pose_index, solution.certificate, effort=effort, reduced=reduced)
+    effort = Effort(time_limit_s=_TIME_LIMIT_S)
+    assembly = Assembly(
+        setting=setting,
+        candidates=candidates,
+        wishes=Wishes(budget_units=3),
+        effort=effort,
+        known_table=table,
+    )
+    found = place(assembly)
+    reduced = assembly.presolved
+    front_below(found.problem, found.pose_index, found.certificate, effort=effort, reduced=reduced)
 
 
 def _table_of_chance(pose_ids: tuple[str, ...], setting: Setting) -> DetectionTable:

@@ -65,12 +65,12 @@ class Compute:
     rays: str = "auto"
 
     def __post_init__(self) -> None:
-        check_whole("--seed", self.seed, least=0)
+        check_whole("seed", self.seed, least=0)
         check_whole("workers", self.workers, least=1)
         if self.rays not in RAYS:
             from geometry.errors import InputError
 
-            raise InputError("--rays", self.rays, "one of " + ", ".join(RAYS))
+            raise InputError("rays", self.rays, "one of " + ", ".join(RAYS))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Other processes tell nobody: whoever waits for them does."""

@@ -99,10 +99,10 @@ class LiveTable:
             self._world,
             unit.pose.position_m,
             near_m=unit.sensor.near_m,
-            max_distance_m=reach_m(unit.sensor, setting.planner, self._world),
+            max_distance_m=reach_m(unit.sensor, setting.table_detector, self._world),
             for_lidar=isinstance(unit.sensor, LidarModel),
         )
-        sensing = build_sensing(self._world, sight, unit.pose.position_m, setting.planner)
+        sensing = build_sensing(self._world, sight, unit.pose.position_m, setting.table_detector)
         self._mounts[key] = sensing
         while len(self._mounts) > MAX_MOUNTS:
             self._mounts.popitem(last=False)

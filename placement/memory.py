@@ -96,15 +96,15 @@ def check_memory(n_poses: int, n_frames: int, *, n_worlds: int = 1) -> None:
     if there is None or needed <= there:
         return
     worlds = f" in {n_worlds:,} sampled worlds" if n_worlds > 1 else ""
-    fewer = "fewer --samples, " if n_worlds > 1 else ""
+    fewer = "fewer `samples`, " if n_worlds > 1 else ""
     raise InputError(
         "memory",
         Unquoted(
             f"{n_poses:,} poses x {n_frames:,} frames{worlds}, which need {gib(needed)}, where "
             f"there are {gib(there)}"
         ),
-        f"a smaller question: {fewer}fewer --cases, --speeds, --approaches or --weather, fewer "
-        "--sensors, or only the poles of --within",
+        f"a smaller question: {fewer}fewer `cases`, `speeds`, `approaches` or `weather`, fewer "
+        "`sensors`, or only the poles of `within`",
     )
 
 

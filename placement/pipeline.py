@@ -1,23 +1,34 @@
-"""Candidates -> detection table -> optimiser -> layout, in one call."""
+"""From a question to a layout: the one assembly of what every answer needs, and the search."""
 
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cache, partial
-from itertools import count
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from itertools import compress, count
+from pathlib import Path
 
+from geometry.arrays import BoolArray
 from geometry.errors import InputError, Unquoted
+from geometry.scene import Scene
+from geometry.scene_files import load_scene
 
 from .cache import cached_value
-from .candidates import CandidatePose
+from .candidates import CandidateGrid, CandidatePose, build_candidates, build_grid
 from .compute import DEFAULT_COMPUTE, Compute
 from .detection_table import DetectionTable
 from .explain import NextUnit, find_next_unit, find_refusal
-from .layout import Certificate, Layout
+from .ground import (
+    PrivateGround,
+    load_private_ground,
+    private_shares,
+    respects_private_ground,
+)
+from .layout import Certificate, Layout, check_layout, find_baseline, find_layout
 from .memory import check_memory
 from .optimiser import (
     Effort,
+    Limits,
     PlacementProblem,
     PresolveStatistics,
     ReducedProblem,
@@ -28,12 +39,256 @@ from .optimiser import (
     solve_placement,
 )
 from .optimiser.problem import Fusion
-from .sampling import Uncertainty, sampled_table
-from .setting import Setting
-from .visibility import build_detection_table, load_table, save_table, table_fingerprint
-from .wishes import Wishes, build_problem, check_wishes
+from .question import Question
+from .sampling import SampledTable, Uncertainty, load_drawn, obtain_table, sampled_table
+from .setting import Setting, build_setting
+from .wishes import Wishes, build_limits, build_problem, read_wishes
 
 _log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Assembly:
+    """What every answer needs of a question; the table and the problem are made once, when asked.
+
+    Another assembly with other candidates or wishes is made by ``dataclasses.replace``.
+
+    Attributes
+    ----------
+    setting : Setting
+        Scene, runs, braking rule, detectors.
+    candidates : tuple of CandidatePose
+        Poses to choose from: rows of the table. Ids are unique.
+    wishes : Wishes
+        What is asked of a layout.
+    fusion : {"any", "single"}
+        "any": a frame counts if any unit detects; "single": one unit must confirm alone.
+    effort : Effort
+        How hard the optimiser tries.
+    existing : Layout, optional
+        What is mounted already.
+    private_ground : PrivateGround, optional
+        What cameras must not look into.
+    may_look : function of poses, optional
+        Which of them respect private ground, (n,) bool; None: all.
+    uncertainty : Uncertainty, optional
+        What is drawn in sampled worlds.
+    n_samples : int
+        Worlds to choose in; 0: the one as planned.
+    compute : Compute
+        Seed, threads, cache of tables, progress.
+    known_table : DetectionTable, optional
+        Table of the candidates where there is one already.
+    """
+
+    setting: Setting
+    candidates: Sequence[CandidatePose]
+    wishes: Wishes = field(default_factory=Wishes)
+    fusion: Fusion = "any"
+    effort: Effort = field(default_factory=Effort)
+    existing: Layout | None = None
+    private_ground: PrivateGround | None = None
+    may_look: Callable[[Sequence[CandidatePose]], BoolArray] | None = None
+    uncertainty: Uncertainty | None = None
+    n_samples: int = 0
+    compute: Compute = DEFAULT_COMPUTE
+    known_table: DetectionTable | None = None
+
+    def __post_init__(self) -> None:
+        if not self.candidates:
+            raise InputError("candidates", Unquoted("none"), "at least one pose")
+
+    def __repr__(self) -> str:
+        return f"Assembly({self.setting!r}, {len(self.candidates)} poses)"
+
+    @property
+    def scene(self) -> Scene:
+        """The scene of the setting."""
+        return self.setting.scene
+
+    @property
+    def limits(self) -> Limits:
+        """Limits on what may be mounted together; needs no table."""
+        return build_limits(self.wishes, self.scene, self.candidates)
+
+    @cached_property
+    def table(self) -> DetectionTable:
+        """Detections of all candidates, from the cache or built: in the sampled worlds, if any.
+
+        Raises InputError if it does not fit into the memory of this machine.
+        """
+        if self.known_table is not None:
+            return self.known_table
+        if self._sampled is not None:
+            return self._sampled.table
+        check_memory(len(self.candidates), self.setting.axis.n_frames)
+        return obtain_table(self.setting, self.candidates, compute=self.compute)
+
+    @cached_property
+    def _sampled(self) -> SampledTable | None:
+        if self.uncertainty is None or self.n_samples == 0:
+            return None
+        n_frames = self.setting.axis.n_frames
+        check_memory(len(self.candidates), n_frames, n_worlds=self.n_samples)
+        return sampled_table(
+            self.setting,
+            self.candidates,
+            self.uncertainty,
+            n_samples=self.n_samples,
+            compute=self.compute,
+        )
+
+    @cached_property
+    def problem(self) -> PlacementProblem:
+        """The optimiser's problem."""
+        return build_problem(
+            self.setting,
+            self.candidates,
+            self.table,
+            wishes=self.wishes,
+            fusion=self.fusion,
+            sample_index=None if self._sampled is None else self._sampled.sample_index,
+        )
+
+    @cached_property
+    def presolved(self) -> ReducedProblem:
+        """The problem after presolve."""
+        reduced = presolve(self.problem)
+        _log.info("presolve: %s", reduced.statistics)
+        return reduced
+
+    def of_layout(self, pose_index: Sequence[int]) -> "Assembly":
+        """Some candidates alone, in the world as planned."""
+        units = [self.candidates[index] for index in pose_index]
+        compute = replace(self.compute, cache_folder=None)
+        return Assembly(setting=self.setting, candidates=units, fusion=self.fusion, compute=compute)
+
+
+def assemble(
+    question: Question,
+    *,
+    scene: Scene | None = None,
+    setting: Setting | None = None,
+    grid: CandidateGrid | None = None,
+    existing: Layout | None = None,
+    counts_money: bool = False,
+    compute: Compute = DEFAULT_COMPUTE,
+) -> Assembly:
+    """Make of a question what every answer needs.
+
+    Names and limits are checked before any run is laid, and all of them before any ray is cast.
+
+    Parameters
+    ----------
+    question : Question
+        What is asked.
+    scene : Scene, optional
+        The junction, in place of the one that the question names.
+    setting : Setting, optional
+        Scene and runs, where they have been laid already.
+    grid : CandidateGrid, optional
+        Poses to try at each site, in place of the question's grid and the study's poses.
+    existing : Layout, optional
+        What is mounted already, in place of the question's.
+    counts_money : bool
+        Sites without a price cost what is assumed, also where the question asks for no money.
+    compute : Compute
+        Seed, threads, cache, progress.
+
+    Returns
+    -------
+    assembly : Assembly
+        Candidates are the grid's, at the study's junction its 12 poses, and the existing units; or
+        those of `within` and the existing ones.
+
+    Raises
+    ------
+    InputError
+        A word is unknown, a layout does not fit the scene, a wish cannot be met at its sites, or no
+        run can be laid.
+    """
+    _check_together(question)
+    if scene is None:
+        scene = load_scene(question.scene) if setting is None else setting.scene
+    if existing is None:
+        existing = _named_layout(question.keep, "keep", scene, question.sensors)
+    units = () if existing is None else existing.units
+    within = _named_layout(question.within, "within", scene, question.sensors)
+    if within is not None:
+        candidates = _distinct(within.units, units)
+    elif grid is not None:
+        candidates = build_candidates(scene, grid, extra=units)
+    else:
+        study = find_baseline(scene)
+        extra = _distinct(() if study is None else study.units, units)
+        candidates = build_candidates(scene, build_grid(question), extra=extra)
+    private_ground, may_look = None, None
+    if question.no_look:
+        private_ground = load_private_ground(Path(question.no_look), scene)
+        may_look = partial(
+            _respects, scene=scene, ground=private_ground, max_share=question.no_look_share or 0.0
+        )
+        # Existing units stay, wherever they look.
+        candidates = _distinct([*compress(candidates, may_look(candidates))], units)
+    wishes = read_wishes(question, existing=units, counts_money=counts_money)
+    build_limits(wishes, scene, candidates)
+    uncertainty = load_drawn(question, scene, n_samples=question.samples)
+    if question.packet_loss:
+        uncertainty = replace(uncertainty, packet_loss=question.packet_loss)
+    effort = build_effort(question)
+    if setting is None:
+        compute.progress("setting", 0, 0)
+        setting = build_setting(question, scene, compute=compute)
+    return Assembly(
+        setting=setting,
+        candidates=candidates,
+        wishes=wishes,
+        fusion=question.fusion,
+        effort=effort,
+        existing=existing,
+        private_ground=private_ground,
+        may_look=may_look,
+        uncertainty=uncertainty,
+        n_samples=question.samples,
+        compute=compute,
+    )
+
+
+def _check_together(question: Question) -> None:
+    """Raise InputError for fields that exclude or need one another."""
+    for field_name in ("within", "samples", "no_look"):
+        if question.refine and getattr(question, field_name):
+            got = Unquoted(f"it beside `{field_name}`")
+            raise InputError("refine", got, "one of them: poses stay as they are")
+    if question.no_look_share and not question.no_look:
+        raise InputError("no_look_share", question.no_look_share, "`no_look` beside it")
+
+
+def _named_layout(name: str, where: str, scene: Scene, sensors: str) -> Layout | None:
+    if not name:
+        return None
+    layout = find_layout(name, where, scene=scene, sensors=sensors)
+    check_layout(layout, scene)
+    return layout
+
+
+def _distinct(*several: Sequence[CandidatePose]) -> tuple[CandidatePose, ...]:
+    """Units, each id once; the last one that has it counts."""
+    return tuple({unit.id: unit for units in several for unit in units}.values())
+
+
+def _respects(
+    candidates: Sequence[CandidatePose], *, scene: Scene, ground: PrivateGround, max_share: float
+) -> BoolArray:
+    return respects_private_ground(private_shares(scene, candidates, ground), max_share=max_share)
+
+
+def build_effort(question: Question) -> Effort:
+    """How hard the optimiser tries. Raises InputError for a number that cannot be."""
+    return Effort(solver=question.solver, time_limit_s=question.time_limit_s, gap=question.gap)
+
+
+# ---------- the best layout
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -92,73 +347,28 @@ class Placement:
         return self.layout._repr_html_() + self.certificate._repr_html_()
 
 
-def place(
-    setting: Setting,
-    candidates: Sequence[CandidatePose],
-    *,
-    wishes: Wishes,
-    fusion: Fusion = "any",
-    effort: Effort | None = None,
-    uncertainty: Uncertainty | None = None,
-    n_samples: int = 0,
-    compute: Compute = DEFAULT_COMPUTE,
-) -> Placement:
-    """Find the best layout that meets wishes.
-
-    Parameters
-    ----------
-    setting : Setting
-        Scene, runs, braking rule, detector.
-    candidates : sequence of CandidatePose
-        Poses to choose from.
-    wishes : Wishes
-        What is asked.
-    fusion : str
-        "any": a frame counts if any unit detects; "single": one unit must confirm alone.
-    effort : Effort, optional
-        How hard the optimiser tries.
-    uncertainty : Uncertainty, optional
-        What is drawn in sampled worlds.
-    n_samples : int
-        Worlds to choose in; 0: the one as planned.
-    compute : Compute
-        Seed, threads, where detection tables are kept, and who is told the progress.
-
-    Returns
-    -------
-    placement : Placement
-        With its certificate.
+def place(assembly: Assembly) -> Placement:
+    """Find the best layout of an assembly.
 
     Raises
     ------
     InputError
-        There is no candidate, or wishes cannot be met; the message says which, and how little has
+        Nothing is asked for, or wishes cannot be met; the message says which, and how little has
         to give way. Or the question does not fit into the memory of this machine.
     """
-    if not candidates:
-        raise InputError("candidates", Unquoted("none"), "at least one pose")
-    check_wishes(wishes, setting.scene)
+    wishes, compute, effort = assembly.wishes, assembly.compute, assembly.effort
+    if wishes.budget_units is None and wishes.budget_eur is None and wishes.target is None:
+        raise InputError("budget", Unquoted("nothing"), "`budget`, `budget_cost` or `target`")
+    _ = assembly.limits  # what cannot be met is refused before anything is computed
     started = time.perf_counter()
-    sample_index = None
-    if uncertainty is not None and n_samples:
-        check_memory(len(candidates), setting.axis.n_frames, n_worlds=n_samples)
-        sampled = sampled_table(
-            setting, candidates, uncertainty, n_samples=n_samples, compute=compute
-        )
-        table, sample_index = sampled.table, sampled.sample_index
-    else:
-        table = obtain_table(setting, candidates, compute=compute)
-    table_done = time.perf_counter()
+    table = assembly.table
+    table_done = optimised = time.perf_counter()
     _log.info("detection table: %d poses, %d frames", table.n_poses, table.axis.n_frames)
-    problem = build_problem(
-        setting, candidates, table, wishes=wishes, fusion=fusion, sample_index=sample_index
-    )
-    presolved = cache(partial(_presolve, problem))  # once, where anybody asks for it
-    optimised = table_done
+    problem = assembly.problem
 
     def answer() -> tuple[Solution, tuple[int, ...], NextUnit | None]:
         nonlocal optimised
-        reduced = presolved()
+        reduced = assembly.presolved
         solution = solve_placement(
             problem,
             reduced,
@@ -182,23 +392,28 @@ def place(
         )
     except UnmetError as error:
         compute.progress("what has to give way", 0, 0)
-        effort = effort or Effort()
         refusal = find_refusal(
-            problem, wishes, setting.scene, candidates, time_limit_s=effort.time_limit_s
+            problem,
+            wishes,
+            assembly.scene,
+            assembly.candidates,
+            time_limit_s=effort.time_limit_s,
         )
         raise refusal or error from None
     nominal, nominal_index = problem, solution.pose_index
-    if sample_index is not None:
-        nominal = _alone(setting, candidates, solution.pose_index, fusion, compute.within("greedy"))
+    if problem.sample_index is not None:
+        alone = replace(assembly, compute=compute.within("greedy")).of_layout(solution.pose_index)
+        nominal = alone.problem
         nominal_index = tuple(range(nominal.table.n_poses))
+    pick = partial(pick_layout, assembly.candidates)
     return Placement(
-        layout=pick_layout(candidates, solution.pose_index, f"best-{len(solution.pose_index)}"),
-        greedy=pick_layout(candidates, greedy_index, f"greedy-{len(greedy_index)}"),
+        layout=pick(solution.pose_index, f"best-{len(solution.pose_index)}"),
+        greedy=pick(greedy_index, f"greedy-{len(greedy_index)}"),
         greedy_index=greedy_index,
         certificate=solution.certificate,
         presolve=solution.presolve,
         problem=problem,
-        presolved=presolved,
+        presolved=lambda: assembly.presolved,
         pose_index=solution.pose_index,
         nominal=nominal,
         nominal_index=nominal_index,
@@ -209,64 +424,6 @@ def place(
             "greedy": time.perf_counter() - optimised,
         },
     )
-
-
-def _presolve(problem: PlacementProblem) -> ReducedProblem:
-    """Presolve a problem, and tell what is left."""
-    reduced = presolve(problem)
-    _log.info("presolve: %s", reduced.statistics)
-    return reduced
-
-
-def obtain_table(
-    setting: Setting, candidates: Sequence[CandidatePose], *, compute: Compute
-) -> DetectionTable:
-    """Detection table of a setting, from the cache or built anew.
-
-    Raises
-    ------
-    InputError
-        What is asked of the table does not fit into the memory of this machine.
-    """
-    check_memory(len(candidates), setting.axis.n_frames)
-    if compute.cache_folder is not None:
-        fingerprint = table_fingerprint(
-            setting.scene, candidates, setting.runs, setting.planner, seed=compute.seed
-        )
-        path = compute.cache_folder / f"table-{fingerprint}.npz"
-        cached = load_table(path, fingerprint=fingerprint, candidates=candidates, axis=setting.axis)
-        if cached is not None:
-            _log.info("detection table read from %s", path)
-            compute.progress("detection table (cached)", 0, 0)
-            return cached
-    compute.progress("detection table", 0, 0)
-    table = build_detection_table(
-        setting.scene,
-        candidates,
-        setting.runs,
-        setting.axis,
-        detector=setting.planner,
-        compute=compute,
-    )
-    if compute.cache_folder is not None:
-        save_table(path, table, fingerprint=fingerprint)
-    return table
-
-
-def _alone(
-    setting: Setting,
-    candidates: Sequence[CandidatePose],
-    pose_index: Sequence[int],
-    fusion: Fusion,
-    compute: Compute,
-) -> PlacementProblem:
-    """A layout in the world as planned."""
-    units = [candidates[index] for index in pose_index]
-    table = build_detection_table(
-        setting.scene, units, setting.runs, setting.axis, detector=setting.planner, compute=compute
-    )
-    wishes = Wishes(budget_units=1, kept=tuple(unit.id for unit in units[1:]))
-    return build_problem(setting, units, table, wishes=wishes, fusion=fusion)
 
 
 def pick_layout(

@@ -88,5 +88,8 @@ def assumed_prices(prices: SitePrices, sites: Sequence[Site]) -> tuple[str, ...]
             f"{sum(parts.values()):,.0f} EUR each are assumed ({sum_of})."
         )
     if told:
-        told.append(f"Sources are in {_FILE}; --site-cost, or cost_eur in the scene, says better.")
+        told.append(
+            f"Sources are in {_FILE}; a site cost in the question, or cost_eur in the scene, takes "
+            "their place."
+        )
     return tuple(told)

@@ -1,4 +1,4 @@
-"""The setting in which layouts are placed and judged: scene, runs, braking, detectors, links."""
+"""The setting in which layouts are placed and judged: scene, runs, braking, detectors, radio."""
 
 import logging
 import math
@@ -33,13 +33,13 @@ from .compute import DEFAULT_COMPUTE, Compute
 from .detectors import Detector, PlanningDetector, load_detector, load_planning_detector
 from .detectors.network import NetworkDetector
 from .latency import load_latency_budget
-from .question import Question, map_options, question_fields, split_names
+from .question import Question, map_options, split_names
 
-# ---------- radio links
+# ---------- radio
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Links:
+class Radio:
     """Radio between RSUs, VRUs and the VUT.
 
     Attributes
@@ -57,7 +57,7 @@ class Links:
     def __post_init__(self) -> None:
         for name in ("packet_loss", "vam_rate"):
             if not 0.0 <= getattr(self, name) <= 1.0:
-                raise InputError(f"links.{name}", getattr(self, name), "0 .. 1")
+                raise InputError(name, getattr(self, name), "0 .. 1")
 
 
 # ---------- the setting
@@ -82,11 +82,11 @@ class Setting:
         From detected frames to braking.
     detector : Detector
         Of cameras, in the evaluator.
-    planner : PlanningDetector
+    table_detector : PlanningDetector
         Of cameras, in the detection table.
     refusals : tuple of Refusal
         What was asked for, but cannot be driven.
-    links : Links
+    radio : Radio
         From detections to the VUT.
     vut_sensors : tuple of str
         Of ``VUT_SENSORS``: what the VUT itself looks with.
@@ -99,9 +99,9 @@ class Setting:
     axis: FrameAxis
     rule: AebRule
     detector: Detector
-    planner: PlanningDetector
+    table_detector: PlanningDetector
     refusals: tuple[Refusal, ...] = ()
-    links: Links = field(default_factory=Links)
+    radio: Radio = field(default_factory=Radio)
     vut_sensors: tuple[str, ...] = VUT_SENSORS[:1]
     vut_camera: CameraModel | None = None
 
@@ -123,7 +123,7 @@ _log = logging.getLogger(__name__)
 def build_rule(question: Question) -> AebRule:
     """The study's braking rule, with what the question changes.
 
-    Raises InputError if the latency budget is unknown, a latency is given beside it, or tracks live
+    Raises InputError if the latency budget is unknown, a latency is given as well, or tracks live
     for less than a frame.
     """
     changes = {
@@ -134,15 +134,13 @@ def build_rule(question: Question) -> AebRule:
     changes["track_memory_s"] = _track_memory_s(question)
     if question.latency_budget:
         if question.latency_s is not None:
-            raise InputError("--latency", Unquoted("it beside --latency-budget"), "one of them")
-        budget = load_latency_budget(question.latency_budget, where="--latency-budget")
+            raise InputError("latency_s", Unquoted("it beside `latency_budget`"), "one of them")
+        budget = load_latency_budget(question.latency_budget, where="latency_budget")
         changes["latency_s"] = budget.mean_s
     try:
         return replace(load_aeb_rule(), **changes)
     except InputError as error:
-        asked = question_fields().get(error.where.removeprefix("aeb."))
-        where = error.where if asked is None else asked.option_name
-        raise InputError(where, error.got, error.expected) from None
+        raise InputError(error.where.removeprefix("aeb."), error.got, error.expected) from None
 
 
 def check_question(question: Question) -> None:
@@ -157,18 +155,18 @@ def check_question(question: Question) -> None:
     """
     select_cases(question.cases, speeds=question.speeds or None, force=question.force)
     pick_positions(question.along_arms, question.cases)
-    _words(question.approaches, "--approaches", ARM_NAMES)
+    _words(question.approaches, "approaches", ARM_NAMES)
     _weathers(question)
     build_rule(question)
     if question.weights:
         check_weights(question.weights)
-    load_detector(question.detector, where="--detector")
+    load_detector(question.detector, where="detector")
 
 
 def _weathers(question: Question) -> tuple[str, ...]:
-    weathers = _words(question.weather, "--weather", WEATHERS)
+    weathers = _words(question.weather, "weather", WEATHERS)
     if not weathers:
-        raise InputError("--weather", question.weather, "one or more of " + ", ".join(WEATHERS))
+        raise InputError("weather", question.weather, "one or more of " + ", ".join(WEATHERS))
     return weathers
 
 
@@ -211,10 +209,10 @@ def drive(
     """
     selection = select_cases(question.cases, speeds=question.speeds or None, force=question.force)
     for beyond in selection.beyond:
-        _log.warning("--force: %s km/h are not speeds of the protocol", beyond)
+        _log.warning("%s km/h are not speeds of the protocol", beyond)
     positions = (position,) if position else pick_positions(question.along_arms, question.cases)
     known = tuple(build_junction(scene).arms)
-    approaches = _words(question.approaches, "--approaches", known) or known
+    approaches = _words(question.approaches, "approaches", known) or known
     weathers = _weathers(question)
     laid: dict[str, Any] = {
         "vut": pick_actor("vut", "vut"),
@@ -253,7 +251,7 @@ def drive_one(question: Question, scene: Scene, *, position: str = "0") -> Run:
 
     Raises InputError if it names no run, or several; or if there is no such position.
     """
-    where = "--position"
+    where = "position"
     place = read_position(position, where)
     for case in select_cases(question.cases, force=True).cases:
         if is_bound(case) and place != AT_ZERO:
@@ -307,8 +305,8 @@ def build_setting(
     question = question or Question()
     scene = scene or load_scene(question.scene, **map_options(question))
     # Names first: what is misspelt is refused before anything is driven.
-    vut_sensors = _words(question.vut_sensors, "--vut-sensors", VUT_SENSORS) or ("",)
-    rule, detector = build_rule(question), load_detector(question.detector, where="--detector")
+    vut_sensors = _words(question.vut_sensors, "vut_sensors", VUT_SENSORS) or ("",)
+    rule, detector = build_rule(question), load_detector(question.detector, where="detector")
     drives = drive(question, scene, cache_folder=compute.cache_folder)
     runs = drives.runs
     if question.strict or not runs:
@@ -324,9 +322,9 @@ def build_setting(
         axis=build_frame_axis(runs, weight),
         rule=rule,
         detector=detector,
-        planner=_planner(detector),
+        table_detector=_table_detector(detector),
         refusals=(*drives.refused, *drives.left_out),
-        links=Links(packet_loss=question.packet_loss, vam_rate=question.vam_rate),
+        radio=Radio(packet_loss=question.packet_loss, vam_rate=question.vam_rate),
         vut_sensors=vut_sensors,
     )
 
@@ -345,18 +343,18 @@ def _check_every_case(drives: Drives, scene: Scene) -> None:
             for reason, arms in by_reason.items()
         )
         raise InputError(
-            "--cases",
+            "cases",
             Unquoted(f"{case}, which no approach carries"),
             f"a case that can be driven at {scene.name} ({why})",
         )
 
 
-def _planner(detector: Detector) -> PlanningDetector:
+def _table_detector(detector: Detector) -> PlanningDetector:
     """The detector of the detection table: another one stands in for a network."""
     if not isinstance(detector, NetworkDetector):
         return cast(PlanningDetector, detector)
     _log.warning(
-        "--detector %s: judged on rendered pictures, about %s each; poses are chosen by the %s "
+        "detector %s: judged on rendered pictures, about %s each; poses are chosen by the %s "
         "detector",
         detector.name,
         "a tenth of a second" if detector.looks_at_crops else "a second",

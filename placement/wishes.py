@@ -1,19 +1,21 @@
-"""Wishes of a planner (units, money, targets, sites), and the optimiser's problem they make."""
+"""What is asked of a layout - units, money, targets, sites - and the problem that it makes."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.errors import InputError, Unquoted
-from geometry.scene import Scene
+from geometry.errors import InputError
+from geometry.scene import Scene, Site
 
 from .candidates import CandidatePose
 from .detection_table import DetectionTable
 from .optimiser import Failing, Floor, Goal, Limits, PlacementProblem, apr
 from .optimiser.problem import Fusion
-from .prices import SitePrices
+from .prices import SitePrices, load_prices
+from .question import Question, read_number, split_names
 from .setting import Setting
 
 
@@ -24,9 +26,9 @@ class Wishes:
     Attributes
     ----------
     budget_units : int, optional
-        At most so many units, those that are kept aside.
+        At most so many units in all, the existing ones among them.
     budget_eur : float, optional
-        At most so much money for units and sites; what is kept is paid. [EUR]
+        At most so much money for new units and their sites. [EUR]
     target : float, optional
         APR that must be reached, 0..1: with the fewest units or the least cost. With ``max``
         as infinity: as much as all candidates together reach.
@@ -39,16 +41,16 @@ class Wishes:
         these, the APR that is left is the first objective.
     failing : {"unit", "site"}
         What fails at once: a unit, or a site with everything that it carries.
-    kept : tuple of str
-        Ids of candidates that hang there already.
+    existing : tuple of str
+        Ids of candidates that are mounted already: they stay, and cost nothing.
     forced_sites, forbidden_sites : tuple of str
-        Ids of sites that must, and must not, carry units, beside what the scene says.
+        Ids of sites that must, and must not, carry units, in addition to the scene's.
     site_capacity : int, optional
         Units per site, in place of the scene's.
     site_cost_eur : float, optional
         For a site that is used, in place of the scene's. [EUR]
     prices : SitePrices, optional
-        For sites of which nobody tells a price; by default they cost nothing.
+        For sites without a price of their own; by default they cost nothing.
     separation_m : float
         Least distance on the ground between two units; on one site there is one at most then. [m]
     tail : float
@@ -63,7 +65,7 @@ class Wishes:
     min_case_apr: float = 0.0
     survive: int = 0
     failing: Failing = "unit"
-    kept: tuple[str, ...] = ()
+    existing: tuple[str, ...] = ()
     forced_sites: tuple[str, ...] = ()
     forbidden_sites: tuple[str, ...] = ()
     site_capacity: int | None = None
@@ -73,13 +75,15 @@ class Wishes:
     tail: float = 1.0
 
     def __post_init__(self) -> None:
-        if self.budget_units is None and self.budget_eur is None and self.target is None:
-            raise InputError("--budget", Unquoted("nothing"), "--budget, --budget-cost or --target")
         both = set(self.forced_sites) & set(self.forbidden_sites)
         if both:
             raise InputError(
-                "--forbid-site", sorted(both)[0], "another site than those of --force-site"
+                "forbid_site", sorted(both)[0], "another site than those of `force_site`"
             )
+
+    def capacity_of(self, site: Site) -> int:
+        """Units that a site can carry."""
+        return site.capacity_units if self.site_capacity is None else self.site_capacity
 
     @property
     def goal(self) -> Goal:
@@ -89,42 +93,17 @@ class Wishes:
         return "cheapest" if self.saves == "cost" else "fewest"
 
 
-def check_wishes(wishes: Wishes, scene: Scene) -> None:
-    """Check wishes against the scene alone, before anything is computed.
-
-    Raises InputError for more units than the sites can carry, or a site that does not exist.
-    """
-    known = {site.id: site for site in scene.sites}
-    for option, names in (
-        ("--force-site", wishes.forced_sites),
-        ("--forbid-site", wishes.forbidden_sites),
-    ):
-        for name in names:
-            if name not in known:
-                raise InputError(option, name, "one of " + ", ".join(sorted(known)))
-    capacity = sum(
-        site.capacity_units if wishes.site_capacity is None else wishes.site_capacity
-        for site in scene.sites
-        if site.id not in wishes.forbidden_sites
-    )
-    budget = wishes.budget_units
-    if budget is None:
-        return
-    is_whole = isinstance(budget, int) and not isinstance(budget, bool)
-    if not is_whole or not 1 <= budget <= capacity:
-        raise InputError(
-            "--budget",
-            budget,
-            f"a whole number of units, 1 to {capacity} (what {scene.name}'s sites can carry)",
-        )
-
-
 def build_limits(wishes: Wishes, scene: Scene, candidates: Sequence[CandidatePose]) -> Limits:
-    """What may be mounted together: a pose of no site of the scene stands alone on one of its own.
+    """Limits on what may be mounted together; nothing needs to be detected yet.
 
-    Raises InputError where a kept unit is no candidate, or a number cannot be.
+    A pose of no site of the scene stands alone on a site of its own. Raises InputError for a site
+    that does not exist, an existing unit that is no candidate, or more units than sites can carry.
     """
     sites = {site.id: site for site in scene.sites}
+    for name in (*wishes.forced_sites, *wishes.forbidden_sites):
+        if name not in sites:
+            where = "force_site" if name in wishes.forced_sites else "forbid_site"
+            raise InputError(where, name, "one of " + ", ".join(sorted(sites)))
     keys = [c.site_id if c.site_id in sites else ("own", c.id) for c in candidates]
     order = {key: index for index, key in enumerate(dict.fromkeys(keys))}
     site_index = np.array([order[key] for key in keys], dtype=np.int64)
@@ -135,9 +114,7 @@ def build_limits(wishes: Wishes, scene: Scene, candidates: Sequence[CandidatePos
     for key, index in order.items():
         if isinstance(key, str):
             site = sites[key]
-            capacity[index] = (
-                site.capacity_units if wishes.site_capacity is None else wishes.site_capacity
-            )
+            capacity[index] = wishes.capacity_of(site)
             cost[index] = site.cost_eur if wishes.prices is None else wishes.prices.cost_eur(site)
             is_forced_site[index] = site.use == "forced" or key in wishes.forced_sites
             is_forbidden_site[index] = site.use == "forbidden" or key in wishes.forbidden_sites
@@ -145,40 +122,53 @@ def build_limits(wishes: Wishes, scene: Scene, candidates: Sequence[CandidatePos
             cost[index] = wishes.site_cost_eur
     missing = [key for key in wishes.forced_sites if key not in order]
     if missing:
-        raise InputError("--force-site", missing[0], "a site with candidate poses")
-    is_kept = np.array([candidate.id in wishes.kept for candidate in candidates], dtype=bool)
-    lost = set(wishes.kept) - {candidate.id for candidate in candidates}
+        raise InputError("force_site", missing[0], "a site with candidate poses")
+    is_existing = np.array(
+        [candidate.id in wishes.existing for candidate in candidates], dtype=bool
+    )
+    lost = set(wishes.existing) - {candidate.id for candidate in candidates}
     if lost:
-        raise InputError("--keep", sorted(lost)[0], "units that are candidates")
-    kept_at = np.bincount(site_index[is_kept], minlength=len(order))
+        raise InputError("keep", sorted(lost)[0], "units that are candidates")
+    existing_at = np.bincount(site_index[is_existing], minlength=len(order))
     if wishes.separation_m > 0.0:
         capacity = np.minimum(capacity, 1)
-    capacity = np.maximum(capacity, kept_at)  # what hangs there has found room
-    cost[kept_at > 0] = 0.0
-    usable = site_index[~is_forbidden_site[site_index] | is_kept]
+    capacity = np.maximum(capacity, existing_at)  # existing units have found room
+    cost[existing_at > 0] = 0.0
+    usable = site_index[~is_forbidden_site[site_index] | is_existing]
     most = int(np.minimum(np.bincount(usable, minlength=len(order)), capacity).sum())
-    if wishes.budget_units is not None and wishes.budget_units + is_kept.sum() > most:
-        n_free = most - int(is_kept.sum())
-        expected = f"at most {n_free}, the units that the sites can carry"
-        if n_free <= 0:
-            expected = "candidates beside the units kept, at sites with room for them"
-        raise InputError("--budget", wishes.budget_units, expected)
     price = np.array([c.sensor.price_eur for c in candidates])
-    return Limits(
+    limits = Limits(
         site_index=site_index,
         site_capacity=capacity,
-        budget_units=None
-        if wishes.budget_units is None
-        else wishes.budget_units + int(is_kept.sum()),
+        budget_units=wishes.budget_units,
         budget_eur=wishes.budget_eur,
-        unit_cost_eur=np.where(is_kept, 0.0, price),
+        unit_cost_eur=np.where(is_existing, 0.0, price),
         site_cost_eur=cost,
-        is_forced=is_kept,
-        is_forbidden=is_forbidden_site[site_index] & ~is_kept,
+        is_forced=is_existing,
+        is_forbidden=is_forbidden_site[site_index] & ~is_existing,
         is_forced_site=is_forced_site,
-        rivals=_too_near(candidates, site_index, wishes.separation_m, kept_at > 0),
+        rivals=_too_near(candidates, site_index, wishes.separation_m, existing_at > 0),
         failing=wishes.failing,
     )
+    _check_room(wishes, scene, most)
+    return limits
+
+
+def _check_room(wishes: Wishes, scene: Scene, most: int) -> None:
+    """Raise InputError if the sites, or the candidates at them, cannot carry the budget."""
+    if wishes.budget_units is None or wishes.budget_units <= most:
+        return
+    n_existing = len(wishes.existing)
+    asked, n_free = wishes.budget_units - n_existing, most - n_existing
+    at_sites = sum(
+        wishes.capacity_of(site) for site in scene.sites if site.id not in wishes.forbidden_sites
+    )
+    expected = f"at most {n_free}: candidates and their sites allow no more"
+    if asked > at_sites:
+        expected = f"a whole number of units, 1 to {at_sites} (what {scene.name}'s sites can carry)"
+    elif n_free <= 0:
+        expected = "candidates next to the existing units, at sites with room for them"
+    raise InputError("budget", asked, expected)
 
 
 def build_problem(
@@ -211,12 +201,12 @@ def build_problem(
         if share == np.inf:
             usable = np.flatnonzero(~problem.limits.is_forbidden)
             share = min(apr(problem, usable.tolist()), 1.0)
-        floors.append(Floor(name="--target", share=share, n_failures=wishes.survive))
+        floors.append(Floor(name="target", share=share, n_failures=wishes.survive))
     if wishes.min_case_apr:
         axis = table.axis
         floors += [
             Floor(
-                name=f"--min-case-apr in {case}",
+                name=f"min_case_apr in {case}",
                 share=wishes.min_case_apr,
                 is_counted=_is_case(axis.cases, case),
                 n_failures=wishes.survive,
@@ -235,15 +225,80 @@ def _too_near(
     candidates: Sequence[CandidatePose],
     site_index: IntArray,
     separation_m: float,
-    is_kept_site: BoolArray,
+    is_existing_site: BoolArray,
 ) -> IntArray:
-    """Pairs of sites nearer than a distance on the ground; those that carry kept units may stay."""
+    """Pairs of sites nearer than a distance on the ground; existing units may stay."""
     if separation_m <= 0.0:
         return np.zeros((0, 2), dtype=np.int64)
-    n_sites = len(is_kept_site)
+    n_sites = len(is_existing_site)
     positions: FloatArray = np.array([c.pose.position_m[:2] for c in candidates])
     where = np.array([positions[site_index == site].mean(axis=0) for site in range(n_sites)])
     distance = np.linalg.norm(where[:, None, :] - where[None, :, :], axis=2)
     first, second = np.nonzero(np.triu(distance < separation_m, k=1))
-    free = ~(is_kept_site[first] & is_kept_site[second])
+    free = ~(is_existing_site[first] & is_existing_site[second])
     return np.column_stack([first[free], second[free]])
+
+
+# ---------- from the words of a question
+
+
+def read_wishes(
+    question: Question, *, existing: Sequence[CandidatePose] = (), counts_money: bool = False
+) -> Wishes:
+    """Wishes of a question, whose budget is of units in addition to the existing ones.
+
+    With `counts_money`, sites without a price cost what is assumed, whatever is asked for. Raises
+    InputError for words that mean nothing.
+    """
+    survive, failing = _failures(question.survive)
+    counts_money |= question.budget_cost is not None
+    counts_money |= bool(question.target) and question.least == "cost"
+    return Wishes(
+        budget_units=None if question.budget is None else question.budget + len(existing),
+        budget_eur=question.budget_cost,
+        target=_target(question.target),
+        saves=question.least,
+        min_case_apr=question.min_case_apr,
+        survive=survive,
+        failing=failing,
+        existing=tuple(unit.id for unit in existing),
+        forced_sites=split_names(question.force_site, "force_site"),
+        forbidden_sites=split_names(question.forbid_site, "forbid_site"),
+        site_capacity=question.site_capacity,
+        site_cost_eur=question.site_cost_eur,
+        prices=load_prices() if counts_money and question.site_cost_eur is None else None,
+        separation_m=question.separation_m,
+        tail=_tail(question.risk, question.samples),
+    )
+
+
+def _target(text: str) -> float | None:
+    if not text:
+        return None
+    if text == "max":
+        return np.inf
+    return read_number("target", text, "a share of the runs from 0 to 1, or max", 0.0, 1.0)
+
+
+def _failures(text: str) -> tuple[int, Failing]:
+    """How many of what may fail: "2", "unit", "site", "2 sites"."""
+    words = re.fullmatch(r"([0-9]{1,4})? ?(?:(unit|site)s?)?", text.strip())
+    if not text.strip() or words is None:
+        expected = "how many units may fail, at least 0, or unit, site, such as '2 sites'"
+        raise InputError("survive", text, expected)
+    count, what = words.groups()
+    return 1 if count is None else int(count), "site" if what == "site" else "unit"
+
+
+def _tail(risk: str, n_samples: int) -> float:
+    if risk == "mean":
+        return 1.0
+    if n_samples == 0:
+        raise InputError("risk", risk, "mean, unless worlds are sampled (`samples`)")
+    if risk == "worst":
+        return 1.0 / n_samples
+    expected = "mean, worst, or a share of the worst worlds"
+    tail = read_number("risk", risk, expected, 0.0, 1.0)
+    if tail == 0.0:
+        raise InputError("risk", risk, f"{expected}, more than 0")
+    return tail

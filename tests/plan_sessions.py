@@ -10,7 +10,7 @@ from experiments.planner.plan import Plan
 from experiments.planner.session import Session
 from experiments.planner.tasks import Cancelled, TaskError, Tasks, Work
 from geometry.errors import InputError
-from placement import planning
+from placement import candidates as poses
 from placement.question import Question
 
 
@@ -66,7 +66,7 @@ def small_session(folder, setting, *, variants=(), asked=None, **given):
 @pytest.fixture
 def few_poses(monkeypatch):
     """The optimiser chooses among a few directions."""
-    monkeypatch.setattr(planning, "load_candidate_grid", build_small_grid)
+    monkeypatch.setattr(poses, "load_candidate_grid", build_small_grid)
 
 
 def start_server(folder, setting, *, keeps_open=True, **given):

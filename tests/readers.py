@@ -583,7 +583,7 @@ def _weights() -> Mapping[str, tuple[str, Files]]:
 
 def _read_private_ground(path: Path) -> Any:
     from geometry.study_scene import load_study_scene
-    from placement.private_ground import load_private_ground
+    from placement.ground import load_private_ground
 
     return load_private_ground(path, load_study_scene())
 
@@ -649,7 +649,7 @@ def _read_covering(path: Path) -> Any:
 
 def _coverings() -> Mapping[str, tuple[str, Files]]:
     from placement.covering.files import save_instance
-    from placement.covering.instance import build_covering_instance
+    from placement.covering.solve import build_covering_instance
 
     covers = np.array([[1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 1, 1]])
     own = _written(lambda f: save_instance(f / "a.npz", build_covering_instance(covers)))
@@ -730,8 +730,7 @@ def _read_verified(path: Path) -> Any:
 @cache
 def _table() -> tuple[Any, Any]:
     from geometry.study_scene import load_study_scene
-    from placement.layout import Layout
-    from placement.study_layout import load_carlancap_layout
+    from placement.layout import Layout, load_carlancap_layout
     from scenarios.runs import build_frame_axis
     from scenarios.weights import weight_per_run
 
@@ -961,7 +960,7 @@ READERS: Mapping[str, Reader] = {
     ),
     "own cases": Reader(_read_own_cases, _own_cases, ("scenarios.cases.load_own_cases",)),
     "layout lists": Reader(
-        _read_layout_list, _layout_lists, ("placement.layout_lists.read_layout_rows",)
+        _read_layout_list, _layout_lists, ("placement.layout.read_layout_rows",)
     ),
     "latency budget": Reader(_read_latency, _latencies, ("placement.latency.load_latency_budget",)),
     "uncertainty": Reader(
@@ -973,11 +972,11 @@ READERS: Mapping[str, Reader] = {
         ("placement.detectors.built_in.load_detector",),
     ),
     "layout": Reader(
-        _read_layout, _layouts, ("placement.layout.load_layout", "placement.planning.find_layout")
+        _read_layout, _layouts, ("placement.layout.load_layout", "placement.layout.find_layout")
     ),
     "weights": Reader(_read_weights, _weights, ("scenarios.weights.weight_from_csv",)),
     "no-look areas": Reader(
-        _read_private_ground, _private_ground, ("placement.private_ground.load_private_ground",)
+        _read_private_ground, _private_ground, ("placement.ground.load_private_ground",)
     ),
     "recordings": Reader(
         read=_read_recording,

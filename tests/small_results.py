@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,15 +13,15 @@ from experiments.progress import StageProgress
 from geometry.actors import load_actors
 from geometry.scene import Scene
 from geometry.study_scene import load_study_scene
-from placement import planning
+from placement import candidates as poses
+from placement import pipeline
 from placement.candidates import CandidateGrid, load_candidate_grid
 from placement.compute import Compute
 from placement.detectors import load_detector, load_planning_detector
 from placement.explain.sensitivity import load_assumptions
-from placement.layout import Layout
+from placement.layout import Layout, load_carlancap_layout
 from placement.question import Question
 from placement.setting import Setting
-from placement.study_layout import load_carlancap_layout
 from scenarios.aeb import load_aeb_rule
 from scenarios.cases import pick_cases
 from scenarios.runs import build_frame_axis, build_runs
@@ -47,7 +48,7 @@ def build_small_setting() -> Setting:
         axis=build_frame_axis(few, weight_per_run(few)),
         rule=rule,
         detector=load_detector(),
-        planner=load_planning_detector(),
+        table_detector=load_planning_detector(),
     )
 
 
@@ -67,6 +68,26 @@ def build_small_baseline(scene: Scene) -> Layout:
     return replace(study, units=study.units[:2])
 
 
+def assemble_without_runs(question: Question, scene: Scene) -> pipeline.Assembly:
+    """An instance of which nobody asks what is detected."""
+    nothing: Any = None
+    setting = Setting(
+        scene=scene,
+        runs=(),
+        axis=nothing,
+        rule=nothing,
+        detector=nothing,
+        table_detector=nothing,
+    )
+    return pipeline.assemble(question, setting=setting)
+
+
+def lay_runs_of(patch: pytest.MonkeyPatch, setting: Setting) -> None:
+    """Let every placement, evaluation and comparison have the runs of a setting."""
+    for module in (placement, pipeline):
+        patch.setattr(module, "build_setting", lambda question, scene, **options: setting)
+
+
 def vary_few_assumptions(patch: pytest.MonkeyPatch, *names: str) -> None:
     """The one that needs no rays, and those that are named: each casts its own."""
     few = [item for item in load_assumptions() if item.name in ("latency_s", *names)]
@@ -82,8 +103,8 @@ def write_small_results(folder: Path, setting: Setting, question: Question | Non
         (folder / "report.html").write_text("<p>no figures</p>")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(placement, "build_setting", lambda question, scene, **options: setting)
-        patch.setattr(planning, "load_candidate_grid", build_small_grid)
+        lay_runs_of(patch, setting)
+        patch.setattr(poses, "load_candidate_grid", build_small_grid)
         patch.setattr(placement, "find_baseline", build_small_baseline)
         patch.setattr(writing, "write_report", write_blank_report)
         vary_few_assumptions(patch)

@@ -14,20 +14,21 @@ prevent? This page is a script. Its figures and tables are made when the site is
 import placement
 from experiments.figures import evaluation, plan
 
-setting = placement.build_setting(
-    placement.Question(cases="CPNCO-50,CBNA", approaches="north,west", speeds="30,45,60")
+assembly = placement.assemble(
+    placement.Question(cases="CPNCO-50,CBNA", approaches="north,west", speeds="30,45,60", budget=3)
 )
+setting, candidates = assembly.setting, assembly.candidates
 print(len(setting.runs), "runs; the first is", setting.runs[0].id)
 
 # %%
-# Candidates are poses at the scene's sites: every height, direction and tilt of the grid.
-candidates = placement.build_candidates(setting.scene)
+# Candidates are poses at the scene's sites: every height, direction and tilt of the grid; and the
+# study's own.
 print(len(candidates), "poses; the first is", candidates[0].id)
 
 # %%
 # The best of them, with a bound for every objective that no layout of this size can exceed.
 # Units that add nothing to any objective are left out.
-found = placement.place(setting, candidates, wishes=placement.Wishes(budget_units=3))
+found = placement.place(assembly)
 print(found)
 
 # %%

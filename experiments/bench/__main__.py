@@ -23,9 +23,9 @@ import click
 from geometry.raycast import caster_name
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose, build_candidates, load_candidate_grid
+from placement.layout import load_carlancap_layout
 from placement.question import Question
 from placement.setting import Setting, build_setting
-from placement.study_layout import load_carlancap_layout
 
 from .city import measure_city
 from .optimiser import build_bench_problem, measure_optimiser, measure_single
@@ -144,7 +144,7 @@ def _measure_command(budget: int) -> Figures:
         def seconds(*arguments: str) -> float:
             began_s = time.perf_counter()
             subprocess.run(
-                [sys.executable, "-m", "experiments.cli.main", *arguments],
+                [sys.executable, "-m", "experiments.main", *arguments],
                 env=environment,
                 stdout=subprocess.DEVNULL,
                 check=True,

@@ -13,9 +13,9 @@ import click
 
 from placement.candidates import CandidatePose
 from placement.compute import Compute
-from placement.pipeline import obtain_table
-from placement.planning import build_plan
+from placement.pipeline import assemble
 from placement.question import Question
+from placement.sampling import obtain_table
 from placement.sampling.tables import sampled_table
 from placement.sampling.uncertainty import load_uncertainty
 from placement.setting import Setting, build_setting
@@ -50,7 +50,7 @@ def main(out: Path) -> None:
 def measure_growth(question: Question, *, n_mounts: Sequence[int] = _MOUNTS) -> Growth:
     """Processor time of the table of a question, and of more or less of it."""
     setting = build_setting(question)
-    planned = build_plan(question, setting.scene).candidates
+    planned = assemble(question, setting=setting).candidates
     mounts: dict[tuple[float, ...], list[CandidatePose]] = {}
     for candidate in planned:
         mounts.setdefault(tuple(candidate.pose.position_m.tolist()), []).append(candidate)

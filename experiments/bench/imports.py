@@ -30,8 +30,7 @@ from geometry.maps.source_map import SourceMap
 from placement.compute import Compute
 from placement.evaluation import apr
 from placement.evaluator import evaluate_layout
-from placement.pipeline import place
-from placement.planning import build_plan
+from placement.pipeline import assemble, place
 from placement.question import Question
 from placement.setting import Setting, build_setting
 from scenarios.staging import BENDS, ON_ROAD, lateral_acceleration_mps2
@@ -181,11 +180,8 @@ def _driven(setting: Setting) -> tuple[str, ...]:
 
 def _place(setting: Setting, budget: int) -> list[str]:
     """APR of the VUT alone and of the units that are placed, and whether these are proven best."""
-    plan = build_plan(Question(budget=budget), setting.scene)
     compute = Compute(workers=_WORKERS)
-    placement = place(
-        setting, plan.candidates, wishes=plan.wishes, effort=plan.effort, compute=compute
-    )
+    placement = place(assemble(Question(budget=budget), setting=setting, compute=compute))
     evaluation = evaluate_layout(placement.layout, setting, compute=compute)
     return [
         f"{100.0 * apr(evaluation.vut, setting.axis):.1f} %",

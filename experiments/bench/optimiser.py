@@ -43,7 +43,7 @@ def build_bench_problem(
         candidates,
         setting.runs,
         setting.axis,
-        detector=setting.planner,
+        detector=setting.table_detector,
         compute=Compute(workers=WORKERS),
     )
     wishes = Wishes(budget_units=budget)

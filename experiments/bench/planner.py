@@ -21,10 +21,10 @@ from geometry.scene import Scene
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
 from placement.compute import Compute
+from placement.layout import load_carlancap_layout
 from placement.live import LiveTable, table_verdict
 from placement.question import Question
 from placement.setting import Setting, build_setting
-from placement.study_layout import load_carlancap_layout
 
 from ..planner.numbers import state_record, table_numbers
 from ..planner.plan import ChangeUnit, Plan, Stock, Variant, begin_history, change_state

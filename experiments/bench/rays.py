@@ -16,9 +16,8 @@ from geometry.raycast import FloatRays, Open3dCaster, RayCaster, caster_name
 from placement.candidates import CandidatePose, build_candidates, load_candidate_grid
 from placement.compute import Compute
 from placement.evaluator import evaluate_layout
-from placement.layout import Layout
+from placement.layout import Layout, load_carlancap_layout
 from placement.setting import Setting
-from placement.study_layout import load_carlancap_layout
 from placement.visibility.build import N_POINTS, build_detection_table
 from placement.visibility.casting import World, build_world, cast_sight
 
@@ -218,7 +217,7 @@ def measure_table(setting: Setting, candidates: Sequence[CandidatePose]) -> Figu
     some = [c for c in candidates if tuple(c.pose.position_m) in set(positions)]
     seconds = _seconds(
         lambda: build_detection_table(
-            setting.scene, some, setting.runs, setting.axis, detector=setting.planner
+            setting.scene, some, setting.runs, setting.axis, detector=setting.table_detector
         )
     )
     per_second = len(some) * setting.axis.n_frames / seconds

@@ -17,10 +17,9 @@ from msgspec.structs import replace
 from geometry.arrays import FloatArray, IntArray
 from geometry.errors import InputError, Unquoted
 from geometry.files import read_bytes
-from placement.city.choose import CityChoice, choose, city_front
+from placement.city.choose import CityChoice, Phases, choose, city_front, plan_phases
 from placement.city.fronts import JunctionFront, Options, Point, stack_bounds, stack_fronts
 from placement.city.junction import SolvedJunction
-from placement.city.phases import Phases, plan_phases
 from placement.layout import Layout
 from placement.optimiser.tolerances import TOLERANCE
 

@@ -27,10 +27,9 @@ from geometry.maps.sites import check_sites
 from geometry.scene import Scene
 from geometry.scene_files import load_scene_folder
 from placement.cache import ALL_PACKAGES, Fingerprints, hash_of_files
-from placement.candidates import CandidateGrid
+from placement.candidates import CandidateGrid, build_grid
 from placement.city.junction import JunctionWishes
 from placement.layout import Layout, layout_from_records
-from placement.planning import build_grid
 from placement.question import Question, question_text, save_question
 from placement.setting import check_question
 
@@ -339,11 +338,11 @@ class _Tasks:
             grid=self._grid,
             max_units=search.max_units,
             time_limit_s=search.max_junction_s,
-            kept=self._kept.get(one.scene_name),
+            existing=self._kept.get(one.scene_name),
         )
         # Lanes and things lie around several junctions and are hashed once; maps are cut out anew.
         parts = [[getattr(part, field.name) for field in fields(part)] for part in maps]
-        limits = (wishes.max_units, wishes.time_limit_s, wishes.kept)
+        limits = (wishes.max_units, wishes.time_limit_s, wishes.existing)
         return JunctionTask(
             key=self._prints.of(self._same, *limits, parts),
             maps=maps,

@@ -78,7 +78,7 @@ def compare(
     if len(names) < 2:
         given = "one layout" if names else "nothing"
         raise click.UsageError(f"LAYOUT: got {given}; expected two layouts or more")
-    from placement.planning import find_layout
+    from placement.layout import find_layout
 
     found = _by_folder([find_layout(name, "LAYOUT") for name in names], names)
     question = begin(progress, question, quiet=quiet)

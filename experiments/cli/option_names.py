@@ -9,7 +9,7 @@ import click
 def with_option_names(message: str, group: click.Group) -> str:
     """Put the names of options in place of the fields that a message of the library names.
 
-    A message names a field at its beginning, before a colon, or anywhere between backticks:
+    A message names a field at its beginning, before a colon or "in", or anywhere between backticks:
     "budget: got 0; expected 1 or more, or `target`". Names that no option has stay as they are.
     """
     names = dict(_option_names(group))
@@ -18,7 +18,7 @@ def with_option_names(message: str, group: click.Group) -> str:
         return names.get(found[1], found[0])
 
     message = re.sub(r"`([a-z0-9_]+)`", name, message)
-    return re.sub(r"\A([a-z0-9_]+)(?=:)", name, message)
+    return re.sub(r"\A([a-z0-9_]+)(?=:| in )", name, message)
 
 
 def _option_names(group: click.Group) -> Iterator[tuple[str, str]]:

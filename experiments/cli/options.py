@@ -16,13 +16,7 @@ from msgspec import Meta
 from geometry.errors import InputError
 from placement.compute import RAYS, Compute
 from placement.question import (
-    ASKED,
     BASELINE_NAME,
-    DRIVEN,
-    MOUNTED,
-    SECTIONS,
-    SEEN,
-    SOUGHT,
     Question,
     QuestionField,
     load_question_values,
@@ -30,6 +24,17 @@ from placement.question import (
     save_question,
 )
 
+from .question_options import (
+    ASKED,
+    DRIVEN,
+    MOUNTED,
+    OPTIONS,
+    SECTIONS,
+    SEEN,
+    SOUGHT,
+    help_of,
+    option_of,
+)
 from .running import cache_folder, check_address_space
 
 PROGRAM = "The program itself"
@@ -168,9 +173,7 @@ def _decorate(command: Callable[..., Any], options: Sequence[Decorator]) -> Call
 def fields_in(*sections: str, but: Sequence[str] = ()) -> tuple[str, ...]:
     """Names of a question's fields in these sections of the help, without some of them."""
     return tuple(
-        name
-        for name, field in question_fields().items()
-        if field.option.section in sections and name not in but
+        name for name, shown in OPTIONS.items() if shown.section in sections and name not in but
     )
 
 
@@ -201,22 +204,23 @@ def field_option(field: QuestionField, default: Any = None) -> Decorator:
         In place of the field's own.
     """
     default = field.default if default is None else default
+    shown = OPTIONS[field.name]
     kind, *limits = get_args(field.kind) if get_origin(field.kind) is Annotated else [field.kind]
     limit: Any = limits[0] if limits else Meta()
     settings: dict[str, Any] = {
         "default": default,
         "show_default": bool(default),
-        "help": field.option.help,
-        "section": field.option.section,
-        "is_common": field.option.is_common,
-        "is_path": field.option.is_path,
-        "takes_infinity": field.option.takes_infinity,
-        "needs": field.option.needs,
-        "excludes": field.option.excludes,
-        "metavar": field.option.metavar or None,
+        "help": help_of(field),
+        "section": shown.section,
+        "is_common": shown.is_common,
+        "is_path": shown.is_path,
+        "takes_infinity": shown.takes_infinity,
+        "needs": shown.needs,
+        "excludes": shown.excludes,
+        "metavar": shown.metavar or None,
         "expected": limit.description or "",
     }
-    name = field.option_name
+    name = option_of(field)
     if kind is bool:
         return option(f"{name}/--no-{name.removeprefix('--')}", field.name, **settings)
     if get_origin(kind) is Literal:

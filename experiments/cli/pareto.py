@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from placement.compute import Compute
-from placement.question import ASKED, MOUNTED, Question
+from placement.question import Question
 
 from ..progress import StageProgress
 from ..results.numbers import or_nan, percent
@@ -20,6 +20,7 @@ from .options import (
     option,
     question_options,
 )
+from .question_options import ASKED, MOUNTED
 from .running import begin, command_line, print_result
 from .terminal import driven_lines, sentences, table
 

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Any
 import click
 from msgspec import UNSET
 
-from placement.question import SEEN
-
 from ..results.numbers import or_nan, percent
 from .options import is_given, option, option_name
+from .question_options import SEEN
 from .terminal import sentences, table, wide_table
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from placement.compute import Compute
-from placement.question import MOUNTED, Question
+from placement.question import Question
 
 from ..progress import StageProgress
 from ..results.numbers import percent, several
@@ -20,6 +20,7 @@ from .options import (
     option,
 )
 from .pareto import front_options
+from .question_options import MOUNTED
 from .running import begin, command_line, load_one_layout, print_result
 from .terminal import driven_lines, sentences, table
 

@@ -79,7 +79,7 @@ def load_one_layout(names: Sequence[str], question: "Question | None" = None) ->
     if len(names) != 1:
         given = f"{len(names)} layouts" if names else "nothing"
         raise click.UsageError(f"--layout: got {given}; expected it once")
-    from placement.planning import find_layout
+    from placement.layout import find_layout
 
     if question is None:
         return find_layout(names[0], "--layout")

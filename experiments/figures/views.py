@@ -16,7 +16,7 @@ from geometry.terrain import on_ground, terrain_of
 from geometry.weather import load_weathers
 from placement.candidates import CandidatePose, above_ground
 from placement.detectors import VRU_CLASSES, Evidence, vru_class
-from placement.ground_coverage import LOOK_AT_M, is_in_sight
+from placement.ground import LOOK_AT_M, is_in_sight
 from placement.setting import Setting
 
 from .plan import ground_footprint
@@ -72,7 +72,7 @@ class GroundViews:
                 vru_class=np.array([VRU_CLASSES.index(vru_class(tallest))]),
                 draw_index=np.arange(len(depth_m)),
             )
-            is_high |= height_px >= setting.planner.least_height_px(evidence)
+            is_high |= height_px >= setting.table_detector.least_height_px(evidence)
         return float(depth_m[is_high].max(initial=0.0))
 
     def shape(self, unit: CandidatePose) -> Any:

@@ -17,8 +17,7 @@ from placement.explain.tolerances import MAX_UNITS, Standing, find_standing
 from placement.explain.tolerances import STAGE as TOLERANCES
 from placement.layout import Layout
 from placement.optimiser import is_feasible
-from placement.pipeline import Placement, pick_layout
-from placement.planning import Plan
+from placement.pipeline import Assembly, Placement, pick_layout
 from placement.question import Question
 from placement.setting import Setting
 
@@ -38,7 +37,7 @@ _MAX_POOLED = 5
 def other_priorities(
     placement: Placement,
     question: Question,
-    plan: Plan,
+    plan: Assembly,
     *,
     compute: Compute,
     progress: StageProgress,

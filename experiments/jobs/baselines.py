@@ -11,9 +11,9 @@ from placement.compute import Compute
 from placement.evaluation import Evaluation, apr_one_failed
 from placement.layout import Layout
 from placement.optimiser import apr
-from placement.pipeline import Placement, obtain_table, pick_layout
+from placement.pipeline import Assembly, Placement, pick_layout
 from placement.setting import Setting
-from placement.wishes import Wishes, build_limits, build_problem
+from placement.wishes import Wishes
 
 from ..results.baselines import BaselinesRecord, build_expert_record, build_random_record
 
@@ -73,7 +73,7 @@ def compare_layout(layout: Layout, setting: Setting, *, compute: Compute) -> Com
     candidates = build_candidates(scene, grid)
     wishes = Wishes(budget_units=n_units)
     proposals = propose(
-        build_limits(wishes, scene, candidates),
+        Assembly(setting=setting, candidates=candidates, wishes=wishes).limits,
         candidates,
         scene,
         n_units=n_units,
@@ -84,8 +84,9 @@ def compare_layout(layout: Layout, setting: Setting, *, compute: Compute) -> Com
         return None
     compute.progress(STAGE, 0, 0)
     drawn = [candidates[row] for row in rows]
-    table = obtain_table(setting, drawn, compute=compute.within(STAGE))
-    problem = build_problem(setting, drawn, table, wishes=wishes)
+    problem = Assembly(
+        setting=setting, candidates=drawn, wishes=wishes, compute=compute.within(STAGE)
+    ).problem
     found = judge_proposals(problem, proposals.among(rows))
     on_table = apr(problem, found.expert) if found.expert else 0.0
     return _comparison(found, drawn, on_table)

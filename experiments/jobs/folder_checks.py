@@ -171,7 +171,7 @@ def _check_summary(
         expected |= {
             "name": layout.name,
             "goal": problem.goal,
-            "budget": problem.limits.budget_units,
+            "budget": problem.limits.budget_new_units,
             "runs": problem.table.axis.n_runs // n_samples,
             "cost_eur": sum(unit.sensor.price_eur for unit in layout.units),
             "presolve": str(PresolveStatistics(**stored.presolve)),

@@ -14,12 +14,9 @@ from placement.compute import Compute
 from placement.optimiser import PlacementProblem, apr_one_failed
 from placement.optimiser.cost_front import cost_front
 from placement.optimiser.front import Front, FrontPoint, StageChoice, pareto_front
-from placement.pipeline import obtain_table
-from placement.planning import Plan, build_plan
+from placement.pipeline import Assembly, assemble
 from placement.prices import assumed_prices, load_prices
 from placement.question import Question
-from placement.setting import build_setting
-from placement.wishes import build_problem
 
 from ..export.json import to_json_text
 from ..figures.axes import to_png
@@ -83,20 +80,12 @@ def run_pareto(
     if out is not None:
         check_folder(out)
         progress.kept = f"nothing was written to {out}"
-    plan = build_plan(replace(question, budget=1), scene)
+    plan = assemble(replace(question, budget=max_units), scene=scene, compute=compute)
     prices = load_prices() if by == "cost" and question.site_cost_eur is None else None
-    wishes = replace(plan.wishes, budget_units=max_units, prices=prices)
-    progress("setting", 0, 0)
-    setting = build_setting(question, scene, compute=compute)
-    table = obtain_table(
-        setting,
-        plan.candidates,
-        compute=compute,
-    )
-    fusion = question.fusion
-    problem = build_problem(setting, plan.candidates, table, wishes=wishes, fusion=fusion)
+    plan = replace(plan, wishes=replace(plan.wishes, prices=prices))
+    setting, problem = plan.setting, plan.problem
     progress("front", 0, 0)
-    n_kept = 0 if plan.kept is None else len(plan.kept.units)
+    n_kept = len(plan.wishes.existing)
     front = _find_front(
         problem, by=by, all_stages=all_stages, n_kept=n_kept, plan=plan, progress=progress
     )
@@ -128,7 +117,7 @@ def _find_front(
     by: str,
     all_stages: bool,
     n_kept: int,
-    plan: Plan,
+    plan: Assembly,
     progress: StageProgress,
 ) -> Front:
     stages: StageChoice = "all" if all_stages else "first"

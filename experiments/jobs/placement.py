@@ -24,12 +24,11 @@ from placement.explain.other_sensors import STAGE as OTHER_SENSORS
 from placement.explain.other_sensors import find_other_sensors
 from placement.explain.sensitivity import STAGE as WHAT_IF
 from placement.explain.sensitivity import find_sensitivity, prepare_sensitivity
-from placement.layout import Layout, check_layout
+from placement.ground import load_private_ground
+from placement.layout import Layout, check_layout, find_baseline
 from placement.optimiser.front import Front, front_below
-from placement.pipeline import Placement, place
-from placement.planning import Plan, build_plan
+from placement.pipeline import Assembly, Placement, assemble, place
 from placement.prices import assumed_prices
-from placement.private_ground import load_private_ground
 from placement.question import Question
 from placement.refinement.refine import refine
 from placement.sampling import (
@@ -42,7 +41,6 @@ from placement.sampling import (
 )
 from placement.sampling.out_of_sample import STAGE as OUT_OF_SAMPLE
 from placement.setting import Setting, build_setting
-from placement.study_layout import find_baseline
 
 from ..progress import StageProgress
 from ..report.beside import Beside, Part, drawing_beside
@@ -108,13 +106,10 @@ def run_placement(
     """
     check_result_folder(out)
     scene = load_scene(question.scene)
-    plan = build_plan(question, scene)
-    uncertainty = load_drawn(question, scene, n_samples=question.samples)
-    if question.packet_loss:
-        uncertainty = replace(uncertainty, packet_loss=question.packet_loss)
     progress.kept = left_as_it_was(out)
-    progress("setting", 0, 0)
-    setting = build_setting(question, scene, compute=compute)
+    plan = assemble(question, scene=scene, compute=compute)
+    setting, uncertainty = plan.setting, plan.uncertainty
+    assert uncertainty is not None
     with (
         nullcontext(beside)
         if beside is not None and beside.has_process
@@ -131,16 +126,7 @@ def run_placement(
                 beside.begin("other brakes", prepare_sensitivity, setting, compute=compute)
             progress(stage, done, total)
 
-        placement = place(
-            setting,
-            plan.candidates,
-            wishes=plan.wishes,
-            fusion=question.fusion,
-            effort=plan.effort,
-            uncertainty=uncertainty,
-            n_samples=question.samples,
-            compute=replace(compute, progress=report),
-        )
+        placement = place(replace(plan, compute=replace(compute, progress=report)))
         refinement, on_grid = None, placement
         if question.refine:
             refinement = refine(
@@ -167,7 +153,7 @@ def run_placement(
             setting,
             placement.layout.units,
             models=[*{**load_cameras(), **asked}.values()],
-            kept=plan.wishes.kept,
+            kept=plan.wishes.existing,
             fusion=question.fusion,
             may_look=plan.may_look,
             compute=compute,
@@ -219,7 +205,7 @@ def run_placement(
             placement.layout,
             scene,
             site_cost_eur=question.site_cost_eur,
-            kept_ids=plan.wishes.kept,
+            kept_ids=plan.wishes.existing,
         )
         result = build_placement_result(
             placement, setting, found=found, greedy=greedy, baseline=baseline, compute=compute
@@ -244,7 +230,9 @@ def run_placement(
             front=(
                 UNSET
                 if front is None
-                else describe_front(front, placement.problem, poses, n_kept=len(plan.wishes.kept))
+                else describe_front(
+                    front, placement.problem, poses, n_kept=len(plan.wishes.existing)
+                )
             ),
             sensitivity=build_sensitivity_record(sensitivity),
             private_ground=(
@@ -335,13 +323,13 @@ def _is_large(setting: Setting, compute: Compute) -> bool:
 
 
 def _front_below(
-    placement: Placement, plan: Plan, compute: Compute, progress: StageProgress
+    placement: Placement, plan: Assembly, compute: Compute, progress: StageProgress
 ) -> Front | None:
     """The best layout of each smaller size, too; None where the best was not what was asked."""
     problem, chosen = placement.problem, placement.pose_index
     if problem.goal != "best" or problem.survive:
         return None
-    n_kept = len(plan.wishes.kept)
+    n_kept = len(plan.wishes.existing)
     if len(chosen) > max(n_kept, 1):
         progress("fewer units", 0, 0)
     return cached_value(

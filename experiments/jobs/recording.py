@@ -15,7 +15,7 @@ from placement.optimiser import (
     solve_greedy,
     solve_placement,
 )
-from placement.planning import build_effort
+from placement.pipeline import build_effort
 from placement.question import Question
 from placement.recordings import (
     RecordedEvaluation,

@@ -9,13 +9,12 @@ from msgspec.structs import asdict as fields_of
 from msgspec.structs import replace as replace_fields
 
 from geometry.scene_files import load_scene
-from placement.candidates import CandidatePose
+from placement.candidates import CandidatePose, build_grid
 from placement.compute import Compute
 from placement.layout import Layout, check_layout
 from placement.optimiser import PlacementValue, is_better
-from placement.pipeline import obtain_table
-from placement.planning import build_grid, build_plan
-from placement.prices import assumed_prices, load_prices
+from placement.pipeline import assemble
+from placement.prices import assumed_prices
 from placement.question import Question
 from placement.retrofit import (
     Change,
@@ -25,8 +24,6 @@ from placement.retrofit import (
     find_retrofit,
     load_labour,
 )
-from placement.setting import build_setting
-from placement.wishes import build_problem
 
 from ..export.json import to_json_text
 from ..progress import WRITING, StageProgress
@@ -193,25 +190,17 @@ def run_retrofit(
         check_folder(out)
         progress.kept = f"nothing was written to {out}"
     check_layout(layout, scene)
-    plan = build_plan(replace(question, budget=1, budget_cost=None), scene)
-    poses = build_retrofit_poses(layout, build_grid(question), plan.candidates)
-    prices = load_prices() if question.site_cost_eur is None else None
-    wishes = replace(plan.wishes, kept=tuple(unit.id for unit in layout.units), prices=prices)
-    progress("setting", 0, 0)
-    setting = build_setting(question, scene, compute=compute)
-    table = obtain_table(
-        setting,
-        poses.candidates,
+    plan = assemble(
+        replace(question, budget=None, budget_cost=None),
+        scene=scene,
+        counts_money=True,
         compute=compute,
     )
+    poses = build_retrofit_poses(layout, build_grid(question), plan.candidates)
+    wishes = replace(plan.wishes, existing=tuple(unit.id for unit in layout.units))
+    plan = replace(plan, candidates=poses.candidates, wishes=wishes)
+    setting, prices, problem = plan.setting, wishes.prices, plan.problem
     progress("retrofit", 0, 0)
-    problem = build_problem(
-        setting,
-        poses.candidates,
-        table,
-        wishes=wishes,
-        fusion=question.fusion,
-    )
     labour = load_labour() if visit_eur is None else _at_price(visit_eur)
     retrofit = find_retrofit(
         problem,

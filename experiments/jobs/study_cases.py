@@ -13,9 +13,9 @@ from placement.detectors.box_rule import GeometricDetector
 from placement.evaluation import Evaluation
 from placement.evaluator import evaluate_layouts
 from placement.evaluator.evaluate import Judge, Seen, judge_layouts
+from placement.layout import find_baseline
 from placement.question import Question
-from placement.setting import Links, Setting
-from placement.study_layout import find_baseline
+from placement.setting import Radio, Setting
 from scenarios.cases import ALL_SPEEDS, select_cases
 from scenarios.positions import AT_ZERO, pick_positions
 from scenarios.runs import build_frame_axis
@@ -197,7 +197,7 @@ def _depends_on_chance(setting: Setting, evaluations: Mapping[str, Evaluation]) 
     sensors = [unit.sensor for item in evaluations.values() for unit in item.layout.units]
     return not (
         isinstance(setting.detector, GeometricDetector)
-        and setting.links == Links()
+        and setting.radio == Radio()
         and setting.vut_sensors == ("camera",)
         and all(sensor_kind(sensor) == "camera" for sensor in sensors)
     )

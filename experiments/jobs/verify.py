@@ -12,8 +12,7 @@ from geometry.scene_files import load_scene
 from geometry.study_scene import STUDY, load_study_scene
 from placement.layout import Layout, layout_records, load_layout
 from placement.verification.certificates import CERTIFICATE_FILE, load_certificate
-from placement.verification.instances import INSTANCE_FILE, load_stored_problem
-from placement.verification.mounts import Mounts, scene_hash
+from placement.verification.instances import INSTANCE_FILE, Mounts, load_stored_problem, scene_hash
 from placement.verification.verify import verify_certificate
 
 from ..progress import StageProgress

@@ -17,7 +17,7 @@ from placement.layout import Layout, layout_records
 from placement.pipeline import Placement
 from placement.setting import Setting
 from placement.verification.certificates import build_certificate, save_certificate
-from placement.verification.mounts import build_mounts
+from placement.verification.instances import build_mounts
 
 from ..export.csv import to_csv
 from ..export.geojson import to_geojson

@@ -24,6 +24,7 @@ from ..cli.options import (
     quiet_option,
     scene_option,
 )
+from ..cli.question_options import option_of
 from ..cli.running import begin, command_line, load_one_layout, print_result, unwritable
 from ..cli.terminal import sentences, table
 from ..progress import StageProgress, tell
@@ -312,7 +313,7 @@ def _check_one_source(
         )
     driven = [name for name in PICTURED if name not in _OF_RULE and is_given(name)]
     if driven and not layout_names:
-        field = question_fields()[driven[0]].option_name
+        field = option_of(question_fields()[driven[0]])
         raise click.UsageError(f"{field}: got it with {names[0]}; expected it with --layout alone")
 
 

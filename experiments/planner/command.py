@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from placement.compute import Compute
-from placement.question import MOUNTED, Question
+from placement.question import Question
 
 from ..cli.options import (
     JUDGED,
@@ -23,6 +23,7 @@ from ..cli.options import (
     question_options,
     quiet_option,
 )
+from ..cli.question_options import MOUNTED
 from ..cli.running import begin
 from ..progress import Interrupted, StageProgress, tell
 
@@ -174,8 +175,7 @@ def plan(
 def _begun_plan(layout_names: Sequence[str], save: Path | None, scene: "Scene") -> "Plan":
     """The first plan: the saved one, then layouts that it does not have yet."""
     from geometry.files import read_bytes
-    from placement.layout import check_layout
-    from placement.planning import find_layout
+    from placement.layout import check_layout, find_layout
 
     from .numbers import key_of
     from .plan import (

@@ -11,9 +11,8 @@ from geometry.sensors import CameraModel
 from geometry.terrain import ground_height_m
 from placement.candidates import CandidatePose, is_ring
 from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, run_outcomes
-from placement.ground_coverage import BANDS, find_ground_coverage
+from placement.ground import BANDS, PrivateGround, PrivateSight, find_ground_coverage
 from placement.layout import Layout
-from placement.private_ground import PrivateGround, PrivateSight
 from placement.setting import Setting
 
 from ..export.json import to_json_text

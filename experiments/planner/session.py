@@ -17,12 +17,11 @@ from geometry.errors import InputError, Unquoted
 from geometry.files import pick, write_atomically
 from geometry.lidar import load_lidars
 from geometry.scene import Scene
-from placement.candidates import CandidatePose, load_candidate_grid
+from placement.candidates import CandidatePose, build_grid, load_candidate_grid, own_models
 from placement.compute import Compute
+from placement.ground import PrivateGround, PrivateSight, load_private_ground
 from placement.layout import Layout
 from placement.live import LiveTable, table_verdict
-from placement.planning import build_grid, own_models
-from placement.private_ground import PrivateGround, PrivateSight, load_private_ground
 from placement.setting import Setting
 
 from ..figures.views import GroundViews

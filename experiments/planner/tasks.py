@@ -19,14 +19,14 @@ from geometry.errors import InputError
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
 from placement.advice import LEAST_GAIN, Advice, Adviser
-from placement.candidates import CandidatePose
+from placement.candidates import CandidatePose, build_grid, own_models
 from placement.compute import Compute, Progress
 from placement.evaluation import Evaluation
 from placement.evaluator import evaluate_layout
 from placement.explain.tolerances import find_tolerances
 from placement.explain.unavoided import Look, find_reasons
 from placement.layout import Layout
-from placement.planning import build_grid, build_plan, own_models
+from placement.pipeline import assemble
 from placement.question import Question
 from placement.setting import Setting, build_setting
 from scenarios.aeb import is_in_time
@@ -229,19 +229,19 @@ class Tasks:
             question = replace(
                 self._work.question,
                 sensors=self._sensors,
-                budget=1,
+                budget=None,
                 budget_cost=None,
                 target="",
                 survive="0",
                 min_case_apr=0.0,
             )
-            self._adviser = Adviser(
-                self.setting,
-                build_plan(question, self.setting.scene),
-                build_grid(question),
-                assumes_prices=question.site_cost_eur is None,
+            assembly = assemble(
+                question,
+                setting=self.setting,
+                counts_money=True,
                 compute=replace(self._compute, cache_folder=self._work.cache),
             )
+            self._adviser = Adviser(assembly, build_grid(question))
         return self._adviser
 
     # ---------- files

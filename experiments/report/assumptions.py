@@ -5,7 +5,7 @@ import re
 from collections.abc import Mapping, Sequence
 
 from placement.layout import Layout
-from placement.setting import Links, Setting
+from placement.setting import Radio, Setting
 from scenarios.aeb import AebRule
 
 from ..results.numbers import count_runs, joined, percent, several
@@ -102,8 +102,8 @@ def assumptions(
         ("Avoided", "The outlines of car and road user on the road never touch."),
         ("Weather", _weather(setting)),
     ]
-    if setting.links != Links():
-        terms.append(("Radio", _radio(setting.links)))
+    if setting.radio != Radio():
+        terms.append(("Radio", _radio(setting.radio)))
     if result.sampled and result.sampled.moving:
         terms.append(("Traffic", f"{moving_sentence(result.sampled)}. {_MOVING}"))
     terms.append(("Units together", _FUSIONS[result.fusion]))
@@ -175,7 +175,7 @@ def _weather(setting: Setting) -> str:
     return f"{text} It takes contrast from cameras and pulses from LiDARs."
 
 
-def _radio(links: Links) -> str:
+def _radio(links: Radio) -> str:
     lost = f"{percent(links.packet_loss)} of all messages are lost, frame by frame."
     if links.vam_rate == 0.0:
         return lost

@@ -9,7 +9,7 @@ from matplotlib.patches import Patch
 
 from geometry.junction import COMPASS
 from geometry.scene import Scene
-from placement.ground_coverage import BANDS, GroundCoverage, find_ground_coverage
+from placement.ground import BANDS, GroundCoverage, find_ground_coverage
 from placement.layout import Layout
 
 from ..figures.axes import WIDTH_IN, finish_axes, new_axes

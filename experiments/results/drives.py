@@ -59,8 +59,8 @@ def build_drives_record(setting: Setting) -> DrivesRecord:
         weathers=tuple(dict.fromkeys(setting.axis.weathers)),
         detector=setting.detector.name,
         vut_sensors=tuple(setting.vut_sensors),
-        packet_loss=setting.links.packet_loss,
-        vam_rate=setting.links.vam_rate,
+        packet_loss=setting.radio.packet_loss,
+        vam_rate=setting.radio.vam_rate,
         track_memory_s=finite_or_none(setting.rule.track_memory_s),
         not_driven=tuple(
             RefusalRecord(

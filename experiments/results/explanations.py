@@ -19,9 +19,9 @@ from placement.explain import (
 )
 from placement.explain.pool import sites_in_order
 from placement.explain.sensitivity import Outcome, Sensitivity
+from placement.ground import PrivateGround, private_shares
 from placement.optimiser import PlacementProblem
 from placement.pipeline import Placement
-from placement.private_ground import PrivateGround, private_shares
 from placement.setting import Setting
 
 from .numbers import finite_or_none

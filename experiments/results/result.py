@@ -455,7 +455,7 @@ def build_placement_result(
     apr_stage = next((stage for stage in certificate.stages if stage.name == "apr"), None)
     return replace(
         build_layout_result(setting, found),
-        budget=problem.limits.budget_units,
+        budget=problem.limits.budget_new_units,
         fusion=problem.fusion,
         dangers=build_dangers_record(avoided_runs(found, problem.fusion), found.axis),
         apr=_without_rounding(value.apr),

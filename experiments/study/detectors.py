@@ -22,8 +22,7 @@ from placement.evaluation import Evaluation, Verdict, apr, detected_share
 from placement.evaluator import build_surroundings, evaluate_layout, load_vut_camera
 from placement.evaluator.evaluate import Judge
 from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
-from placement.layout import Layout
-from placement.planning import find_layout
+from placement.layout import Layout, find_layout
 from placement.question import Question
 from placement.setting import Setting, build_setting
 

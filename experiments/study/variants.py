@@ -12,10 +12,9 @@ from geometry.poses import Pose, body_rotation
 from geometry.scene import Scene
 from geometry.study_scene import load_study_scene
 from placement.detectors import GeometricDetector, load_planning_detector
-from placement.layout import Layout
+from placement.layout import Layout, load_carlancap_layout
 from placement.question import Question
 from placement.setting import Setting, build_setting
-from placement.study_layout import load_carlancap_layout
 from scenarios.aeb import load_track_memory_s
 from scenarios.cases import Case, select_cases
 from scenarios.positions import AT_ZERO, Position, is_bound, read_position
@@ -137,7 +136,7 @@ def _detect_from(setting: Setting, height_px: float) -> Setting:
     default = load_planning_detector()
     assert isinstance(default, GeometricDetector)
     detector = replace(default, min_box_height_px=height_px)
-    return replace(setting, detector=detector, planner=detector)
+    return replace(setting, detector=detector, table_detector=detector)
 
 
 # ---------- the additional cases: one thing changed that the study leaves open

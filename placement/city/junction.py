@@ -22,13 +22,21 @@ from ..optimiser.limits import Limits
 from ..optimiser.objectives import Objective
 from ..optimiser.problem import PlacementValue, placement_value
 from ..optimiser.solve import of_pool
-from ..pipeline import obtain_table, pick_layout
-from ..prices import load_prices
+from ..pipeline import assemble, pick_layout
 from ..question import Question
-from ..setting import build_setting
-from ..wishes import Wishes, build_problem, check_wishes
-from .fronts import JunctionFront, Point, Steps, build_junction_front, lowered, lowest
-from .site_front import SiteFront, bounds_by_money, front_by_sites, price_tiers_eur, rooms_of
+from .fronts import (
+    JunctionFront,
+    Point,
+    SiteFront,
+    Steps,
+    bounds_by_money,
+    build_junction_front,
+    front_by_sites,
+    lowered,
+    lowest,
+    price_tiers_eur,
+    rooms_of,
+)
 
 _log = logging.getLogger(__name__)
 
@@ -54,14 +62,14 @@ class JunctionWishes:
     time_limit_s : float
         For all of it; of what is left after the detection table, the optimiser takes what the
         question allows it. [s]
-    kept : Layout, optional
-        What hangs there already.
+    existing : Layout, optional
+        What is mounted there already.
     """
 
     grid: CandidateGrid
     max_units: int
     time_limit_s: float
-    kept: Layout | None = None
+    existing: Layout | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -119,24 +127,20 @@ def solve_junction(
     """
     watch = _Watch(wishes.time_limit_s, compute)
     compute = replace(compute, progress=watch)
-    kept = wishes.kept
-    if kept is not None:
-        check_layout(kept, scene)
+    existing = wishes.existing
+    if existing is not None:
+        check_layout(existing, scene)
     watch.begin("lay runs")
-    setting = build_setting(question, scene, compute=compute)
-    watch.begin("detection table")
-    candidates = build_candidates(scene, wishes.grid, extra=() if kept is None else kept.units)
-    table = obtain_table(setting, candidates, compute=compute)
-    asked = Wishes(
-        budget_units=_most_units(scene, question, wishes),
-        kept=() if kept is None else tuple(unit.id for unit in kept.units),
-        site_capacity=question.site_capacity,
-        site_cost_eur=question.site_cost_eur,
-        prices=load_prices() if question.site_cost_eur is None else None,
-        separation_m=question.separation_m,
+    assembly = assemble(
+        replace(question, budget=_most_units(scene, question, wishes)),
+        scene=scene,
+        grid=wishes.grid,
+        existing=existing,
+        counts_money=True,
+        compute=compute,
     )
-    check_wishes(asked, scene)
-    problem = build_problem(setting, candidates, table, wishes=asked, fusion=question.fusion)
+    watch.begin("detection table")
+    candidates, problem = assembly.candidates, assembly.problem
     end_s = now_s() + min(watch.left_s(), question.time_limit_s)
 
     def effort() -> Effort:
@@ -144,7 +148,7 @@ def solve_junction(
         return Effort(solver=question.solver, gap=question.gap, time_limit_s=_SHARE * left_s)
 
     rule = replace(load_candidate_grid(is_coarse=True), sensors=wishes.grid.sensors)
-    extra = () if kept is None else kept.units
+    extra = () if existing is None else existing.units
     coarse = {candidate.id for candidate in build_candidates(scene, rule, extra=extra)}
     first = np.flatnonzero([candidate.id in coarse for candidate in candidates])
     try:
@@ -153,11 +157,11 @@ def solve_junction(
         raise InputError(error.where, error.got, error.expected) from None
     return SolvedJunction(
         front=front,
-        layouts=tuple(_layout(candidates, index, kept) for index in chosen),
+        layouts=tuple(_layout(candidates, index, existing) for index in chosen),
         n_sites=len(scene.sites),
         n_poses=len(candidates),
-        n_runs=len(setting.runs),
-        n_frames=setting.axis.n_frames,
+        n_runs=len(assembly.setting.runs),
+        n_frames=assembly.setting.axis.n_frames,
         seconds=watch.finish(),
     )
 
@@ -229,13 +233,13 @@ def find_front(
 
 
 def _most_units(scene: Scene, question: Question, wishes: JunctionWishes) -> int:
-    """As many new units as are asked for, or as the sites can carry beside those that are kept."""
+    """As many new units as are asked for, or as the sites have room for."""
     room = {
         site.id: site.capacity_units if question.site_capacity is None else question.site_capacity
         for site in scene.sites
         if site.use != "forbidden"
     }
-    for unit in () if wishes.kept is None else wishes.kept.units:
+    for unit in () if wishes.existing is None else wishes.existing.units:
         if unit.site_id in room:
             room[unit.site_id] = max(room[unit.site_id] - 1, 0)
     most = min(wishes.max_units, sum(room.values()))
@@ -409,6 +413,4 @@ class _Watch:
 
     def _check(self) -> None:
         if self.left_s() < 0.0 and not self._stage.startswith("front"):
-            raise TimeUpError(
-                f"{self._limit_s:g} s were up in the stage '{self._stage}': --max-junction-seconds"
-            )
+            raise TimeUpError(f"{self._limit_s:g} s were up in the stage '{self._stage}'")

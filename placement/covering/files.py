@@ -44,7 +44,7 @@ from geometry.files import open_file, write_atomically
 from geometry.untrusted_files import is_text, unpacked_bytes
 
 from ..memory import check_fits
-from .instance import CoveringInstance
+from .solve import CoveringInstance
 
 # ---------- others' formats
 
@@ -139,7 +139,7 @@ def parse_covering_text(data: bytes, where: str, format_name: str | None) -> Cov
             raise InputError(
                 where,
                 Unquoted("numbers that fit more than one format"),
-                "--format " + " or ".join(lined or fits),
+                "`format_name` " + " or ".join(lined or fits),
             )
         fits = {name: fits[name] for name in lined}
     if fits:
@@ -446,7 +446,7 @@ def load_instance(path: Path, *, format_name: str | None = None) -> CoveringInst
     what is expected there.
     """
     if format_name is not None and format_name not in FORMATS:
-        raise InputError("--format", format_name, "one of " + ", ".join(FORMATS))
+        raise InputError("format_name", format_name, "one of " + ", ".join(FORMATS))
     where = str(path)
     try:
         with open_file(path, max_bytes=_MAX_BYTES) as file:
@@ -459,7 +459,7 @@ def load_instance(path: Path, *, format_name: str | None = None) -> CoveringInst
                 where,
                 f"{n_bytes:,} bytes of text",
                 _TEXT_BYTES * n_bytes,
-                "fewer rows or columns, or a file of this program (--out, .npz), a fifth of it",
+                "fewer rows or columns, or a file of this program (`out`, .npz), a fifth of it",
             )
             data = file.read()
     except OSError as error:

@@ -18,7 +18,7 @@ from scenarios.runs import FrameAxis, Run, find_onsets
 from ..compute import DEFAULT_COMPUTE, Compute
 from ..evaluation import Evaluation, Verdict, earliest_arrival_s
 from ..layout import Layout
-from ..setting import Links, Setting
+from ..setting import Radio, Setting
 from .surroundings import draw_index
 from .watch import STAGE, VUT_KEY, UnitKey, build_rng, unit_key, watch
 
@@ -161,7 +161,7 @@ def sent_frames(run: Run, rule: VamRule) -> BoolArray:
     return is_sent
 
 
-def known_frames(runs: Sequence[Run], links: Links, rng: np.random.Generator) -> BoolArray:
+def known_frames(runs: Sequence[Run], links: Radio, rng: np.random.Generator) -> BoolArray:
     """Frames of all runs, end to end, in which the VUT knows of the VRU from its own messages.
 
     The random numbers say who is equipped and which messages are lost. A message that was received
@@ -229,9 +229,9 @@ def evaluate_layouts(
         detected = watch(setting, units, compute=compute)
     judge = Judge(setting.runs, setting.axis, setting.rule)
     vam = None
-    if setting.links.vam_rate > 0.0:
+    if setting.radio.vam_rate > 0.0:
         rng = build_rng(compute.seed, "vam")
-        vam = (known_frames(setting.runs, setting.links, rng), setting.rule.latency_s)
+        vam = (known_frames(setting.runs, setting.radio, rng), setting.rule.latency_s)
     return judge_layouts(
         judge,
         [
@@ -262,6 +262,6 @@ def _arriving(
     units = {}
     for unit in layout.units:
         luck = build_rng(seed, unit_key(unit), "cpm").random(len(draws))
-        arrives = (luck >= setting.links.packet_loss)[frame_draw]
+        arrives = (luck >= setting.radio.packet_loss)[frame_draw]
         units[unit.id] = (detected[unit_key(unit)] & arrives, unit.latency(setting.rule))
     return units

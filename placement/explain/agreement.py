@@ -51,7 +51,7 @@ def find_disagreements(
     folder = None if setting.detector.needs_pictures else compute.cache_folder
     seen = ""
     if folder is not None:
-        runs, planner, units = setting.runs, setting.planner, evaluation.layout.units
+        runs, planner, units = setting.runs, setting.table_detector, evaluation.layout.units
         seen = table_fingerprint(setting.scene, units, runs, planner, seed=compute.seed)
     return cached_value(
         folder,
@@ -138,7 +138,7 @@ def _cause(
 
 
 def _what_is_seen(setting: Setting, evidence: Evidence, *, is_on_table: bool) -> str:
-    expected = bool(setting.planner.is_expected(evidence)[0])
+    expected = bool(setting.table_detector.is_expected(evidence)[0])
     seen = (
         f"{float(box_height_px(evidence.visible_px)[0]):.1f} px high, "
         f"{100.0 * float(evidence.visible_share[0]):.0f} % seen, "

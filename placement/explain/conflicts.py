@@ -191,7 +191,7 @@ def build_separation(
         return None
     limits = problem.limits
     free = build_limits(
-        Wishes(budget_units=1, kept=wishes.kept, site_capacity=wishes.site_capacity),
+        Wishes(existing=wishes.existing, site_capacity=wishes.site_capacity),
         scene,
         candidates,
     )
@@ -236,13 +236,13 @@ class _Words:
         if kind == "floor":
             assert demand.floor is not None
             floor = self.problem.floors[demand.floor]
-            is_max = floor.name == "--target" and self.wishes.target == np.inf
+            is_max = floor.name == "target" and self.wishes.target == np.inf
             return _inserted(floor.name, "max" if is_max else f"{floor.share:g}")
         if kind == "forbidden":
-            return f"--forbid-site {self._sites_of(np.flatnonzero(limits.is_forbidden).tolist())}"
+            return f"`forbid_site` {self._sites_of(np.flatnonzero(limits.is_forbidden).tolist())}"
         if kind == "forced_sites":
             sites = np.flatnonzero(limits.is_forced_site).tolist()
-            return f"--force-site {_few([self.site_ids[site] for site in sites])}"
+            return f"`force_site` {_few([self.site_ids[site] for site in sites])}"
         if kind == "capacity" and self.wishes.site_capacity is None:
             return "what the sites can carry"
         number = {
@@ -262,18 +262,18 @@ class _Words:
             name = self.problem.floors[demand.floor].name
             text = _inserted(name, f"{np.floor(value * 1.0e4 + 1.0e-6) / 1.0e4:g}")
         elif demand.kind == "forbidden":
-            text = f"--forbid-site without {self._sites_of(gone)}"
+            text = f"`forbid_site` without {self._sites_of(gone)}"
         elif demand.kind == "forced_sites":
-            text = f"--force-site without {_few([self.site_ids[site] for site in gone])}"
+            text = f"`force_site` without {_few([self.site_ids[site] for site in gone])}"
         elif demand.kind == "separation" and not value > 0.0:
-            text = "no --separation"
+            text = "no `separation_m`"
         elif demand.kind == "budget_units":
-            text = f"--budget {value - self._n_kept:g}"
+            text = f"`budget` {value - self._n_kept:g}"
         elif demand.kind == "budget_eur":
-            text = f"--budget-cost {np.ceil(value * 100.0 - 1.0e-4) / 100.0:.2f}"
+            text = f"`budget_cost` {np.ceil(value * 100.0 - 1.0e-4) / 100.0:.2f}"
             text = text.removesuffix(".00")
         elif demand.kind == "separation":
-            text = f"--separation {np.floor(value * 100.0) / 100.0:g}"
+            text = f"`separation_m` {np.floor(value * 100.0) / 100.0:g}"
         else:
             failing = self._failing if demand.kind == "survive" else ""
             text = f"{_OPTIONS[demand.kind]} {value:g}{failing}"
@@ -297,18 +297,18 @@ class _Words:
 
 
 _OPTIONS = {
-    "survive": "--survive",
-    "budget_units": "--budget",
-    "budget_eur": "--budget-cost",
-    "capacity": "--site-capacity",
-    "separation": "--separation",
+    "survive": "`survive`",
+    "budget_units": "`budget`",
+    "budget_eur": "`budget_cost`",
+    "capacity": "`site_capacity`",
+    "separation": "`separation_m`",
 }
 
 
 def _inserted(name: str, number: str) -> str:
-    """A number after the first word of a name: "--min-case-apr 0.8 in CPNA-25"."""
+    """A number after the first word of a name: "`min_case_apr` 0.8 in CPNA-25"."""
     option, _, rest = name.partition(" ")
-    return f"{option} {number} {rest}".rstrip()
+    return f"`{option}` {number} {rest}".rstrip()
 
 
 def _few(names: Sequence[str]) -> str:

@@ -122,7 +122,7 @@ def find_other_sensors(
     if not looks:
         return None
     compute.progress(STAGE, 0, 0)
-    everyone = [(pose, setting.planner) for pose in (*units, *looks)]
+    everyone = [(pose, setting.table_detector) for pose in (*units, *looks)]
     with threadpool_limits(1), ThreadPoolExecutor(compute.workers) as pool:
         frames = detected_frames(setting, everyone, pool=pool, compute=compute.within(STAGE))
     bench = _Bench(setting, frames[: len(units)], frames[len(units) :], fusion)

@@ -342,7 +342,7 @@ def find_sensitivity(
             )
             frames = detected_frames(
                 setting,
-                [*((unit, setting.planner) for unit in units), *chain(*looks.values())],
+                [*((unit, setting.table_detector) for unit in units), *chain(*looks.values())],
                 pool=pool,
                 compute=compute.within(STAGE),
             )
@@ -402,7 +402,7 @@ def find_sensitivity(
 
 def _planned_value(name: str, setting: Setting) -> float | None:
     """The value that the plan assumes; None where the assumption does not apply."""
-    rule, planner = setting.rule, setting.planner
+    rule, planner = setting.rule, setting.table_detector
     if name in ("latency_s", "n_confirmations", "track_memory_s", "deceleration_mps2"):
         return float(getattr(rule, name))
     if name == "min_iou":
@@ -445,8 +445,8 @@ def _looks_at(
 ) -> list[Look]:
     """All units with one error of mounting, or under another detector."""
     if name in _MOUNTING:
-        return [(_off(unit, name, value, setting.scene), setting.planner) for unit in units]
-    return [(unit, _with(setting.planner, name, value)) for unit in units]
+        return [(_off(unit, name, value, setting.scene), setting.table_detector) for unit in units]
+    return [(unit, _with(setting.table_detector, name, value)) for unit in units]
 
 
 def _off(unit: CandidatePose, name: str, value: float, scene: Scene) -> CandidatePose:

@@ -214,7 +214,7 @@ def _find_errors(
     with threadpool_limits(1), ThreadPoolExecutor(compute.workers) as pool:
         frames = detected_frames(
             setting,
-            [(unit, setting.planner) for unit in everyone],
+            [(unit, setting.table_detector) for unit in everyone],
             pool=pool,
             compute=compute.within(STAGE),
         )

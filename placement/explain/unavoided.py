@@ -113,7 +113,7 @@ def _causes(
     empty = replace(world, shared=shared, standing=standing, vehicles=vehicles)
     position_m, near_m = unit.pose.position_m, unit.sensor.near_m
     open_sight = cast_sight(empty, position_m, near_m=near_m, max_distance_m=np.inf)
-    sensing = build_sensing(empty, open_sight, position_m, setting.planner)
+    sensing = build_sensing(empty, open_sight, position_m, setting.table_detector)
     entries = open_sight.entry_of_frame[frames]
     weathers = world.views.weather_of_frame[frames]
     in_the_open = sensing.detected([unit])[0, weathers, entries]
@@ -319,7 +319,7 @@ def find_unavoided(
     scene, seed = setting.scene, compute.seed
     seen = ""
     if compute.cache_folder is not None:
-        seen = table_fingerprint(scene, candidates, setting.runs, setting.planner, seed=seed)
+        seen = table_fingerprint(scene, candidates, setting.runs, setting.table_detector, seed=seed)
     return cached_value(
         compute.cache_folder,
         "unavoided",

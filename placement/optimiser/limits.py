@@ -28,7 +28,8 @@ class Limits:
     site_capacity : (n_sites,) int
         Units that each site can carry.
     budget_units : int, optional
-        At most so many units; by default as many as the sites can carry.
+        At most so many units in all, the forced ones among them; by default as many as the sites
+        can carry.
     budget_eur : float, optional
         At most so much money; by default any. [EUR]
     unit_cost_eur : (n_poses,) float
@@ -118,6 +119,11 @@ class Limits:
     def n_sites(self) -> int:
         """Number of sites."""
         return len(self.site_capacity)
+
+    @property
+    def budget_new_units(self) -> int | None:
+        """Units that may be added to the forced ones; None: any number."""
+        return None if self.budget_units is None else self.budget_units - int(self.is_forced.sum())
 
     @property
     def max_units(self) -> int:

@@ -34,8 +34,22 @@ from ..optimiser.problem import objective_values
 from ..optimiser.solve import build_stage
 from ..pipeline import Placement
 from ..setting import Setting
-from .poses import Bench, Move, RayRows, RowBuilder, add_poses, grid_bench, promising_rows, rename
-from .proposals import Places, aimed, around, build_places, find_weak_spots, moved
+from .poses import (
+    Bench,
+    Move,
+    Places,
+    RayRows,
+    RowBuilder,
+    add_poses,
+    aimed,
+    around,
+    build_places,
+    find_weak_spots,
+    grid_bench,
+    moved,
+    promising_rows,
+    rename,
+)
 
 
 class StageValue(NamedTuple):
@@ -517,5 +531,5 @@ def _check_table(
         raise InputError("candidates", Unquoted("other poses"), "the rows of the placement's table")
     if problem.table.axis.run_ids != setting.axis.run_ids:
         raise InputError(
-            "--refine", Unquoted("a table of sampled worlds"), "a table of the runs as planned"
+            "refine", Unquoted("a table of sampled worlds"), "a table of the runs as planned"
         )

@@ -19,7 +19,7 @@ from .out_of_sample import (
     out_of_sample,
     out_of_sample_layouts,
 )
-from .tables import SampledTable, sampled_table
+from .tables import SampledTable, obtain_table, sampled_table
 from .uncertainty import (
     DEFAULT_UNCERTAINTY,
     UNCERTAINTY_NAMES,
@@ -57,6 +57,7 @@ __all__ = [
     "load_traffic",
     "load_uncertainty",
     "look_at_fresh_worlds",
+    "obtain_table",
     "out_of_sample",
     "out_of_sample_layouts",
     "sampled_table",

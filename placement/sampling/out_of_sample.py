@@ -124,7 +124,7 @@ def cvar(apr_by_sample: ArrayLike, tail: float) -> float:
         raise InputError("samples", Unquoted("none"), "at least one")
     is_number = isinstance(tail, int | float) and not isinstance(tail, bool)
     if not (is_number and 0.0 <= tail <= 1.0):
-        raise InputError("--tail", tail, "a share of the samples, 0 to 1")
+        raise InputError("tail", tail, "a share of the samples, 0 to 1")
     n_counted = max(1.0, tail * len(samples))
     counts = np.clip(n_counted - np.arange(len(samples)), 0.0, 1.0)
     return math.fsum(counts * samples) / n_counted
@@ -243,7 +243,7 @@ def look_at_fresh_worlds(
 ) -> FreshWorlds:
     """What layouts avoid in so many fresh worlds, from one of them on."""
     if fusion not in FUSIONS:
-        raise InputError("--fusion", fusion, "one of " + ", ".join(FUSIONS))
+        raise InputError("fusion", fusion, "one of " + ", ".join(FUSIONS))
     units = {_key(unit): unit for layout in layouts for unit in layout.units}
     row = {key: index for index, key in enumerate(units)}
     # Two layouts may call different units the same.

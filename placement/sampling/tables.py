@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
+from functools import partial
 from threading import Lock
 
 import numpy as np
@@ -61,7 +62,7 @@ def build_drawn_table(
     for row, candidate in enumerate(sample.candidates):
         key = (*candidate.pose.position_m.tolist(), candidate.sensor.near_m)
         groups.setdefault(key, []).append(row)
-    links = link_frames(draw_index(setting.runs))
+    order = link_frames(draw_index(setting.runs))
     packed = np.zeros((len(sample.candidates), -(-setting.axis.n_frames // 8)), dtype=np.uint8)
 
     def fill(rows: list[int]) -> None:
@@ -75,7 +76,7 @@ def build_drawn_table(
                 continue
             draw_frames(
                 *(limit, world.views.weather_of_frame, entry_of_frame),
-                *(links.run_of_frame, links.place_of_frame),
+                *(order.run_of_frame, order.place_of_frame),
                 sample.luck.key("detector", *pose_key(planned)),
                 detector.frame_correlation,
                 packed[row],
@@ -102,16 +103,16 @@ def lose_messages(sample: Sample, table: DetectionTable) -> DetectionTable:
 
     Each pose loses its messages independently of the others, the same ones in all weathers.
     """
-    loss = sample.setting.links.packet_loss
+    loss = sample.setting.radio.packet_loss
     if loss == 0.0:
         return table
     from .drawing import lose_frames
 
-    links = link_frames(draw_index(sample.setting.runs))
+    order = link_frames(draw_index(sample.setting.runs))
     packed = np.array(table.packed)
     for row in np.flatnonzero(packed.any(axis=1)).tolist():
         key = sample.luck.key("message", *pose_key(sample.planned[row]))
-        lose_frames(links.run_of_frame, links.place_of_frame, key, loss, packed[row])
+        lose_frames(order.run_of_frame, order.place_of_frame, key, loss, packed[row])
     return DetectionTable(pose_ids=table.pose_ids, axis=table.axis, packed=packed)
 
 
@@ -326,24 +327,56 @@ def _obtain(
     sample: Sample, compute: Compute, share: Callable[[Sample], SharedScene]
 ) -> DetectionTable:
     """Table of a world before messages are lost, from the cache or built anew."""
-    setting, detector = sample.setting, sample.drawn_detector
-    if compute.cache_folder is None:
-        return _build(sample, compute, share(sample))
-    fingerprint = table_fingerprint(
-        setting.scene, sample.candidates, setting.runs, setting.planner, seed=compute.seed
+    detector = sample.drawn_detector
+    return obtain_table(
+        sample.setting,
+        sample.candidates,
+        stage=STAGE,
+        build=lambda: _build(sample, compute, share(sample)),
+        drawn="" if detector is None else drawing_key(sample.luck, detector),
+        compute=compute,
     )
-    if detector is not None:
-        drawn = f"{fingerprint} drawn {drawing_key(sample.luck, detector)}"
-        fingerprint = hashlib.blake2b(drawn.encode(), digest_size=16).hexdigest()
-    path = compute.cache_folder / f"table-{fingerprint}.npz"
-    table = load_table(
-        path, fingerprint=fingerprint, candidates=sample.candidates, axis=setting.axis
-    )
-    if table is not None:
-        compute.progress(STAGE, 1, 1)
-        return table
-    table = _build(sample, compute, share(sample))
-    save_table(path, table, fingerprint=fingerprint)
+
+
+def obtain_table(
+    setting: Setting,
+    candidates: Sequence[CandidatePose],
+    *,
+    stage: str = "",
+    build: Callable[[], DetectionTable] | None = None,
+    drawn: str = "",
+    compute: Compute,
+) -> DetectionTable:
+    """Detection table of a setting, from the cache or built anew.
+
+    A sampled world has its own `stage`, way to `build`, and key of what is `drawn` in it.
+    """
+    if build is None:
+        build = partial(
+            build_detection_table,
+            *(setting.scene, candidates, setting.runs, setting.axis),
+            detector=setting.table_detector,
+            compute=compute,
+        )
+    path = None
+    if compute.cache_folder is not None:
+        fingerprint = table_fingerprint(
+            setting.scene, candidates, setting.runs, setting.table_detector, seed=compute.seed
+        )
+        if drawn:
+            text = f"{fingerprint} drawn {drawn}"
+            fingerprint = hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+        path = compute.cache_folder / f"table-{fingerprint}.npz"
+        cached = load_table(path, fingerprint=fingerprint, candidates=candidates, axis=setting.axis)
+        if cached is not None:
+            _log.info("detection table read from %s", path)
+            compute.progress(*(stage, 1, 1) if stage else ("detection table (cached)", 0, 0))
+            return cached
+    if not stage:
+        compute.progress("detection table", 0, 0)
+    table = build()
+    if path is not None:
+        save_table(path, table, fingerprint=fingerprint)
     return table
 
 
@@ -356,7 +389,7 @@ def _build(sample: Sample, compute: Compute, lasting: SharedScene) -> DetectionT
         sample.candidates,
         setting.runs,
         setting.axis,
-        detector=setting.planner,
+        detector=setting.table_detector,
         compute=compute,
         shared=lasting,
     )

@@ -287,18 +287,18 @@ def load_uncertainty(
 
 
 def load_drawn(question: Question, scene: Scene, *, n_samples: int) -> Uncertainty:
-    """What a question draws in so many sampled worlds of a scene: --uncertainty and --traffic.
+    """What a question draws in so many sampled worlds of a scene: `uncertainty` and `traffic`.
 
     Raises InputError as :func:`load_uncertainty` and :func:`.load_traffic`, or where traffic is
     given and no world is sampled; MissingExtraError where SUMO is asked for and not installed.
     """
-    uncertainty = load_uncertainty(question.uncertainty, where="--uncertainty")
+    uncertainty = load_uncertainty(question.uncertainty, where="uncertainty")
     if question.traffic_offset and not question.traffic:
-        raise InputError("--traffic-offset", question.traffic_offset, "--traffic FILE beside it")
+        raise InputError("traffic_offset", question.traffic_offset, "`traffic` FILE beside it")
     if not question.traffic:
         return uncertainty
     if n_samples == 0:
-        raise InputError("--traffic", question.traffic, "--samples N beside it: worlds to drive in")
+        raise InputError("traffic", question.traffic, "`samples` N beside it: worlds to drive in")
     moving = load_traffic(question.traffic, scene, offset=question.traffic_offset)
     return with_moving_traffic(uncertainty, moving)
 

@@ -37,7 +37,7 @@ class Luck:
     index: int  # number of the world
 
     def __post_init__(self) -> None:
-        check_whole("--seed", self.seed, least=0)
+        check_whole("seed", self.seed, least=0)
         if self.purpose not in PURPOSES:
             raise InputError("purpose", self.purpose, "one of " + ", ".join(PURPOSES))
 
@@ -97,7 +97,7 @@ class Sample:
     @property
     def drawn_detector(self) -> ResponseDetector | None:
         """The detector whose detections are drawn frame by frame, if any are."""
-        planner = self.setting.planner
+        planner = self.setting.table_detector
         if self.uncertainty.draws_detections and isinstance(planner, ResponseDetector):
             return planner
         return None
@@ -141,7 +141,7 @@ def draw_samples(
     Raises InputError for a number that cannot be, or vehicles in a scene without a junction;
     MissingExtraError where SUMO shall drive and is not installed.
     """
-    check_whole("--samples", n_samples, least=1)
+    check_whole("samples", n_samples, least=1)
     traffic = uncertainty.traffic
     street = None if traffic.is_empty else build_street(setting.scene, traffic)
     ways = {} if street is None else build_ways(setting.runs, setting.rule)
@@ -200,7 +200,7 @@ def _draw(
             setting,
             runs=runs,
             axis=replace(axis, last_brake_time_s=axis.last_brake_time_s - extra_s),
-            links=replace(setting.links, packet_loss=uncertainty.packet_loss),
+            radio=replace(setting.radio, packet_loss=uncertainty.packet_loss),
         ),
         planned=candidates,
         candidates=_as_mounted(candidates, uncertainty.mounting, luck),

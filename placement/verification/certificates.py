@@ -21,11 +21,11 @@ from .instances import (
     INSTANCE_FILE,
     KIND,
     KIND_WITH_MOUNTS,
+    Mounts,
     is_never_lost,
     problem_hash,
     save_problem,
 )
-from .mounts import Mounts
 
 SCHEMA = "place-rsus/certificate/1"
 CERTIFICATE_FILE = "certificate.json"

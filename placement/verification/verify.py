@@ -22,8 +22,7 @@ from ..candidates import CandidatePose
 from ..layout import Stage
 from ..optimiser.objectives import Objective
 from .certificates import StoredCertificate, instance_of, model_of, words_of
-from .instances import problem_hash
-from .mounts import Mounts
+from .instances import Mounts, problem_hash
 from .recomputation import (
     EPSILON,
     all_sets,

@@ -113,7 +113,7 @@ def detected_frames(
     scene_hash = ""
     if compute.cache_folder is not None:
         scene_hash = table_fingerprint(
-            setting.scene, (), setting.runs, setting.planner, seed=compute.seed
+            setting.scene, (), setting.runs, setting.table_detector, seed=compute.seed
         )
     kept = CachedArrays(compute.cache_folder, "looks", kind=_FORMAT, fingerprint=scene_hash)
     new = {name: look for name, look in zip(names, looks, strict=True) if name not in kept.arrays}

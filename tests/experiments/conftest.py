@@ -10,6 +10,7 @@ from small_results import (
     build_small_baseline,
     build_small_grid,
     build_small_setting,
+    lay_runs_of,
     vary_few_assumptions,
 )
 
@@ -17,7 +18,7 @@ from experiments import main
 from experiments.jobs import baselines, placement, writing
 from experiments.report import beside
 from geometry.poses import Pose
-from placement import planning
+from placement import candidates as poses
 from placement.candidates import CandidatePose
 from placement.layout import Layout
 
@@ -37,10 +38,8 @@ def tables(tmp_path_factory):
 def few_runs(small_setting, tables, monkeypatch):
     """Makes every command work on a few runs and a few poses."""
     monkeypatch.setenv("PLACE_RSUS_CACHE", str(tables))
-    monkeypatch.setattr(
-        placement, "build_setting", lambda question, scene, **options: small_setting
-    )
-    monkeypatch.setattr(planning, "load_candidate_grid", build_small_grid)
+    lay_runs_of(monkeypatch, small_setting)
+    monkeypatch.setattr(poses, "load_candidate_grid", build_small_grid)
     monkeypatch.setattr(baselines, "load_candidate_grid", build_small_grid)
     return small_setting
 
@@ -66,10 +65,8 @@ def whole_placement(small_setting, tmp_path_factory):
     def place(folder: Path) -> None:
         with pytest.MonkeyPatch.context() as patch, chdir(folder):
             patch.setenv("PLACE_RSUS_CACHE", str(folder / "tables"))
-            patch.setattr(
-                placement, "build_setting", lambda question, scene, **options: small_setting
-            )
-            patch.setattr(planning, "load_candidate_grid", build_small_grid)
+            lay_runs_of(patch, small_setting)
+            patch.setattr(poses, "load_candidate_grid", build_small_grid)
             vary_few_assumptions(patch, "height_m")
             with (
                 Path("out").open("w") as out,

@@ -25,9 +25,9 @@ from placement.layout import (
     SCHEMA,
     Layout,
     layout_records,
+    load_carlancap_layout,
     load_layout,
 )
-from placement.study_layout import load_carlancap_layout
 
 
 @pytest.fixture(scope="module")

@@ -8,15 +8,14 @@ import pytest
 from browser_pages import open_page, start_browser
 from interactive_pages import EVIL, build_evaluation, build_layout, with_evil_names
 from partial_pages import blank_pictures, build_result
-from small_results import vary_few_assumptions
+from small_results import lay_runs_of, vary_few_assumptions
 
 from experiments.jobs import placement
 from experiments.progress import StageProgress
 from experiments.report.page import write_report
 from placement.compute import Compute
-from placement.layout import Layout, layout_records
+from placement.layout import Layout, layout_records, load_carlancap_layout
 from placement.question import Question
-from placement.study_layout import load_carlancap_layout
 
 pytestmark = pytest.mark.system
 
@@ -44,7 +43,7 @@ def addresses(small_setting, whole_placement, tmp_path_factory):
     turned = replace(units[0].pose, yaw_deg=units[0].pose.yaw_deg + 180.0)
     away = Layout(name="away", units=(replace(units[0], pose=turned),))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(placement, "build_setting", lambda question, scene, **options: small_setting)
+        lay_runs_of(patch, small_setting)
         vary_few_assumptions(patch)
         question = Question()
         with blank_pictures():

@@ -11,6 +11,7 @@ from pathlib import Path
 import jsonschema
 import numpy as np
 import pytest
+from small_results import lay_runs_of
 
 from experiments.export.json import to_json, to_json_text
 from experiments.jobs import placement
@@ -19,9 +20,8 @@ from experiments.results.schema import SCHEMA_FILE, schema_text
 from geometry.frames import to_geographic
 from geometry.study_scene import load_study_scene
 from placement.explain.sensitivity import load_assumptions
-from placement.layout import RESULT_SCHEMA, Layout
-from placement.setting import Links
-from placement.study_layout import load_carlancap_layout
+from placement.layout import RESULT_SCHEMA, Layout, load_carlancap_layout
+from placement.setting import Radio
 from scenarios.runs import build_frame_axis
 
 DOCUMENT = json.loads(
@@ -219,9 +219,9 @@ def test_weights_weathers_and_announcements_are_in_the_schema(
         small_study,
         runs=runs,
         axis=build_frame_axis(runs, weight / weight.sum()),
-        links=Links(packet_loss=0.1, vam_rate=0.5),
+        radio=Radio(packet_loss=0.1, vam_rate=0.5),
     )
-    monkeypatch.setattr(placement, "build_setting", lambda question, scene, **options: setting)
+    lay_runs_of(monkeypatch, setting)
     summary = written(run, tmp_path / "out", "--budget", 1)
     assert messages(summary) == []
     assert summary["evaluation"]["rsu_all"]["by_case"]["CBLA"] is None

@@ -16,8 +16,8 @@ from geometry.maps import point_clouds as voxels
 from geometry.maps.importing import read_map
 from geometry.scene import Scene
 from geometry.scene_files import SCENE_FILE, THINGS_FILE, load_scene
+from placement.ground import load_private_ground
 from placement.layout import load_layout
-from placement.private_ground import load_private_ground
 from placement.recordings import read_recording
 from placement.verification.certificates import load_certificate
 from placement.verification.instances import load_problem

@@ -9,13 +9,13 @@ from small_results import build_small_grid, build_small_setting
 from geometry.catalogue import load_cameras
 from geometry.errors import InputError
 from geometry.poses import Pose
-from placement import planning
+from placement import candidates as poses
 from placement.advice import Adviser, free_name
 from placement.candidates import CandidatePose
 from placement.compute import Compute
-from placement.layout import Certificate, Stage
+from placement.layout import Certificate, Stage, find_layout
 from placement.live import LiveTable, table_verdict
-from placement.planning import build_plan
+from placement.pipeline import assemble
 from placement.question import Question
 
 
@@ -27,10 +27,14 @@ def setting():
 @pytest.fixture(scope="module")
 def adviser(setting, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(planning, "load_candidate_grid", build_small_grid)
-        plan = build_plan(Question(budget=1), setting.scene)
-    compute = Compute(cache_folder=tmp_path_factory.mktemp("tables"))
-    return Adviser(setting, plan, build_small_grid(), compute=compute)
+        patch.setattr(poses, "load_candidate_grid", build_small_grid)
+        assembly = assemble(
+            Question(),
+            setting=setting,
+            counts_money=True,
+            compute=Compute(cache_folder=tmp_path_factory.mktemp("tables")),
+        )
+    return Adviser(assembly, build_small_grid())
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +69,7 @@ def test_the_best_next_unit_is_the_best_of_all_that_can_be_added(adviser, weak, 
     assert [unit.id for unit in found.units[:2]] == ["U1", "mine"]
     assert found.units[2].id == "U2"
     assert found.is_proven
-    candidates = adviser._plan.candidates
+    candidates = adviser._assembly.candidates
     capacity = {site.id: site.capacity_units for site in setting.scene.sites}
     taken = [unit.site_id for unit in weak]
     free = [one for one in candidates if taken.count(one.site_id) < capacity.get(one.site_id, 1)]
@@ -78,7 +82,7 @@ def test_from_nothing_the_next_unit_is_the_best_one(adviser, apr_of):
     found = adviser.best_next(())
     assert len(found.units) == 1
     assert found.before is None
-    best = max(apr_of([one]) for one in adviser._plan.candidates)
+    best = max(apr_of([one]) for one in adviser._assembly.candidates)
     assert found.after.apr == pytest.approx(best)
     assert found.is_proven
 
@@ -94,8 +98,8 @@ def test_to_complete_keeps_what_hangs_and_reaches_its_bound(adviser, weak, apr_o
 
 def test_a_unit_named_as_a_pose_of_the_grid_is_mounted_once_and_hides_no_candidate(adviser, apr_of):
     """The study's poses are among the grid's: a mounted unit may be one of them, turned or not."""
-    (unit,) = planning.find_layout("carlancap-12").units[:1]
-    assert unit.id in {one.id for one in adviser._plan.candidates}
+    (unit,) = find_layout("carlancap-12").units[:1]
+    assert unit.id in {one.id for one in adviser._assembly.candidates}
     turned = replace(unit, pose=replace(unit.pose, yaw_deg=unit.pose.yaw_deg + 120.0))
     for standing in (unit, turned):
         other = adviser.best_next([replace(standing, id="mine")])
@@ -150,12 +154,12 @@ def test_re_aiming_keeps_every_place_and_is_the_best_of_all_directions(adviser, 
 
 
 def test_the_cheapest_is_as_good_and_no_dearer(adviser, setting, apr_of):
-    units = planning.find_layout("carlancap-12").units[:3]
+    units = find_layout("carlancap-12").units[:3]
     found = adviser.cheapest(units)
     assert apr_of(found.units) >= apr_of(units) - 1e-9
     assert found.after.cost_eur <= found.before.cost_eur
     assert found.is_proven
-    cheaper = [one for one in adviser._plan.candidates if apr_of([one]) >= apr_of(units) - 1e-9]
+    cheaper = [one for one in adviser._assembly.candidates if apr_of([one]) >= apr_of(units) - 1e-9]
     assert bool(cheaper) == (len(found.units) == 1)
 
 
@@ -163,7 +167,7 @@ def test_why_not_a_pole_says_what_it_can_do_beside_and_instead(adviser, weak, ap
     site = "corner-sw"
     beside, instead = adviser.why_not(weak[:1], site)
     assert beside.units[-1].site_id == site
-    at_site = [one for one in adviser._plan.candidates if one.site_id == site]
+    at_site = [one for one in adviser._assembly.candidates if one.site_id == site]
     assert beside.after.apr == pytest.approx(max(apr_of([weak[0], one]) for one in at_site))
     assert [unit.site_id for unit in instead.units] == [site]
     assert instead.after.apr == pytest.approx(max(apr_of([one]) for one in at_site))

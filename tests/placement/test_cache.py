@@ -7,8 +7,14 @@ import pytest
 
 from geometry.arrays import FloatArray
 from placement import cache
-from placement.cache import MAX_ARRAYS, MAX_FILES, CachedArrays, Fingerprints, cached_value
-from placement.cache_values import to_bytes
+from placement.cache import (
+    MAX_ARRAYS,
+    MAX_FILES,
+    CachedArrays,
+    Fingerprints,
+    cached_value,
+    to_bytes,
+)
 
 FINGERPRINT = "0123456789abcdef" * 2
 ROWS = {"a": np.array([True, False, True]), "b": np.arange(3.0)}

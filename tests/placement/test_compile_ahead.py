@@ -11,7 +11,7 @@ from placement import compile_ahead as module
 from placement.compile_ahead import compile_ahead
 
 ROOT = Path(__file__).parents[2]
-STEPS = ("solve_placement", "solve_greedy", "find_next_unit", "front_below", "evaluate_layouts")
+STEPS = ("place", "front_below", "evaluate_layouts")
 # The main job needs all of these after its table; a few of the rest stand in for it.
 COMPILED = """
 from geometry.kernels import is_compiled

@@ -15,7 +15,7 @@ from placement.compute import Compute
 from placement.detectors import load_planning_detector
 from placement.question import Question
 from placement.setting import (
-    Links,
+    Radio,
     build_rule,
     build_setting,
     drive,
@@ -124,7 +124,7 @@ def test_how_far_along_the_arms_is_chosen():
     with pytest.raises(InputError) as caught:
         build_setting(nowhere, load_study_scene())
     assert str(caught.value) == (
-        "--cases: got CPNA-25, which no approach carries; expected a case that can be driven at "
+        "cases: got CPNA-25, which no approach carries; expected a case that can be driven at "
         "town05 (from the north: the mapped lane does not reach so far)"
     )
 
@@ -176,14 +176,14 @@ def test_perception_and_radio_are_those_of_the_question():
         return build_setting(question, load_study_scene())
 
     plain = setting_of()
-    assert plain.detector == plain.planner == load_planning_detector("geometric")
-    assert (plain.vut_sensors, plain.links) == (("camera",), Links())
+    assert plain.detector == plain.table_detector == load_planning_detector("geometric")
+    assert (plain.vut_sensors, plain.radio) == (("camera",), Radio())
     other = setting_of(
         detector="response", vut_sensors="lidar, camera", packet_loss=0.1, vam_rate=0.5
     )
-    assert other.detector is other.planner is load_planning_detector("response")
+    assert other.detector is other.table_detector is load_planning_detector("response")
     assert set(other.vut_sensors) == {"camera", "lidar"}
-    assert other.links == Links(packet_loss=0.1, vam_rate=0.5)
+    assert other.radio == Radio(packet_loss=0.1, vam_rate=0.5)
 
 
 def test_forced_speeds_are_warned_about(caplog):
@@ -191,18 +191,18 @@ def test_forced_speeds_are_warned_about(caplog):
     with caplog.at_level(logging.WARNING):
         run = drive_one(question, load_study_scene())
     assert run.vut_speed_kmh == 25.0
-    assert "--force: CBTAfs-100: 25 km/h are not speeds of the protocol" in caplog.text
+    assert "CBTAfs-100: 25 km/h are not speeds of the protocol" in caplog.text
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"approaches": "up"}, "--approaches: got 'up'; expected one or more of east, north"),
+        ({"approaches": "up"}, "approaches: got 'up'; expected one or more of east, north"),
         (
             {"weather": "snow"},
-            "--weather: got 'snow'; expected one or more of day, night, rain, fog",
+            "weather: got 'snow'; expected one or more of day, night, rain, fog",
         ),
-        ({"weather": ","}, "--weather: got ','; expected names with commas between, each once"),
+        ({"weather": ","}, "weather: got ','; expected names with commas between, each once"),
         (
             {"cases": "CPXX"},
             "cases: got 'CPXX'; expected one of default, study, protocol-4.5.1, ",
@@ -212,19 +212,19 @@ def test_forced_speeds_are_warned_about(caplog):
         ({"along_arms": ","}, "along_arms: got ''; expected metres along the arm"),
         (
             {"detector": "best"},
-            "--detector: got 'best'; expected geometric, response, cnn-table, cnn, a ",
+            "detector: got 'best'; expected geometric, response, cnn-table, cnn, a ",
         ),
-        ({"vut_sensors": "radar"}, "--vut-sensors: got 'radar'; expected one or more of camera"),
+        ({"vut_sensors": "radar"}, "vut_sensors: got 'radar'; expected one or more of camera"),
         ({"vut_sensors": ""}, "vut_sensors: got ''; expected one or more of camera, lidar"),
         ({"packet_loss": 1.5}, "question: packet_loss: got 1.5; expected a share of lost "),
         ({"vam_rate": -0.5}, "question: vam_rate: got -0.5; expected a share of equipped "),
         ({"speeds": "130"}, "speeds: got 130; expected 10 to 60 km/h as the protocol drives"),
         ({"weights": "none"}, "weights: got 'none'; expected run, case, fhwa-crash-types, "),
         ({"deceleration_mps2": 0.0}, "question: deceleration_mps2: got 0.0; expected m/s^2, "),
-        ({"deceleration_mps2": 0.5}, "--deceleration: got 0.5; expected a number, 1 to 15"),
+        ({"deceleration_mps2": 0.5}, "deceleration_mps2: got 0.5; expected a number, 1 to 15"),
         (
             {"track_memory_s": 0.05},
-            "--track-memory: got 0.05; expected seconds, at least 0.1 (from one frame to the next)",
+            "track_memory_s: got 0.05; expected seconds, at least 0.1 (from one frame to the next)",
         ),
     ],
 )
@@ -240,7 +240,7 @@ def test_a_case_that_no_approach_carries_is_told_with_a_reason():
     with pytest.raises(InputError) as caught:
         build_setting(Question(cases="CPTAns-50"), build_scene(lanes))
     assert str(caught.value) == (
-        "--cases: got CPTAns-50, which no approach carries; expected a case that can be driven at "
+        "cases: got CPTAns-50, which no approach carries; expected a case that can be driven at "
         "protocol (from the east, west: no lane leads out of the junction on the near side)"
     )
 
@@ -323,7 +323,7 @@ def test_one_run_at_a_position_drives_the_speed_asked_for():
     question = replace(question, force=True)
     run = drive_one(question, scene, position="-15")
     assert (run.id, run.position) == ("CPLA-50/east-15/33", "-15")
-    with pytest.raises(InputError, match="--position: got '-15'; expected 0: CBNA is bound to"):
+    with pytest.raises(InputError, match="position: got '-15'; expected 0: CBNA is bound to"):
         drive_one(replace(question, cases="CBNA"), scene, position="-15")
-    with pytest.raises(InputError, match="--position: got 'far'; expected 0, or metres before it"):
+    with pytest.raises(InputError, match="position: got 'far'; expected 0, or metres before it"):
         drive_one(question, scene, position="far")

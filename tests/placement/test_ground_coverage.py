@@ -8,7 +8,7 @@ from geometry.catalogue import load_cameras
 from geometry.lidar import load_lidars
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
-from placement.ground_coverage import BANDS, LOOK_AT_M, find_ground_coverage
+from placement.ground import BANDS, LOOK_AT_M, find_ground_coverage
 
 CAMERA = load_cameras()["carla-ncap-rgb-90"]
 

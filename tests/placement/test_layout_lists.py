@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_results import assemble_without_runs
 
 from geometry.catalogue import load_cameras
 from geometry.errors import InputError
 from geometry.maps.georeferences import WGS84, transform
 from geometry.study_scene import load_study_scene
-from placement.layout import load_layout
-from placement.planning import build_plan, find_layout
+from placement.layout import find_layout, load_layout
 from placement.question import Question
 
 CRS = "EPSG:32633"
@@ -71,8 +71,8 @@ def test_json_by_hand_stands_at_its_site_and_takes_models_of_a_file(tmp_path, sc
     assert np.array([unit.pose.position_m[:2] for unit in layout.units]) == pytest.approx(
         np.array(feet)
     )
-    plan = build_plan(Question(budget=1, keep=str(path), sensors=str(models)), scene)
-    assert plan.wishes.kept == ("C0", "C1")
+    plan = assemble_without_runs(Question(budget=1, keep=str(path), sensors=str(models)), scene)
+    assert plan.wishes.existing == ("C0", "C1")
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,9 @@ def test_solvers_and_rays_are_loaded_when_first_used():
 def found():
     setting = placement.build_setting(placement.Question(cases="CPNC-50", approaches="north"))
     few = placement.build_candidates(setting.scene)[::97]
-    found = placement.place(setting, few, wishes=placement.Wishes(budget_units=2))
+    found = placement.place(
+        placement.Assembly(setting=setting, candidates=few, wishes=placement.Wishes(budget_units=2))
+    )
     return setting, found, placement.evaluate_layout(found.layout, setting)
 
 

@@ -44,7 +44,7 @@ def unit(setting, *, site=0, height_m=6.0, yaw_deg=0.0, pitch_deg=-15.0, sensor=
 
 def built(setting, units):
     return build_detection_table(
-        setting.scene, units, setting.runs, setting.axis, detector=setting.planner
+        setting.scene, units, setting.runs, setting.axis, detector=setting.table_detector
     ).detected(slice(None))
 
 
@@ -107,7 +107,7 @@ def test_a_verdict_by_the_table_is_what_the_optimiser_reads(setting, table):
     detected = table.detected(units)
     verdict = table_verdict(units, detected, setting)
     rows = build_detection_table(
-        setting.scene, units, setting.runs, setting.axis, detector=setting.planner
+        setting.scene, units, setting.runs, setting.axis, detector=setting.table_detector
     )
     limits = Limits(site_index=np.arange(2), site_capacity=np.ones(2, dtype=int), budget_units=2)
     problem = PlacementProblem(table=rows, limits=limits, fusion="any", rule=setting.rule)

@@ -46,8 +46,8 @@ def test_the_message_says_what_is_needed_and_how_to_shrink_it(monkeypatch):
         check_memory(5772, 18_311, n_worlds=64)
     assert str(caught.value) == (
         "memory: got 5,772 poses x 18,311 frames in 64 sampled worlds, which need 7.5 GiB, where "
-        "there are 1.0 GiB; expected a smaller question: fewer --samples, fewer --cases, --speeds, "
-        "--approaches or --weather, fewer --sensors, or only the poles of --within"
+        "there are 1.0 GiB; expected a smaller question: fewer `samples`, fewer `cases`, `speeds`, "
+        "`approaches` or `weather`, fewer `sensors`, or only the poles of `within`"
     )
     with pytest.raises(InputError, match=r"^memory: got 99,999 poses x 99,999 frames, which need"):
         check_memory(99_999, 99_999)

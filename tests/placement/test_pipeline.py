@@ -21,9 +21,10 @@ from placement.optimiser import (
     solve_greedy,
     solve_placement,
 )
-from placement.pipeline import obtain_table, pick_layout, place
+from placement.pipeline import Assembly, pick_layout, place
+from placement.sampling import obtain_table
 from placement.setting import Setting
-from placement.wishes import Wishes, build_problem, check_wishes
+from placement.wishes import Wishes
 from scenarios.runs import build_frame_axis
 from scenarios.weights import weight_per_run
 
@@ -41,7 +42,7 @@ def setting(runs, rule):
         axis=build_frame_axis(few, weight_per_run(few)),
         rule=rule,
         detector=load_detector(),
-        planner=load_planning_detector(),
+        table_detector=load_planning_detector(),
     )
 
 
@@ -57,8 +58,25 @@ def candidates(setting, camera):
 
 
 @pytest.fixture(scope="module")
-def placement(setting, candidates):
-    return place(setting, candidates, wishes=Wishes(budget_units=2))
+def asked(setting, candidates):
+    """Builds an instance of these from wishes, and other fields."""
+
+    def build(*, compute=Compute(), effort=None, fusion="any", **wishes):  # noqa: B008
+        return Assembly(
+            setting=setting,
+            candidates=candidates,
+            wishes=Wishes(**wishes),
+            fusion=fusion,
+            effort=effort or Effort(),
+            compute=compute,
+        )
+
+    return build
+
+
+@pytest.fixture(scope="module")
+def placement(asked):
+    return place(asked(budget_units=2))
 
 
 def _best(problem):
@@ -118,8 +136,8 @@ def test_the_greedy_layout_is_as_large_and_never_better(placement, candidates):
     assert not is_better(greedy, placement_value(placement.problem, placement.pose_index))
 
 
-def test_one_unit_must_confirm_alone_with_single_fusion(setting, candidates, placement):
-    single = place(setting, candidates, wishes=Wishes(budget_units=2), fusion="single")
+def test_one_unit_must_confirm_alone_with_single_fusion(asked, placement):
+    single = place(asked(budget_units=2, fusion="single"))
     assert single.certificate.is_proven
     assert single.problem.fusion == "single"
     best, _ = _best(single.problem)
@@ -130,8 +148,8 @@ def test_one_unit_must_confirm_alone_with_single_fusion(setting, candidates, pla
     assert value.apr <= together.apr + 1e-9
 
 
-def test_the_same_question_gets_the_same_answer(setting, candidates, placement):
-    again = place(setting, candidates, wishes=Wishes(budget_units=2), compute=Compute(workers=2))
+def test_the_same_question_gets_the_same_answer(asked, placement):
+    again = place(asked(budget_units=2, compute=Compute(workers=2)))
     assert again.pose_index == placement.pose_index
     assert np.array_equal(again.problem.table.packed, placement.problem.table.packed)
 
@@ -139,31 +157,26 @@ def test_the_same_question_gets_the_same_answer(setting, candidates, placement):
 # Budget
 
 
-@pytest.mark.parametrize("budget", [0, -1, 5, 1.0, True, "2"])
-def test_a_budget_that_cannot_be_is_refused_before_anything_is_computed(
-    setting, candidates, budget
-):
-    message = (
-        f"--budget: got {budget!r}; expected a whole number of units, 1 to 4 "
-        "(what town05's sites can carry)"
-    )
-    with pytest.raises(InputError) as caught:
-        check_wishes(Wishes(budget_units=budget), setting.scene)
-    assert str(caught.value) == message
+@pytest.mark.parametrize("budget", [0, -1, 5, 1.0, True, "2", None])
+def test_a_budget_that_cannot_be_is_refused_before_anything_is_computed(asked, budget):
+    expected = "a whole number of units, at least 1"
+    if budget == 5:
+        expected = "a whole number of units, 1 to 4 (what town05's sites can carry)"
+    message = f"budget: got {budget!r}; expected {expected}"
+    if budget is None:
+        message = "budget: got nothing; expected `budget`, `budget_cost` or `target`"
 
     def never(stage, done, total):
         raise AssertionError(stage)
 
     with pytest.raises(InputError) as caught:
-        place(
-            setting, candidates, wishes=Wishes(budget_units=budget), compute=Compute(progress=never)
-        )
-    assert str(caught.value) == message
+        place(asked(budget_units=budget, compute=Compute(progress=never)))
+    assert str(caught.value).removeprefix("--") == message
 
 
-def test_every_budget_that_the_sites_can_carry_is_allowed(setting):
+def test_every_budget_that_the_sites_can_carry_is_allowed(asked):
     for budget in (1, 2, 3, 4):
-        check_wishes(Wishes(budget_units=budget), setting.scene)
+        assert asked(budget_units=budget).limits.budget_units == budget
 
 
 # Cache and progress
@@ -173,17 +186,17 @@ def _stages(calls):
     return list(dict.fromkeys(stage for stage, _, _ in calls))
 
 
-def test_a_second_call_takes_the_table_from_the_cache(setting, candidates, placement, tmp_path):
+def test_a_second_call_takes_the_table_from_the_cache(asked, placement, tmp_path):
     first, second = [], []
     for calls in (first, second):
         found = place(
-            setting,
-            candidates,
-            wishes=Wishes(budget_units=2),
-            compute=Compute(
-                cache_folder=tmp_path / "cache",
-                progress=lambda *call, calls=calls: calls.append(call),
-            ),
+            asked(
+                budget_units=2,
+                compute=Compute(
+                    cache_folder=tmp_path / "cache",
+                    progress=lambda *call, calls=calls: calls.append(call),
+                ),
+            )
         )
         assert np.array_equal(found.problem.table.packed, placement.problem.table.packed)
         assert found.pose_index == placement.pose_index
@@ -198,7 +211,7 @@ def test_a_second_call_takes_the_table_from_the_cache(setting, candidates, place
 
 
 def test_a_proven_answer_is_solved_once_for_the_same_table_wishes_and_effort(
-    setting, candidates, tmp_path, monkeypatch
+    asked, tmp_path, monkeypatch
 ):
     solved = []
 
@@ -209,8 +222,8 @@ def test_a_proven_answer_is_solved_once_for_the_same_table_wishes_and_effort(
     monkeypatch.setattr(pipeline, "solve_placement", count)
 
     def ask(budget, effort=None):
-        wishes, compute = Wishes(budget_units=budget), Compute(cache_folder=tmp_path)
-        return place(setting, candidates, wishes=wishes, effort=effort, compute=compute)
+        compute = Compute(cache_folder=tmp_path)
+        return place(asked(budget_units=budget, effort=effort, compute=compute))
 
     first, again = ask(2), ask(2)
     assert len(solved) == 1
@@ -225,7 +238,7 @@ def test_a_proven_answer_is_solved_once_for_the_same_table_wishes_and_effort(
 
 
 @pytest.mark.parametrize("gap", [0.0, 0.1])
-def test_only_a_proven_answer_is_kept(setting, candidates, tmp_path, monkeypatch, gap):
+def test_only_a_proven_answer_is_kept(asked, tmp_path, monkeypatch, gap):
     def solve(problem, *arguments, **options):
         solution = solve_placement(problem, *arguments, **options)
         first, *others = solution.certificate.stages
@@ -234,7 +247,7 @@ def test_only_a_proven_answer_is_kept(setting, candidates, tmp_path, monkeypatch
 
     monkeypatch.setattr(pipeline, "solve_placement", solve)
     compute = Compute(cache_folder=tmp_path)
-    place(setting, candidates, wishes=Wishes(budget_units=1), compute=compute)
+    place(asked(budget_units=1, compute=compute))
     assert any(tmp_path.glob("answer-*")) == (gap == 0.0)
 
 
@@ -256,16 +269,9 @@ def test_other_inputs_do_not_get_the_cached_table(setting, candidates, tmp_path)
     assert stages == ["detection table", "detection table", "detection table (cached)"]
 
 
-def test_a_damaged_cached_table_is_made_anew_and_replaced(
-    setting, candidates, placement, tmp_path, caplog
-):
+def test_a_damaged_cached_table_is_made_anew_and_replaced(asked, placement, tmp_path, caplog):
     for _ in range(2):
-        found = place(
-            setting,
-            candidates,
-            wishes=Wishes(budget_units=1),
-            compute=Compute(cache_folder=tmp_path),
-        )
+        found = place(asked(budget_units=1, compute=Compute(cache_folder=tmp_path)))
         (path,) = tmp_path.glob("table-*")
         path.write_bytes(path.read_bytes()[:100])
     assert np.array_equal(found.problem.table.packed, placement.problem.table.packed)
@@ -273,14 +279,10 @@ def test_a_damaged_cached_table_is_made_anew_and_replaced(
     assert record.levelno == logging.WARNING
 
 
-def test_a_cache_folder_that_cannot_be_is_no_error(
-    setting, candidates, placement, tmp_path, caplog
-):
+def test_a_cache_folder_that_cannot_be_is_no_error(asked, placement, tmp_path, caplog):
     in_the_way = tmp_path / "file"
     in_the_way.write_text("", encoding="utf-8")
-    found = place(
-        setting, candidates, wishes=Wishes(budget_units=2), compute=Compute(cache_folder=in_the_way)
-    )
+    found = place(asked(budget_units=2, compute=Compute(cache_folder=in_the_way)))
     assert found.pose_index == placement.pose_index
     assert any("nothing is cached" in message for message in caplog.messages)
 
@@ -304,12 +306,7 @@ def test_poses_of_no_site_stand_alone_on_sites_of_their_own(setting, candidates,
         extra("kite", ""),
         candidates[6],
     )
-    table = obtain_table(
-        setting,
-        poses,
-        compute=Compute(workers=1),
-    )
-    problem = build_problem(setting, poses, table, wishes=Wishes(budget_units=2), fusion="any")
+    problem = Assembly(setting=setting, candidates=poses, wishes=Wishes(budget_units=2)).problem
     capacity = problem.limits.site_capacity[problem.limits.site_index]
     assert capacity.tolist() == [1, 2, 2, 1, 1, 2]
     sites = problem.limits.site_index.tolist()
@@ -321,7 +318,7 @@ def test_poses_of_no_site_stand_alone_on_sites_of_their_own(setting, candidates,
 
 def test_poses_by_name_keep_their_names(setting, candidates, camera):
     named = replace(candidates[0], id="RSU1")
-    found = place(setting, [named], wishes=Wishes(budget_units=1))
+    found = place(Assembly(setting=setting, candidates=[named], wishes=Wishes(budget_units=1)))
     assert [unit.id for unit in found.layout.units] == ["RSU1"]
 
 
@@ -333,35 +330,30 @@ def test_a_unit_kept_from_an_earlier_result_keeps_its_name_and_no_other_gets_it(
 
 def test_without_candidates_nothing_is_placed(setting):
     with pytest.raises(InputError, match=r"^candidates: got none; expected at least one pose$"):
-        place(setting, [], wishes=Wishes(budget_units=1))
+        place(Assembly(setting=setting, candidates=[], wishes=Wishes(budget_units=1)))
 
 
 def test_more_units_than_the_candidates_allow_are_refused(setting, candidates):
     with pytest.raises(InputError) as caught:
-        place(setting, candidates[:1], wishes=Wishes(budget_units=2))
+        place(Assembly(setting=setting, candidates=candidates[:1], wishes=Wishes(budget_units=2)))
     assert str(caught.value) == (
-        "--budget: got 2; expected at most 1, the units that the sites can carry"
+        "budget: got 2; expected at most 1: candidates and their sites allow no more"
     )
 
 
-def test_wishes_that_contradict_each_other_are_named_with_ways_out(setting, candidates):
+def test_wishes_that_contradict_each_other_are_named_with_ways_out(asked):
     with pytest.raises(InputError) as caught:
-        place(setting, candidates, wishes=Wishes(budget_units=1, target=1.0, survive=1))
+        place(asked(budget_units=1, target=1.0, survive=1))
     assert str(caught.value) == (
-        "--target 1 and --budget 1: got demands that no layout meets together; "
-        "expected one of them to give way: --target 0 or --budget 3"
+        "`target` 1 and `budget` 1: got demands that no layout meets together; "
+        "expected one of them to give way: `target` 0 or `budget` 3"
     )
-    wishes = Wishes(budget_units=1, forced_sites=("corner-ne", "mast-w"))
     told: list[str] = []
+    compute = Compute(progress=lambda *stage: told.append(stage[0]))
     with pytest.raises(InputError) as caught:
-        place(
-            setting,
-            candidates,
-            wishes=wishes,
-            compute=Compute(progress=lambda *stage: told.append(stage[0])),
-        )
+        place(asked(budget_units=1, forced_sites=("corner-ne", "mast-w"), compute=compute))
     assert str(caught.value) == (
-        "--budget 1 and --force-site corner-ne,mast-w: got demands that no layout meets together; "
-        "expected one of them to give way: --budget 2 or --force-site without corner-ne"
+        "`budget` 1 and `force_site` corner-ne,mast-w: got demands that no layout meets together; "
+        "expected one of them to give way: `budget` 2 or `force_site` without corner-ne"
     )
     assert told[-1] == "what has to give way"

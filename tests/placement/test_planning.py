@@ -2,16 +2,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_results import assemble_without_runs
 
 from geometry.errors import InputError
 from geometry.study_scene import load_study_scene
-from placement import planning, study_layout
-from placement.candidates import CandidatePose, build_candidates, load_candidate_grid
+from placement import candidates as poses
+from placement import layout as layouts
+from placement.candidates import (
+    CandidatePose,
+    build_candidates,
+    build_grid,
+    load_candidate_grid,
+)
 from placement.layout import Layout
-from placement.planning import build_plan
 from placement.prices import load_prices
 from placement.question import Question
-from placement.wishes import build_limits
+from placement.wishes import read_wishes
 
 KINDS = ("lamp post", "traffic light", "mast arm")  # of the sites of the study's junction
 
@@ -24,25 +30,24 @@ def coarse(monkeypatch):
         yaw_step_deg=90.0,
         pitches_deg=np.array([-20.0]),
     )
-    monkeypatch.setattr(planning, "load_candidate_grid", lambda *, is_coarse=False: grid)
+    monkeypatch.setattr(poses, "load_candidate_grid", lambda *, is_coarse=False: grid)
 
 
 @pytest.fixture
 def study(coarse, monkeypatch):
     """In place of the study's layout: one camera at its junction, off the grid."""
     scene = load_study_scene()
-    one = build_candidates(scene, planning.load_candidate_grid())[0]
+    one = build_candidates(scene, poses.load_candidate_grid())[0]
     turned = replace(one.pose, yaw_deg=one.pose.yaw_deg + 1.0)
     layout = Layout(
         name="study", units=(replace(one, id="mine", pose=turned),), scene_name=scene.name
     )
-    for module in (planning, study_layout):
-        monkeypatch.setattr(module, "load_carlancap_layout", lambda: layout)
+    monkeypatch.setattr(layouts, "load_carlancap_layout", lambda: layout)
     return layout
 
 
 def ids(question, scene):
-    return {candidate.id for candidate in build_plan(question, scene).candidates}
+    return {candidate.id for candidate in assemble_without_runs(question, scene).candidates}
 
 
 def test_the_studys_poses_are_candidates_at_its_own_junction(study):
@@ -53,19 +58,20 @@ def test_the_studys_poses_are_candidates_at_its_own_junction(study):
 
 def test_a_layout_is_kept_or_chosen_within_by_name(study):
     scene = load_study_scene()
-    plan = build_plan(Question(budget=1, keep="carlancap-12"), scene)
-    assert plan.kept is study
-    assert plan.wishes.kept == ("mine",)
+    plan = assemble_without_runs(Question(budget=1, keep="carlancap-12"), scene)
+    assert plan.existing is study
+    assert plan.wishes.existing == ("mine",)
+    assert plan.wishes.budget_units == 2
     assert ids(Question(budget=1, within="carlancap-12"), scene) == {"mine"}
-    with pytest.raises(InputError, match="--budget: got 2; expected at most 1, the units of --w"):
-        build_plan(Question(budget=2, within="carlancap-12"), scene)
-    with pytest.raises(InputError, match=r"--keep: got 'none\.json'; expected carlancap-12, or"):
-        build_plan(Question(budget=1, keep="none.json"), scene)
+    with pytest.raises(InputError, match="budget: got 2; expected at most 1: candidates and"):
+        assemble_without_runs(Question(budget=2, within="carlancap-12"), scene)
+    with pytest.raises(InputError, match=r"^keep: got 'none\.json'; expected carlancap-12, or"):
+        assemble_without_runs(Question(budget=1, keep="none.json"), scene)
 
 
 def test_heights_yaws_and_pitches_are_those_asked_for(coarse):
     question = Question(budget=1, heights="4, 7.5", yaw_step_deg=180.0, pitches="-40,-10,0")
-    grid = planning.build_grid(question)
+    grid = build_grid(question)
     assert grid.heights_m.tolist() == [4.0, 7.5]
     assert grid.pitches_deg.tolist() == [-40.0, -10.0, 0.0]
     assert (grid.n_yaws, grid.sensors) == (2, load_candidate_grid().sensors)
@@ -74,16 +80,16 @@ def test_heights_yaws_and_pitches_are_those_asked_for(coarse):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"heights": "4,low"}, "--heights: got 'low'; expected metres with commas between, 0.5 to"),
-        ({"heights": "0"}, "--heights: got '0'; expected metres with commas between, 0.5 to 50"),
-        ({"heights": ","}, "--heights: got ','; expected names with commas between, each once"),
-        ({"pitches": "nan"}, "--pitches: got 'nan'; expected degrees with commas between, -90 to"),
-        ({"yaw_step_deg": 50.0}, "--yaw-step: got 50.0; expected degrees that divide 360 evenly"),
+        ({"heights": "4,low"}, "heights: got 'low'; expected metres with commas between, 0.5 to"),
+        ({"heights": "0"}, "heights: got '0'; expected metres with commas between, 0.5 to 50"),
+        ({"heights": ","}, "heights: got ','; expected names with commas between, each once"),
+        ({"pitches": "nan"}, "pitches: got 'nan'; expected degrees with commas between, -90 to"),
+        ({"yaw_step_deg": 50.0}, "yaw_step_deg: got 50.0; expected degrees that divide 360 evenly"),
     ],
 )
 def test_a_grid_that_cannot_be_is_refused(options, message):
     with pytest.raises(InputError) as caught:
-        planning.build_grid(Question(budget=1, **options))
+        build_grid(Question(budget=1, **options))
     assert str(caught.value).startswith(message)
 
 
@@ -91,7 +97,7 @@ def test_every_sensor_asked_for_is_tried_at_every_pose(coarse):
     def poses(sensors):
         found: dict[str, set[tuple[float, ...]]] = {}
         scene = replace(load_study_scene(), name="elsewhere")  # where the study has no poses
-        plan = build_plan(Question(budget=1, sensors=sensors), scene)
+        plan = assemble_without_runs(Question(budget=1, sensors=sensors), scene)
         for pose in plan.candidates:
             found.setdefault(pose.sensor.name, set()).add(_place(pose))
         return found
@@ -100,7 +106,7 @@ def test_every_sensor_asked_for_is_tried_at_every_pose(coarse):
     default, lidars, both = map(poses, ("", names[0], "carla-ncap-rgb, carla-ncap-lidar"))
     assert [sorted(found) for found in (default, lidars, both)] == [names[1:], names[:1], names]
     assert both == default | lidars
-    with pytest.raises(InputError, match=r"--sensors: got .radar.; expected one of .*carla-ncap-"):
+    with pytest.raises(InputError, match=r"^sensors: got .radar.; expected one of .*carla-ncap-"):
         poses("radar")
 
 
@@ -113,17 +119,17 @@ def _place(candidate: CandidatePose) -> tuple[float, ...]:
     [("0", (0, "unit")), ("2", (2, "unit")), ("unit", (1, "unit")), ("site", (1, "site")),
      ("2 sites", (2, "site")), ("3units", (3, "unit"))],
 )  # fmt: skip
-def test_what_may_fail_is_a_number_of_units_or_of_sites(coarse, text, expected):
-    wishes = build_plan(Question(budget=1, survive=text), load_study_scene()).wishes
+def test_what_may_fail_is_a_number_of_units_or_of_sites(text, expected):
+    wishes = read_wishes(Question(budget=1, survive=text))
     assert (wishes.survive, wishes.failing) == expected
 
 
 @pytest.mark.parametrize("text", ["", "-1", "1.5", "poles", "2 sites 3"])
-def test_other_words_for_what_may_fail_are_refused(coarse, text):
+def test_other_words_for_what_may_fail_are_refused(text):
     with pytest.raises(InputError) as told:
-        build_plan(Question(budget=1, survive=text), load_study_scene())
+        read_wishes(Question(budget=1, survive=text))
     assert str(told.value) == (
-        f"--survive: got {text!r}; expected how many units may fail, at least 0, or unit, site, "
+        f"survive: got {text!r}; expected how many units may fail, at least 0, or unit, site, "
         "such as '2 sites'"
     )
 
@@ -132,8 +138,8 @@ def test_prices_of_sites_are_assumed_only_where_money_is_asked_about(coarse):
     scene = load_study_scene()
 
     def cost_eur(question):
-        plan = build_plan(question, scene)
-        limits = build_limits(plan.wishes, scene, plan.candidates)
+        plan = assemble_without_runs(question, scene)
+        limits = plan.limits
         names = {
             one.site_id: index
             for one, index in zip(plan.candidates, limits.site_index, strict=True)

@@ -44,7 +44,8 @@ def test_what_is_assumed_is_told_for_each_kind():
         "900, power at hand 400, data link 2,260).",
         "No price is told for 1 site of the kind kerb: 7,060 EUR each are assumed (new pole 2,400, "
         "mounting 900, new power 1,500, data link 2,260).",
-        "Sources are in prices.toml; --site-cost, or cost_eur in the scene, says better.",
+        "Sources are in prices.toml; a site cost in the question, or cost_eur in the scene, takes "
+        "their place.",
     )
     assert assumed_prices(load_prices(), [site("pole", 10.0)]) == ()
 

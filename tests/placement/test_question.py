@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from geometry.errors import InputError
 from placement.question import (
-    SECTIONS,
     Question,
     load_question,
     load_question_values,
@@ -57,7 +56,7 @@ def test_any_text_is_read_as_it_was_written(tmp_path_factory, text):
     assert load_question(path) == question
 
 
-def test_a_file_has_what_differs_from_the_default_below_its_help(path):
+def test_a_file_has_what_differs_from_the_default_below_its_description(path):
     save_question(path, replace(Question(), site_cost_eur=500.0, cases="CBNA"))
     text = path.read_text(encoding="utf-8")
     assert tomllib.loads(text) == {"site_cost": 500.0, "cases": "CBNA"}
@@ -67,16 +66,15 @@ def test_a_file_has_what_differs_from_the_default_below_its_help(path):
     )
 
 
-def test_every_field_has_an_option_of_its_own_name_but_for_the_unit():
+def test_every_field_is_described_and_has_a_key_of_its_own_name_but_for_the_unit():
     found = question_fields()
     assert list(found) == [field.name for field in fields(Question)]
     keys = [field.key for field in found.values()]
     assert len(set(keys)) == len(keys)
     for name, field in found.items():
-        assert field.option.section in SECTIONS
-        assert field.option.help
-        assert field.option_name == "--" + field.key.replace("_", "-")
-        assert field.key in name or name in ("n_confirmations", "build_up_s")
+        assert field.description
+        assert "--" not in field.description
+        assert field.key in name or name == "build_up_s"
 
 
 def test_a_number_is_taken_where_a_word_may_stand(path):
@@ -137,7 +135,6 @@ def test_a_question_checks_its_values_when_it_is_made(values, message):
 
 def test_a_question_has_help_that_can_be_read():
     words = inspect.getdoc(Question)
-    assert "budget : int, default None\n    Most units to mount." in words
-    for shown in (inspect.signature(Question), inspect.signature(Question.__init__)):
-        assert "budget=None" in str(shown)
-        assert "Annotated" not in str(shown)
+    assert "budget : int, optional\n    Most units to mount." in words
+    assert "budget=None" in str(inspect.signature(Question))
+    assert "Annotated" not in str(inspect.signature(Question))

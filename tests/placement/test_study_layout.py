@@ -5,10 +5,9 @@ from geometry.study_scene import load_study_scene
 from placement.compute import Compute
 from placement.evaluation import apr, apr_by_case, detected_share
 from placement.evaluator import evaluate_layout
-from placement.layout import Layout, check_layout
+from placement.layout import Layout, check_layout, load_carlancap_layout
 from placement.question import BASELINE_NAME, Question
 from placement.setting import build_setting
-from placement.study_layout import load_carlancap_layout
 
 # CarlaNCAP study's released generator (ekut-es/carla_ncap, ncap.py). CARLA's frame.
 GOLDEN_UNITS = {

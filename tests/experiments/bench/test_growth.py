@@ -3,7 +3,7 @@ from itertools import pairwise
 from small_results import build_small_grid
 
 from experiments.bench.growth import measure_growth, plot_growth, proportions
-from placement import planning
+from placement import candidates as poses
 from placement.question import Question
 
 
@@ -12,7 +12,7 @@ def test_amounts_and_costs_are_relative_to_the_least():
 
 
 def test_a_small_question_is_measured_and_drawn(tmp_path, monkeypatch):
-    monkeypatch.setattr(planning, "load_candidate_grid", build_small_grid)
+    monkeypatch.setattr(poses, "load_candidate_grid", build_small_grid)
     question = Question(cases="CPNC-50", along_arms="0", approaches="north", budget=1)
     growth = measure_growth(question, n_mounts=(1, 2))
     assert list(growth) == ["mounts", "runs", "weathers", "worlds"]

@@ -298,9 +298,6 @@ def test_what_does_not_fit_into_memory_is_refused_before_it_starts(
     run, small_study, monkeypatch, command, worlds
 ):
     monkeypatch.setattr("placement.memory.machine_bytes", lambda: 2**20)
-    monkeypatch.setattr(
-        "experiments.jobs.pareto.build_setting", lambda *given, **options: small_study
-    )
     code, out, err = run(*command, "--quiet")
     assert (code, out) == (2, "")
     assert re.fullmatch(

@@ -11,10 +11,10 @@ from click.shell_completion import ShellComplete
 from click.testing import CliRunner
 
 from experiments.cli.options import PROGRAM
+from experiments.cli.question_options import SECTIONS
 from experiments.cli.terminal import sentences
 from experiments.main import cli
 from experiments.progress import StderrLog
-from placement.question import SECTIONS
 
 
 def _commands(group=cli, path=()):

@@ -341,11 +341,11 @@ def test_a_command_gets_the_latency_of_the_budget(arguments, expected):
     [
         (
             "--latency-budget study --latency 0.05",
-            "--latency: got it beside --latency-budget; expected one of them",
+            "latency_s: got it beside `latency_budget`; expected one of them",
         ),
         (
             "--latency-budget 25ms",
-            "--latency-budget: got '25ms'; expected study, cpm-100ms, cpm-50ms, or a .toml file "
+            "latency_budget: got '25ms'; expected study, cpm-100ms, cpm-50ms, or a .toml file "
             "with a latency budget",
         ),
     ],

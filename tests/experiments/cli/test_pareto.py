@@ -19,7 +19,6 @@ from small_tables import avoiding_problem
 from experiments import main
 from experiments.cli.pareto import front_text, pareto
 from experiments.figures.front import plot_front
-from experiments.jobs import pareto as pareto_job
 from experiments.jobs.pareto import describe_front, front_table
 from experiments.results.drives import build_drives_record
 from experiments.results.fronts import FrontResult
@@ -31,9 +30,8 @@ HEAVY = ("numpy", "scipy", "open3d", "trimesh", "cvxpy", "matplotlib", "pandas",
 
 
 @pytest.fixture
-def run_pareto(run, small_study, monkeypatch):
+def run_pareto(run, small_study):
     """Runs the command on a few runs."""
-    monkeypatch.setattr(pareto_job, "build_setting", lambda question, scene, **options: small_study)
     main.cli.add_command(pareto)
     return lambda *arguments: run("pareto", "--quiet", *arguments)
 

@@ -11,7 +11,6 @@ import pytest
 
 from experiments import main
 from experiments.cli.retrofit import retrofit, retrofit_text
-from experiments.jobs import retrofit as retrofit_job
 from experiments.jobs.retrofit import describe_retrofit
 from experiments.results.record import to_plain
 from experiments.results.retrofits import RetrofitResult, build_labour_record
@@ -39,11 +38,8 @@ def layout_file(tmp_path):
 
 
 @pytest.fixture
-def run_retrofit(run, small_study, monkeypatch, layout_file):
+def run_retrofit(run, small_study, layout_file):
     """Runs the command on a few runs."""
-    monkeypatch.setattr(
-        retrofit_job, "build_setting", lambda question, scene, **options: small_study
-    )
     main.cli.add_command(retrofit)
     return lambda *arguments: run("retrofit", "--quiet", "--layout", layout_file, *arguments)
 

@@ -4,11 +4,10 @@ import json
 
 from experiments.cli.evaluate import unit_lines
 from experiments.results.record import UnitRecord
-from placement.candidates import build_candidates
-from placement.pipeline import place
-from placement.planning import build_grid
+from placement.candidates import build_candidates, build_grid
+from placement.layout import load_carlancap_layout
+from placement.pipeline import Assembly, place
 from placement.question import Question
-from placement.study_layout import load_carlancap_layout
 from placement.wishes import Wishes
 
 COSTS_EUR = {"carla-ncap-rgb": 1500.0, "basler-aca1920-50gc-16mm": 1900.0, "carla-ncap-lidar": 4000}
@@ -37,7 +36,11 @@ def test_cameras_a_longer_lens_and_a_lidar_compete_for_the_money(run, small_stud
     for model in COSTS_EUR:
         candidates = build_candidates(small_study.scene, build_grid(Question(sensors=model)))
         n_candidates += len(candidates)
-        alone = place(small_study, candidates, wishes=Wishes(budget_eur=BUDGET_EUR))
+        alone = place(
+            Assembly(
+                setting=small_study, candidates=candidates, wishes=Wishes(budget_eur=BUDGET_EUR)
+            )
+        )
         assert alone.certificate.stages[0].objective <= found["apr"] + 1e-9
     assert found["candidates"] == n_candidates
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_results import lay_runs_of
 
 from experiments.jobs import placement, writing
 from experiments.progress import StageProgress
@@ -22,7 +23,7 @@ def written(small_setting, tmp_path_factory):
     """The result folder of a small optimisation, without its figures."""
     folder = tmp_path_factory.mktemp("placed") / "results"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(placement, "build_setting", lambda question, scene, **options: small_setting)
+        lay_runs_of(patch, small_setting)
         patch.setattr(writing, "write_report", lambda *given, **options: None)
         placement.run_placement(
             Question(budget=2, within="carlancap-12", time_limit_s=60.0),

@@ -7,7 +7,7 @@ import pytest
 from experiments.export.formats import load_format
 from geometry.notes import Note
 from geometry.study_scene import load_study_scene
-from placement.study_layout import load_carlancap_layout
+from placement.layout import load_carlancap_layout
 
 
 @pytest.mark.parametrize("name", ["json", "csv", "geojson", "kml", "carla", "ros", "opencv"])

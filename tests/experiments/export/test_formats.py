@@ -18,8 +18,7 @@ from geometry.lidar import load_lidars
 from geometry.poses import Pose
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
-from placement.layout import Layout, layout_records, load_layout
-from placement.study_layout import load_carlancap_layout
+from placement.layout import Layout, layout_records, load_carlancap_layout, load_layout
 
 CRS = load_study_scene().crs
 

@@ -8,8 +8,7 @@ import pytest
 
 from experiments.figures.axes import NARROW_IN, root_figure, to_png
 from experiments.figures.dangers import SHADES, find_places, plot_dangers
-from placement.layout import Layout
-from placement.study_layout import load_carlancap_layout
+from placement.layout import Layout, load_carlancap_layout
 
 
 @pytest.fixture

@@ -14,10 +14,9 @@ from geometry.poses import Pose
 from geometry.sensors import project_points
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
-from placement.layout import Layout
+from placement.layout import Layout, load_carlancap_layout
 from placement.question import Question
 from placement.setting import build_setting
-from placement.study_layout import load_carlancap_layout
 
 CAMERA = load_cameras()["carla-ncap-rgb"]
 

@@ -31,9 +31,9 @@ def test_a_camera_reaches_as_far_as_the_tallest_road_user_is_high_enough_in_the_
     tallest_m = max(run.encounter.vru.height_m for run in SETTING.runs)
     for fov_deg in (40.0, 70.0, 110.0):
         camera = replace(CAMERA, horizontal_fov_deg=fov_deg)
-        reach_m = camera.focal_length_px * tallest_m / SETTING.planner.min_box_height_px
+        reach_m = camera.focal_length_px * tallest_m / SETTING.table_detector.min_box_height_px
         assert VIEWS.reach_m(camera) == pytest.approx(min(reach_m, MAX_RANGE_M), abs=0.5)
-    blind = replace(SETTING, planner=replace(SETTING.planner, min_contrast=1.0))
+    blind = replace(SETTING, table_detector=replace(SETTING.table_detector, min_contrast=1.0))
     foggy = replace(blind, axis=replace(SETTING.axis, weathers=("fog",) * SETTING.axis.n_runs))
     assert GroundViews(foggy).reach_m(CAMERA) == 0.0
     assert VIEWS.reach_m(load_lidars()["ouster-os1-128"]) == 120.0

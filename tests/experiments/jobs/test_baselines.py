@@ -11,9 +11,8 @@ from experiments.export.json import to_json_text
 from experiments.jobs import baselines, placement
 from experiments.progress import StageProgress
 from placement.compute import Compute
-from placement.layout import Layout, layout_from_records
+from placement.layout import Layout, layout_from_records, load_carlancap_layout
 from placement.question import Question
-from placement.study_layout import load_carlancap_layout
 
 pytestmark = pytest.mark.usefixtures("without_figures")
 

@@ -10,11 +10,10 @@ from experiments.export.json import to_json_text
 from experiments.jobs import placement
 from experiments.progress import StageProgress
 from geometry.errors import InputError
-from placement import planning
+from placement import pipeline
 from placement.compute import Compute
-from placement.layout import Layout, load_layout
+from placement.layout import Layout, load_carlancap_layout, load_layout
 from placement.question import Question
-from placement.study_layout import load_carlancap_layout
 
 
 def place(out, **options):
@@ -110,7 +109,7 @@ def test_sampled_worlds_are_explained_and_lose_the_messages_asked_for(
 
 @pytest.mark.usefixtures("small_study", "without_figures")
 def test_a_layout_brings_its_own_sensors_along(tmp_path, monkeypatch):
-    monkeypatch.setattr(planning, "find_baseline", lambda scene: None)  # the study's poses
+    monkeypatch.setattr(pipeline, "find_baseline", lambda scene: None)  # the study's poses
     catalogue = tmp_path / "mine.toml"
     catalogue.write_text(
         """
@@ -135,8 +134,8 @@ def test_a_layout_brings_its_own_sensors_along(tmp_path, monkeypatch):
 
 
 def test_a_budget_that_is_too_large_is_refused_before_anything_else(tmp_path, monkeypatch):
-    monkeypatch.setattr(placement, "build_setting", pytest.fail)
-    with pytest.raises(InputError, match="--budget: got 10000; expected a whole number"):
+    monkeypatch.setattr(pipeline, "build_setting", pytest.fail)
+    with pytest.raises(InputError, match="budget: got 10000; expected a whole number"):
         place(tmp_path / "a/b", budget=10_000)
     assert list(tmp_path.iterdir()) == []
 
@@ -212,5 +211,5 @@ def test_a_layout_is_chosen_in_sampled_worlds_and_judged_in_fresh_ones(
 
 
 def test_refinement_is_refused_where_poses_are_given(tmp_path):
-    with pytest.raises(InputError, match="--refine: got it beside --within; expected one of them"):
+    with pytest.raises(InputError, match="refine: got it beside `within`; expected one of them"):
         place(tmp_path / "out", refine=True, within="carlancap-12")

@@ -19,10 +19,9 @@ from experiments.results.baselines import build_study_cases_record
 from placement.compute import Compute
 from placement.evaluator import evaluate_layouts
 from placement.evaluator.evaluate import Judge
-from placement.layout import Layout
+from placement.layout import Layout, load_carlancap_layout
 from placement.question import Question
 from placement.setting import build_setting
-from placement.study_layout import load_carlancap_layout
 from scenarios.runs import build_frame_axis
 from scenarios.weights import weight_per_case
 

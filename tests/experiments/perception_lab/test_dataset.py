@@ -21,7 +21,7 @@ from experiments.export.json import to_json
 from experiments.jobs import schedulers
 from experiments.perception_lab import drawing as job
 from geometry.sensors import CameraModel
-from placement.study_layout import load_carlancap_layout
+from placement.layout import load_carlancap_layout
 
 ASKED = ("--cases", "CPNC-50", "--approaches", "east", "--speeds", "40", "--along-arms", "0")
 

@@ -12,10 +12,10 @@ from experiments.perception_lab import fit as job
 from placement.compute import Compute
 from placement.detectors import load_detector
 from placement.detectors.network import ImageBoxes, NetworkDetector
+from placement.layout import load_carlancap_layout
 from placement.question import Question
 from placement.recordings import WrittenDrive, write_recording
 from placement.setting import build_setting
-from placement.study_layout import load_carlancap_layout
 
 N_FRAMES = 60
 ASKED = ("--cases", "CPNC-50", "--approaches", "east", "--speeds", "40", "--along-arms", "0")

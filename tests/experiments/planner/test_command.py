@@ -17,7 +17,7 @@ from experiments.planner.numbers import plan_text
 from experiments.planner.plan import PlanState, Variant
 from experiments.planner.server import RunningServer
 from geometry.study_scene import load_study_scene
-from placement.study_layout import load_carlancap_layout
+from placement.layout import load_carlancap_layout
 
 FEW = ("--cases", "CPNC-50", "--along-arms", "0", "--speeds", "50")
 SCENE = load_study_scene()

@@ -23,8 +23,7 @@ from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.evaluator import evaluate_layout
-from placement.layout import load_layout
-from placement.study_layout import load_carlancap_layout
+from placement.layout import load_carlancap_layout, load_layout
 
 pytestmark = pytest.mark.system
 

@@ -31,8 +31,7 @@ from geometry.catalogue import load_cameras
 from geometry.errors import InputError
 from geometry.lidar import load_lidars
 from geometry.study_scene import load_study_scene
-from placement.layout import layout_records, load_layout
-from placement.study_layout import load_carlancap_layout
+from placement.layout import layout_records, load_carlancap_layout, load_layout
 
 SCENE = load_study_scene()
 CAMERA = "carla-ncap-rgb"

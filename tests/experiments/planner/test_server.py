@@ -36,10 +36,9 @@ from geometry.frames import to_geographic
 from geometry.scene_files import save_scene
 from geometry.study_scene import load_study_scene
 from placement.compute import Compute
-from placement.layout import load_layout
-from placement.private_ground import load_private_ground
+from placement.ground import load_private_ground
+from placement.layout import load_carlancap_layout, load_layout
 from placement.question import Question
-from placement.study_layout import load_carlancap_layout
 
 TOKEN = "a-token"
 HOST = "127.0.0.1:8000"

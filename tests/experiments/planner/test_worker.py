@@ -19,7 +19,7 @@ from plan_sessions import small_work
 from experiments.export.json import to_json
 from experiments.planner.tasks import Cancelled, DiedError, TaskError, Worker
 from placement.compute import silent
-from placement.study_layout import load_carlancap_layout
+from placement.layout import load_carlancap_layout
 
 ROOT = Path(__file__).parents[3]
 MAP = str(ROOT / "docs" / "maps" / "crossing.osm")

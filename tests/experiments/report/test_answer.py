@@ -4,8 +4,7 @@ import pytest
 from partial_pages import build_result
 
 from experiments.report.assumptions import assumptions
-from placement.layout import Layout
-from placement.study_layout import load_carlancap_layout
+from placement.layout import Layout, load_carlancap_layout
 
 PLAIN = "25 ms for processing and communication"
 OWN = f"{PLAIN}; units with a latency of their own: "

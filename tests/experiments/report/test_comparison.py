@@ -26,7 +26,7 @@ from placement.detectors import load_detector
 from placement.evaluation import Evaluation, Verdict
 from placement.layout import Layout
 from placement.sampling import SampledApr, load_uncertainty
-from placement.setting import Links
+from placement.setting import Radio
 
 
 def differences(evaluations):
@@ -41,7 +41,7 @@ def compare(axis, rule, first, *others):
         rule=rule,
         detector=load_detector(),
         vut_sensors=(),
-        links=Links(),
+        radio=Radio(),
     )
     return build_comparison_result(setting, first, others)
 

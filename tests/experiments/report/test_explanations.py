@@ -15,8 +15,8 @@ from experiments.results.explanations import build_explained_record
 from experiments.results.record import to_plain
 from placement.detection_table import pack_table
 from placement.explain import find_contributions, find_pool, find_unavoided
-from placement.pipeline import place
-from placement.study_layout import load_carlancap_layout
+from placement.layout import load_carlancap_layout
+from placement.pipeline import Assembly, place
 from placement.wishes import Wishes
 
 
@@ -31,7 +31,9 @@ def candidates():
 
 @pytest.fixture(scope="module")
 def placement(small_setting, candidates):
-    return place(small_setting, candidates, wishes=Wishes(budget_units=2))
+    return place(
+        Assembly(setting=small_setting, candidates=candidates, wishes=Wishes(budget_units=2))
+    )
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +70,9 @@ def test_the_summary_says_what_the_library_found(summary, placement, small_setti
 
 
 def test_what_one_unit_misses_is_explained_run_by_run(small_setting, candidates):
-    placement = place(small_setting, candidates[8:9], wishes=Wishes(budget_units=1))
+    placement = place(
+        Assembly(setting=small_setting, candidates=candidates[8:9], wishes=Wishes(budget_units=1))
+    )
     found = explain(placement, small_setting, candidates[8:9])
     assert found.pool is None
     assert len(found.not_avoided) > 0
@@ -88,7 +92,9 @@ def test_what_one_unit_misses_is_explained_run_by_run(small_setting, candidates)
 def test_what_no_ratio_knows_is_in_no_list(small_setting, candidates):
     """The runs of one unit, with weight and without: all lists and counts say the same."""
     poses = candidates[8:9]
-    everything = place(small_setting, poses, wishes=Wishes(budget_units=1))
+    everything = place(
+        Assembly(setting=small_setting, candidates=poses, wishes=Wishes(budget_units=1))
+    )
     found = explain(everything, small_setting, poses)
     assert found.runs_without_weight == 0
     missed_runs = {entry.run for entry in found.not_avoided}
@@ -100,7 +106,7 @@ def test_what_no_ratio_knows_is_in_no_list(small_setting, candidates):
     out = {*missed_runs, min(saved_runs)}
     weight = np.array([0.0 if run in out else 1.0 for run in axis.run_ids])
     weighted = replace(small_setting, axis=replace(axis, weight=weight / weight.sum()))
-    placement = place(weighted, poses, wishes=Wishes(budget_units=1))
+    placement = place(Assembly(setting=weighted, candidates=poses, wishes=Wishes(budget_units=1)))
     found = explain(placement, weighted, poses)
     assert found.not_avoided == ()
     assert missed_table(found).rows == []

@@ -20,10 +20,9 @@ from geometry.errors import InputError
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict, apr
-from placement.layout import Layout, layout_records
+from placement.layout import Layout, layout_records, load_carlancap_layout
 from placement.question import Question
 from placement.setting import build_setting
-from placement.study_layout import load_carlancap_layout
 from scenarios.aeb import is_in_time, live_confirmation_time_s
 from scenarios.runs import Refusal, build_frame_axis
 

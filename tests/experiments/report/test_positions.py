@@ -6,8 +6,7 @@ from partial_pages import render_section, tables_of
 from experiments.report.positions import position_table, positions_section
 from experiments.report.section import Box
 from placement.evaluation import Evaluation, Verdict
-from placement.layout import Layout
-from placement.study_layout import load_carlancap_layout
+from placement.layout import Layout, load_carlancap_layout
 
 
 def test_shares_by_position_and_approach(frame_axis):

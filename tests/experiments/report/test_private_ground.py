@@ -5,6 +5,7 @@ import geopandas
 import numpy as np
 import pytest
 from shapely import box
+from small_results import assemble_without_runs
 
 from experiments.report.private_ground import (
     private_ground_sentence,
@@ -13,10 +14,9 @@ from experiments.results.explanations import build_private_ground_record
 from geometry.errors import InputError
 from geometry.frames import to_geographic
 from geometry.study_scene import load_study_scene
-from placement.planning import build_plan
-from placement.private_ground import load_private_ground, private_shares, respects_private_ground
+from placement.ground import load_private_ground, private_shares, respects_private_ground
+from placement.layout import load_carlancap_layout
 from placement.question import Question
-from placement.study_layout import load_carlancap_layout
 
 
 def summarise(*given, **options):
@@ -66,11 +66,11 @@ def test_a_map_of_no_known_place_takes_its_own_coordinates(scene, tmp_path):
 
 
 def test_poses_that_look_in_are_no_candidates(garden, scene):
-    plan = build_plan(Question(budget=1, no_look=str(garden)), scene)
-    everything = build_plan(Question(budget=1), scene)
+    plan = assemble_without_runs(Question(budget=1, no_look=str(garden)), scene)
+    everything = assemble_without_runs(Question(budget=1), scene)
     assert 0 < len(plan.candidates) < len(everything.candidates)
     assert (private_shares(scene, plan.candidates, plan.private_ground) == 0.0).all()
-    some = build_plan(Question(budget=1, no_look=str(garden), no_look_share=0.5), scene)
+    some = assemble_without_runs(Question(budget=1, no_look=str(garden), no_look_share=0.5), scene)
     assert len(plan.candidates) < len(some.candidates) <= len(everything.candidates)
     summary = summarise(plan.candidates[:2], scene, plan.private_ground)
     assert private_ground_sentence(summary) == "No camera has the private area in its picture."
@@ -87,10 +87,10 @@ def test_what_is_seen_is_told_and_too_much_to_ask_is_refused(garden, scene):
         assert (f"{unit.id} sees " in sentence) == (share > 0.0)
     watching = [unit for unit, share in zip(units, shares, strict=True) if share > 0.0]
     assert watching
-    with pytest.raises(InputError, match=r"--no-look-share: got 0\.0 %; expected at least 0\."):
+    with pytest.raises(InputError, match=r"no_look_share: got 0\.0 %; expected at least 0\."):
         respects_private_ground(private_shares(scene, watching, ground), max_share=0.0)
-    with pytest.raises(InputError, match="--refine: got it beside --no-look"):
-        build_plan(Question(budget=1, no_look=str(garden), refine=True), scene)
+    with pytest.raises(InputError, match="refine: got it beside `no_look`"):
+        assemble_without_runs(Question(budget=1, no_look=str(garden), refine=True), scene)
 
 
 def test_what_belongs_to_areas_needs_areas(run):

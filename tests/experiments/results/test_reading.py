@@ -16,8 +16,7 @@ from experiments.results.reading import load_result
 from experiments.results.record import build_unit_records
 from geometry.errors import InputError
 from geometry.study_scene import load_study_scene
-from placement.layout import RESULT_SCHEMA
-from placement.study_layout import load_carlancap_layout
+from placement.layout import RESULT_SCHEMA, load_carlancap_layout
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ from placement.detectors import load_detector
 from placement.evaluation import Evaluation, Verdict
 from placement.layout import Layout
 from placement.optimiser import Limits, PlacementProblem
-from placement.setting import Links
+from placement.setting import Radio
 from scenarios.aeb import load_aeb_rule
 from scenarios.runs import FrameAxis, Refusal
 
@@ -89,7 +89,7 @@ def setting_of(axis, *refusals):
         refusals=refusals,
         detector=load_detector(),
         vut_sensors=("camera", "lidar"),
-        links=Links(packet_loss=0.25, vam_rate=0.5),
+        radio=Radio(packet_loss=0.25, vam_rate=0.5),
         rule=RULE,
     )
 

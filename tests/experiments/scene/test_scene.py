@@ -24,7 +24,7 @@ from geometry.junction import build_junction
 from geometry.notes import assumed_sites
 from geometry.scene_files import load_scene_folder
 from geometry.study_scene import load_study_scene
-from placement import planning
+from placement import candidates as poses
 from placement.candidates import load_candidate_grid
 
 FOUR = [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)]
@@ -294,7 +294,7 @@ def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
         yaw_step_deg=45.0,
         pitches_deg=np.array([-20.0]),
     )
-    monkeypatch.setattr(planning, "load_candidate_grid", lambda **_: grid)
+    monkeypatch.setattr(poses, "load_candidate_grid", lambda **_: grid)
     results = tmp_path / "results"
     question = ["--cases", "CPNA-25,CBNA,CPTAfs-50", "--speeds", "20,40", "--approaches", "north"]
     question += ["--along-arms", "0"]

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from geometry.errors import InputError
-from placement.city.choose import CityWishes, District, choose, city_front, city_values
+from placement.city.choose import CityWishes, District, choose, city_front, city_values, plan_phases
 from placement.city.fronts import (
     NOTHING,
     Point,
@@ -17,7 +17,6 @@ from placement.city.fronts import (
     stack_bounds,
     stack_fronts,
 )
-from placement.city.phases import plan_phases
 from placement.optimiser.objectives import Objective
 
 STAGES = (
@@ -201,5 +200,5 @@ def test_years_are_the_best_of_all_orders(junctions, per_year):
 
 
 def test_too_few_years_are_told():
-    with pytest.raises(InputError, match=r"--years: got 1; expected at least 2, for 5 units"):
+    with pytest.raises(InputError, match=r"years: got 1; expected at least 2, for 5 units"):
         plan_phases(np.array([2, 3]), np.ones(2), units_per_year=3, years=1)

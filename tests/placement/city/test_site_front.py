@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from problems import problems, random_problem
 
-from placement.city import site_front
+from placement.city import fronts
 from placement.city.fronts import value_at
 from placement.city.junction import find_front
 from placement.detection_table import pack_table
@@ -47,7 +47,7 @@ def junctions(draw):
 def test_no_layout_exceeds_the_front_of_a_junction(problem, max_sets):
     limits = problem.limits
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(site_front, "_MAX_SETS", max_sets)  # few: poses that see alike go together
+        patch.setattr(fronts, "_MAX_SETS", max_sets)  # few: poses that see alike go together
         front, layouts = find_front(
             problem, effort=lambda: Effort(time_limit_s=60.0), begin=lambda step: None
         )
@@ -101,9 +101,9 @@ def test_poses_that_see_alike_and_go_together_still_give_a_layout_for_each_numbe
     problem = many_poses(np.random.default_rng(1))
     reduced = presolve(problem)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(site_front, "_MAX_SETS", 3)
-        bounds, layouts, are_best = site_front._front_of_full_sites(
-            problem, reduced, site_front.rooms_of(problem.limits), max_sites=2, effort=Effort
+        patch.setattr(fronts, "_MAX_SETS", 3)
+        bounds, layouts, are_best = fronts._front_of_full_sites(
+            problem, reduced, fronts.rooms_of(problem.limits), max_sites=2, effort=Effort
         )
     assert not are_best
     assert sorted(layouts) == [1, 2]
@@ -120,7 +120,7 @@ def test_a_front_is_no_worse_than_that_of_few_of_its_poses():
     few, _ = find_front(of_pool(problem, first), **ask)
 
     def finds_nothing(part, **options):
-        found = site_front.front_by_sites(part, **options)
+        found = fronts.front_by_sites(part, **options)
         return found if part.limits.n_poses == len(first) else replace(found, layouts=())
 
     with pytest.MonkeyPatch.context() as patch:

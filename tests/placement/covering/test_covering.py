@@ -11,8 +11,12 @@ from hypothesis import strategies as st
 
 from geometry.errors import InputError
 from placement.covering.files import load_instance
-from placement.covering.instance import build_covering_instance
-from placement.covering.solve import CoveringSolution, solve_lscp, solve_mclp
+from placement.covering.solve import (
+    CoveringSolution,
+    build_covering_instance,
+    solve_lscp,
+    solve_mclp,
+)
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "cover"
 OPTIMA = tomllib.loads((GOLDEN / "optima.toml").read_text())
@@ -116,9 +120,9 @@ def test_a_model_that_memory_has_no_room_for_is_not_built(hard, monkeypatch):
     monkeypatch.setattr("placement.memory.available_bytes", lambda: 1000)
     with pytest.raises(InputError) as caught:
         solve_lscp(hard)
-    assert str(caught.value).startswith("--solver: got auto with ")
-    assert str(caught.value).endswith("free: --solver greedy, or fewer rows or columns")
-    with pytest.raises(InputError, match="--solver: got HIGHS with "):
+    assert str(caught.value).startswith("solver: got auto with ")
+    assert str(caught.value).endswith("free: `solver` greedy, or fewer rows or columns")
+    with pytest.raises(InputError, match="solver: got HIGHS with "):
         solve_mclp(hard, budget_units=9, solver="HIGHS")
     assert len(solve_mclp(hard, budget_units=9, solver="greedy").chosen) == 9
 
@@ -180,36 +184,36 @@ def test_rows_that_nothing_covers_are_told():
     [
         (
             lambda each: solve_lscp(each, target=0.8),
-            "--target: got 0.8; expected at most 0.75, the share that all columns together cover",
+            "target: got 0.8; expected at most 0.75, the share that all columns together cover",
         ),
         (
             lambda each: solve_lscp(each, target=1.5),
-            "--target: got 1.5; expected max, or a share of the weight, 0 to 1",
+            "target: got 1.5; expected max, or a share of the weight, 0 to 1",
         ),
         (
             lambda each: solve_mclp(each),
-            "--budget: got nothing; expected a number of columns, or money",
+            "budget_units: got nothing; expected a number of columns, or money",
         ),
         (
             lambda each: solve_mclp(each, budget_units=0),
-            "--budget: got 0; expected a whole number of columns, at least 1",
+            "budget_units: got 0; expected a whole number of columns, at least 1",
         ),
         (
             lambda each: solve_mclp(each, budget_cost=2.5),
-            "--budget-cost: got 2.5; expected at least 3, the least cost of a column that covers "
+            "budget_cost: got 2.5; expected at least 3, the least cost of a column that covers "
             "anything",
         ),
         (
             lambda each: solve_mclp(each, budget_cost=-1.0),
-            "--budget-cost: got -1.0; expected an amount of money, at least 0",
+            "budget_cost: got -1.0; expected an amount of money, at least 0",
         ),
         (
             lambda each: solve_lscp(each, time_limit_s=0.0),
-            "--time-limit: got 0.0; expected seconds, more than 0",
+            "time_limit_s: got 0.0; expected seconds, more than 0",
         ),
         (
             lambda each: solve_lscp(each, gap=1.0),
-            "--gap: got 1.0; expected a share, 0 <= gap < 1",
+            "gap: got 1.0; expected a share, 0 <= gap < 1",
         ),
     ],
 )

@@ -17,7 +17,7 @@ from placement.covering.files import (
     load_instance,
     save_instance,
 )
-from placement.covering.instance import build_covering_instance
+from placement.covering.solve import build_covering_instance
 
 ORLIB = """\
  3 4
@@ -341,7 +341,7 @@ def test_a_format_can_be_forced(write):
         "FILE: line 2, number 3: got '0'; expected a column, 1 to 1 (format orlib)"
     )
     assert refusal(write(text), format_name="xml") == (
-        "--format: got 'xml'; expected one of " + ", ".join(FORMATS)
+        "format_name: got 'xml'; expected one of " + ", ".join(FORMATS)
     )
 
 
@@ -360,14 +360,14 @@ def test_numbers_that_fit_two_formats_are_told_apart_by_their_lines(write):
         path = write(text)
         assert load_instance(path, format_name="gecco").numbered_from == 0
         assert refusal(path) == (
-            "FILE: got numbers that fit more than one format; expected --format orlib or gecco"
+            "FILE: got numbers that fit more than one format; expected `format_name` orlib or gecco"
         )
 
 
 def test_what_even_lines_do_not_tell_apart_is_asked_for(write):
     path = write("2 2\n0 1 1\n1 1 1\n")  # samples 0, 1 by candidate 1; columns at 0, 1 for row 1
     assert refusal(path) == (
-        "FILE: got numbers that fit more than one format; expected --format gecco or rail"
+        "FILE: got numbers that fit more than one format; expected `format_name` gecco or rail"
     )
     assert load_instance(path, format_name="rail").numbered_from == 1
     assert load_instance(path, format_name="gecco").numbered_from == 0
@@ -396,7 +396,7 @@ def test_a_file_that_memory_has_no_room_for_is_not_read(write, tmp_path, monkeyp
     assert refusal(path) == (
         f"FILE: got {len(ORLIB)} bytes of text, which takes about 0.0 GiB of memory; expected what "
         "fits into the 0.0 GiB that are free: fewer rows or columns, or a file of this program "
-        "(--out, .npz), a fifth of it"
+        "(`out`, .npz), a fifth of it"
     )
     assert " bytes when unpacked, which takes about " in refusal(own)
 

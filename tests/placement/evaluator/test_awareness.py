@@ -10,7 +10,7 @@ from placement.evaluator.evaluate import (
     load_vam_rule,
     sent_frames,
 )
-from placement.setting import Links
+from placement.setting import Radio
 
 RULE = load_vam_rule()
 
@@ -34,7 +34,7 @@ def _sent(run):
 
 
 def _known(runs, seed=0, **links):
-    return known_frames(runs, Links(**links), np.random.default_rng(seed))
+    return known_frames(runs, Radio(**links), np.random.default_rng(seed))
 
 
 def test_the_rule_is_that_of_the_standard():

@@ -15,7 +15,7 @@ from placement.evaluator.evaluate import evaluate_layout, evaluate_layouts
 from placement.evaluator.perceive import perceive_from_roadside
 from placement.evaluator.surroundings import build_surroundings
 from placement.layout import Layout
-from placement.setting import Links
+from placement.setting import Radio
 from scenarios.aeb import is_in_time, load_aeb_rule
 from scenarios.runs import build_frame_axis
 
@@ -211,8 +211,8 @@ def test_a_unit_is_judged_by_its_own_latency_and_the_rule_is_for_those_without(p
 
 def test_without_any_message_the_vut_is_left_alone(pretend, axis):
     row, by_vut = _frames(axis, 0, *range(9)), _frames(axis, 1, *range(4, 9))
-    lost = pretend(row, row, vut_row=by_vut, links=Links(packet_loss=1.0))
-    none_lost = pretend(row, row, vut_row=by_vut, links=Links(packet_loss=0.0), seed=5)
+    lost = pretend(row, row, vut_row=by_vut, radio=Radio(packet_loss=1.0))
+    none_lost = pretend(row, row, vut_row=by_vut, radio=Radio(packet_loss=0.0), seed=5)
     plain = pretend(row, row, vut_row=by_vut)
     assert not lost.rsu_all.detected.any()
     assert not any(unit.detected.any() for unit in lost.units.values())
@@ -224,8 +224,8 @@ def test_without_any_message_the_vut_is_left_alone(pretend, axis):
 
 def test_messages_are_lost_as_often_as_said_and_unit_by_unit(pretend, axis):
     row = np.ones(axis.n_frames, dtype=bool)
-    links = Links(packet_loss=0.3)
-    two, one = pretend(row, row, vut_row=row, links=links), pretend(row, links=links)
+    links = Radio(packet_loss=0.3)
+    two, one = pretend(row, row, vut_row=row, radio=links), pretend(row, radio=links)
     a, b = (unit.detected for unit in two.units.values())
     n = axis.n_frames
     # Five standard deviations of a binomial distribution.
@@ -236,14 +236,14 @@ def test_messages_are_lost_as_often_as_said_and_unit_by_unit(pretend, axis):
     assert two.vut_and_rsus.detected.all()
     # Luck is a unit's own: whatever else is in the layout, but for the seed.
     assert (one.units["unit 0"].detected == a).all()
-    other = pretend(row, links=links, seed=1).units["unit 0"].detected
+    other = pretend(row, radio=links, seed=1).units["unit 0"].detected
     assert (other != a).any()
 
 
 def test_road_users_that_announce_themselves_are_a_source_of_their_own(pretend, axis):
     by_unit, nothing = _frames(axis, 0, 1, 2, 3), np.zeros(axis.n_frames, dtype=bool)
-    assert pretend(by_unit, links=Links(vam_rate=0.0)).others == {}
-    all_equipped = pretend(by_unit, links=Links(vam_rate=1.0))
+    assert pretend(by_unit, radio=Radio(vam_rate=0.0)).others == {}
+    all_equipped = pretend(by_unit, radio=Radio(vam_rate=1.0))
     assert list(all_equipped.others) == ["vam", "all_sources"]
     vam = all_equipped.others["vam"]
     assert vam.detected.all()
@@ -251,7 +251,7 @@ def test_road_users_that_announce_themselves_are_a_source_of_their_own(pretend, 
         axis.time_s[start + 2] + RULE.latency_s for start in axis.run_start[:-1]
     ]
     assert _is_equal(all_equipped.rsu_all, pretend(by_unit).rsu_all)
-    some = pretend(by_unit, vut_row=nothing, links=Links(vam_rate=0.5), seed=3)
+    some = pretend(by_unit, vut_row=nothing, radio=Radio(vam_rate=0.5), seed=3)
     both = some.others["vam"].detected | some.vut_and_rsus.detected
     assert (some.others["all_sources"].detected == both).all()
     assert (some.others["all_sources"].is_avoided >= some.rsu_all.is_avoided).all()
@@ -286,10 +286,10 @@ def test_unknown_sensors_of_the_vut_and_shares_beyond_one_are_named(setting):
     assert str(caught.value) == "vut_sensors: got 'radar'; expected one or more of camera, lidar"
     with pytest.raises(InputError, match="vut_sensors: got 'none'; expected one or more of"):
         replace(setting, vut_sensors=())
-    with pytest.raises(InputError, match=r"links.packet_loss: got 1.1; expected 0 .. 1"):
-        Links(packet_loss=1.1)
-    with pytest.raises(InputError, match=r"links.vam_rate: got nan; expected 0 .. 1"):
-        Links(vam_rate=float("nan"))
+    with pytest.raises(InputError, match=r"packet_loss: got 1.1; expected 0 .. 1"):
+        Radio(packet_loss=1.1)
+    with pytest.raises(InputError, match=r"vam_rate: got nan; expected 0 .. 1"):
+        Radio(vam_rate=float("nan"))
 
 
 # Real frames
@@ -332,7 +332,7 @@ def test_luck_depends_on_the_seed_and_on_nothing_else(build_layout, real):
     setting = replace(
         setting,
         detector=load_detector("response"),
-        links=Links(packet_loss=0.2, vam_rate=0.5),
+        radio=Radio(packet_loss=0.2, vam_rate=0.5),
         vut_sensors=("camera", "lidar"),
     )
     cameras = build_layout("a", "b", x_m=x_m)

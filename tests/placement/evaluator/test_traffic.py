@@ -56,7 +56,7 @@ def scene(build_scene):
 def _seen(setting, unit):
     """Frames in which a unit detects, by the table and by the evaluator."""
     table = build_detection_table(
-        setting.scene, [unit], setting.runs, setting.axis, detector=setting.planner
+        setting.scene, [unit], setting.runs, setting.axis, detector=setting.table_detector
     )
     compute = replace(DEFAULT_COMPUTE, workers=1)
     detected = watch(setting, {unit_key(unit): unit}, compute=compute)

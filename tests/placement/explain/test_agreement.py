@@ -8,9 +8,8 @@ from placement.detection_table import pack_table
 from placement.detectors import load_planning_detector
 from placement.evaluator import evaluate_layout
 from placement.explain.agreement import FUSED, find_disagreements
-from placement.layout import Layout
-from placement.setting import Links, Setting
-from placement.study_layout import load_carlancap_layout
+from placement.layout import Layout, load_carlancap_layout
+from placement.setting import Radio, Setting
 from placement.visibility import build_detection_table
 from scenarios.runs import build_frame_axis
 from scenarios.weights import weight_per_run
@@ -27,7 +26,7 @@ def setting(runs, rule):
         axis=build_frame_axis(few, weight_per_run(few)),
         rule=rule,
         detector=load_planning_detector(),
-        planner=load_planning_detector(),
+        table_detector=load_planning_detector(),
     )
 
 
@@ -47,7 +46,7 @@ def _table(setting, layout, detected):
 
 def test_both_agree_on_runs_that_are_seen_well(setting, layout, evaluation):
     table = build_detection_table(
-        setting.scene, layout.units, setting.runs, setting.axis, detector=setting.planner
+        setting.scene, layout.units, setting.runs, setting.axis, detector=setting.table_detector
     )
     assert evaluation.rsu_all.is_avoided.all()
     assert find_disagreements(setting, table, evaluation, [0, 1]) == ()
@@ -81,7 +80,7 @@ def test_a_table_that_misses_everything_differs_where_the_evaluator_avoids(
 
 def test_what_was_lost_on_the_way_is_told_from_what_was_not_seen(setting, layout, evaluation):
     detected = np.array([verdict.detected for verdict in evaluation.units.values()])
-    lossy = evaluate_layout(layout, replace(setting, links=Links(packet_loss=1.0)))
+    lossy = evaluate_layout(layout, replace(setting, radio=Radio(packet_loss=1.0)))
     found = find_disagreements(setting, _table(setting, layout, detected), lossy, [0, 1])
     assert {entry.run_id for entry in found if entry.party == FUSED} == set(RUNS)
     assert all(entry.on_table and "chance or a lost message" in entry.cause for entry in found)

@@ -31,7 +31,7 @@ def setting(runs, rule):
         axis=build_frame_axis(few, weight_per_run(few)),
         rule=rule,
         detector=load_detector(),
-        planner=load_planning_detector(),
+        table_detector=load_planning_detector(),
     )
 
 
@@ -48,7 +48,7 @@ def aprs_of(setting, layouts, fusion):
     poses = [pose for layout in layouts for pose in layout]
     named = [replace(pose, id=f"u{row}") for row, pose in enumerate(poses)]
     table = build_detection_table(
-        setting.scene, named, setting.runs, setting.axis, detector=setting.planner
+        setting.scene, named, setting.runs, setting.axis, detector=setting.table_detector
     )
     wishes = Wishes(budget_units=len(named))
     problem = build_problem(setting, named, table, wishes=wishes, fusion=fusion)

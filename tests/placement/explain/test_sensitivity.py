@@ -44,7 +44,7 @@ def setting_of(runs, rule):
         axis=build_frame_axis(few, weight_per_run(few)),
         rule=rule,
         detector=load_detector(),
-        planner=load_planning_detector(),
+        table_detector=load_planning_detector(),
     )
 
 
@@ -74,9 +74,9 @@ def found(setting, layout):
 def value_of(setting, units):
     """What the detection table says of units, by the functions that the optimiser uses."""
     table = build_detection_table(
-        setting.scene, units, setting.runs, setting.axis, detector=setting.planner
+        setting.scene, units, setting.runs, setting.axis, detector=setting.table_detector
     )
-    wishes = Wishes(budget_units=1, kept=tuple(one.id for one in units[1:]))
+    wishes = Wishes(budget_units=len(units), existing=tuple(one.id for one in units[1:]))
     problem = build_problem(setting, units, table, wishes=wishes)
     return placement_value(problem, range(len(units)))
 
@@ -145,7 +145,7 @@ def test_other_brakes_are_as_if_the_runs_were_built_with_them(
     [("min_iou", {"min_iou": 0.7}), ("min_box_height_share", {"min_box_height_px": 60.0})],
 )
 def test_another_detector_is_that_detector(setting, layout, found, name, change):
-    changed = replace(setting, planner=replace(setting.planner, **change))
+    changed = replace(setting, table_detector=replace(setting.table_detector, **change))
     value = found[name].varied[-1].value
     assert_same(outcome_at(found, name, value), value_of(changed, layout.units))
 
@@ -185,12 +185,12 @@ def test_moved_ahead_means_where_each_unit_looks(setting, layout, found):
 def test_rays_to_what_is_in_view_give_the_rows_of_the_table(setting, layout):
     units = [*layout.units, unit("c", -115.4, 8.85, 170.0, -10.0), layout.units[0]]
     table = build_detection_table(
-        setting.scene, units, setting.runs, setting.axis, detector=setting.planner
+        setting.scene, units, setting.runs, setting.axis, detector=setting.table_detector
     )
     with ThreadPoolExecutor(1) as pool:
         frames = detected_frames(
             setting,
-            [(one, setting.planner) for one in units],
+            [(one, setting.table_detector) for one in units],
             compute=Compute(),
             pool=pool,
         )
@@ -199,7 +199,7 @@ def test_rays_to_what_is_in_view_give_the_rows_of_the_table(setting, layout):
 
 
 def test_what_a_plan_does_not_ask_is_left_out(setting, layout):
-    changed = replace(setting, planner=load_planning_detector("response"))
+    changed = replace(setting, table_detector=load_planning_detector("response"))
     (iou,) = (one for one in load_assumptions() if one.name == "min_iou")
     (one,) = find_sensitivity(changed, layout, assumptions=[iou])
     assert (one.planned_value, one.varied) == (None, ())

@@ -29,7 +29,7 @@ def setting(runs, rule):
         axis=build_frame_axis(few, weight_per_run(few)),
         rule=rule,
         detector=load_detector(),
-        planner=load_planning_detector(),
+        table_detector=load_planning_detector(),
     )
 
 
@@ -40,9 +40,9 @@ def unit(name, yaw_deg, pitch_deg=-40.0):
 
 def avoided(setting, units):
     table = build_detection_table(
-        setting.scene, units, setting.runs, setting.axis, detector=setting.planner
+        setting.scene, units, setting.runs, setting.axis, detector=setting.table_detector
     )
-    wishes = Wishes(budget_units=1, kept=tuple(one.id for one in units[1:]))
+    wishes = Wishes(budget_units=len(units), existing=tuple(one.id for one in units[1:]))
     problem = build_problem(setting, units, table, wishes=wishes)
     return np.isfinite(run_margins_s(problem, range(len(units))))
 

@@ -64,7 +64,7 @@ def setting_of(*runs, boxes=(), weight=None):
         axis=build_frame_axis(runs, weight_per_run(runs) if weight is None else weight),
         rule=load_aeb_rule(),
         detector=load_detector(),
-        planner=load_planning_detector(),
+        table_detector=load_planning_detector(),
     )
 
 
@@ -87,7 +87,7 @@ def reasons_of(setting, candidate, run_index=0):
 
 def is_detected(setting, candidate):
     table = build_detection_table(
-        setting.scene, [candidate], setting.runs, setting.axis, detector=setting.planner
+        setting.scene, [candidate], setting.runs, setting.axis, detector=setting.table_detector
     )
     return table.detected([0])[0]
 
@@ -180,7 +180,7 @@ def test_the_unit_that_looks_there_is_asked_before_one_that_is_nearer():
         unit(-3.0, 0.5, name="helper"),
     ]
     table = build_detection_table(
-        setting.scene, candidates, setting.runs, setting.axis, detector=setting.planner
+        setting.scene, candidates, setting.runs, setting.axis, detector=setting.table_detector
     )
     problem = problem_of(setting, candidates, table.detected(slice(None)))
     (missed,) = find_unavoided(setting, problem, candidates, [0, 1])

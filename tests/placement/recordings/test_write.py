@@ -145,7 +145,7 @@ def test_drives_have_the_same_units_and_there_is_one(tmp_path):
 @pytest.fixture(scope="module")
 def simulated(runs):
     """Three runs of the study, seen by two of its cameras and the VUT's: drives and detections."""
-    from placement.study_layout import load_carlancap_layout
+    from placement.layout import load_carlancap_layout
 
     few = [run for run in runs if run.id in ("CPNC-50/east/40", "CBNA/east/60", "CBLA/east/50")]
     surroundings = build_surroundings(load_study_scene(), few)

@@ -8,7 +8,7 @@ from geometry.scene import Instance, Scene, Site
 from geometry.sensors import CameraModel
 from placement.candidates import CandidateGrid, build_candidates
 from placement.detectors import load_detector, load_planning_detector
-from placement.pipeline import place
+from placement.pipeline import Assembly, place
 from placement.setting import Setting
 from placement.wishes import Wishes
 from scenarios.aeb import Encounter, load_aeb_rule
@@ -117,7 +117,7 @@ def build_small_setting():
             axis=build_frame_axis(walks, weight_per_run(walks)),
             rule=load_aeb_rule(),
             detector=load_detector(),
-            planner=load_planning_detector(),
+            table_detector=load_planning_detector(),
         )
 
     return build
@@ -150,4 +150,4 @@ def meadow_grid(meadow, narrow_camera):
 
 @pytest.fixture(scope="session")
 def meadow_placement(meadow, meadow_grid):
-    return place(meadow, meadow_grid, wishes=Wishes(budget_units=1))
+    return place(Assembly(setting=meadow, candidates=meadow_grid, wishes=Wishes(budget_units=1)))

@@ -11,7 +11,7 @@ from geometry.poses import Pose, body_rotation
 from placement.candidates import CandidateGrid, CandidatePose, build_candidates
 from placement.optimiser import Limits
 from placement.refinement import refine
-from placement.refinement.proposals import (
+from placement.refinement.poses import (
     WeakSpots,
     aimed,
     around,

@@ -9,7 +9,7 @@ from placement.candidates import CandidateGrid, build_candidates
 from placement.compute import Compute
 from placement.layout import check_layout, layout_from_records, layout_records
 from placement.optimiser import is_feasible, placement_value
-from placement.pipeline import place
+from placement.pipeline import Assembly, place
 from placement.refinement.refine import RefinementEffort, improves, refine, stage_values
 from placement.visibility import build_detection_table
 from placement.wishes import Wishes
@@ -38,7 +38,7 @@ def placements(meadow, meadow_grid, tmp_path_factory):
         "money": Wishes(budget_eur=1500.0),
         "fewest": Wishes(target=np.inf),
         "cheapest": Wishes(target=0.6, saves="cost"),
-        "kept": Wishes(budget_units=1, kept=("old",)),
+        "kept": Wishes(budget_units=2, existing=("old",)),
         "apart": Wishes(budget_units=2, separation_m=10.0),
         "alone": Wishes(budget_units=2),
     }
@@ -48,11 +48,13 @@ def placements(meadow, meadow_grid, tmp_path_factory):
         name: (
             candidates,
             place(
-                meadow,
-                candidates,
-                wishes=wishes,
-                fusion="single" if name == "alone" else "any",
-                compute=Compute(cache_folder=cache),
+                Assembly(
+                    setting=meadow,
+                    candidates=candidates,
+                    wishes=wishes,
+                    fusion="single" if name == "alone" else "any",
+                    compute=Compute(cache_folder=cache),
+                )
             ),
         )
         for name, wishes in questions.items()
@@ -123,7 +125,7 @@ def test_what_was_refined_is_what_the_builder_of_tables_sees(name, meadow, refin
     refined = refinements[name].placement
     units = [refinements[name].candidates[row] for row in refined.pose_index]
     table = build_detection_table(
-        meadow.scene, units, meadow.runs, meadow.axis, detector=meadow.planner
+        meadow.scene, units, meadow.runs, meadow.axis, detector=meadow.table_detector
     )
     assert np.array_equal(table.packed, refined.problem.table.packed[list(refined.pose_index)])
 
@@ -158,7 +160,11 @@ def test_a_kept_unit_stays_as_it_is_and_the_other_one_moves(placements, refineme
 def test_units_that_are_all_kept_are_not_refined(meadow, meadow_grid):
     old = replace(meadow_grid[0], id="old")
     candidates = (*meadow_grid, old)
-    placement = place(meadow, candidates, wishes=Wishes(budget_eur=0.0, kept=("old",)))
+    placement = place(
+        Assembly(
+            setting=meadow, candidates=candidates, wishes=Wishes(budget_eur=0.0, existing=("old",))
+        )
+    )
     assert [unit.id for unit in placement.layout.units] == ["old"]
     refinement = refine(meadow, placement, candidates, effort=QUICK)
     assert refinement.placement is placement
@@ -188,7 +194,9 @@ def test_what_stands_between_two_directions_of_the_grid_is_found(
     scene = build_meadow(("pole", 0.0, 0.0))
     setting = build_small_setting(scene, [build_walk("walk", arc(18.0, 47.0, 43.0))])
     candidates = _grid_of(scene, narrow_camera, yaw_step_deg=90.0)
-    placement = place(setting, candidates, wishes=Wishes(budget_units=1))
+    placement = place(
+        Assembly(setting=setting, candidates=candidates, wishes=Wishes(budget_units=1))
+    )
     assert placement_value(placement.problem, placement.pose_index).apr == 0.0
     refinement = refine(setting, placement, candidates, effort=QUICK)
     (unit,) = refinement.placement.layout.units
@@ -209,7 +217,9 @@ def test_a_unit_is_turned_to_where_it_sees_earliest(
     setting = build_small_setting(scene, [build_walk("walk", arc(18.0, 90.0, 10.0))])
     candidates = _grid_of(scene, narrow_camera, yaw_step_deg=360.0)
     candidates = [replace(candidates[0], pose=replace(candidates[0].pose, yaw_deg=30.0))]
-    placement = place(setting, candidates, wishes=Wishes(budget_units=1))
+    placement = place(
+        Assembly(setting=setting, candidates=candidates, wishes=Wishes(budget_units=1))
+    )
     before = placement_value(placement.problem, placement.pose_index)
     (run,) = setting.runs
     latest_s = run.last_brake_time_s - setting.rule.latency_s - run.time_s[2]
@@ -232,7 +242,9 @@ def test_a_varifocal_lens_zooms_in_on_what_is_far_away(
     walk = np.column_stack([np.full(40, 150.0), np.linspace(-2.0, 2.0, 40)])
     setting = build_small_setting(scene, [build_walk("walk", walk)])
     candidates = _grid_of(scene, camera, yaw_step_deg=90.0, pitch_deg=0.0)
-    placement = place(setting, candidates, wishes=Wishes(budget_units=1))
+    placement = place(
+        Assembly(setting=setting, candidates=candidates, wishes=Wishes(budget_units=1))
+    )
     assert placement_value(placement.problem, placement.pose_index).apr == 0.0
     refinement = refine(setting, placement, candidates, effort=QUICK)
     assert dict(refinement.after)["apr"] == 1.0
@@ -251,7 +263,9 @@ def test_a_lidar_is_aimed_too(build_meadow, build_walk, build_small_setting, arc
     setting = build_small_setting(scene, [build_walk("walk", arc(12.0, 93.0, 87.0))])
     lidar = pick_sensor("carla-ncap-lidar", "test")
     candidates = _grid_of(scene, lidar, yaw_step_deg=180.0)
-    placement = place(setting, candidates, wishes=Wishes(budget_units=1))
+    placement = place(
+        Assembly(setting=setting, candidates=candidates, wishes=Wishes(budget_units=1))
+    )
     assert placement_value(placement.problem, placement.pose_index).apr == 0.0
     refinement = refine(setting, placement, candidates, effort=QUICK)
     (unit,) = refinement.placement.layout.units
@@ -271,7 +285,7 @@ def test_a_table_of_sampled_worlds_is_refused(meadow, placements):
     with pytest.raises(InputError) as caught:
         refine(meadow, replace(placement, problem=problem), candidates)
     assert str(caught.value) == (
-        "--refine: got a table of sampled worlds; expected a table of the runs as planned"
+        "refine: got a table of sampled worlds; expected a table of the runs as planned"
     )
 
 

@@ -42,7 +42,7 @@ def settings(meadow):
         meadow,
         runs=runs,
         axis=build_frame_axis(runs, weight_per_run(runs)),
-        planner=load_planning_detector("response"),
+        table_detector=load_planning_detector("response"),
     )
     return {"day": meadow, "fog": foggy}
 
@@ -52,7 +52,7 @@ def test_rows_are_those_of_the_builder_of_tables_in_any_order(settings, name):
     setting = settings[name]
     poses = _random_poses(36, seed=3)
     table = build_detection_table(
-        setting.scene, poses, setting.runs, setting.axis, detector=setting.planner
+        setting.scene, poses, setting.runs, setting.axis, detector=setting.table_detector
     )
     rows = table.detected(slice(None))
     assert rows.any(axis=1).sum() > 8
@@ -91,7 +91,7 @@ def test_a_sensor_that_reaches_farther_gets_its_own_rays(meadow):
     near = replace(near, pose=pose)
     builder([replace(near, sensor=coarse)])
     table = build_detection_table(
-        meadow.scene, [near], meadow.runs, meadow.axis, detector=meadow.planner
+        meadow.scene, [near], meadow.runs, meadow.axis, detector=meadow.table_detector
     )
     assert table.detected([0]).any()
     assert np.array_equal(builder([near]), table.packed)
@@ -108,7 +108,7 @@ def test_many_positions_are_forgotten_and_cast_again(meadow):
     ]
     builder = RayRows(meadow, workers=2)
     table = build_detection_table(
-        meadow.scene, poses, meadow.runs, meadow.axis, detector=meadow.planner
+        meadow.scene, poses, meadow.runs, meadow.axis, detector=meadow.table_detector
     )
     assert np.array_equal(builder(poses), table.packed)
     assert builder.n_casts == 20

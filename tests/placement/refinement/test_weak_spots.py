@@ -3,7 +3,7 @@ import pytest
 
 from placement.detection_table import pack_table
 from placement.optimiser import Limits, PlacementProblem
-from placement.refinement.proposals import LOOK_BACK_S, find_weak_spots
+from placement.refinement.poses import LOOK_BACK_S, find_weak_spots
 from scenarios.weights import weight_per_run
 
 

@@ -35,7 +35,7 @@ def setting_of(scene, runs, rule, **fields):
         runs=tuple(runs),
         axis=build_frame_axis(runs, weight_per_run(runs)),
         rule=rule,
-        **{"detector": load_detector(), "planner": load_planning_detector(), **fields},
+        **{"detector": load_detector(), "table_detector": load_planning_detector(), **fields},
     )
 
 

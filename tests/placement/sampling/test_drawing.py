@@ -142,7 +142,7 @@ def watched(junction_scene, standing_still, build_setting, response, look):
     setting = build_setting(
         junction_scene,
         (run, replace(run, id="in fog", weather="fog")),
-        planner=replace(response, frame_correlation=0.0),
+        table_detector=replace(response, frame_correlation=0.0),
     )
     lidar = next(iter(load_lidars().values()))
     far = [look(f"{x}", [x, -1.0, 6.0], yaw_deg=0.0, pitch_deg=-5.0) for x in (-28.0, -38.0)]
@@ -152,7 +152,7 @@ def watched(junction_scene, standing_still, build_setting, response, look):
 def test_frames_are_detected_as_often_as_the_evaluators_pixels_make_likely(watched):
     setting, poses = watched
     drawn = build_drawn_table(
-        _first(setting, poses, DRAWN), setting.planner, compute=Compute(workers=1)
+        _first(setting, poses, DRAWN), setting.table_detector, compute=Compute(workers=1)
     ).detected(slice(None))
     for row, pose in enumerate(poses[:2]):
         for index, run in enumerate(setting.runs):
@@ -162,7 +162,7 @@ def test_frames_are_detected_as_often_as_the_evaluators_pixels_make_likely(watch
             } | {"vru_yaw_deg": run.vru_yaw_deg[:1], "vru_shape": run.vru_shape[:1]}
             surroundings = build_surroundings(setting.scene, [replace(run, **one_frame)])
             evidence = perceive_from_roadside(surroundings, pose.pose, pose.sensor)
-            (likely,) = setting.planner.probability(
+            (likely,) = setting.table_detector.probability(
                 replace(evidence, contrast=surroundings.contrast(evidence_distance(pose, run)))
             )
             often = drawn[row, setting.axis.frames_of(index)].mean()
@@ -223,7 +223,7 @@ def test_nothing_is_drawn_of_a_detector_that_looks_at_boxes(setting, candidates)
 
 
 def test_two_workers_draw_the_same_table_as_one(setting, candidates, response):
-    chancy = replace(setting, planner=response)
+    chancy = replace(setting, table_detector=response)
     calls = []
     tables = [
         _table(

@@ -59,7 +59,9 @@ def _avoided_by_hand(seen, axis, deadlines_s):
 
 def test_without_uncertainty_every_world_is_the_plan(setting, layouts):
     axis, units = setting.axis, layouts[0].units
-    plan = build_detection_table(setting.scene, units, setting.runs, axis, detector=setting.planner)
+    plan = build_detection_table(
+        setting.scene, units, setting.runs, axis, detector=setting.table_detector
+    )
     seen = plan.detected(slice(None)).any(axis=0)
     avoided = _avoided_by_hand(seen, axis, axis.last_brake_time_s)
     result = out_of_sample(setting, layouts[0], Uncertainty(), n_samples=2)
@@ -168,7 +170,7 @@ def test_progress_counts_worlds(setting, layouts):
 def test_an_unknown_fusion_is_refused(setting, layouts):
     with pytest.raises(InputError) as caught:
         out_of_sample(setting, layouts[0], LOSSY, n_samples=1, fusion="all")
-    assert str(caught.value) == "--fusion: got 'all'; expected one of any, single"
+    assert str(caught.value) == "fusion: got 'all'; expected one of any, single"
 
 
 def test_a_judgement_must_fit_its_runs(setting, layouts):
@@ -186,8 +188,8 @@ def test_the_evaluator_takes_a_sampled_world_as_it_is(setting, layouts, default)
     units = layouts[1].units
     (sample,) = draw_samples(setting, units, default, n_samples=1, seed=0, purpose="judge")
     mounted = replace(layouts[1], units=sample.candidates)
-    evaluation = evaluate_layout(mounted, replace(sample.setting, links=setting.links))
-    lossless = replace(sample.setting, links=setting.links)
+    evaluation = evaluate_layout(mounted, replace(sample.setting, radio=setting.radio))
+    lossless = replace(sample.setting, radio=setting.radio)
     by_table = _table(replace(sample, setting=lossless), seed=0).detected([0])[0]
     agreement = (evaluation.units[units[0].id].detected == by_table).mean()
     assert agreement >= 0.95

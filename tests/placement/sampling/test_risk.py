@@ -70,7 +70,7 @@ def test_a_sample_may_count_in_part():
 def test_a_tail_that_is_no_share_is_refused(tail):
     with pytest.raises(InputError) as caught:
         cvar([0.5], tail)
-    assert str(caught.value) == f"--tail: got {tail!r}; expected a share of the samples, 0 to 1"
+    assert str(caught.value) == f"tail: got {tail!r}; expected a share of the samples, 0 to 1"
 
 
 def test_nothing_has_neither_tail_nor_mean():

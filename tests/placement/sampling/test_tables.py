@@ -38,7 +38,7 @@ def _plan(setting, candidates, seed=0):
         candidates,
         setting.runs,
         setting.axis,
-        detector=setting.planner,
+        detector=setting.table_detector,
         compute=Compute(seed=seed),
     )
 
@@ -220,7 +220,7 @@ def test_each_world_has_a_cached_table_of_its_own(setting, candidates, default, 
 
 
 def test_drawn_tables_are_kept_apart(setting, candidates, tmp_path):
-    chancy = replace(setting, planner=load_planning_detector("response"))
+    chancy = replace(setting, table_detector=load_planning_detector("response"))
     drawn = Uncertainty(draws_detections=True)
     options = {"n_samples": 2, "compute": Compute(cache_folder=tmp_path)}
     first = sampled_table(chancy, candidates, drawn, **options)
@@ -229,7 +229,7 @@ def test_drawn_tables_are_kept_apart(setting, candidates, tmp_path):
     assert np.array_equal(again.table.packed, first.table.packed)
     sampled_table(chancy, candidates, Uncertainty(), **options)
     assert len(list(tmp_path.iterdir())) == 3  # both worlds are the plan
-    linked = replace(chancy, planner=replace(chancy.planner, frame_correlation=0.1))
+    linked = replace(chancy, table_detector=replace(chancy.table_detector, frame_correlation=0.1))
     other = sampled_table(linked, candidates, drawn, **options)
     assert len(list(tmp_path.iterdir())) == 5
     assert not np.array_equal(other.table.packed, first.table.packed)
@@ -241,7 +241,7 @@ def test_drawn_tables_are_kept_apart(setting, candidates, tmp_path):
 @pytest.mark.parametrize("planner", ["response", "geometric"])
 def test_a_world_beside_others_is_as_it_is_alone(setting, candidates, default, planner):
     """What is kept of one world, for eyes that come up again, is what is found in another."""
-    setting = replace(setting, planner=load_planning_detector(planner))
+    setting = replace(setting, table_detector=load_planning_detector(planner))
     worlds = list(draw_samples(setting, candidates, default, n_samples=6, seed=4))
     heights = [{pose.pose.position_m[2] for pose in world.candidates} for world in worlds]
     assert len(set.union(*heights)) < sum(map(len, heights))  # they do come up again
@@ -278,7 +278,7 @@ def test_a_vehicle_that_waits_hides_a_vru_behind_it(
     above its 1.8 m.
     """
     assert (truck.length_m, truck.width_m, truck.height_m) == (8.0, 2.5, 3.4)
-    setting = build_setting(junction_scene, [standing_still([16.5, 6.0])], planner=keen)
+    setting = build_setting(junction_scene, [standing_still([16.5, 6.0])], table_detector=keen)
     cameras = [
         look(f"{z:g}", [16.5, -10.0, z], yaw_deg=90.0, pitch_deg=pitch)
         for z, pitch in ((9.0, -25.0), (20.0, -50.0))
@@ -300,7 +300,7 @@ def test_what_waits_in_the_way_of_the_vut_hides_nothing(
 ):
     """The same box, but the VUT comes from the east, in whose lane it would stand."""
     runs = [standing_still([16.5, 6.0], run=junction_runs[way]) for way in ("west", "east")]
-    setting = build_setting(junction_scene, runs, planner=keen)
+    setting = build_setting(junction_scene, runs, table_detector=keen)
     camera = look("low", [16.5, -10.0, 9.0], yaw_deg=90.0, pitch_deg=-25.0)
     (row,) = _detected(sampled_table(setting, [camera], _queue_of(truck, 1.0), n_samples=1).table)
     hidden, seen = (row[setting.axis.frames_of(index)] for index in (0, 1))

@@ -69,9 +69,9 @@ def test_worlds_are_drawn_when_they_are_asked_for_and_wishes_checked_at_once(set
     worlds = draw_samples(setting, (), default, n_samples=10**9, seed=0)
     assert next(iter(worlds)).luck == Luck(seed=0, purpose="choose", index=0)
     for field, value, message in (
-        ("n_samples", 0, "--samples: got 0; expected a whole number, at least 1"),
-        ("n_samples", 2.0, "--samples: got 2.0; expected a whole number, at least 1"),
-        ("seed", -1, "--seed: got -1; expected a whole number, at least 0"),
+        ("n_samples", 0, "samples: got 0; expected a whole number, at least 1"),
+        ("n_samples", 2.0, "samples: got 2.0; expected a whole number, at least 1"),
+        ("seed", -1, "seed: got -1; expected a whole number, at least 0"),
         ("purpose", "play", "purpose: got 'play'; expected one of choose, judge"),
     ):
         with pytest.raises(InputError) as caught:
@@ -167,9 +167,9 @@ def test_a_run_that_no_braking_avoids_stays_one(setting, candidates):
 
 
 def test_the_evaluator_is_told_how_many_messages_are_lost(setting, candidates):
-    lossy = replace(setting, links=replace(setting.links, packet_loss=0.4, vam_rate=0.5))
+    lossy = replace(setting, radio=replace(setting.radio, packet_loss=0.4, vam_rate=0.5))
     (sample,) = draw_samples(lossy, candidates, Uncertainty(packet_loss=0.2), n_samples=1, seed=0)
-    assert (sample.setting.links.packet_loss, sample.setting.links.vam_rate) == (0.2, 0.5)
+    assert (sample.setting.radio.packet_loss, sample.setting.radio.vam_rate) == (0.2, 0.5)
 
 
 # Luck

@@ -10,7 +10,7 @@ from geometry.errors import InputError
 from geometry.lidar import load_lidars
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
-from placement.private_ground import build_private_ground, private_shares
+from placement.ground import build_private_ground, private_shares
 
 CAMERA = load_cameras()["carla-ncap-rgb-90"]
 
@@ -65,7 +65,7 @@ def test_walls_hide():
 
 
 def test_areas_that_cannot_be_are_refused():
-    with pytest.raises(InputError, match="--no-look: line: got no area"):
+    with pytest.raises(InputError, match="no_look: line: got no area"):
         build_private_ground([("line", Polygon())])
     with pytest.raises(InputError, match="square metres; expected at most 20,000"):
         build_private_ground([("park", box(0, 0, 1000, 1000))])
