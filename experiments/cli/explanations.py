@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from ..report.explanation import (
+from ..parts.explanation import (
     OUTCOMES,
     cause,
     contribution_sentences,
@@ -118,7 +118,7 @@ def uncertainty_text(found: SampledRecord) -> str:
             + f" {percent(layout.worst):>8}"
         )
     if found.moving:
-        from ..report.sampled_worlds import moving_sentence
+        from ..parts.sampled_worlds import moving_sentence
 
         lines += sentences(f"{moving_sentence(found)}.", indent=2)
     return "\n".join(lines)

@@ -24,8 +24,8 @@ from placement.wishes import build_problem
 from ..export.json import to_json_text
 from ..figures.axes import to_png
 from ..figures.front import plot_front
+from ..parts.front import describe_money, describe_units
 from ..progress import WRITING, StageProgress
-from ..report.front import describe_money, describe_units
 from ..results.csv_text import csv_text
 from ..results.drives import build_drives_record, versions
 from ..results.folders import check_folder, write_files

@@ -44,12 +44,12 @@ from placement.sampling.out_of_sample import STAGE as OUT_OF_SAMPLE
 from placement.setting import Setting, build_setting
 from placement.study_layout import find_baseline
 
+from ..parts.coverage import coverage_section
+from ..parts.sampled_worlds import plot_sampled_apr
 from ..progress import StageProgress
 from ..report.beside import Beside, Part, drawing_beside
 from ..report.bill_of_materials import build_bill
 from ..report.comparison import EXPERT, GREEDY
-from ..report.coverage import coverage_section
-from ..report.sampled_worlds import plot_sampled_apr
 from ..report.units import build_plans
 from ..results.baselines import (
     StudyCasesRecord,

@@ -19,7 +19,7 @@ from placement.question import Question
 from placement.setting import Setting, build_setting
 from placement.study_layout import load_carlancap_layout
 
-from ..report.section import with_palette
+from ..parts.section import with_palette
 from .desk import Desk
 from .server import RunningServer
 from .session import Plan, Variant

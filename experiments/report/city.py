@@ -13,10 +13,10 @@ from placement.layout import Layout
 from ..figures.axes import VERMILION
 from ..figures.city import plot_junction_front
 from ..figures.scene import plot_scene_plan
+from ..parts.section import Block, Bullets, Code, Section, Table, build_picture
 from ..results.city import CityFrontRecord, CityJunctionRecord, CityResult
 from ..results.numbers import euros, number, percent
 from .page import page_template
-from .section import Block, Bullets, Code, Section, Table, build_picture
 
 MAX_ROWS = 400
 """Junctions and poles that are listed, and junctions that get pages."""

@@ -39,7 +39,7 @@ EXCEPTIONS = {
     "experiments/results/city.py": {"to_parquet"},
     "experiments/figures/film.py": {"savefig"},
     "experiments/jobs/sheet.py": {"savefig"},
-    "experiments/report/section.py": {"open"},
+    "experiments/parts/section.py": {"open"},
     "experiments/plan/tasks.py": {"ZipFile", "read_text"},
     "experiments/plan/server.py": {"open", "read_bytes", "read_text"},
     "placement/sampling/moving/child.py": {"read_text", "savez"},

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from experiments.cli.explanations import explanation_text
-from experiments.report.explanation import (
+from experiments.parts.explanation import (
     missed_table,
     pool_sentences,
 )

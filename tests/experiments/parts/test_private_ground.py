@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from shapely import box
 
-from experiments.report.private_ground import (
+from experiments.parts.private_ground import (
     private_ground_sentence,
 )
 from experiments.results.explanations import build_private_ground_record

@@ -12,7 +12,7 @@ from small_tables import avoiding_problem
 from experiments.export.json import to_json_text
 from experiments.figures.front import plot_front
 from experiments.jobs.pareto import describe_front
-from experiments.report.front import (
+from experiments.parts.front import (
     front_rows,
     front_section,
     proof_sentences,

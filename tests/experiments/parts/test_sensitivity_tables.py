@@ -10,7 +10,7 @@ from partial_pages import pictures_of, render_section, tables_of
 
 from experiments.export.json import to_json_text
 from experiments.figures.axes import to_png
-from experiments.report.sensitivity import (
+from experiments.parts.sensitivity import (
     TITLES,
     phrase,
     plot_sensitivity,

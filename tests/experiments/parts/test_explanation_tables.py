@@ -6,7 +6,7 @@ from msgspec import UNSET
 from partial_pages import render_section
 
 from experiments.cli.explanations import explanation_text
-from experiments.report.explanation import (
+from experiments.parts.explanation import (
     contribution_sentences,
     contribution_table,
     explanation_sections,
