@@ -45,6 +45,7 @@ from placement.setting import Setting, build_setting
 from placement.study_layout import find_baseline
 
 from ..parts.coverage import coverage_section
+from ..parts.front import describe_front
 from ..parts.sampled_worlds import plot_sampled_apr
 from ..progress import StageProgress
 from ..report.beside import Beside, Part, drawing_beside
@@ -78,7 +79,6 @@ from .alternatives import (
     other_priorities,
 )
 from .baselines import build_baselines_record, compare_layout, compare_placement
-from .pareto import describe_front
 from .study_cases import on_study_cases
 from .writing import write_results
 
