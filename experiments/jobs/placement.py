@@ -61,7 +61,6 @@ from ..results.explanations import (
     PrivateGroundRecord,
     build_explained_record,
     build_private_ground_record,
-    build_sensitivity_record,
 )
 from ..results.folders import check_result_folder, left_as_it_was
 from ..results.fronts import build_refinement_record
@@ -246,7 +245,7 @@ def run_placement(
                 if front is None
                 else describe_front(front, placement.problem, poses, n_kept=len(plan.wishes.kept))
             ),
-            sensitivity=build_sensitivity_record(sensitivity),
+            sensitivity=sensitivity,
             private_ground=(
                 UNSET
                 if plan.private_ground is None
@@ -500,7 +499,7 @@ def run_comparison(
         if out is None:
             return replace_fields(result, seconds=progress.finish())
         sensitivity = what_if.result(partial(progress, WHAT_IF, 0, 0))
-        result = replace_fields(result, sensitivity=build_sensitivity_record(sensitivity))
+        result = replace_fields(result, sensitivity=sensitivity)
         return write_results(
             out,
             result,

@@ -18,13 +18,11 @@ from placement.explain import (
     find_unavoided,
 )
 from placement.explain.pool import sites_in_order
-from placement.explain.sensitivity import Outcome, Sensitivity
 from placement.optimiser import PlacementProblem
 from placement.pipeline import Placement
 from placement.private_ground import PrivateGround, private_shares
 from placement.setting import Setting
 
-from .numbers import finite_or_none
 from .record import LayoutValueRecord, Record, RunId, Share, StageName, says
 
 
@@ -172,62 +170,6 @@ class ExplainedRecord(Record, frozen=True, kw_only=True):
     pool: Annotated[PoolRecord | None, says("Layouts as good; null unless asked for with --pool.")]
 
 
-class PlannedOutcomeRecord(Record, frozen=True, kw_only=True):
-    """As planned."""
-
-    apr: Annotated[Share | None, says("APR by the evaluator's rule.")]
-    apr_one_failed: Annotated[Share | None, says("APR if the unit that is needed most fails.")]
-    smallest_margin_s: Annotated[
-        float | None,
-        says("Smallest time to spare, in seconds; null: nothing is avoided, or chance decides."),
-    ]
-
-
-class VariedAssumptionRecord(Record, frozen=True, kw_only=True):
-    """A value that it may have instead."""
-
-    value: Annotated[
-        float | None, says("In the unit of the assumption's name; null: infinite, for ever.")
-    ]
-    apr: Annotated[Share | None, says("APR by the evaluator's rule.")]
-    apr_one_failed: Annotated[Share | None, says("APR if the unit that is needed most fails.")]
-    smallest_margin_s: Annotated[
-        float | None,
-        says("Smallest time to spare, in seconds; null: nothing is avoided, or chance decides."),
-    ]
-    lost_runs: Annotated[
-        tuple[RunId, ...], says("Runs that are avoided as planned, and then no longer.")
-    ]
-    unmoved: Annotated[
-        tuple[str, ...],
-        says("Ids of units that stayed where they are: there they would be inside something."),
-    ]
-
-
-class AssumptionRecord(Record, frozen=True, kw_only=True):
-    """Something that the plan takes for granted."""
-
-    name: Annotated[str, says("Which; its ending tells the unit.")]
-    planned_value: Annotated[
-        float | None,
-        says(
-            "What the plan assumes, in the unit of the name; null where the question does not "
-            "arise, and where it is infinite: tracks that live for ever."
-        ),
-    ]
-    reason: Annotated[str, says("Why it is varied so far.")]
-    is_ours: Annotated[bool, says("Whether that is an assumption of this project, not a source.")]
-    left_out: Annotated[str, says("Why it was not varied; empty if it was.")]
-    varied: Annotated[tuple[VariedAssumptionRecord, ...], says("By ascending value.")]
-
-
-class SensitivityRecord(Record, frozen=True, kw_only=True):
-    """What becomes of the layout if an assumption is wrong: one at a time."""
-
-    planned: Annotated[PlannedOutcomeRecord, says("As planned.")]
-    assumptions: Annotated[tuple[AssumptionRecord, ...], says("One for each assumption.")]
-
-
 class PrivateAreaRecord(Record, frozen=True, kw_only=True):
     """An area."""
 
@@ -361,43 +303,6 @@ def _pool(problem: PlacementProblem, candidates: Sequence[CandidatePose], pool: 
             if pool.pose_share[pose] > 0.0
         ),
     )
-
-
-# ---------- sensitivity
-
-
-def build_sensitivity_record(found: Sequence[Sensitivity]) -> SensitivityRecord:
-    """What :func:`placement.explain.sensitivity.find_sensitivity` found of one layout."""
-    return SensitivityRecord(
-        planned=PlannedOutcomeRecord(**_outcome(found[0].planned)),
-        assumptions=tuple(
-            AssumptionRecord(
-                name=one.assumption.name,
-                planned_value=one.planned_value and finite_or_none(one.planned_value),
-                reason=one.assumption.reason,
-                is_ours=one.assumption.is_ours,
-                left_out=one.left_out,
-                varied=tuple(
-                    VariedAssumptionRecord(
-                        value=finite_or_none(varied.value),
-                        **_outcome(varied.outcome),
-                        lost_runs=tuple(varied.lost_runs),
-                        unmoved=tuple(varied.unmoved),
-                    )
-                    for varied in one.varied
-                ),
-            )
-            for one in found
-        ),
-    )
-
-
-def _outcome(outcome: Outcome) -> dict[str, float | None]:
-    return {
-        "apr": outcome.apr,
-        "apr_one_failed": outcome.apr_one_failed,
-        "smallest_margin_s": outcome.smallest_margin_s,
-    }
 
 
 # ---------- private ground
