@@ -407,10 +407,3 @@ def _build_pool(
         pose_share=pose_share,
         site_share=listed.site_count / listed.n_within,
     )
-
-
-def sites_in_order(pool: Pool) -> IntArray:
-    """Sites of the problem's limits that carry a unit in some set, the most frequent one first."""
-    order = np.argsort(-pool.site_share, kind="stable")
-    used: IntArray = order[pool.site_share[order] > 0.0]
-    return used

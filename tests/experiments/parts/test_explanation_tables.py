@@ -84,8 +84,8 @@ POOL = {
             "cost_eur": 3000.0,
         }
     ],
-    "sites": [{"site": "pole", "share": 1.0}, {"site": "mast", "share": 0.25}],
-    "poses": [],
+    "sites": {"pole": 1.0, "mast": 0.25},
+    "poses": {},
 }
 
 
