@@ -356,7 +356,7 @@ def find_pool(
     or a number cannot be.
     """
     if n_sets < 1:
-        raise InputError("--pool", n_sets, "a number of layouts, at least 1")
+        raise InputError("pool", n_sets, "a number of layouts, at least 1")
     if not is_feasible(problem, pose_index):
         raise InputError("pose_index", list(pose_index), "a set that meets limits and floors")
     reduced = presolve_undominated(problem)

@@ -141,7 +141,7 @@ def test_a_poor_start_is_left_behind(problem, data):
 @settings(max_examples=5)
 def test_what_cannot_be_asked_is_said(problem):
     poses = solve_placement(problem).pose_index
-    with pytest.raises(InputError, match=r"--pool: got 0; expected a number of layouts"):
+    with pytest.raises(InputError, match=r"pool: got 0; expected a number of layouts"):
         find_pool(problem, poses, n_sets=0)
     with pytest.raises(InputError, match=r"pose_index: got \[0, 0\]; expected a set that meets"):
         find_pool(problem, [0, 0])

@@ -347,8 +347,7 @@ def test_each_look_gets_its_own_reasons():
         Look(unit=low, run_index=1, frame_index=np.array([], dtype=np.int64)),
     ]
     found = [
-        [(r.cause, r.thing, r.frames) for r in reasons]
-        for reasons in find_reasons(setting, looks)
+        [(r.cause, r.thing, r.frames) for r in reasons] for reasons in find_reasons(setting, looks)
     ]
     assert found == [
         [("out of view", "", 2)],

@@ -80,57 +80,57 @@ TOO_MUCH = "got more than any layout gives; expected"
     [
         (
             {"budget_units": 2, "target": 1.0},
-            f"--target 1 and --budget 2: {TOGETHER} one of them to give way: --target 0.5 "
-            "or --budget 4",
+            f"`target` 1 and `budget` 2: {TOGETHER} one of them to give way: `target` 0.5 "
+            "or `budget` 4",
         ),
         (
             {"budget_units": 3, "target": np.inf},
-            f"--target max and --budget 3: {TOGETHER} one of them to give way: --target 0.75 "
-            "or --budget 4",
+            f"`target` max and `budget` 3: {TOGETHER} one of them to give way: `target` 0.75 "
+            "or `budget` 4",
         ),
         (
             {"budget_eur": 3000.0, "target": 0.7},
-            f"--target 0.7 and --budget-cost 3000: {TOGETHER} one of them to give way: "
-            "--target 0.5 or --budget-cost 4500",
+            f"`target` 0.7 and `budget_cost` 3000: {TOGETHER} one of them to give way: "
+            "`target` 0.5 or `budget_cost` 4500",
         ),
         (
             {"budget_eur": 1000.0},
-            f"--budget-cost 1000: {TOO_MUCH} --budget-cost 1500",
+            f"`budget_cost` 1000: {TOO_MUCH} `budget_cost` 1500",
         ),
         (
             {"target": 1.0, "survive": 1},
-            f"--target 1 and --survive 1: {TOGETHER} one of them to give way: --target 0.75 "
-            "or --survive 0",
+            f"`target` 1 and `survive` 1: {TOGETHER} one of them to give way: `target` 0.75 "
+            "or `survive` 0",
         ),
         (
             {"budget_units": 1, "min_case_apr": 0.5},
-            f"--min-case-apr 0.5 in CPNA-25, --min-case-apr 0.5 in CBNA and --budget 1: {TOGETHER} "
-            "one of them to give way: --min-case-apr 0 in CPNA-25 or --min-case-apr 0 in CBNA or "
-            "--budget 2",
+            f"`min_case_apr` 0.5 in CPNA-25, `min_case_apr` 0.5 in CBNA and `budget` 1: {TOGETHER} "
+            "one of them to give way: `min_case_apr` 0 in CPNA-25 or `min_case_apr` 0 in CBNA or "
+            "`budget` 2",
         ),
         (
             {"budget_units": 3, "target": 1.0, "kept": ("RSU0", "RSU1")},
-            f"--target 1 and --budget 3: {TOGETHER} one of them to give way: --target 0.75 "
-            "or --budget 4",
+            f"`target` 1 and `budget` 3: {TOGETHER} one of them to give way: `target` 0.75 "
+            "or `budget` 4",
         ),
         (
             {"target": 1.0, "forbidden_sites": ("corner-ne", "lamp-e1")},
-            f"--target 1 and --forbid-site corner-ne,lamp-e1: {TOGETHER} one of them to give way: "
-            "--target 0.5 or --forbid-site without corner-ne,lamp-e1",
+            f"`target` 1 and `forbid_site` corner-ne,lamp-e1: {TOGETHER} one of them to give way: "
+            "`target` 0.5 or `forbid_site` without corner-ne,lamp-e1",
         ),
         (
             {"budget_units": 1, "forced_sites": ("corner-ne", "lamp-e1")},
-            f"--budget 1 and --force-site corner-ne,lamp-e1: {TOGETHER} one of them to give way: "
-            "--budget 2 or --force-site without lamp-e1",
+            f"`budget` 1 and `force_site` corner-ne,lamp-e1: {TOGETHER} one of them to give way: "
+            "`budget` 2 or `force_site` without lamp-e1",
         ),
         (
             {"budget_units": 4, "target": 1.0, "separation_m": 30.0},
-            f"--target 1 and --separation 30: {TOGETHER} one of them to give way: --target 0.5 "
-            "or --separation 18.23",
+            f"`target` 1 and `separation_m` 30: {TOGETHER} one of them to give way: `target` 0.5 "
+            "or `separation_m` 18.23",
         ),
     ],
 )
-def test_conflicts_are_told_in_the_options_own_words(refusal_of, wishes, text):
+def test_conflicts_are_told_by_the_fields_of_the_question(refusal_of, wishes, text):
     assert str(refusal_of(**wishes)) == text
 
 
@@ -139,9 +139,9 @@ def test_two_conflicts_are_both_told(refusal_of):
         budget_units=1, target=0.5, budget_eur=1000.0, forced_sites=("corner-ne", "lamp-e1")
     )
     assert str(refusal) == (
-        f"--budget-cost 1000: {TOO_MUCH} --budget-cost 1500 (not enough by itself); besides, "
-        "--target 0.5 and --budget 1: one of them to give way: --target 0.25 (not enough by "
-        "itself) or --budget 2 (not enough by itself)"
+        f"`budget_cost` 1000: {TOO_MUCH} `budget_cost` 1500 (not enough by itself); besides, "
+        "`target` 0.5 and `budget` 1: one of them to give way: `target` 0.25 (not enough by "
+        "itself) or `budget` 2 (not enough by itself)"
     )
 
 
