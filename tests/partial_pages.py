@@ -16,9 +16,9 @@ from PIL import Image
 
 from experiments.figures import dangers, plan
 from experiments.figures.axes import root_figure
-from experiments.report import coverage, section
+from experiments.parts import coverage, section
+from experiments.parts.section import Bullets, Picture, Section, Table
 from experiments.report.page import page_environment
-from experiments.report.section import Bullets, Picture, Section, Table
 from experiments.results.result import Result
 from experiments.scene import pictures
 

@@ -26,11 +26,11 @@ from placement.live import LiveTable, table_verdict
 from placement.question import Question
 from placement.setting import Setting, build_setting
 
+from ..parts.section import with_palette
 from ..planner.numbers import state_record, table_numbers
 from ..planner.plan import ChangeUnit, Plan, Stock, Variant, begin_history, change_state
 from ..planner.session import Session
 from ..planner.tasks import Work
-from ..report.section import with_palette
 from .rays import Figures
 
 _TURNS, _LIFTS = 60, 12

@@ -11,8 +11,8 @@ from geometry.scene import Scene
 from placement.layout import Layout
 
 from ..figures.axes import VERMILION
+from ..parts.section import Block, Bullets, Code, Section, Table, build_picture
 from ..report.page import page_template
-from ..report.section import Block, Bullets, Code, Section, Table, build_picture
 from ..results.numbers import euros, number, percent
 from ..scene.pictures import plot_scene_plan
 from .answer import CityFrontRecord, CityJunctionRecord, CityResult

@@ -275,12 +275,12 @@ def additions(result: "Result") -> list[str]:
     or in fresh worlds, what one more unit or another lens would buy, and what would change the
     answer.
     """
+    from ..parts.private_ground import private_ground_sentences
+    from ..parts.refinement import refinement_sentences
+    from ..parts.sampled_worlds import overtaken_sentences
     from ..report.alternatives import doubt_sentences, recommended_sentences
     from ..report.answer import danger_sentences
     from ..report.next_unit import next_unit_sentence, other_sensor_sentence
-    from ..report.private_ground import private_ground_sentences
-    from ..report.refinement import refinement_sentences
-    from ..report.sampled_worlds import overtaken_sentences
     from .explanations import explanation_text, uncertainty_text
 
     assumed = assumption_lines(result)

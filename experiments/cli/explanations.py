@@ -2,7 +2,9 @@
 
 from collections.abc import Sequence
 
-from ..report.explanation import (
+from placement.explain import Unavoided
+
+from ..parts.explanation import (
     OUTCOMES,
     cause,
     contribution_sentences,
@@ -11,7 +13,7 @@ from ..report.explanation import (
     missed_sentences,
     pool_sentences,
 )
-from ..results.explanations import ContributionRecord, ExplainedRecord, MissedRunRecord
+from ..results.explanations import ContributionRecord, ExplainedRecord
 from ..results.numbers import count_runs, first_of, number, percent, points, shortened
 from ..results.sampled_worlds import SampledRecord
 from .terminal import sentences
@@ -48,15 +50,16 @@ def explanation_text(explained: ExplainedRecord) -> str:
             )
         lines += _and_more(len(sets) - _MAX_SETS)
         sites = ", ".join(
-            f"{site.site} {percent(site.share)}" for site in explained.pool.sites[:_MAX_SITES]
+            f"{site} {percent(share)}"
+            for site, share in list(explained.pool.sites.items())[:_MAX_SITES]
         )
         lines += _indented(f"sites: {sites}")
     return "\n".join(lines)
 
 
-def _alike(missed: Sequence[MissedRunRecord]) -> list[list[MissedRunRecord]]:
+def _alike(missed: Sequence[Unavoided]) -> list[list[Unavoided]]:
     """Runs that have the same said of them, but for numbers; the largest group first."""
-    groups: dict[tuple[str, ...], list[MissedRunRecord]] = {}
+    groups: dict[tuple[str, ...], list[Unavoided]] = {}
     for entry in missed:
         because = cause(entry.reasons[0]) if entry.reasons else ""
         rescue = entry.rescue.unit if entry.rescue else ""
@@ -64,7 +67,7 @@ def _alike(missed: Sequence[MissedRunRecord]) -> list[list[MissedRunRecord]]:
     return sorted(groups.values(), key=len, reverse=True)
 
 
-def _missed_in_short(group: Sequence[MissedRunRecord]) -> str:
+def _missed_in_short(group: Sequence[Unavoided]) -> str:
     first = group[0]
     runs = first_of([entry.run for entry in group], _MAX_RUNS)
     words = f"{runs}: {OUTCOMES[first.outcome]}"
@@ -118,7 +121,7 @@ def uncertainty_text(found: SampledRecord) -> str:
             + f" {percent(layout.worst):>8}"
         )
     if found.moving:
-        from ..report.sampled_worlds import moving_sentence
+        from ..parts.sampled_worlds import moving_sentence
 
         lines += sentences(f"{moving_sentence(found)}.", indent=2)
     return "\n".join(lines)

@@ -26,7 +26,9 @@ from .running import begin, load_one_layout, print_result
 from .terminal import driven_lines, sentences, table
 
 if TYPE_CHECKING:
-    from ..results.latencies import LatencyBudgetRecord, LatencyCurveRecord, LatencyResult
+    from placement.latency import LatencyBudget
+
+    from ..parts.latency import LatencyResult, PartyLatency
 
 
 @click.command(
@@ -86,7 +88,7 @@ def latency(
     """
     question = begin(progress, question, quiet=quiet)
     layout = load_one_layout(layout_names, question)
-    from ..jobs.latency import run_latency
+    from ..parts.latency import run_latency
 
     summary = run_latency(
         question,
@@ -152,7 +154,7 @@ def _longest(latency_s: float) -> str:
     return f"{math.floor(10000.0 * latency_s + 1.0e-5) / 10.0:.1f} ms"
 
 
-def _budget_lines(budget: "LatencyBudgetRecord") -> list[str]:
+def _budget_lines(budget: "LatencyBudget") -> list[str]:
     rows = [
         [
             part.name + (" (assumption)" if part.is_assumption else ""),
@@ -168,7 +170,7 @@ def _budget_lines(budget: "LatencyBudgetRecord") -> list[str]:
     return table(["latency budget " + budget.name, "least", "mean", "most"], rows)
 
 
-def _party_lines(parties: "Mapping[str, LatencyCurveRecord]") -> list[str]:
+def _party_lines(parties: "Mapping[str, PartyLatency]") -> list[str]:
     names = {
         **_COLUMNS,
         **{name: name for name in parties if name not in (*_COLUMNS, *_OTHERS)},

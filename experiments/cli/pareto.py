@@ -25,7 +25,8 @@ from .running import begin, command_line, print_result
 from .terminal import driven_lines, sentences, table
 
 if TYPE_CHECKING:
-    from ..results.fronts import FrontPointRecord, FrontResult
+    from ..parts.front import FrontResult
+    from ..results.fronts import FrontPointRecord
 
 _TIME_LIMIT_S = 60.0
 # Several layouts are looked for: each in nominal conditions, on the grid.
@@ -94,7 +95,7 @@ def pareto(
     accidents prevented (APR), and the highest that is left when any one unit fails.
     """
     question = begin(progress, question, quiet=quiet)
-    from ..jobs.pareto import run_pareto
+    from ..parts.front import run_pareto
 
     summary = run_pareto(
         question,

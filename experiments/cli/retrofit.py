@@ -25,7 +25,8 @@ from .running import begin, command_line, load_one_layout, print_result
 from .terminal import driven_lines, sentences, table
 
 if TYPE_CHECKING:
-    from ..results.retrofits import ChangeRecord, RetrofitResult, RetrofitValueRecord
+    from ..parts.retrofit import ChangeRecord, RetrofitResult
+    from ..results.record import LayoutValueRecord
 
 # What hangs there is --layout; what is added is asked for by money alone.
 _ASKED = ("budget_cost", *fields_in(MOUNTED, but=("keep", "within", "force_site")))
@@ -71,7 +72,7 @@ def retrofit(
     """
     question = begin(progress, question, quiet=quiet)
     layout = load_one_layout(layout_names, question)
-    from ..jobs.retrofit import run_retrofit
+    from ..parts.retrofit import run_retrofit
 
     summary = run_retrofit(
         question,
@@ -140,7 +141,7 @@ def _change_rows(change: "ChangeRecord") -> list[list[str]]:
 def _row(
     words: str,
     price_eur: float,
-    value: "RetrofitValueRecord | ChangeRecord",
+    value: "LayoutValueRecord",
     gained: str = "",
     lost: str = "",
 ) -> list[str]:

@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import is_dataclass
 
 import msgspec
 import numpy as np
@@ -29,7 +30,7 @@ def to_json_text(document: object) -> str:
 
 
 def _finite(value: object) -> object:
-    if isinstance(value, msgspec.Struct):
+    if isinstance(value, msgspec.Struct) or is_dataclass(value):
         return _finite(to_plain(value))
     if isinstance(value, Mapping):
         return {str(key): _finite(item) for key, item in value.items()}

@@ -42,12 +42,13 @@ from placement.sampling import (
 from placement.sampling.out_of_sample import STAGE as OUT_OF_SAMPLE
 from placement.setting import Setting, build_setting
 
+from ..parts.coverage import coverage_section
+from ..parts.front import describe_front
+from ..parts.sampled_worlds import plot_sampled_apr
 from ..progress import StageProgress
 from ..report.beside import Beside, Part, drawing_beside
 from ..report.bill_of_materials import build_bill
 from ..report.comparison import EXPERT, GREEDY
-from ..report.coverage import coverage_section
-from ..report.sampled_worlds import plot_sampled_apr
 from ..report.units import build_plans
 from ..results.baselines import (
     StudyCasesRecord,
@@ -58,7 +59,6 @@ from ..results.explanations import (
     PrivateGroundRecord,
     build_explained_record,
     build_private_ground_record,
-    build_sensitivity_record,
 )
 from ..results.folders import check_result_folder, left_as_it_was
 from ..results.fronts import build_refinement_record
@@ -76,7 +76,6 @@ from .alternatives import (
     other_priorities,
 )
 from .baselines import build_baselines_record, compare_layout, compare_placement
-from .pareto import describe_front
 from .study_cases import on_study_cases
 from .writing import write_results
 
@@ -234,7 +233,7 @@ def run_placement(
                     front, placement.problem, poses, n_kept=len(plan.wishes.existing)
                 )
             ),
-            sensitivity=build_sensitivity_record(sensitivity),
+            sensitivity=sensitivity,
             private_ground=(
                 UNSET
                 if plan.private_ground is None
@@ -488,7 +487,7 @@ def run_comparison(
         if out is None:
             return replace_fields(result, seconds=progress.finish())
         sensitivity = what_if.result(partial(progress, WHAT_IF, 0, 0))
-        result = replace_fields(result, sensitivity=build_sensitivity_record(sensitivity))
+        result = replace_fields(result, sensitivity=sensitivity)
         return write_results(
             out,
             result,

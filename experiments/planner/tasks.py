@@ -161,7 +161,7 @@ class Tasks:
                     "reasons": [
                         {
                             "words": f"hidden by {reason.thing}" if reason.thing else reason.cause,
-                            "frames": reason.n_frames,
+                            "frames": reason.frames,
                         }
                         for reason in why
                     ],

@@ -9,10 +9,10 @@ from scenarios.runs import FrameAxis
 
 from ..figures.axes import unit_labels
 from ..figures.evaluation import plot_apr_by_case
+from ..parts.section import Block, Picture, Section, Table, build_picture
 from ..results.numbers import percent
 from ..results.tables import groups_by_direction, groups_by_position, groups_by_speed
 from .answer import count_sensors, is_weighted
-from .section import Block, Picture, Section, Table, build_picture
 
 # ---------- sections of the report
 

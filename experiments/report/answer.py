@@ -17,16 +17,16 @@ from scenarios.positions import AT_ZERO, read_position
 from scenarios.runs import FrameAxis
 from scenarios.weights import weight_share
 
+from ..parts.private_ground import private_ground_sentences
+from ..parts.refinement import refinement_sentences
+from ..parts.sampled_worlds import overtaken_sentences, uncertainty_sentences
+from ..parts.section import Block, Section, Table
 from ..results.dangers import DangerGroupRecord, DangersRecord, avoided_runs
 from ..results.numbers import NOTHING, count_runs, joined, number, or_nan, percent, several
 from ..results.record import StageRecord
 from ..results.result import Result
 from .alternatives import doubt_sentences, recommended_sentences
 from .next_unit import next_unit_sentence
-from .private_ground import private_ground_sentences
-from .refinement import refinement_sentences
-from .sampled_worlds import overtaken_sentences, uncertainty_sentences
-from .section import Block, Section, Table
 
 
 def title(result: Result, setting: Setting, evaluations: Mapping[str, Evaluation]) -> str:

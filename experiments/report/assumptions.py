@@ -8,12 +8,12 @@ from placement.layout import Layout
 from placement.setting import Radio, Setting
 from scenarios.aeb import AebRule
 
+from ..parts.sampled_worlds import moving_sentence
+from ..parts.section import Block, Box, Code, Section, Table, Terms
 from ..results.numbers import count_runs, joined, percent, several
 from ..results.record import NoteRecord
 from ..results.result import Result
 from .answer import is_weighted
-from .sampled_worlds import moving_sentence
-from .section import Block, Box, Code, Section, Table, Terms
 
 
 def assumption_sentences(result: Result) -> list[str]:

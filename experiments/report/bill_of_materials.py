@@ -10,9 +10,9 @@ from geometry.scene import Scene, Site
 from placement.layout import Layout
 from placement.prices import assumed_prices, load_prices
 
+from ..parts.section import Block, Bullets, Section, Table
 from ..results.csv_text import csv_text
 from ..results.numbers import several
-from .section import Block, Bullets, Section, Table
 
 UNKNOWN = "unknown"
 FILE_NAME = "bill_of_materials.csv"

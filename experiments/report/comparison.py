@@ -7,14 +7,14 @@ from msgspec import UnsetType
 
 from placement.evaluation import Evaluation, apr
 
+from ..parts.sampled_worlds import is_open, plot_differences
+from ..parts.section import Block, Bullets, Section, Subheading, Table, build_picture
 from ..results.baselines import StudyCasesRecord
 from ..results.evaluations import DifferenceRecord, build_difference_records
 from ..results.numbers import NOTHING, count_runs, number, or_nan, percent, several
 from ..results.result import Result
 from ..results.sampled_worlds import SampledPairRecord, SampledRecord
 from ..results.tables import margin_s
-from .sampled_worlds import is_open, plot_differences
-from .section import Block, Bullets, Section, Subheading, Table, build_picture
 
 GREEDY, EXPERT = "greedy", "expert rule"
 """Display names of layouts to compare with: they appear in tables and bars only."""

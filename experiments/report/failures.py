@@ -7,8 +7,8 @@ from placement.evaluation import Evaluation
 from placement.explain.failures import MAX_PAIR_UNITS, Failure, Failures, find_failures
 from scenarios.aeb import AebRule
 
+from ..parts.section import Section, Table
 from ..results.numbers import NOTHING, count_runs, first_of, milliseconds, number, percent
-from .section import Section, Table
 
 MAX_ROWS = 12
 """Rows of a table: beyond, only the worst are shown."""

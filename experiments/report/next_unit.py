@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 
+from ..parts.section import Section, Table
 from ..results.baselines import ExchangeRecord
 from ..results.numbers import percent, points
 from ..results.result import Result
-from .section import Section, Table
 
 _NOTHING_GAINED = 0.5e-9
 

@@ -18,6 +18,14 @@ from placement.setting import Setting
 
 from ..figures.axes import unit_labels
 from ..figures.evaluation import heatmap_indices
+from ..parts.coverage import coverage_section
+from ..parts.explanation import explanation_sections
+from ..parts.front import front_section
+from ..parts.margins import margins_section
+from ..parts.private_ground import private_ground_section
+from ..parts.sampled_worlds import sampled_picture, sampled_section
+from ..parts.section import Picture, Section
+from ..parts.sensitivity import sensitivity_section
 from ..results.result import Result
 from .accidents import accidents_section, alone_section, apr_picture
 from .answer import answer, models_section, proof_section, title
@@ -25,19 +33,11 @@ from .assumptions import again_section, assumption_sentences, assumptions_sectio
 from .beside import Beside, Part
 from .bill_of_materials import BillOfMaterials, bill_section, build_bill
 from .comparison import EXPERT, GREEDY, comparison_section, study_cases_section
-from .coverage import coverage_section
-from .explanation import explanation_sections
 from .failures import failures_section
-from .front import front_section
 from .interactive.part import interactive_part
-from .margins import margins_section
 from .next_unit import next_unit_section
 from .positions import positions_section
-from .private_ground import private_ground_section
 from .runs import build_heatmaps, cases_section, heatmaps_section, runs_section
-from .sampled_worlds import sampled_picture, sampled_section
-from .section import Picture, Section
-from .sensitivity import sensitivity_section
 from .units import build_plans, units_section
 
 FILE_NAME = "report.html"

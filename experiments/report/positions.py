@@ -10,11 +10,11 @@ from scenarios.weights import weight_share
 
 from ..figures.axes import NARROW_IN, WIDTH_IN
 from ..figures.dangers import find_places, plot_dangers
+from ..parts.section import Block, Box, Picture, Section, Table, build_picture
 from ..results.dangers import avoided_runs
 from ..results.numbers import percent
 from ..results.tables import groups_by_direction, groups_by_position
 from .answer import is_weighted, position_words
-from .section import Block, Box, Picture, Section, Table, build_picture
 
 
 def positions_section(setting: Setting, shown: Mapping[str, Evaluation], *, fusion: str) -> Section:

@@ -13,12 +13,12 @@ from scenarios.positions import AT_ZERO
 
 from ..figures.axes import NARROW_IN, describe_run, unit_labels
 from ..figures.evaluation import plot_heatmap, units_in_heatmap
+from ..parts.section import Block, Box, Bullets, Picture, Section, Subheading, Table, build_picture
 from ..results.drives import describe_limits, describe_places
 from ..results.numbers import count_runs, number, percent
 from ..results.tables import margin_s
 from .accidents import several_weathers
 from .answer import is_weighted
-from .section import Block, Box, Bullets, Picture, Section, Subheading, Table, build_picture
 
 # ---------- who sees the road user when
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from .section import with_palette
+from ..parts.section import with_palette
 
 _WIDTHS_PX = {"desktop": (1280, 1600), "phone": (360, 1400)}
 _PARTS = (

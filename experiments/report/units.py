@@ -13,9 +13,9 @@ from placement.setting import Setting
 from ..figures.axes import NARROW_IN, WIDTH_IN, unit_labels
 from ..figures.plan import plot_plan
 from ..figures.sensors import compass_word, looking_words
+from ..parts.section import Box, Picture, Section, Table, build_picture
 from ..results.numbers import NOTHING, number
 from ..results.record import build_unit_records
-from .section import Box, Picture, Section, Table, build_picture
 
 _PLAN_RANGE_M = 35.0
 _MAX_UNITS_IN_WORDS = 40

@@ -1,89 +1,32 @@
-"""Parts of a result that explain it: contributions, missed runs, sensitivity, private areas."""
+"""Explanations as results have them: contributions, missed runs, the pool; private ground."""
 
-import math
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Literal, cast
+from dataclasses import replace
+from typing import Annotated, cast
 
 import numpy as np
 
+from geometry.arrays import FloatArray
 from geometry.scene import Scene
 from placement.candidates import CandidatePose
 from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.explain import (
     Contribution,
     Pool,
-    Rescue,
     Unavoided,
     find_contributions,
     find_unavoided,
 )
-from placement.explain.pool import sites_in_order
-from placement.explain.sensitivity import Outcome, Sensitivity
 from placement.ground import PrivateGround, private_shares
 from placement.optimiser import PlacementProblem
 from placement.pipeline import Placement
 from placement.setting import Setting
 
-from .numbers import finite_or_none
 from .record import LayoutValueRecord, Record, RunId, Share, StageName, says
 
 
-class RescueRecord(Record, frozen=True, kw_only=True):
-    """A candidate that would save a run as a further unit."""
-
-    unit: Annotated[str, says("Name of the candidate pose.")]
-    site: Annotated[str, says("Its site.")]
-    distance_m: Annotated[
-        float, says("From the nearest unit, in metres; 0: at the same mount.", ge=0)
-    ]
-    margin_s: Annotated[float, says("Time to spare that it leaves, in seconds.")]
-
-
-class MissedReasonRecord(Record, frozen=True, kw_only=True):
-    """Why that unit does not detect the road user."""
-
-    cause: Annotated[
-        Literal["hidden", "out of view", "cut off", "too dark", "too far", "otherwise"],
-        says("What is in the way, or missing."),
-    ]
-    thing: Annotated[str, says("What hides the road user; empty for other causes.")]
-    frames: Annotated[int, says("In how many frames.", ge=1)]
-
-
-class MissedRunRecord(Record, frozen=True, kw_only=True):
-    """A run with weight that is not avoided in the world as planned, on the detection table."""
-
-    run: Annotated[RunId, says("Which run.")]
-    outcome: Annotated[
-        Literal["hopeless", "never seen", "never confirmed", "lost again", "too late"],
-        says(
-            "hopeless: no frame comes early enough, whoever looks; else what the units achieve. "
-            "lost again: confirmed, but the track was not alive at the last moment."
-        ),
-    ]
-    late_s: Annotated[
-        float | None, says("By how much braking sets in too late, in seconds; null: never.")
-    ]
-    frames_in_time: Annotated[int, says("Frames from which braking in time could follow.", ge=0)]
-    frames_seen: Annotated[
-        int, says("Of these, those in which a unit detects the road user.", ge=0)
-    ]
-    unit: Annotated[
-        str,
-        says("Id of the unit that is told of: the nearest that looks there; empty if hopeless."),
-    ]
-    reasons: Annotated[tuple[MissedReasonRecord, ...], says("The most frequent one first.")]
-    rescue: Annotated[
-        RescueRecord | None,
-        says(
-            "Nearest candidate that would save the run as a further unit; null: none, or nobody "
-            "looked, as where worlds are sampled."
-        ),
-    ]
-
-
 class ContributionRecord(Record, frozen=True, kw_only=True):
-    """What a unit adds to the others, on the detection table."""
+    """Contribution of a unit to the others, on the detection table."""
 
     unit: Annotated[str, says("Id in the layout.")]
     only_runs: Annotated[
@@ -106,40 +49,13 @@ class ContributionRecord(Record, frozen=True, kw_only=True):
     without: Annotated[LayoutValueRecord, says("What the others are worth.")]
 
 
-class PooledLayoutRecord(Record, frozen=True, kw_only=True):
+class PooledLayoutRecord(LayoutValueRecord, frozen=True, kw_only=True):
     """A layout of candidates."""
 
     units: Annotated[tuple[str, ...], says("Names of the candidate poses.")]
     objective: Annotated[
         float, says("Value in the first stage, in the unit that its name ends in.")
     ]
-    apr: Annotated[Share, says("APR on the detection table.")]
-    apr_one_failed: Annotated[Share, says("APR if the unit that is needed most fails.")]
-    smallest_margin_s: Annotated[
-        float,
-        says("Smallest time to spare of the avoided runs, in seconds; 0 where there is none."),
-    ]
-    mean_margin_s: Annotated[
-        float,
-        says(
-            "Mean time to spare of the avoided runs by weight, in seconds; 0 where there is none."
-        ),
-    ]
-    cost_eur: Annotated[float, says("Units, and sites once, in EUR.")]
-
-
-class SiteShareRecord(Record, frozen=True, kw_only=True):
-    """How often a site carries a unit."""
-
-    site: Annotated[str, says("Name of the site.")]
-    share: Annotated[Share, says("Of the layouts found.")]
-
-
-class PoseShareRecord(Record, frozen=True, kw_only=True):
-    """How often a pose is chosen."""
-
-    unit: Annotated[str, says("Name of the candidate pose.")]
-    share: Annotated[Share, says("Of the layouts found.")]
 
 
 class PoolRecord(Record, frozen=True, kw_only=True):
@@ -152,80 +68,28 @@ class PoolRecord(Record, frozen=True, kw_only=True):
     ]
     within: Annotated[int, says("How many were found.", ge=1)]
     sets: Annotated[tuple[PooledLayoutRecord, ...], says("The best ones, the best first.")]
-    sites: Annotated[tuple[SiteShareRecord, ...], says("Sites, the most frequent first.")]
-    poses: Annotated[tuple[PoseShareRecord, ...], says("Candidate poses, the most frequent first.")]
+    sites: Annotated[
+        dict[str, Share], says("Share of the layouts with a unit at a site, the largest first.")
+    ]
+    poses: Annotated[
+        dict[str, Share], says("Share of the layouts with a candidate pose, the largest first.")
+    ]
 
 
 class ExplainedRecord(Record, frozen=True, kw_only=True):
-    """Why these units, what they miss, what else would do; on the detection table.
+    """Reasons for these units, runs that they miss, layouts as good; on the detection table.
 
     Runs of weight 0 are in no list.
     """
 
     contributions: Annotated[tuple[ContributionRecord, ...], says("One for each unit.")]
     not_avoided: Annotated[
-        tuple[MissedRunRecord, ...], says("Runs that are not avoided, in the order of the runs.")
+        tuple[Unavoided, ...], says("Runs that are not avoided, in the order of the runs.")
     ]
     runs_without_weight: Annotated[
         int, says("How many runs have weight 0, and are left out.", ge=0)
     ]
     pool: Annotated[PoolRecord | None, says("Layouts as good; null unless asked for with --pool.")]
-
-
-class PlannedOutcomeRecord(Record, frozen=True, kw_only=True):
-    """As planned."""
-
-    apr: Annotated[Share | None, says("APR by the evaluator's rule.")]
-    apr_one_failed: Annotated[Share | None, says("APR if the unit that is needed most fails.")]
-    smallest_margin_s: Annotated[
-        float | None,
-        says("Smallest time to spare, in seconds; null: nothing is avoided, or chance decides."),
-    ]
-
-
-class VariedAssumptionRecord(Record, frozen=True, kw_only=True):
-    """A value that it may have instead."""
-
-    value: Annotated[
-        float | None, says("In the unit of the assumption's name; null: infinite, for ever.")
-    ]
-    apr: Annotated[Share | None, says("APR by the evaluator's rule.")]
-    apr_one_failed: Annotated[Share | None, says("APR if the unit that is needed most fails.")]
-    smallest_margin_s: Annotated[
-        float | None,
-        says("Smallest time to spare, in seconds; null: nothing is avoided, or chance decides."),
-    ]
-    lost_runs: Annotated[
-        tuple[RunId, ...], says("Runs that are avoided as planned, and then no longer.")
-    ]
-    unmoved: Annotated[
-        tuple[str, ...],
-        says("Ids of units that stayed where they are: there they would be inside something."),
-    ]
-
-
-class AssumptionRecord(Record, frozen=True, kw_only=True):
-    """Something that the plan takes for granted."""
-
-    name: Annotated[str, says("Which; its ending tells the unit.")]
-    planned_value: Annotated[
-        float | None,
-        says(
-            "What the plan assumes, in the unit of the name; null where the question does not "
-            "arise, and where it is infinite: tracks that live for ever."
-        ),
-    ]
-    reason: Annotated[str, says("Why it is varied so far.")]
-    is_ours: Annotated[bool, says("Whether that is an assumption of this project, not a source.")]
-    left_out: Annotated[str, says("Why it was not varied; empty if it was.")]
-    varied: Annotated[tuple[VariedAssumptionRecord, ...], says("By ascending value.")]
-
-
-class SensitivityRecord(Record, frozen=True, kw_only=True):
-    """What becomes of the layout if an assumption is wrong: one at a time."""
-
-    planned: Annotated[PlannedOutcomeRecord, says("As planned.")]
-    assumptions: Annotated[tuple[AssumptionRecord, ...], says("One for each assumption.")]
 
 
 class PrivateAreaRecord(Record, frozen=True, kw_only=True):
@@ -236,7 +100,7 @@ class PrivateAreaRecord(Record, frozen=True, kw_only=True):
 
 
 class PrivateGroundRecord(Record, frozen=True, kw_only=True):
-    """What cameras see of areas that they must not look into."""
+    """Views of cameras into areas that they must not look into."""
 
     areas: Annotated[tuple[PrivateAreaRecord, ...], says("The areas.")]
     units: Annotated[dict[str, dict[str, Share]], says("Of each unit, by its id.")]
@@ -253,7 +117,7 @@ def build_explained_record(
     pool: Pool | None = None,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> ExplainedRecord:
-    """What a placement rests on.
+    """Explanation of a placement.
 
     Runs that are not avoided are those of the world as planned; where worlds were sampled, nobody
     looks for what would save them.
@@ -286,7 +150,9 @@ def build_explained_record(
         contributions=tuple(
             _contribution(problem, part, names) for part in find_contributions(problem, chosen)
         ),
-        not_avoided=tuple(_missed_run(entry, names) for entry in missed),
+        not_avoided=tuple(
+            replace(entry, unit=names.get(entry.unit, entry.unit)) for entry in missed
+        ),
         runs_without_weight=int((placement.nominal.table.axis.weight == 0.0).sum()),
         pool=None if pool is None else _pool(problem, candidates, pool),
     )
@@ -307,38 +173,12 @@ def _contribution(
     )
 
 
-def _missed_run(entry: Unavoided, names: Mapping[str, str]) -> MissedRunRecord:
-    return MissedRunRecord(
-        run=entry.run_id,
-        outcome=entry.outcome,
-        late_s=entry.late_s if math.isfinite(entry.late_s) else None,
-        frames_in_time=entry.n_frames,
-        frames_seen=entry.n_seen,
-        unit=names.get(entry.unit_id, entry.unit_id),
-        reasons=tuple(
-            MissedReasonRecord(cause=reason.cause, thing=reason.thing, frames=reason.n_frames)
-            for reason in entry.reasons
-        ),
-        rescue=None if entry.rescue is None else _rescue(entry.rescue),
-    )
-
-
-def _rescue(rescue: Rescue) -> RescueRecord:
-    return RescueRecord(
-        unit=rescue.pose_id,
-        site=rescue.site_id,
-        distance_m=rescue.distance_m,
-        margin_s=rescue.margin_s,
-    )
-
-
 def _pool(problem: PlacementProblem, candidates: Sequence[CandidatePose], pool: Pool) -> PoolRecord:
     ids = problem.table.pose_ids
     names = {
         int(site): candidate.site_id or candidate.id
         for site, candidate in zip(problem.limits.site_index, candidates, strict=True)
     }
-    frequent = np.argsort(-pool.pose_share, kind="stable")
     return PoolRecord(
         stage=cast(StageName, pool.stage),
         is_complete=pool.scope == "all",
@@ -351,53 +191,16 @@ def _pool(problem: PlacementProblem, candidates: Sequence[CandidatePose], pool: 
             )
             for entry in pool.sets
         ),
-        sites=tuple(
-            SiteShareRecord(site=names[site], share=float(pool.site_share[site]))
-            for site in sites_in_order(pool).tolist()
-        ),
-        poses=tuple(
-            PoseShareRecord(unit=ids[pose], share=float(pool.pose_share[pose]))
-            for pose in frequent.tolist()
-            if pool.pose_share[pose] > 0.0
-        ),
+        sites={names[site]: float(pool.site_share[site]) for site in _frequent(pool.site_share)},
+        poses={ids[pose]: float(pool.pose_share[pose]) for pose in _frequent(pool.pose_share)},
     )
 
 
-# ---------- sensitivity
-
-
-def build_sensitivity_record(found: Sequence[Sensitivity]) -> SensitivityRecord:
-    """What :func:`placement.explain.sensitivity.find_sensitivity` found of one layout."""
-    return SensitivityRecord(
-        planned=PlannedOutcomeRecord(**_outcome(found[0].planned)),
-        assumptions=tuple(
-            AssumptionRecord(
-                name=one.assumption.name,
-                planned_value=one.planned_value and finite_or_none(one.planned_value),
-                reason=one.assumption.reason,
-                is_ours=one.assumption.is_ours,
-                left_out=one.left_out,
-                varied=tuple(
-                    VariedAssumptionRecord(
-                        value=finite_or_none(varied.value),
-                        **_outcome(varied.outcome),
-                        lost_runs=tuple(varied.lost_runs),
-                        unmoved=tuple(varied.unmoved),
-                    )
-                    for varied in one.varied
-                ),
-            )
-            for one in found
-        ),
-    )
-
-
-def _outcome(outcome: Outcome) -> dict[str, float | None]:
-    return {
-        "apr": outcome.apr,
-        "apr_one_failed": outcome.apr_one_failed,
-        "smallest_margin_s": outcome.smallest_margin_s,
-    }
+def _frequent(share: FloatArray) -> list[int]:
+    """Indices of positive shares, the largest first."""
+    order = np.argsort(-share, kind="stable")
+    indices: list[int] = order[share[order] > 0.0].tolist()
+    return indices
 
 
 # ---------- private ground
@@ -406,7 +209,7 @@ def _outcome(outcome: Outcome) -> dict[str, float | None]:
 def build_private_ground_record(
     units: Sequence[CandidatePose], scene: Scene, ground: PrivateGround
 ) -> PrivateGroundRecord:
-    """What units see of private ground."""
+    """Shares of private ground that units see."""
     shares = private_shares(scene, units, ground)
     return PrivateGroundRecord(
         areas=tuple(

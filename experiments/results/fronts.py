@@ -1,7 +1,6 @@
-"""Parts of a result about other sizes and places: the front of layouts, and refinement."""
+"""Fronts and refinements as results have them."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict
 from typing import Annotated, Literal, cast
 
 import msgspec
@@ -9,15 +8,14 @@ import msgspec
 from placement.candidates import CandidatePose
 from placement.optimiser import PlacementProblem
 from placement.optimiser.front import Front, FrontPoint
+from placement.optimiser.presolve import PresolveStatistics
 from placement.pipeline import pick_layout
 from placement.refinement.poses import Move
 from placement.refinement.refine import Refinement
 
-from .drives import RefusalRecord
 from .record import (
-    BeforeAfter,
+    LayoutValueRecord,
     Record,
-    Share,
     StageName,
     StageRecord,
     StageValues,
@@ -28,15 +26,6 @@ from .record import (
 )
 
 
-class FrontPresolveRecord(Record, frozen=True, kw_only=True):
-    """Sizes of the problem."""
-
-    n_poses: Annotated[BeforeAfter, says("Poses.")]
-    n_frames: Annotated[BeforeAfter, says("Frames.")]
-    n_windows: Annotated[BeforeAfter, says("Windows of frames that confirm.")]
-    n_runs: Annotated[BeforeAfter, says("Runs.")]
-
-
 class RefusedSizeRecord(Record, frozen=True, kw_only=True):
     """A size with which the wishes cannot be met."""
 
@@ -44,23 +33,10 @@ class RefusedSizeRecord(Record, frozen=True, kw_only=True):
     reason: Annotated[str, says("Why, in words.")]
 
 
-class FrontPointRecord(Record, frozen=True, kw_only=True):
+class FrontPointRecord(LayoutValueRecord, frozen=True, kw_only=True):
     """The best layout of a size."""
 
     units: Annotated[int, says("Units allowed.", ge=0)]
-    apr: Annotated[Share, says("APR on the detection table.")]
-    apr_one_failed: Annotated[Share, says("APR if the unit that is needed most fails.")]
-    smallest_margin_s: Annotated[
-        float,
-        says("Smallest time to spare of the avoided runs, in seconds; 0 where there is none."),
-    ]
-    mean_margin_s: Annotated[
-        float,
-        says(
-            "Mean time to spare of the avoided runs by weight, in seconds; 0 where there is none."
-        ),
-    ]
-    cost_eur: Annotated[float, says("Units, and sites once, in EUR.")]
     is_proven: Annotated[bool, says("Whether the gaps of all stages are closed.")]
     stages: Annotated[tuple[StageRecord, ...], says("What was optimised, in order.")]
     solver: Annotated[str, says("What the proof rests on.")]
@@ -69,7 +45,7 @@ class FrontPointRecord(Record, frozen=True, kw_only=True):
 
 
 class FrontRecord(Record, frozen=True, kw_only=True):
-    """The best layout of each smaller size, and what each unit buys."""
+    """The best layout of each smaller size, and the gain of each unit."""
 
     by: Annotated[Literal["units", "cost"], says("What there is more and more of.")]
     optimised: Annotated[
@@ -79,13 +55,13 @@ class FrontRecord(Record, frozen=True, kw_only=True):
     candidates: Annotated[int, says("Candidate poses.", ge=0)]
     runs: Annotated[int, says("Runs on the detection table, in all sampled worlds together.", ge=0)]
     fusion: Annotated[Literal["any", "single"], says("As at the top.")]
-    kept: Annotated[int, says("Units that hang there already.", ge=0)]
+    kept: Annotated[int, says("Units that are mounted already.", ge=0)]
     settled: Annotated[
         float | None, says("Units, or EUR, from which on nothing grows; null: unknown.")
     ]
     is_proven: Annotated[bool, says("Whether every point is.")]
     presolve: Annotated[
-        FrontPresolveRecord | None, says("Once for all points; null: each was solved by itself.")
+        PresolveStatistics | None, says("Once for all points; null: each was solved by itself.")
     ]
     refused: Annotated[tuple[RefusedSizeRecord, ...], says("Sizes that cannot be.")]
     points: Annotated[tuple[FrontPointRecord, ...], says("In ascending order.")]
@@ -93,12 +69,12 @@ class FrontRecord(Record, frozen=True, kw_only=True):
 
 
 class MoveRecord(Record, frozen=True, kw_only=True):
-    """What became of a unit; changes are null where it is not at the same place."""
+    """Change of a unit by refinement; null where it is not at the same place."""
 
     was: Annotated[str | None, says("Id before; null: it is new.")]
     is_: Annotated[str | None, says("Id after; null: it is gone.")] = msgspec.field(name="is")
     is_same_place: Annotated[
-        bool, says("Whether the same sensor hangs at the same place, maybe higher or lower.")
+        bool, says("Whether the same sensor is at the same place, maybe higher or lower.")
     ]
     turn_deg: Annotated[float | None, says("Change of the yaw, in degrees, counter-clockwise.")]
     tilt_deg: Annotated[float | None, says("Change of the pitch, in degrees, up.")]
@@ -135,11 +111,10 @@ def build_front_record(
     candidates : sequence of CandidatePose
         Rows of the problem's table.
     sentences : sequence of str
-        What each unit, or more money, buys.
+        Of what each unit, or more money, buys.
     n_kept : int
-        Units that hang there already.
+        Units that are mounted already.
     """
-    presolve = front.presolve
     return FrontRecord(
         by=front.by,
         optimised=front.stages,
@@ -149,7 +124,7 @@ def build_front_record(
         kept=n_kept,
         settled=front.settled,
         is_proven=front.is_proven,
-        presolve=None if presolve is None else FrontPresolveRecord(**asdict(presolve)),
+        presolve=front.presolve,
         refused=tuple(RefusedSizeRecord(units=units, reason=why) for units, why in front.refused),
         points=tuple(_point(point, candidates) for point in front.points),
         sentences=tuple(sentences),
@@ -170,7 +145,7 @@ def _point(point: FrontPoint, candidates: Sequence[CandidatePose]) -> FrontPoint
 
 
 def build_refinement_record(refinement: Refinement) -> RefinementRecord:
-    """What the search between the poses of the grid changed."""
+    """Changes by the search between the poses of the grid."""
     return RefinementRecord(
         is_improved=refinement.is_improved,
         before=_stage_values(refinement.before),
@@ -199,22 +174,3 @@ def _move(move: Move) -> MoveRecord:
         lift_m=move.lift_m if is_same else None,
         zoom_deg=move.zoom_deg if is_same else None,
     )
-
-
-class FrontResult(FrontRecord, frozen=True, kw_only=True):
-    """What ``place-rsus pareto`` finds: ``pareto.json``, and what ``--json`` prints."""
-
-    command: str
-    cases: tuple[str, ...]
-    weathers: tuple[str, ...]
-    detector: str
-    vut_sensors: tuple[str, ...]
-    packet_loss: Share
-    vam_rate: Share
-    track_memory_s: float | None = None
-    not_driven: tuple[RefusalRecord, ...]
-    possible_runs: int
-    driven: tuple[str, ...]
-    without_effect: tuple[str, ...] = ()
-    seconds: dict[str, float]
-    versions: dict[str, str]

@@ -18,6 +18,7 @@ from placement.evaluation import (
     Evaluation,
 )
 from placement.explain.agreement import find_disagreements
+from placement.explain.sensitivity import Sensitivity
 from placement.optimiser import Failing, placement_value, run_margins_s
 from placement.pipeline import Placement
 from placement.setting import Setting
@@ -46,7 +47,6 @@ from .evaluations import (
 from .explanations import (
     ExplainedRecord,
     PrivateGroundRecord,
-    SensitivityRecord,
 )
 from .fronts import FrontRecord, RefinementRecord
 from .record import (
@@ -371,10 +371,9 @@ class Result(Record, frozen=True, kw_only=True):
     ] = ()
     sensitivity: (
         Annotated[
-            SensitivityRecord,
+            Sensitivity,
             says(
-                "What becomes of the layout if an assumption is wrong; missing where no folder is "
-                "written."
+                "Worth of the layout if an assumption is wrong; missing where no folder is written."
             ),
         ]
         | UnsetType

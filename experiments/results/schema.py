@@ -25,7 +25,7 @@ _HEAD = {
 def build_schema() -> dict[str, Any]:
     """Schema of ``summary.json``: types, limits and descriptions of :class:`Result`'s fields."""
     _, parts = msgspec.json.schema_components([Result], ref_template="#/$defs/{name}")
-    kinds = {kind.__name__: kind for kind in _kinds_of(Record)}
+    kinds = {kind.__name__: kind for kind in _kinds_in(Result)}
     described = {name: _tidy(_described(part, kinds[name])) for name, part in parts.items()}
     whole = described.pop(Result.__name__)
     return {**_HEAD, **whole, "$defs": {_def_name(name): part for name, part in described.items()}}
@@ -36,18 +36,51 @@ def schema_text() -> str:
     return json.dumps(build_schema(), indent=2, ensure_ascii=False) + "\n"
 
 
-def _kinds_of(kind: type[Record]) -> list[type[Record]]:
-    return [kind, *(below for child in kind.__subclasses__() for below in _kinds_of(child))]
+def _kinds_in(kind: type) -> set[type]:
+    """Records and dataclasses of which the fields of one are made, and itself."""
+    found: set[type] = set()
+    waiting: list[Any] = [msgspec.inspect.type_info(kind)]
+    while waiting:
+        info = waiting.pop()
+        if isinstance(info, msgspec.inspect.StructType | msgspec.inspect.DataclassType):
+            if info.cls in found:
+                continue
+            found.add(info.cls)
+        for name in getattr(info, "__struct_fields__", ()):
+            value = getattr(info, name)
+            values = value if isinstance(value, tuple) else (value,)
+            waiting += [part for part in values if isinstance(part, msgspec.Struct)]
+    return found
 
 
-def _described(part: dict[str, Any], kind: type[Record]) -> dict[str, Any]:
-    """Schema of a kind of record with its own rules, and with what its fields say of themselves."""
+def _described(part: dict[str, Any], kind: type) -> dict[str, Any]:
+    """Schema of a kind of value with its own rules and the descriptions of its fields."""
     properties = dict(part["properties"])
+    attributes = _attributes(kind)
     for field in msgspec.inspect.type_info(kind).fields:  # type: ignore[attr-defined]
-        extra = getattr(field.type, "extra", None) or {}
-        said = {key: extra[key] for key in ("description",) if key in extra}
-        properties[field.encode_name] = said | properties[field.encode_name]
-    return {**part, **kind.schema_rules, "properties": properties}
+        said = (getattr(field.type, "extra", None) or {}).get("description")
+        said = said or attributes.get(field.name)
+        described = {} if said is None else {"description": said}
+        properties[field.encode_name] = described | properties[field.encode_name]
+    rules = getattr(kind, "schema_rules", {})
+    summary = (inspect.getdoc(kind) or "").split("\n\n")[0]
+    tidy = {} if issubclass(kind, Record) else {"description": summary}
+    closed = {"additionalProperties": False}
+    return {**part, **tidy, **closed, **rules, "properties": properties}
+
+
+def _attributes(kind: type) -> dict[str, str]:
+    """Descriptions of fields by the Attributes section of a docstring."""
+    lines = (inspect.getdoc(kind) or "").partition("Attributes\n----------\n")[2].splitlines()
+    found: dict[str, list[str]] = {}
+    names: list[str] = []
+    for line in lines:
+        if line and not line.startswith(" "):
+            names = [name.strip() for name in line.split(" : ")[0].split(",")]
+        else:
+            for name in names:
+                found.setdefault(name, []).append(line)
+    return {name: "\n".join(text) for name, text in found.items()}
 
 
 def _def_name(kind: str) -> str:
@@ -67,16 +100,13 @@ def _tidy(node: Any) -> Any:
             tidy[key] = "#/$defs/" + _def_name(value.rsplit("/", 1)[1])
         elif key == "description" and isinstance(value, str):
             tidy[key] = " ".join(inspect.cleandoc(value).split())
-        elif key == "title" and value in _TITLES_LEFT_OUT:
-            continue
+        elif key == "title" and isinstance(value, str) and value.isidentifier():
+            continue  # the name of a type
         elif key == "enum" and len(value) == 1:
             tidy["const"] = value[0]
         else:
             tidy[key] = _tidy(value)
     return tidy
-
-
-_TITLES_LEFT_OUT = {kind.__name__ for kind in _kinds_of(Record)}
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Which demands contradict each other, and how little has to give way.
+"""Conflicts: demands that contradict each other, and the least by which one must give way.
 
 The smallest conflict is found by implicit hitting sets: demands that cannot all be met have to hit
 the complement of every set that can. The smallest set that hits all complements known so far is
@@ -57,8 +57,8 @@ def find_conflicts(
 ) -> tuple[Conflict, ...]:
     """Why no set of poses meets limits and floors.
 
-    With `keeps_forced`, forced poses are no demand but a fact, such as units that hang there
-    already. `time_limit_s` is for all questions together, presolve is finished in any case. Up to
+    With `keeps_forced`, forced poses are no demand but a fact, such as units that are
+    mounted already. `time_limit_s` is for all questions together; presolve always ends. Up to
     `max_sets` sets are gone through one by one, more of them by models.
 
     A smallest conflict comes first, then a smallest one among the remaining demands, and so on: no
@@ -208,7 +208,7 @@ def build_separation(
 
 
 class _Words:
-    """Demands as a user has written them."""
+    """Demands by the fields of a question, in backticks."""
 
     def __init__(
         self, problem: PlacementProblem, wishes: Wishes, candidates: Sequence[CandidatePose]
@@ -236,7 +236,7 @@ class _Words:
         if kind == "floor":
             assert demand.floor is not None
             floor = self.problem.floors[demand.floor]
-            is_max = floor.name == "target" and self.wishes.target == np.inf
+            is_max = _field(floor.name) == "target" and self.wishes.target == np.inf
             return _inserted(floor.name, "max" if is_max else f"{floor.share:g}")
         if kind == "forbidden":
             return f"`forbid_site` {self._sites_of(np.flatnonzero(limits.is_forbidden).tolist())}"
@@ -252,7 +252,7 @@ class _Words:
             "capacity": self.wishes.site_capacity,
             "separation": self.wishes.separation_m,
         }[kind]
-        return f"{_OPTIONS[kind]} {number:g}{self._failing if kind == 'survive' else ''}"
+        return f"{_FIELDS[kind]} {number:g}{self._failing if kind == 'survive' else ''}"
 
     def _way_out(self, relaxation: Relaxation) -> str:
         demand, value = relaxation.demand, relaxation.value
@@ -276,19 +276,19 @@ class _Words:
             text = f"`separation_m` {np.floor(value * 100.0) / 100.0:g}"
         else:
             failing = self._failing if demand.kind == "survive" else ""
-            text = f"{_OPTIONS[demand.kind]} {value:g}{failing}"
+            text = f"{_FIELDS[demand.kind]} {value:g}{failing}"
         if not relaxation.suffices:
             text += " (not enough by itself)"
         return text if relaxation.is_least else f"{text} (perhaps less will do)"
 
     @property
     def _failing(self) -> str:
-        """What stands behind the number of failures."""
+        """Suffix of the number of failures."""
         return " sites" if self.problem.limits.failing == "site" else ""
 
     @property
     def _n_kept(self) -> int:
-        """Units that are kept aside from the budget."""
+        """Existing units, which the budget does not count."""
         return int(self.problem.limits.is_forced.sum())
 
     def _sites_of(self, poses: Sequence[int]) -> str:
@@ -296,7 +296,7 @@ class _Words:
         return _few([self.site_ids[site] for site in sites])
 
 
-_OPTIONS = {
+_FIELDS = {
     "survive": "`survive`",
     "budget_units": "`budget`",
     "budget_eur": "`budget_cost`",
@@ -306,9 +306,13 @@ _OPTIONS = {
 
 
 def _inserted(name: str, number: str) -> str:
-    """A number after the first word of a name: "`min_case_apr` 0.8 in CPNA-25"."""
-    option, _, rest = name.partition(" ")
-    return f"`{option}` {number} {rest}".rstrip()
+    """A number after the field that a name begins with: "`min_case_apr` 0.8 in CPNA-25"."""
+    return f"`{_field(name)}` {number} {name.partition(' ')[2]}".rstrip()
+
+
+def _field(name: str) -> str:
+    """Field of a question that the name of a floor begins with."""
+    return name.partition(" ")[0].strip("-`").replace("-", "_")
 
 
 def _few(names: Sequence[str]) -> str:

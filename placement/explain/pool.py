@@ -356,7 +356,7 @@ def find_pool(
     or a number cannot be.
     """
     if n_sets < 1:
-        raise InputError("--pool", n_sets, "a number of layouts, at least 1")
+        raise InputError("pool", n_sets, "a number of layouts, at least 1")
     if not is_feasible(problem, pose_index):
         raise InputError("pose_index", list(pose_index), "a set that meets limits and floors")
     reduced = presolve_undominated(problem)
@@ -407,10 +407,3 @@ def _build_pool(
         pose_share=pose_share,
         site_share=listed.site_count / listed.n_within,
     )
-
-
-def sites_in_order(pool: Pool) -> IntArray:
-    """Sites of the problem's limits that carry a unit in some set, the most frequent one first."""
-    order = np.argsort(-pool.site_share, kind="stable")
-    used: IntArray = order[pool.site_share[order] > 0.0]
-    return used

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from importlib.resources import files
 from itertools import chain
@@ -133,16 +133,32 @@ class Watched:
     fusion: Fusion = "any"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Worth:
+    """Value of a layout.
+
+    Attributes
+    ----------
+    apr : float, optional
+        Accident prevention ratio; where messages are lost by chance, its expectation. None: no run
+        has weight.
+    apr_one_failed : float, optional
+        APR if the unit that is needed most fails; 0 for a single unit.
+    smallest_margin_s : float, optional
+        Smallest time to spare of the avoided runs with weight, in seconds; None where there is
+        none, or where messages are lost by chance.
+    """
+
+    apr: float | None
+    apr_one_failed: float | None
+    smallest_margin_s: float | None
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Outcome:
-    """The value of a layout."""
+    """Value of a layout, and the runs that it avoids."""
 
-    # accident prevention ratio; where messages are lost by chance, its expectation. 0 .. 1
-    apr: float
-    apr_one_failed: float  # the same when the most needed unit fails; 0 for a single unit. 0 .. 1
-    # least time to spare in the runs that are avoided and have weight; None where there is none, or
-    # where messages are lost by chance. [s]
-    smallest_margin_s: float | None
+    worth: Worth
     # (n_runs,): probability that each run is avoided: 0 or 1 unless messages are lost by chance
     avoided_share: FloatArray
 
@@ -174,12 +190,12 @@ def find_outcome(watched: Watched) -> Outcome:
     ]
     counts = is_avoided & (axis.weight > 0.0)
     margin = axis.last_brake_time_s[counts] - onset[counts]
-    return Outcome(
+    worth = Worth(
         apr=apr,
         apr_one_failed=0.0 if len(watched.units) == 1 else min([apr, *shares]),
         smallest_margin_s=float(margin.min()) if counts.any() else None,
-        avoided_share=is_avoided.astype(np.float64),
     )
+    return Outcome(worth=worth, avoided_share=is_avoided.astype(np.float64))
 
 
 def find_expected_outcome(watched: Watched, *, packet_loss: float) -> Outcome:
@@ -214,14 +230,14 @@ def find_expected_outcome(watched: Watched, *, packet_loss: float) -> Outcome:
         left = (1.0 - other.prod(axis=0) for other in others)
     weight = axis.weight / axis.weight.sum()
     apr = float(avoided @ weight)
-    return Outcome(
+    worth = Worth(
         apr=apr,
         apr_one_failed=0.0
         if len(watched.units) == 1
         else min([apr, *(float(share @ weight) for share in left)]),
         smallest_margin_s=None,
-        avoided_share=avoided,
     )
+    return Outcome(worth=worth, avoided_share=avoided)
 
 
 def _latencies_s(watched: Watched) -> FloatArray:
@@ -274,42 +290,71 @@ _MOUNTING = ("yaw_deg", "pitch_deg", "height_m", "position_m")
 _DETECTOR = ("min_box_height_share", "min_iou")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Varied:
-    """A value that an assumption may have instead, and its consequences."""
-
-    value: float  # in the unit of the assumption's name
-    outcome: Outcome  # of the layout
-    # ids of the runs that the layout avoids as planned, and now no longer; where messages are lost
-    # by chance, with a probability below ``SURE``
-    lost_runs: tuple[str, ...]
-    # ids of units that had to stay where they are, since the new place is inside something
-    unmoved: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Sensitivity:
-    """How much depends on one assumption.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Varied(Worth):
+    """A value that an assumption may have instead, and the layout's worth with it.
 
     Attributes
     ----------
-    assumption : Assumption
-        What is varied, and why to these values.
-    planned_value : float or None
-        What the plan assumes, 0 for errors of mounting; None where the question does not arise.
-    planned : Outcome
-        The layout as planned: the same for all assumptions.
-    varied : tuple of Varied
-        By ascending values; empty if left out.
-    left_out : str
-        Why it was not varied; empty if it was.
+    value : float, optional
+        In the unit of the assumption's name; None: infinite, for ever.
+    apr, apr_one_failed, smallest_margin_s : float, optional
+        See :class:`Worth`; a time in seconds.
+    lost_runs : tuple of str
+        Runs that are avoided as planned, and then no longer; where messages are lost by chance,
+        with a probability below ``SURE``.
+    unmoved : tuple of str
+        Ids of units that stayed where they are: there they would be inside something.
     """
 
-    assumption: Assumption
+    value: float | None
+    lost_runs: tuple[str, ...]
+    unmoved: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VariedAssumption:
+    """Effect of one assumption.
+
+    Attributes
+    ----------
+    name : str
+        Which; its ending states the unit.
+    planned_value : float, optional
+        Value of the plan, 0 for errors of mounting; None where the question does not arise, and
+        where it is infinite: tracks that live for ever.
+    reason : str
+        Why it is varied so far.
+    is_ours : bool
+        Whether that is an assumption of this project, not a source.
+    left_out : str
+        Why it was not varied; empty if it was.
+    varied : tuple of Varied
+        By ascending value; empty if left out.
+    """
+
+    name: str
     planned_value: float | None
-    planned: Outcome
+    reason: str
+    is_ours: bool
+    left_out: str
     varied: tuple[Varied, ...]
-    left_out: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sensitivity:
+    """Worth of a layout if an assumption is wrong: one at a time.
+
+    Attributes
+    ----------
+    planned : Worth
+        As planned.
+    assumptions : tuple of VariedAssumption
+        One for each assumption.
+    """
+
+    planned: Worth
+    assumptions: tuple[VariedAssumption, ...]
 
 
 def find_sensitivity(
@@ -319,13 +364,13 @@ def find_sensitivity(
     fusion: Fusion = "any",
     assumptions: Sequence[Assumption] | None = None,
     compute: Compute = DEFAULT_COMPUTE,
-) -> tuple[Sensitivity, ...]:
-    """How much what a layout achieves depends on each assumption (``data/sensitivity.toml``).
+) -> Sensitivity:
+    """Sensitivity of a layout to each assumption (``data/sensitivity.toml``).
 
     All is judged by the detection table's rules. Latency, confirmations, losses and braking leave
     the detected frames as they are; only frames under another detector or from other poses are
     detected anew. Mounting errors are common to all units: each is turned, lifted or moved alike,
-    which hits a layout harder than independent errors would. Progress is told from how many poses
+    which hits a layout harder than independent errors would. Progress counts the poses from which
     the scene was looked at.
     """
     assumptions = load_assumptions() if assumptions is None else assumptions
@@ -374,27 +419,34 @@ def find_sensitivity(
         found = outcome(name, value)
         moved = zip(units, looks[name, value], strict=True) if name in _MOUNTING else ()
         return Varied(
-            value=value,
-            outcome=found,
+            **asdict(found.worth),
+            value=_finite(value),
             lost_runs=tuple(setting.axis.run_ids[run] for run in runs_lost(planned, found)),
             unmoved=tuple(unit.id for unit, (new, _) in moved if new is unit),
         )
 
-    def sensitivity(one: Assumption) -> Sensitivity:
+    def vary_all(one: Assumption) -> VariedAssumption:
         left_out = ""
         if not values[one.name]:
             left_out = "the plan has no such limit, or no other value"
         elif is_large and one.name in (*_MOUNTING, *_DETECTOR):
             left_out = f"not looked at for layouts of more than {MAX_LOOKED_FROM} units"
-        return Sensitivity(
-            assumption=one,
-            planned_value=_planned_value(one.name, setting),
-            planned=planned,
-            varied=() if left_out else tuple(vary(one.name, value) for value in values[one.name]),
+        return VariedAssumption(
+            name=one.name,
+            planned_value=_finite(_planned_value(one.name, setting)),
+            reason=one.reason,
+            is_ours=one.is_ours,
             left_out=left_out,
+            varied=() if left_out else tuple(vary(one.name, value) for value in values[one.name]),
         )
 
-    return tuple(sensitivity(one) for one in assumptions)
+    return Sensitivity(
+        planned=planned.worth, assumptions=tuple(vary_all(one) for one in assumptions)
+    )
+
+
+def _finite(value: float | None) -> float | None:
+    return None if value is None or math.isinf(value) else value
 
 
 # ---------- values, poses and detectors that are not the plan's

@@ -44,7 +44,7 @@ class Look:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reason:
-    """Why the road user is not detected in some frames.
+    """Reason why the road user is not detected in some frames.
 
     Attributes
     ----------
@@ -54,19 +54,19 @@ class Reason:
         small, or too few points; "otherwise": none of these, but the table has no detection.
     thing : str
         What hides it, by name: most of the blocked rays end there. Empty for all other causes.
-    n_frames : int
+    frames : int
         In how many frames.
     """
 
     cause: Cause
     thing: str
-    n_frames: int
+    frames: int
 
 
 def find_reasons(
     setting: Setting, looks: Sequence[Look], *, compute: Compute = DEFAULT_COMPUTE
 ) -> list[tuple[Reason, ...]]:
-    """Why units do not detect road users: reasons of each look, the most frequent one first."""
+    """Reasons of each look why its unit does not detect, the most frequent one first."""
     if not looks:
         return []
     run_index = list(dict.fromkeys(look.run_index for look in looks))
@@ -87,8 +87,8 @@ def find_reasons(
         for number, part in zip(mine, parts, strict=True):
             tally = Counter(causes[frame] for frame in part)
             reasons[number] = tuple(
-                Reason(cause=cause, thing=thing, n_frames=n_frames)
-                for (cause, thing), n_frames in tally.most_common()
+                Reason(cause=cause, thing=thing, frames=frames)
+                for (cause, thing), frames in tally.most_common()
             )
     return reasons
 
@@ -230,65 +230,62 @@ Outcome = Literal["hopeless", "never seen", "never confirmed", "lost again", "to
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rescue:
-    """A further unit that would save a run.
+    """Nearest candidate that would save a run as a further unit.
 
     Attributes
     ----------
-    pose_index : int
-        Row of the table.
-    pose_id, site_id : str
-        Its names.
+    unit : str
+        Name of the candidate pose.
+    site : str
+        Its site.
     distance_m : float
-        From the nearest chosen unit; 0 at the same mount. [m]
+        From the nearest unit, in metres; 0: at the same mount.
     margin_s : float
-        Time to spare that it leaves. [s]
+        Time to spare that it leaves, in seconds.
     """
 
-    pose_index: int
-    pose_id: str
-    site_id: str
+    unit: str
+    site: str
     distance_m: float
     margin_s: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Unavoided:
-    """A run with weight that a set of poses does not avoid.
+    """A run with weight that is not avoided in the world as planned, on the detection table.
 
     Attributes
     ----------
-    run_index : int
-        Which run.
-    run_id : str
-        Its name.
-    outcome : {"hopeless", "never seen", "never confirmed", "lost again", "too late"}
-        "hopeless": no frame comes early enough for any unit. Otherwise what the chosen units do;
-        "lost again": they confirm early enough, but the track is not alive at the last moment, and
-        none is confirmed after it.
-    late_s : float
-        By how much braking sets in too late; infinite if it never does, also where the track was
-        lost again. [s]
-    n_frames : int
+    run : str
+        Name of the run, as in runs.parquet.
+    outcome : str
+        "hopeless": no frame comes early enough, whoever looks; else the units' achievement. "lost
+        again": they confirm early enough, but the track is not alive at the last moment, and none
+        is confirmed after it.
+    late_s : float, optional
+        By how much braking sets in too late, in seconds; None: never, also where the track was
+        lost again.
+    frames_in_time : int
         Frames from which braking in time could follow.
-    n_seen : int
-        Of these, those in which a chosen unit detects the road user.
-    unit_id : str
-        The chosen unit nearest to the road user in the last of these frames, preferably among those
-        that have it in view in one of them. Empty if hopeless.
+    frames_seen : int
+        Of these, those in which a unit detects the road user.
+    unit : str
+        Id of the unit nearest to the road user in the last of these frames, preferably among those
+        that have it in view in one of them; empty if hopeless.
     reasons : tuple of Reason
         Why that unit does not detect the road user in some of these frames, the most frequent one
         first.
-    rescue : Rescue or None
-        The nearest candidate that would save the run, as a further unit.
+    rescue : Rescue, optional
+        Nearest candidate that would save the run as a further unit; None: none, or nobody looked,
+        as where worlds are sampled.
     """
 
-    run_index: int
-    run_id: str
+    run: str
     outcome: Outcome
-    late_s: float
-    n_frames: int
-    n_seen: int
-    unit_id: str
+    late_s: float | None
+    frames_in_time: int
+    frames_seen: int
+    unit: str
     reasons: tuple[Reason, ...]
     rescue: Rescue | None
 
@@ -339,7 +336,7 @@ def _find_unavoided(
     chosen: list[int],
     compute: Compute,
 ) -> tuple[Unavoided, ...]:
-    """The same, found anew."""
+    """Runs that are not avoided, without the cache."""
     axis = problem.table.axis
     is_missed = run_margins_s(problem, chosen) == -np.inf
     misses = [
@@ -354,13 +351,12 @@ def _find_unavoided(
         has_hope = miss.look is not None
         unavoided.append(
             Unavoided(
-                run_index=miss.run,
-                run_id=axis.run_ids[miss.run],
+                run=axis.run_ids[miss.run],
                 outcome=miss.outcome,
-                late_s=miss.late_s,
-                n_frames=int(miss.counts.sum()),
-                n_seen=int((miss.counts & miss.seen).sum()),
-                unit_id="" if miss.look is None else miss.look.unit.id,
+                late_s=miss.late_s if np.isfinite(miss.late_s) else None,
+                frames_in_time=int(miss.counts.sum()),
+                frames_seen=int((miss.counts & miss.seen).sum()),
+                unit="" if miss.look is None else miss.look.unit.id,
                 reasons=next(reasons) if has_hope else (),
                 rescue=_nearest_rescue(problem, candidates, chosen, joining, miss.run)
                 if has_hope
@@ -485,9 +481,8 @@ def _nearest_rescue(
     best = helping[np.lexsort((confirmed_s[helping], distance_m[helping]))[0]]
     pose = int(poses[best])
     return Rescue(
-        pose_index=pose,
-        pose_id=candidates[pose].id,
-        site_id=candidates[pose].site_id,
+        unit=candidates[pose].id,
+        site=candidates[pose].site_id,
         distance_m=float(distance_m[best]),
         margin_s=float(last_brake_s - confirmed_s[best] - rule.latency_s),
     )

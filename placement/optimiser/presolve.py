@@ -46,10 +46,19 @@ _MANY_ROWS = 1 << 12  # so many are worth threads
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PresolveStatistics:
-    """Sizes before and after."""
+    """Sizes of the problem before and after presolve.
 
-    # Before, after. Windows count once per run before, once if they need the same frames after;
-    # runs are left out if nothing avoids them or they have no weight.
+    Attributes
+    ----------
+    n_poses, n_frames : tuple of (int, int)
+        Poses, and frames: before, after.
+    n_windows : tuple of (int, int)
+        Windows of frames that confirm: once per run before, once if they need the same frames
+        after.
+    n_runs : tuple of (int, int)
+        Runs: left out if nothing avoids them or they have no weight.
+    """
+
     n_poses: tuple[int, int]
     n_frames: tuple[int, int]
     n_windows: tuple[int, int]

@@ -39,7 +39,7 @@ EXCEPTIONS = {
     "experiments/city/run.py": {"write_dataframe"},
     "experiments/figures/film.py": {"savefig"},
     "experiments/jobs/sheet.py": {"savefig"},
-    "experiments/report/section.py": {"open"},
+    "experiments/parts/section.py": {"open"},
     "experiments/planner/tasks.py": {"ZipFile", "read_text"},
     "experiments/planner/server.py": {"open", "read_bytes", "read_text"},
     "placement/sampling/moving/child.py": {"read_text", "savez"},

@@ -18,10 +18,8 @@ from small_tables import avoiding_problem
 
 from experiments import main
 from experiments.cli.pareto import front_text, pareto
-from experiments.figures.front import plot_front
-from experiments.jobs.pareto import describe_front, front_table
+from experiments.parts.front import FrontResult, describe_front, front_table, plot_front
 from experiments.results.drives import build_drives_record
-from experiments.results.fronts import FrontResult
 from placement.layout import layout_from_records
 from placement.optimiser.cost_front import cost_front
 from placement.optimiser.front import pareto_front, tightened
@@ -171,6 +169,16 @@ def unit_poses(camera):
     return lambda name: CandidatePose(id=f"p{name}", site_id="", pose=pose, sensor=camera)
 
 
+@pytest.fixture
+def drawn(unit_poses):
+    """Draws a front of a problem."""
+
+    def draw(front, problem):
+        return plot_front(describe_front(front, problem, candidates_of(problem, unit_poses)))
+
+    return draw
+
+
 def test_the_text_says_what_is_not_proven(loosened_front, unit_poses, small_study):
     problem = avoiding_problem(["1100", "0110", "0011"])
     summary = FrontResult(
@@ -186,14 +194,14 @@ def test_the_text_says_what_is_not_proven(loosened_front, unit_poses, small_stud
     assert rows[4][-4:] == ["left", "<=", "75.00", "%"]
     assert summary.is_proven is False
     assert max(map(len, text.splitlines())) <= 80
-    table = front_table(loosened_front, candidates_of(problem, unit_poses))
+    table = front_table(summary)
     assert table["apr_one_failed_bound"].tolist() == [0.0, 0.75]
     assert table["mean_margin_s_bound"].isna().all()
     assert table["poses"].tolist() == ["p0", "p0 p2"]
 
 
-def test_open_bounds_are_drawn_apart_and_kinds_differ_by_more_than_colour(loosened_front):
-    axes = plot_front(loosened_front)
+def test_open_bounds_are_drawn_apart_and_kinds_differ_by_more_than_colour(loosened_front, drawn):
+    axes = drawn(loosened_front, avoiding_problem(["1100", "0110", "0011"]))
     lines = {line.get_gid(): line for line in axes.get_lines() if line.get_gid()}
     assert lines["apr"].get_ydata().tolist() == [50.0, 100.0]
     assert lines["apr_one_failed"].get_ydata().tolist() == [0.0, 50.0]
@@ -205,27 +213,27 @@ def test_open_bounds_are_drawn_apart_and_kinds_differ_by_more_than_colour(loosen
     assert not [patch for patch in axes.patches if patch.get_gid() == "settled"]
 
 
-def test_where_nothing_grows_the_ground_is_grey():
+def test_where_nothing_grows_the_ground_is_grey(drawn):
     problem = avoiding_problem(["11", "11", "10"])
     front = pareto_front(problem, max_units=4)
-    axes = plot_front(front)
+    axes = drawn(front, problem)
     (shade,) = (patch for patch in axes.patches if patch.get_gid() == "settled")
     assert shade.get_x() == front.settled == 2.0
     assert shade.get_x() + shade.get_width() == pytest.approx(axes.get_xlim()[1])
 
 
-def test_times_to_spare_have_axes_of_their_own_where_they_were_optimised():
+def test_times_to_spare_have_axes_of_their_own_where_they_were_optimised(drawn):
     problem = avoiding_problem(["11", "10"])
-    axes = plot_front(pareto_front(problem, max_units=2, stages="all"))
+    axes = drawn(pareto_front(problem, max_units=2, stages="all"), problem)
     upper, lower = axes.figure.axes
     assert axes is upper
     assert "runs" in upper.get_ylabel()
     assert lower.get_ylabel() == "time to spare (s)"
 
 
-def test_costs_are_drawn_as_steps_to_the_right_edge():
+def test_costs_are_drawn_as_steps_to_the_right_edge(drawn):
     problem = avoiding_problem(["1100", "0011"], price_eur=[1000.0, 2000.0])
-    axes = plot_front(cost_front(problem))
+    axes = drawn(cost_front(problem), problem)
     steps = [line for line in axes.get_lines() if line.get_drawstyle() == "steps-post"]
     assert steps[0].get_xdata().tolist() == [1000.0, 3000.0, axes.get_xlim()[1]]
     assert steps[0].get_ydata().tolist() == [50.0, 100.0, 100.0]

@@ -11,9 +11,8 @@ import pytest
 
 from experiments import main
 from experiments.cli.retrofit import retrofit, retrofit_text
-from experiments.jobs.retrofit import describe_retrofit
+from experiments.parts.retrofit import RetrofitResult, describe_retrofit
 from experiments.results.record import to_plain
-from experiments.results.retrofits import RetrofitResult, build_labour_record
 from placement.layout import layout_from_records
 from placement.retrofit import load_labour
 
@@ -152,6 +151,7 @@ def change(words, *, better=True, gained=(), lost=(), price_eur=500.0, proven=Tr
         "apr_one_failed": 0.8,
         "smallest_margin_s": 0.1,
         "mean_margin_s": 1.234,
+        "cost_eur": 0.0,
         "gained": list(gained),
         "lost": list(lost),
         "is_better": better,
@@ -180,10 +180,10 @@ def summary_of(**changes):
             "apr_one_failed": 0.8,
             "smallest_margin_s": 0.1,
             "mean_margin_s": 1.0,
+            "cost_eur": 0.0,
         },
         "budget_eur": 3000.0,
-        "labour": to_plain(build_labour_record(load_labour()))
-        | {"re_aim_eur": 500.0, "source": "a test"},
+        "labour": to_plain(load_labour()) | {"people": 0.0, "lift_eur": 500.0, "source": "a test"},
         "removals": [change(["remove B"], better=False, lost=["r1"])] * 2,
         "re_aims": [change(["re-aim A to yaw 0, pitch -15"], gained=["r1", "r2"], lost=["r3"])],
         "addition": change(["add N1 at mast-e"], price_eur=1500.0, gained=["r4"]),
@@ -197,6 +197,7 @@ def summary_of(**changes):
         "vut_sensors": [],
         "packet_loss": 0.0,
         "vam_rate": 0.0,
+        "track_memory_s": None,
         "not_driven": [],
         "possible_runs": 1,
         "driven": [],

@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 from partial_pages import render_section, tables_of
 
+from experiments.parts.section import Box
 from experiments.report.positions import position_table, positions_section
-from experiments.report.section import Box
 from placement.evaluation import Evaluation, Verdict
 from placement.layout import Layout, load_carlancap_layout
 

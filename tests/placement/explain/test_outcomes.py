@@ -47,12 +47,12 @@ def test_the_outcome_is_what_the_optimiser_says(problem, fusion, seed):
     problem = replace(problem, fusion=fusion, sample_index=None, tail=1.0)
     value = placement_value(problem, chosen)
     outcome = find_outcome(watched_of(problem, chosen, fusion))
-    assert outcome.apr == pytest.approx(value.apr)
-    assert outcome.apr_one_failed == pytest.approx(value.apr_one_failed)
-    if outcome.smallest_margin_s is None:
+    assert outcome.worth.apr == pytest.approx(value.apr)
+    assert outcome.worth.apr_one_failed == pytest.approx(value.apr_one_failed)
+    if outcome.worth.smallest_margin_s is None:
         assert value.apr == 0.0
     else:
-        assert outcome.smallest_margin_s == pytest.approx(value.smallest_margin_s)
+        assert outcome.worth.smallest_margin_s == pytest.approx(value.smallest_margin_s)
 
 
 def expected_by_hand(watched, packet_loss):
@@ -99,7 +99,7 @@ def test_expected_shares_are_those_of_all_ways_to_lose_messages(
     outcome = find_expected_outcome(watched, packet_loss=packet_loss)
     by_hand = expected_by_hand(watched, packet_loss)
     assert outcome.avoided_share == pytest.approx(by_hand)
-    assert outcome.apr == pytest.approx(by_hand @ watched.axis.weight)
+    assert outcome.worth.apr == pytest.approx(by_hand @ watched.axis.weight)
     alone = [
         expected_by_hand(
             replace(watched, units=(watched.units[kept],), detected=watched.detected[[kept]]),
@@ -108,8 +108,8 @@ def test_expected_shares_are_those_of_all_ways_to_lose_messages(
         for kept in (0, 1)
     ]
     left = min(share @ watched.axis.weight for share in alone)
-    assert outcome.apr_one_failed == pytest.approx(left)
-    assert outcome.smallest_margin_s is None
+    assert outcome.worth.apr_one_failed == pytest.approx(left)
+    assert outcome.worth.smallest_margin_s is None
 
 
 @given(
@@ -156,14 +156,14 @@ def test_expected_shares_of_tracks_that_are_lost_are_those_of_all_ways(
 def test_a_unit_keeps_its_own_latency(few_frames):
     late = replace(few_frames, rule=replace(few_frames.rule, latency_s=9.0))
     alone = replace(late, units=late.units[1:], detected=late.detected[1:])
-    assert find_outcome(few_frames).apr == pytest.approx(0.75)
-    assert find_outcome(late).apr == find_outcome(alone).apr == pytest.approx(0.25)
+    assert find_outcome(few_frames).worth.apr == pytest.approx(0.75)
+    assert find_outcome(late).worth.apr == find_outcome(alone).worth.apr == pytest.approx(0.25)
 
 
 def test_a_single_unit_leaves_nothing_and_lost_runs_are_named(few_frames):
     alone = replace(few_frames, units=few_frames.units[:1], detected=few_frames.detected[:1])
-    assert find_outcome(alone).apr_one_failed == 0.0
-    assert find_expected_outcome(alone, packet_loss=0.5).apr_one_failed == 0.0
+    assert find_outcome(alone).worth.apr_one_failed == 0.0
+    assert find_expected_outcome(alone, packet_loss=0.5).worth.apr_one_failed == 0.0
     planned = find_outcome(few_frames)
     assert runs_lost(planned, planned) == []
     sure = np.flatnonzero(planned.avoided_share == 1.0).tolist()

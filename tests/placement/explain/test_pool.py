@@ -11,7 +11,6 @@ from problems import problems, questions
 from geometry.errors import InputError
 from placement.explain import find_pool
 from placement.explain.feasible_sets import presolve_undominated
-from placement.explain.pool import sites_in_order
 from placement.optimiser import (
     PlacementProblem,
     apr_failed,
@@ -83,9 +82,6 @@ def check_complete(problem, n_sets):
         at_site = set(np.flatnonzero(problem.limits.site_index == site).tolist())
         share = sum(not at_site.isdisjoint(poses) for poses in expected) / len(expected)
         assert pool.site_share[site] == pytest.approx(share)
-    shares = pool.site_share[sites_in_order(pool)]
-    assert (np.diff(shares) <= 0.0).all()
-    assert len(shares) == (pool.site_share > 0.0).sum()
 
 
 @given(problem=questions(), data=st.data())
@@ -145,7 +141,7 @@ def test_a_poor_start_is_left_behind(problem, data):
 @settings(max_examples=5)
 def test_what_cannot_be_asked_is_said(problem):
     poses = solve_placement(problem).pose_index
-    with pytest.raises(InputError, match=r"--pool: got 0; expected a number of layouts"):
+    with pytest.raises(InputError, match=r"pool: got 0; expected a number of layouts"):
         find_pool(problem, poses, n_sets=0)
     with pytest.raises(InputError, match=r"pose_index: got \[0, 0\]; expected a set that meets"):
         find_pool(problem, [0, 0])

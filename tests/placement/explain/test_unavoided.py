@@ -82,7 +82,7 @@ def unit(
 
 def reasons_of(setting, candidate, run_index=0):
     looks = [Look(unit=candidate, run_index=run_index, frame_index=np.arange(N_FRAMES))]
-    return [(r.cause, r.thing, r.n_frames) for r in find_reasons(setting, looks)[0]]
+    return [(r.cause, r.thing, r.frames) for r in find_reasons(setting, looks)[0]]
 
 
 def is_detected(setting, candidate):
@@ -184,13 +184,15 @@ def test_the_unit_that_looks_there_is_asked_before_one_that_is_nearer():
     )
     problem = problem_of(setting, candidates, table.detected(slice(None)))
     (missed,) = find_unavoided(setting, problem, candidates, [0, 1])
-    assert (missed.outcome, missed.unit_id, missed.n_seen) == ("never seen", "far", 0)
+    assert (missed.outcome, missed.unit, missed.frames_seen) == ("never seen", "far", 0)
     assert [(r.cause, r.thing) for r in missed.reasons] == [("hidden", "wall-a")]
-    assert missed.n_frames == missed.reasons[0].n_frames == 14  # until 0.525 s before the impact
+    assert (
+        missed.frames_in_time == missed.reasons[0].frames == 14
+    )  # until 0.525 s before the impact
     (missed,) = find_unavoided(setting, problem, candidates, [0])
-    assert (missed.unit_id, missed.reasons[0].cause) == ("near", "out of view")
+    assert (missed.unit, missed.reasons[0].cause) == ("near", "out of view")
     assert missed.rescue is not None
-    assert missed.rescue.pose_id == "helper" or not table.detected([2]).any()
+    assert missed.rescue.unit == "helper" or not table.detected([2]).any()
 
 
 @st.composite
@@ -236,14 +238,16 @@ def test_outcome_and_rescue_match_brute_force(given_):
             "placement.explain.unavoided.find_reasons",
             lambda setting, looks, compute: [()] * len(looks),
         )
+        run_ids = problem.table.axis.run_ids
         found = {
-            entry.run_index: entry for entry in find_unavoided(setting, problem, candidates, chosen)
+            run_ids.index(entry.run): entry
+            for entry in find_unavoided(setting, problem, candidates, chosen)
         }
     margin = run_margins_s(problem, chosen)
     has_weight = problem.table.axis.weight > 0.0
     assert sorted(found) == np.flatnonzero((margin == -np.inf) & has_weight).tolist()
     for run, entry in found.items():
-        check_outcome(problem, chosen, entry)
+        check_outcome(problem, chosen, run, entry)
         helping = {
             pose: run_margins_s(problem, [*chosen, pose])[run]
             for pose in range(len(candidates))
@@ -262,20 +266,21 @@ def test_outcome_and_rescue_match_brute_force(given_):
         }
         nearest = min(away.values())
         assert entry.rescue.distance_m == pytest.approx(nearest)
-        assert entry.rescue.pose_index in helping
+        helper = problem.table.pose_ids.index(entry.rescue.unit)
+        assert helper in helping
         best = max(helping[pose] for pose in helping if away[pose] == pytest.approx(nearest))
         assert entry.rescue.margin_s == pytest.approx(best)
-        assert entry.rescue.margin_s == pytest.approx(helping[entry.rescue.pose_index])
+        assert entry.rescue.margin_s == pytest.approx(helping[helper])
 
 
-def check_outcome(problem, chosen, entry):
+def check_outcome(problem, chosen, run, entry):
     axis, rule = problem.table.axis, problem.rule
-    frames = axis.frames_of(entry.run_index)
-    time_s, last_s = axis.time_s[frames], axis.last_brake_time_s[entry.run_index]
+    frames = axis.frames_of(run)
+    time_s, last_s = axis.time_s[frames], axis.last_brake_time_s[run]
     counts = time_s + rule.latency_s <= last_s + 1e-9
     seen = problem.table.detected(chosen)[:, frames]
-    assert entry.n_frames == counts.sum()
-    assert entry.n_seen == (seen.any(axis=0) & counts).sum()
+    assert entry.frames_in_time == counts.sum()
+    assert entry.frames_seen == (seen.any(axis=0) & counts).sum()
     together = [seen.any(axis=0)] if problem.fusion == "any" else list(seen)
     n = rule.n_confirmations
     confirmed = [
@@ -288,7 +293,7 @@ def check_outcome(problem, chosen, entry):
     if counts.sum() < n:
         assert entry.outcome == "hopeless"
         assert entry.rescue is None
-        assert entry.unit_id == ""
+        assert entry.unit == ""
     elif not seen.any():
         assert entry.outcome == "never seen"
     elif not confirmed:
@@ -301,7 +306,7 @@ def check_outcome(problem, chosen, entry):
     if late and np.isfinite(last_s):
         assert entry.late_s == pytest.approx(min(late) + rule.latency_s - last_s)
     else:
-        assert entry.late_s == np.inf
+        assert entry.late_s is None
 
 
 def may_join(limits, chosen, pose):
@@ -342,8 +347,7 @@ def test_each_look_gets_its_own_reasons():
         Look(unit=low, run_index=1, frame_index=np.array([], dtype=np.int64)),
     ]
     found = [
-        [(r.cause, r.thing, r.n_frames) for r in reasons]
-        for reasons in find_reasons(setting, looks)
+        [(r.cause, r.thing, r.frames) for r in reasons] for reasons in find_reasons(setting, looks)
     ]
     assert found == [
         [("out of view", "", 2)],

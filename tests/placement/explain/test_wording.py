@@ -130,7 +130,7 @@ TOO_MUCH = "got more than any layout gives; expected"
         ),
     ],
 )
-def test_conflicts_are_told_in_the_options_own_words(refusal_of, wishes, text):
+def test_conflicts_are_told_by_the_fields_of_the_question(refusal_of, wishes, text):
     assert str(refusal_of(**wishes)) == text
 
 

@@ -1,9 +1,9 @@
-"""``place-rsus retrofit``: find the best change of every kind, with its price."""
+"""Retrofit of mounted units: the best change of every kind, with its price and effect."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from msgspec.structs import asdict as fields_of
 from msgspec.structs import replace as replace_fields
@@ -28,22 +28,69 @@ from placement.retrofit import (
 from ..export.json import to_json_text
 from ..progress import WRITING, StageProgress
 from ..results.csv_text import csv_text
-from ..results.drives import build_drives_record, versions
+from ..results.drives import DrivesRecord, build_drives_record, versions
 from ..results.folders import check_folder, write_files
-from ..results.numbers import euros, percent
-from ..results.record import build_stage_records, build_unit_records
-from ..results.retrofits import (
-    ActionRecord,
-    ChangeRecord,
-    RetrofitResult,
-    RetrofitValueRecord,
-    build_labour_record,
+from ..results.numbers import count_runs, euros, percent
+from ..results.record import (
+    LayoutValueRecord,
+    Record,
+    StageRecord,
+    UnitRecord,
+    build_stage_records,
+    build_unit_records,
 )
 
 if TYPE_CHECKING:
     import pandas as pd
 
-# ---------- what can be done about a layout that hangs, in sentences
+# ---------- the value
+
+
+class ActionRecord(Record, frozen=True, kw_only=True):
+    """An action on one unit."""
+
+    action: Literal["remove", "re-aim", "add"]
+    unit: str
+    words: str
+
+
+class ChangeRecord(LayoutValueRecord, frozen=True, kw_only=True):
+    """A change, its price, its gains and losses, and what is mounted afterwards and its value."""
+
+    actions: tuple[ActionRecord, ...]
+    price_eur: float
+    gained: tuple[str, ...]
+    lost: tuple[str, ...]
+    is_better: bool
+    is_proven: bool
+    compared: int
+    stages: tuple[StageRecord, ...]
+    solver: str | None
+    layout: tuple[UnitRecord, ...]
+
+
+class RetrofitResult(DrivesRecord, frozen=True, kw_only=True):
+    """Possible changes of a layout: ``retrofit.json``, and what ``--json`` prints."""
+
+    name: str
+    layout: tuple[UnitRecord, ...]
+    before: LayoutValueRecord
+    candidates: int
+    removals: tuple[ChangeRecord, ...]
+    re_aims: tuple[ChangeRecord, ...]
+    addition: ChangeRecord | None
+    combination: ChangeRecord | None
+    runs: int
+    fusion: str
+    budget_eur: float | None
+    labour: Labour
+    command: str
+    sentences: tuple[str, ...]
+    seconds: dict[str, float]
+    versions: dict[str, str]
+
+
+# ---------- in sentences
 
 
 _MAX_RUNS = 8
@@ -75,7 +122,7 @@ def _lost(runs: Sequence[str]) -> str:
     if not runs:
         return "no run is lost"
     verb = "is" if len(runs) == 1 else "are"
-    return f"{_runs(runs)} {verb} lost ({_ids(runs)})"
+    return f"{count_runs(len(runs))} {verb} lost ({_ids(runs)})"
 
 
 def _re_aim(best: ChangeRecord) -> str:
@@ -116,9 +163,9 @@ def _all_words(change: ChangeRecord) -> str:
 def _effect(change: ChangeRecord) -> str:
     parts = []
     if change.gained:
-        parts.append(f"gains {_runs(change.gained)} ({_ids(change.gained)})")
+        parts.append(f"gains {count_runs(len(change.gained))} ({_ids(change.gained)})")
     if change.lost:
-        parts.append(f"loses {_runs(change.lost)} ({_ids(change.lost)})")
+        parts.append(f"loses {count_runs(len(change.lost))} ({_ids(change.lost)})")
     if not parts:
         parts.append("avoids the same runs")
     return (
@@ -134,16 +181,12 @@ def _proof(change: ChangeRecord) -> str:
     return " Not proven in the time given."
 
 
-def _runs(runs: Sequence[str]) -> str:
-    return "1 run" if len(runs) == 1 else f"{len(runs)} runs"
-
-
 def _ids(runs: Sequence[str]) -> str:
     shown = ", ".join(runs[:_MAX_RUNS])
     return shown if len(runs) <= _MAX_RUNS else f"{shown} and {len(runs) - _MAX_RUNS} more"
 
 
-# ---------- what ``place-rsus retrofit`` does: the best change of every kind, priced
+# ---------- the job, and the table
 
 
 CSV_NAME, JSON_NAME = "retrofit.csv", "retrofit.json"
@@ -164,11 +207,9 @@ def run_retrofit(
     Parameters
     ----------
     question : Question
-        What is driven.
-    question : Question
-        What may be added, the money for all together, and how it is looked for.
+        What is driven, what may be added, the money for all together, and how long to search.
     layout : Layout
-        What hangs.
+        What is mounted.
     visit_eur : float, optional
         Of a re-aim or a removal; by default by :func:`placement.retrofit.load_labour`. [EUR]
     out : Path, optional
@@ -178,12 +219,12 @@ def run_retrofit(
     command : str
         Command line that makes the result again.
     progress : StageProgress
-        Is told the stages.
+        Gets the stages.
 
     Raises
     ------
     InputError
-        A unit hangs inside something, a word is unknown, or `out` cannot be written.
+        A unit is inside something, a word is unknown, or `out` cannot be written.
     """
     scene = load_scene(question.scene)
     if out is not None:
@@ -216,7 +257,7 @@ def run_retrofit(
     result = RetrofitResult(
         name=layout.name,
         layout=build_unit_records(layout, scene),
-        before=RetrofitValueRecord(**_values(retrofit.before)),
+        before=LayoutValueRecord(**retrofit.before._asdict()),
         candidates=len(poses.candidates),
         removals=tuple(record(change) for change in retrofit.removals),
         re_aims=tuple(record(change) for change in retrofit.re_aims),
@@ -225,7 +266,7 @@ def run_retrofit(
         runs=setting.axis.n_runs,
         fusion=question.fusion,
         budget_eur=question.budget_cost,
-        labour=build_labour_record(labour),
+        labour=labour,
         command=command,
         **fields_of(build_drives_record(setting)),
         sentences=(),
@@ -253,9 +294,9 @@ def retrofit_table(result: RetrofitResult) -> "pd.DataFrame":
     table : DataFrame
         Columns kind, change, price_eur, apr, apr_one_failed, smallest_margin_s, mean_margin_s,
         gained, lost (run ids with spaces between), is_better, is_proven. The first row is what
-        hangs.
+        is mounted.
     """
-    before = fields_of(result.before)
+    before = {name: value for name, value in fields_of(result.before).items() if name != "cost_eur"}
     changes = [
         *(("remove", change) for change in result.removals),
         *(("re-aim", change) for change in result.re_aims),
@@ -282,7 +323,7 @@ def retrofit_table(result: RetrofitResult) -> "pd.DataFrame":
 
 
 def _at_price(visit_eur: float) -> Labour:
-    """A visit that costs what the user says."""
+    """Labour at the user's price."""
     return Labour(
         people=0.0,
         wage_eur_per_h=0.0,
@@ -292,10 +333,6 @@ def _at_price(visit_eur: float) -> Labour:
         remove_h=0.0,
         source="--visit-cost",
     )
-
-
-def _values(value: PlacementValue) -> dict[str, float]:
-    return {name: number for name, number in value._asdict().items() if name != "cost_eur"}
 
 
 def _change_record(change: Change, before: PlacementValue, poses: RetrofitPoses) -> ChangeRecord:
@@ -322,7 +359,7 @@ def _change_record(change: Change, before: PlacementValue, poses: RetrofitPoses)
     return ChangeRecord(
         actions=tuple(actions),
         price_eur=change.price_eur,
-        **_values(change.value),
+        **change.value._asdict(),
         gained=tuple(change.gained),
         lost=tuple(change.lost),
         is_better=is_improved,
@@ -335,7 +372,7 @@ def _change_record(change: Change, before: PlacementValue, poses: RetrofitPoses)
 
 
 def _names(change: Change, poses: RetrofitPoses) -> list[str]:
-    """Names of what is new in a change: re-aimed units keep theirs, new ones are numbered."""
+    """Names of the poses that come: re-aimed units keep theirs, new ones are numbered."""
     taken = {candidate.id for candidate in poses.candidates[: poses.n_units]}
     names: list[str] = []
     number = 0
@@ -352,7 +389,7 @@ def _names(change: Change, poses: RetrofitPoses) -> list[str]:
 
 
 def _named(change: Change, poses: RetrofitPoses) -> tuple[CandidatePose, ...]:
-    """What hangs after a change, under names of its own."""
+    """Units after a change, under names of its own."""
     names = dict(zip(change.added, _names(change, poses), strict=True))
     return tuple(
         replace(poses.candidates[row], id=names.get(row, poses.candidates[row].id))

@@ -5,15 +5,10 @@ from collections.abc import Mapping, Sequence
 
 from msgspec import UnsetType
 
+from placement.explain import Reason, Unavoided
 from placement.optimiser.objectives import Objective
 
-from ..results.explanations import (
-    ContributionRecord,
-    ExplainedRecord,
-    MissedReasonRecord,
-    MissedRunRecord,
-    PoolRecord,
-)
+from ..results.explanations import ContributionRecord, ExplainedRecord, PoolRecord
 from ..results.numbers import NOTHING, count_runs, number, percent
 from .section import Block, Section, Table
 
@@ -84,7 +79,7 @@ def missed_counts(explained: ExplainedRecord, *, with_outcomes: bool = True) -> 
     return sentences
 
 
-def _outcomes(missed: Sequence[MissedRunRecord]) -> str:
+def _outcomes(missed: Sequence[Unavoided]) -> str:
     counts = Counter(entry.outcome for entry in missed)
     if len(counts) == 1:
         words = OUTCOMES[missed[0].outcome]
@@ -92,7 +87,7 @@ def _outcomes(missed: Sequence[MissedRunRecord]) -> str:
     return ", ".join(f"{count} {OUTCOMES[outcome]}" for outcome, count in counts.most_common())
 
 
-def _causes_and_remedies(missed: Sequence[MissedRunRecord]) -> list[str]:
+def _causes_and_remedies(missed: Sequence[Unavoided]) -> list[str]:
     sentences = []
     causes = Counter(cause(entry.reasons[0]) for entry in missed if entry.reasons)
     if causes:
@@ -112,7 +107,7 @@ def _causes_and_remedies(missed: Sequence[MissedRunRecord]) -> list[str]:
     return sentences
 
 
-def cause(reason: MissedReasonRecord) -> str:
+def cause(reason: Reason) -> str:
     """Why a unit does not detect the road user, in words."""
     if reason.cause == "hidden":
         return f"hidden by {reason.thing}"
@@ -136,7 +131,7 @@ def pool_sentences(explained: ExplainedRecord) -> list[str]:
     sentences = [f"All choices were gone through: {count_layouts(within)} with {worth}."]
     if within > len(pool.sets):
         sentences.append(_listed(len(pool.sets)))
-    always = [site.site for site in pool.sites if site.share == 1.0]
+    always = [site for site, share in pool.sites.items() if share == 1.0]
     if always and within > 1:
         sentences.append(f"Each of them has a unit at {', '.join(always)}.")
     return sentences
@@ -213,14 +208,14 @@ def missed_table(explained: ExplainedRecord) -> Table:
     )
 
 
-def _outcome(entry: MissedRunRecord) -> str:
+def _outcome(entry: Unavoided) -> str:
     words: str = OUTCOMES[entry.outcome]
     if entry.outcome != "too late":
         return words
     return f"{words}, by {number(entry.late_s)} s"
 
 
-def _why(entry: MissedRunRecord) -> str:
+def _why(entry: Unavoided) -> str:
     if entry.outcome == "hopeless":
         return "the road user is there too late for any confirmation in time"
     reasons = "; ".join(
@@ -230,7 +225,7 @@ def _why(entry: MissedRunRecord) -> str:
     return f"for {entry.unit}: {reasons}" if reasons else "seen, but with gaps"
 
 
-def _rescue(entry: MissedRunRecord) -> str:
+def _rescue(entry: Unavoided) -> str:
     rescue = entry.rescue
     if rescue is None:
         return NOTHING
@@ -274,7 +269,7 @@ def site_table(pool: PoolRecord) -> Table:
     return Table(
         caption=f"How often each site carries a unit, of {whole}{count_layouts(pool.within)}",
         columns=["site", "share of the layouts"],
-        rows=[[site.site, percent(site.share)] for site in pool.sites],
+        rows=[[site, percent(share)] for site, share in pool.sites.items()],
         numeric=[1],
     )
 
@@ -283,7 +278,7 @@ def site_table(pool: PoolRecord) -> Table:
 
 
 def explanation_sections(
-    explained: ExplainedRecord | UnsetType, labels: Mapping[str, str]
+    explained: ExplainedRecord | UnsetType | None, labels: Mapping[str, str]
 ) -> list[Section]:
     """Why these poses, what they miss, what else would do; none where nothing was optimised.
 
@@ -308,7 +303,7 @@ def explanation_sections(
     if explained.not_avoided:
         missed += [
             missed_table(explained),
-            "Told of the unit nearest to the road user that looks there, for the frames from which "
+            "Reasons of the unit nearest to the road user that looks there, in frames from which "
             "braking in time could follow. “Hidden by” names what most of the blocked rays meet "
             "first; without it the road user would be detected. A further unit is one of the "
             "candidate poses, mounted beside these; its price is not asked for.",

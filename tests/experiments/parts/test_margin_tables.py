@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from partial_pages import pictures_of, render_section, tables_of
 from strategies import frame_axes
 
-from experiments.report.margins import (
+from experiments.parts.margins import (
     margin_m,
     margin_notes,
     margin_sentences,

@@ -1,16 +1,14 @@
 import json
-import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import msgspec
-import numpy as np
 import pytest
 from msgspec import UNSET
 from partial_pages import pictures_of, render_section, tables_of
 
 from experiments.export.json import to_json_text
 from experiments.figures.axes import to_png
-from experiments.report.sensitivity import (
+from experiments.parts.sensitivity import (
     TITLES,
     phrase,
     plot_sensitivity,
@@ -19,37 +17,35 @@ from experiments.report.sensitivity import (
     sensitivity_table,
     value_text,
 )
-from experiments.results.explanations import SensitivityRecord, build_sensitivity_record
 from experiments.results.record import to_plain
 from geometry.errors import InputError
-from placement.explain.sensitivity import RANGES, Assumption, Outcome, Sensitivity, Varied
+from placement.explain.sensitivity import RANGES, Sensitivity, Varied, VariedAssumption, Worth
 
 
-def summarise(*given, **options):
-    return build_sensitivity_record(*given, **options)
+def summarise(assumptions):
+    return Sensitivity(planned=PLANNED, assumptions=tuple(assumptions))
 
 
 def outcome(apr, margin_s, one_failed=0.5):
-    return Outcome(
-        apr=apr, apr_one_failed=one_failed, smallest_margin_s=margin_s, avoided_share=np.ones(2)
-    )
+    return Worth(apr=apr, apr_one_failed=one_failed, smallest_margin_s=margin_s)
 
 
 PLANNED = outcome(0.9, 0.5)
 
 
 def sensitivity(name, *varied, planned_value=0.0, left_out=""):
-    return Sensitivity(
-        assumption=Assumption(name=name, values=(1.0,), reason="<so> it is", is_ours=True),
+    return VariedAssumption(
+        name=name,
+        reason="<so> it is",
+        is_ours=True,
         planned_value=planned_value,
-        planned=PLANNED,
         varied=varied,
         left_out=left_out,
     )
 
 
 def varied(value, found, *lost, unmoved=()):
-    return Varied(value=value, outcome=found, lost_runs=lost, unmoved=unmoved)
+    return Varied(**asdict(found), value=value, lost_runs=lost, unmoved=unmoved)
 
 
 @pytest.fixture
@@ -90,7 +86,7 @@ def test_tracks_that_are_never_lost_are_told_in_words():
             sensitivity(
                 "track_memory_s",
                 varied(0.5, outcome(0.7, 0.5), "A/north/20"),
-                varied(math.inf, outcome(0.95, 0.5)),
+                varied(None, outcome(0.95, 0.5)),
                 planned_value=1.0,
             ),
         ]
@@ -102,11 +98,11 @@ def test_tracks_that_are_never_lost_are_told_in_words():
         ["1 s", "for ever", "95.0 %"],
     ]
     endless = summarise(
-        [sensitivity("track_memory_s", varied(1.0, outcome(0.7, 0.5)), planned_value=math.inf)]
+        [sensitivity("track_memory_s", varied(1.0, outcome(0.7, 0.5)), planned_value=None)]
     )
     assert sensitivity_table(endless).rows[1][1:3] == ["for ever", "1 s"]
     plain = json.loads(to_json_text(found))  # as a result holds it
-    (again,) = msgspec.convert(plain, SensitivityRecord).assumptions
+    (again,) = msgspec.convert(plain, Sensitivity).assumptions
     assert [value.value for value in again.varied] == [0.5, None]
 
 
@@ -198,14 +194,8 @@ def test_the_section_shows_all_and_escapes_names(summary):
 
 def test_where_nothing_is_avoided_the_figures_still_stand():
     nothing = replace(PLANNED, apr=0.0, smallest_margin_s=None)
-    summary = summarise(
-        [
-            replace(
-                sensitivity("yaw_deg", varied(2.0, nothing), varied(4.0, outcome(0.1, 0.2))),
-                planned=nothing,
-            )
-        ]
-    )
+    yaw = sensitivity("yaw_deg", varied(2.0, nothing), varied(4.0, outcome(0.1, 0.2)))
+    summary = replace(summarise([yaw]), planned=nothing)
     page = sensitivity_section(summary)
     assert len(pictures_of(page)) == 2
     assert tables_of(page)[0].rows[0][5] == "\N{EN DASH}"

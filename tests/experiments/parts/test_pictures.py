@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from experiments.figures.axes import new_axes, to_png
-from experiments.report.section import MAX_TRUE_COLOUR_BYTES, build_picture, with_palette
+from experiments.parts.section import MAX_TRUE_COLOUR_BYTES, build_picture, with_palette
 
 
 def test_a_picture_is_the_whole_figure_whether_asked_by_it_or_by_its_axes():

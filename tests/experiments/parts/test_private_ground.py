@@ -7,7 +7,7 @@ import pytest
 from shapely import box
 from small_results import assemble_without_runs
 
-from experiments.report.private_ground import (
+from experiments.parts.private_ground import (
     private_ground_sentence,
 )
 from experiments.results.explanations import build_private_ground_record

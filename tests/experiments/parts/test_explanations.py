@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from experiments.cli.explanations import explanation_text
-from experiments.report.explanation import (
+from experiments.parts.explanation import (
     missed_table,
     pool_sentences,
 )
@@ -54,18 +54,19 @@ def test_the_summary_says_what_the_library_found(summary, placement, small_setti
         assert record["marginal_apr"] == part.marginal_apr
         assert record["without"] == part.without._asdict()
     missed = find_unavoided(small_setting, problem, candidates, chosen)
-    assert [record["run"] for record in summary["not_avoided"]] == [e.run_id for e in missed]
+    assert [record["run"] for record in summary["not_avoided"]] == [e.run for e in missed]
     pool = find_pool(problem, chosen, n_sets=4)
     record = summary["pool"]
     assert record["is_complete"] == (pool.scope == "all")
     assert record["within"] == pool.n_within
     assert record["sets"][0]["units"] == [ids[pose] for pose in pool.sets[0].pose_index]
     assert [entry["apr"] for entry in record["sets"]] == [e.value.apr for e in pool.sets]
-    shares = [entry["share"] for entry in record["poses"]]
+    shares = list(record["poses"].values())
     assert sorted(shares, reverse=True) == shares
     assert sum(shares) == pytest.approx(pool.pose_share.sum())
-    by_site = {entry["site"]: entry["share"] for entry in record["sites"]}
+    by_site = record["sites"]
     assert set(by_site) <= {candidate.site_id for candidate in candidates}
+    assert sorted(by_site.values(), reverse=True) == list(by_site.values())
     assert max(by_site.values()) == pytest.approx(pool.site_share.max())
 
 

@@ -5,7 +5,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from experiments.figures.axes import to_png
-from experiments.report.margins import MAX_COLUMNS, plot_margin_strip, plot_margins
+from experiments.parts.margins import MAX_COLUMNS, plot_margin_strip, plot_margins
 from placement.evaluation import Verdict
 
 

@@ -2,7 +2,7 @@ import msgspec
 from msgspec import UNSET
 from partial_pages import render_section, tables_of
 
-from experiments.report.private_ground import MAX_AREAS, MAX_UNITS, private_ground_section
+from experiments.parts.private_ground import MAX_AREAS, MAX_UNITS, private_ground_section
 from experiments.results.explanations import PrivateGroundRecord
 
 

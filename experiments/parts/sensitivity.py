@@ -6,14 +6,9 @@ from matplotlib.axes import Axes
 from msgspec import UnsetType
 
 from geometry.errors import InputError
+from placement.explain.sensitivity import Sensitivity, Varied, VariedAssumption, Worth
 
 from ..figures.axes import BLUE, VERMILION, WIDTH_IN, finish_axes, new_axes
-from ..results.explanations import (
-    AssumptionRecord,
-    PlannedOutcomeRecord,
-    SensitivityRecord,
-    VariedAssumptionRecord,
-)
 from ..results.numbers import NOTHING, count_runs, number, or_nan, percent
 from .section import Block, Section, Table, build_picture
 
@@ -106,7 +101,7 @@ _ROOM = 0.22  # for the values beside the bars, of the span
 
 
 def plot_sensitivity(
-    found: SensitivityRecord, *, quantity: str = "apr", axes: Axes | None = None
+    found: Sensitivity, *, quantity: str = "apr", axes: Axes | None = None
 ) -> Axes:
     """A bar for each assumption, from the worst to the best that its values lead to.
 
@@ -138,7 +133,7 @@ def plot_sensitivity(
     return axes
 
 
-def _ends(one: AssumptionRecord, quantity: str, scale: float) -> list[tuple[float, str]]:
+def _ends(one: VariedAssumption, quantity: str, scale: float) -> list[tuple[float, str]]:
     """The worst and the best of an assumption's values, with what they are; none if unknown."""
     found = []
     for value in _worst_and_best(one, quantity):
@@ -148,7 +143,7 @@ def _ends(one: AssumptionRecord, quantity: str, scale: float) -> list[tuple[floa
     return found
 
 
-def _worst_and_best(one: AssumptionRecord, quantity: str) -> list[VariedAssumptionRecord]:
+def _worst_and_best(one: VariedAssumption, quantity: str) -> list[Varied]:
     """The values that lead to the least and to the most; none where that is not known."""
     of = attrgetter(quantity)
     known = [value for value in one.varied if of(value) is not None]
@@ -217,8 +212,8 @@ _MAX_NAMED = 3
 _SAME = 1.0e-9
 
 
-def sensitivity_sentences(found: SensitivityRecord) -> list[str]:
-    """What the layout's worth hangs on, in sentences."""
+def sensitivity_sentences(found: Sensitivity) -> list[str]:
+    """Sentences on the assumptions that the layout's worth depends on."""
     planned = found.planned
     varied = [one for one in found.assumptions if one.varied]
     if not varied:
@@ -260,7 +255,7 @@ def sensitivity_sentences(found: SensitivityRecord) -> list[str]:
     return sentences
 
 
-def _tightest(found: SensitivityRecord) -> tuple[VariedAssumptionRecord, AssumptionRecord] | None:
+def _tightest(found: Sensitivity) -> tuple[Varied, VariedAssumption] | None:
     """The value, and its assumption, with the least time to spare; None if none has less."""
     planned = found.planned.smallest_margin_s
     pairs = [
@@ -275,7 +270,7 @@ def _tightest(found: SensitivityRecord) -> tuple[VariedAssumptionRecord, Assumpt
     return (value, one) if or_nan(value.smallest_margin_s) < planned - _SAME else None
 
 
-def sensitivity_table(found: SensitivityRecord) -> Table:
+def sensitivity_table(found: Sensitivity) -> Table:
     """A row for the plan, and one for every value of every assumption."""
     rows = [["all as planned", NOTHING, NOTHING, *_worth(found.planned, False), NOTHING]]
     for one in found.assumptions:
@@ -310,12 +305,12 @@ def sensitivity_table(found: SensitivityRecord) -> Table:
     )
 
 
-def _worth(value: PlannedOutcomeRecord | VariedAssumptionRecord, is_chance: bool) -> list[str]:
+def _worth(value: Worth, is_chance: bool) -> list[str]:
     margin = "by chance" if is_chance else number(value.smallest_margin_s)
     return [percent(value.apr), percent(value.apr_one_failed), margin]
 
 
-def reason_rows(found: SensitivityRecord) -> list[list[str]]:
+def reason_rows(found: Sensitivity) -> list[list[str]]:
     """Why each assumption is varied so far: name, reason, and who says so."""
     return [
         [_title(one), one.reason, "our assumption" if one.is_ours else "source"]
@@ -323,8 +318,8 @@ def reason_rows(found: SensitivityRecord) -> list[list[str]]:
     ]
 
 
-def sensitivity_section(found: SensitivityRecord | UnsetType) -> Section | None:
-    """What becomes of the layout if an assumption is wrong; None where nothing was varied."""
+def sensitivity_section(found: Sensitivity | UnsetType | None) -> Section | None:
+    """The layout if an assumption is wrong; None where nothing was varied."""
     if not found:
         return None
     blocks: list[Block] = [" ".join(sensitivity_sentences(found))]
@@ -376,7 +371,7 @@ def _margin_note(quantity: str) -> str:
     return " A star: runs are lost there, which no longer count, so that the rest looks better."
 
 
-def _alt(found: SensitivityRecord, quantity: str, words: str) -> str:
+def _alt(found: Sensitivity, quantity: str, words: str) -> str:
     def show(value: float | None) -> str:
         return percent(value) if quantity == "apr" else f"{number(value)} s"
 
@@ -391,7 +386,7 @@ def _alt(found: SensitivityRecord, quantity: str, words: str) -> str:
     return f"Bars of the {words}, {shown} as planned. " + "; ".join(parts) + "."
 
 
-def _title(one: AssumptionRecord) -> str:
+def _title(one: VariedAssumption) -> str:
     return TITLES[one.name]
 
 
@@ -399,8 +394,8 @@ def _count(n: int) -> str:
     return "one" if n == 1 else str(n)
 
 
-def lost_runs_rows(found: SensitivityRecord) -> list[list[str]]:
-    """Which runs each value loses: a row for each that loses any, for the details of the report."""
+def lost_runs_rows(found: Sensitivity) -> list[list[str]]:
+    """Runs that each value loses: a row for each value that loses any."""
     return [
         [
             phrase(one.name, value.value),

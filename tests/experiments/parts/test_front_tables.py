@@ -10,13 +10,12 @@ from partial_pages import bullets_of, render_section, tables_of
 from small_tables import avoiding_problem
 
 from experiments.export.json import to_json_text
-from experiments.figures.front import plot_front
-from experiments.jobs.pareto import describe_front
-from experiments.report.front import (
+from experiments.parts.front import (
+    describe_front,
     front_rows,
     front_section,
+    plot_front,
     proof_sentences,
-    read_front,
 )
 from experiments.results.fronts import FrontRecord
 from experiments.results.record import to_plain
@@ -66,14 +65,12 @@ def test_any_number_of_points_is_shown_with_its_proof(n_units, candidates):
 
 def test_a_front_survives_its_plain_object(candidates):
     problem, front = front_of(3)
-    back = read_front(record_of(describe_front(front, problem, candidates)))
-    assert [point.value for point in back.points] == [point.value for point in front.points]
-    assert [point.certificate for point in back.points] == [
-        point.certificate for point in front.points
-    ]
-    assert (back.by, back.stages, back.settled) == (front.by, front.stages, front.settled)
+    record = describe_front(front, problem, candidates)
+    back = record_of(record)
+    assert back == record
     drawn, again = (
-        [line.get_ydata().tolist() for line in plot_front(one).get_lines()] for one in (front, back)
+        [line.get_ydata().tolist() for line in plot_front(one).get_lines()]
+        for one in (record, back)
     )
     assert drawn == again
 
@@ -91,29 +88,34 @@ def loosened(front, index, stage_index, bound):
 def test_what_is_open_is_said_and_never_called_proven(candidates):
     problem, front = front_of(2)
     half = loosened(front, 1, 0, 0.875)
-    assert proof_sentences(half)[0].startswith("1 of 2 points are proven")
-    assert [row[-1] for row in front_rows(half)] == ["proven", "open: APR no more than 87.50 %"]
-    none = loosened(half, 0, 4, 10.0)
+    record = describe_front(half, problem, candidates)
+    assert proof_sentences(record)[0].startswith("1 of 2 points are proven")
+    assert [row[-1] for row in front_rows(record)] == ["proven", "open: APR no more than 87.50 %"]
+    none = describe_front(loosened(half, 0, 4, 10.0), problem, candidates)
     assert proof_sentences(none)[0].startswith("None of the 2 points is proven")
     assert front_rows(none)[0][-1] == "open: cost (EUR) no less than 10.000"
     unknown = loosened(front, 1, 1, math.inf)
     part = front_section(record_of(describe_front(unknown, problem, candidates)))
     table, _ = tables_of(part)
     assert table.rows[1][-1].startswith("open: nothing is proven of the APR if")
-    _, single = front_of(1)
-    assert proof_sentences(loosened(single, 0, 0, 1.0))[0].startswith("Not proven")
+    problem, single = front_of(1)
+    unproven = describe_front(loosened(single, 0, 0, 1.0), problem, candidates)
+    assert proof_sentences(unproven)[0].startswith("Not proven")
 
 
-def test_a_settled_front_says_from_where_on():
-    front = pareto_front(avoiding_problem(["11", "11", "10"]), max_units=4)
+def test_a_settled_front_says_from_where_on(candidates):
+    problem = avoiding_problem(["11", "11", "10"])
+    front = describe_front(pareto_front(problem, max_units=4), problem, candidates)
     assert "from 2 units on nothing grows" in proof_sentences(front)[-1]
 
 
 def test_given_axes_get_the_shares_alone(candidates):
-    _, front = front_of(2)
+    problem, found = front_of(2)
+    front = describe_front(found, problem, candidates)
     axes = plot_front(front)
     assert len(axes.figure.axes) == 2
-    other = plot_front(pareto_front(avoiding_problem(["11"]), max_units=1))
+    problem = avoiding_problem(["11"])
+    other = plot_front(describe_front(pareto_front(problem, max_units=1), problem, candidates))
     other.clear()
     assert plot_front(front, axes=other) is other
     assert len(other.figure.axes) == 1

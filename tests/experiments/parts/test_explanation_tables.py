@@ -6,7 +6,7 @@ from msgspec import UNSET
 from partial_pages import render_section
 
 from experiments.cli.explanations import explanation_text
-from experiments.report.explanation import (
+from experiments.parts.explanation import (
     contribution_sentences,
     contribution_table,
     explanation_sections,
@@ -84,8 +84,8 @@ POOL = {
             "cost_eur": 3000.0,
         }
     ],
-    "sites": [{"site": "pole", "share": 1.0}, {"site": "mast", "share": 0.25}],
-    "poses": [],
+    "sites": {"pole": 1.0, "mast": 0.25},
+    "poses": {},
 }
 
 

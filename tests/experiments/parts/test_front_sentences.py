@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 from small_tables import avoiding_problem
 
-from experiments.report.front import describe_money, describe_units
+from experiments.parts.front import describe_money, describe_units
 from placement.layout import Certificate, Stage, relative_gap
 from placement.optimiser import PlacementValue
 from placement.optimiser.cost_front import cost_front

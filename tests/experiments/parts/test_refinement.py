@@ -3,7 +3,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from experiments.report.refinement import refinement_sentences
+from experiments.parts.refinement import refinement_sentences
 from experiments.results.fronts import build_refinement_record
 from experiments.results.record import to_plain
 from geometry.catalogue import pick_sensor

@@ -3,7 +3,7 @@ import pytest
 from msgspec.structs import replace as replace_fields
 
 from experiments.figures.axes import to_png
-from experiments.report.sampled_worlds import (
+from experiments.parts.sampled_worlds import (
     MAX_STAIRCASES,
     plot_differences,
     plot_intervals,

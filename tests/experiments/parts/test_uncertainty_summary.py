@@ -7,7 +7,7 @@ import pytest
 
 from experiments.cli.explanations import uncertainty_text
 from experiments.figures.axes import to_png
-from experiments.report.sampled_worlds import (
+from experiments.parts.sampled_worlds import (
     overtaken_sentences,
     plot_sampled_apr,
     uncertainty_sentences,
