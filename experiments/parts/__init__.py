@@ -1,1 +1,47 @@
-"""Parts of an answer: each file has one part's value, words, table, figure and section."""
+"""Parts of an answer, one file each: its value, its words, its table, its figure.
+
+A part looks like this; each has of it what it needs:
+
+* its value, a frozen dataclass that is its own JSON, unless it is a value of `placement`;
+* ``words(value) -> list[str]``: its sentences, the same on the terminal, in the report, on the
+  planner's page and in JSON;
+* ``table(value) -> Table``: its numbers, for terminal and report alike;
+* ``plot_..(value) -> Axes``: its figure;
+* ``section(value) -> Section | None``: words, table and figure as the report shows them; None where
+  there is nothing to say.
+
+A command is a list of parts: its terminal prints their words and tables, its report their sections.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .section import Table
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Part:
+    """A part of an answer, as a terminal prints it: heading, sentences, then a table.
+
+    Attributes
+    ----------
+    title : str
+        Heading; empty: none, and the sentences begin on the left.
+    words : sequence of str
+        Sentences, a paragraph each.
+    table : Table, optional
+        Columns that are not numeric begin on the left.
+    is_short : bool
+        Whether the part is printed without ``--verbose``, too.
+    """
+
+    title: str = ""
+    words: Sequence[str] = ()
+    table: "Table | None" = None
+    is_short: bool = False
+
+    def __bool__(self) -> bool:
+        """Whether there is anything to print."""
+        return bool(self.words or self.table)
