@@ -4,7 +4,7 @@ import numpy as np
 
 from geometry.scene import Instance, Lane, Scene
 
-LANE_M, MOUTH_M, ARM_M = 3.5, 11.5, 250.0  # facts/euroncap_vru.toml: roads.intersection
+LANE_M, MOUTH_M, ARM_M = 3.5, 11.5, 250.0  # Euro NCAP AEB/LSS VRU: intersection
 SQUARE_M = MOUTH_M * np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
 ARMS = {"east": 0.0, "north": 90.0, "west": 180.0, "south": 270.0}
 

@@ -2,7 +2,7 @@
 Place cameras in ten lines
 ==========================
 
-The study's junction, two cases, and up to three cameras: where should they hang, and what do they
+The study's junction, two cases, and up to three cameras: where should they be, and what do they
 prevent? This page is a script. Its figures and tables are made when the site is built.
 """
 
@@ -32,13 +32,13 @@ found = placement.place(assembly)
 print(found)
 
 # %%
-# The layout is judged again, by rendering every frame and braking every car.
+# The layout is evaluated independently, by rendering every frame and braking every car.
 judged = placement.evaluate_layout(found.layout, setting)
 print(judged)
 
 # %%
 # Plots are matplotlib axes; ``.figure`` shows them in a notebook, ``.figure.savefig("plan.png")``
-# keeps them. From above: units and their fields of view, the runs, and what stands in the way.
+# saves them. From above: units and their fields of view, the runs, and what stands in the way.
 plan.plot_plan(setting, found.layout).figure
 
 # %%

@@ -3,8 +3,8 @@
 Nothing here is shared with :mod:`placement.optimiser` but the problem itself, as it lies in a file
 (the table's bits, the limits and the weights), and the names of the objectives. Frames are gone
 through one after the other, counting detections in a row and the time since the last one; there is
-no presolve, no window and no model. It checks the optimiser, so it is to be read against design.md
-and not against the optimiser.
+no presolve, no window and no model. It checks the optimiser, so it is to be read against
+``docs/method.md`` and not against the optimiser.
 """
 
 import math
@@ -36,7 +36,7 @@ _BLOCK_BYTES = 1 << 22
 
 
 def stage_names(problem: "PlacementProblem") -> tuple[Objective, ...]:
-    """Objectives of a problem in order: design.md's, behind what a goal or failures put first."""
+    """Objectives of a problem in order: those of a goal or of failures first, then the five."""
     order = [Objective.APR, Objective.APR_ONE_FAILED]
     order += [Objective.SMALLEST_MARGIN, Objective.MEAN_MARGIN]
     if problem.survive:

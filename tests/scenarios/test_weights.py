@@ -299,7 +299,7 @@ def test_a_missing_package_names_the_extra(monkeypatch):
 
 
 def test_accident_types_weigh_by_manoeuvre_and_distance_from_the_junction():
-    """FHWA-RD-95-163: see data/crash_types.toml."""
+    """FHWA-RD-95-163: see scenarios/data/crash_types.toml."""
     driven = (
         run("CPTAfs-50"),
         run("CPTAno-50"),
