@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.cli import main as program
+from experiments import main as program
 from geometry.errors import InputError
 from geometry.files import load_toml
 from geometry.maps import point_clouds as voxels

@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 from experiments import start
-from experiments.cli import main as program
+from experiments import main as program
 from experiments.results.csv_text import csv_text
 from geometry.errors import InputError
 from geometry.files import check_target, open_file, read_text, write_atomically
