@@ -179,8 +179,7 @@ def fingerprint(table: Table) -> str:
 
 def pick_actor(name: str, where: str) -> Actor:
     """Body by name; the error about an unknown one lists the known ones."""
-    actor: Actor = pick(load_actors(), name, where)
-    return actor
+    return pick(load_actors(), name, where)
 
 
 class _ActorEntry(Struct, frozen=True, kw_only=True):

@@ -433,7 +433,7 @@ def take_list(table: Table, key: str, where: str) -> list[Any]:
     return value
 
 
-def pick(known: Mapping[str, Any], name: str, where: str) -> Any:
+def pick(known: Mapping[str, _T], name: str, where: str) -> _T:
     """Look a name up; the error about an unknown one lists the known ones."""
     if name not in known:
         raise InputError(where, name, "one of " + ", ".join(sorted(known)))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import BoolArray, IntArray
-from .errors import InputError, Unquoted
+from .errors import InputError, Unquoted, check_one_of
 
 FloatRays = NDArray[np.float32]
 
@@ -66,11 +66,7 @@ class Open3dCaster:
 
     def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
         """See :class:`RayCaster`."""
-        if self._is_empty or len(origins_m) == 0:
-            return np.full(len(origins_m), np.inf, dtype=np.float32)
-        rays = self._tensor.from_numpy(_rays(origins_m, vectors_m))
-        share: FloatRays = self._scene.cast_rays(rays, nthreads=self.n_threads)["t_hit"].numpy()
-        return share
+        return self.first_triangle(origins_m, vectors_m)[0]
 
     def first_triangle(
         self, origins_m: FloatRays, vectors_m: FloatRays
@@ -155,8 +151,7 @@ def caster_name(rays: str = "auto", *, where: str = "rays") -> str:
     `where`: what asked for it, for error messages. Raises InputError: the name is unknown, or the
     library cannot load; the message says why.
     """
-    if rays not in RAYS:
-        raise InputError(where, rays, "one of " + ", ".join(RAYS))
+    check_one_of(where, rays, RAYS)
     problems: dict[str, Callable[[], str | None]] = {
         EmbreexCaster.name: embreex_problem,
         Open3dCaster.name: open3d_problem,

@@ -16,6 +16,7 @@ from .scene import (
     Site,
     containing_instance,
     road_area,
+    strips_of,
 )
 from .terrain import HEADROOM_M, ground_height_m, standing_footprint
 from .whereabouts import compass_point
@@ -182,13 +183,8 @@ def _check_feet(scene: Scene, sites: Sequence[Site]) -> Iterator[Finding]:
 
     feet = np.array([site.position_m[:2] for site in sites])
     junction = shapely.make_valid(shapely.Polygon(scene.outline_m)).buffer(-_AT_KERB_M)
-    mapped = [lane for lane in scene.lanes if lane.kind != ASSUMED]
-    lanes = [
-        shapely.LineString(lane.centreline_m).buffer(
-            max(0.5 * lane.width_m - _AT_KERB_M, 0.0), cap_style="flat"
-        )
-        for lane in mapped
-    ]
+    mapped = [lane for lane in scene.lanes if lane.kind != ASSUMED and len(lane.centreline_m) > 1]
+    lanes = strips_of(mapped, less_m=_AT_KERB_M)
     hit, which = shapely.STRtree(lanes).query(shapely.points(feet), predicate="within")
     in_lane = {int(index): mapped[int(lane)].id for index, lane in zip(hit, which, strict=True)}
     in_middle = shapely.intersects_xy(junction, *feet.T)

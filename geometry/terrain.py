@@ -171,6 +171,19 @@ def standing_footprint(scene: Scene, index: int) -> Any:
     return thing_footprint(scene, index)
 
 
+def houses_of(scene: Scene) -> Any:
+    """Ground that buildings and walls cover: a shapely geometry, world frame, metres."""
+    import shapely
+
+    return shapely.union_all(
+        [
+            standing_footprint(scene, index)
+            for index, thing in enumerate(scene.instances)
+            if thing.class_name in ("building", "wall")
+        ]
+    )
+
+
 def pitch_on_ground_deg(
     position_m: ArrayLike,
     yaw_deg: ArrayLike,

@@ -116,5 +116,4 @@ def load_weathers() -> dict[str, Weather]:
 
 def pick_weather(name: str, where: str) -> Weather:
     """Weather by name; the error about an unknown one lists the known ones."""
-    weather: Weather = pick(load_weathers(), name, where)
-    return weather
+    return pick(load_weathers(), name, where)

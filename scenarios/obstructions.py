@@ -13,8 +13,8 @@ from geometry.footprints import footprint_corners
 from geometry.junction import CONNECTING
 from geometry.poses import Pose
 from geometry.raycast import RayCaster, build_caster
-from geometry.scene import Scene
-from geometry.terrain import GROUND, on_ground, standing_footprint, terrain_of
+from geometry.scene import Scene, strips_of
+from geometry.terrain import GROUND, houses_of, on_ground, terrain_of
 
 from .cases import Obstruction
 from .encounters import Encounter
@@ -162,16 +162,11 @@ def _carriageway(scene: Scene) -> Any:
     """What is driven on: a shapely geometry."""
     import shapely
 
-    lanes = [
-        shapely.LineString(lane.centreline_m).buffer(
-            0.5 * lane.width_m - _MAY_OVERLAP_M, cap_style="flat"
-        )
-        for lane in scene.lanes
-        if lane.kind in ("driving", CONNECTING) and len(lane.centreline_m) > 1
-    ]
+    lanes = (lane for lane in scene.lanes if lane.kind in ("driving", CONNECTING))
+    strips = strips_of(lanes, less_m=_MAY_OVERLAP_M)
     inside = shapely.make_valid(shapely.Polygon(scene.outline_m)).buffer(-_INSIDE_OUTLINE_M)
     # Some maps mark parking spaces on a lane that is wide enough for both.
-    driven = shapely.difference(shapely.union_all(lanes), _parking(scene))
+    driven = shapely.difference(shapely.union_all(strips), _parking(scene))
     area = shapely.union(inside, driven)
     shapely.prepare(area)
     return area
@@ -182,12 +177,7 @@ def _parking(scene: Scene) -> Any:
     """Lanes to park on: a shapely geometry."""
     import shapely
 
-    lanes = [
-        shapely.LineString(lane.centreline_m).buffer(0.5 * lane.width_m, cap_style="flat")
-        for lane in scene.lanes
-        if lane.kind == "parking" and len(lane.centreline_m) > 1
-    ]
-    area = shapely.union_all(lanes)
+    area = shapely.union_all(strips_of(lane for lane in scene.lanes if lane.kind == "parking"))
     shapely.prepare(area)
     return area
 
@@ -197,13 +187,7 @@ def _houses(scene: Scene) -> Any:
     """What buildings and walls cover on the ground: a shapely geometry."""
     import shapely
 
-    area = shapely.union_all(
-        [
-            standing_footprint(scene, index)
-            for index, thing in enumerate(scene.instances)
-            if thing.class_name in ("building", "wall")
-        ]
-    )
+    area = houses_of(scene)
     shapely.prepare(area)
     return area
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from geometry.actors import Actor
 from geometry.arrays import FloatArray
-from geometry.errors import InputError
+from geometry.errors import InputError, check_one_of
 from geometry.junction import Arm, Junction, Line, lane_length_m
 from geometry.scene import Lane
 
@@ -80,8 +80,7 @@ def stage_by_protocol(
     one into the other. Raises CannotCarryError: the lanes do not allow it; the text says why.
     NoRoadError: the road that the case needs does not exist. InputError: there is no such arm.
     """
-    if approach not in junction.arms:
-        raise InputError("approach", approach, "one of " + ", ".join(junction.arms))
+    check_one_of("approach", approach, junction.arms)
     arm = junction.arms[approach]
     if not arm.entry_lanes:
         raise NoRoadError(f"no lane leads into the junction from the {approach}")

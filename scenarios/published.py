@@ -7,11 +7,12 @@ from importlib.resources import files
 import numpy as np
 from msgspec import Struct
 
-from geometry.actors import Actor, PlacedActor, park_row, pick_actor
+from geometry.actors import Actor, PlacedActor
 from geometry.arrays import FloatArray, Point2
 from geometry.errors import InputError, Unquoted
 from geometry.files import Text, load_toml, pick, read_table
 from geometry.frames import from_carla_points, from_carla_yaw
+from geometry.study_scene import ParkedRow
 
 from .cases import Case, load_cases
 from .encounters import Encounter
@@ -40,15 +41,6 @@ class CasePlacement:
     obstruction: tuple[PlacedActor, ...]  # parked bodies that belong to this case only
 
 
-class _Row(Struct, frozen=True, kw_only=True):
-    """Bodies parked nose to tail, in CARLA's frame."""
-
-    first_m: Point2
-    yaw_deg: float
-    gap_m: float
-    actors: tuple[str, ...]
-
-
 class _Entry(Struct, frozen=True, kw_only=True):
     """A case on an approach, in CARLA's frame."""
 
@@ -66,7 +58,7 @@ class _File(Struct, frozen=True, kw_only=True):
 
     scene: Text
     placements: tuple[_Entry, ...]
-    parked_rows: tuple[_Row, ...] = ()
+    parked_rows: tuple[ParkedRow, ...] = ()
 
 
 @cache
@@ -77,7 +69,7 @@ def load_placements() -> tuple[CasePlacement, ...]:
     parked = tuple(
         body
         for index, row in enumerate(table.parked_rows)
-        for body in _build_row(row, f"{where}: parked_rows[{index}]")
+        for body in row.bodies(f"{where}: parked_rows[{index}]")
     )
     return tuple(
         _build_placement(entry, f"{where}: placements[{index}]", table.scene, parked)
@@ -181,12 +173,3 @@ def _crossing_distances(a: StraightPath, b: StraightPath, where: str) -> tuple[f
     matrix = np.stack([a.direction, -b.direction], axis=1)
     distances = np.linalg.solve(matrix, b.start_m - a.start_m)
     return float(distances[0]), float(distances[1])
-
-
-def _build_row(row: _Row, where: str) -> tuple[PlacedActor, ...]:
-    return park_row(
-        [pick_actor(name, f"{where}.actors[{index}]") for index, name in enumerate(row.actors)],
-        first_bumper_m=from_carla_points(row.first_m),
-        yaw_deg=float(from_carla_yaw(row.yaw_deg)),
-        gap_m=row.gap_m,
-    )

@@ -13,7 +13,7 @@ from geometry.arrays import (
     float_array,
     freeze,
 )
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, Unquoted, check_one_of
 from geometry.junction import Junction, build_junction, mirrored
 from geometry.scene import Scene
 from geometry.terrain import Terrain, set_down, terrain_of
@@ -399,8 +399,7 @@ def build_runs(
         (weathers, WEATHERS, "weather"),
     ):
         for word in words:
-            if word not in known:
-                raise InputError(where, word, "one of " + ", ".join(known))
+            check_one_of(where, word, known)
     right_hand = mirrored(junction) if junction.keeps_left else junction
     cases = [worded_for(case, keeps_left=junction.keeps_left) for case in cases]
     runs: list[Run] = []

@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from ..arrays import FloatArray
-from ..errors import InputError, Unquoted
+from ..errors import InputError, Unquoted, check_one_of
 from ..files import read_text
 from ..notes import Note
 from ..untrusted_files import local_name, parse_json, read_xml
@@ -82,8 +82,7 @@ def read_cityjson(path: Path) -> SourceMap:
     head = documents[0]
     if head.get("type") != "CityJSON":
         raise InputError(f"{where}: type", head.get("type"), "CityJSON")
-    if head.get("version") not in _VERSIONS:
-        raise InputError(f"{where}: version", head.get("version"), "one of " + ", ".join(_VERSIONS))
+    check_one_of(f"{where}: version", head.get("version"), _VERSIONS)
     metadata = head.get("metadata")
     crs = metadata.get("referenceSystem") if isinstance(metadata, Mapping) else ""
     objects: list[CityObject] = []

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import InputError, Unquoted
+from ..errors import InputError, Unquoted, check_one_of
 from ..files import check_file, open_file, read_text
 from ..notes import Note
 from ..scene import CLASS_NAMES
@@ -257,8 +257,7 @@ def read_footprints(
     """
     import shapely
 
-    if class_name not in CLASS_NAMES:
-        raise InputError("class_name", class_name, "one of " + ", ".join(CLASS_NAMES))
+    check_one_of("class_name", class_name, CLASS_NAMES)
     table = read_features(path, layer)
     where = str(path)
     if not table.features:

@@ -10,7 +10,7 @@ from importlib.resources import files
 import numpy as np
 
 from ..arrays import FloatArray
-from ..errors import InputError, Unquoted
+from ..errors import InputError, Unquoted, check_one_of
 from ..files import load_toml
 from ..junction import build_junction
 from ..scene import Instance, Lane, Scene
@@ -89,8 +89,7 @@ def sort_junctions(surveyed: Sequence[Surveyed], sort: str) -> tuple[Surveyed, .
     `surveyed`: as :func:`survey_junctions` returns them; equal ones stay in this order. `sort`: one
     of ``SORTS``; "arms" is the order that they come in. Raises InputError: `sort` is none of them.
     """
-    if sort not in SORTS:
-        raise InputError("sort", sort, "one of " + ", ".join(SORTS))
+    check_one_of("sort", sort, SORTS)
     if sort == "name":
         return tuple(sorted(surveyed, key=lambda one: one.junction.name.casefold()))
     if sort == "arms":

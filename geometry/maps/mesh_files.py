@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray
-from ..errors import InputError, Unquoted
+from ..errors import InputError, Unquoted, check_one_of
 from ..files import open_file, read_bytes
 from ..scene import CLASS_NAMES
 from ..untrusted_files import MAX_FILE_BYTES, check_gltf
@@ -47,10 +47,8 @@ def read_mesh(
     """
     where = str(path)
     suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise InputError(where, suffix, "one of " + ", ".join(SUFFIXES))
-    if class_name not in CLASS_NAMES:
-        raise InputError("class_name", class_name, "one of " + ", ".join(CLASS_NAMES))
+    check_one_of(where, suffix, SUFFIXES)
+    check_one_of("class_name", class_name, CLASS_NAMES)
     is_gltf = suffix in (".glb", ".gltf")
     if not is_gltf and (not unit or not up):
         raise InputError(
@@ -59,10 +57,8 @@ def read_mesh(
             "`unit` and `up`, such as `unit` m `up` z",
         )
     unit, up = unit or "m", up or "y"
-    if unit not in UNITS_M:
-        raise InputError("unit", unit, "one of " + ", ".join(UNITS_M))
-    if up not in UP_AXES:
-        raise InputError("up", up, "one of " + ", ".join(UP_AXES))
+    check_one_of("unit", unit, UNITS_M)
+    check_one_of("up", up, UP_AXES)
     parts, left_out = _parts(path, is_gltf)
     axes = UNITS_M[unit] * np.array(UP_AXES[up], dtype=np.float64)
     ids: Counter[str] = Counter()

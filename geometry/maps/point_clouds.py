@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..errors import InputError, Unquoted
+from ..errors import InputError, Unquoted, check_one_of
 from ..notes import Note
 from ..scene import CLASS_NAMES
 from .georeferences import Georeference, georeference
@@ -147,8 +147,7 @@ def read_point_cloud(
     more than 16 km2; only ground is left; or there are more than five million triangles.
     """
     where = str(path)
-    if class_name not in CLASS_NAMES:
-        raise InputError("class_name", class_name, "one of " + ", ".join(CLASS_NAMES))
+    check_one_of("class_name", class_name, CLASS_NAMES)
     if not (np.isfinite(voxel_m) and 0.01 <= voxel_m <= _MAX_VOXEL_M):
         raise InputError("voxel_m", voxel_m, f"0.01 to {_MAX_VOXEL_M} m")
     scan = _Scan(where=where, voxel_m=voxel_m)

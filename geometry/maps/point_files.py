@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray
-from ..errors import InputError, Unquoted
+from ..errors import InputError, Unquoted, check_one_of
 from ..files import open_file
 from ..untrusted_files import check_unpacked
 
@@ -38,8 +38,7 @@ def open_points(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
     """
     where = str(path)
     suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise InputError(where, suffix, "one of " + ", ".join(SUFFIXES))
+    check_one_of(where, suffix, SUFFIXES)
     try:
         if suffix == ".pcd":
             with open_file(path) as file:

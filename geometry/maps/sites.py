@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from ..arrays import BoolArray, FloatArray, float_array
 from ..errors import InputError
 from ..notes import Note
-from ..scene import HANGING_KINDS, Site
+from ..scene import HANGING_KINDS, Site, flat_union
 from .cut import Surroundings
 from .place_lists import SUFFIXES, SiteWish, read_sites
 from .source_map import (
@@ -648,12 +648,7 @@ def _headroom_m(thing: Thing, surroundings: Surroundings) -> float:
 
 def footprint(thing: Thing) -> Any:
     """What a thing covers, seen from above: a shapely geometry in metres."""
-    import shapely
-
-    flat = thing.vertices_m[thing.triangles][..., :2]
-    one, other = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
-    is_face = np.abs(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]) > 1e-6
-    return shapely.union_all(shapely.polygons(flat[is_face]))
+    return flat_union(thing.vertices_m[thing.triangles])
 
 
 def is_under(positions_m: FloatArray, thing: Thing) -> BoolArray:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray, freeze, set_arrays
-from ..errors import InputError
+from ..errors import InputError, check_one_of
 from ..files import load_toml, pick
 from ..notes import Note
 from ..scene import LeadingRoad, Turn
@@ -48,8 +48,7 @@ class MapLane:
 
     def __post_init__(self) -> None:
         where = f"lane {self.id}"
-        if self.kind not in LANE_KINDS:
-            raise InputError(f"{where}.kind", self.kind, "one of " + ", ".join(LANE_KINDS))
+        check_one_of(f"{where}.kind", self.kind, LANE_KINDS)
         if not (np.isfinite(self.width_m) and self.width_m > 0.0):
             raise InputError(f"{where}.width_m", self.width_m, "metres, > 0")
         set_arrays(self, f"{where}.", centreline_m=(-1, 3))
@@ -127,8 +126,7 @@ class Pole:
     assumed: str = ""  # why its position is not that of the source, in words; empty: it is
 
     def __post_init__(self) -> None:
-        if self.kind not in POLE_KINDS:
-            raise InputError(f"pole {self.id}.kind", self.kind, "one of " + ", ".join(POLE_KINDS))
+        check_one_of(f"pole {self.id}.kind", self.kind, POLE_KINDS)
         set_arrays(self, f"pole {self.id}.", position_m=(3,))
 
 
@@ -285,8 +283,7 @@ def kind_from_name(name: str) -> ThingKind | None:
 def kind_of_class(class_name: str) -> ThingKind:
     """The defaults of a class: its last kind in ``data/things.toml``."""
     known = {kind.class_name: kind for kind in thing_defaults().kinds}
-    kind: ThingKind = pick(known, class_name, "class_name")
-    return kind
+    return pick(known, class_name, "class_name")
 
 
 MIN_POLE_M = 2.5
