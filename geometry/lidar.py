@@ -111,7 +111,7 @@ class LidarModel:
 
     @property
     def scans_all_round(self) -> bool:
-        """Whether its columns close to a ring: no azimuth is left out, and none is an edge."""
+        """True if its columns close to a ring: no azimuth is left out, and none is an edge."""
         return self.horizontal_fov_deg == 360.0
 
     @property
@@ -128,7 +128,7 @@ class LidarModel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LidarDetection:
-    """What it takes to find a road user in a point cloud, by class.
+    """Points and reflectivity that let a road user be found in a point cloud, by class.
 
     `min_points` has the points in one frame of a "pedestrian", "child" and "cyclist",
     `reflectivity` the share of the light that comes back diffusely, 0 .. 1.
@@ -262,7 +262,7 @@ def load_lidars() -> dict[str, LidarModel]:
 
 @cache
 def load_lidar_detection() -> LidarDetection:
-    """What it takes to find a road user in a point cloud, from ``data/lidars.toml``."""
+    """Rule of detection in point clouds, from ``data/lidars.toml``."""
     return _read_detection(_load_file()["detection"])
 
 

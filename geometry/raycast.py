@@ -22,7 +22,7 @@ class RayCaster(Protocol):
     """Rays against one fixed set of triangles; safe to use from several threads."""
 
     def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
-        """Whether a triangle lies between each origin and origin + vector; (n, 3) -> (n,)."""
+        """True if a triangle lies between each origin and origin + vector; (n, 3) -> (n,)."""
 
     def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
         """How far along each vector, of any length, the first triangle is, (n, 3) -> (n,).
@@ -141,7 +141,7 @@ CASTERS: dict[str, type[Open3dCaster] | type[EmbreexCaster]] = {
 
 
 RAYS = ("auto", EmbreexCaster.name, Open3dCaster.name)
-"""What a user may ask for; "auto" is the fastest library that loads."""
+"""Names that a user may ask for; "auto" is the fastest library that loads."""
 
 
 def caster_name(rays: str = "auto", *, where: str = "rays") -> str:

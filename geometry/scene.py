@@ -15,7 +15,7 @@ from .notes import Note
 from .sensors import load_limits
 
 HANGING_KINDS = ("mast arm", "gantry", "bridge", "wire")
-"""Kinds of sites that hang over the road; all others stand beside it."""
+"""Kinds of sites that hang over the road; all others stand next to it."""
 CLASS_NAMES = (
     "ground",
     "building",
@@ -142,7 +142,7 @@ class Scene:
         Where the world frame's origin lies in that map's own coordinates, of a map that does not
         say where on earth it lies. [m]
     zero_height_m : float, optional
-        Height of z = 0 as what told the heights of the ground counts them, such as above the sea;
+        Height of z = 0 as the source of the ground's heights counts them, such as above the sea;
         None: unknown. [m]
     notes : tuple of Note
         What was assumed, or left out, when the scene was made of maps.
@@ -209,7 +209,7 @@ class Lane:
 
     id: str  # name in the source
     # "driving", "parking", "cycling"; "connecting": through a junction, from the end of one lane to
-    # the begin of another; or "assumed": straight on from beyond the map to the begin of one
+    # the start of another; or "assumed": straight on from beyond the map to the start of one
     kind: Annotated[str, Meta(min_length=1)]
     width_m: Annotated[float, Meta(gt=0.0)]  # full width
     centreline_m: Points2  # (n, 2); in driving direction. World frame.
@@ -281,12 +281,12 @@ _MIN_AREA_M2 = 1.0e-6
 
 
 def road_area(scene: Scene) -> Any:
-    """What a scene's lanes and its junction cover: a shapely geometry, world frame, metres."""
+    """Area of a scene's lanes and its junction: a shapely geometry, world frame, metres."""
     return covered_area(scene.outline_m, scene.lanes)
 
 
 def covered_area(outline_m: FloatArray, lanes: Sequence[Lane]) -> Any:
-    """What lanes and the outline (n, 2) of a junction cover: a shapely geometry in metres."""
+    """Area of lanes and of a junction's outline (n, 2): a shapely geometry in metres."""
     import shapely
 
     return shapely.union_all([shapely.make_valid(shapely.Polygon(outline_m)), *strips_of(lanes)])

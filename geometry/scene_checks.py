@@ -47,7 +47,7 @@ class Finding:
 
 
 def check_scene(scene: Scene) -> list[Finding]:
-    """What may be wrong with a scene, errors first."""
+    """Findings of what may be wrong with a scene, errors first."""
     findings = [
         *_check_roads(scene),
         *_check_sites(scene),
@@ -237,7 +237,7 @@ def _check_meshes(scene: Scene) -> Iterator[Finding]:
 
 
 def _has_open_edges_above(mesh: Any, floor_m: float) -> bool:
-    """Whether some edge above the floor has a triangle on one side only."""
+    """True if some edge above the floor has a triangle on one side only."""
     edges = np.sort(mesh.edges, axis=1)
     _, first, count = np.unique(edges, axis=0, return_index=True, return_counts=True)
     tops = mesh.vertices[edges[first[count == 1]]][..., 2].max(axis=1)

@@ -68,7 +68,7 @@ def load_scene(
         Instead of a name, a point within 100 m of the junction in the map's own coordinates:
         longitude and latitude, or metres.
     sites : str
-        Where a map's sensors may hang, see :class:`geometry.maps.importing.ImportOptions`.
+        Where a map's sensors may be mounted, see :class:`geometry.maps.importing.ImportOptions`.
     keeps_left : bool, optional
         Whether traffic keeps left; by default what the map says.
 
@@ -101,7 +101,7 @@ def load_scene(
 
 
 def has_scene(path: Path) -> bool:
-    """Whether a path is a folder, or a scene's archive, if a damaged one; maps may be .zip, too."""
+    """True if a path is a folder, or a scene's archive, if a damaged one; maps may be .zip, too."""
     if path.is_dir():
         return True
     if path.suffix.lower() != ".zip" or not path.exists():

@@ -71,7 +71,7 @@ class _NamedRow(ParkedRow, frozen=True, kw_only=True):
 
 
 class _Mount(Struct, frozen=True, kw_only=True):
-    """What carries sensors."""
+    """Pole or mast arm that carries sensors."""
 
     id: Text
     radius_m: _Positive

@@ -162,7 +162,7 @@ def headroom_m(vertices_m: FloatArray, terrain: Terrain | None) -> float:
 
 
 def standing_footprint(scene: Scene, index: int) -> Any:
-    """What a thing covers on the ground, a shapely geometry; empty where people pass below it."""
+    """Ground that a thing covers, a shapely geometry; empty where people pass below it."""
     used = scene.triangles[scene.triangle_instance == index]
     if len(used) and headroom_m(scene.vertices_m[used.ravel()], terrain_of(scene)) >= HEADROOM_M:
         from shapely import Polygon
@@ -240,7 +240,7 @@ def fit_terrain(points_m: FloatArray, *, half_m: float, step_m: float) -> Terrai
     sums = [np.bincount(member.ravel(), column) for column in points_m.T]
     thin: FloatArray = np.stack(sums, axis=1) / count[:, None]
     height = _between(thin, nodes)
-    if np.isnan(height).all():  # points on a line, or a few: the ground beside them is as high
+    if np.isnan(height).all():  # points on a line, or a few: the ground next to them is as high
         aside = (
             0.5 * (line[1] - line[0]) * np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])
         )

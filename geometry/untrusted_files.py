@@ -31,7 +31,7 @@ _CHUNK_BYTES = 1 << 20
 
 @contextmanager
 def unpacked(path: Path, suffixes: Collection[str]) -> Iterator[Path]:
-    """Unpack a .zip, and yield the path of its one readable file, with everything beside it.
+    """Unpack a .zip, and yield the path of its one readable file, with everything next to it.
 
     `suffixes` are the endings of readable files in lower case: ``{".geojson", ".shp"}``; files that
     belong to them (``.dbf``, ``.bin``, textures) have others. The temporary folder is removed at
@@ -150,7 +150,7 @@ def check_unpacked(n_bytes: int, where: str) -> None:
 
 
 def is_text(array: NDArray[Any]) -> bool:
-    """Whether an array from a file has texts that Python can read: numpy looks at no character."""
+    """True if an array from a file has texts that Python can read: numpy looks at no character."""
     if array.dtype.kind != "U":
         return False
     if not array.dtype.itemsize or not array.size:
@@ -178,7 +178,7 @@ def _refuse_ratio(n_bytes: int, n_packed: int, where: str) -> None:
 
 
 class _Unpacked(io.RawIOBase):
-    """What comes out of a gzip file, until it is more than an honest one holds."""
+    """Unpacked bytes of a gzip file, until there are more than an honest one holds."""
 
     def __init__(self, file: BinaryIO, where: str) -> None:
         self._file, self._where, self._n_bytes = gzip.GzipFile(fileobj=file), where, 0

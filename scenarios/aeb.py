@@ -242,7 +242,7 @@ def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
 
 
 def has_contact(encounter: Encounter, onset_s: ArrayLike, rule: AebRule) -> BoolArray:
-    """Whether the footprints touch although the VUT brakes from `onset_s` on, for each onset.
+    """True if the footprints touch although the VUT brakes from `onset_s` on, for each onset.
 
     At or after the impact it is too late; an infinite onset is never.
 
@@ -259,7 +259,7 @@ def has_contact(encounter: Encounter, onset_s: ArrayLike, rule: AebRule) -> Bool
 
 
 def _touches(encounter: Encounter, onset_s: FloatArray, rule: AebRule) -> BoolArray:
-    """The same for onsets before the impact, (n,)."""
+    """Contacts for onsets before the impact, (n,)."""
     closing_mps = (
         encounter.vut_reach * encounter.vut_motion.speed_mps
         + encounter.vru_reach * encounter.vru_motion.speed_mps
@@ -412,6 +412,6 @@ def live_confirmation_time_s(
 def is_in_time(
     confirmation_s: ArrayLike, last_brake_s: ArrayLike, *, latency_s: float
 ) -> BoolArray:
-    """Whether braking after a confirmation avoids: confirmation + latency <= last brake time."""
+    """True if braking after a confirmation avoids: confirmation + latency <= last brake time."""
     onset = np.asarray(confirmation_s, dtype=np.float64) + latency_s
     return onset <= np.asarray(last_brake_s, dtype=np.float64) + TIME_TOLERANCE_S

@@ -189,7 +189,7 @@ class _Wall(Struct, frozen=True, kw_only=True, tag="wall", tag_field="kind"):
 
 
 class _CaseEntry(Struct, frozen=True, kw_only=True):
-    """What every case says."""
+    """Fields of every case."""
 
     title: Text
     source: Text

@@ -156,7 +156,7 @@ class Cells:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Measures:
-    """What is known of cells, (n,) each."""
+    """Measured properties of cells, (n,) each."""
 
     may_touch: BoolArray  # (n,); false: there is no contact anywhere in the cell
     touches: BoolArray  # (n,); true: there is one at the middle of its first time

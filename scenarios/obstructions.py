@@ -35,15 +35,15 @@ def make_room(staging: Staging, scene: Scene) -> Staging:
     Parked cars and walls stand outside the lanes that are driven on and outside the junction, cars
     not on islands between them either, unless the map has a parking lane there. Where the
     protocol's place is not free they are moved, as little as possible: aside, away from whom they
-    stand beside, and back, away from where the ways cross; how far, ``data/laying.toml`` says.
+    stand next to, and back, away from where the ways cross; how far, ``data/laying.toml`` says.
     Raises CannotCarryError: a body has no room; names it and what stands there. NoKerbError: lanes
     or the junction cover all places of the parked bodies.
 
     Notes
     -----
     Looked at with rays along the middle and both flanks of the ways, and around and across the
-    parked bodies' footprints. A VRU passes beside a pole that stands on its line. What the map does
-    not show does not stand in the way.
+    parked bodies' footprints. A VRU passes next to a pole that stands on its line. What the map
+    does not show does not stand in the way.
     """
     encounter = staging.encounter
     solid = _Solid(scene=scene, has_poles=True)
@@ -159,7 +159,7 @@ _MAY_OVERLAP_M = 0.1
 
 @lru_cache(maxsize=8)
 def _carriageway(scene: Scene) -> Any:
-    """What is driven on: a shapely geometry."""
+    """Area that is driven on: a shapely geometry."""
     import shapely
 
     lanes = (lane for lane in scene.lanes if lane.kind in ("driving", CONNECTING))
@@ -184,7 +184,7 @@ def _parking(scene: Scene) -> Any:
 
 @lru_cache(maxsize=8)
 def _houses(scene: Scene) -> Any:
-    """What buildings and walls cover on the ground: a shapely geometry."""
+    """Ground under buildings and walls, prepared: a shapely geometry."""
     import shapely
 
     area = houses_of(scene)
@@ -194,7 +194,7 @@ def _houses(scene: Scene) -> Any:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Solid:
-    """What of a scene stands in a way."""
+    """Instances of a scene that may stand in a way."""
 
     scene: Scene
     has_poles: bool
@@ -392,7 +392,7 @@ def _beside_vut(
             gap_m=obstruction.between_gap_m,
         )
     row_m = sum(actor.length_m + obstruction.between_gap_m for actor in obstruction.bodies)
-    row, bumper_m = vut_way.beside(left_m, bumper_m, back_m=row_m, ahead_m=0.0)
+    row, bumper_m = vut_way.offset(left_m, bumper_m, back_m=row_m, ahead_m=0.0)
     bodies = []
     for actor in obstruction.bodies:
         station_m = bumper_m - 0.5 * actor.length_m
@@ -411,7 +411,7 @@ def _beside_vru(
     vru: Actor,
     side: float,
 ) -> tuple[PlacedActor, ...]:
-    """Cars or a wall beside the VRU's way, between it and the coming VUT.
+    """Cars or a wall next to the VRU's way, between it and the coming VUT.
 
     The sides towards the VRU are flush; cars' noses look away from the VUT's way.
     """

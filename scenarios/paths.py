@@ -359,7 +359,7 @@ def _tow(course: Course, wheelbase_m: float) -> FloatArray:
     from scipy.interpolate import CubicHermiteSpline
 
     stride = _TOW_STEPS
-    # Two points to a step: its begin, its middle.
+    # Two points to a step: its start, its middle.
     yaw = course.yaw_rad[:: stride // 2]
     n_steps = (len(yaw) - 1) // 2
     step_m = stride * (course.end_m - course.begin_m) / (len(course.yaw_rad) - 1)

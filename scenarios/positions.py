@@ -72,7 +72,7 @@ def load_position_rules() -> PositionRules:
 
 
 def is_study_set(cases: str) -> bool:
-    """Whether the words of a user name nothing but sets that are driven at position 0 alone."""
+    """True if the words of a user name nothing but sets that are driven at position 0 alone."""
     words = {word.strip() for word in cases.split(",")}
     return words <= set(load_position_rules().sets_at_zero)
 
@@ -186,7 +186,7 @@ def sort_positions(names: Iterable[str]) -> list[str]:
 
 
 def is_bound(case: Case) -> bool:
-    """Whether a case can happen at the junction alone: the VUT turns, or the VRU's road is there.
+    """True if a case can happen at the junction alone: the VUT turns, or the VRU's road is there.
 
     All others - people who cross the VUT's lane, those who move ahead in it - may happen anywhere
     along an arm.

@@ -265,7 +265,7 @@ def _crossing(case: Case, junction: Junction, place: _Place) -> tuple[float, Way
     middle = lane_way(
         lane, is_in=True, length_m=ridden_m, max_bend_m=load_way_rules().max_lane_bend_m
     )
-    return _meet(vut_way, middle.beside(left_m, 0.0, back_m=ridden_m)[0])
+    return _meet(vut_way, middle.offset(left_m, 0.0, back_m=ridden_m)[0])
 
 
 _IN_JUNCTION_M = 1.0  # from the middle of a lane through it
@@ -328,7 +328,7 @@ def _lay_longitudinal(
     driven_m = -begin_s * vut_speed_kmh * MPS_PER_KMH
     place.check_straight(max(travel_m, driven_m))
     gap_m = 0.5 * (vut.length_m + case.vru.length_m)
-    vru_way, vru_m = vut_way.beside(impact_offset_m(case, vut), impact_m, back_m=travel_m)
+    vru_way, vru_m = vut_way.offset(impact_offset_m(case, vut), impact_m, back_m=travel_m)
     encounter = set_off(
         case,
         vut=vut,
@@ -439,7 +439,7 @@ def _turning_way(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Kerb:
-    """A line beside a lane."""
+    """A line next to a lane."""
 
     lane: Lane
     is_in: bool
@@ -447,7 +447,7 @@ class _Kerb:
 
 
 def _kerb(case: Case, arm: Arm) -> _Kerb:
-    """Where cyclists ride beside the VUT's approach road, on the side to which it turns."""
+    """Where cyclists ride next to the VUT's approach road, on the side to which it turns."""
     assert case.vru_line is not None
     outside_m = case.vru_line.left_m
     if case.turn == "near":
@@ -487,11 +487,11 @@ def _ridden_lane(case: Case, junction: Junction, arm: Arm, entry: Line) -> Way:
     left_m = kerb.left_m
     if is_against:
         way, left_m = reversed_way(way), -left_m
-    return way.beside(left_m, 0.0, back_m=ridden_m)[0]
+    return way.offset(left_m, 0.0, back_m=ridden_m)[0]
 
 
 def _is_along(way: Way, line: Line, ridden_m: float, tolerance_m: float) -> bool:
-    """Whether a way stays on a line, from the mouth back to where the VRU sets off."""
+    """True if a way stays on a line, from the mouth back to where the VRU sets off."""
     stations = np.linspace(-ridden_m, 0.0, 20)
     points = np.array([way.tangent(float(station)).point_m for station in stations])
     return bool((np.abs(line.coordinates(points)[:, 1]) <= tolerance_m).all())

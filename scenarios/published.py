@@ -35,7 +35,7 @@ class CasePlacement:
     vut_path: StraightPath
     vru_path: StraightPath
     # distances along the paths from their starts to where the middle of the VRU is at the impact,
-    # and to the point beside it on the VUT's path
+    # and to the point next to it on the VUT's path
     vut_meeting_m: float
     vru_meeting_m: float
     obstruction: tuple[PlacedActor, ...]  # parked bodies that belong to this case only

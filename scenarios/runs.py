@@ -289,7 +289,7 @@ def _known_s(arrival_s: FloatArray, axis: FrameAxis, rule: AebRule) -> FloatArra
 
 
 def _is_within_run(axis: FrameAxis, n_frames: int) -> BoolArray:
-    """Whether a frame and those before it, `n_frames` in all, are of one run, (n_frames,)."""
+    """True if a frame and those before it, `n_frames` in all, are of one run, (n_frames,)."""
     start = axis.run_start[:-1].repeat(np.diff(axis.run_start))
     return np.arange(axis.n_frames) - start >= n_frames - 1
 

@@ -67,7 +67,7 @@ class Way(Protocol):
         """The point some metres to the left of a station, (2,)."""
         ...
 
-    def beside(
+    def offset(
         self, left_m: float, station_m: float, *, back_m: float, ahead_m: float = np.inf
     ) -> "tuple[Way, float]":
         """The way some metres to the left of it, and where one of its stations lies on that way.
@@ -111,10 +111,10 @@ class StraightWay:
         """See :meth:`Way.point`."""
         return self.line.at(station_m, left_m)
 
-    def beside(
+    def offset(
         self, left_m: float, station_m: float, *, back_m: float, ahead_m: float = np.inf
     ) -> "tuple[Way, float]":
-        """See :meth:`Way.beside`."""
+        """See :meth:`Way.offset`."""
         beside = Line(point_m=self.line.at(station_m, left_m), direction=self.line.direction)
         return StraightWay(line=beside), 0.0
 
@@ -153,14 +153,14 @@ class CurvedWay:
         """See :meth:`Way.point`."""
         return self.course.tangent(station_m).at(0.0, left_m)
 
-    def beside(
+    def offset(
         self, left_m: float, station_m: float, *, back_m: float, ahead_m: float = np.inf
     ) -> "tuple[Way, float]":
-        """See :meth:`Way.beside`."""
+        """See :meth:`Way.offset`."""
         try:
             end_m = min(station_m + ahead_m, self.course.end_m)
             near = self.course.between(station_m - back_m, end_m)
-            course = near.beside(left_m)
+            course = near.offset(left_m)
         except InputError:
             raise CannotCarryError(
                 f"the lane bends too sharply for a way {abs(left_m):.1f} m beside it"
@@ -198,7 +198,7 @@ def off_line_m(lane: Lane, *, is_in: bool, length_m: float) -> float:
 
 
 def is_bent(lane: Lane, *, is_in: bool) -> bool:
-    """Whether a lane leaves its straight line."""
+    """True if a lane leaves its straight line."""
     bend_m = off_line_m(lane, is_in=is_in, length_m=lane_length_m(lane))
     return bend_m > load_way_rules().max_lane_bend_m
 
@@ -281,7 +281,7 @@ def way_across(
 
 
 def _curve_between(entry: Lane, leaving: Lane) -> FloatArray:
-    """Points (n, 2) from the end of a lane to the begin of another one."""
+    """Points (n, 2) from the end of a lane to the start of another one."""
     before = follow_lane(entry.centreline_m, is_in=True).tangent(0.0)
     after = follow_lane(leaving.centreline_m, is_in=False).tangent(0.0)
     try:
@@ -295,7 +295,7 @@ def _curve_between(entry: Lane, leaving: Lane) -> FloatArray:
 
 
 def reversed_way(way: Way) -> Way:
-    """The same way, driven the other way; the origin of stations stays."""
+    """Way driven the other way; the origin of stations stays."""
     if isinstance(way, CurvedWay):
         return CurvedWay(course=way.course.reversed())
     line = way.tangent(0.0)
@@ -355,7 +355,7 @@ def arm_ahead(junction: Junction, approach: Arm, vut_line: Line) -> Arm | None:
 
 
 def _lies_ahead(arm: Arm, vut_line: Line) -> bool:
-    """Whether one of an arm's lanes begins or ends no farther aside of a line than ahead."""
+    """True if one of an arm's lanes begins or ends no farther aside of a line than ahead."""
     mouths = [lane.centreline_m[-1] for lane in arm.lanes_in]
     mouths += [lane.centreline_m[0] for lane in arm.lanes_out]
     ahead_m, left_m = vut_line.coordinates(np.array(mouths)).T
@@ -415,7 +415,7 @@ def _in_order(lane: Lane, after: Sequence[Lane], movement: Movement) -> list[Lan
 
 
 def _has_connections(junction: Junction) -> bool:
-    """Whether the map has lanes through the junction itself, not only through others around it."""
+    """True if the map has lanes through the junction itself, not only through others around it."""
     if not junction.connections:
         return False
     begins = np.array([lane.centreline_m[0] for lane in junction.connections])

@@ -303,7 +303,7 @@ def weigh(runs: Sequence[Run], how: str, *, refused: Sequence[Refusal] = ()) -> 
         see :func:`scenarios.weights.weight_by_rating`; else a CSV file, see
         :func:`scenarios.weights.weight_from_csv`.
     refused : sequence of Refusal
-        What was asked for beside the runs, and could not be laid: "case" alone looks at it.
+        What was asked for next to the runs, and could not be laid: "case" alone looks at it.
 
     Returns
     -------
@@ -381,8 +381,8 @@ def weight_per_case(runs: Sequence[Run], *, refused: Sequence[Refusal] = ()) -> 
     carry the case at all, take their shares away with them: the case weighs less, and the few runs
     that remain of it no more than they would among all others. Otherwise the only turn that a map
     allows would weigh as much as a hundred crossings. Positions that the mapped lanes do not reach
-    have no share. `runs`: at least one. `refused`: what was asked for beside them, and could not be
-    laid. Returns `weight` (n_runs,): sums to 1.
+    have no share. `runs`: at least one. `refused`: what was asked for next to them, and could not
+    be laid. Returns `weight` (n_runs,): sums to 1.
     """
     keys = [(run.case.name, run.approach, run.position) for run in runs]
     n_weathers = len({run.weather for run in runs})

@@ -406,7 +406,7 @@ def _thing(item: CityObject, thing_id: str) -> Thing:
 
 
 def _said(skipped: Sequence[Note]) -> str:
-    """What was left out, for the end of a message."""
+    """List of what was left out, for the end of a message."""
     if not skipped:
         return ""
     return "; skipped: " + ", ".join(f"{item.what} ({item.why})" for item in skipped[:5])

@@ -46,7 +46,7 @@ _KEPT = ("driving", "parking", "cycling")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Surroundings:
-    """What lies around a junction, in the scene's own frame, before sites are chosen."""
+    """Surroundings of a junction in the scene's own frame, before sites are chosen."""
 
     frame: LocalFrame  # the middle of the junction is near its origin
     lanes: tuple[Lane, ...]  # to drive, park and cycle on
@@ -73,7 +73,7 @@ def cut_out(
     """Surroundings of a junction of the first map, with buildings and more from the others.
 
     Lanes are followed 70 m beyond `radius_m`. The ground is that of `elevation`, or else of the
-    maps, see :func:`geometry.maps.relief.find_relief`; where they tell no heights, or all within a
+    maps, see :func:`geometry.maps.relief.find_relief`; where they have no heights, or all within a
     few centimetres, it is a plane. `ground_m` is the height of the road in the middle of the
     junction in the other maps; by default 0 if a map counts heights above the ground, or else that
     of its lowest thing within the radius. Raises InputError if the coordinates of the maps do not
@@ -84,7 +84,7 @@ def cut_out(
     skipped = [skip for source in maps for skip in source.skipped]
     half_m = radius_m + LANES_BEYOND_M
     relief = find_relief(maps, junction, frame, half_m=half_m, elevation=elevation)
-    skipped += relief.told
+    skipped += relief.notes
     things: list[Thing] = []
     poles: list[Pole] = []
     taken: set[str] = set()
@@ -216,7 +216,7 @@ def build_scene(
 
 
 def _lead_on(scene: Scene, *, reach_m: float) -> Iterator[Lane]:
-    """Lanes to the begins of entry lanes where the map has nothing that leads there.
+    """Lanes to the starts of entry lanes where the map has nothing that leads there.
 
     They lead straight on, or where a building stands there round the gentlest bend past it, the
     same for all lanes of an arm; where none does, straight up to it.
@@ -253,7 +253,7 @@ def _lead_on(scene: Scene, *, reach_m: float) -> Iterator[Lane]:
 
 
 def _beyond(lane: Lane, bend_per_m: float, reach_m: float) -> FloatArray:
-    """Points (n, 2) of a circle away from a lane's begin, to the left of its direction there."""
+    """Points (n, 2) of a circle away from a lane's start, to the left of its direction there."""
     ahead = lane_line(lane, is_in=False, length_m=_MOUTH_M)[0].direction
     away = -complex(*ahead)
     along = np.array([0.0, _ASSUMED_M])
@@ -346,7 +346,7 @@ def _lanes(
 
 
 def _leads_straight_on(points_m: FloatArray) -> bool:
-    """Whether a lane through a junction is about as straight as those that are assumed."""
+    """True if a lane through a junction is about as straight as those that are assumed."""
     way = points_m[-1] - points_m[0]
     ends = np.stack([points_m[1] - points_m[0], points_m[-1] - points_m[-2]])
     length_m = np.hypot(*way) * np.hypot(*ends.T)
@@ -399,7 +399,7 @@ def _apart(points_m: FloatArray) -> FloatArray:
 def _is_elsewhere(
     points_m: FloatArray, height_m: FloatArray, outline_m: FloatArray, reach_m: float
 ) -> bool:
-    """Whether a lane of other roads is far away, on another level, or ends at the outline."""
+    """True if a lane of other roads is far away, on another level, or ends at the outline."""
     distance = np.hypot(*points_m.T)
     if distance.min() > reach_m or abs(height_m[np.argmin(distance)]) > _SAME_LEVEL_M:
         return True
@@ -549,7 +549,7 @@ class Neighbourhoods:
         self._maps = [(source, _trees(source)) for source in maps]
 
     def around(self, junction: MapJunction) -> tuple[SourceMap, ...]:
-        """What the maps have around a junction of the first one.
+        """Parts of the maps around a junction of the first one.
 
         The scene that is cut out of these is the one that is cut out of the whole maps; what was
         left out when the maps were read is not repeated. A map that has nothing there is left out.

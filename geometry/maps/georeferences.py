@@ -305,7 +305,7 @@ def _words(box: FloatArray) -> str:
 
 
 def _is_meant_for(crs: "CRS", point: FloatArray) -> bool:
-    """A point lies in a reference system's area of use, or beside it but not at its origin."""
+    """A point lies in a reference system's area of use, or next to it but not at its origin."""
     if crs.area_of_use is None:
         return True
     west, south, east, north = crs.area_of_use.bounds

@@ -135,7 +135,7 @@ def _moved(source: SourceMap, offset_m: FloatArray) -> SourceMap:
 
 
 def _is_city_json(path: Path) -> bool:
-    """Whether a JSON file is CityJSON, by its first bytes or else by its member ``type``."""
+    """True if a JSON file is CityJSON, by its first bytes or else by its member ``type``."""
     with open_file(path) as file:
         head = file.read(4096)
         if b'"CityJSON"' in head:
@@ -288,7 +288,7 @@ def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOption
         elevation=elevation,
     )
     surroundings, settled = settle_poles(surroundings)
-    sites, told = choose_sites(options.sites, surroundings, roads, radius_m=options.radius_m)
+    sites, site_notes = choose_sites(options.sites, surroundings, roads, radius_m=options.radius_m)
     scene = build_scene(
         surroundings,
         name=options.name or f"{Path(roads.name).stem}/{chosen.junction.id}",
@@ -300,7 +300,7 @@ def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOption
     notes = (
         *surroundings.skipped,
         *settled,
-        *told,
+        *site_notes,
         *ends,
         *_site_notes(surroundings.poles, sites, options.sites),
         *_building_notes(surroundings.things, options.radius_m),

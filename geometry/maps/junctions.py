@@ -222,10 +222,10 @@ def _listed(surveyed: Sequence[Surveyed]) -> str:
     many = len({one.junction.name for one in surveyed}) < len(surveyed)  # names tell nothing apart
     words = []
     for one in surveyed[:_MAX_LISTED]:
-        told = one.junction.name
+        label = one.junction.name
         if many:
-            told += " at " * bool(told) + ",".join(f"{value:.8g}" for value in one.position)
-        words.append(f"{one.junction.id} ({told})" if told else one.junction.id)
+            label += " at " * bool(label) + ",".join(f"{value:.8g}" for value in one.position)
+        words.append(f"{one.junction.id} ({label})" if label else one.junction.id)
     left = len(surveyed) - len(words)
     return ", ".join(words) + (f" and {left} more: place-rsus scene show FILE" if left else "")
 

@@ -89,12 +89,12 @@ def read_sites(path: Path, *, crs: str) -> tuple[SiteWish, ...]:
     """Read a list of sites: CSV with a header (comma, semicolon or tab), or GeoJSON with points.
 
     Columns: id; x and y in `crs`, or lat and lon (in GeoJSON: the points); and as far as known z,
-    height of the pole, up to which sensors hang, min_height_m, max_height_m, kind, cost_eur, power,
-    fibre, capacity and forbidden (yes or no). Case does not matter, nor do units at the end of a
-    column's name, "height [m]". A comma may stand for the decimal point. Other columns are not
-    read; a warning names them. `crs` is the projected coordinate
-    reference system of the scene; empty: it has none. Raises InputError if the file cannot be read,
-    or a field is missing or not of its kind.
+    height of the pole, up to which sensors are mounted, min_height_m, max_height_m, kind, cost_eur,
+    power, fibre, capacity and forbidden (yes or no). Case does not matter, nor do units at the end
+    of a column's name, "height [m]". A comma may stand for the decimal point. Other columns are not
+    read; a warning names them. `crs` is the projected coordinate reference system of the scene;
+    empty: it has none. Raises InputError if the file cannot be read, or a field is missing or not
+    of its kind.
     """
     suffix = path.suffix.lower()
     if suffix == ".csv":

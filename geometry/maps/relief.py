@@ -39,11 +39,11 @@ class Relief:
 
     terrain: Terrain | None = None  # none: the plane z = 0
     zero_m: float = 0.0  # height of the middle of the junction as `source` counts heights
-    source: str = ""  # what told the heights; empty: nothing
+    source: str = ""  # source of the heights; empty: nothing
     roads: SourceMap | None = None
-    # ground of the map with the roads, as that counts heights, where another source told them
+    # ground of the map with the roads, as that counts heights, where another source has them
     roads_m: Terrain | None = None
-    told: tuple[Note, ...] = ()  # what was made of the heights
+    notes: tuple[Note, ...] = ()  # what was made of the heights
 
     def at(self, points_m: FloatArray) -> FloatArray:
         """Height of the ground at points (n, 2)."""
@@ -150,7 +150,7 @@ def find_relief(
         source=name,
         roads=roads,
         roads_m=fit_terrain(own, half_m=half_m, step_m=_STEP_M) if is_other else None,
-        told=(Note(what=f"heights of {name}", why=f"{why} around the junction ({span_m:.1f} m)"),),
+        notes=(Note(what=f"heights of {name}", why=f"{why} around the junction ({span_m:.1f} m)"),),
     )
 
 

@@ -150,7 +150,7 @@ def _length_m(line: FloatArray) -> float:
 
 
 def _offset(line: FloatArray, offset_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Distance along a line, position and outward direction of points beside it, every 0.25 m."""
+    """Distance along a line, position and outward direction of points next to it, every 0.25 m."""
     pieces = np.hypot(*np.diff(line[:, :2], axis=0).T)
     at = np.r_[0.0, np.cumsum(pieces)]
     along_m: FloatArray = np.arange(0.0, min(at[-1], 500.0), _STEP_M)
@@ -244,7 +244,7 @@ def check_sites(where: str, *, crs: str) -> None:
 
 
 def _is_list(where: str) -> bool:
-    """Whether sites are listed in a file. Raises InputError if it is no word either."""
+    """True if sites are listed in a file. Raises InputError if it is no word either."""
     if where in (AUTO, MAP) or where.startswith(KERB):
         return False
     if Path(where).suffix.lower() in SUFFIXES:
@@ -263,25 +263,25 @@ def choose_sites(
     farther than `radius_m` from the middle of the junction are left out. Raises InputError if
     `where` cannot be read, or no site is left.
     """
-    told: list[Note] = []
+    notes: list[Note] = []
     if _is_list(where):
         wishes, far = _listed(Path(where), surroundings, roads, radius_m)
-        told += far
+        notes += far
     elif where in (AUTO, MAP):
         wishes, low = _poles(surroundings)
-        told += low
+        notes += low
         if where == AUTO:
             wishes, others = _own_poles(wishes, surroundings)
             masts, why = _masts(wishes, surroundings, radius_m)
-            wishes, told = (*wishes, *masts), [*told, *others, *why]
+            wishes, notes = (*wishes, *masts), [*notes, *others, *why]
     else:
         wishes = _kerbs(surroundings, _spacing_m(where), radius_m)
     placed, moved = _settled(_with_plain_ids(wishes), surroundings)
-    told += [skip for skip in moved if not where.startswith(KERB) and where != AUTO]
+    notes += [skip for skip in moved if not where.startswith(KERB) and where != AUTO]
     kept, dropped = tidy_sites(placed, things=standing_things(surroundings))
     kept, too_low = _below_roofs(kept, surroundings)
     dropped = (*dropped, *too_low)
-    told += dropped
+    notes += dropped
     if not kept:
         raise InputError(
             "sites",
@@ -289,28 +289,28 @@ def choose_sites(
             f"a site within {radius_m:g} m that stands free ({len(dropped)} do not): kerb:15, or "
             "a list of your own",
         )
-    return tuple(_site(wish) for wish in kept), tuple(told)
+    return tuple(_site(wish) for wish in kept), tuple(notes)
 
 
 def _settled(
     wishes: Sequence[SiteWish], surroundings: Surroundings
 ) -> tuple[tuple[SiteWish, ...], list[Note]]:
-    """Sites beside the road, but for what hangs over it; those inside walls are moved out.
+    """Sites next to the road, but for what hangs over it; those inside walls are moved out.
 
     Sites inside buildings stay: :func:`tidy_sites` leaves them out.
     """
-    kept, told = [], []
+    kept, notes = [], []
     places = find_places([wish.position_m for wish in wishes], surroundings)
     for wish, place in zip(wishes, places, strict=True):
         if not place.why or wish.kind in HANGING_KINDS:
             kept.append(wish)
         elif place.position_m is None:
-            told.append(Note(what=f"site {wish.id}", why=f"it stands {place.why}"))
+            notes.append(Note(what=f"site {wish.id}", why=f"it stands {place.why}"))
         else:
             kept.append(replace(wish, position_m=place.position_m))
             why = f"it stood {place.why}"
-            told.append(Note(what=f"site {wish.id}", why=why, kind="sites", site_ids=(wish.id,)))
-    return tuple(kept), told
+            notes.append(Note(what=f"site {wish.id}", why=why, kind="sites", site_ids=(wish.id,)))
+    return tuple(kept), notes
 
 
 def _own_poles(
@@ -334,7 +334,7 @@ def _own_poles(
     for wish, is_far in zip(wishes, is_other.tolist(), strict=True):
         is_low = wish.kind == "sign" and (heights_m[wish.id] or sign_m) < rules.min_sign_m
         (far if is_far else low if is_low else kept).append(wish)
-    told = [
+    notes = [
         Note(what=_several(group, noun), why=f"{why}: no site unless asked for")
         for group, noun, why in (
             (far, "poles", f"within {rules.neighbour_m:g} m of another junction, nearer than here"),
@@ -342,7 +342,7 @@ def _own_poles(
         )
         if group
     ]
-    return tuple(kept), told
+    return tuple(kept), notes
 
 
 def _area(outline_m: FloatArray) -> "Polygon":
@@ -371,15 +371,15 @@ def _masts(
         else f"none within {radius_m:g} m"
     )
     why = f"{where}: masts every {rules.spacing_m:g} m along the kerbs were added"
-    told = Note(what="poles of the map", why=why)
-    return _kerbs(surroundings, rules.spacing_m, radius_m), [told]
+    notes = Note(what="poles of the map", why=why)
+    return _kerbs(surroundings, rules.spacing_m, radius_m), [notes]
 
 
 def _below_roofs(
     wishes: Sequence[SiteWish], surroundings: Surroundings
 ) -> tuple[tuple[SiteWish, ...], list[Note]]:
     """Sites that carry sensors no higher than what is above them lets them."""
-    kept, told = [], []
+    kept, notes = [], []
     positions = np.array([wish.position_m for wish in wishes]).reshape(-1, 2)
     for wish, clear_m in zip(wishes, clear_heights_m(positions, surroundings), strict=True):
         most_m = round(float(clear_m) - _BELOW_ROOF_M, 3)
@@ -387,20 +387,20 @@ def _below_roofs(
             kept.append(wish)
         elif most_m < MIN_POLE_M:
             why = f"below a roof {clear_m:g} m above the ground: too low for sensors"
-            told.append(Note(what=f"site {wish.id}", why=why))
+            notes.append(Note(what=f"site {wish.id}", why=why))
         else:
             low_m = min(_mounts_m(wish)[0], most_m)
             kept.append(replace(wish, min_height_m=low_m, max_height_m=most_m))
-    return tuple(kept), told
+    return tuple(kept), notes
 
 
 def _poles(surroundings: Surroundings) -> tuple[tuple[SiteWish, ...], list[Note]]:
     """Poles that are high enough for sensors."""
-    wishes, told = [], []
+    wishes, notes = [], []
     for pole in surroundings.poles:
         if pole.height_m is not None and pole.height_m < MIN_POLE_M:
             why = f"{pole.height_m:g} m high: too low for sensors"
-            told.append(Note(what=f"{pole.kind} {pole.id}", why=why))
+            notes.append(Note(what=f"{pole.kind} {pole.id}", why=why))
             continue
         low_m, high_m = mount_range_m(pole)
         wishes.append(
@@ -412,7 +412,7 @@ def _poles(surroundings: Surroundings) -> tuple[tuple[SiteWish, ...], list[Note]
                 max_height_m=high_m,
             )
         )
-    return tuple(wishes), told
+    return tuple(wishes), notes
 
 
 def _kerbs(surroundings: Surroundings, spacing_m: float, radius_m: float) -> tuple[SiteWish, ...]:
@@ -443,7 +443,7 @@ def _kerbs(surroundings: Surroundings, spacing_m: float, radius_m: float) -> tup
 def _listed(
     path: Path, surroundings: Surroundings, roads: SourceMap, radius_m: float
 ) -> tuple[tuple[SiteWish, ...], list[Note]]:
-    wishes, told, n_far = [], [], 0
+    wishes, notes, n_far = [], [], 0
     for wish in read_sites(path, crs=roads.crs):
         position = surroundings.frame.take(wish.position_m, roads)
         if np.hypot(*position) > radius_m:
@@ -452,12 +452,12 @@ def _listed(
         wishes.append(replace(wish, position_m=position))
     if n_far:
         why = f"farther than {radius_m:g} m from the junction"
-        told.append(Note(what=f"{n_far} sites in {path.name}", why=why))
+        notes.append(Note(what=f"{n_far} sites in {path.name}", why=why))
     dark = sum(wish.has_power is False or wish.has_fibre is False for wish in wishes)
     if dark:
         why = "only what cost_eur states is counted"
-        told.append(Note(what=f"power or fibre that {dark} sites lack", why=why))
-    return tuple(wishes), told
+        notes.append(Note(what=f"power or fibre that {dark} sites lack", why=why))
+    return tuple(wishes), notes
 
 
 def _spacing_m(where: str) -> float:
@@ -472,7 +472,7 @@ def _spacing_m(where: str) -> float:
 
 
 def _with_plain_ids(wishes: Sequence[SiteWish]) -> list[SiteWish]:
-    """The same sites with unique ids that a comma-separated option can name."""
+    """Sites with unique ids that a comma-separated list can name."""
     taken: set[str] = set()
     plain = []
     for wish in wishes:
@@ -537,7 +537,7 @@ class Place:
 
 
 def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Place]:
-    """Nearest places beside the road and outside walls.
+    """Nearest places next to the road and outside walls.
 
     Parameters
     ----------
@@ -647,7 +647,7 @@ def _headroom_m(thing: Thing, surroundings: Surroundings) -> float:
 
 
 def footprint(thing: Thing) -> Any:
-    """What a thing covers, seen from above: a shapely geometry in metres."""
+    """Ground that a thing covers, seen from above: a shapely geometry in metres."""
     return flat_union(thing.vertices_m[thing.triangles])
 
 
@@ -688,7 +688,7 @@ def settle_poles(surroundings: Surroundings) -> tuple[Surroundings, tuple[Note, 
         A signal or sign over the road is left to the pole that the map has within 12 m; other poles
         on the road or inside walls are moved to the nearest place, see :func:`find_places`, or left
         out if there is none.
-    told : tuple of Note
+    notes : tuple of Note
         Each that was moved or left out.
     """
     if not surroundings.poles:
@@ -702,23 +702,23 @@ def settle_poles(surroundings: Surroundings) -> tuple[Surroundings, tuple[Note, 
         if pole.kind == "pole" and not place.why
     ]
     kept: list[Pole] = []
-    told: list[Note] = []
+    notes: list[Note] = []
     for pole, place in zip(surroundings.poles, places, strict=True):
         what = f"{pole.kind} {pole.id}"
         mast = _mast_of(pole, masts) if place.why and pole.kind in _HANGING else None
         if mast is not None:
             why = f"it hangs over the road: its pole is {mast.id}"
-            told.append(Note(what=what, why=why))
+            notes.append(Note(what=what, why=why))
             continue
         if place.position_m is None:
-            told.append(Note(what=what, why=f"no site: it stands {place.why}"))
+            notes.append(Note(what=what, why=f"no site: it stands {place.why}"))
             continue
         if place.why:
             why = f"it stood {place.why}"
-            told.append(Note(what=what, why=why, kind="sites", site_ids=(pole.id,)))
+            notes.append(Note(what=what, why=why, kind="sites", site_ids=(pole.id,)))
             pole = replace(pole, position_m=np.append(place.position_m, pole.position_m[2]))
         kept.append(pole)
-    return replace(surroundings, poles=tuple(kept)), tuple(told)
+    return replace(surroundings, poles=tuple(kept)), tuple(notes)
 
 
 def _mast_of(pole: Pole, masts: Sequence[Pole]) -> Pole | None:

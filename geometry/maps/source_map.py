@@ -36,7 +36,7 @@ class MapLane:
     # mean full width; where it varies and the lane leads to a junction, that of the 30 m next to it
     width_m: float
     # (n, 3); at least two points in driving direction; lanes without one (walking, parking) have
-    # that of the driving lane beside them
+    # that of the driving lane next to them
     centreline_m: FloatArray
     # ids of the junctions at its ends, where it stops at the outline; empty: none
     from_junction: str = ""
@@ -132,7 +132,7 @@ class Pole:
 
 @dataclass(frozen=True, slots=True)
 class Omissions:
-    """What is left out of a file, counted by kind and reason so that the list stays short.
+    """Parts of a file that are left out, by kind and reason so that the list stays short.
 
     ``found`` has the names by kind and reason.
     """
@@ -203,7 +203,7 @@ class SourceMap:
     heights: Heights = "above ground"  # zero of the z axis
     # the objects of the map
     lanes: tuple[MapLane, ...] = ()
-    # lanes through junctions, each from the end of a lane to the begin of another; both their
+    # lanes through junctions, each from the end of a lane to the start of another; both their
     # junctions are the one through which they lead. None: the map does not have them.
     connections: tuple[MapLane, ...] = ()
     junctions: tuple[MapJunction, ...] = ()
@@ -303,7 +303,7 @@ class PoleKind:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AutoSites:
-    """What is a site where nothing else is asked for: ``[auto]`` of ``data/sites.toml``."""
+    """Rules for sites where nothing else is asked for: ``[auto]`` of ``data/sites.toml``."""
 
     spacing_m: float  # between masts along the kerbs
     near_m: float  # they are assumed where no pole is as near to the middle

@@ -123,7 +123,7 @@ def _read_roads(root: Element, where: str, offset: Offset, omissions: Omissions)
 
 
 def _beyond(link: RoadLink, joints: Mapping[str, tuple[RoadLink, RoadLink]]) -> RoadLink:
-    """What a link leads to, roads without a length passed over."""
+    """Link past roads that have no length."""
     for _ in range(len(joints)):
         if link.kind != "road" or link.id not in joints:
             break

@@ -58,7 +58,7 @@ def take_number_if_any(element: Element, key: str, where: str) -> float | None:
 def take_size(element: Element, key: str, where: str) -> float | None:
     """A length, width, height or radius; None if it is missing, left open or not above 0.
 
-    Raises InputError if it is not finite, or larger than anything beside a road.
+    Raises InputError if it is not finite, or larger than anything next to a road.
     """
     value = take_number_if_any(element, key, where)
     if value is not None and value > MAX_SIZE_M:

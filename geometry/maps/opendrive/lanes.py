@@ -42,14 +42,14 @@ class SampledLane:
 class SampledSection:
     """A lane section as points."""
 
-    s_m: FloatArray  # (n,), stations from its begin to its end
+    s_m: FloatArray  # (n,), stations from its start to its end
     points_m: FloatArray  # (n, 3), of the reference line
     left: FloatArray  # (n, 2), unit vectors to the left of it
     rise: FloatArray  # (n,), by which the surface rises towards it: sine of the superelevation
     shape: CrossSections  # above that
     lanes: dict[int, SampledLane]  # by number
 
-    def beside(self, t_m: FloatArray) -> FloatArray:
+    def points_at(self, t_m: FloatArray) -> FloatArray:
         """Points (n, 3) of the surface some metres to the left of the reference line."""
         points = self.points_m.copy()
         points[:, :2] += t_m[:, None] * self.left
@@ -62,7 +62,7 @@ class SampledSection:
         sides = [np.zeros(len(self.s_m)), np.min(edges, axis=0), np.max(edges, axis=0)]
         if len(self.shape.stations_m):
             sides += edges
-        return np.concatenate([self.beside(t_m) for t_m in sides])
+        return np.concatenate([self.points_at(t_m) for t_m in sides])
 
 
 def sample_road(road: Road, *, chord_error_m: float = _CHORD_ERROR_M) -> tuple[SampledSection, ...]:
@@ -358,7 +358,7 @@ def _runs(
     for index, number in chain.items():
         section = sections[index]
         lane = section.lanes[number]
-        pieces.append((section.beside(0.5 * (lane.inner_m + lane.outer_m)), lane.width_m))
+        pieces.append((section.points_at(0.5 * (lane.inner_m + lane.outer_m)), lane.width_m))
     points = np.concatenate([piece[0] for piece in pieces])
     widths = np.concatenate([piece[1] for piece in pieces])
     is_there = np.concatenate([[False], widths >= _MIN_WIDTH_M, [False]])

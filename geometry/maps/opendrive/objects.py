@@ -1,4 +1,4 @@
-"""Objects on and beside the roads: buildings, trees, crosswalks, parking spaces."""
+"""Objects on and next to the roads: buildings, trees, crosswalks, parking spaces."""
 
 import re
 from bisect import bisect_left

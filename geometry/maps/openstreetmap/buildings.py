@@ -256,7 +256,7 @@ class _Passages:
         self._is_marked.append(_leads_through(tags))
 
     def through(self, area: Area) -> tuple[BaseGeometry | None, float]:
-        """What ways cover of a building that they lead through, and their clear height."""
+        """Area of the ways that lead through a building, and their clear height."""
         is_gate = _is_gate(area.tags)
         found = [
             index

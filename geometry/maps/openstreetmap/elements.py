@@ -247,7 +247,7 @@ class Area:
 
     @property
     def polygon(self) -> Polygon:
-        """The same for shapely; not always a valid one."""
+        """Area as a shapely polygon, which may be invalid."""
         return Polygon(self.outer_m, self.holes_m)
 
 
@@ -433,12 +433,12 @@ def side_value(tags: Tags, key: str, side: str) -> str | None:
     return tags.get(f"{key}:{side}", tags.get(f"{key}:both"))
 
 
-def turned_round(tags: Tags) -> Tags:
+def reversed_tags(tags: Tags) -> Tags:
     """Tags of the same line with its nodes in the opposite order.
 
     Examples
     --------
-    >>> turned_round({"sidewalk": "left", "lanes:forward": "2"})
+    >>> reversed_tags({"sidewalk": "left", "lanes:forward": "2"})
     {'sidewalk': 'right', 'lanes:backward': '2'}
     """
     return {

@@ -348,7 +348,7 @@ def _arms_by_cluster(
         if begin is not None:
             arms[begin].append(Arm(street=street, index=index, is_begin=True))
         if end is not None:
-            arms[end].append(Arm(street=street.turned_round(), index=index, is_begin=False))
+            arms[end].append(Arm(street=street.reversed(), index=index, is_begin=False))
     for number, here in arms.items():
         # Most junctions stay as they are from round to round.
         key = tuple(_path(street) for street in (*(arm.street for arm in here), *inside[number]))
@@ -526,7 +526,7 @@ _SIDEWALKS = ("both", "left", "right", "yes")
 
 
 def is_merge(arms: Sequence[tuple[Edge, bool]], nodes: Iterable[Tags]) -> bool:
-    """Whether only motorways and trunk roads meet, without people on foot and crossing ways.
+    """True if only motorways and trunk roads meet, without people on foot and crossing ways.
 
     `arms`: the part of each road next to the meeting, and whether it runs away from there. `nodes`:
     of the nodes where they meet: signals and crossings are for people.
