@@ -265,9 +265,8 @@ def _fit_to_box(
     }
     for name, factor in factors.items():
         if abs(factor - 1.0) > _MAX_STRETCH:
-            raise InputError(
-                where, Unquoted(f"{factor:.3f} x {name} to fit the box"), "outlines near its size"
-            )
+            got = Unquoted(f"{factor:.3f} x {name} to fit the box")
+            raise InputError(where, got, "outlines near its size")
 
     def fit(points: FloatArray) -> FloatArray:
         x = points[:, 0] * np.where(points[:, 0] > 0.0, ahead, behind) + reference_m

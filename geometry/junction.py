@@ -177,9 +177,8 @@ def build_junction(scene: Scene) -> Junction:
     """
     ends = _ends_at_outline(scene, _ROAD_KINDS)
     if not ends:
-        raise InputError(
-            f"{scene.name}: lanes", len(scene.lanes), "lanes that begin or end at the outline"
-        )
+        got = len(scene.lanes)
+        raise InputError(f"{scene.name}: lanes", got, "lanes that begin or end at the outline")
     groups = _group_by_arm(ends, keeps_left=scene.keeps_left)
     cycleways = _beside_arms(
         _ends_at_outline(scene, _CYCLE_KINDS, within_m=_CYCLES_AT_OUTLINE_M), groups

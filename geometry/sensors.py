@@ -115,11 +115,8 @@ def with_fov(camera: CameraModel, fov_deg: float, where: str) -> CameraModel:
     if fov_deg == camera.horizontal_fov_deg:
         return camera
     if camera.fov_range_deg is None:
-        raise InputError(
-            where,
-            fov_deg,
-            f"{camera.horizontal_fov_deg:g} degrees: {camera.name} has a fixed lens",
-        )
+        expected = f"{camera.horizontal_fov_deg:g} degrees: {camera.name} has a fixed lens"
+        raise InputError(where, fov_deg, expected)
     low, high = camera.fov_range_deg
     if not low <= fov_deg <= high:
         raise InputError(where, fov_deg, f"{low:g} .. {high:g} degrees, the lens of {camera.name}")

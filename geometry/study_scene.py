@@ -133,11 +133,8 @@ def load_box_scene(source: Path | Traversable) -> Scene:
     table = read_table(load_toml(source), _BoxScene, where)
     for index, crosswalk in enumerate(table.crosswalks):
         if (crosswalk.ends_m[0] == crosswalk.ends_m[1]).all():
-            raise InputError(
-                f"{where}: crosswalks[{index}].ends_m",
-                crosswalk.ends_m.tolist(),
-                "two different points",
-            )
+            got = crosswalk.ends_m.tolist()
+            raise InputError(f"{where}: crosswalks[{index}].ends_m", got, "two different points")
     return Scene(
         name=table.name,
         **join_bodies(

@@ -132,11 +132,9 @@ def terrain_of(scene: Scene) -> Terrain | None:
         row[order] * len(east_m) + column[order], np.arange(len(nodes))
     )
     if not is_grid:
-        raise InputError(
-            f"{scene.name}: ground",
-            Unquoted(f"{len(nodes)} nodes that are no grid"),
-            "a plane z = 0, or heights on a grid as place-rsus scene import writes them",
-        )
+        got = Unquoted(f"{len(nodes)} nodes that are no grid")
+        expected = "a plane z = 0, or heights on a grid as place-rsus scene import writes them"
+        raise InputError(f"{scene.name}: ground", got, expected)
     height_m = nodes[order, 2].reshape(len(north_m), len(east_m))
     return Terrain(east_m=east_m, north_m=north_m, height_m=height_m)
 

@@ -107,11 +107,8 @@ def _recognised(
     if len(found) == 1:
         return found[0]
     shown = ", ".join(entry.filename[:60] for entry in (found or members)[:5])
-    raise InputError(
-        where,
-        Unquoted(f"{len(found)} files that can be read" + (f" (it has {shown})" if shown else "")),
-        "exactly one, with an ending of " + ", ".join(sorted(suffixes)),
-    )
+    got = Unquoted(f"{len(found)} files that can be read" + (f" (it has {shown})" if shown else ""))
+    raise InputError(where, got, "exactly one, with an ending of " + ", ".join(sorted(suffixes)))
 
 
 def _extract(
@@ -142,11 +139,8 @@ def check_unpacked(n_bytes: int, where: str) -> None:
     The budget is one for archives, instances, scenes and point clouds alike.
     """
     if n_bytes > MAX_UNPACKED_BYTES:
-        raise InputError(
-            where,
-            Unquoted(f"{n_bytes:,} bytes or more when unpacked"),
-            f"at most {MAX_UNPACKED_BYTES:,}, the budget of everything that is packed",
-        )
+        expected = f"at most {MAX_UNPACKED_BYTES:,}, the budget of everything that is packed"
+        raise InputError(where, Unquoted(f"{n_bytes:,} bytes or more when unpacked"), expected)
 
 
 def is_text(array: NDArray[Any]) -> bool:
@@ -167,11 +161,8 @@ def refuse_bomb(n_bytes: int, where: str) -> None:
 
 def _refuse_ratio(n_bytes: int, n_packed: int, where: str) -> None:
     if n_bytes > max(_SMALL_BYTES, MAX_RATIO * n_packed):
-        raise InputError(
-            where,
-            Unquoted(f"{n_bytes:,} bytes or more out of {max(1, n_packed):,}"),
-            f"at most {MAX_RATIO} times as many",
-        )
+        got = Unquoted(f"{n_bytes:,} bytes or more out of {max(1, n_packed):,}")
+        raise InputError(where, got, f"at most {MAX_RATIO} times as many")
 
 
 # ---------- gzip
@@ -412,11 +403,8 @@ def check_pbf(path: Path, *, max_unpacked_bytes: int, expected: str) -> None:
         for kind, data in _blobs(path):
             n_left -= len(data)
             if n_left < 0:
-                raise InputError(
-                    str(path),
-                    Unquoted(f"more than {max_unpacked_bytes:,} bytes when unpacked"),
-                    "fewer; cut it out first",
-                )
+                got = Unquoted(f"more than {max_unpacked_bytes:,} bytes when unpacked")
+                raise InputError(str(path), got, "fewer; cut it out first")
             if kind == b"OSMData" and any(b"\0" in text for text in _texts(data)):
                 raise InputError(str(path), Unquoted("a zero byte in a text"), expected)
     except (IndexError, _DamagedError, zlib.error) as error:

@@ -305,9 +305,8 @@ class Turn:
         if not 0.0 < self.clothoid_deg < 90.0:
             raise InputError("turn.clothoid_deg", self.clothoid_deg, "0 < degrees < 90")
         if not 0.0 <= self.arc_deg < 180.0 - 2.0 * self.clothoid_deg:
-            raise InputError(
-                "turn.arc_deg", self.arc_deg, "degrees >= 0, less than 180 with both clothoids"
-            )
+            got = self.arc_deg
+            raise InputError("turn.arc_deg", got, "degrees >= 0, less than 180 with both clothoids")
         if self.side not in (LEFT, RIGHT):
             raise InputError("turn.side", self.side, "1 (left) or -1 (right)")
 
@@ -457,9 +456,8 @@ def pick_turn(side: str, speed_kmh: float) -> Turn:
     nearest_kmh = min(max(speed_kmh, slowest), fastest)
     if not 0.0 < speed_kmh < np.inf or nearest_kmh not in by_speed:
         known = ", ".join(f"{known_kmh:g}" for known_kmh in sorted(by_speed))
-        raise InputError(
-            f"speed of a {side} turn", speed_kmh, f"{known} km/h, or beyond the first or the last"
-        )
+        expected = f"{known} km/h, or beyond the first or the last"
+        raise InputError(f"speed of a {side} turn", speed_kmh, expected)
     return by_speed[nearest_kmh]
 
 

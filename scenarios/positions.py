@@ -97,9 +97,8 @@ def read_along_arms(text: str, where: str) -> tuple[float, ...]:
     )
     words = [word.strip() for word in text.split(",")]
     if len(words) > rules.max_distances:
-        raise InputError(
-            where, Unquoted(f"{len(words)} distances"), f"at most {rules.max_distances}"
-        )
+        got = Unquoted(f"{len(words)} distances")
+        raise InputError(where, got, f"at most {rules.max_distances}")
     distances: list[float] = []
     for word in words:
         try:

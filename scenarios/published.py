@@ -129,11 +129,8 @@ def _build_placement(
         vut_meeting, vru_meeting = _crossing_distances(vut_path, vru_path, where)
     else:
         if vut_path.direction @ vru_path.direction < np.cos(np.radians(_ANGLE_TOLERANCE_DEG)):
-            raise InputError(
-                where,
-                Unquoted(f"headings {vut_path.yaw_deg:g} and {vru_path.yaw_deg:g} degrees"),
-                "one heading for VUT and VRU",
-            )
+            got = Unquoted(f"headings {vut_path.yaw_deg:g} and {vru_path.yaw_deg:g} degrees")
+            raise InputError(where, got, "one heading for VUT and VRU")
         vut_meeting = float((collision - vut_path.start_m) @ vut_path.direction)
         vru_meeting = float((collision - vru_path.start_m) @ vru_path.direction)
     met_m, _ = vut_path.at(vut_meeting)
@@ -143,9 +140,8 @@ def _build_placement(
         point = entry.collision_point_m.tolist()
         raise InputError(f"{where}.collision_point_m", point, "a point on the VUT's path")
     if not (vut_meeting > 0.0 and vru_meeting > 0.0):
-        raise InputError(
-            where, Unquoted("paths that meet behind a start"), "starts before the meeting point"
-        )
+        got = Unquoted("paths that meet behind a start")
+        raise InputError(where, got, "starts before the meeting point")
     return CasePlacement(
         scene_name=scene_name,
         case=case,
@@ -167,9 +163,8 @@ def _crossing_distances(a: StraightPath, b: StraightPath, where: str) -> tuple[f
     # squarely.
     angle_deg = float(np.degrees(np.arccos(np.clip(abs(a.direction @ b.direction), 0.0, 1.0))))
     if angle_deg < 90.0 - _ANGLE_TOLERANCE_DEG:
-        raise InputError(
-            where, Unquoted(f"paths at {angle_deg:.1f} degrees"), "perpendicular paths"
-        )
+        got = Unquoted(f"paths at {angle_deg:.1f} degrees")
+        raise InputError(where, got, "perpendicular paths")
     matrix = np.stack([a.direction, -b.direction], axis=1)
     distances = np.linalg.solve(matrix, b.start_m - a.start_m)
     return float(distances[0]), float(distances[1])

@@ -94,11 +94,9 @@ class Run:
     def __post_init__(self) -> None:
         for body in self.traffic:
             if len(body.yaw_deg) != len(self.time_s):
-                raise InputError(
-                    f"run {self.id}: traffic",
-                    Unquoted(f"{len(body.yaw_deg)} frames"),
-                    f"{len(self.time_s)}, as many as the run has",
-                )
+                got = Unquoted(f"{len(body.yaw_deg)} frames")
+                expected = f"{len(self.time_s)}, as many as the run has"
+                raise InputError(f"run {self.id}: traffic", got, expected)
 
     def __repr__(self) -> str:
         return f"Run({self.id!r}, {len(self.time_s)} frames)"
@@ -161,9 +159,8 @@ class FrameAxis:
         falls[run_start[1:-1] - 1] = False  # from one run to the next
         if falls.any():
             late, early = self.time_s[np.argmax(falls) :][:2].tolist()
-            raise InputError(
-                "time_s", Unquoted(f"{late} before {early}"), "times that ascend within a run"
-            )
+            got = Unquoted(f"{late} before {early}")
+            raise InputError("time_s", got, "times that ascend within a run")
 
     @property
     def n_runs(self) -> int:

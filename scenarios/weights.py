@@ -53,9 +53,8 @@ def weight_from_csv(path: Path, runs: Sequence[Run]) -> FloatArray:
             raise InputError(where, Unquoted(_words(row)), _what_is_driven(runs, row))
         again = named[members][named[members] > 0]
         if len(again):
-            raise InputError(
-                where, Unquoted(_words(row)), f"runs that line {again[0]} does not name already"
-            )
+            got = Unquoted(_words(row))
+            raise InputError(where, got, f"runs that line {again[0]} does not name already")
         named[members] = line
         weight[members] = amount / len(members)
     if not weight.any():
@@ -82,9 +81,8 @@ def _read_rows(path: Path) -> list[tuple[int, dict[str, str]]]:
         raise InputError(f"{path}: line {rows[0][0]}", Unquoted(", ".join(header)), expected)
     for line, row in rows[1:]:
         if len(row) != len(header):
-            raise InputError(
-                f"{path}: line {line}", Unquoted(f"{len(row)} columns"), f"{len(header)}"
-            )
+            got = Unquoted(f"{len(row)} columns")
+            raise InputError(f"{path}: line {line}", got, f"{len(header)}")
     if len(rows) == 1:
         raise InputError(str(path), Unquoted("no rows"), "one row per case and approach")
     return [
@@ -197,11 +195,8 @@ def load_points() -> dict[tuple[tuple[str, ...], str], float]:
     points = {}
     for index, score in enumerate(table.scores):
         if score.name not in TOTAL_SCORES:
-            raise InputError(
-                f"{where}: scores[{index}]",
-                Unquoted(f"{score.name!r}, unknown to the installed {RATING}"),
-                "a score of it",
-            )
+            got = Unquoted(f"{score.name!r}, unknown to the installed {RATING}")
+            raise InputError(f"{where}: scores[{index}]", got, "a score of it")
         points[score.cases, score.weather] = float(
             sum(part or 0.0 for part in TOTAL_SCORES[score.name].values())
         )

@@ -116,11 +116,9 @@ def _read_geojson(path: Path) -> Features:
                 *(ShapelyError, ValueError, TypeError, KeyError, IndexError, AttributeError),
                 *(OverflowError, RecursionError),
             ):
-                raise InputError(
-                    f"{here}.geometry",
-                    Unquoted(f"a broken {table['type']}"),
-                    "finite coordinates, rings of four or more, nested as its type asks for",
-                ) from None
+                got = Unquoted(f"a broken {table['type']}")
+                expected = "finite coordinates, rings of four or more, nested as its type asks for"
+                raise InputError(f"{here}.geometry", got, expected) from None
         features.append(Feature(where=here, geometry=geometry, values=values))
     return Features(features=tuple(features), crs=_geojson_crs(document.get("crs"), where))
 
@@ -269,11 +267,8 @@ def read_footprints(
         if (kind := _kind(feature, class_name, left_out)) is not None
     ]
     if not solid:
-        raise InputError(
-            where,
-            Unquoted("no areas: " + ", ".join(f"{n} {name}" for name, n in left_out.items())),
-            "polygons",
-        )
+        got = Unquoted("no areas: " + ", ".join(f"{n} {name}" for name, n in left_out.items()))
+        raise InputError(where, got, "polygons")
     points = np.concatenate([shapely.get_coordinates(feature.geometry) for feature, _ in solid])
     place = georeference(points, table.crs, where=where)
     things: list[Thing] = []

@@ -265,11 +265,9 @@ def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOption
     """
     roads = maps[0]
     if not chosen.n_driven:
-        raise InputError(
-            f"{roads.name}: junction {chosen.junction.id}",
-            Unquoted("no lane that leads into it"),
-            "a junction that cars drive into",
-        )
+        got = Unquoted("no lane that leads into it")
+        expected = "a junction that cars drive into"
+        raise InputError(f"{roads.name}: junction {chosen.junction.id}", got, expected)
     elevation = None
     if options.terrain is not None:
         from .relief import read_elevation

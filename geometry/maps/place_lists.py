@@ -279,22 +279,19 @@ def read_position(values: Mapping[str, Any], where: str, crs: str) -> FloatArray
             missing = "x" if x is None else "y"
         raise InputError(f"{where}: {missing}", Unquoted("nothing"), "x and y, or lat and lon")
     if not crs:
-        raise InputError(
-            f"{where}: lat", lat, "x and y in metres: the scene does not say where on earth it lies"
-        )
+        expected = "x and y in metres: the scene does not say where on earth it lies"
+        raise InputError(f"{where}: lat", lat, expected)
     if abs(lat) > 90.0 >= abs(lon):
-        raise InputError(
-            f"{where}: lat", lat, "-90 to 90 degrees: are latitude and longitude swapped?"
-        )
+        expected = "-90 to 90 degrees: are latitude and longitude swapped?"
+        raise InputError(f"{where}: lat", lat, expected)
     for name, value, limit in (("lat", lat, 90.0), ("lon", lon, 180.0)):
         if abs(value) > limit:
             raise InputError(f"{where}: {name}", value, f"-{limit:g} to {limit:g} degrees")
     position = transform([lon, lat], WGS84, crs)
     swapped = transform([lat, lon], WGS84, crs) if abs(lon) <= 90.0 else np.full(2, np.inf)
     if _is_here(swapped, crs, [lat, lon]) and not _is_here(position, crs, [lon, lat]):
-        raise InputError(
-            f"{where}: lat", lat, "a place near the scene: are latitude and longitude swapped?"
-        )
+        expected = "a place near the scene: are latitude and longitude swapped?"
+        raise InputError(f"{where}: lat", lat, expected)
     if not np.isfinite(position).all():
         raise InputError(f"{where}: lat", lat, f"a place in {crs}")
     return position
@@ -470,11 +467,8 @@ def _in_crs(feature: Feature, table: Features, crs: str) -> "BaseGeometry":
 
     assert feature.geometry is not None
     if not crs:
-        raise InputError(
-            feature.where,
-            Unquoted(f"coordinates in {table.crs[:80] or 'an unknown system'}"),
-            "a map that says where on earth it lies: `crs`",
-        )
+        got = Unquoted(f"coordinates in {table.crs[:80] or 'an unknown system'}")
+        raise InputError(feature.where, got, "a map that says where on earth it lies: `crs`")
     try:
         declared = horizontal_crs(table.crs)
     except ProjError:

@@ -223,11 +223,8 @@ def read_elevation(path: Path, *, crs: str, middle_m: FloatArray, half_m: float)
         if not file.read(4).startswith(_MAGIC):  # GDAL goes by content: a text may name an address
             raise InputError(str(path), Unquoted("something else"), _EXPECTED)
     if not crs:
-        raise InputError(
-            "terrain",
-            str(path),
-            "a map that says where on earth it lies: `crs` says it for one that does not",
-        )
+        expected = "a map that says where on earth it lies: `crs` says it for one that does not"
+        raise InputError("terrain", str(path), expected)
     try:
         with rasterio.Env(**_ALONE), rasterio.open(path, driver="GTiff") as raster:
             points = _read(raster, str(path), crs, middle_m, half_m)
@@ -256,20 +253,16 @@ def _read(raster: Any, where: str, crs: str, middle_m: FloatArray, half_m: float
     left, right = _span(columns, raster.width)
     top, bottom = _span(rows, raster.height)
     if left >= right or top >= bottom:
-        raise InputError(
-            where, Unquoted("a raster that lies elsewhere"), "one that covers the junction"
-        )
+        got = Unquoted("a raster that lies elsewhere")
+        raise InputError(where, got, "one that covers the junction")
     _check_memory(raster, (right - left) * (bottom - top), where)
     column, row = np.meshgrid(np.arange(left, right) + 0.5, np.arange(top, bottom) + 0.5)
     east_north = np.stack(_affine(raster.transform, np.stack([column, row], axis=-1)), axis=-1)
     places = transform(east_north, own_crs, crs)
     size_m = _pixel_m(raster, own_crs, crs, 0.5 * (left + right), 0.5 * (top + bottom))
     if size_m > _COARSEST_M * 1.2:
-        raise InputError(
-            where,
-            Unquoted(f"pixels of {size_m:.0f} m"),
-            f"at most {_COARSEST_M:g} m: finer heights",
-        )
+        got = Unquoted(f"pixels of {size_m:.0f} m")
+        raise InputError(where, got, f"at most {_COARSEST_M:g} m: finer heights")
     band = np.ma.masked_invalid(raster.read(1, window=((top, bottom), (left, right)), masked=True))
     low_m, high_m = _LIMITS_M
     heights = np.ma.filled(band.astype(np.float64), np.nan)
@@ -277,17 +270,13 @@ def _read(raster: Any, where: str, crs: str, middle_m: FloatArray, half_m: float
     if is_known.any() and not (
         low_m <= heights[is_known].min() <= heights[is_known].max() <= high_m
     ):
-        raise InputError(
-            where,
-            Unquoted(f"heights from {heights[is_known].min():g} to {heights[is_known].max():g}"),
-            f"metres above the sea, {low_m:g} to {high_m:g}",
-        )
+        got = Unquoted(f"heights from {heights[is_known].min():g} to {heights[is_known].max():g}")
+        raise InputError(where, got, f"metres above the sea, {low_m:g} to {high_m:g}")
     points = np.column_stack([places[is_known], heights[is_known]])
     away_m = np.hypot(*(points[:, :2] - middle_m).T)
     if not (away_m <= _MIDDLE_M).any():
-        raise InputError(
-            where, Unquoted("no heights at the junction"), f"some within {_MIDDLE_M:g} m of it"
-        )
+        got = Unquoted("no heights at the junction")
+        raise InputError(where, got, f"some within {_MIDDLE_M:g} m of it")
     return points
 
 

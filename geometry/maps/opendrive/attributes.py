@@ -36,9 +36,8 @@ def take_number(element: Element, key: str, where: str) -> float:
     except ValueError:
         raise InputError(f"{where}.{key}", text, "a number") from None
     if not (math.isfinite(value) and abs(value) <= MAX_MAGNITUDE):
-        raise InputError(
-            f"{where}.{key}", value, f"a finite number, at most {MAX_MAGNITUDE:g} in size"
-        )
+        expected = f"a finite number, at most {MAX_MAGNITUDE:g} in size"
+        raise InputError(f"{where}.{key}", value, expected)
     return value
 
 

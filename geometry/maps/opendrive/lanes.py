@@ -112,16 +112,12 @@ def _sample_section(
         for lane, numbers in zip(side, [0, *(lane.number for lane in side[:-1])], strict=False)
     }
     if np.abs(points).max() > MAX_COORDINATE_M:
-        raise InputError(
-            f"{road.where} planView", float(np.abs(points).max()), f"at most {MAX_COORDINATE_M:g} m"
-        )
+        got = float(np.abs(points).max())
+        raise InputError(f"{road.where} planView", got, f"at most {MAX_COORDINATE_M:g} m")
     height = evaluate(elevation[interval], ds) + road.base_m
     if np.abs(height).max() > _MAX_HEIGHT_M:
-        raise InputError(
-            f"{road.where} elevationProfile",
-            float(np.abs(height).max()),
-            f"heights of at most {_MAX_HEIGHT_M:g} m",
-        )
+        expected = f"heights of at most {_MAX_HEIGHT_M:g} m"
+        raise InputError(f"{road.where} elevationProfile", float(np.abs(height).max()), expected)
     return SampledSection(
         s_m=s_m,
         points_m=np.column_stack([points, height]),
@@ -139,9 +135,8 @@ def _sample_section(
 
 def _check_count(road: Road, n_points: float) -> None:
     if n_points > MAX_POINTS:
-        raise InputError(
-            road.where, Unquoted(f"{n_points:,.0f} points to draw it"), f"at most {MAX_POINTS:,}"
-        )
+        got = Unquoted(f"{n_points:,.0f} points to draw it")
+        raise InputError(road.where, got, f"at most {MAX_POINTS:,}")
 
 
 def _intervals(road: Road, section: LaneSection) -> tuple[FloatArray, FloatArray]:

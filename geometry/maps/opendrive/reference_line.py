@@ -227,9 +227,8 @@ def _read_piece(element: Element, where: str) -> tuple[float, ...]:
     shape = next((child for child in element if child.tag in SHAPES), None)
     if shape is None:
         tags = [str(child.tag) for child in element]
-        raise InputError(
-            where, Unquoted(", ".join(tags)[:80] or "no shape"), "one of " + ", ".join(SHAPES)
-        )
+        got = Unquoted(", ".join(tags)[:80] or "no shape")
+        raise InputError(where, got, "one of " + ", ".join(SHAPES))
     return (
         *(s, x, y, heading, length_m, SHAPES.index(str(shape.tag))),
         *_read_shape(shape, f"{where} {shape.tag}", length_m),
