@@ -363,7 +363,6 @@ def _build_arm(
 
 
 def _from_kerb(lanes: Sequence[Lane], *, is_in: bool, keeps_left: bool) -> tuple[Lane, ...]:
-    """Lanes from the kerb to the road's axis."""
     lines = [lane_line(lane, is_in=is_in, length_m=10.0)[0] for lane in lanes]
     # The kerb is on the right, or where traffic keeps left on the left: smaller to the other side
     # of the first lane means nearer to it.
@@ -502,7 +501,6 @@ def _median_m(
 
 
 def _mouth(lane: Lane, *, is_in: bool) -> Line:
-    """The mouth of a lane; the line leads away from the junction."""
     return Line(
         point_m=lane.centreline_m[-1 if is_in else 0],
         direction=_unit_vector(_outward_bearing_deg(lane, is_in=is_in)),

@@ -178,7 +178,6 @@ def _check_sites(scene: Scene) -> Iterator[Finding]:
 
 
 def _check_feet(scene: Scene, sites: Sequence[Site]) -> Iterator[Finding]:
-    """Sites that stand where cars drive."""
     import shapely
 
     feet = np.array([site.position_m[:2] for site in sites])

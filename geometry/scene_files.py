@@ -127,8 +127,6 @@ class _Note(Struct, frozen=True, kw_only=True):
 
 
 class _FolderScene(Struct, frozen=True, kw_only=True):
-    """``scene.toml``."""
-
     name: Text
     crs: str
     source_crs: str

@@ -71,8 +71,6 @@ class _NamedRow(ParkedRow, frozen=True, kw_only=True):
 
 
 class _Mount(Struct, frozen=True, kw_only=True):
-    """Pole or mast arm that carries sensors."""
-
     id: Text
     radius_m: _Positive
     height_m: _Positive
@@ -104,8 +102,6 @@ class _Ground(Struct, frozen=True, kw_only=True):
 
 
 class _BoxScene(Struct, frozen=True, kw_only=True):
-    """A file laid out as ``data/town05.toml``."""
-
     frame: Literal["carla-left-handed"]
     name: Text
     crs: Text

@@ -251,7 +251,6 @@ def fit_terrain(points_m: FloatArray, *, half_m: float, step_m: float) -> Terrai
 
 
 def _between(points_m: FloatArray, nodes_m: FloatArray) -> FloatArray:
-    """Heights at nodes (..., 2) between points (n, 3); NaN beyond them."""
     from scipy.interpolate import LinearNDInterpolator
     from scipy.spatial import QhullError
 

@@ -346,7 +346,6 @@ def check_gltf(path: Path) -> None:
 
 
 def _binary_header(path: Path) -> bytes:
-    """JSON of a .glb file."""
     with open_file(path) as file:
         head = file.read(20)
         if len(head) < 20 or head[:4] != b"glTF":
@@ -454,7 +453,6 @@ def _unpacked(blob: bytes) -> bytes:
 
 
 def _texts(block: bytes) -> Iterator[bytes]:
-    """The strings of a block."""
     for number, value in _fields(block):
         if number == 1 and isinstance(value, bytes):
             for _, text in _fields(value):

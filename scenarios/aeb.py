@@ -12,14 +12,7 @@ from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError
 from geometry.files import Table, load_toml, read_table
 
-from .encounters import (
-    GRAZING_M,
-    Cells,
-    Measures,
-    find_first_touch,
-)
-from .encounters import Encounter as Encounter
-from .encounters import first_contact_s as first_contact_s
+from .encounters import GRAZING_M, Cells, Encounter, Measures, find_first_touch
 
 TIME_TOLERANCE_S = 1.0e-9
 """Frames lie on multiples of 0.1 s, which binary numbers only approach."""
@@ -155,24 +148,6 @@ _FINE_STEP_S = 0.001  # a footprint moves 1.7 cm in it at 60 km/h
 _CLOSER_LOOKS = 3  # each 32 times as fine: to a thirtieth of a microsecond
 _CLOSER = np.linspace(-1.0, 1.0, 65)
 _FIRST_LOOKS = 32
-
-
-def smallest_separation_m(
-    encounter: Encounter,
-    onset_s: ArrayLike,
-    *,
-    rule: AebRule,
-    time_step_s: float = _FINE_STEP_S,
-) -> FloatArray:
-    """Smallest separation of the footprints from each onset of braking until the VUT stands, (n,).
-
-    The VUT drives as in the encounter before the onset, and brakes along its path. Zero or less
-    means that they touch. The separation is looked at every `time_step_s`.
-    """
-    onset = np.atleast_1d(np.asarray(onset_s, dtype=np.float64))[:, None]
-    since_onset = _looks_s(encounter, rule, time_step_s)
-    smallest: FloatArray = _separation_m(encounter, onset, since_onset, rule).min(axis=1)
-    return smallest
 
 
 def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:

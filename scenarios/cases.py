@@ -189,8 +189,6 @@ class _Wall(Struct, frozen=True, kw_only=True, tag="wall", tag_field="kind"):
 
 
 class _CaseEntry(Struct, frozen=True, kw_only=True):
-    """Fields of every case."""
-
     title: Text
     source: Text
     vru: Text

@@ -191,7 +191,6 @@ def _led_on(chain_m: FloatArray) -> FloatArray:
 
 
 def _along_m(chain_m: FloatArray) -> FloatArray:
-    """Distance of each point of a chain from its start."""
     return np.append(0.0, np.cumsum(np.hypot(*np.diff(chain_m, axis=0).T)))
 
 
@@ -414,8 +413,6 @@ class TurnAtSpeed:
 
 
 class _TurnEntry(Struct, frozen=True, kw_only=True):
-    """A turn in ``data/turning_paths.toml``."""
-
     turn: Literal["far", "near"]
     speed_kmh: float
     first_radius_m: float

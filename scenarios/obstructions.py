@@ -159,7 +159,6 @@ _MAY_OVERLAP_M = 0.1
 
 @lru_cache(maxsize=8)
 def _carriageway(scene: Scene) -> Any:
-    """Area that is driven on: a shapely geometry."""
     import shapely
 
     lanes = (lane for lane in scene.lanes if lane.kind in ("driving", CONNECTING))
@@ -174,7 +173,6 @@ def _carriageway(scene: Scene) -> Any:
 
 @lru_cache(maxsize=8)
 def _parking(scene: Scene) -> Any:
-    """Lanes to park on: a shapely geometry."""
     import shapely
 
     area = shapely.union_all(strips_of(lane for lane in scene.lanes if lane.kind == "parking"))
@@ -232,7 +230,6 @@ def _caster(solid: _Solid) -> tuple[RayCaster, FloatArray]:
 
 
 def _counting(solid: _Solid) -> list[int]:
-    """Indices of the instances that count."""
     return [
         index
         for index, instance in enumerate(solid.scene.instances)

@@ -54,8 +54,6 @@ class _Entry(Struct, frozen=True, kw_only=True):
 
 
 class _File(Struct, frozen=True, kw_only=True):
-    """``data/town05_runs.toml``."""
-
     scene: Text
     placements: tuple[_Entry, ...]
     parked_rows: tuple[ParkedRow, ...] = ()

@@ -281,7 +281,6 @@ def way_across(
 
 
 def _curve_between(entry: Lane, leaving: Lane) -> FloatArray:
-    """Points (n, 2) from the end of a lane to the start of another one."""
     before = follow_lane(entry.centreline_m, is_in=True).tangent(0.0)
     after = follow_lane(leaving.centreline_m, is_in=False).tangent(0.0)
     try:

@@ -148,8 +148,6 @@ class _Score(Struct, frozen=True, kw_only=True):
 
 
 class _Rating(Struct, frozen=True, kw_only=True):
-    """``data/rating_2026.toml``."""
-
     scores: tuple[_Score, ...]
 
 
@@ -266,7 +264,6 @@ def weight_by_crash_types(runs: Sequence[Run]) -> FloatArray:
 
 
 def _away_m(run: Run) -> float:
-    """How far along its arm from the junction a run is laid, in m."""
     return read_position(run.position, run.id).distance_m
 
 

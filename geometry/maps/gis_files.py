@@ -135,7 +135,6 @@ def _geojson_crs(table: Any, where: str) -> str:
 
 
 def _read_with_gdal(path: Path, layer: str | None) -> Features:
-    """Read a GeoPackage or Shapefile."""
     import pyogrio
     from shapely.errors import ShapelyError
 
@@ -322,7 +321,6 @@ def _has(geometry: "BaseGeometry", types: tuple[str, ...]) -> bool:
 
 
 def _parts(geometry: "BaseGeometry", depth: int = 0) -> "list[BaseGeometry]":
-    """Points, lines and polygons of a geometry."""
     pieces = getattr(geometry, "geoms", None)
     if pieces is None or depth > 50:
         return [geometry]

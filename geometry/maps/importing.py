@@ -342,5 +342,4 @@ def _building_notes(things: Sequence[Thing], radius_m: float) -> Iterator[Note]:
 
 
 def _crs_of_results(roads: SourceMap) -> str:
-    """The reference system for results: the one that the file itself uses."""
     return roads.source_crs or roads.crs if roads.crs else ""

@@ -154,7 +154,6 @@ def _folder_resolver(path: Path) -> Any:
 
 
 def _placed(geometry: Any, matrix: FloatArray, where: str) -> tuple[FloatArray, NDArray[np.int32]]:
-    """Used vertices, and triangles, of a part."""
     vertices: FloatArray = np.asarray(geometry.vertices, dtype=np.float64)
     faces = np.asarray(geometry.faces, dtype=np.int64)
     outside = faces[(faces < 0) | (faces >= len(vertices))]

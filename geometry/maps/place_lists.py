@@ -236,7 +236,6 @@ def _projected(x: float, y: float, source: str, crs: str, where: str) -> dict[st
 
 
 def _site(values: Mapping[str, Any], where: str, crs: str) -> SiteWish:
-    """Check one row."""
     site_id = str(values.get("id", "")).strip()
     if not site_id:
         raise InputError(f"{where}: id", Unquoted("nothing"), "a name")
@@ -461,7 +460,6 @@ def _point(feature: Feature, table: Features, crs: str) -> FloatArray:
 
 
 def _in_crs(feature: Feature, table: Features, crs: str) -> "BaseGeometry":
-    """A feature's geometry in a map's coordinates."""
     import shapely
     from pyproj.exceptions import ProjError
 

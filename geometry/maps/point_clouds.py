@@ -285,7 +285,6 @@ def _above_ground(scan: _Scan) -> tuple[dict[str, IntArray], float, list[Note]]:
 
 
 def _coarser(keys: IntArray) -> IntArray:
-    """Voxels of twice the edge."""
     cells = (to_cells(keys) - _MIDDLE) // 2 + _MIDDLE
     return np.unique(to_keys(cells))
 

@@ -53,7 +53,6 @@ def open_points(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
 # ---------- LAS and LAZ files, through laspy
 @contextmanager
 def _open_las(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
-    """Yield the CRS and chunks of points of a LAS or LAZ file."""
     import laspy
 
     where = str(path)
@@ -242,7 +241,6 @@ def _pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
 
 
 def _pcd_header(file: BinaryIO, where: str) -> dict[str, list[str]]:
-    """Lines of the header up to DATA."""
     header: dict[str, list[str]] = {}
     while file.tell() < _MAX_HEADER_BYTES:
         line = file.readline(_MAX_HEADER_BYTES)

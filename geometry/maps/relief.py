@@ -312,7 +312,6 @@ def _span(values: FloatArray, size: int) -> tuple[int, int]:
 
 
 def _pixel_m(raster: Any, own_crs: str, crs: str, column: float, row: float) -> float:
-    """Longer edge of a pixel, in metres."""
     corners = np.array([[column, row], [column + 1.0, row], [column, row + 1.0]])
     at = transform(np.stack(_affine(raster.transform, corners), axis=-1), own_crs, crs)
     return float(max(np.hypot(*(at[1] - at[0])), np.hypot(*(at[2] - at[0]))))

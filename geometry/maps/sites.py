@@ -395,7 +395,6 @@ def _below_roofs(
 
 
 def _poles(surroundings: Surroundings) -> tuple[tuple[SiteWish, ...], list[Note]]:
-    """Poles that are high enough for sensors."""
     wishes, notes = [], []
     for pole in surroundings.poles:
         if pole.height_m is not None and pole.height_m < MIN_POLE_M:
@@ -670,7 +669,6 @@ def is_under(positions_m: FloatArray, thing: Thing) -> BoolArray:
 
 
 def _turn(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Twice the signed area between two vectors, (n,)."""
     return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 

@@ -104,7 +104,6 @@ def _without_parts(outlines: Sequence[Area], parts: Sequence[Area]) -> list[list
 
 
 def _pieces(area: Area, shapes: Sequence[Polygon], name: str) -> Iterator[Area]:
-    """Parts of an area."""
     for number, shape in enumerate(shapes):
         yield replace(
             area,
@@ -192,7 +191,6 @@ def _clear_height_m(kind: str, tags: Tags) -> float:
 
 
 def _top_m(area: Area, omissions: Omissions) -> float | None:
-    """Height of the roof in metres, if it is tagged."""
     tags, usual = area.tags, DEFAULTS["building"]
     for key in ("height", "building:height", "est_height"):
         if key in tags:
@@ -211,7 +209,6 @@ def _top_m(area: Area, omissions: Omissions) -> float | None:
 
 
 def _bottom_m(tags: Tags) -> float | None:
-    """Height of the floor in metres, if it is tagged."""
     usual = DEFAULTS["building"]
     for key in ("min_height", "building:min_height"):
         height_m = parse_length_m(tags[key]) if key in tags else None

@@ -474,7 +474,6 @@ def _road_beside_m(network: Network, street: Street, *, is_begin: bool) -> float
 
 
 def _outline(arms: Sequence[Arm], inside: Sequence[Street], points_m: FloatArray) -> FloatArray:
-    """Road surface of a junction up to where its arms begin."""
     corner_m = DEFAULTS["junction"]["corner_m"]
     surfaces = [surface(street, 0.0, street.length_m) for street in inside]
     surfaces += [surface(arm.street, 0.0, arm.mouth_m) for arm in arms]
@@ -503,7 +502,6 @@ def _largest(shape: BaseGeometry) -> Polygon:
 
 
 def _name(arms: Sequence[Arm], inside: Sequence[Street]) -> str:
-    """Names of the streets that meet, the busiest first."""
     ranks: dict[str, int] = {}
     counts: Counter[str] = Counter()
     edges = [arm.street.parts[0][0] for arm in arms]

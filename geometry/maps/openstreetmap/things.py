@@ -159,7 +159,6 @@ def _tree(name: str, foot_m: FloatArray, tags: Tags, element: str, omissions: Om
 
 @cache
 def _prism() -> Mesh:
-    """A trunk of radius 1 from height 0 to 1."""
     import trimesh
 
     prism = trimesh.creation.cylinder(
