@@ -77,8 +77,6 @@ def main() -> None:
 
 
 # ---------- gait
-
-
 def _take_turns(entry: Table, where: str) -> dict[str, FloatArray]:
     """Angles in degrees of the right side's joints at each instant, by name; positive: forwards."""
     turns: dict[str, FloatArray] = {
@@ -165,8 +163,6 @@ _SIDES = (-1.0, 1.0)
 
 
 # ---------- solids
-
-
 def _build_mesh(
     entry: Table, turns_deg: Mapping[str, FloatArray], index: int, where: str
 ) -> tuple[FloatArray, NDArray[np.int32]]:

@@ -39,6 +39,12 @@ def check_one_of(where: str, got: object, known: Collection[str]) -> None:
         raise InputError(where, got, "one of " + ", ".join(known))
 
 
+def check_field(value: object, where: str, field: str, is_valid: bool, expected: str) -> None:
+    """Raise InputError unless a field of a value is valid; `where` names the value."""
+    if not is_valid:
+        raise InputError(f"{where}.{field}", getattr(value, field), expected)
+
+
 class Unquoted(str):
     """Words about a value, shown without quotes in an :class:`InputError`."""
 

@@ -31,8 +31,6 @@ MAX_TOML_BYTES = 20_000_000  # Python's reader takes half a second per million
 
 
 # ---------- the door: every file of a user's is opened, read and written by these functions
-
-
 def check_file(path: Path, *, max_bytes: int | None = None) -> None:
     """Raise InputError unless a path is a regular file, and not too large to be read as a whole.
 
@@ -196,8 +194,6 @@ def write_atomically(
 
 
 # ---------- TOML
-
-
 def load_toml(source: Path | Traversable) -> dict[str, Any]:
     """Read a TOML file, or a data file of a package, as a whole.
 
@@ -441,7 +437,6 @@ def pick(known: Mapping[str, _T], name: str, where: str) -> _T:
 
 
 # ---------- temporary files and folders: whose process is alive?
-
 _YOUNG_S = 60.0  # a process may have made it and not locked it yet
 
 

@@ -166,8 +166,6 @@ def _refuse_ratio(n_bytes: int, n_packed: int, where: str) -> None:
 
 
 # ---------- gzip
-
-
 class _Unpacked(io.RawIOBase):
     """Unpacked bytes of a gzip file, until there are more than an honest one holds."""
 

@@ -17,9 +17,8 @@ from .encounters import GRAZING_M, Cells, Encounter, Measures, find_first_touch
 TIME_TOLERANCE_S = 1.0e-9
 """Frames lie on multiples of 0.1 s, which binary numbers only approach."""
 
+
 # ---------- how the VUT brakes
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AebRule:
     """From detected frames to braking.
@@ -140,8 +139,6 @@ def _phases(time_s: FloatArray, rule: AebRule) -> tuple[FloatArray, FloatArray]:
 
 
 # ---------- whether braking helps
-
-
 _ONSET_STEP_S = 0.25  # first cells of the search for the last brake time
 _ONSET_TOLERANCE_S = 1.0e-5
 _FINE_STEP_S = 0.001  # a footprint moves 1.7 cm in it at 60 km/h
@@ -283,8 +280,6 @@ def _separation_m(
 
 
 # ---------- what the VUT brakes for
-
-
 def confirmation_mask(detected: ArrayLike, *, n_confirmations: int) -> BoolArray:
     """Frames of one run, (..., n_frames), at which the last `n_confirmations` are all detected.
 

@@ -133,8 +133,6 @@ def worded_for(case: Case, *, keeps_left: bool) -> Case:
 
 
 # ---------- tables of data/cases.toml
-
-
 _Positive = Annotated[float, Meta(gt=0.0)]
 _Side = Literal["near", "far"]
 
@@ -396,8 +394,6 @@ def _build_obstruction(
 
 
 # ---------- cases and speeds in the words of a user
-
-
 _HIGHEST_KMH = 250.0
 
 

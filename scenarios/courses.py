@@ -1,8 +1,8 @@
-"""Courses: smooth lines along the lanes of a map, by their own length."""
+"""Courses: smooth lines along the lanes of a map, by their own length; and turns of the VUT."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from importlib.resources import files
 from typing import Any, Literal
 
@@ -11,7 +11,7 @@ from msgspec import Struct
 from numpy.typing import ArrayLike, NDArray
 
 from geometry.arrays import FloatArray, freeze
-from geometry.errors import InputError
+from geometry.errors import InputError, check_field
 from geometry.files import load_toml, pick, read_tables
 from geometry.junction import Line
 
@@ -277,8 +277,6 @@ def _course(begin_m: float, points_m: FloatArray, yaw_rad: FloatArray) -> Course
 
 
 # ---------- turns
-
-
 LEFT, RIGHT = 1, -1
 _SIDES = {"far": LEFT, "near": RIGHT}  # right-hand traffic
 _ANGLE_TOLERANCE_DEG = 1.0e-9
@@ -297,17 +295,13 @@ class Turn:
     side: int  # ``LEFT`` = +1, ``RIGHT`` = -1
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.radius_m < np.inf:
-            raise InputError("turn.radius_m", self.radius_m, "> 0 metres")
-        if not self.first_radius_m > self.radius_m:
-            raise InputError("turn.first_radius_m", self.first_radius_m, "more than radius_m")
-        if not 0.0 < self.clothoid_deg < 90.0:
-            raise InputError("turn.clothoid_deg", self.clothoid_deg, "0 < degrees < 90")
-        if not 0.0 <= self.arc_deg < 180.0 - 2.0 * self.clothoid_deg:
-            got = self.arc_deg
-            raise InputError("turn.arc_deg", got, "degrees >= 0, less than 180 with both clothoids")
-        if self.side not in (LEFT, RIGHT):
-            raise InputError("turn.side", self.side, "1 (left) or -1 (right)")
+        check = partial(check_field, self, "turn")
+        check("radius_m", 0.0 < self.radius_m < np.inf, "> 0 metres")
+        check("first_radius_m", self.first_radius_m > self.radius_m, "more than radius_m")
+        check("clothoid_deg", 0.0 < self.clothoid_deg < 90.0, "0 < degrees < 90")
+        is_short = 0.0 <= self.arc_deg < 180.0 - 2.0 * self.clothoid_deg
+        check("arc_deg", is_short, "degrees >= 0, less than 180 with both clothoids")
+        check("side", self.side in (LEFT, RIGHT), "1 (left) or -1 (right)")
 
     @property
     def angle_deg(self) -> float:
@@ -459,8 +453,6 @@ def pick_turn(side: str, speed_kmh: float) -> Turn:
 
 
 # ---------- from one lane into another
-
-
 def join_by_turn(entry: Course, exit_course: Course, turn: Turn) -> tuple[Course, Turn]:
     """The course along a lane, round a turn into another lane, and along that one.
 

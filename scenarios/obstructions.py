@@ -1,4 +1,4 @@
-"""Room for what a case lays into a scene: nothing in the way, nothing on the carriageway."""
+"""Parked cars and walls that hide the VRU, and room for them and for all ways."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -305,8 +305,6 @@ def _sides(corners_m: FloatArray) -> FloatArray:
 
 
 # ---------- obstructions
-
-
 # Two triangles on each of a box's six sides, outward, for corners numbered as in `_build_wall`.
 _BOX_TRIANGLES = np.array(
     [

@@ -49,8 +49,6 @@ AT_ZERO = Position()
 
 
 # ---------- rules
-
-
 _Metres = Annotated[float, Meta(ge=0.0)]
 
 
@@ -78,8 +76,6 @@ def is_study_set(cases: str) -> bool:
 
 
 # ---------- positions in the words of a user
-
-
 def read_along_arms(text: str, where: str) -> tuple[float, ...]:
     """Distances along the arms, in metres, by the words of a user.
 
@@ -182,8 +178,6 @@ def sort_positions(names: Iterable[str]) -> list[str]:
 
 
 # ---------- positions of cases
-
-
 def is_bound(case: Case) -> bool:
     """True if a case can happen at the junction alone: the VUT turns, or the VRU's road is there.
 

@@ -208,8 +208,6 @@ def _places_behind(
 
 
 # ---------- crossing and longitudinal cases
-
-
 def _lay_crossing(
     case: Case, junction: Junction, place: _Place, vut_speed_kmh: float, vut: Actor
 ) -> Staging:
@@ -342,8 +340,6 @@ def _lay_longitudinal(
 
 
 # ---------- turning cases
-
-
 def _turnings(
     case: Case, junction: Junction, arm: Arm, vut_speed_kmh: float, vut: Actor
 ) -> Iterator[Callable[[], Staging]]:
@@ -498,8 +494,6 @@ def _is_along(way: Way, line: Line, ridden_m: float, tolerance_m: float) -> bool
 
 
 # ---------- the VRU's way
-
-
 def _travel_m(case: Case, vru_distance_m: float) -> float:
     """The VRU's way from rest to the impact; `vru_distance_m`: its middle past the line's point."""
     if case.steady_distance_m is not None:

@@ -1,4 +1,4 @@
-"""How a run is set up: who moves how, past what, before anybody brakes."""
+"""Setting up a run: who moves how, past what, before anybody brakes; and the rules for it."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
@@ -209,7 +209,6 @@ def _gap_to_side(
 
 
 # ---------- the first staging that can be driven
-
 _BEND_STEP_M = 0.25
 _BEND_STEPS = 4  # bends are taken over a metre: courses are smooth over at least two
 _ROUND_KMH = 5
@@ -269,8 +268,6 @@ def _check_bends(encounter: Encounter) -> None:
 
 
 # ---------- stagings in a mirror, for traffic that keeps left
-
-
 _NORTH_TO_SOUTH = np.array([1.0, -1.0])
 
 
@@ -333,8 +330,6 @@ def _mirror_placed(placed: PlacedActor) -> PlacedActor:
 
 
 # ---------- rules where the protocol speaks of its own test track
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WayRules:
     """Ways of the VUT and the VRU."""

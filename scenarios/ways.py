@@ -1,4 +1,4 @@
-"""The ways of road users along a lane: straight on, or round its bends."""
+"""Ways of road users: along lanes, straight or bent, and through the junction into other arms."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -317,8 +317,6 @@ def meeting_m(one: Way, other: Way) -> tuple[float, float]:
 
 
 # ---------- arms
-
-
 _LEADS = {"left": "to the left", "right": "to the right", "through": "straight on"}
 _SAME_POINT_M = 0.5  # as geometry.junction joins lanes
 
@@ -430,8 +428,6 @@ def _entry_tips(junction: Junction) -> Iterator[FloatArray]:
 
 
 # ---------- turns into another arm
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Turning:
     """A VUT's way into another arm."""
@@ -542,8 +538,6 @@ def _check_within(lane: Lane, in_lane_m: float, what: str) -> None:
 
 
 # ---------- bends that are too sharp
-
-
 _REACH_M = 100.0  # from the junction: at 50 km/h, seven seconds
 _OVER_M = 1.0  # bends are taken over a metre, as those of runs
 

@@ -25,8 +25,6 @@ from .positions import is_study_set, read_position
 from .runs import Refusal, Run
 
 # ---------- weights from a CSV file
-
-
 _COLUMNS = ("case", "approach", "weight")
 _OPTIONAL = ("position", "weather")
 _ANY = ("", "*")
@@ -134,8 +132,6 @@ def _what_is_driven(runs: Sequence[Run], row: Mapping[str, str]) -> str:
 
 
 # ---------- weights by Euro NCAP's points of 2026; needs the extra `rating`
-
-
 RATING = "euroncap-rating-2026"
 
 
@@ -206,8 +202,6 @@ def _family(case_name: str) -> str:
 
 
 # ---------- weights by types of accidents, from statistics
-
-
 CRASH_TYPES = "fhwa-crash-types"
 
 
@@ -268,8 +262,6 @@ def _away_m(run: Run) -> float:
 
 
 # ---------- weights by a word
-
-
 _BY_WORD = ("run", "case", CRASH_TYPES, RATING)
 
 

@@ -1,4 +1,4 @@
-"""City models in JSON: CityJSON 1.0 to 2.0, and text sequences of it."""
+"""City models: CityJSON 1.0 to 2.0 and text sequences of it; CityGML 1.0 to 3.0."""
 
 import json
 import re
@@ -408,8 +408,6 @@ def _said(skipped: Sequence[Note]) -> str:
 
 
 # ---------- CityGML
-
-
 _GML = "CityGML"
 _OTHER_TYPES = (
     *("Bridge", "BridgePart", "Tunnel", "TunnelPart", "HollowSpace", "Road", "Railway", "Track"),

@@ -1,4 +1,4 @@
-"""Cut the surroundings of one junction out of maps, and build a scene from them."""
+"""Surroundings of a junction, cut out of maps, and the scene that is built of them."""
 
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
@@ -497,8 +497,6 @@ def _unique(name: str, source: SourceMap, taken: set[str]) -> str:
 
 
 # ---------- many junctions out of maps that are read once
-
-
 _MORE_M = 80.0  # beyond what is cut out: the ground is levelled with what lies around it
 _THINGS_MORE_M = 30.0
 _FAR_FIELDS, _NEAR_FIELDS = ("lanes", "connections"), ("junctions", "things", "poles")

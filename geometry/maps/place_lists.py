@@ -1,4 +1,4 @@
-"""Lists of sites by a planner: CSV or GeoJSON, one site per row."""
+"""Lists of places: a planner's sites; a city's areas, and counts such as accidents or cars."""
 
 import csv
 import io
@@ -343,8 +343,6 @@ def _yes_no(values: Mapping[str, Any], field: str, where: str) -> bool | None:
 
 
 # ---------- areas, and counts at places
-
-
 _COUNTS = ("weight", "count", "accidents", "aadt", "traffic", "value")
 _NAMES = ("name", "id", "district", "title")
 _JUNCTIONS = ("junction", "junction_id")

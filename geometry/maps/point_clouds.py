@@ -1,4 +1,4 @@
-"""Things from point clouds: closed solids of voxels that stand on the ground."""
+"""Things from point clouds: the ground below the points, and closed solids of voxels upon it."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -364,8 +364,6 @@ def _is_roof(keys: IntArray, voxel_m: float) -> bool:
 
 
 # ---------- voxels: cubes where there are points
-
-
 _BITS = 20  # per axis in a key: 1,048,575 voxels, 262 km of 0.25 m
 _MASK = (1 << _BITS) - 1
 MAX_VOXELS_PER_AXIS = _MASK - 1

@@ -1,4 +1,4 @@
-"""How high the ground lies around a junction, and things set upon it."""
+"""Ground around a junction: heights of maps or of a GeoTIFF raster, and things set upon it."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -176,8 +176,6 @@ def _on_level(
 
 
 # ---------- heights of the ground from GeoTIFF rasters
-
-
 _COARSEST_M = 30.0  # the global models; coarser ones know no street
 _MIDDLE_M = 60.0  # there must be a height this near to the junction
 _LIMITS_M = (-500.0, 9000.0)

@@ -1,10 +1,10 @@
-"""Sites of a scene: the poles of the map, a planner's list, or points along the kerbs."""
+"""Sites of a scene: poles of the map, a planner's list or kerbs, and where each can stand."""
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,12 +12,13 @@ from numpy.typing import ArrayLike
 from ..arrays import BoolArray, FloatArray, float_array
 from ..errors import InputError
 from ..notes import Note
-from ..scene import HANGING_KINDS, Site, flat_union
+from ..scene import HANGING_KINDS, Lane, Site, covered_area, flat_union
+from ..terrain import HEADROOM_M, headroom_m
 from .cut import Surroundings
 from .place_lists import SUFFIXES, SiteWish, read_sites
 from .source_map import (
     MIN_POLE_M,
-    MapLane,
+    Pole,
     PoleKind,
     SourceMap,
     Thing,
@@ -29,12 +30,6 @@ from .source_map import (
 if TYPE_CHECKING:
     from shapely import Polygon
 
-from dataclasses import dataclass
-from typing import Any
-
-from ..scene import covered_area
-from ..terrain import HEADROOM_M, headroom_m
-from .source_map import Pole
 
 REACH_M = 60.0
 _AT_OUTLINE_M = 1.5
@@ -48,7 +43,7 @@ _BELOW_ROOF_M = 0.3  # a sensor and its bracket
 
 
 def kerb_sites(
-    lanes: Sequence[MapLane], outline_m: ArrayLike, spacing_m: float, *, reach_m: float = REACH_M
+    lanes: Sequence[Lane], outline_m: ArrayLike, spacing_m: float, *, reach_m: float = REACH_M
 ) -> tuple[SiteWish, ...]:
     """Sites along both kerbs of a junction's arms, from its corners outwards.
 
@@ -73,7 +68,7 @@ def kerb_sites(
     for lane, line in arms:
         for side, sign in (("left", 1.0), ("right", -1.0)):
             along_m, points, outwards = _offset(line, sign * (0.5 * lane.width_m + SETBACK_M))
-            shapes = shapely.points(points[:, :2])
+            shapes = shapely.points(points)
             free = shapely.distance(shapes, inside) > 0.5 * SETBACK_M
             free &= shapely.distance(shapes, shapely.LinearRing(outline)) <= reach_m
             free[np.unique(strips.query(shapes, predicate="within")[0])] = False
@@ -90,36 +85,35 @@ def kerb_sites(
                     SiteWish(
                         id=name,
                         kind="kerb",
-                        position_m=np.round(points[place, :2], 3),
-                        z_m=round(float(points[place, 2]), 3),
+                        position_m=np.round(points[place], 3),
                     ),
                 )
     return tuple(sites.values())
 
 
 def _outward(
-    lane: MapLane, lanes: Sequence[MapLane], outline: FloatArray, reach_m: float
+    lane: Lane, lanes: Sequence[Lane], outline: FloatArray, reach_m: float
 ) -> list[FloatArray]:
-    """Centrelines (n, 3) of a lane that touches the outline, with its continuations, outwards."""
+    """Centrelines (n, 2) of a lane that touches the outline, with its continuations, outwards."""
     import shapely
 
     ring = shapely.LinearRing(outline)
     lines = []
     for line in (lane.centreline_m, lane.centreline_m[::-1]):
-        start_m, end_m = shapely.distance(shapely.points(line[[0, -1], :2]), ring)
+        start_m, end_m = shapely.distance(shapely.points(line[[0, -1]]), ring)
         is_stub = _length_m(line) < 2.0 * _AT_OUTLINE_M  # its far end is at the outline, too
         if start_m > _AT_OUTLINE_M or (is_stub and end_m < start_m):
             continue
         joined, used = [line], {lane.id}
         while _length_m(np.concatenate(joined)) < reach_m + 10.0:
-            end = joined[-1][-1, :2]
+            end = joined[-1][-1]
             after = next(
                 (
                     (other, points)
                     for other in lanes
                     if other.id not in used and other.kind == lane.kind
                     for points in (other.centreline_m, other.centreline_m[::-1])
-                    if np.hypot(*(points[0, :2] - end)) <= _JOINED_M
+                    if np.hypot(*(points[0] - end)) <= _JOINED_M
                 ),
                 None,
             )
@@ -128,42 +122,42 @@ def _outward(
             used.add(after[0].id)
             joined.append(after[1][1:] if len(after[1]) > 2 else after[1])
         whole = np.concatenate(joined)
-        is_new = np.r_[True, np.hypot(*np.diff(whole[:, :2], axis=0).T) > 1e-6]
+        is_new = np.r_[True, np.hypot(*np.diff(whole, axis=0).T) > 1e-6]
         if is_new.sum() >= 2:
             lines.append(whole[is_new])
     return lines
 
 
-def _strip(lane: MapLane, line: FloatArray, *, beside_m: float) -> "Polygon":
+def _strip(lane: Lane, line: FloatArray, *, beside_m: float) -> "Polygon":
     """A lane's surface with a strip on either side, extended by a metre at both ends."""
     import shapely
 
-    ends = line[[0, -1], :2]
-    ways = ends - line[[1, -2], :2]
+    ends = line[[0, -1]]
+    ways = ends - line[[1, -2]]
     ends = ends + _LONGER_M * ways / np.hypot(*ways.T)[:, None]
-    longer = shapely.LineString(np.concatenate([ends[:1], line[:, :2], ends[1:]]))
+    longer = shapely.LineString(np.concatenate([ends[:1], line, ends[1:]]))
     return longer.buffer(0.5 * lane.width_m + beside_m, cap_style="flat")
 
 
 def _length_m(line: FloatArray) -> float:
-    return float(np.hypot(*np.diff(line[:, :2], axis=0).T).sum())
+    return float(np.hypot(*np.diff(line, axis=0).T).sum())
 
 
 def _offset(line: FloatArray, offset_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Distance along a line, position and outward direction of points next to it, every 0.25 m."""
-    pieces = np.hypot(*np.diff(line[:, :2], axis=0).T)
+    pieces = np.hypot(*np.diff(line, axis=0).T)
     at = np.r_[0.0, np.cumsum(pieces)]
     along_m: FloatArray = np.arange(0.0, min(at[-1], 500.0), _STEP_M)
-    points = np.stack([np.interp(along_m, at, line[:, axis]) for axis in range(3)], axis=1)
+    points = np.stack([np.interp(along_m, at, line[:, axis]) for axis in (0, 1)], axis=1)
     piece = np.clip(np.searchsorted(at, along_m, side="right") - 1, 0, len(pieces) - 1)
-    ahead = np.diff(line[:, :2], axis=0)[piece] / pieces[piece, None]
+    ahead = np.diff(line, axis=0)[piece] / pieces[piece, None]
     left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
-    points[:, :2] += offset_m * left
+    points += offset_m * left
     return along_m, points, np.sign(offset_m) * left
 
 
 def _is_median(
-    points: FloatArray, outwards: FloatArray, arms: Sequence[tuple[MapLane, FloatArray]]
+    points: FloatArray, outwards: FloatArray, arms: Sequence[tuple[Lane, FloatArray]]
 ) -> BoolArray:
     """Points beyond which another lane runs parallel, a few metres further outwards."""
     import shapely
@@ -171,13 +165,13 @@ def _is_median(
     is_median: BoolArray = np.zeros(len(points), dtype=np.bool_)
     if not len(points):
         return is_median
-    starts = points[:, :2]
+    starts = points
     rays = shapely.linestrings(np.stack([starts, starts + _MEDIAN_M * outwards], axis=1))
     for lane, line in arms:
         strip = _strip(lane, line, beside_m=0.0)
         for index in np.flatnonzero(shapely.intersects(rays, strip) & ~is_median):
-            nearest = int(np.argmin(np.hypot(*(line[:-1, :2] - starts[index]).T)))
-            ahead = line[nearest + 1, :2] - line[nearest, :2]
+            nearest = int(np.argmin(np.hypot(*(line[:-1] - starts[index]).T)))
+            ahead = line[nearest + 1] - line[nearest]
             across = abs(float(ahead @ outwards[index])) / float(np.hypot(*ahead))
             is_median[index] = across < np.sqrt(1.0 - _PARALLEL**2)
     return is_median
@@ -415,17 +409,7 @@ def _poles(surroundings: Surroundings) -> tuple[tuple[SiteWish, ...], list[Note]
 
 
 def _kerbs(surroundings: Surroundings, spacing_m: float, radius_m: float) -> tuple[SiteWish, ...]:
-    lanes = [
-        MapLane(
-            id=lane.id,
-            kind=lane.kind,
-            width_m=lane.width_m,
-            centreline_m=np.column_stack([lane.centreline_m, np.zeros(len(lane.centreline_m))]),
-        )
-        for lane in surroundings.lanes
-        if lane.kind in _KINDS
-    ]
-    wishes = kerb_sites(lanes, surroundings.outline_m, spacing_m)
+    wishes = kerb_sites(surroundings.lanes, surroundings.outline_m, spacing_m)
     near = [wish for wish in wishes if np.hypot(*wish.position_m) <= radius_m]
     near.sort(key=lambda wish: float(np.hypot(*wish.position_m)))
     count: Counter[str] = Counter()
@@ -514,8 +498,6 @@ def _site(wish: SiteWish) -> Site:
 
 
 # ---------- where poles and sites can stand
-
-
 SETBACK_M = (
     0.5  # of a pole's middle from the kerb; assumption: the usual clearance of a carriageway
 )

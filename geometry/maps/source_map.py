@@ -1,4 +1,4 @@
-"""The content of a map file, whatever its format: lanes, junctions, crosswalks, things, poles."""
+"""Content of a map file in any format: lanes, junctions, crosswalks, things, poles; their kinds."""
 
 import re
 from collections import Counter
@@ -228,8 +228,6 @@ class SourceMap:
 
 
 # ---------- kinds of things and poles
-
-
 _MAX_NAME = 200  # characters of a name that are looked at
 _SECTIONS = 10  # of a pole's cylinder
 

@@ -1,4 +1,4 @@
-"""Roads as a file has them: reference line, elevation, superelevation, lane sections, links."""
+"""Roads of a file: reference line, elevation, superelevation and shape, lane sections, links."""
 
 import math
 from collections import Counter, defaultdict
@@ -40,8 +40,6 @@ _KMH = {"m/s": 3.6, "km/h": 1.0, "mph": 1.609344}
 
 
 # ---------- how the surface rises and falls across
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CrossSections:
     """Heights across a road at some stations; between two of them in proportion."""

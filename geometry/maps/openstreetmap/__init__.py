@@ -107,8 +107,6 @@ def _carriageways(ways: list[Way], positions_m: FloatArray) -> Counter[bool]:
 
 
 # ---------- files
-
-
 def read_openstreetmap(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
     """Read a file of OpenStreetMap data.
 

@@ -1,4 +1,4 @@
-"""Buildings: prisms from the ground, or from where they begin above those who pass below."""
+"""Buildings, from the ground or above those who pass below; and bridges over roads."""
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
@@ -277,8 +277,6 @@ def _is_gate(tags: Tags) -> bool:
 
 
 # ---------- bridges over roads
-
-
 def find_bridges(
     network: Network, reaches: Sequence[Reach], elements: Elements, omissions: Omissions
 ) -> Iterator[Thing]:

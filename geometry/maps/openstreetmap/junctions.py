@@ -1,4 +1,4 @@
-"""Junctions of a network: their nodes, arms, outlines and names."""
+"""Junctions of a network: their nodes, arms, outlines, names; the roads that lead to them."""
 
 from collections import Counter, defaultdict, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -515,8 +515,6 @@ def _name(arms: Sequence[Arm], inside: Sequence[Street]) -> str:
 
 
 # ---------- where motorways merge or part
-
-
 _MOTORWAYS = ("motorway", "motorway_link")
 _TRUNKS = ("trunk", "trunk_link")
 _FOR_PEOPLE = ("traffic_signals", "crossing")  # nodes
@@ -553,8 +551,6 @@ def _has_people(tags: Tags) -> bool:
 
 
 # ---------- roads that lead to a junction
-
-
 _BEYOND_M = 1.0  # of the outline, which is rounded
 _AHEAD_M = 10.0  # over which a direction is taken
 

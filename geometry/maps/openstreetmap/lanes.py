@@ -1,4 +1,4 @@
-"""Lanes of a road from its tags: number per direction, widths, and strips next to them."""
+"""Lanes of a road from its tags: number, widths, strips next to them, and speed limits."""
 
 import re
 from collections import Counter
@@ -400,8 +400,6 @@ def _total_width_m(tags: Tags, note: Note) -> float | None:
 
 
 # ---------- speed limits
-
-
 _KMH_PER_MPH = 1.609344
 _SPEED = re.compile(r"(\d{1,3}(?:[.,]\d{1,3})?)\s*(mph|km/h|kmh|kph)?")
 _ZONE = re.compile(r"[a-z]{2}:(?:zone:?)?(\d{1,3})")
