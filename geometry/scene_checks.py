@@ -261,14 +261,12 @@ def _check_footprints(scene: Scene) -> Iterator[Finding]:
     overlaps = {
         (a, b): float(shapely.area(shapely.intersection(areas[a], areas[b]))) for a, b in pairs
     }
-    smaller = {
-        (a, b): min(float(shapely.area(areas[a])), float(shapely.area(areas[b]))) for a, b in pairs
-    }
     twice: list[str] = []
     partly: list[str] = []
     for (a, b), area in overlaps.items():
         if area > _OVERLAP_M2:
-            is_same = area > _SAME_SHARE * smaller[a, b] and _is_as_large(areas[a], areas[b])
+            smaller_m2, larger_m2 = sorted((areas[a].area, areas[b].area))
+            is_same = area > _SAME_SHARE * smaller_m2 > _SAME_SHARE**2 * larger_m2
             (twice if is_same else partly).append(f"{names[a]} and {names[b]}")
     for found, why in (
         (partly, "they overlap on the ground"),
@@ -285,10 +283,6 @@ def _check_footprints(scene: Scene) -> Iterator[Finding]:
     if on_road:
         why = "it stands on a lane or in the junction: cases that it is in the way of are refused"
         yield Finding(level="warning", what=_names(on_road), why=why)
-
-
-def _is_as_large(one: Any, other: Any) -> bool:
-    return bool(min(one.area, other.area) > _SAME_SHARE * max(one.area, other.area))
 
 
 def _names(ids: list[str]) -> str:

@@ -18,7 +18,7 @@ from geometry.terrain import GROUND, houses_of, on_ground, terrain_of
 
 from .cases import Obstruction
 from .encounters import Encounter
-from .paths import Motion, Path
+from .paths import Motion
 from .staging import ON_ROAD, CannotCarryError, NoKerbError, Staging, load_obstruction_rules
 from .ways import StraightWay, Way
 
@@ -266,7 +266,7 @@ def _is_blocked(caster: RayCaster, starts_m: FloatArray, ends_m: FloatArray) -> 
 def _way(motion: Motion, body: Actor) -> FloatArray:
     """Segments along the middle and the flanks, from behind the start to the impact, (n, 2, 2)."""
     covered_m = float(motion.distance_m(0.0))
-    distances = _distances(motion.path, covered_m)
+    distances = np.linspace(0.0, covered_m, max(2, int(covered_m / _STEP_M) + 2))
     position, yaw_deg = motion.path.at(distances)
     yaw = np.radians(np.broadcast_to(yaw_deg, distances.shape))
     ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
@@ -277,10 +277,6 @@ def _way(motion: Motion, body: Actor) -> FloatArray:
         line = np.concatenate([line[:1] - 0.5 * body.length_m * ahead[:1], line])
         segments.append(np.stack([line[:-1], line[1:]], axis=1))
     return np.concatenate(segments)
-
-
-def _distances(path: Path, covered_m: float) -> FloatArray:
-    return np.linspace(0.0, covered_m, max(2, int(covered_m / _STEP_M) + 2))
 
 
 def _corners(parked: PlacedActor) -> FloatArray:

@@ -416,15 +416,8 @@ def _has_connections(junction: Junction) -> bool:
     if not junction.connections:
         return False
     begins = np.array([lane.centreline_m[0] for lane in junction.connections])
-    return any(
-        bool((np.hypot(*(begins - tip).T) <= _SAME_POINT_M).any()) for tip in _entry_tips(junction)
-    )
-
-
-def _entry_tips(junction: Junction) -> Iterator[FloatArray]:
-    for arm in junction.arms.values():
-        for lane in arm.entry_lanes:
-            yield lane.centreline_m[-1]
+    tips = [lane.centreline_m[-1] for arm in junction.arms.values() for lane in arm.entry_lanes]
+    return any(bool((np.hypot(*(begins - tip).T) <= _SAME_POINT_M).any()) for tip in tips)
 
 
 # ---------- turns into another arm

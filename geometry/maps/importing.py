@@ -290,7 +290,7 @@ def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOption
     scene = build_scene(
         surroundings,
         name=options.name or f"{Path(roads.name).stem}/{chosen.junction.id}",
-        source_crs=_crs_of_results(roads),
+        source_crs=(roads.source_crs or roads.crs) if roads.crs else "",
         sites=sites,
         radius_m=options.radius_m,
     )
@@ -339,7 +339,3 @@ def _building_notes(things: Sequence[Thing], radius_m: float) -> Iterator[Note]:
             why="not in the map: the usual ones of their kinds are assumed",
             kind="heights",
         )
-
-
-def _crs_of_results(roads: SourceMap) -> str:
-    return roads.source_crs or roads.crs if roads.crs else ""

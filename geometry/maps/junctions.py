@@ -168,13 +168,12 @@ def _by_name(surveyed: Sequence[Surveyed], name: str) -> Surveyed:
             return matches[0]
         if matches:
             raise InputError("junction", name, f"one of {_listed(matches)}")
-    close = {one: SequenceMatcher(None, wanted, one.casefold()).ratio() for one in _names(surveyed)}
+    close = {
+        one: SequenceMatcher(None, wanted, one.casefold()).ratio()
+        for one in {other.junction.name for other in surveyed}
+    }
     nearest = sorted(surveyed, key=lambda one: -close[one.junction.name])
     raise InputError("junction", name, f"one of {_listed(nearest)}")
-
-
-def _names(surveyed: Sequence[Surveyed]) -> set[str]:
-    return {one.junction.name for one in surveyed}
 
 
 _LAT_LON = re.compile(r"\s*([-+]?\d{1,2}(?:\.\d+)?)\s*,\s*([-+]?\d{1,3}(?:\.\d+)?)\s*")

@@ -438,15 +438,10 @@ def _joined(lane: MapLane, pieces: Sequence[MapLane]) -> MapLane:
     return replace(
         lane,
         width_m=float(np.average([piece.width_m for piece in pieces], weights=lengths)),
-        centreline_m=_chain(pieces[0].centreline_m, pieces[1].centreline_m),
+        centreline_m=np.concatenate([pieces[0].centreline_m[:-1], pieces[1].centreline_m]),
         from_junction=pieces[0].from_junction,
         to_junction=pieces[1].to_junction,
     )
-
-
-def _chain(first_m: FloatArray, second_m: FloatArray) -> FloatArray:
-    """Both lines as one; of the two points at the joint the second line's stays."""
-    return np.concatenate([first_m[:-1], second_m])
 
 
 def _length_m(lane: MapLane) -> float:

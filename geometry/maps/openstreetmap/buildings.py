@@ -254,7 +254,7 @@ class _Passages:
 
     def through(self, area: Area) -> tuple[BaseGeometry | None, float]:
         """Area of the ways that lead through a building, and their clear height."""
-        is_gate = _is_gate(area.tags)
+        is_gate = area.tags.get("historic") in _GATES or _kind(area.tags) in _GATES
         found = [
             index
             for index in self._tree.query(area.polygon).tolist()
@@ -270,10 +270,6 @@ class _Passages:
 
 def _leads_through(tags: Tags) -> bool:
     return tags.get("tunnel") == "building_passage" or tags.get("covered") in _COVERED
-
-
-def _is_gate(tags: Tags) -> bool:
-    return tags.get("historic") in _GATES or _kind(tags) in _GATES
 
 
 # ---------- bridges over roads
