@@ -266,7 +266,7 @@ def _check_footprints(scene: Scene) -> Iterator[Finding]:
     for (a, b), area in overlaps.items():
         if area > _OVERLAP_M2:
             smaller_m2, larger_m2 = sorted((areas[a].area, areas[b].area))
-            is_same = area > _SAME_SHARE * smaller_m2 > _SAME_SHARE**2 * larger_m2
+            is_same = area > _SAME_SHARE * smaller_m2 and smaller_m2 > _SAME_SHARE * larger_m2
             (twice if is_same else partly).append(f"{names[a]} and {names[b]}")
     for found, why in (
         (partly, "they overlap on the ground"),
