@@ -82,9 +82,8 @@ class Actor:
         if not self.shapes:
             raise InputError(f"{where}.shapes", Unquoted("none"), "at least one shape")
         if not 0.0 <= self.cycle_m < np.inf or (len(self.shapes) > 1) != (self.cycle_m > 0.0):
-            raise InputError(
-                f"{where}.cycle_m", self.cycle_m, "> 0 metres for several shapes, 0 for one"
-            )
+            got = self.cycle_m
+            raise InputError(f"{where}.cycle_m", got, "> 0 metres for several shapes, 0 for one")
 
     def __repr__(self) -> str:
         return f"Actor({self.name!r}, {len(self.shapes)} shapes)"
@@ -179,8 +178,7 @@ def fingerprint(table: Table) -> str:
 
 def pick_actor(name: str, where: str) -> Actor:
     """Body by name; the error about an unknown one lists the known ones."""
-    actor: Actor = pick(load_actors(), name, where)
-    return actor
+    return pick(load_actors(), name, where)
 
 
 class _ActorEntry(Struct, frozen=True, kw_only=True):

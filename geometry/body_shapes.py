@@ -77,8 +77,6 @@ def main() -> None:
 
 
 # ---------- gait
-
-
 def _take_turns(entry: Table, where: str) -> dict[str, FloatArray]:
     """Angles in degrees of the right side's joints at each instant, by name; positive: forwards."""
     turns: dict[str, FloatArray] = {
@@ -165,8 +163,6 @@ _SIDES = (-1.0, 1.0)
 
 
 # ---------- solids
-
-
 def _build_mesh(
     entry: Table, turns_deg: Mapping[str, FloatArray], index: int, where: str
 ) -> tuple[FloatArray, NDArray[np.int32]]:
@@ -265,9 +261,8 @@ def _fit_to_box(
     }
     for name, factor in factors.items():
         if abs(factor - 1.0) > _MAX_STRETCH:
-            raise InputError(
-                where, Unquoted(f"{factor:.3f} x {name} to fit the box"), "outlines near its size"
-            )
+            got = Unquoted(f"{factor:.3f} x {name} to fit the box")
+            raise InputError(where, got, "outlines near its size")
 
     def fit(points: FloatArray) -> FloatArray:
         x = points[:, 0] * np.where(points[:, 0] > 0.0, ahead, behind) + reference_m

@@ -76,8 +76,7 @@ def sensor_kind(sensor: Sensor) -> str:
 
 def pick_camera(name: str, where: str) -> CameraModel:
     """Camera model by name; see :func:`pick_sensor`."""
-    camera: CameraModel = pick(load_cameras(), name, where)
-    return camera
+    return pick(load_cameras(), name, where)
 
 
 def pick_sensor(name: str, where: str, *, kind: str | None = None) -> Sensor:
@@ -90,5 +89,4 @@ def pick_sensor(name: str, where: str, *, kind: str | None = None) -> Sensor:
         known |= load_cameras()
     if kind != "camera":
         known |= load_lidars()
-    sensor: Sensor = pick(known, name, where)
-    return sensor
+    return pick(known, name, where)

@@ -1,5 +1,7 @@
 """Errors that a user can mend: one line each, no traceback, exit code 2."""
 
+from collections.abc import Collection
+
 _MAX_CHARACTERS = 200  # of a value in a message
 _MAX_WORDS = 2_000  # characters of our own words, such as a list of all names that exist
 
@@ -29,6 +31,18 @@ class InputError(ValueError):
         shown = _one_line(got) if isinstance(got, Unquoted) else _shorten(got)
         place, wanted = _one_line(where, 2 * _MAX_CHARACTERS), _one_line(expected, _MAX_WORDS)
         super().__init__(f"{place}: got {shown}; expected {wanted}")
+
+
+def check_one_of(where: str, got: object, known: Collection[str]) -> None:
+    """Raise InputError unless a value is one of those known."""
+    if got not in known:
+        raise InputError(where, got, "one of " + ", ".join(known))
+
+
+def check_field(value: object, where: str, field: str, is_valid: bool, expected: str) -> None:
+    """Raise InputError unless a field of a value is valid; `where` names the value."""
+    if not is_valid:
+        raise InputError(f"{where}.{field}", getattr(value, field), expected)
 
 
 class Unquoted(str):

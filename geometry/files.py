@@ -31,8 +31,6 @@ MAX_TOML_BYTES = 20_000_000  # Python's reader takes half a second per million
 
 
 # ---------- the door: every file of a user's is opened, read and written by these functions
-
-
 def check_file(path: Path, *, max_bytes: int | None = None) -> None:
     """Raise InputError unless a path is a regular file, and not too large to be read as a whole.
 
@@ -56,7 +54,7 @@ def _check_found(found: os.stat_result, where: str, max_bytes: int | None) -> No
 
 
 def _kind(mode: int) -> str:
-    """What a path is that is no regular file."""
+    """Kind of a path that is no regular file, in words."""
     for is_kind, name in (
         (stat.S_ISDIR, "a folder"),
         (stat.S_ISLNK, "a link"),
@@ -140,7 +138,7 @@ def check_target(path: Path) -> None:
 
 
 def _obstacle(path: Path) -> str:
-    """What stands under a name, in words, if it is neither a regular file nor a folder."""
+    """Kind of what has a name already, unless it is a regular file or a folder; else empty."""
     try:
         mode = path.lstat().st_mode
     except (OSError, ValueError):
@@ -196,8 +194,6 @@ def write_atomically(
 
 
 # ---------- TOML
-
-
 def load_toml(source: Path | Traversable) -> dict[str, Any]:
     """Read a TOML file, or a data file of a package, as a whole.
 
@@ -279,7 +275,7 @@ def _check_finite(value: object, where: str) -> None:
 
 
 def _is_finite(value: object) -> bool:
-    """Whether a number, or each number in a list of lists, is finite."""
+    """True if a number, or each number in a list of lists, is finite."""
     if isinstance(value, list):
         return all(map(_is_finite, value))
     return not isinstance(value, int | float) or abs(value) <= sys.float_info.max
@@ -308,7 +304,7 @@ _STEP = re.compile(r"\.(\w+)|\[(\d+|\.\.\.)\]")
 def _input_error(
     error: msgspec.ValidationError, table: object, kind: Any, where: str
 ) -> InputError:
-    """What msgspec says, in our words: it knows the place and the type, but not the value."""
+    """Error of msgspec in our words: it knows the place and the type, but not the value."""
     message, cause = str(error), error.__cause__
     if isinstance(cause, InputError) and cause.where:  # of a field's own check
         return cause
@@ -362,7 +358,7 @@ def _step_into(node: Any, step: re.Match[str], value: Any) -> Any:
 
 
 def _expected(node: Any, *, is_other_type: bool) -> str:
-    """What a type accepts, in words; of a number of the wrong range, which range."""
+    """Values that a type accepts, in words; of a number of the wrong range, which range."""
     if isinstance(node, msgspec.inspect.UnionType):
         node = _members(node)[0]
     if isinstance(node, msgspec.inspect.Metadata):
@@ -433,7 +429,7 @@ def take_list(table: Table, key: str, where: str) -> list[Any]:
     return value
 
 
-def pick(known: Mapping[str, Any], name: str, where: str) -> Any:
+def pick(known: Mapping[str, _T], name: str, where: str) -> _T:
     """Look a name up; the error about an unknown one lists the known ones."""
     if name not in known:
         raise InputError(where, name, "one of " + ", ".join(sorted(known)))
@@ -441,7 +437,6 @@ def pick(known: Mapping[str, Any], name: str, where: str) -> Any:
 
 
 # ---------- temporary files and folders: whose process is alive?
-
 _YOUNG_S = 60.0  # a process may have made it and not locked it yet
 
 
@@ -466,7 +461,7 @@ def lock_while_alive(path: Path) -> Iterator[None]:
 
 
 def is_abandoned(path: Path) -> bool:
-    """Whether no living process holds a temporary file or folder; False where that is not known."""
+    """True if no living process holds a temporary file or folder; False where that is not known."""
     try:
         import fcntl
 

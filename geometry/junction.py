@@ -24,7 +24,7 @@ ASSUMED = "assumed"  # kind of a lane that leads on where the map ends
 _ROAD_KINDS = ("driving", "parking")
 _CYCLE_KINDS = ("cycling",)
 _AT_OUTLINE_M = 1.5  # lanes end at the junction's outline but for the rounding of the map
-_CYCLES_AT_OUTLINE_M = 6.0  # cycleways run beside it, behind a shoulder or a strip of grass
+_CYCLES_AT_OUTLINE_M = 6.0  # cycleways run next to it, behind a shoulder or a strip of grass
 _SAME_POINT_M = 0.5  # between one piece of a lane and the next
 _ARM_SPREAD_DEG = 40.0  # a crosswalk leads across the arm within this
 _SAME_ARM_DEG = 25.0  # between a lane and the next one of the same arm
@@ -93,7 +93,7 @@ class Arm:
     lanes_in: tuple[Lane, ...]
     lanes_out: tuple[Lane, ...]
     crosswalk: Line  # where pedestrians cross the arm
-    # where cyclists ride into the junction and out of it, beside or between the lanes; from the
+    # where cyclists ride into the junction and out of it, next to or between the lanes; from the
     # kerb to the road's axis
     cycleways_in: tuple[Lane, ...] = ()
     cycleways_out: tuple[Lane, ...] = ()
@@ -122,15 +122,15 @@ class Junction:
     name: str  # of the scene
     arms: dict[str, Arm]  # By name, counter-clockwise from the east
     keeps_left: bool = False  # traffic keeps left
-    # lanes through the junction, each from the end of an entry lane to the begin of an exit lane,
+    # lanes through the junction, each from the end of an entry lane to the start of an exit lane,
     # and through others around it
     connections: tuple[Lane, ...] = ()
-    # lanes that are assumed, from beyond the map to the begin of an entry lane: straight ones of
+    # lanes that are assumed, from beyond the map to the start of an entry lane: straight ones of
     # two points, or bent past buildings
     beyond: tuple[Lane, ...] = ()
 
     def is_led_on(self, entry: Lane) -> bool:
-        """Whether a lane is assumed to lead to the begin of an entry lane, where the map ends."""
+        """True if a lane is assumed to lead to the start of an entry lane, where the map ends."""
         return bool(self._before(entry))
 
     def followed(self, entry: Lane) -> Lane:
@@ -177,9 +177,8 @@ def build_junction(scene: Scene) -> Junction:
     """
     ends = _ends_at_outline(scene, _ROAD_KINDS)
     if not ends:
-        raise InputError(
-            f"{scene.name}: lanes", len(scene.lanes), "lanes that begin or end at the outline"
-        )
+        got = len(scene.lanes)
+        raise InputError(f"{scene.name}: lanes", got, "lanes that begin or end at the outline")
     groups = _group_by_arm(ends, keeps_left=scene.keeps_left)
     cycleways = _beside_arms(
         _ends_at_outline(scene, _CYCLE_KINDS, within_m=_CYCLES_AT_OUTLINE_M), groups
@@ -322,7 +321,7 @@ def _ends_at_outline(
 def _beside_arms(
     ends: Sequence[tuple[bool, Lane]], groups: Sequence[Sequence[tuple[bool, Lane]]]
 ) -> list[list[tuple[bool, Lane]]]:
-    """Lane ends by the arm beside whose lanes they lie; others are left out."""
+    """Lane ends by the arm next to whose lanes they lie; others are left out."""
     beside: list[list[tuple[bool, Lane]]] = [[] for _ in groups]
     mouths = [[_mouth(lane, is_in=is_in) for is_in, lane in group] for group in groups]
     for is_in, lane in ends:
@@ -364,7 +363,6 @@ def _build_arm(
 
 
 def _from_kerb(lanes: Sequence[Lane], *, is_in: bool, keeps_left: bool) -> tuple[Lane, ...]:
-    """Lanes from the kerb to the road's axis."""
     lines = [lane_line(lane, is_in=is_in, length_m=10.0)[0] for lane in lanes]
     # The kerb is on the right, or where traffic keeps left on the left: smaller to the other side
     # of the first lane means nearer to it.
@@ -395,7 +393,7 @@ def _crosswalk(lanes_in: tuple[Lane, ...], lanes_out: tuple[Lane, ...], scene: S
 
 
 def _whole(lane: Lane, lanes: Sequence[Lane], *, is_in: bool) -> Lane:
-    """The lane with the pieces that lead to its begin, or on from its end.
+    """The lane with the pieces that lead to its start, or on from its end.
 
     Through other junctions it is followed along their connecting lanes, as straight on as they go.
     """
@@ -503,7 +501,6 @@ def _median_m(
 
 
 def _mouth(lane: Lane, *, is_in: bool) -> Line:
-    """The mouth of a lane; the line leads away from the junction."""
     return Line(
         point_m=lane.centreline_m[-1 if is_in else 0],
         direction=_unit_vector(_outward_bearing_deg(lane, is_in=is_in)),

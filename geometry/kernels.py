@@ -1,4 +1,4 @@
-"""Machine code for loops over numbers: numba's compiler, and what it compiled before.
+"""Numba kernels: the compiler for loops over numbers, and the cache of what it compiled before.
 
 The code is cached in a folder of the user alone, where anything may happen to it: a file that is
 damaged or somebody else's, or a full disk costs the time to compile, and never more. Where the
@@ -39,7 +39,7 @@ _log = logging.getLogger(__name__)
 def kernel(function: F) -> F:
     """Compile a function of numbers and arrays when it is first called; it then runs in any thread.
 
-    Kernels may call kernels of the same file, and of files ``*_kernels.py`` beside it. Division by
+    Kernels may call kernels of the same file, and of files ``*_kernels.py`` next to it. Division by
     zero gives infinity or NaN, as in numpy. The machine code is cached for the next process.
     """
     numba.config.CACHE_DIR = str(compiled_folder())
@@ -48,7 +48,7 @@ def kernel(function: F) -> F:
     of_types = compiled.get_call_template
 
     def of_any_number(args: Sequence[Any], kws: dict[str, Any]) -> Any:
-        """The same code for numbers that are written out in a call as for any others."""
+        """Template that treats literal numbers in a call as any others: one compiled version."""
         return of_types([numba.types.unliteral(arg) for arg in args], kws)
 
     compiled.get_call_template = of_any_number
@@ -56,7 +56,7 @@ def kernel(function: F) -> F:
 
 
 def is_compiled(function: Callable[..., Any]) -> bool:
-    """Whether machine code of a kernel is cached, for whatever types."""
+    """True if machine code of a kernel is cached, for whatever types."""
     return cast(bool, cast(Any, function)._cache.has_any)
 
 
@@ -128,7 +128,7 @@ class _Cached(FunctionCache):  # type: ignore[misc]
 
     @property
     def has_any(self) -> bool:
-        """Whether there is code of any signature; a damaged index has none."""
+        """True if there is code of any signature; a damaged index has none."""
         try:
             return bool(self._cache_file._load_index())
         except Exception:  # damaged pickles raise anything
@@ -160,7 +160,7 @@ class _Cached(FunctionCache):  # type: ignore[misc]
 
 
 def _stamps_beside(function: Callable[..., Any]) -> list[tuple[str, int, int]]:
-    """What tells that kernels have changed which a function may call."""
+    """Names, times and sizes of kernel files whose change asks for a new compilation."""
     files = sorted(Path(function.__code__.co_filename).parent.glob("*_kernels.py"))
     status = [(file.name, file.stat()) for file in files]
     return [(name, of_file.st_mtime_ns, of_file.st_size) for name, of_file in status]

@@ -10,7 +10,7 @@ from typing import Any
 def lazy_names(
     package: str, file: str
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """``__getattr__``, ``__dir__`` and ``__all__`` of a package, from the stub beside it.
+    """``__getattr__``, ``__dir__`` and ``__all__`` of a package, from the stub next to it.
 
     The stub is the one list of names: type checkers read the same file.
 
@@ -19,7 +19,7 @@ def lazy_names(
     package : str
         ``__name__`` of the package.
     file : str
-        Its ``__file__``; ``__init__.pyi`` lies beside it and holds nothing but a docstring and
+        Its ``__file__``; ``__init__.pyi`` lies next to it and holds nothing but a docstring and
         lines such as ``from .poses import Pose as Pose``.
 
     Returns

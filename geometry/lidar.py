@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from importlib.resources import files
 from typing import Annotated
 
@@ -12,7 +12,7 @@ from msgspec import Meta
 from numpy.typing import ArrayLike
 
 from .arrays import FloatArray, IntArray
-from .errors import InputError
+from .errors import check_field
 from .files import Table, load_toml, read_table, read_tables
 from .sensors import load_limits
 
@@ -69,40 +69,30 @@ class LidarModel:
     price_eur: float
 
     def __post_init__(self) -> None:
+        check = partial(check_field, self, self.name)
         is_wide = 0.0 < self.horizontal_fov_deg <= 360.0
-        self._check("horizontal_fov_deg", is_wide, "0 < degrees <= 360")
-        self._check("vertical_fov_deg", 0.0 < self.vertical_fov_deg < 180.0, "0 < degrees < 180")
+        check("horizontal_fov_deg", is_wide, "0 < degrees <= 360")
+        check("vertical_fov_deg", 0.0 < self.vertical_fov_deg < 180.0, "0 < degrees < 180")
         is_count = isinstance(self.n_lines, int) and not isinstance(self.n_lines, bool)
-        self._check("n_lines", is_count and self.n_lines > 0, "a whole number of lines, > 0")
+        check("n_lines", is_count and self.n_lines > 0, "a whole number of lines, > 0")
         for field in (
-            "points_per_second",
-            "frame_rate_hz",
-            "range_m",
-            "reference_range_m",
-            "threshold_width",
-            "wavelength_nm",
-            "near_m",
+            *("points_per_second", "frame_rate_hz", "range_m", "reference_range_m"),
+            *("threshold_width", "wavelength_nm", "near_m"),
         ):
-            self._check(field, 0.0 < getattr(self, field) < math.inf, "a positive number")
-        self._check("range_noise_m", 0.0 <= self.range_noise_m < math.inf, "a number, at least 0")
+            check(field, 0.0 < getattr(self, field) < math.inf, "a positive number")
+        check("range_noise_m", 0.0 <= self.range_noise_m < math.inf, "a number, at least 0")
         limits = load_limits()
         is_price = 0.0 <= self.price_eur <= limits.price_eur
-        self._check("price_eur", is_price, f"euros, 0 to {limits.price_eur:,.0f}")
-        self._check("near_m", self.near_m < self.range_m, "metres, less than range_m")
-        self._check(
-            "reference_reflectivity", 0.0 < self.reference_reflectivity <= 1.0, "0 < share <= 1"
-        )
-        self._check(
-            "reference_probability", 0.0 < self.reference_probability < 1.0, "0 < probability < 1"
-        )
+        check("price_eur", is_price, f"euros, 0 to {limits.price_eur:,.0f}")
+        check("near_m", self.near_m < self.range_m, "metres, less than range_m")
+        is_share = 0.0 < self.reference_reflectivity <= 1.0
+        check("reference_reflectivity", is_share, "0 < share <= 1")
+        is_likely = 0.0 < self.reference_probability < 1.0
+        check("reference_probability", is_likely, "0 < probability < 1")
         per_frame = self.points_per_second / self.frame_rate_hz
         most = limits.lidar_points_per_frame
-        self._check("points_per_second", per_frame <= most, f"at most {most:,} points per frame")
-        self._check("points_per_second", self.n_columns > 0, "a point per line and frame or more")
-
-    def _check(self, field: str, is_valid: bool, expected: str) -> None:
-        if not is_valid:
-            raise InputError(f"{self.name}.{field}", getattr(self, field), expected)
+        check("points_per_second", per_frame <= most, f"at most {most:,} points per frame")
+        check("points_per_second", self.n_columns > 0, "a point per line and frame or more")
 
     @property
     def n_columns(self) -> int:
@@ -111,7 +101,7 @@ class LidarModel:
 
     @property
     def scans_all_round(self) -> bool:
-        """Whether its columns close to a ring: no azimuth is left out, and none is an edge."""
+        """True if its columns close to a ring: no azimuth is left out, and none is an edge."""
         return self.horizontal_fov_deg == 360.0
 
     @property
@@ -128,7 +118,7 @@ class LidarModel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LidarDetection:
-    """What it takes to find a road user in a point cloud, by class.
+    """Points and reflectivity that let a road user be found in a point cloud, by class.
 
     `min_points` has the points in one frame of a "pedestrian", "child" and "cyclist",
     `reflectivity` the share of the light that comes back diffusely, 0 .. 1.
@@ -262,7 +252,7 @@ def load_lidars() -> dict[str, LidarModel]:
 
 @cache
 def load_lidar_detection() -> LidarDetection:
-    """What it takes to find a road user in a point cloud, from ``data/lidars.toml``."""
+    """Rule of detection in point clouds, from ``data/lidars.toml``."""
     return _read_detection(_load_file()["detection"])
 
 

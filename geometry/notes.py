@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 Kind = Literal["junction", "side of the road", "sites", "roads", "buildings", "heights", "left out"]
-"""What a note is about, the most important first; all but the last are assumptions."""
+"""Subjects of notes, the most important first; all but the last are assumptions."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,7 +36,7 @@ def assumptions(notes: Sequence[Note]) -> tuple[Note, ...]:
 
 
 def assumed_sites(notes: Sequence[Note]) -> dict[str, str]:
-    """What was assumed of each site that a map does not have where it is, by the site's id."""
+    """Assumptions about sites that a map does not have where they are, by the site's id."""
     words: dict[str, list[str]] = {}
     for note in notes:
         for site_id in note.site_ids:

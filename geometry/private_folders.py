@@ -55,7 +55,7 @@ def private_temporary_folder() -> Path:
 
 
 def writable_by_others(path: Path) -> bool:
-    """Whether other users may change a file or folder, or put another one in its place.
+    """True if other users may change a file or folder, or put another one in its place.
 
     Every folder and every link on the way is judged, by owner, rights and access control lists. A
     user's own group, which has the user's name and no other members, is nobody else; root may do
@@ -90,7 +90,7 @@ def _way_to(path: Path) -> Iterator[Path]:
 
 
 def _may_change(place: Path, *, is_last: bool) -> bool:
-    """Whether others may change one file, folder or link."""
+    """True if others may change one file, folder or link."""
     try:
         found = place.lstat()
     except OSError:
@@ -101,7 +101,7 @@ def _may_change(place: Path, *, is_last: bool) -> bool:
 
 
 def _is_open(place: Path | int, found: os.stat_result, *, is_last: bool) -> bool:
-    """Whether others may change a file or folder, by its path or descriptor."""
+    """True if others may change a file or folder, by its path or descriptor."""
     if found.st_uid not in (os.getuid(), 0):
         return True
     # What lies in a folder like /tmp can be moved by its owner alone.
@@ -126,7 +126,7 @@ def _is_own_group(found: os.stat_result) -> bool:
 
 
 def _acl_lets_others_write(place: Path | int, name: str) -> bool:
-    """Whether an access control list names others who may write."""
+    """True if an access control list names others who may write."""
     try:
         content = os.getxattr(place, name)
     except (OSError, AttributeError):  # there is none, or the system knows none

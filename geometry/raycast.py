@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import BoolArray, IntArray
-from .errors import InputError, Unquoted
+from .errors import InputError, Unquoted, check_one_of
 
 FloatRays = NDArray[np.float32]
 
@@ -22,7 +22,7 @@ class RayCaster(Protocol):
     """Rays against one fixed set of triangles; safe to use from several threads."""
 
     def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
-        """Whether a triangle lies between each origin and origin + vector; (n, 3) -> (n,)."""
+        """True if a triangle lies between each origin and origin + vector; (n, 3) -> (n,)."""
 
     def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
         """How far along each vector, of any length, the first triangle is, (n, 3) -> (n,).
@@ -66,11 +66,7 @@ class Open3dCaster:
 
     def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
         """See :class:`RayCaster`."""
-        if self._is_empty or len(origins_m) == 0:
-            return np.full(len(origins_m), np.inf, dtype=np.float32)
-        rays = self._tensor.from_numpy(_rays(origins_m, vectors_m))
-        share: FloatRays = self._scene.cast_rays(rays, nthreads=self.n_threads)["t_hit"].numpy()
-        return share
+        return self.first_triangle(origins_m, vectors_m)[0]
 
     def first_triangle(
         self, origins_m: FloatRays, vectors_m: FloatRays
@@ -145,7 +141,7 @@ CASTERS: dict[str, type[Open3dCaster] | type[EmbreexCaster]] = {
 
 
 RAYS = ("auto", EmbreexCaster.name, Open3dCaster.name)
-"""What a user may ask for; "auto" is the fastest library that loads."""
+"""Names that a user may ask for; "auto" is the fastest library that loads."""
 
 
 def caster_name(rays: str = "auto", *, where: str = "rays") -> str:
@@ -155,8 +151,7 @@ def caster_name(rays: str = "auto", *, where: str = "rays") -> str:
     `where`: what asked for it, for error messages. Raises InputError: the name is unknown, or the
     library cannot load; the message says why.
     """
-    if rays not in RAYS:
-        raise InputError(where, rays, "one of " + ", ".join(RAYS))
+    check_one_of(where, rays, RAYS)
     problems: dict[str, Callable[[], str | None]] = {
         EmbreexCaster.name: embreex_problem,
         Open3dCaster.name: open3d_problem,

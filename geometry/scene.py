@@ -1,6 +1,6 @@
 """A junction as it stands: triangles that hide things, and sites that carry sensors."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Annotated, Any, Literal
@@ -10,12 +10,12 @@ from msgspec import Meta
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import FloatArray, Point2, Point3, Points2, float_array, freeze, set_arrays
-from .errors import InputError, Unquoted
+from .errors import InputError, Unquoted, check_one_of
 from .notes import Note
 from .sensors import load_limits
 
 HANGING_KINDS = ("mast arm", "gantry", "bridge", "wire")
-"""Kinds of sites that hang over the road; all others stand beside it."""
+"""Kinds of sites that hang over the road; all others stand next to it."""
 CLASS_NAMES = (
     "ground",
     "building",
@@ -87,12 +87,7 @@ class Instance:
     is_height_assumed: bool = False  # the sources do not tell it
 
     def __post_init__(self) -> None:
-        if self.class_name not in CLASS_NAMES:
-            raise InputError(
-                f"instance {self.id}.class_name",
-                self.class_name,
-                "one of " + ", ".join(CLASS_NAMES),
-            )
+        check_one_of(f"instance {self.id}.class_name", self.class_name, CLASS_NAMES)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -147,7 +142,7 @@ class Scene:
         Where the world frame's origin lies in that map's own coordinates, of a map that does not
         say where on earth it lies. [m]
     zero_height_m : float, optional
-        Height of z = 0 as what told the heights of the ground counts them, such as above the sea;
+        Height of z = 0 as the source of the ground's heights counts them, such as above the sea;
         None: unknown. [m]
     notes : tuple of Note
         What was assumed, or left out, when the scene was made of maps.
@@ -214,7 +209,7 @@ class Lane:
 
     id: str  # name in the source
     # "driving", "parking", "cycling"; "connecting": through a junction, from the end of one lane to
-    # the begin of another; or "assumed": straight on from beyond the map to the begin of one
+    # the start of another; or "assumed": straight on from beyond the map to the start of one
     kind: Annotated[str, Meta(min_length=1)]
     width_m: Annotated[float, Meta(gt=0.0)]  # full width
     centreline_m: Points2  # (n, 2); in driving direction. World frame.
@@ -286,20 +281,28 @@ _MIN_AREA_M2 = 1.0e-6
 
 
 def road_area(scene: Scene) -> Any:
-    """What a scene's lanes and its junction cover: a shapely geometry, world frame, metres."""
+    """Area of a scene's lanes and its junction: a shapely geometry, world frame, metres."""
     return covered_area(scene.outline_m, scene.lanes)
 
 
 def covered_area(outline_m: FloatArray, lanes: Sequence[Lane]) -> Any:
-    """What lanes and the outline (n, 2) of a junction cover: a shapely geometry in metres."""
+    """Area of lanes and of a junction's outline (n, 2): a shapely geometry in metres."""
     import shapely
 
-    strips = [
-        shapely.LineString(lane.centreline_m).buffer(0.5 * lane.width_m, cap_style="flat")
+    return shapely.union_all([shapely.make_valid(shapely.Polygon(outline_m)), *strips_of(lanes)])
+
+
+def strips_of(lanes: Iterable[Lane], *, less_m: float = 0.0) -> list[Any]:
+    """Surfaces of lanes, or of what is left of them some metres inside their edges: polygons."""
+    import shapely
+
+    return [
+        shapely.LineString(lane.centreline_m).buffer(
+            max(0.5 * lane.width_m - less_m, 0.0), cap_style="flat"
+        )
         for lane in lanes
         if len(lane.centreline_m) > 1
     ]
-    return shapely.union_all([shapely.make_valid(shapely.Polygon(outline_m)), *strips])
 
 
 @lru_cache(maxsize=4096)
@@ -308,10 +311,14 @@ def thing_footprint(scene: Scene, index: int) -> Any:
 
     It is empty where the thing is but a line from above. World frame, metres.
     """
+    return flat_union(scene.vertices_m[scene.triangles[scene.triangle_instance == index]])
+
+
+def flat_union(corners_m: FloatArray) -> Any:
+    """Triangles (n, 3, 3) seen from above, put together: a shapely geometry."""
     import shapely
 
-    corners: FloatArray = scene.vertices_m[scene.triangles[scene.triangle_instance == index]]
-    flat = corners[..., :2]
+    flat = corners_m[..., :2]
     one, other = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
     double_area = np.abs(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0])
     return shapely.union_all(shapely.polygons(flat[double_area > _MIN_AREA_M2]))

@@ -16,6 +16,7 @@ from .scene import (
     Site,
     containing_instance,
     road_area,
+    strips_of,
 )
 from .terrain import HEADROOM_M, ground_height_m, standing_footprint
 from .whereabouts import compass_point
@@ -46,7 +47,7 @@ class Finding:
 
 
 def check_scene(scene: Scene) -> list[Finding]:
-    """What may be wrong with a scene, errors first."""
+    """Findings of what may be wrong with a scene, errors first."""
     findings = [
         *_check_roads(scene),
         *_check_sites(scene),
@@ -177,18 +178,12 @@ def _check_sites(scene: Scene) -> Iterator[Finding]:
 
 
 def _check_feet(scene: Scene, sites: Sequence[Site]) -> Iterator[Finding]:
-    """Sites that stand where cars drive."""
     import shapely
 
     feet = np.array([site.position_m[:2] for site in sites])
     junction = shapely.make_valid(shapely.Polygon(scene.outline_m)).buffer(-_AT_KERB_M)
-    mapped = [lane for lane in scene.lanes if lane.kind != ASSUMED]
-    lanes = [
-        shapely.LineString(lane.centreline_m).buffer(
-            max(0.5 * lane.width_m - _AT_KERB_M, 0.0), cap_style="flat"
-        )
-        for lane in mapped
-    ]
+    mapped = [lane for lane in scene.lanes if lane.kind != ASSUMED and len(lane.centreline_m) > 1]
+    lanes = strips_of(mapped, less_m=_AT_KERB_M)
     hit, which = shapely.STRtree(lanes).query(shapely.points(feet), predicate="within")
     in_lane = {int(index): mapped[int(lane)].id for index, lane in zip(hit, which, strict=True)}
     in_middle = shapely.intersects_xy(junction, *feet.T)
@@ -241,7 +236,7 @@ def _check_meshes(scene: Scene) -> Iterator[Finding]:
 
 
 def _has_open_edges_above(mesh: Any, floor_m: float) -> bool:
-    """Whether some edge above the floor has a triangle on one side only."""
+    """True if some edge above the floor has a triangle on one side only."""
     edges = np.sort(mesh.edges, axis=1)
     _, first, count = np.unique(edges, axis=0, return_index=True, return_counts=True)
     tops = mesh.vertices[edges[first[count == 1]]][..., 2].max(axis=1)
@@ -266,14 +261,12 @@ def _check_footprints(scene: Scene) -> Iterator[Finding]:
     overlaps = {
         (a, b): float(shapely.area(shapely.intersection(areas[a], areas[b]))) for a, b in pairs
     }
-    smaller = {
-        (a, b): min(float(shapely.area(areas[a])), float(shapely.area(areas[b]))) for a, b in pairs
-    }
     twice: list[str] = []
     partly: list[str] = []
     for (a, b), area in overlaps.items():
         if area > _OVERLAP_M2:
-            is_same = area > _SAME_SHARE * smaller[a, b] and _is_as_large(areas[a], areas[b])
+            smaller_m2, larger_m2 = sorted((areas[a].area, areas[b].area))
+            is_same = area > _SAME_SHARE * smaller_m2 and smaller_m2 > _SAME_SHARE * larger_m2
             (twice if is_same else partly).append(f"{names[a]} and {names[b]}")
     for found, why in (
         (partly, "they overlap on the ground"),
@@ -290,10 +283,6 @@ def _check_footprints(scene: Scene) -> Iterator[Finding]:
     if on_road:
         why = "it stands on a lane or in the junction: cases that it is in the way of are refused"
         yield Finding(level="warning", what=_names(on_road), why=why)
-
-
-def _is_as_large(one: Any, other: Any) -> bool:
-    return bool(min(one.area, other.area) > _SAME_SHARE * max(one.area, other.area))
 
 
 def _names(ids: list[str]) -> str:

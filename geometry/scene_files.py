@@ -68,7 +68,7 @@ def load_scene(
         Instead of a name, a point within 100 m of the junction in the map's own coordinates:
         longitude and latitude, or metres.
     sites : str
-        Where a map's sensors may hang, see :class:`geometry.maps.importing.ImportOptions`.
+        Where a map's sensors may be mounted, see :class:`geometry.maps.importing.ImportOptions`.
     keeps_left : bool, optional
         Whether traffic keeps left; by default what the map says.
 
@@ -101,7 +101,7 @@ def load_scene(
 
 
 def has_scene(path: Path) -> bool:
-    """Whether a path is a folder, or a scene's archive, if a damaged one; maps may be .zip, too."""
+    """True if a path is a folder, or a scene's archive, if a damaged one; maps may be .zip, too."""
     if path.is_dir():
         return True
     if path.suffix.lower() != ".zip" or not path.exists():
@@ -127,8 +127,6 @@ class _Note(Struct, frozen=True, kw_only=True):
 
 
 class _FolderScene(Struct, frozen=True, kw_only=True):
-    """``scene.toml``."""
-
     name: Text
     crs: str
     source_crs: str
@@ -219,9 +217,8 @@ def load_scene_folder(path: Path) -> Scene:
             id=thing.id, class_name=thing.class_name, is_height_assumed=thing.is_height_assumed
         )
         if thing.id not in meshes:
-            raise InputError(
-                f"{where}: things[{index}]", thing.id, f"the name of a mesh in {THINGS_FILE}"
-            )
+            expected = f"the name of a mesh in {THINGS_FILE}"
+            raise InputError(f"{where}: things[{index}]", thing.id, expected)
         bodies.append((instance, *meshes[thing.id]))
     if not bodies:
         raise InputError(f"{where}: things", Unquoted("none"), "at least the ground")
@@ -258,9 +255,8 @@ def _read_scene_file(folder: Path, *, shown: Path) -> _FolderScene:
     if table.get("format") != FORMAT:
         raise InputError(f"{where}: format", table.get("format"), repr(FORMAT))
     if table.get("version") != VERSION:
-        raise InputError(
-            f"{where}: version", table.get("version"), f"{VERSION}; import the scene again"
-        )
+        got = table.get("version")
+        raise InputError(f"{where}: version", got, f"{VERSION}; import the scene again")
     return read_table(table, _FolderScene, where)
 
 
@@ -308,11 +304,8 @@ def _unpack(member: IO[bytes], target: Path, archive: Path, max_bytes: int) -> N
         while chunk := member.read(1 << 20):
             n_bytes += len(chunk)
             if n_bytes > max_bytes:
-                raise InputError(
-                    f"{archive}/{target.name}",
-                    Unquoted(f"more than {max_bytes:,} bytes"),
-                    "a scene of one junction",
-                )
+                got = Unquoted(f"more than {max_bytes:,} bytes")
+                raise InputError(f"{archive}/{target.name}", got, "a scene of one junction")
             refuse_bomb(n_bytes, str(archive))
             sink.write(chunk)
 
@@ -351,9 +344,8 @@ def check_crs(crs: str, where: str) -> None:
 def _check_bytes(path: Path, where: str) -> None:
     n_bytes = path.stat().st_size
     if n_bytes > _MAX_BYTES[path.name]:
-        raise InputError(
-            where, Unquoted(f"{n_bytes:,} bytes"), f"at most {_MAX_BYTES[path.name]:,}"
-        )
+        got = Unquoted(f"{n_bytes:,} bytes")
+        raise InputError(where, got, f"at most {_MAX_BYTES[path.name]:,}")
 
 
 def _to_glb(scene: Scene) -> bytes:
@@ -390,9 +382,8 @@ def _read_glb(path: Path, *, shown: str) -> dict[str, tuple[FloatArray, np.ndarr
         where = error.where.replace(str(path), shown)
         raise InputError(where, error.got, f"glTF 2.0 (.glb): {error.expected}") from None
     except Exception as error:  # trimesh raises whatever its parts do
-        raise InputError(
-            shown, Unquoted(f"{type(error).__name__}: {error}"), "glTF 2.0 (.glb)"
-        ) from None
+        got = Unquoted(f"{type(error).__name__}: {error}")
+        raise InputError(shown, got, "glTF 2.0 (.glb)") from None
     for name, (vertices, _) in meshes.items():
         if not np.isfinite(vertices).all():
             raise InputError(f"{shown}: {name}", Unquoted("vertices that are not finite"), "metres")

@@ -1,8 +1,8 @@
-"""Camera models: intrinsics, projection, field of view."""
+"""Camera models: intrinsics, projection, field of view; and the limits of all sensors and sites."""
 
 import math
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from importlib.resources import files
 from typing import Annotated
 
@@ -11,7 +11,7 @@ from msgspec import Meta, Struct
 from numpy.typing import ArrayLike
 
 from .arrays import FloatArray
-from .errors import InputError, Unquoted
+from .errors import InputError, Unquoted, check_field
 from .files import load_toml, read_table
 from .poses import Pose, camera_rotation
 
@@ -52,42 +52,28 @@ class CameraModel:
     ) = None
 
     def __post_init__(self) -> None:
+        check = partial(check_field, self, self.name)
         for field in ("width_px", "height_px"):
             value = getattr(self, field)
-            if not isinstance(value, int) or isinstance(value, bool) or value < 1:
-                raise InputError(f"{self.name}.{field}", value, "a whole number of pixels, > 0")
+            is_count = isinstance(value, int) and not isinstance(value, bool) and value > 0
+            check(field, is_count, "a whole number of pixels, > 0")
         limits = load_limits()
         if self.width_px * self.height_px > limits.camera_pixels:
-            raise InputError(
-                f"{self.name}.width_px",
-                Unquoted(f"{self.width_px} times {self.height_px} pixels"),
-                f"at most {limits.camera_pixels:,}",
-            )
-        if not 0.0 < self.horizontal_fov_deg < 180.0:
-            raise InputError(
-                f"{self.name}.horizontal_fov_deg", self.horizontal_fov_deg, "0 < degrees < 180"
-            )
+            got = Unquoted(f"{self.width_px} times {self.height_px} pixels")
+            raise InputError(f"{self.name}.width_px", got, f"at most {limits.camera_pixels:,}")
+        check("horizontal_fov_deg", 0.0 < self.horizontal_fov_deg < 180.0, "0 < degrees < 180")
         for field in ("frame_rate_hz", "near_m"):
-            value = getattr(self, field)
-            if not (math.isfinite(value) and value > 0.0):
-                raise InputError(f"{self.name}.{field}", value, "a positive number")
-        if not 0.0 <= self.price_eur <= limits.price_eur:
-            expected = f"euros, 0 to {limits.price_eur:,.0f}"
-            raise InputError(f"{self.name}.price_eur", self.price_eur, expected)
+            check(field, 0.0 < getattr(self, field) < math.inf, "a positive number")
+        is_price = 0.0 <= self.price_eur <= limits.price_eur
+        check("price_eur", is_price, f"euros, 0 to {limits.price_eur:,.0f}")
         if self.fov_range_deg is not None:
             low, high = self.fov_range_deg
             if not 0.0 < low < high < 180.0:
-                raise InputError(
-                    f"{self.name}.fov_range_deg",
-                    list(self.fov_range_deg),
-                    "[low, high] in degrees, 0 < low < high < 180",
-                )
-            if not low <= self.horizontal_fov_deg <= high:
-                raise InputError(
-                    f"{self.name}.horizontal_fov_deg",
-                    self.horizontal_fov_deg,
-                    f"{low:g} .. {high:g} degrees, its fov_range_deg",
-                )
+                expected = "[low, high] in degrees, 0 < low < high < 180"
+                raise InputError(f"{self.name}.fov_range_deg", [low, high], expected)
+            is_reached = low <= self.horizontal_fov_deg <= high
+            expected = f"{low:g} .. {high:g} degrees, its fov_range_deg"
+            check("horizontal_fov_deg", is_reached, expected)
 
     @property
     def focal_length_px(self) -> float:
@@ -115,11 +101,8 @@ def with_fov(camera: CameraModel, fov_deg: float, where: str) -> CameraModel:
     if fov_deg == camera.horizontal_fov_deg:
         return camera
     if camera.fov_range_deg is None:
-        raise InputError(
-            where,
-            fov_deg,
-            f"{camera.horizontal_fov_deg:g} degrees: {camera.name} has a fixed lens",
-        )
+        expected = f"{camera.horizontal_fov_deg:g} degrees: {camera.name} has a fixed lens"
+        raise InputError(where, fov_deg, expected)
     low, high = camera.fov_range_deg
     if not low <= fov_deg <= high:
         raise InputError(where, fov_deg, f"{low:g} .. {high:g} degrees, the lens of {camera.name}")
@@ -172,8 +155,6 @@ def pixel_rays(
 
 
 # ---------- largest values of sensors and sites
-
-
 class _Limits(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     camera_pixels: int
     lidar_points_per_frame: int

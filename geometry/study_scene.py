@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 import numpy as np
 from msgspec import Meta, Struct
 
-from .actors import park_row, pick_actor
+from .actors import PlacedActor, park_row, pick_actor
 from .arrays import FloatArray, Point2, Points2, Segment2
 from .errors import InputError
 from .files import Text, load_toml, read_table
@@ -47,17 +47,30 @@ class _Wall(Struct, frozen=True, kw_only=True):
     height_m: _Positive
 
 
-class _ParkedRow(Struct, frozen=True, kw_only=True):
-    id: Text
+class ParkedRow(Struct, frozen=True, kw_only=True):
+    """Bodies parked nose to tail, in CARLA's frame."""
+
     first_m: Point2
     yaw_deg: float
     gap_m: Annotated[float, Meta(ge=0.0)]
     actors: list[str]
 
+    def bodies(self, where: str) -> tuple[PlacedActor, ...]:
+        """The bodies in their places; raises InputError for an unknown one."""
+        names = enumerate(self.actors)
+        return park_row(
+            [pick_actor(name, f"{where}.actors[{index}]") for index, name in names],
+            first_bumper_m=from_carla_points(self.first_m),
+            yaw_deg=float(from_carla_yaw(self.yaw_deg)),
+            gap_m=self.gap_m,
+        )
+
+
+class _NamedRow(ParkedRow, frozen=True, kw_only=True):
+    id: Text
+
 
 class _Mount(Struct, frozen=True, kw_only=True):
-    """What carries sensors."""
-
     id: Text
     radius_m: _Positive
     height_m: _Positive
@@ -89,8 +102,6 @@ class _Ground(Struct, frozen=True, kw_only=True):
 
 
 class _BoxScene(Struct, frozen=True, kw_only=True):
-    """A file laid out as ``data/town05.toml``."""
-
     frame: Literal["carla-left-handed"]
     name: Text
     crs: Text
@@ -99,7 +110,7 @@ class _BoxScene(Struct, frozen=True, kw_only=True):
     ground: _Ground
     buildings: tuple[_Building, ...] = ()
     walls: tuple[_Wall, ...] = ()
-    parked_rows: tuple[_ParkedRow, ...] = ()
+    parked_rows: tuple[_NamedRow, ...] = ()
     poles: tuple[_Pole, ...] = ()
     mast_arms: tuple[_MastArm, ...] = ()
     lanes: tuple[Lane, ...] = ()
@@ -118,11 +129,8 @@ def load_box_scene(source: Path | Traversable) -> Scene:
     table = read_table(load_toml(source), _BoxScene, where)
     for index, crosswalk in enumerate(table.crosswalks):
         if (crosswalk.ends_m[0] == crosswalk.ends_m[1]).all():
-            raise InputError(
-                f"{where}: crosswalks[{index}].ends_m",
-                crosswalk.ends_m.tolist(),
-                "two different points",
-            )
+            got = crosswalk.ends_m.tolist()
+            raise InputError(f"{where}: crosswalks[{index}].ends_m", got, "two different points")
     return Scene(
         name=table.name,
         **join_bodies(
@@ -206,14 +214,8 @@ def _wall_body(wall: _Wall) -> Body:
     )
 
 
-def _row_bodies(row: _ParkedRow, where: str) -> Iterator[Body]:
-    placed = park_row(
-        [pick_actor(name, f"{where}.actors[{index}]") for index, name in enumerate(row.actors)],
-        first_bumper_m=from_carla_points(row.first_m),
-        yaw_deg=float(from_carla_yaw(row.yaw_deg)),
-        gap_m=row.gap_m,
-    )
-    for number, parked in enumerate(placed, start=1):
+def _row_bodies(row: _NamedRow, where: str) -> Iterator[Body]:
+    for number, parked in enumerate(row.bodies(where), start=1):
         shape = parked.actor.shapes[0]
         instance = Instance(id=f"{row.id}-{number}", class_name="parked vehicle")
         yield instance, to_world(shape.vertices_m, parked.pose), shape.triangles

@@ -132,11 +132,9 @@ def terrain_of(scene: Scene) -> Terrain | None:
         row[order] * len(east_m) + column[order], np.arange(len(nodes))
     )
     if not is_grid:
-        raise InputError(
-            f"{scene.name}: ground",
-            Unquoted(f"{len(nodes)} nodes that are no grid"),
-            "a plane z = 0, or heights on a grid as place-rsus scene import writes them",
-        )
+        got = Unquoted(f"{len(nodes)} nodes that are no grid")
+        expected = "a plane z = 0, or heights on a grid as place-rsus scene import writes them"
+        raise InputError(f"{scene.name}: ground", got, expected)
     height_m = nodes[order, 2].reshape(len(north_m), len(east_m))
     return Terrain(east_m=east_m, north_m=north_m, height_m=height_m)
 
@@ -162,13 +160,26 @@ def headroom_m(vertices_m: FloatArray, terrain: Terrain | None) -> float:
 
 
 def standing_footprint(scene: Scene, index: int) -> Any:
-    """What a thing covers on the ground, a shapely geometry; empty where people pass below it."""
+    """Ground that a thing covers, a shapely geometry; empty where people pass below it."""
     used = scene.triangles[scene.triangle_instance == index]
     if len(used) and headroom_m(scene.vertices_m[used.ravel()], terrain_of(scene)) >= HEADROOM_M:
         from shapely import Polygon
 
         return Polygon()
     return thing_footprint(scene, index)
+
+
+def houses_of(scene: Scene) -> Any:
+    """Ground that buildings and walls cover: a shapely geometry, world frame, metres."""
+    import shapely
+
+    return shapely.union_all(
+        [
+            standing_footprint(scene, index)
+            for index, thing in enumerate(scene.instances)
+            if thing.class_name in ("building", "wall")
+        ]
+    )
 
 
 def pitch_on_ground_deg(
@@ -227,7 +238,7 @@ def fit_terrain(points_m: FloatArray, *, half_m: float, step_m: float) -> Terrai
     sums = [np.bincount(member.ravel(), column) for column in points_m.T]
     thin: FloatArray = np.stack(sums, axis=1) / count[:, None]
     height = _between(thin, nodes)
-    if np.isnan(height).all():  # points on a line, or a few: the ground beside them is as high
+    if np.isnan(height).all():  # points on a line, or a few: the ground next to them is as high
         aside = (
             0.5 * (line[1] - line[0]) * np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])
         )
@@ -240,7 +251,6 @@ def fit_terrain(points_m: FloatArray, *, half_m: float, step_m: float) -> Terrai
 
 
 def _between(points_m: FloatArray, nodes_m: FloatArray) -> FloatArray:
-    """Heights at nodes (..., 2) between points (n, 3); NaN beyond them."""
     from scipy.interpolate import LinearNDInterpolator
     from scipy.spatial import QhullError
 

@@ -31,7 +31,7 @@ _CHUNK_BYTES = 1 << 20
 
 @contextmanager
 def unpacked(path: Path, suffixes: Collection[str]) -> Iterator[Path]:
-    """Unpack a .zip, and yield the path of its one readable file, with everything beside it.
+    """Unpack a .zip, and yield the path of its one readable file, with everything next to it.
 
     `suffixes` are the endings of readable files in lower case: ``{".geojson", ".shp"}``; files that
     belong to them (``.dbf``, ``.bin``, textures) have others. The temporary folder is removed at
@@ -107,11 +107,8 @@ def _recognised(
     if len(found) == 1:
         return found[0]
     shown = ", ".join(entry.filename[:60] for entry in (found or members)[:5])
-    raise InputError(
-        where,
-        Unquoted(f"{len(found)} files that can be read" + (f" (it has {shown})" if shown else "")),
-        "exactly one, with an ending of " + ", ".join(sorted(suffixes)),
-    )
+    got = Unquoted(f"{len(found)} files that can be read" + (f" (it has {shown})" if shown else ""))
+    raise InputError(where, got, "exactly one, with an ending of " + ", ".join(sorted(suffixes)))
 
 
 def _extract(
@@ -142,15 +139,12 @@ def check_unpacked(n_bytes: int, where: str) -> None:
     The budget is one for archives, instances, scenes and point clouds alike.
     """
     if n_bytes > MAX_UNPACKED_BYTES:
-        raise InputError(
-            where,
-            Unquoted(f"{n_bytes:,} bytes or more when unpacked"),
-            f"at most {MAX_UNPACKED_BYTES:,}, the budget of everything that is packed",
-        )
+        expected = f"at most {MAX_UNPACKED_BYTES:,}, the budget of everything that is packed"
+        raise InputError(where, Unquoted(f"{n_bytes:,} bytes or more when unpacked"), expected)
 
 
 def is_text(array: NDArray[Any]) -> bool:
-    """Whether an array from a file has texts that Python can read: numpy looks at no character."""
+    """True if an array from a file has texts that Python can read: numpy looks at no character."""
     if array.dtype.kind != "U":
         return False
     if not array.dtype.itemsize or not array.size:
@@ -167,18 +161,13 @@ def refuse_bomb(n_bytes: int, where: str) -> None:
 
 def _refuse_ratio(n_bytes: int, n_packed: int, where: str) -> None:
     if n_bytes > max(_SMALL_BYTES, MAX_RATIO * n_packed):
-        raise InputError(
-            where,
-            Unquoted(f"{n_bytes:,} bytes or more out of {max(1, n_packed):,}"),
-            f"at most {MAX_RATIO} times as many",
-        )
+        got = Unquoted(f"{n_bytes:,} bytes or more out of {max(1, n_packed):,}")
+        raise InputError(where, got, f"at most {MAX_RATIO} times as many")
 
 
 # ---------- gzip
-
-
 class _Unpacked(io.RawIOBase):
-    """What comes out of a gzip file, until it is more than an honest one holds."""
+    """Unpacked bytes of a gzip file, until there are more than an honest one holds."""
 
     def __init__(self, file: BinaryIO, where: str) -> None:
         self._file, self._where, self._n_bytes = gzip.GzipFile(fileobj=file), where, 0
@@ -355,7 +344,6 @@ def check_gltf(path: Path) -> None:
 
 
 def _binary_header(path: Path) -> bytes:
-    """JSON of a .glb file."""
     with open_file(path) as file:
         head = file.read(20)
         if len(head) < 20 or head[:4] != b"glTF":
@@ -412,11 +400,8 @@ def check_pbf(path: Path, *, max_unpacked_bytes: int, expected: str) -> None:
         for kind, data in _blobs(path):
             n_left -= len(data)
             if n_left < 0:
-                raise InputError(
-                    str(path),
-                    Unquoted(f"more than {max_unpacked_bytes:,} bytes when unpacked"),
-                    "fewer; cut it out first",
-                )
+                got = Unquoted(f"more than {max_unpacked_bytes:,} bytes when unpacked")
+                raise InputError(str(path), got, "fewer; cut it out first")
             if kind == b"OSMData" and any(b"\0" in text for text in _texts(data)):
                 raise InputError(str(path), Unquoted("a zero byte in a text"), expected)
     except (IndexError, _DamagedError, zlib.error) as error:
@@ -466,7 +451,6 @@ def _unpacked(blob: bytes) -> bytes:
 
 
 def _texts(block: bytes) -> Iterator[bytes]:
-    """The strings of a block."""
     for number, value in _fields(block):
         if number == 1 and isinstance(value, bytes):
             for _, text in _fields(value):

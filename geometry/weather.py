@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .arrays import FloatArray
-from .errors import InputError
+from .errors import check_field
 from .files import load_toml, pick, read_tables
 
 CONTRAST_AT_VISIBILITY = 0.05
@@ -47,8 +47,7 @@ class Weather:
             ("contrast", 0.0 < self.contrast <= 1.0, "0 < contrast <= 1"),
             ("wetness", 0.0 <= self.wetness <= 1.0, "0 .. 1"),
         ):
-            if not is_valid:
-                raise InputError(f"weather {self.name}.{field}", getattr(self, field), expected)
+            check_field(self, f"weather {self.name}", field, is_valid, expected)
 
     @property
     def level_lux(self) -> float:
@@ -116,5 +115,4 @@ def load_weathers() -> dict[str, Weather]:
 
 def pick_weather(name: str, where: str) -> Weather:
     """Weather by name; the error about an unknown one lists the known ones."""
-    weather: Weather = pick(load_weathers(), name, where)
-    return weather
+    return pick(load_weathers(), name, where)

@@ -106,6 +106,5 @@ def _between(bearings: Sequence[float]) -> FloatArray | None:
 
 
 def _beside(bearing: float, arms: dict[str, float]) -> Sequence[str]:
-    """The arms on either side of a bearing."""
     turns = {name: (angle - bearing) % (2.0 * np.pi) for name, angle in arms.items()}
     return [max(turns, key=turns.__getitem__), min(turns, key=turns.__getitem__)]

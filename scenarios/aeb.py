@@ -12,21 +12,13 @@ from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError
 from geometry.files import Table, load_toml, read_table
 
-from .encounters import (
-    GRAZING_M,
-    Cells,
-    Measures,
-    find_first_touch,
-)
-from .encounters import Encounter as Encounter
-from .encounters import first_contact_s as first_contact_s
+from .encounters import GRAZING_M, Cells, Encounter, Measures, find_first_touch
 
 TIME_TOLERANCE_S = 1.0e-9
 """Frames lie on multiples of 0.1 s, which binary numbers only approach."""
 
+
 # ---------- how the VUT brakes
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AebRule:
     """From detected frames to braking.
@@ -147,32 +139,12 @@ def _phases(time_s: FloatArray, rule: AebRule) -> tuple[FloatArray, FloatArray]:
 
 
 # ---------- whether braking helps
-
-
 _ONSET_STEP_S = 0.25  # first cells of the search for the last brake time
 _ONSET_TOLERANCE_S = 1.0e-5
 _FINE_STEP_S = 0.001  # a footprint moves 1.7 cm in it at 60 km/h
 _CLOSER_LOOKS = 3  # each 32 times as fine: to a thirtieth of a microsecond
 _CLOSER = np.linspace(-1.0, 1.0, 65)
 _FIRST_LOOKS = 32
-
-
-def smallest_separation_m(
-    encounter: Encounter,
-    onset_s: ArrayLike,
-    *,
-    rule: AebRule,
-    time_step_s: float = _FINE_STEP_S,
-) -> FloatArray:
-    """Smallest separation of the footprints from each onset of braking until the VUT stands, (n,).
-
-    The VUT drives as in the encounter before the onset, and brakes along its path. Zero or less
-    means that they touch. The separation is looked at every `time_step_s`.
-    """
-    onset = np.atleast_1d(np.asarray(onset_s, dtype=np.float64))[:, None]
-    since_onset = _looks_s(encounter, rule, time_step_s)
-    smallest: FloatArray = _separation_m(encounter, onset, since_onset, rule).min(axis=1)
-    return smallest
 
 
 def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
@@ -242,7 +214,7 @@ def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
 
 
 def has_contact(encounter: Encounter, onset_s: ArrayLike, rule: AebRule) -> BoolArray:
-    """Whether the footprints touch although the VUT brakes from `onset_s` on, for each onset.
+    """True if the footprints touch although the VUT brakes from `onset_s` on, for each onset.
 
     At or after the impact it is too late; an infinite onset is never.
 
@@ -259,7 +231,7 @@ def has_contact(encounter: Encounter, onset_s: ArrayLike, rule: AebRule) -> Bool
 
 
 def _touches(encounter: Encounter, onset_s: FloatArray, rule: AebRule) -> BoolArray:
-    """The same for onsets before the impact, (n,)."""
+    """Contacts for onsets before the impact, (n,)."""
     closing_mps = (
         encounter.vut_reach * encounter.vut_motion.speed_mps
         + encounter.vru_reach * encounter.vru_motion.speed_mps
@@ -308,8 +280,6 @@ def _separation_m(
 
 
 # ---------- what the VUT brakes for
-
-
 def confirmation_mask(detected: ArrayLike, *, n_confirmations: int) -> BoolArray:
     """Frames of one run, (..., n_frames), at which the last `n_confirmations` are all detected.
 
@@ -412,6 +382,6 @@ def live_confirmation_time_s(
 def is_in_time(
     confirmation_s: ArrayLike, last_brake_s: ArrayLike, *, latency_s: float
 ) -> BoolArray:
-    """Whether braking after a confirmation avoids: confirmation + latency <= last brake time."""
+    """True if braking after a confirmation avoids: confirmation + latency <= last brake time."""
     onset = np.asarray(confirmation_s, dtype=np.float64) + latency_s
     return onset <= np.asarray(last_brake_s, dtype=np.float64) + TIME_TOLERANCE_S

@@ -133,8 +133,6 @@ def worded_for(case: Case, *, keeps_left: bool) -> Case:
 
 
 # ---------- tables of data/cases.toml
-
-
 _Positive = Annotated[float, Meta(gt=0.0)]
 _Side = Literal["near", "far"]
 
@@ -189,8 +187,6 @@ class _Wall(Struct, frozen=True, kw_only=True, tag="wall", tag_field="kind"):
 
 
 class _CaseEntry(Struct, frozen=True, kw_only=True):
-    """What every case says."""
-
     title: Text
     source: Text
     vru: Text
@@ -398,8 +394,6 @@ def _build_obstruction(
 
 
 # ---------- cases and speeds in the words of a user
-
-
 _HIGHEST_KMH = 250.0
 
 
@@ -439,9 +433,8 @@ def pick_cases(text: str, where: str) -> tuple[Case, ...]:
             )
         if not found:
             known = ", ".join([*load_case_sets(), *load_cases()])
-            raise InputError(
-                where, word, f"one of {known}, a .toml file, or several with commas between"
-            )
+            expected = f"one of {known}, a .toml file, or several with commas between"
+            raise InputError(where, word, expected)
         for case in found:
             picked.setdefault(case.name, case)
     return tuple(picked.values())
@@ -500,11 +493,8 @@ def _read_speeds(text: str) -> tuple[list[float], list[tuple[float, float]]]:
         low, dash, high = word.partition("-")
         numbers = [_read_speed(part) for part in ([low, high] if dash else [low])]
         if any(number is None for number in numbers):
-            raise InputError(
-                "speeds",
-                word,
-                f"km/h with commas between, such as 20,30 or 20-40, up to {_HIGHEST_KMH:g}",
-            )
+            expected = f"km/h with commas between, such as 20,30 or 20-40, up to {_HIGHEST_KMH:g}"
+            raise InputError("speeds", word, expected)
         found = [number for number in numbers if number is not None]
         if len(found) == 1:
             singles.append(found[0])

@@ -1,8 +1,8 @@
-"""Courses: smooth lines along the lanes of a map, by their own length."""
+"""Courses: smooth lines along the lanes of a map, by their own length; and turns of the VUT."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from importlib.resources import files
 from typing import Any, Literal
 
@@ -11,7 +11,7 @@ from msgspec import Struct
 from numpy.typing import ArrayLike, NDArray
 
 from geometry.arrays import FloatArray, freeze
-from geometry.errors import InputError
+from geometry.errors import InputError, check_field
 from geometry.files import load_toml, pick, read_tables
 from geometry.junction import Line
 
@@ -19,7 +19,7 @@ _SAMPLE_M = 0.5  # between the points of a lane that are smoothed
 _SMOOTHING_M = 2.0  # bends much shorter than six times this are evened out
 _CLOSE_SAMPLE_M = 0.25
 _CLOSE = (_SMOOTHING_M / 0.4) ** 4  # weight of points that are smoothed over 0.4 m
-_CLOSE_BESIDE_M = 6.0  # of the lanes beside one that is followed closely
+_CLOSE_BESIDE_M = 6.0  # of the lanes next to one that is followed closely
 _BEYOND_M = 60.0  # straight on beyond both ends of a lane
 _END_CHORD_M = 4.0  # of a lane's end, which tells its direction there
 _MAX_END_BEND_RAD = np.radians(20.0)
@@ -64,7 +64,7 @@ class Course:
         return point + beyond * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1), yaw
 
     def interpolate(self, station_m: ArrayLike, values: FloatArray) -> FloatArray:
-        """What stands beside its points, (n,), at stations (...,); beyond the ends it stays."""
+        """Values of its points, (n,), at stations (...,); beyond the ends they stay."""
         station = np.asarray(station_m, dtype=np.float64)
         index, share = self._place(np.clip(station, self.begin_m, self.end_m))
         between: FloatArray = values[index] + share * (values[index + 1] - values[index])
@@ -75,11 +75,11 @@ class Course:
         point, yaw = self.at(station_m)
         return Line(point_m=point, direction=np.array([np.cos(yaw), np.sin(yaw)]))
 
-    def beside(self, left_m: float) -> "Course":
+    def offset(self, left_m: float) -> "Course":
         """The line that runs some metres to the left of it.
 
-        Its origin is beside this one's. Raises InputError: it bends more sharply than that, so that
-        no line runs there.
+        Its origin is next to this one's. Raises InputError: it bends more sharply than that, so
+        that no line runs there.
         """
         if left_m == 0.0:
             return self
@@ -89,7 +89,7 @@ class Course:
         return _course_of(self.points_m + left_m * left, self.yaw_rad, self._index(0.0))
 
     def reversed(self) -> "Course":
-        """The same line, driven the other way; the origin stays."""
+        """Course driven the other way; the origin stays."""
         return Course(
             begin_m=-self.end_m,
             points_m=freeze(self.points_m[::-1].copy()),
@@ -133,7 +133,7 @@ def follow_lane(centreline_m: FloatArray, *, is_in: bool) -> Course:
     """The smooth course along a lane.
 
     `centreline_m` (n, 2): points of the lane in driving direction. World frame. `is_in`: it leads
-    into the junction: its mouth, the origin of stations, is its end. Else its begin. Raises
+    into the junction: its mouth, the origin of stations, is its end. Else its start. Raises
     InputError: the line has no length.
 
     Notes
@@ -191,7 +191,6 @@ def _led_on(chain_m: FloatArray) -> FloatArray:
 
 
 def _along_m(chain_m: FloatArray) -> FloatArray:
-    """Distance of each point of a chain from its begin."""
     return np.append(0.0, np.cumsum(np.hypot(*np.diff(chain_m, axis=0).T)))
 
 
@@ -278,8 +277,6 @@ def _course(begin_m: float, points_m: FloatArray, yaw_rad: FloatArray) -> Course
 
 
 # ---------- turns
-
-
 LEFT, RIGHT = 1, -1
 _SIDES = {"far": LEFT, "near": RIGHT}  # right-hand traffic
 _ANGLE_TOLERANCE_DEG = 1.0e-9
@@ -298,18 +295,13 @@ class Turn:
     side: int  # ``LEFT`` = +1, ``RIGHT`` = -1
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.radius_m < np.inf:
-            raise InputError("turn.radius_m", self.radius_m, "> 0 metres")
-        if not self.first_radius_m > self.radius_m:
-            raise InputError("turn.first_radius_m", self.first_radius_m, "more than radius_m")
-        if not 0.0 < self.clothoid_deg < 90.0:
-            raise InputError("turn.clothoid_deg", self.clothoid_deg, "0 < degrees < 90")
-        if not 0.0 <= self.arc_deg < 180.0 - 2.0 * self.clothoid_deg:
-            raise InputError(
-                "turn.arc_deg", self.arc_deg, "degrees >= 0, less than 180 with both clothoids"
-            )
-        if self.side not in (LEFT, RIGHT):
-            raise InputError("turn.side", self.side, "1 (left) or -1 (right)")
+        check = partial(check_field, self, "turn")
+        check("radius_m", 0.0 < self.radius_m < np.inf, "> 0 metres")
+        check("first_radius_m", self.first_radius_m > self.radius_m, "more than radius_m")
+        check("clothoid_deg", 0.0 < self.clothoid_deg < 90.0, "0 < degrees < 90")
+        is_short = 0.0 <= self.arc_deg < 180.0 - 2.0 * self.clothoid_deg
+        check("arc_deg", is_short, "degrees >= 0, less than 180 with both clothoids")
+        check("side", self.side in (LEFT, RIGHT), "1 (left) or -1 (right)")
 
     @property
     def angle_deg(self) -> float:
@@ -366,7 +358,7 @@ class Turn:
         return position, self.side * np.degrees(angle)
 
     def turned_by(self, angle_deg: float) -> "Turn":
-        """The same turn with another arc, for lanes that meet at another angle.
+        """Turn with another arc, for lanes that meet at another angle.
 
         Where the clothoids alone would turn further, they are shorter and there is no arc. Raises
         InputError: the angle is not between 0 and 180 degrees.
@@ -415,8 +407,6 @@ class TurnAtSpeed:
 
 
 class _TurnEntry(Struct, frozen=True, kw_only=True):
-    """A turn in ``data/turning_paths.toml``."""
-
     turn: Literal["far", "near"]
     speed_kmh: float
     first_radius_m: float
@@ -457,15 +447,12 @@ def pick_turn(side: str, speed_kmh: float) -> Turn:
     nearest_kmh = min(max(speed_kmh, slowest), fastest)
     if not 0.0 < speed_kmh < np.inf or nearest_kmh not in by_speed:
         known = ", ".join(f"{known_kmh:g}" for known_kmh in sorted(by_speed))
-        raise InputError(
-            f"speed of a {side} turn", speed_kmh, f"{known} km/h, or beyond the first or the last"
-        )
+        expected = f"{known} km/h, or beyond the first or the last"
+        raise InputError(f"speed of a {side} turn", speed_kmh, expected)
     return by_speed[nearest_kmh]
 
 
 # ---------- from one lane into another
-
-
 def join_by_turn(entry: Course, exit_course: Course, turn: Turn) -> tuple[Course, Turn]:
     """The course along a lane, round a turn into another lane, and along that one.
 
@@ -531,7 +518,7 @@ def follow_gently(
     """The gentlest course along lanes one after the other that leaves their middles a little.
 
     `chains_m`: points of the lanes in driving direction. World frame. `free_m`: how far it may
-    leave each of them, > 0. `origin`: the lane at whose begin its origin is; their number: where
+    leave each of them, > 0. `origin`: the lane at whose start its origin is; their number: where
     the last one ends.
 
     Notes

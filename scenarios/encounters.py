@@ -37,11 +37,9 @@ class Encounter:
 
     def __post_init__(self) -> None:
         if self.vut_motion.acceleration_distance_m != 0.0:
-            raise InputError(
-                "encounter.vut_motion.acceleration_distance_m",
-                self.vut_motion.acceleration_distance_m,
-                "0: the VUT is up to speed when it sets off",
-            )
+            got = self.vut_motion.acceleration_distance_m
+            expected = "0: the VUT is up to speed when it sets off"
+            raise InputError("encounter.vut_motion.acceleration_distance_m", got, expected)
         sizes = FootprintSizes(
             length_a_m=self.vut.length_m,
             width_a_m=self.vut.width_m,
@@ -156,7 +154,7 @@ class Cells:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Measures:
-    """What is known of cells, (n,) each."""
+    """Measured properties of cells, (n,) each."""
 
     may_touch: BoolArray  # (n,); false: there is no contact anywhere in the cell
     touches: BoolArray  # (n,); true: there is one at the middle of its first time

@@ -1,4 +1,4 @@
-"""Room for what a case lays into a scene: nothing in the way, nothing on the carriageway."""
+"""Parked cars and walls that hide the VRU, and room for them and for all ways."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,12 +13,12 @@ from geometry.footprints import footprint_corners
 from geometry.junction import CONNECTING
 from geometry.poses import Pose
 from geometry.raycast import RayCaster, build_caster
-from geometry.scene import Scene
-from geometry.terrain import GROUND, on_ground, standing_footprint, terrain_of
+from geometry.scene import Scene, strips_of
+from geometry.terrain import GROUND, houses_of, on_ground, terrain_of
 
 from .cases import Obstruction
 from .encounters import Encounter
-from .paths import Motion, Path
+from .paths import Motion
 from .staging import ON_ROAD, CannotCarryError, NoKerbError, Staging, load_obstruction_rules
 from .ways import StraightWay, Way
 
@@ -35,15 +35,15 @@ def make_room(staging: Staging, scene: Scene) -> Staging:
     Parked cars and walls stand outside the lanes that are driven on and outside the junction, cars
     not on islands between them either, unless the map has a parking lane there. Where the
     protocol's place is not free they are moved, as little as possible: aside, away from whom they
-    stand beside, and back, away from where the ways cross; how far, ``data/laying.toml`` says.
+    stand next to, and back, away from where the ways cross; how far, ``data/laying.toml`` says.
     Raises CannotCarryError: a body has no room; names it and what stands there. NoKerbError: lanes
     or the junction cover all places of the parked bodies.
 
     Notes
     -----
     Looked at with rays along the middle and both flanks of the ways, and around and across the
-    parked bodies' footprints. A VRU passes beside a pole that stands on its line. What the map does
-    not show does not stand in the way.
+    parked bodies' footprints. A VRU passes next to a pole that stands on its line. What the map
+    does not show does not stand in the way.
     """
     encounter = staging.encounter
     solid = _Solid(scene=scene, has_poles=True)
@@ -159,19 +159,13 @@ _MAY_OVERLAP_M = 0.1
 
 @lru_cache(maxsize=8)
 def _carriageway(scene: Scene) -> Any:
-    """What is driven on: a shapely geometry."""
     import shapely
 
-    lanes = [
-        shapely.LineString(lane.centreline_m).buffer(
-            0.5 * lane.width_m - _MAY_OVERLAP_M, cap_style="flat"
-        )
-        for lane in scene.lanes
-        if lane.kind in ("driving", CONNECTING) and len(lane.centreline_m) > 1
-    ]
+    lanes = (lane for lane in scene.lanes if lane.kind in ("driving", CONNECTING))
+    strips = strips_of(lanes, less_m=_MAY_OVERLAP_M)
     inside = shapely.make_valid(shapely.Polygon(scene.outline_m)).buffer(-_INSIDE_OUTLINE_M)
     # Some maps mark parking spaces on a lane that is wide enough for both.
-    driven = shapely.difference(shapely.union_all(lanes), _parking(scene))
+    driven = shapely.difference(shapely.union_all(strips), _parking(scene))
     area = shapely.union(inside, driven)
     shapely.prepare(area)
     return area
@@ -179,38 +173,26 @@ def _carriageway(scene: Scene) -> Any:
 
 @lru_cache(maxsize=8)
 def _parking(scene: Scene) -> Any:
-    """Lanes to park on: a shapely geometry."""
     import shapely
 
-    lanes = [
-        shapely.LineString(lane.centreline_m).buffer(0.5 * lane.width_m, cap_style="flat")
-        for lane in scene.lanes
-        if lane.kind == "parking" and len(lane.centreline_m) > 1
-    ]
-    area = shapely.union_all(lanes)
+    area = shapely.union_all(strips_of(lane for lane in scene.lanes if lane.kind == "parking"))
     shapely.prepare(area)
     return area
 
 
 @lru_cache(maxsize=8)
 def _houses(scene: Scene) -> Any:
-    """What buildings and walls cover on the ground: a shapely geometry."""
+    """Ground under buildings and walls, prepared: a shapely geometry."""
     import shapely
 
-    area = shapely.union_all(
-        [
-            standing_footprint(scene, index)
-            for index, thing in enumerate(scene.instances)
-            if thing.class_name in ("building", "wall")
-        ]
-    )
+    area = houses_of(scene)
     shapely.prepare(area)
     return area
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Solid:
-    """What of a scene stands in a way."""
+    """Instances of a scene that may stand in a way."""
 
     scene: Scene
     has_poles: bool
@@ -248,7 +230,6 @@ def _caster(solid: _Solid) -> tuple[RayCaster, FloatArray]:
 
 
 def _counting(solid: _Solid) -> list[int]:
-    """Indices of the instances that count."""
     return [
         index
         for index, instance in enumerate(solid.scene.instances)
@@ -285,7 +266,7 @@ def _is_blocked(caster: RayCaster, starts_m: FloatArray, ends_m: FloatArray) -> 
 def _way(motion: Motion, body: Actor) -> FloatArray:
     """Segments along the middle and the flanks, from behind the start to the impact, (n, 2, 2)."""
     covered_m = float(motion.distance_m(0.0))
-    distances = _distances(motion.path, covered_m)
+    distances = np.linspace(0.0, covered_m, max(2, int(covered_m / _STEP_M) + 2))
     position, yaw_deg = motion.path.at(distances)
     yaw = np.radians(np.broadcast_to(yaw_deg, distances.shape))
     ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
@@ -296,10 +277,6 @@ def _way(motion: Motion, body: Actor) -> FloatArray:
         line = np.concatenate([line[:1] - 0.5 * body.length_m * ahead[:1], line])
         segments.append(np.stack([line[:-1], line[1:]], axis=1))
     return np.concatenate(segments)
-
-
-def _distances(path: Path, covered_m: float) -> FloatArray:
-    return np.linspace(0.0, covered_m, max(2, int(covered_m / _STEP_M) + 2))
 
 
 def _corners(parked: PlacedActor) -> FloatArray:
@@ -324,8 +301,6 @@ def _sides(corners_m: FloatArray) -> FloatArray:
 
 
 # ---------- obstructions
-
-
 # Two triangles on each of a box's six sides, outward, for corners numbered as in `_build_wall`.
 _BOX_TRIANGLES = np.array(
     [
@@ -408,7 +383,7 @@ def _beside_vut(
             gap_m=obstruction.between_gap_m,
         )
     row_m = sum(actor.length_m + obstruction.between_gap_m for actor in obstruction.bodies)
-    row, bumper_m = vut_way.beside(left_m, bumper_m, back_m=row_m, ahead_m=0.0)
+    row, bumper_m = vut_way.offset(left_m, bumper_m, back_m=row_m, ahead_m=0.0)
     bodies = []
     for actor in obstruction.bodies:
         station_m = bumper_m - 0.5 * actor.length_m
@@ -427,7 +402,7 @@ def _beside_vru(
     vru: Actor,
     side: float,
 ) -> tuple[PlacedActor, ...]:
-    """Cars or a wall beside the VRU's way, between it and the coming VUT.
+    """Cars or a wall next to the VRU's way, between it and the coming VUT.
 
     The sides towards the VRU are flush; cars' noses look away from the VUT's way.
     """

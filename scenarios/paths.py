@@ -359,7 +359,7 @@ def _tow(course: Course, wheelbase_m: float) -> FloatArray:
     from scipy.interpolate import CubicHermiteSpline
 
     stride = _TOW_STEPS
-    # Two points to a step: its begin, its middle.
+    # Two points to a step: its start, its middle.
     yaw = course.yaw_rad[:: stride // 2]
     n_steps = (len(yaw) - 1) // 2
     step_m = stride * (course.end_m - course.begin_m) / (len(course.yaw_rad) - 1)
@@ -401,6 +401,5 @@ def _check_speed(speed_mps: float, acceleration_distance_m: float, where: str) -
     if not 0.0 < speed_mps < np.inf:
         raise InputError(f"{where}speed_mps", speed_mps, "> 0 metres per second")
     if not 0.0 <= acceleration_distance_m < np.inf:
-        raise InputError(
-            f"{where}acceleration_distance_m", acceleration_distance_m, "metres, at least 0"
-        )
+        got = acceleration_distance_m
+        raise InputError(f"{where}acceleration_distance_m", got, "metres, at least 0")

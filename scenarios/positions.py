@@ -49,8 +49,6 @@ AT_ZERO = Position()
 
 
 # ---------- rules
-
-
 _Metres = Annotated[float, Meta(ge=0.0)]
 
 
@@ -72,14 +70,12 @@ def load_position_rules() -> PositionRules:
 
 
 def is_study_set(cases: str) -> bool:
-    """Whether the words of a user name nothing but sets that are driven at position 0 alone."""
+    """True if the words of a user name nothing but sets that are driven at position 0 alone."""
     words = {word.strip() for word in cases.split(",")}
     return words <= set(load_position_rules().sets_at_zero)
 
 
 # ---------- positions in the words of a user
-
-
 def read_along_arms(text: str, where: str) -> tuple[float, ...]:
     """Distances along the arms, in metres, by the words of a user.
 
@@ -97,9 +93,8 @@ def read_along_arms(text: str, where: str) -> tuple[float, ...]:
     )
     words = [word.strip() for word in text.split(",")]
     if len(words) > rules.max_distances:
-        raise InputError(
-            where, Unquoted(f"{len(words)} distances"), f"at most {rules.max_distances}"
-        )
+        got = Unquoted(f"{len(words)} distances")
+        raise InputError(where, got, f"at most {rules.max_distances}")
     distances: list[float] = []
     for word in words:
         try:
@@ -183,10 +178,8 @@ def sort_positions(names: Iterable[str]) -> list[str]:
 
 
 # ---------- positions of cases
-
-
 def is_bound(case: Case) -> bool:
-    """Whether a case can happen at the junction alone: the VUT turns, or the VRU's road is there.
+    """True if a case can happen at the junction alone: the VUT turns, or the VRU's road is there.
 
     All others - people who cross the VUT's lane, those who move ahead in it - may happen anywhere
     along an arm.

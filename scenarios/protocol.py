@@ -8,7 +8,7 @@ import numpy as np
 
 from geometry.actors import Actor
 from geometry.arrays import FloatArray
-from geometry.errors import InputError
+from geometry.errors import InputError, check_one_of
 from geometry.junction import Arm, Junction, Line, lane_length_m
 from geometry.scene import Lane
 
@@ -80,8 +80,7 @@ def stage_by_protocol(
     one into the other. Raises CannotCarryError: the lanes do not allow it; the text says why.
     NoRoadError: the road that the case needs does not exist. InputError: there is no such arm.
     """
-    if approach not in junction.arms:
-        raise InputError("approach", approach, "one of " + ", ".join(junction.arms))
+    check_one_of("approach", approach, junction.arms)
     arm = junction.arms[approach]
     if not arm.entry_lanes:
         raise NoRoadError(f"no lane leads into the junction from the {approach}")
@@ -209,8 +208,6 @@ def _places_behind(
 
 
 # ---------- crossing and longitudinal cases
-
-
 def _lay_crossing(
     case: Case, junction: Junction, place: _Place, vut_speed_kmh: float, vut: Actor
 ) -> Staging:
@@ -266,7 +263,7 @@ def _crossing(case: Case, junction: Junction, place: _Place) -> tuple[float, Way
     middle = lane_way(
         lane, is_in=True, length_m=ridden_m, max_bend_m=load_way_rules().max_lane_bend_m
     )
-    return _meet(vut_way, middle.beside(left_m, 0.0, back_m=ridden_m)[0])
+    return _meet(vut_way, middle.offset(left_m, 0.0, back_m=ridden_m)[0])
 
 
 _IN_JUNCTION_M = 1.0  # from the middle of a lane through it
@@ -329,7 +326,7 @@ def _lay_longitudinal(
     driven_m = -begin_s * vut_speed_kmh * MPS_PER_KMH
     place.check_straight(max(travel_m, driven_m))
     gap_m = 0.5 * (vut.length_m + case.vru.length_m)
-    vru_way, vru_m = vut_way.beside(impact_offset_m(case, vut), impact_m, back_m=travel_m)
+    vru_way, vru_m = vut_way.offset(impact_offset_m(case, vut), impact_m, back_m=travel_m)
     encounter = set_off(
         case,
         vut=vut,
@@ -343,8 +340,6 @@ def _lay_longitudinal(
 
 
 # ---------- turning cases
-
-
 def _turnings(
     case: Case, junction: Junction, arm: Arm, vut_speed_kmh: float, vut: Actor
 ) -> Iterator[Callable[[], Staging]]:
@@ -440,7 +435,7 @@ def _turning_way(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Kerb:
-    """A line beside a lane."""
+    """A line next to a lane."""
 
     lane: Lane
     is_in: bool
@@ -448,7 +443,7 @@ class _Kerb:
 
 
 def _kerb(case: Case, arm: Arm) -> _Kerb:
-    """Where cyclists ride beside the VUT's approach road, on the side to which it turns."""
+    """Where cyclists ride next to the VUT's approach road, on the side to which it turns."""
     assert case.vru_line is not None
     outside_m = case.vru_line.left_m
     if case.turn == "near":
@@ -488,19 +483,17 @@ def _ridden_lane(case: Case, junction: Junction, arm: Arm, entry: Line) -> Way:
     left_m = kerb.left_m
     if is_against:
         way, left_m = reversed_way(way), -left_m
-    return way.beside(left_m, 0.0, back_m=ridden_m)[0]
+    return way.offset(left_m, 0.0, back_m=ridden_m)[0]
 
 
 def _is_along(way: Way, line: Line, ridden_m: float, tolerance_m: float) -> bool:
-    """Whether a way stays on a line, from the mouth back to where the VRU sets off."""
+    """True if a way stays on a line, from the mouth back to where the VRU sets off."""
     stations = np.linspace(-ridden_m, 0.0, 20)
     points = np.array([way.tangent(float(station)).point_m for station in stations])
     return bool((np.abs(line.coordinates(points)[:, 1]) <= tolerance_m).all())
 
 
 # ---------- the VRU's way
-
-
 def _travel_m(case: Case, vru_distance_m: float) -> float:
     """The VRU's way from rest to the impact; `vru_distance_m`: its middle past the line's point."""
     if case.steady_distance_m is not None:

@@ -7,11 +7,12 @@ from importlib.resources import files
 import numpy as np
 from msgspec import Struct
 
-from geometry.actors import Actor, PlacedActor, park_row, pick_actor
+from geometry.actors import Actor, PlacedActor
 from geometry.arrays import FloatArray, Point2
 from geometry.errors import InputError, Unquoted
 from geometry.files import Text, load_toml, pick, read_table
 from geometry.frames import from_carla_points, from_carla_yaw
+from geometry.study_scene import ParkedRow
 
 from .cases import Case, load_cases
 from .encounters import Encounter
@@ -34,19 +35,10 @@ class CasePlacement:
     vut_path: StraightPath
     vru_path: StraightPath
     # distances along the paths from their starts to where the middle of the VRU is at the impact,
-    # and to the point beside it on the VUT's path
+    # and to the point next to it on the VUT's path
     vut_meeting_m: float
     vru_meeting_m: float
     obstruction: tuple[PlacedActor, ...]  # parked bodies that belong to this case only
-
-
-class _Row(Struct, frozen=True, kw_only=True):
-    """Bodies parked nose to tail, in CARLA's frame."""
-
-    first_m: Point2
-    yaw_deg: float
-    gap_m: float
-    actors: tuple[str, ...]
 
 
 class _Entry(Struct, frozen=True, kw_only=True):
@@ -62,11 +54,9 @@ class _Entry(Struct, frozen=True, kw_only=True):
 
 
 class _File(Struct, frozen=True, kw_only=True):
-    """``data/town05_runs.toml``."""
-
     scene: Text
     placements: tuple[_Entry, ...]
-    parked_rows: tuple[_Row, ...] = ()
+    parked_rows: tuple[ParkedRow, ...] = ()
 
 
 @cache
@@ -77,7 +67,7 @@ def load_placements() -> tuple[CasePlacement, ...]:
     parked = tuple(
         body
         for index, row in enumerate(table.parked_rows)
-        for body in _build_row(row, f"{where}: parked_rows[{index}]")
+        for body in row.bodies(f"{where}: parked_rows[{index}]")
     )
     return tuple(
         _build_placement(entry, f"{where}: placements[{index}]", table.scene, parked)
@@ -137,11 +127,8 @@ def _build_placement(
         vut_meeting, vru_meeting = _crossing_distances(vut_path, vru_path, where)
     else:
         if vut_path.direction @ vru_path.direction < np.cos(np.radians(_ANGLE_TOLERANCE_DEG)):
-            raise InputError(
-                where,
-                Unquoted(f"headings {vut_path.yaw_deg:g} and {vru_path.yaw_deg:g} degrees"),
-                "one heading for VUT and VRU",
-            )
+            got = Unquoted(f"headings {vut_path.yaw_deg:g} and {vru_path.yaw_deg:g} degrees")
+            raise InputError(where, got, "one heading for VUT and VRU")
         vut_meeting = float((collision - vut_path.start_m) @ vut_path.direction)
         vru_meeting = float((collision - vru_path.start_m) @ vru_path.direction)
     met_m, _ = vut_path.at(vut_meeting)
@@ -151,9 +138,8 @@ def _build_placement(
         point = entry.collision_point_m.tolist()
         raise InputError(f"{where}.collision_point_m", point, "a point on the VUT's path")
     if not (vut_meeting > 0.0 and vru_meeting > 0.0):
-        raise InputError(
-            where, Unquoted("paths that meet behind a start"), "starts before the meeting point"
-        )
+        got = Unquoted("paths that meet behind a start")
+        raise InputError(where, got, "starts before the meeting point")
     return CasePlacement(
         scene_name=scene_name,
         case=case,
@@ -175,18 +161,8 @@ def _crossing_distances(a: StraightPath, b: StraightPath, where: str) -> tuple[f
     # squarely.
     angle_deg = float(np.degrees(np.arccos(np.clip(abs(a.direction @ b.direction), 0.0, 1.0))))
     if angle_deg < 90.0 - _ANGLE_TOLERANCE_DEG:
-        raise InputError(
-            where, Unquoted(f"paths at {angle_deg:.1f} degrees"), "perpendicular paths"
-        )
+        got = Unquoted(f"paths at {angle_deg:.1f} degrees")
+        raise InputError(where, got, "perpendicular paths")
     matrix = np.stack([a.direction, -b.direction], axis=1)
     distances = np.linalg.solve(matrix, b.start_m - a.start_m)
     return float(distances[0]), float(distances[1])
-
-
-def _build_row(row: _Row, where: str) -> tuple[PlacedActor, ...]:
-    return park_row(
-        [pick_actor(name, f"{where}.actors[{index}]") for index, name in enumerate(row.actors)],
-        first_bumper_m=from_carla_points(row.first_m),
-        yaw_deg=float(from_carla_yaw(row.yaw_deg)),
-        gap_m=row.gap_m,
-    )

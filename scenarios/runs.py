@@ -13,7 +13,7 @@ from geometry.arrays import (
     float_array,
     freeze,
 )
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, Unquoted, check_one_of
 from geometry.junction import Junction, build_junction, mirrored
 from geometry.scene import Scene
 from geometry.terrain import Terrain, set_down, terrain_of
@@ -94,11 +94,9 @@ class Run:
     def __post_init__(self) -> None:
         for body in self.traffic:
             if len(body.yaw_deg) != len(self.time_s):
-                raise InputError(
-                    f"run {self.id}: traffic",
-                    Unquoted(f"{len(body.yaw_deg)} frames"),
-                    f"{len(self.time_s)}, as many as the run has",
-                )
+                got = Unquoted(f"{len(body.yaw_deg)} frames")
+                expected = f"{len(self.time_s)}, as many as the run has"
+                raise InputError(f"run {self.id}: traffic", got, expected)
 
     def __repr__(self) -> str:
         return f"Run({self.id!r}, {len(self.time_s)} frames)"
@@ -161,9 +159,8 @@ class FrameAxis:
         falls[run_start[1:-1] - 1] = False  # from one run to the next
         if falls.any():
             late, early = self.time_s[np.argmax(falls) :][:2].tolist()
-            raise InputError(
-                "time_s", Unquoted(f"{late} before {early}"), "times that ascend within a run"
-            )
+            got = Unquoted(f"{late} before {early}")
+            raise InputError("time_s", got, "times that ascend within a run")
 
     @property
     def n_runs(self) -> int:
@@ -289,7 +286,7 @@ def _known_s(arrival_s: FloatArray, axis: FrameAxis, rule: AebRule) -> FloatArra
 
 
 def _is_within_run(axis: FrameAxis, n_frames: int) -> BoolArray:
-    """Whether a frame and those before it, `n_frames` in all, are of one run, (n_frames,)."""
+    """True if a frame and those before it, `n_frames` in all, are of one run, (n_frames,)."""
     start = axis.run_start[:-1].repeat(np.diff(axis.run_start))
     return np.arange(axis.n_frames) - start >= n_frames - 1
 
@@ -394,128 +391,130 @@ def build_runs(
         The junction has no such approach, or there is no such weather.
     """
     junction = build_junction(scene)
-    for words, known, where in (
-        (approaches or (), tuple(junction.arms), "approach"),
-        (weathers, WEATHERS, "weather"),
-    ):
-        for word in words:
-            if word not in known:
-                raise InputError(where, word, "one of " + ", ".join(known))
+    for word in approaches or ():
+        check_one_of("approach", word, junction.arms)
+    for word in weathers:
+        check_one_of("weather", word, WEATHERS)
     right_hand = mirrored(junction) if junction.keeps_left else junction
-    cases = [worded_for(case, keeps_left=junction.keeps_left) for case in cases]
     runs: list[Run] = []
     refusals: list[Refusal] = []
-    for case in cases:
+    for case in (worded_for(case, keeps_left=junction.keeps_left) for case in cases):
         for approach in dict.fromkeys(approaches or junction.arms):
+            limit_kmh = junction.arms[approach].speed_limit_kmh if keeps_limits else None
             for number, position in enumerate(positions_of(case, positions)):
-                turn = tuple(junction.arms).index(approach) + number
-                speeds_kmh = (
-                    spread_speeds(case.vut_speeds_kmh, position, turn=turn)
-                    if is_spread
-                    else case.vut_speeds_kmh
+                speeds_kmh = case.vut_speeds_kmh
+                if is_spread:
+                    turn = tuple(junction.arms).index(approach) + number
+                    speeds_kmh = spread_speeds(speeds_kmh, position, turn=turn)
+                drive = _Drive(
+                    case=case,
+                    scene=scene,
+                    right_hand=right_hand,
+                    approach=approach,
+                    position=position,
+                    limit_kmh=limit_kmh,
+                    vut=vut,
+                    rule=rule,
                 )
-                limit_kmh = junction.arms[approach].speed_limit_kmh if keeps_limits else None
-                too_fast = [one for one in speeds_kmh if limit_kmh is not None and one > limit_kmh]
-                reasons: dict[tuple[str, bool], list[float]] = {}
-                for speed_kmh in speeds_kmh[: len(speeds_kmh) - len(too_fast)]:
-                    try:
-                        staging = _stage(
-                            case, scene, right_hand, approach, position, speed_kmh, vut
-                        )
-                    except CannotCarryError as error:
-                        is_possible = not isinstance(error, NoRoadError)
-                        reasons.setdefault((str(error), is_possible), []).append(speed_kmh)
-                        continue
-                    run = _build_run(case, scene, approach, position, speed_kmh, staging, rule=rule)
-                    runs += [_in_weather(run, weather) for weather in dict.fromkeys(weathers)]
-                if too_fast:  # a road that does not exist is missing at every speed
-                    missing = next((one for one in reasons if not one[1]), None)
-                    reason = missing or (_too_fast(limit_kmh), False)
-                    reasons.setdefault(reason, []).extend(too_fast)
-                refusals += [
-                    Refusal(
-                        case=case,
-                        approach=approach,
-                        position=position.name,
-                        speeds_kmh=tuple(speeds),
-                        reason=reason,
-                        is_possible=is_possible,
-                        limit_kmh=limit_kmh if reason == _too_fast(limit_kmh) else None,
-                    )
-                    for (reason, is_possible), speeds in reasons.items()
-                ]
+                laid, refused = drive.lay(speeds_kmh)
+                runs += [_in_weather(run, one) for run in laid for one in dict.fromkeys(weathers)]
+                refusals += refused
     return tuple(runs), tuple(refusals)
 
 
-def _too_fast(limit_kmh: float | None) -> str:
-    return "" if limit_kmh is None else f"faster than the speed limit of {limit_kmh:g} km/h"
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Drive:
+    """A case at a place: what its runs at several speeds have in common."""
 
+    case: Case
+    scene: Scene
+    right_hand: Junction  # of the scene, mirrored where traffic keeps left
+    approach: str
+    position: Position
+    limit_kmh: float | None  # nothing faster is driven; None: no limit
+    vut: Actor
+    rule: AebRule
 
-def _stage(
-    case: Case,
-    scene: Scene,
-    right_hand: Junction,
-    approach: str,
-    position: Position,
-    speed_kmh: float,
-    vut: Actor,
-) -> Staging:
-    placement = find_placement(scene.name, case, approach) if position == AT_ZERO else None
-    if placement is not None:
-        return stage_published(placement, vut_speed_kmh=speed_kmh, vut=vut)
+    def lay(self, speeds_kmh: Sequence[float]) -> tuple[list[Run], list[Refusal]]:
+        """Runs at ascending speeds by day, and what could not be laid."""
+        runs = []
+        limit_kmh = self.limit_kmh
+        too_fast = [one for one in speeds_kmh if limit_kmh is not None and one > limit_kmh]
+        reasons: dict[tuple[str, bool], list[float]] = {}
+        for speed_kmh in speeds_kmh[: len(speeds_kmh) - len(too_fast)]:
+            try:
+                staging = self._stage(speed_kmh)
+            except CannotCarryError as error:
+                is_possible = not isinstance(error, NoRoadError)
+                reasons.setdefault((str(error), is_possible), []).append(speed_kmh)
+            else:
+                runs.append(self._run(speed_kmh, staging))
+        above = "" if limit_kmh is None else f"faster than the speed limit of {limit_kmh:g} km/h"
+        if too_fast:  # a road that does not exist is missing at every speed
+            missing = next((one for one in reasons if not one[1]), None)
+            reasons.setdefault(missing or (above, False), []).extend(too_fast)
+        return runs, [
+            Refusal(
+                case=self.case,
+                approach=self.approach,
+                position=self.position.name,
+                speeds_kmh=tuple(speeds),
+                reason=reason,
+                is_possible=is_possible,
+                limit_kmh=limit_kmh if reason == above else None,
+            )
+            for (reason, is_possible), speeds in reasons.items()
+        ]
 
-    def settle(staging: Staging) -> Staging:
-        return make_room(mirror_staging(staging) if scene.keeps_left else staging, scene)
+    def _stage(self, speed_kmh: float) -> Staging:
+        case, scene, position = self.case, self.scene, self.position
+        at_zero = position == AT_ZERO
+        placement = find_placement(scene.name, case, self.approach) if at_zero else None
+        if placement is not None:
+            return stage_published(placement, vut_speed_kmh=speed_kmh, vut=self.vut)
 
-    # The protocol's rules are those of traffic that keeps right.
-    return stage_by_protocol(
-        case,
-        right_hand,
-        approach,
-        vut_speed_kmh=speed_kmh,
-        vut=vut,
-        position=position,
-        settle=settle,
-    )
+        def settle(staging: Staging) -> Staging:
+            return make_room(mirror_staging(staging) if scene.keeps_left else staging, scene)
 
+        # The protocol's rules are those of traffic that keeps right.
+        return stage_by_protocol(
+            case,
+            self.right_hand,
+            self.approach,
+            vut_speed_kmh=speed_kmh,
+            vut=self.vut,
+            position=position,
+            settle=settle,
+        )
 
-def _build_run(
-    case: Case,
-    scene: Scene,
-    approach: str,
-    position: Position,
-    speed_kmh: float,
-    staging: Staging,
-    *,
-    rule: AebRule,
-) -> Run:
-    encounter = staging.encounter
-    vut, vru = encounter.vut_motion, encounter.vru_motion
-    first_s = min(vut.start_time_s, vru.start_time_s)
-    n_steps = int(-first_s * rule.frame_rate_hz + _GRID_TOLERANCE)
-    time_s = np.arange(-n_steps, 1) / rule.frame_rate_hz
-    vut_position, vut_yaw = vut.path.at(vut.distance_m(time_s))
-    vru_distance = vru.distance_m(time_s)
-    vru_position, vru_yaw = vru.path.at(vru_distance)
-    place = approach if position == AT_ZERO else f"{approach}{position.name}"
-    return Run(
-        id=f"{case.name}/{place}/{speed_kmh:g}",
-        case=case,
-        approach=approach,
-        position=position.name,
-        weather="day",
-        vut_speed_kmh=speed_kmh,
-        encounter=encounter,
-        time_s=freeze(time_s),
-        vut_position_m=freeze(vut_position),
-        vut_yaw_deg=freeze(vut_yaw),
-        vru_position_m=freeze(vru_position),
-        vru_yaw_deg=freeze(vru_yaw),
-        vru_shape=freeze(encounter.vru.shape_index(vru_distance)),
-        obstruction=set_down(staging.obstruction, scene),
-        terrain=terrain_of(scene),
-        last_brake_time_s=last_brake_time_s(encounter, rule),
-    )
+    def _run(self, speed_kmh: float, staging: Staging) -> Run:
+        encounter, rate_hz = staging.encounter, self.rule.frame_rate_hz
+        vut, vru = encounter.vut_motion, encounter.vru_motion
+        first_s = min(vut.start_time_s, vru.start_time_s)
+        n_steps = int(-first_s * rate_hz + _GRID_TOLERANCE)
+        time_s = np.arange(-n_steps, 1) / rate_hz
+        vut_position, vut_yaw = vut.path.at(vut.distance_m(time_s))
+        vru_distance = vru.distance_m(time_s)
+        vru_position, vru_yaw = vru.path.at(vru_distance)
+        place = self.approach + ("" if self.position == AT_ZERO else self.position.name)
+        return Run(
+            id=f"{self.case.name}/{place}/{speed_kmh:g}",
+            case=self.case,
+            approach=self.approach,
+            position=self.position.name,
+            weather="day",
+            vut_speed_kmh=speed_kmh,
+            encounter=encounter,
+            time_s=freeze(time_s),
+            vut_position_m=freeze(vut_position),
+            vut_yaw_deg=freeze(vut_yaw),
+            vru_position_m=freeze(vru_position),
+            vru_yaw_deg=freeze(vru_yaw),
+            vru_shape=freeze(encounter.vru.shape_index(vru_distance)),
+            obstruction=set_down(staging.obstruction, self.scene),
+            terrain=terrain_of(self.scene),
+            last_brake_time_s=last_brake_time_s(encounter, self.rule),
+        )
 
 
 def _in_weather(run: Run, weather: str) -> Run:

@@ -1,4 +1,4 @@
-"""How a run is set up: who moves how, past what, before anybody brakes."""
+"""Setting up a run: who moves how, past what, before anybody brakes; and the rules for it."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
@@ -38,15 +38,15 @@ class NoRoadError(CannotCarryError):
 
 
 ON_ROAD = "would stand on"
-"""What reasons say of parked bodies for which no kerb lies beside the lane."""
+"""Words of the reason why parked bodies have no kerb next to the lane."""
 
 
 class NoKerbError(NoRoadError):
-    """Where a case's parked bodies would stand, all is driven on: no kerb lies beside the lane."""
+    """Where a case's parked bodies would stand, all is driven on: no kerb lies next to the lane."""
 
 
 BENDS = "its lanes bend"
-"""How reasons begin of runs that are refused since they are too fast for a bend."""
+"""First words of the reason why runs are too fast for a bend."""
 
 
 class TooFastError(NoRoadError):
@@ -66,7 +66,7 @@ class Staging:
     encounter: Encounter  # its impact is at time 0
     obstruction: tuple[PlacedActor, ...]  # parked bodies, or a wall, of this run only
     # (2,); unit vectors in which the obstruction may give way to what stands there: away from whom
-    # it stands beside, and away from where the ways cross; zero without one
+    # it stands next to, and away from where the ways cross; zero without one
     aside: FloatArray = field(default_factory=lambda: np.zeros(2))
     back: FloatArray = field(default_factory=lambda: np.zeros(2))
     max_aside_m: float = 0.0  # how far it may be moved aside
@@ -201,7 +201,7 @@ def _gap_to_side(
     ahead_m = (case.impact_percent / 100.0 - 0.5) * vut.length_m
     left_m = 0.5 * vut.width_m * (1.0 if case.turn == "far" else -1.0)
     coordinates = vru_line.coordinates(position + ahead_m * ahead + left_m * left)
-    # Positive until the VUT gets to the line: coming from its right, if it turns left beside a
+    # Positive until the VUT gets to the line: coming from its right, if it turns left next to a
     # VRU that goes the same way.
     is_from_right = (case.turn == "far") == (case.vru_direction == "same")
     gap = -coordinates[:, 1] if is_from_right else coordinates[:, 1]
@@ -209,7 +209,6 @@ def _gap_to_side(
 
 
 # ---------- the first staging that can be driven
-
 _BEND_STEP_M = 0.25
 _BEND_STEPS = 4  # bends are taken over a metre: courses are smooth over at least two
 _ROUND_KMH = 5
@@ -269,8 +268,6 @@ def _check_bends(encounter: Encounter) -> None:
 
 
 # ---------- stagings in a mirror, for traffic that keeps left
-
-
 _NORTH_TO_SOUTH = np.array([1.0, -1.0])
 
 
@@ -333,8 +330,6 @@ def _mirror_placed(placed: PlacedActor) -> PlacedActor:
 
 
 # ---------- rules where the protocol speaks of its own test track
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WayRules:
     """Ways of the VUT and the VRU."""

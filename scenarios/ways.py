@@ -1,4 +1,4 @@
-"""The ways of road users along a lane: straight on, or round its bends."""
+"""Ways of road users: along lanes, straight or bent, and through the junction into other arms."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -67,7 +67,7 @@ class Way(Protocol):
         """The point some metres to the left of a station, (2,)."""
         ...
 
-    def beside(
+    def offset(
         self, left_m: float, station_m: float, *, back_m: float, ahead_m: float = np.inf
     ) -> "tuple[Way, float]":
         """The way some metres to the left of it, and where one of its stations lies on that way.
@@ -111,10 +111,10 @@ class StraightWay:
         """See :meth:`Way.point`."""
         return self.line.at(station_m, left_m)
 
-    def beside(
+    def offset(
         self, left_m: float, station_m: float, *, back_m: float, ahead_m: float = np.inf
     ) -> "tuple[Way, float]":
-        """See :meth:`Way.beside`."""
+        """See :meth:`Way.offset`."""
         beside = Line(point_m=self.line.at(station_m, left_m), direction=self.line.direction)
         return StraightWay(line=beside), 0.0
 
@@ -153,14 +153,14 @@ class CurvedWay:
         """See :meth:`Way.point`."""
         return self.course.tangent(station_m).at(0.0, left_m)
 
-    def beside(
+    def offset(
         self, left_m: float, station_m: float, *, back_m: float, ahead_m: float = np.inf
     ) -> "tuple[Way, float]":
-        """See :meth:`Way.beside`."""
+        """See :meth:`Way.offset`."""
         try:
             end_m = min(station_m + ahead_m, self.course.end_m)
             near = self.course.between(station_m - back_m, end_m)
-            course = near.beside(left_m)
+            course = near.offset(left_m)
         except InputError:
             raise CannotCarryError(
                 f"the lane bends too sharply for a way {abs(left_m):.1f} m beside it"
@@ -198,7 +198,7 @@ def off_line_m(lane: Lane, *, is_in: bool, length_m: float) -> float:
 
 
 def is_bent(lane: Lane, *, is_in: bool) -> bool:
-    """Whether a lane leaves its straight line."""
+    """True if a lane leaves its straight line."""
     bend_m = off_line_m(lane, is_in=is_in, length_m=lane_length_m(lane))
     return bend_m > load_way_rules().max_lane_bend_m
 
@@ -281,7 +281,6 @@ def way_across(
 
 
 def _curve_between(entry: Lane, leaving: Lane) -> FloatArray:
-    """Points (n, 2) from the end of a lane to the begin of another one."""
     before = follow_lane(entry.centreline_m, is_in=True).tangent(0.0)
     after = follow_lane(leaving.centreline_m, is_in=False).tangent(0.0)
     try:
@@ -295,7 +294,7 @@ def _curve_between(entry: Lane, leaving: Lane) -> FloatArray:
 
 
 def reversed_way(way: Way) -> Way:
-    """The same way, driven the other way; the origin of stations stays."""
+    """Way driven the other way; the origin of stations stays."""
     if isinstance(way, CurvedWay):
         return CurvedWay(course=way.course.reversed())
     line = way.tangent(0.0)
@@ -318,8 +317,6 @@ def meeting_m(one: Way, other: Way) -> tuple[float, float]:
 
 
 # ---------- arms
-
-
 _LEADS = {"left": "to the left", "right": "to the right", "through": "straight on"}
 _SAME_POINT_M = 0.5  # as geometry.junction joins lanes
 
@@ -355,7 +352,7 @@ def arm_ahead(junction: Junction, approach: Arm, vut_line: Line) -> Arm | None:
 
 
 def _lies_ahead(arm: Arm, vut_line: Line) -> bool:
-    """Whether one of an arm's lanes begins or ends no farther aside of a line than ahead."""
+    """True if one of an arm's lanes begins or ends no farther aside of a line than ahead."""
     mouths = [lane.centreline_m[-1] for lane in arm.lanes_in]
     mouths += [lane.centreline_m[0] for lane in arm.lanes_out]
     ahead_m, left_m = vut_line.coordinates(np.array(mouths)).T
@@ -415,24 +412,15 @@ def _in_order(lane: Lane, after: Sequence[Lane], movement: Movement) -> list[Lan
 
 
 def _has_connections(junction: Junction) -> bool:
-    """Whether the map has lanes through the junction itself, not only through others around it."""
+    """True if the map has lanes through the junction itself, not only through others around it."""
     if not junction.connections:
         return False
     begins = np.array([lane.centreline_m[0] for lane in junction.connections])
-    return any(
-        bool((np.hypot(*(begins - tip).T) <= _SAME_POINT_M).any()) for tip in _entry_tips(junction)
-    )
-
-
-def _entry_tips(junction: Junction) -> Iterator[FloatArray]:
-    for arm in junction.arms.values():
-        for lane in arm.entry_lanes:
-            yield lane.centreline_m[-1]
+    tips = [lane.centreline_m[-1] for arm in junction.arms.values() for lane in arm.entry_lanes]
+    return any(bool((np.hypot(*(begins - tip).T) <= _SAME_POINT_M).any()) for tip in tips)
 
 
 # ---------- turns into another arm
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Turning:
     """A VUT's way into another arm."""
@@ -543,8 +531,6 @@ def _check_within(lane: Lane, in_lane_m: float, what: str) -> None:
 
 
 # ---------- bends that are too sharp
-
-
 _REACH_M = 100.0  # from the junction: at 50 km/h, seven seconds
 _OVER_M = 1.0  # bends are taken over a metre, as those of runs
 

@@ -25,8 +25,6 @@ from .positions import is_study_set, read_position
 from .runs import Refusal, Run
 
 # ---------- weights from a CSV file
-
-
 _COLUMNS = ("case", "approach", "weight")
 _OPTIONAL = ("position", "weather")
 _ANY = ("", "*")
@@ -53,9 +51,8 @@ def weight_from_csv(path: Path, runs: Sequence[Run]) -> FloatArray:
             raise InputError(where, Unquoted(_words(row)), _what_is_driven(runs, row))
         again = named[members][named[members] > 0]
         if len(again):
-            raise InputError(
-                where, Unquoted(_words(row)), f"runs that line {again[0]} does not name already"
-            )
+            got = Unquoted(_words(row))
+            raise InputError(where, got, f"runs that line {again[0]} does not name already")
         named[members] = line
         weight[members] = amount / len(members)
     if not weight.any():
@@ -82,9 +79,8 @@ def _read_rows(path: Path) -> list[tuple[int, dict[str, str]]]:
         raise InputError(f"{path}: line {rows[0][0]}", Unquoted(", ".join(header)), expected)
     for line, row in rows[1:]:
         if len(row) != len(header):
-            raise InputError(
-                f"{path}: line {line}", Unquoted(f"{len(row)} columns"), f"{len(header)}"
-            )
+            got = Unquoted(f"{len(row)} columns")
+            raise InputError(f"{path}: line {line}", got, f"{len(header)}")
     if len(rows) == 1:
         raise InputError(str(path), Unquoted("no rows"), "one row per case and approach")
     return [
@@ -136,8 +132,6 @@ def _what_is_driven(runs: Sequence[Run], row: Mapping[str, str]) -> str:
 
 
 # ---------- weights by Euro NCAP's points of 2026; needs the extra `rating`
-
-
 RATING = "euroncap-rating-2026"
 
 
@@ -150,8 +144,6 @@ class _Score(Struct, frozen=True, kw_only=True):
 
 
 class _Rating(Struct, frozen=True, kw_only=True):
-    """``data/rating_2026.toml``."""
-
     scores: tuple[_Score, ...]
 
 
@@ -197,11 +189,8 @@ def load_points() -> dict[tuple[tuple[str, ...], str], float]:
     points = {}
     for index, score in enumerate(table.scores):
         if score.name not in TOTAL_SCORES:
-            raise InputError(
-                f"{where}: scores[{index}]",
-                Unquoted(f"{score.name!r}, unknown to the installed {RATING}"),
-                "a score of it",
-            )
+            got = Unquoted(f"{score.name!r}, unknown to the installed {RATING}")
+            raise InputError(f"{where}: scores[{index}]", got, "a score of it")
         points[score.cases, score.weather] = float(
             sum(part or 0.0 for part in TOTAL_SCORES[score.name].values())
         )
@@ -213,8 +202,6 @@ def _family(case_name: str) -> str:
 
 
 # ---------- weights by types of accidents, from statistics
-
-
 CRASH_TYPES = "fhwa-crash-types"
 
 
@@ -271,13 +258,10 @@ def weight_by_crash_types(runs: Sequence[Run]) -> FloatArray:
 
 
 def _away_m(run: Run) -> float:
-    """How far along its arm from the junction a run is laid, in m."""
     return read_position(run.position, run.id).distance_m
 
 
 # ---------- weights by a word
-
-
 _BY_WORD = ("run", "case", CRASH_TYPES, RATING)
 
 
@@ -303,7 +287,7 @@ def weigh(runs: Sequence[Run], how: str, *, refused: Sequence[Refusal] = ()) -> 
         see :func:`scenarios.weights.weight_by_rating`; else a CSV file, see
         :func:`scenarios.weights.weight_from_csv`.
     refused : sequence of Refusal
-        What was asked for beside the runs, and could not be laid: "case" alone looks at it.
+        What was asked for next to the runs, and could not be laid: "case" alone looks at it.
 
     Returns
     -------
@@ -381,8 +365,8 @@ def weight_per_case(runs: Sequence[Run], *, refused: Sequence[Refusal] = ()) -> 
     carry the case at all, take their shares away with them: the case weighs less, and the few runs
     that remain of it no more than they would among all others. Otherwise the only turn that a map
     allows would weigh as much as a hundred crossings. Positions that the mapped lanes do not reach
-    have no share. `runs`: at least one. `refused`: what was asked for beside them, and could not be
-    laid. Returns `weight` (n_runs,): sums to 1.
+    have no share. `runs`: at least one. `refused`: what was asked for next to them, and could not
+    be laid. Returns `weight` (n_runs,): sums to 1.
     """
     keys = [(run.case.name, run.approach, run.position) for run in runs]
     n_weathers = len({run.weather for run in runs})

@@ -9,7 +9,7 @@ from geometry.actors import Actor, load_actors
 from geometry.poses import Pose
 from geometry.sensors import CameraModel
 from placement.detection_table import DetectionTable, pack_table
-from scenarios.aeb import Encounter
+from scenarios.encounters import Encounter
 from scenarios.paths import Motion, StraightPath
 from scenarios.runs import FrameAxis
 

@@ -1,4 +1,4 @@
-"""City models in JSON: CityJSON 1.0 to 2.0, and text sequences of it."""
+"""City models: CityJSON 1.0 to 2.0 and text sequences of it; CityGML 1.0 to 3.0."""
 
 import json
 import re
@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from ..arrays import FloatArray
-from ..errors import InputError, Unquoted
+from ..errors import InputError, Unquoted, check_one_of
 from ..files import read_text
 from ..notes import Note
 from ..untrusted_files import local_name, parse_json, read_xml
@@ -82,8 +82,7 @@ def read_cityjson(path: Path) -> SourceMap:
     head = documents[0]
     if head.get("type") != "CityJSON":
         raise InputError(f"{where}: type", head.get("type"), "CityJSON")
-    if head.get("version") not in _VERSIONS:
-        raise InputError(f"{where}: version", head.get("version"), "one of " + ", ".join(_VERSIONS))
+    check_one_of(f"{where}: version", head.get("version"), _VERSIONS)
     metadata = head.get("metadata")
     crs = metadata.get("referenceSystem") if isinstance(metadata, Mapping) else ""
     objects: list[CityObject] = []
@@ -142,9 +141,8 @@ def _vectors(values: Any, where: str) -> FloatArray:
     try:
         array: FloatArray = np.array(values, dtype=np.float64).reshape(len(values), 3)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(
-            where, Unquoted("something other than a list of points"), "x, y, z each"
-        ) from None
+        got = Unquoted("something other than a list of points")
+        raise InputError(where, got, "x, y, z each") from None
     if not np.isfinite(array).all():
         raise InputError(where, Unquoted("a coordinate that is not finite"), "finite numbers")
     return array
@@ -330,11 +328,8 @@ def city_map(
     coordinates are impossible.
     """
     if not any(city_object.polygons for city_object in objects):
-        raise InputError(
-            where,
-            Unquoted("no building, plant or furniture with surfaces"),
-            "objects of level of detail 0 to 3" + _said(skipped),
-        )
+        got = Unquoted("no building, plant or furniture with surfaces")
+        raise InputError(where, got, "objects of level of detail 0 to 3" + _said(skipped))
     rings = [ring for item in objects for polygon in item.polygons for ring in polygon]
     points: FloatArray = np.concatenate(rings)
     if not np.isfinite(points).all():
@@ -361,9 +356,8 @@ def city_map(
         things.append(thing)
         n_triangles += len(thing.triangles)
         if n_triangles > MAX_TRIANGLES:
-            raise InputError(
-                where, Unquoted(f"more than {MAX_TRIANGLES:,} triangles"), "a part of the city"
-            )
+            got = Unquoted(f"more than {MAX_TRIANGLES:,} triangles")
+            raise InputError(where, got, "a part of the city")
     notes = [] if place.note is None else [place.note]
     if not things:
         raise InputError(where, Unquoted("no surface with an area"), "buildings" + _said(flat))
@@ -407,15 +401,13 @@ def _thing(item: CityObject, thing_id: str) -> Thing:
 
 
 def _said(skipped: Sequence[Note]) -> str:
-    """What was left out, for the end of a message."""
+    """List of what was left out, for the end of a message."""
     if not skipped:
         return ""
     return "; skipped: " + ", ".join(f"{item.what} ({item.why})" for item in skipped[:5])
 
 
 # ---------- CityGML
-
-
 _GML = "CityGML"
 _OTHER_TYPES = (
     *("Bridge", "BridgePart", "Tunnel", "TunnelPart", "HollowSpace", "Road", "Railway", "Track"),
@@ -606,16 +598,13 @@ class _Document:
         try:
             numbers: FloatArray = np.array(words, dtype=np.float64)
         except ValueError as error:
-            raise InputError(
-                f"{self.where}: {self._name(ring)}", Unquoted(error), "numbers"
-            ) from None
+            got = Unquoted(error)
+            raise InputError(f"{self.where}: {self._name(ring)}", got, "numbers") from None
         n_dimensions = n_dimensions or 3
         if len(numbers) % n_dimensions:
-            raise InputError(
-                f"{self.where}: {self._name(ring)}",
-                Unquoted(f"{len(numbers)} numbers"),
-                f"{n_dimensions} for every point",
-            )
+            got = Unquoted(f"{len(numbers)} numbers")
+            expected = f"{n_dimensions} for every point"
+            raise InputError(f"{self.where}: {self._name(ring)}", got, expected)
         points = numbers.reshape(-1, n_dimensions)
         if n_dimensions == 2:
             points = np.column_stack([points, np.zeros(len(points))])
@@ -672,10 +661,7 @@ def _reference_system(root: Element, where: str) -> tuple[str, bool]:
         if crs is not None:
             planes.setdefault(crs_name(crs), text)
     if len(planes) > 1:
-        raise InputError(
-            where,
-            Unquoted("several coordinate reference systems: " + ", ".join(list(planes)[:5])),
-            "one in a file",
-        )
+        got = Unquoted("several coordinate reference systems: " + ", ".join(list(planes)[:5]))
+        raise InputError(where, got, "one in a file")
     text = next(iter(planes.values()), next(iter(declared), ""))
     return text, text.lower().startswith(("urn:", "http")) and "epsg.xml#" not in text

@@ -1,9 +1,9 @@
-"""Cut the surroundings of one junction out of maps, and build a scene from them."""
+"""Surroundings of a junction, cut out of maps, and the scene that is built of them."""
 
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from ..junction import (
 )
 from ..notes import Note, assumptions
 from ..scene import Instance, Lane, LeadingRoad, Scene, Site
-from ..terrain import GROUND, Terrain, on_ground, standing_footprint
+from ..terrain import GROUND, Terrain, houses_of, on_ground
 from .georeferences import LocalFrame, frame_at, transform
 from .relief import Elevation, find_relief
 from .solids import join
@@ -46,7 +46,7 @@ _KEPT = ("driving", "parking", "cycling")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Surroundings:
-    """What lies around a junction, in the scene's own frame, before sites are chosen."""
+    """Surroundings of a junction in the scene's own frame, before sites are chosen."""
 
     frame: LocalFrame  # the middle of the junction is near its origin
     lanes: tuple[Lane, ...]  # to drive, park and cycle on
@@ -73,7 +73,7 @@ def cut_out(
     """Surroundings of a junction of the first map, with buildings and more from the others.
 
     Lanes are followed 70 m beyond `radius_m`. The ground is that of `elevation`, or else of the
-    maps, see :func:`geometry.maps.relief.find_relief`; where they tell no heights, or all within a
+    maps, see :func:`geometry.maps.relief.find_relief`; where they have no heights, or all within a
     few centimetres, it is a plane. `ground_m` is the height of the road in the middle of the
     junction in the other maps; by default 0 if a map counts heights above the ground, or else that
     of its lowest thing within the radius. Raises InputError if the coordinates of the maps do not
@@ -84,7 +84,7 @@ def cut_out(
     skipped = [skip for source in maps for skip in source.skipped]
     half_m = radius_m + LANES_BEYOND_M
     relief = find_relief(maps, junction, frame, half_m=half_m, elevation=elevation)
-    skipped += relief.told
+    skipped += relief.notes
     things: list[Thing] = []
     poles: list[Pole] = []
     taken: set[str] = set()
@@ -216,7 +216,7 @@ def build_scene(
 
 
 def _lead_on(scene: Scene, *, reach_m: float) -> Iterator[Lane]:
-    """Lanes to the begins of entry lanes where the map has nothing that leads there.
+    """Lanes to the starts of entry lanes where the map has nothing that leads there.
 
     They lead straight on, or where a building stands there round the gentlest bend past it, the
     same for all lanes of an arm; where none does, straight up to it.
@@ -227,7 +227,7 @@ def _lead_on(scene: Scene, *, reach_m: float) -> Iterator[Lane]:
     ]
     if not any(arms):
         return
-    houses = _houses(scene)
+    houses = houses_of(scene)
     for lanes in arms:
         for bend_per_m in _BENDS_PER_M:
             chains = [_beyond(lane, bend_per_m, reach_m) for lane in lanes]
@@ -253,7 +253,7 @@ def _lead_on(scene: Scene, *, reach_m: float) -> Iterator[Lane]:
 
 
 def _beyond(lane: Lane, bend_per_m: float, reach_m: float) -> FloatArray:
-    """Points (n, 2) of a circle away from a lane's begin, to the left of its direction there."""
+    """Points (n, 2) of a circle away from a lane's start, to the left of its direction there."""
     ahead = lane_line(lane, is_in=False, length_m=_MOUTH_M)[0].direction
     away = -complex(*ahead)
     along = np.array([0.0, _ASSUMED_M])
@@ -264,18 +264,6 @@ def _beyond(lane: Lane, bend_per_m: float, reach_m: float) -> FloatArray:
         places = away * np.expm1(1j * bend_per_m * along) / (1j * bend_per_m)
     points = lane.centreline_m[0] + np.stack([places.real, places.imag], axis=1)
     return _reaching(points, reach_m, from_end=False)
-
-
-def _houses(scene: Scene) -> Any:
-    import shapely
-
-    return shapely.union_all(
-        [
-            standing_footprint(scene, index)
-            for index, thing in enumerate(scene.instances)
-            if thing.class_name in ("building", "wall")
-        ]
-    )
 
 
 def _free_m(chain_m: FloatArray, width_m: float, houses: Any) -> float:
@@ -358,7 +346,7 @@ def _lanes(
 
 
 def _leads_straight_on(points_m: FloatArray) -> bool:
-    """Whether a lane through a junction is about as straight as those that are assumed."""
+    """True if a lane through a junction is about as straight as those that are assumed."""
     way = points_m[-1] - points_m[0]
     ends = np.stack([points_m[1] - points_m[0], points_m[-1] - points_m[-2]])
     length_m = np.hypot(*way) * np.hypot(*ends.T)
@@ -411,7 +399,7 @@ def _apart(points_m: FloatArray) -> FloatArray:
 def _is_elsewhere(
     points_m: FloatArray, height_m: FloatArray, outline_m: FloatArray, reach_m: float
 ) -> bool:
-    """Whether a lane of other roads is far away, on another level, or ends at the outline."""
+    """True if a lane of other roads is far away, on another level, or ends at the outline."""
     distance = np.hypot(*points_m.T)
     if distance.min() > reach_m or abs(height_m[np.argmin(distance)]) > _SAME_LEVEL_M:
         return True
@@ -509,42 +497,25 @@ def _unique(name: str, source: SourceMap, taken: set[str]) -> str:
 
 
 # ---------- many junctions out of maps that are read once
-
-
-_T = TypeVar("_T")
-
 _MORE_M = 80.0  # beyond what is cut out: the ground is levelled with what lies around it
 _THINGS_MORE_M = 30.0
+_FAR_FIELDS, _NEAR_FIELDS = ("lanes", "connections"), ("junctions", "things", "poles")
 _BLOCK = 256  # points of the ground that are looked up together
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Indexed:
-    """A map, and trees of the boxes around what it has."""
-
-    source: SourceMap
-    lanes: Any
-    connections: Any
-    junctions: Any
-    things: Any
-    poles: Any
-    crosswalks: Any  # by their middles
-    ground: Any  # of blocks of points
-
-
-def _indexed(source: SourceMap) -> _Indexed:
+def _trees(source: SourceMap) -> dict[str, Any]:
+    """Trees of the boxes around what a map has: of crosswalks' middles, of blocks of ground."""
     ground = source.ground_m
-    middles = source.crosswalks_m.mean(axis=1)
-    return _Indexed(
-        source=source,
-        lanes=_tree([lane.centreline_m for lane in source.lanes]),
-        connections=_tree([lane.centreline_m for lane in source.connections]),
-        junctions=_tree([junction.outline_m for junction in source.junctions]),
-        things=_tree([thing.vertices_m for thing in source.things]),
-        poles=_tree([pole.position_m[None] for pole in source.poles]),
-        crosswalks=_tree([middle[None] for middle in middles]),
-        ground=_tree([ground[at : at + _BLOCK] for at in range(0, len(ground), _BLOCK)]),
-    )
+    lines = {
+        "lanes": [lane.centreline_m for lane in source.lanes],
+        "connections": [lane.centreline_m for lane in source.connections],
+        "junctions": [junction.outline_m for junction in source.junctions],
+        "things": [thing.vertices_m for thing in source.things],
+        "poles": [pole.position_m[None] for pole in source.poles],
+        "crosswalks": [middle[None] for middle in source.crosswalks_m.mean(axis=1)],
+        "ground": [ground[at : at + _BLOCK] for at in range(0, len(ground), _BLOCK)],
+    }
+    return {name: _tree(found) for name, found in lines.items()}
 
 
 def _tree(lines: Sequence[FloatArray]) -> Any:
@@ -573,26 +544,25 @@ class Neighbourhoods:
     def __init__(self, maps: Sequence[SourceMap], *, radius_m: float) -> None:
         self._half_m = radius_m + LANES_BEYOND_M + _MORE_M
         self._share = (radius_m + _THINGS_MORE_M) / self._half_m  # of the square that has things
-        self._maps = [_indexed(source) for source in maps]
+        self._maps = [(source, _trees(source)) for source in maps]
 
     def around(self, junction: MapJunction) -> tuple[SourceMap, ...]:
-        """What the maps have around a junction of the first one.
+        """Parts of the maps around a junction of the first one.
 
         The scene that is cut out of these is the one that is cut out of the whole maps; what was
         left out when the maps were read is not repeated. A map that has nothing there is left out.
         """
-        roads = self._maps[0].source
+        roads = self._maps[0][0]
         middle = junction.position_m
         corners = middle + self._half_m * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
         parts = []
-        for indexed in self._maps:
-            source = indexed.source
+        for source, trees in self._maps:
             here = corners
             if source.crs and roads.crs and source.crs != roads.crs:
                 here = transform(corners, roads.crs, source.crs)
             low, high = here.min(axis=0), here.max(axis=0)
             less = 0.5 * (1.0 - self._share) * (high - low)
-            part = _within(indexed, (low, high), near=(low + less, high - less))
+            part = _within(source, trees, (low, high), near=(low + less, high - less))
             has_any = part.things or part.poles or len(part.crosswalks_m) or len(part.ground_m)
             if source is roads or has_any:
                 parts.append(part)
@@ -602,29 +572,27 @@ class Neighbourhoods:
 _Square = tuple[FloatArray, FloatArray]  # lowest and highest x and y
 
 
-def _within(indexed: _Indexed, square: _Square, *, near: _Square) -> SourceMap:
+def _within(
+    source: SourceMap, trees: dict[str, Any], square: _Square, *, near: _Square
+) -> SourceMap:
     """Lanes and ground of a square, and of a smaller one what stands and is painted there."""
-    source = indexed.source
     low, high = square
-    blocks = _meeting(indexed.ground, square) * _BLOCK
+    blocks = _meeting(trees["ground"], square) * _BLOCK
     rows = (blocks[:, None] + np.arange(_BLOCK)).ravel()
     ground = source.ground_m[rows[rows < len(source.ground_m)]]
     is_inside = ((ground[:, :2] >= low) & (ground[:, :2] <= high)).all(axis=1)
+    found: dict[str, Any] = {
+        name: tuple(getattr(source, name)[index] for index in _meeting(trees[name], place).tolist())
+        for place, names in ((square, _FAR_FIELDS), (near, _NEAR_FIELDS))
+        for name in names
+    }
     return replace(
         source,
-        lanes=_some(source.lanes, indexed.lanes, square),
-        connections=_some(source.connections, indexed.connections, square),
-        junctions=_some(source.junctions, indexed.junctions, near),
-        things=_some(source.things, indexed.things, near),
-        poles=_some(source.poles, indexed.poles, near),
-        crosswalks_m=source.crosswalks_m[_meeting(indexed.crosswalks, near)],
+        **found,
+        crosswalks_m=source.crosswalks_m[_meeting(trees["crosswalks"], near)],
         ground_m=ground[is_inside],
         skipped=assumptions(source.skipped),
     )
-
-
-def _some(items: Sequence[_T], tree: Any, square: _Square) -> tuple[_T, ...]:
-    return tuple(items[index] for index in _meeting(tree, square).tolist())
 
 
 def _meeting(tree: Any, square: _Square) -> IntArray:

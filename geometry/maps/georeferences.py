@@ -66,11 +66,9 @@ class LocalFrame:
             return points
         points[..., :2] = transform(points[..., :2], source.crs or self.map_crs, self.crs)
         if not np.isfinite(points).all():
-            raise InputError(
-                source.name,
-                Unquoted(f"coordinates that {source.crs or self.map_crs} does not have"),
-                "metres within the area of its coordinate reference system",
-            )
+            got = Unquoted(f"coordinates that {source.crs or self.map_crs} does not have")
+            expected = "metres within the area of its coordinate reference system"
+            raise InputError(source.name, got, expected)
         return points
 
 
@@ -88,9 +86,8 @@ def local_crs(point_m: ArrayLike, crs: str, *, where: str) -> str:
     """
     lon_deg, lat_deg = np.round(transform(point_m, crs, WGS84), _DIGITS)
     if not (np.isfinite([lon_deg, lat_deg]).all() and abs(lat_deg) <= 89.0):
-        raise InputError(
-            where, Unquoted(f"a junction at {np.asarray(point_m).tolist()}"), f"a place in {crs}"
-        )
+        got = Unquoted(f"a junction at {np.asarray(point_m).tolist()}")
+        raise InputError(where, got, f"a place in {crs}")
     return (
         f"+proj=tmerc +lat_0={lat_deg:.{_DIGITS}f} +lon_0={lon_deg:.{_DIGITS}f} "
         "+k=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs"
@@ -140,11 +137,8 @@ class Georeference:
         if array.shape[1] > 2:
             array[:, 2] *= self.z_m
         if not (np.abs(array) < _MAX_M).all():  # also if a coordinate is not finite
-            raise InputError(
-                where,
-                Unquoted("coordinates that are not on earth"),
-                f"coordinates in {self.source_crs or 'metres'}",
-            )
+            got = Unquoted("coordinates that are not on earth")
+            raise InputError(where, got, f"coordinates in {self.source_crs or 'metres'}")
         return array
 
 
@@ -170,9 +164,8 @@ def georeference(
         raise InputError(where, Unquoted("a coordinate that is not finite"), "finite numbers")
     box = np.array([xy.min(axis=0), xy.max(axis=0)])
     if np.abs(box).max() > _MAX_M:
-        raise InputError(
-            where, Unquoted(f"a coordinate of {np.abs(box).max():.3g}"), "places on earth"
-        )
+        got = Unquoted(f"a coordinate of {np.abs(box).max():.3g}")
+        raise InputError(where, got, "places on earth")
     try:
         crs = horizontal_crs(declared)
         if crs is not None:  # it may be well-formed, and its numbers make no sense
@@ -274,11 +267,9 @@ def _refuse_degrees(box: FloatArray, where: str) -> None:
     """Refuse coordinates within -180 to 180 that span less than a metre: no map is so small."""
     if (np.abs(box) <= [180.0, 90.0]).all() and (box[1] - box[0] < _MIN_EXTENT_M).all():
         size = " x ".join(f"{length:.6f}" for length in box[1] - box[0])
-        raise InputError(
-            where,
-            Unquoted(f"degrees where metres are meant: {size} around {_words(box)}"),
-            "coordinates in metres, or the coordinate reference system that they are in",
-        )
+        got = Unquoted(f"degrees where metres are meant: {size} around {_words(box)}")
+        expected = "coordinates in metres, or the coordinate reference system that they are in"
+        raise InputError(where, got, expected)
 
 
 def _refuse_no_degrees(box: FloatArray, where: str) -> None:
@@ -286,11 +277,8 @@ def _refuse_no_degrees(box: FloatArray, where: str) -> None:
     if (np.abs(box) <= [180.0, 90.0]).all():
         return
     if (np.abs(_swap(box)) <= [180.0, 90.0]).all():
-        raise InputError(
-            where,
-            Unquoted(f"latitude and longitude swapped: a latitude of {np.abs(box[:, 1]).max():g}"),
-            "longitude first, latitude second, in degrees",
-        )
+        got = Unquoted(f"latitude and longitude swapped: a latitude of {np.abs(box[:, 1]).max():g}")
+        raise InputError(where, got, "longitude first, latitude second, in degrees")
     raise InputError(
         where,
         Unquoted(
@@ -305,7 +293,7 @@ def _words(box: FloatArray) -> str:
 
 
 def _is_meant_for(crs: "CRS", point: FloatArray) -> bool:
-    """A point lies in a reference system's area of use, or beside it but not at its origin."""
+    """A point lies in a reference system's area of use, or next to it but not at its origin."""
     if crs.area_of_use is None:
         return True
     west, south, east, north = crs.area_of_use.bounds

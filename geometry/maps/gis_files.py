@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import InputError, Unquoted
+from ..errors import InputError, Unquoted, check_one_of
 from ..files import check_file, open_file, read_text
 from ..notes import Note
 from ..scene import CLASS_NAMES
@@ -116,11 +116,9 @@ def _read_geojson(path: Path) -> Features:
                 *(ShapelyError, ValueError, TypeError, KeyError, IndexError, AttributeError),
                 *(OverflowError, RecursionError),
             ):
-                raise InputError(
-                    f"{here}.geometry",
-                    Unquoted(f"a broken {table['type']}"),
-                    "finite coordinates, rings of four or more, nested as its type asks for",
-                ) from None
+                got = Unquoted(f"a broken {table['type']}")
+                expected = "finite coordinates, rings of four or more, nested as its type asks for"
+                raise InputError(f"{here}.geometry", got, expected) from None
         features.append(Feature(where=here, geometry=geometry, values=values))
     return Features(features=tuple(features), crs=_geojson_crs(document.get("crs"), where))
 
@@ -137,7 +135,6 @@ def _geojson_crs(table: Any, where: str) -> str:
 
 
 def _read_with_gdal(path: Path, layer: str | None) -> Features:
-    """Read a GeoPackage or Shapefile."""
     import pyogrio
     from shapely.errors import ShapelyError
 
@@ -257,8 +254,7 @@ def read_footprints(
     """
     import shapely
 
-    if class_name not in CLASS_NAMES:
-        raise InputError("class_name", class_name, "one of " + ", ".join(CLASS_NAMES))
+    check_one_of("class_name", class_name, CLASS_NAMES)
     table = read_features(path, layer)
     where = str(path)
     if not table.features:
@@ -270,11 +266,8 @@ def read_footprints(
         if (kind := _kind(feature, class_name, left_out)) is not None
     ]
     if not solid:
-        raise InputError(
-            where,
-            Unquoted("no areas: " + ", ".join(f"{n} {name}" for name, n in left_out.items())),
-            "polygons",
-        )
+        got = Unquoted("no areas: " + ", ".join(f"{n} {name}" for name, n in left_out.items()))
+        raise InputError(where, got, "polygons")
     points = np.concatenate([shapely.get_coordinates(feature.geometry) for feature, _ in solid])
     place = georeference(points, table.crs, where=where)
     things: list[Thing] = []
@@ -328,7 +321,6 @@ def _has(geometry: "BaseGeometry", types: tuple[str, ...]) -> bool:
 
 
 def _parts(geometry: "BaseGeometry", depth: int = 0) -> "list[BaseGeometry]":
-    """Points, lines and polygons of a geometry."""
     pieces = getattr(geometry, "geoms", None)
     if pieces is None or depth > 50:
         return [geometry]

@@ -135,7 +135,7 @@ def _moved(source: SourceMap, offset_m: FloatArray) -> SourceMap:
 
 
 def _is_city_json(path: Path) -> bool:
-    """Whether a JSON file is CityJSON, by its first bytes or else by its member ``type``."""
+    """True if a JSON file is CityJSON, by its first bytes or else by its member ``type``."""
     with open_file(path) as file:
         head = file.read(4096)
         if b'"CityJSON"' in head:
@@ -265,11 +265,9 @@ def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOption
     """
     roads = maps[0]
     if not chosen.n_driven:
-        raise InputError(
-            f"{roads.name}: junction {chosen.junction.id}",
-            Unquoted("no lane that leads into it"),
-            "a junction that cars drive into",
-        )
+        got = Unquoted("no lane that leads into it")
+        expected = "a junction that cars drive into"
+        raise InputError(f"{roads.name}: junction {chosen.junction.id}", got, expected)
     elevation = None
     if options.terrain is not None:
         from .relief import read_elevation
@@ -288,11 +286,11 @@ def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOption
         elevation=elevation,
     )
     surroundings, settled = settle_poles(surroundings)
-    sites, told = choose_sites(options.sites, surroundings, roads, radius_m=options.radius_m)
+    sites, site_notes = choose_sites(options.sites, surroundings, roads, radius_m=options.radius_m)
     scene = build_scene(
         surroundings,
         name=options.name or f"{Path(roads.name).stem}/{chosen.junction.id}",
-        source_crs=_crs_of_results(roads),
+        source_crs=(roads.source_crs or roads.crs) if roads.crs else "",
         sites=sites,
         radius_m=options.radius_m,
     )
@@ -300,7 +298,7 @@ def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOption
     notes = (
         *surroundings.skipped,
         *settled,
-        *told,
+        *site_notes,
         *ends,
         *_site_notes(surroundings.poles, sites, options.sites),
         *_building_notes(surroundings.things, options.radius_m),
@@ -341,8 +339,3 @@ def _building_notes(things: Sequence[Thing], radius_m: float) -> Iterator[Note]:
             why="not in the map: the usual ones of their kinds are assumed",
             kind="heights",
         )
-
-
-def _crs_of_results(roads: SourceMap) -> str:
-    """The reference system for results: the one that the file itself uses."""
-    return roads.source_crs or roads.crs if roads.crs else ""

@@ -10,7 +10,7 @@ from importlib.resources import files
 import numpy as np
 
 from ..arrays import FloatArray
-from ..errors import InputError, Unquoted
+from ..errors import InputError, Unquoted, check_one_of
 from ..files import load_toml
 from ..junction import build_junction
 from ..scene import Instance, Lane, Scene
@@ -89,8 +89,7 @@ def sort_junctions(surveyed: Sequence[Surveyed], sort: str) -> tuple[Surveyed, .
     `surveyed`: as :func:`survey_junctions` returns them; equal ones stay in this order. `sort`: one
     of ``SORTS``; "arms" is the order that they come in. Raises InputError: `sort` is none of them.
     """
-    if sort not in SORTS:
-        raise InputError("sort", sort, "one of " + ", ".join(SORTS))
+    check_one_of("sort", sort, SORTS)
     if sort == "name":
         return tuple(sorted(surveyed, key=lambda one: one.junction.name.casefold()))
     if sort == "arms":
@@ -169,13 +168,12 @@ def _by_name(surveyed: Sequence[Surveyed], name: str) -> Surveyed:
             return matches[0]
         if matches:
             raise InputError("junction", name, f"one of {_listed(matches)}")
-    close = {one: SequenceMatcher(None, wanted, one.casefold()).ratio() for one in _names(surveyed)}
+    close = {
+        one: SequenceMatcher(None, wanted, one.casefold()).ratio()
+        for one in {other.junction.name for other in surveyed}
+    }
     nearest = sorted(surveyed, key=lambda one: -close[one.junction.name])
     raise InputError("junction", name, f"one of {_listed(nearest)}")
-
-
-def _names(surveyed: Sequence[Surveyed]) -> set[str]:
-    return {one.junction.name for one in surveyed}
 
 
 _LAT_LON = re.compile(r"\s*([-+]?\d{1,2}(?:\.\d+)?)\s*,\s*([-+]?\d{1,3}(?:\.\d+)?)\s*")
@@ -223,10 +221,10 @@ def _listed(surveyed: Sequence[Surveyed]) -> str:
     many = len({one.junction.name for one in surveyed}) < len(surveyed)  # names tell nothing apart
     words = []
     for one in surveyed[:_MAX_LISTED]:
-        told = one.junction.name
+        label = one.junction.name
         if many:
-            told += " at " * bool(told) + ",".join(f"{value:.8g}" for value in one.position)
-        words.append(f"{one.junction.id} ({told})" if told else one.junction.id)
+            label += " at " * bool(label) + ",".join(f"{value:.8g}" for value in one.position)
+        words.append(f"{one.junction.id} ({label})" if label else one.junction.id)
     left = len(surveyed) - len(words)
     return ", ".join(words) + (f" and {left} more: place-rsus scene show FILE" if left else "")
 

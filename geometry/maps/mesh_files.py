@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray
-from ..errors import InputError, Unquoted
+from ..errors import InputError, Unquoted, check_one_of
 from ..files import open_file, read_bytes
 from ..scene import CLASS_NAMES
 from ..untrusted_files import MAX_FILE_BYTES, check_gltf
@@ -47,22 +47,15 @@ def read_mesh(
     """
     where = str(path)
     suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise InputError(where, suffix, "one of " + ", ".join(SUFFIXES))
-    if class_name not in CLASS_NAMES:
-        raise InputError("class_name", class_name, "one of " + ", ".join(CLASS_NAMES))
+    check_one_of(where, suffix, SUFFIXES)
+    check_one_of("class_name", class_name, CLASS_NAMES)
     is_gltf = suffix in (".glb", ".gltf")
     if not is_gltf and (not unit or not up):
-        raise InputError(
-            where,
-            Unquoted(f"a mesh format ({suffix}) that does not say its unit and its up axis"),
-            "`unit` and `up`, such as `unit` m `up` z",
-        )
+        got = Unquoted(f"a mesh format ({suffix}) that does not say its unit and its up axis")
+        raise InputError(where, got, "`unit` and `up`, such as `unit` m `up` z")
     unit, up = unit or "m", up or "y"
-    if unit not in UNITS_M:
-        raise InputError("unit", unit, "one of " + ", ".join(UNITS_M))
-    if up not in UP_AXES:
-        raise InputError("up", up, "one of " + ", ".join(UP_AXES))
+    check_one_of("unit", unit, UNITS_M)
+    check_one_of("up", up, UP_AXES)
     parts, left_out = _parts(path, is_gltf)
     axes = UNITS_M[unit] * np.array(UP_AXES[up], dtype=np.float64)
     ids: Counter[str] = Counter()
@@ -112,9 +105,8 @@ def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:
                 continue
             n_triangles += len(geometry.faces)
             if n_triangles > MAX_TRIANGLES:
-                raise InputError(
-                    where, Unquoted(f"more than {MAX_TRIANGLES:,} triangles"), "a simpler mesh"
-                )
+                got = Unquoted(f"more than {MAX_TRIANGLES:,} triangles")
+                raise InputError(where, got, "a simpler mesh")
             if geometry.metadata.get("from_gltf_primitive"):
                 node = scene.graph.transforms.parents.get(node, node)  # itself named at random
             name = _name(str(node), str(geometry_name), path.stem)
@@ -145,9 +137,8 @@ def _folder_resolver(path: Path) -> Any:
         def get(self, name: str) -> bytes:
             target = (folder / name.strip()).resolve()
             if "://" in name or not target.is_relative_to(folder):
-                raise InputError(
-                    str(path), Unquoted(f"a reference to {name[:100]!r}"), "files in its own folder"
-                )
+                got = Unquoted(f"a reference to {name[:100]!r}")
+                raise InputError(str(path), got, "files in its own folder")
             return read_bytes(target, max_bytes=MAX_FILE_BYTES)
 
         def keys(self) -> list[str]:
@@ -163,21 +154,18 @@ def _folder_resolver(path: Path) -> Any:
 
 
 def _placed(geometry: Any, matrix: FloatArray, where: str) -> tuple[FloatArray, NDArray[np.int32]]:
-    """Used vertices, and triangles, of a part."""
     vertices: FloatArray = np.asarray(geometry.vertices, dtype=np.float64)
     faces = np.asarray(geometry.faces, dtype=np.int64)
     outside = faces[(faces < 0) | (faces >= len(vertices))]
     if len(outside):
-        raise InputError(
-            where, Unquoted(f"a triangle with vertex {outside[0]}"), f"0 to {len(vertices) - 1}"
-        )
+        got = Unquoted(f"a triangle with vertex {outside[0]}")
+        raise InputError(where, got, f"0 to {len(vertices) - 1}")
     used, triangles = np.unique(faces, return_inverse=True)
     with np.errstate(all="ignore"):
         placed: FloatArray = vertices[used] @ matrix[:3, :3].T + matrix[:3, 3]
     if not np.isfinite(placed).all():
-        raise InputError(
-            where, Unquoted("a vertex that is not finite (NaN or infinite)"), "finite numbers"
-        )
+        got = Unquoted("a vertex that is not finite (NaN or infinite)")
+        raise InputError(where, got, "finite numbers")
     corners = triangles.reshape(-1, 3).astype(np.int32)
     is_mirrored = np.linalg.det(matrix[:3, :3]) < 0.0
     return placed, corners[:, ::-1] if is_mirrored else corners
@@ -237,8 +225,5 @@ def _check_roofs(things: list[Thing], where: str, up: str) -> None:
     slanted_m2 = up_m2 + down_m2
     if slanted_m2 > _MIN_SLANTED_SHARE * all_m2 and down_m2 > _SURE_SHARE * slanted_m2:
         other = up[1:] if up.startswith("-") else f"-{up}"
-        raise InputError(
-            where,
-            Unquoted(f"{100 * down_m2 / slanted_m2:.0f} % of the slanted roofs facing down"),
-            f"an upright mesh; is up the other way: `up`={other}?",
-        )
+        got = Unquoted(f"{100 * down_m2 / slanted_m2:.0f} % of the slanted roofs facing down")
+        raise InputError(where, got, f"an upright mesh; is up the other way: `up`={other}?")

@@ -1,4 +1,4 @@
-"""Lists of sites by a planner: CSV or GeoJSON, one site per row."""
+"""Lists of places: a planner's sites; a city's areas, and counts such as accidents or cars."""
 
 import csv
 import io
@@ -89,12 +89,12 @@ def read_sites(path: Path, *, crs: str) -> tuple[SiteWish, ...]:
     """Read a list of sites: CSV with a header (comma, semicolon or tab), or GeoJSON with points.
 
     Columns: id; x and y in `crs`, or lat and lon (in GeoJSON: the points); and as far as known z,
-    height of the pole, up to which sensors hang, min_height_m, max_height_m, kind, cost_eur, power,
-    fibre, capacity and forbidden (yes or no). Case does not matter, nor do units at the end of a
-    column's name, "height [m]". A comma may stand for the decimal point. Other columns are not
-    read; a warning names them. `crs` is the projected coordinate
-    reference system of the scene; empty: it has none. Raises InputError if the file cannot be read,
-    or a field is missing or not of its kind.
+    height of the pole, up to which sensors are mounted, min_height_m, max_height_m, kind, cost_eur,
+    power, fibre, capacity and forbidden (yes or no). Case does not matter, nor do units at the end
+    of a column's name, "height [m]". A comma may stand for the decimal point. Other columns are not
+    read; a warning names them. `crs` is the projected coordinate reference system of the scene;
+    empty: it has none. Raises InputError if the file cannot be read, or a field is missing or not
+    of its kind.
     """
     suffix = path.suffix.lower()
     if suffix == ".csv":
@@ -236,7 +236,6 @@ def _projected(x: float, y: float, source: str, crs: str, where: str) -> dict[st
 
 
 def _site(values: Mapping[str, Any], where: str, crs: str) -> SiteWish:
-    """Check one row."""
     site_id = str(values.get("id", "")).strip()
     if not site_id:
         raise InputError(f"{where}: id", Unquoted("nothing"), "a name")
@@ -279,22 +278,19 @@ def read_position(values: Mapping[str, Any], where: str, crs: str) -> FloatArray
             missing = "x" if x is None else "y"
         raise InputError(f"{where}: {missing}", Unquoted("nothing"), "x and y, or lat and lon")
     if not crs:
-        raise InputError(
-            f"{where}: lat", lat, "x and y in metres: the scene does not say where on earth it lies"
-        )
+        expected = "x and y in metres: the scene does not say where on earth it lies"
+        raise InputError(f"{where}: lat", lat, expected)
     if abs(lat) > 90.0 >= abs(lon):
-        raise InputError(
-            f"{where}: lat", lat, "-90 to 90 degrees: are latitude and longitude swapped?"
-        )
+        expected = "-90 to 90 degrees: are latitude and longitude swapped?"
+        raise InputError(f"{where}: lat", lat, expected)
     for name, value, limit in (("lat", lat, 90.0), ("lon", lon, 180.0)):
         if abs(value) > limit:
             raise InputError(f"{where}: {name}", value, f"-{limit:g} to {limit:g} degrees")
     position = transform([lon, lat], WGS84, crs)
     swapped = transform([lat, lon], WGS84, crs) if abs(lon) <= 90.0 else np.full(2, np.inf)
     if _is_here(swapped, crs, [lat, lon]) and not _is_here(position, crs, [lon, lat]):
-        raise InputError(
-            f"{where}: lat", lat, "a place near the scene: are latitude and longitude swapped?"
-        )
+        expected = "a place near the scene: are latitude and longitude swapped?"
+        raise InputError(f"{where}: lat", lat, expected)
     if not np.isfinite(position).all():
         raise InputError(f"{where}: lat", lat, f"a place in {crs}")
     return position
@@ -347,8 +343,6 @@ def _yes_no(values: Mapping[str, Any], field: str, where: str) -> bool | None:
 
 
 # ---------- areas, and counts at places
-
-
 _COUNTS = ("weight", "count", "accidents", "aadt", "traffic", "value")
 _NAMES = ("name", "id", "district", "title")
 _JUNCTIONS = ("junction", "junction_id")
@@ -464,17 +458,13 @@ def _point(feature: Feature, table: Features, crs: str) -> FloatArray:
 
 
 def _in_crs(feature: Feature, table: Features, crs: str) -> "BaseGeometry":
-    """A feature's geometry in a map's coordinates."""
     import shapely
     from pyproj.exceptions import ProjError
 
     assert feature.geometry is not None
     if not crs:
-        raise InputError(
-            feature.where,
-            Unquoted(f"coordinates in {table.crs[:80] or 'an unknown system'}"),
-            "a map that says where on earth it lies: `crs`",
-        )
+        got = Unquoted(f"coordinates in {table.crs[:80] or 'an unknown system'}")
+        raise InputError(feature.where, got, "a map that says where on earth it lies: `crs`")
     try:
         declared = horizontal_crs(table.crs)
     except ProjError:

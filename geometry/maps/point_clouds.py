@@ -1,4 +1,4 @@
-"""Things from point clouds: closed solids of voxels that stand on the ground."""
+"""Things from point clouds: the ground below the points, and closed solids of voxels upon it."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..errors import InputError, Unquoted
+from ..errors import InputError, Unquoted, check_one_of
 from ..notes import Note
 from ..scene import CLASS_NAMES
 from .georeferences import Georeference, georeference
@@ -53,9 +53,8 @@ class LowestPoints:
         shape = self._cells.max(axis=0) - low + 1
         if np.prod(shape.astype(np.float64)) > _MAX_CELLS:
             size = " x ".join(f"{length * CELL_M / 1000.0:.1f} km" for length in shape)
-            raise InputError(
-                where, Unquoted(f"points over {size}"), "at most 16 km2; cut them out first"
-            )
+            got = Unquoted(f"points over {size}")
+            raise InputError(where, got, "at most 16 km2; cut them out first")
         heights = np.full(tuple(shape), np.nan)
         heights[tuple((self._cells - low).T)] = self._z_m
         return low, heights
@@ -147,8 +146,7 @@ def read_point_cloud(
     more than 16 km2; only ground is left; or there are more than five million triangles.
     """
     where = str(path)
-    if class_name not in CLASS_NAMES:
-        raise InputError("class_name", class_name, "one of " + ", ".join(CLASS_NAMES))
+    check_one_of("class_name", class_name, CLASS_NAMES)
     if not (np.isfinite(voxel_m) and 0.01 <= voxel_m <= _MAX_VOXEL_M):
         raise InputError("voxel_m", voxel_m, f"0.01 to {_MAX_VOXEL_M} m")
     scan = _Scan(where=where, voxel_m=voxel_m)
@@ -226,9 +224,8 @@ class _Scan:
         local = points_m - self.origin_m
         reach = MAX_VOXELS_PER_AXIS // 2 * self.voxel_m
         if (np.abs(local) > reach).any():
-            raise InputError(
-                self.where, Unquoted(f"points {np.abs(local).max():.3g} m apart"), "one place"
-            )
+            got = Unquoted(f"points {np.abs(local).max():.3g} m apart")
+            raise InputError(self.where, got, "one place")
         self.lowest.add(local)
         self.lowest_ground.add(local[np.isin(classes, _GROUND)])
         keys = to_keys(np.floor(local / self.voxel_m).astype(np.int64) + _MIDDLE)
@@ -242,11 +239,8 @@ class _Scan:
             self.keys[kind] = np.unique(np.concatenate([before, keys[is_kind]]))
         n_voxels = sum(len(known) for known in self.keys.values())
         if n_voxels > _MAX_VOXELS:
-            raise InputError(
-                self.where,
-                Unquoted(f"more than {_MAX_VOXELS:,} voxels of {self.voxel_m} m"),
-                "a larger voxel, or fewer points",
-            )
+            got = Unquoted(f"more than {_MAX_VOXELS:,} voxels of {self.voxel_m} m")
+            raise InputError(self.where, got, "a larger voxel, or fewer points")
 
 
 def _above_ground(scan: _Scan) -> tuple[dict[str, IntArray], float, list[Note]]:
@@ -291,7 +285,6 @@ def _above_ground(scan: _Scan) -> tuple[dict[str, IntArray], float, list[Note]]:
 
 
 def _coarser(keys: IntArray) -> IntArray:
-    """Voxels of twice the edge."""
     cells = (to_cells(keys) - _MIDDLE) // 2 + _MIDDLE
     return np.unique(to_keys(cells))
 
@@ -318,9 +311,8 @@ def _things(
                 continue
             found.append((kind, part))
     if len(found) > _MAX_THINGS:
-        raise InputError(
-            scan.where, Unquoted(f"{len(found):,} things"), f"at most {_MAX_THINGS:,}; cut it out"
-        )
+        got = Unquoted(f"{len(found):,} things")
+        raise InputError(scan.where, got, f"at most {_MAX_THINGS:,}; cut it out")
     things: list[Thing] = []
     names: Counter[str] = Counter()
     n_left, n_walls = MAX_TRIANGLES, MAX_WALL_VOXELS
@@ -372,8 +364,6 @@ def _is_roof(keys: IntArray, voxel_m: float) -> bool:
 
 
 # ---------- voxels: cubes where there are points
-
-
 _BITS = 20  # per axis in a key: 1,048,575 voxels, 262 km of 0.25 m
 _MASK = (1 << _BITS) - 1
 MAX_VOXELS_PER_AXIS = _MASK - 1
@@ -482,9 +472,8 @@ def columns_to(
         (MAX_WALL_VOXELS - n_left + total, MAX_WALL_VOXELS, "a file"),
     ):
         if n_voxels > most:
-            raise InputError(
-                where, Unquoted(f"walls of {n_voxels:,} voxels"), f"at most {most:,} of {whose}"
-            )
+            got = Unquoted(f"walls of {n_voxels:,} voxels")
+            raise InputError(where, got, f"at most {most:,} of {whose}")
     # Ascending, for columns are: one array, and no sorting.
     walls = np.repeat((columns << _BITS) + floor - (np.cumsum(counts) - counts), counts)
     walls += np.arange(total)
@@ -503,9 +492,8 @@ def faces(
     """
     quads = np.concatenate([_rectangles(keys, axis, sign) for axis in range(3) for sign in (-1, 1)])
     if 2 * len(quads) > max_triangles:
-        raise InputError(
-            where, Unquoted(f"{2 * len(quads):,} triangles"), "a larger voxel, or fewer points"
-        )
+        got = Unquoted(f"{2 * len(quads):,} triangles")
+        raise InputError(where, got, "a larger voxel, or fewer points")
     unique, inverse = np.unique(quads.reshape(-1, 3), axis=0, return_inverse=True)
     index = inverse.reshape(-1, 4)
     triangles = np.concatenate([index[:, [0, 1, 2]], index[:, [0, 2, 3]]]).astype(np.int32)

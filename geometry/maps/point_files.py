@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray
-from ..errors import InputError, Unquoted
+from ..errors import InputError, Unquoted, check_one_of
 from ..files import open_file
 from ..untrusted_files import check_unpacked
 
@@ -38,8 +38,7 @@ def open_points(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
     """
     where = str(path)
     suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise InputError(where, suffix, "one of " + ", ".join(SUFFIXES))
+    check_one_of(where, suffix, SUFFIXES)
     try:
         if suffix == ".pcd":
             with open_file(path) as file:
@@ -54,7 +53,6 @@ def open_points(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
 # ---------- LAS and LAZ files, through laspy
 @contextmanager
 def _open_las(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
-    """Yield the CRS and chunks of points of a LAS or LAZ file."""
     import laspy
 
     where = str(path)
@@ -91,9 +89,8 @@ def _check_header(path: Path) -> None:
         if n_extended and first_extended + 60 * n_extended > n_bytes:
             raise InputError(where, Unquoted(f"{n_extended:,} extended records"), "as many as fit")
     if n_points > MAX_POINTS:
-        raise InputError(
-            where, Unquoted(f"{n_points:,} points"), f"at most {MAX_POINTS:,}; thin it out first"
-        )
+        got = Unquoted(f"{n_points:,} points")
+        raise InputError(where, got, f"at most {MAX_POINTS:,}; thin it out first")
     if not n_points:
         raise InputError(where, Unquoted("no points"), "points")
     if not header_bytes <= first_point <= n_bytes or header_bytes + 54 * n_records > first_point:
@@ -103,11 +100,8 @@ def _check_header(path: Path) -> None:
         n_layers = _n_layers(path, header_bytes, n_records, point_bytes)
         _check_chunks(path, first_point, point_bytes, n_layers)
     if not is_packed and first_point + n_points * point_bytes > n_bytes:
-        raise InputError(
-            where,
-            Unquoted(f"a header with {n_points:,} points in {n_bytes:,} bytes: cut off"),
-            f"{first_point + n_points * point_bytes:,} bytes",
-        )
+        got = Unquoted(f"a header with {n_points:,} points in {n_bytes:,} bytes: cut off")
+        raise InputError(where, got, f"{first_point + n_points * point_bytes:,} bytes")
     check_unpacked(n_points * max(point_bytes, 20), where)
 
 
@@ -162,9 +156,8 @@ def _check_chunks(path: Path, first_point: int, point_bytes: int, n_layers: int)
                 struct.unpack(f"<{len(sizes) // 4}I", sizes[: len(sizes) & ~3])
             )
     if claimed > n_bytes or begin > at:
-        raise InputError(
-            str(path), Unquoted(f"{n_chunks:,} chunks of points that claim more bytes"), f"{at:,}"
-        )
+        got = Unquoted(f"{n_chunks:,} chunks of points that claim more bytes")
+        raise InputError(str(path), got, f"{at:,}")
 
 
 def _crs(header: Any) -> "CRS | None":
@@ -248,7 +241,6 @@ def _pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
 
 
 def _pcd_header(file: BinaryIO, where: str) -> dict[str, list[str]]:
-    """Lines of the header up to DATA."""
     header: dict[str, list[str]] = {}
     while file.tell() < _MAX_HEADER_BYTES:
         line = file.readline(_MAX_HEADER_BYTES)
@@ -280,11 +272,8 @@ def _pcd_binary(
     n_bytes = file.seek(0, 2) - here
     file.seek(here)
     if n_points * record.itemsize > n_bytes:
-        raise InputError(
-            where,
-            Unquoted(f"a header with {n_points:,} points over {n_bytes:,} bytes: cut off"),
-            f"{n_points * record.itemsize:,} bytes",
-        )
+        got = Unquoted(f"a header with {n_points:,} points over {n_bytes:,} bytes: cut off")
+        raise InputError(where, got, f"{n_points * record.itemsize:,} bytes")
     chunk = max(1, min(CHUNK_POINTS, 64_000_000 // record.itemsize))
     for first in range(0, n_points, chunk):
         n = min(chunk, n_points - first)
@@ -309,9 +298,8 @@ def _pcd_ascii(
         if len(lines):
             yield numbers.reshape(-1, 3)
     if n_found < n_points:
-        raise InputError(
-            where, Unquoted(f"{n_found:,} of {n_points:,} points: cut off"), "all of them"
-        )
+        got = Unquoted(f"{n_found:,} of {n_points:,} points: cut off")
+        raise InputError(where, got, "all of them")
 
 
 def _pcd_compressed(
@@ -321,11 +309,8 @@ def _pcd_compressed(
     head = file.read(8)
     n_packed, n_bytes = struct.unpack("<2I", head) if len(head) == 8 else (0, 0)
     if n_bytes != n_points * record.itemsize or n_bytes > _MAX_LZF_BYTES:
-        raise InputError(
-            where,
-            Unquoted(f"{n_bytes:,} bytes of unpacked points"),
-            f"{n_points * record.itemsize:,}, and at most {_MAX_LZF_BYTES:,}",
-        )
+        expected = f"{n_points * record.itemsize:,}, and at most {_MAX_LZF_BYTES:,}"
+        raise InputError(where, Unquoted(f"{n_bytes:,} bytes of unpacked points"), expected)
     data = _unpack_lzf(file.read(n_packed), n_bytes)
     if data is None:
         raise InputError(where, Unquoted("damaged compressed points"), f"{n_bytes:,} bytes")

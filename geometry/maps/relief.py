@@ -1,4 +1,4 @@
-"""How high the ground lies around a junction, and things set upon it."""
+"""Ground around a junction: heights of maps or of a GeoTIFF raster, and things set upon it."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -39,11 +39,11 @@ class Relief:
 
     terrain: Terrain | None = None  # none: the plane z = 0
     zero_m: float = 0.0  # height of the middle of the junction as `source` counts heights
-    source: str = ""  # what told the heights; empty: nothing
+    source: str = ""  # source of the heights; empty: nothing
     roads: SourceMap | None = None
-    # ground of the map with the roads, as that counts heights, where another source told them
+    # ground of the map with the roads, as that counts heights, where another source has them
     roads_m: Terrain | None = None
-    told: tuple[Note, ...] = ()  # what was made of the heights
+    notes: tuple[Note, ...] = ()  # what was made of the heights
 
     def at(self, points_m: FloatArray) -> FloatArray:
         """Height of the ground at points (n, 2)."""
@@ -150,7 +150,7 @@ def find_relief(
         source=name,
         roads=roads,
         roads_m=fit_terrain(own, half_m=half_m, step_m=_STEP_M) if is_other else None,
-        told=(Note(what=f"heights of {name}", why=f"{why} around the junction ({span_m:.1f} m)"),),
+        notes=(Note(what=f"heights of {name}", why=f"{why} around the junction ({span_m:.1f} m)"),),
     )
 
 
@@ -176,8 +176,6 @@ def _on_level(
 
 
 # ---------- heights of the ground from GeoTIFF rasters
-
-
 _COARSEST_M = 30.0  # the global models; coarser ones know no street
 _MIDDLE_M = 60.0  # there must be a height this near to the junction
 _LIMITS_M = (-500.0, 9000.0)
@@ -223,11 +221,8 @@ def read_elevation(path: Path, *, crs: str, middle_m: FloatArray, half_m: float)
         if not file.read(4).startswith(_MAGIC):  # GDAL goes by content: a text may name an address
             raise InputError(str(path), Unquoted("something else"), _EXPECTED)
     if not crs:
-        raise InputError(
-            "terrain",
-            str(path),
-            "a map that says where on earth it lies: `crs` says it for one that does not",
-        )
+        expected = "a map that says where on earth it lies: `crs` says it for one that does not"
+        raise InputError("terrain", str(path), expected)
     try:
         with rasterio.Env(**_ALONE), rasterio.open(path, driver="GTiff") as raster:
             points = _read(raster, str(path), crs, middle_m, half_m)
@@ -256,20 +251,16 @@ def _read(raster: Any, where: str, crs: str, middle_m: FloatArray, half_m: float
     left, right = _span(columns, raster.width)
     top, bottom = _span(rows, raster.height)
     if left >= right or top >= bottom:
-        raise InputError(
-            where, Unquoted("a raster that lies elsewhere"), "one that covers the junction"
-        )
+        got = Unquoted("a raster that lies elsewhere")
+        raise InputError(where, got, "one that covers the junction")
     _check_memory(raster, (right - left) * (bottom - top), where)
     column, row = np.meshgrid(np.arange(left, right) + 0.5, np.arange(top, bottom) + 0.5)
     east_north = np.stack(_affine(raster.transform, np.stack([column, row], axis=-1)), axis=-1)
     places = transform(east_north, own_crs, crs)
     size_m = _pixel_m(raster, own_crs, crs, 0.5 * (left + right), 0.5 * (top + bottom))
     if size_m > _COARSEST_M * 1.2:
-        raise InputError(
-            where,
-            Unquoted(f"pixels of {size_m:.0f} m"),
-            f"at most {_COARSEST_M:g} m: finer heights",
-        )
+        got = Unquoted(f"pixels of {size_m:.0f} m")
+        raise InputError(where, got, f"at most {_COARSEST_M:g} m: finer heights")
     band = np.ma.masked_invalid(raster.read(1, window=((top, bottom), (left, right)), masked=True))
     low_m, high_m = _LIMITS_M
     heights = np.ma.filled(band.astype(np.float64), np.nan)
@@ -277,17 +268,13 @@ def _read(raster: Any, where: str, crs: str, middle_m: FloatArray, half_m: float
     if is_known.any() and not (
         low_m <= heights[is_known].min() <= heights[is_known].max() <= high_m
     ):
-        raise InputError(
-            where,
-            Unquoted(f"heights from {heights[is_known].min():g} to {heights[is_known].max():g}"),
-            f"metres above the sea, {low_m:g} to {high_m:g}",
-        )
+        got = Unquoted(f"heights from {heights[is_known].min():g} to {heights[is_known].max():g}")
+        raise InputError(where, got, f"metres above the sea, {low_m:g} to {high_m:g}")
     points = np.column_stack([places[is_known], heights[is_known]])
     away_m = np.hypot(*(points[:, :2] - middle_m).T)
     if not (away_m <= _MIDDLE_M).any():
-        raise InputError(
-            where, Unquoted("no heights at the junction"), f"some within {_MIDDLE_M:g} m of it"
-        )
+        got = Unquoted("no heights at the junction")
+        raise InputError(where, got, f"some within {_MIDDLE_M:g} m of it")
     return points
 
 
@@ -323,7 +310,6 @@ def _span(values: FloatArray, size: int) -> tuple[int, int]:
 
 
 def _pixel_m(raster: Any, own_crs: str, crs: str, column: float, row: float) -> float:
-    """Longer edge of a pixel, in metres."""
     corners = np.array([[column, row], [column + 1.0, row], [column, row + 1.0]])
     at = transform(np.stack(_affine(raster.transform, corners), axis=-1), own_crs, crs)
     return float(max(np.hypot(*(at[1] - at[0])), np.hypot(*(at[2] - at[0]))))

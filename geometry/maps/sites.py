@@ -1,10 +1,10 @@
-"""Sites of a scene: the poles of the map, a planner's list, or points along the kerbs."""
+"""Sites of a scene: poles of the map, a planner's list or kerbs, and where each can stand."""
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,12 +12,13 @@ from numpy.typing import ArrayLike
 from ..arrays import BoolArray, FloatArray, float_array
 from ..errors import InputError
 from ..notes import Note
-from ..scene import HANGING_KINDS, Site
+from ..scene import HANGING_KINDS, Lane, Site, covered_area, flat_union
+from ..terrain import HEADROOM_M, headroom_m
 from .cut import Surroundings
 from .place_lists import SUFFIXES, SiteWish, read_sites
 from .source_map import (
     MIN_POLE_M,
-    MapLane,
+    Pole,
     PoleKind,
     SourceMap,
     Thing,
@@ -29,12 +30,6 @@ from .source_map import (
 if TYPE_CHECKING:
     from shapely import Polygon
 
-from dataclasses import dataclass
-from typing import Any
-
-from ..scene import covered_area
-from ..terrain import HEADROOM_M, headroom_m
-from .source_map import Pole
 
 REACH_M = 60.0
 _AT_OUTLINE_M = 1.5
@@ -48,7 +43,7 @@ _BELOW_ROOF_M = 0.3  # a sensor and its bracket
 
 
 def kerb_sites(
-    lanes: Sequence[MapLane], outline_m: ArrayLike, spacing_m: float, *, reach_m: float = REACH_M
+    lanes: Sequence[Lane], outline_m: ArrayLike, spacing_m: float, *, reach_m: float = REACH_M
 ) -> tuple[SiteWish, ...]:
     """Sites along both kerbs of a junction's arms, from its corners outwards.
 
@@ -73,7 +68,7 @@ def kerb_sites(
     for lane, line in arms:
         for side, sign in (("left", 1.0), ("right", -1.0)):
             along_m, points, outwards = _offset(line, sign * (0.5 * lane.width_m + SETBACK_M))
-            shapes = shapely.points(points[:, :2])
+            shapes = shapely.points(points)
             free = shapely.distance(shapes, inside) > 0.5 * SETBACK_M
             free &= shapely.distance(shapes, shapely.LinearRing(outline)) <= reach_m
             free[np.unique(strips.query(shapes, predicate="within")[0])] = False
@@ -90,36 +85,35 @@ def kerb_sites(
                     SiteWish(
                         id=name,
                         kind="kerb",
-                        position_m=np.round(points[place, :2], 3),
-                        z_m=round(float(points[place, 2]), 3),
+                        position_m=np.round(points[place], 3),
                     ),
                 )
     return tuple(sites.values())
 
 
 def _outward(
-    lane: MapLane, lanes: Sequence[MapLane], outline: FloatArray, reach_m: float
+    lane: Lane, lanes: Sequence[Lane], outline: FloatArray, reach_m: float
 ) -> list[FloatArray]:
-    """Centrelines (n, 3) of a lane that touches the outline, with its continuations, outwards."""
+    """Centrelines (n, 2) of a lane that touches the outline, with its continuations, outwards."""
     import shapely
 
     ring = shapely.LinearRing(outline)
     lines = []
     for line in (lane.centreline_m, lane.centreline_m[::-1]):
-        start_m, end_m = shapely.distance(shapely.points(line[[0, -1], :2]), ring)
+        start_m, end_m = shapely.distance(shapely.points(line[[0, -1]]), ring)
         is_stub = _length_m(line) < 2.0 * _AT_OUTLINE_M  # its far end is at the outline, too
         if start_m > _AT_OUTLINE_M or (is_stub and end_m < start_m):
             continue
         joined, used = [line], {lane.id}
         while _length_m(np.concatenate(joined)) < reach_m + 10.0:
-            end = joined[-1][-1, :2]
+            end = joined[-1][-1]
             after = next(
                 (
                     (other, points)
                     for other in lanes
                     if other.id not in used and other.kind == lane.kind
                     for points in (other.centreline_m, other.centreline_m[::-1])
-                    if np.hypot(*(points[0, :2] - end)) <= _JOINED_M
+                    if np.hypot(*(points[0] - end)) <= _JOINED_M
                 ),
                 None,
             )
@@ -128,42 +122,42 @@ def _outward(
             used.add(after[0].id)
             joined.append(after[1][1:] if len(after[1]) > 2 else after[1])
         whole = np.concatenate(joined)
-        is_new = np.r_[True, np.hypot(*np.diff(whole[:, :2], axis=0).T) > 1e-6]
+        is_new = np.r_[True, np.hypot(*np.diff(whole, axis=0).T) > 1e-6]
         if is_new.sum() >= 2:
             lines.append(whole[is_new])
     return lines
 
 
-def _strip(lane: MapLane, line: FloatArray, *, beside_m: float) -> "Polygon":
+def _strip(lane: Lane, line: FloatArray, *, beside_m: float) -> "Polygon":
     """A lane's surface with a strip on either side, extended by a metre at both ends."""
     import shapely
 
-    ends = line[[0, -1], :2]
-    ways = ends - line[[1, -2], :2]
+    ends = line[[0, -1]]
+    ways = ends - line[[1, -2]]
     ends = ends + _LONGER_M * ways / np.hypot(*ways.T)[:, None]
-    longer = shapely.LineString(np.concatenate([ends[:1], line[:, :2], ends[1:]]))
+    longer = shapely.LineString(np.concatenate([ends[:1], line, ends[1:]]))
     return longer.buffer(0.5 * lane.width_m + beside_m, cap_style="flat")
 
 
 def _length_m(line: FloatArray) -> float:
-    return float(np.hypot(*np.diff(line[:, :2], axis=0).T).sum())
+    return float(np.hypot(*np.diff(line, axis=0).T).sum())
 
 
 def _offset(line: FloatArray, offset_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Distance along a line, position and outward direction of points beside it, every 0.25 m."""
-    pieces = np.hypot(*np.diff(line[:, :2], axis=0).T)
+    """Distance along a line, position and outward direction of points next to it, every 0.25 m."""
+    pieces = np.hypot(*np.diff(line, axis=0).T)
     at = np.r_[0.0, np.cumsum(pieces)]
     along_m: FloatArray = np.arange(0.0, min(at[-1], 500.0), _STEP_M)
-    points = np.stack([np.interp(along_m, at, line[:, axis]) for axis in range(3)], axis=1)
+    points = np.stack([np.interp(along_m, at, line[:, axis]) for axis in (0, 1)], axis=1)
     piece = np.clip(np.searchsorted(at, along_m, side="right") - 1, 0, len(pieces) - 1)
-    ahead = np.diff(line[:, :2], axis=0)[piece] / pieces[piece, None]
+    ahead = np.diff(line, axis=0)[piece] / pieces[piece, None]
     left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
-    points[:, :2] += offset_m * left
+    points += offset_m * left
     return along_m, points, np.sign(offset_m) * left
 
 
 def _is_median(
-    points: FloatArray, outwards: FloatArray, arms: Sequence[tuple[MapLane, FloatArray]]
+    points: FloatArray, outwards: FloatArray, arms: Sequence[tuple[Lane, FloatArray]]
 ) -> BoolArray:
     """Points beyond which another lane runs parallel, a few metres further outwards."""
     import shapely
@@ -171,13 +165,13 @@ def _is_median(
     is_median: BoolArray = np.zeros(len(points), dtype=np.bool_)
     if not len(points):
         return is_median
-    starts = points[:, :2]
+    starts = points
     rays = shapely.linestrings(np.stack([starts, starts + _MEDIAN_M * outwards], axis=1))
     for lane, line in arms:
         strip = _strip(lane, line, beside_m=0.0)
         for index in np.flatnonzero(shapely.intersects(rays, strip) & ~is_median):
-            nearest = int(np.argmin(np.hypot(*(line[:-1, :2] - starts[index]).T)))
-            ahead = line[nearest + 1, :2] - line[nearest, :2]
+            nearest = int(np.argmin(np.hypot(*(line[:-1] - starts[index]).T)))
+            ahead = line[nearest + 1] - line[nearest]
             across = abs(float(ahead @ outwards[index])) / float(np.hypot(*ahead))
             is_median[index] = across < np.sqrt(1.0 - _PARALLEL**2)
     return is_median
@@ -244,7 +238,7 @@ def check_sites(where: str, *, crs: str) -> None:
 
 
 def _is_list(where: str) -> bool:
-    """Whether sites are listed in a file. Raises InputError if it is no word either."""
+    """True if sites are listed in a file. Raises InputError if it is no word either."""
     if where in (AUTO, MAP) or where.startswith(KERB):
         return False
     if Path(where).suffix.lower() in SUFFIXES:
@@ -263,25 +257,25 @@ def choose_sites(
     farther than `radius_m` from the middle of the junction are left out. Raises InputError if
     `where` cannot be read, or no site is left.
     """
-    told: list[Note] = []
+    notes: list[Note] = []
     if _is_list(where):
         wishes, far = _listed(Path(where), surroundings, roads, radius_m)
-        told += far
+        notes += far
     elif where in (AUTO, MAP):
         wishes, low = _poles(surroundings)
-        told += low
+        notes += low
         if where == AUTO:
             wishes, others = _own_poles(wishes, surroundings)
             masts, why = _masts(wishes, surroundings, radius_m)
-            wishes, told = (*wishes, *masts), [*told, *others, *why]
+            wishes, notes = (*wishes, *masts), [*notes, *others, *why]
     else:
         wishes = _kerbs(surroundings, _spacing_m(where), radius_m)
     placed, moved = _settled(_with_plain_ids(wishes), surroundings)
-    told += [skip for skip in moved if not where.startswith(KERB) and where != AUTO]
+    notes += [skip for skip in moved if not where.startswith(KERB) and where != AUTO]
     kept, dropped = tidy_sites(placed, things=standing_things(surroundings))
     kept, too_low = _below_roofs(kept, surroundings)
     dropped = (*dropped, *too_low)
-    told += dropped
+    notes += dropped
     if not kept:
         raise InputError(
             "sites",
@@ -289,28 +283,28 @@ def choose_sites(
             f"a site within {radius_m:g} m that stands free ({len(dropped)} do not): kerb:15, or "
             "a list of your own",
         )
-    return tuple(_site(wish) for wish in kept), tuple(told)
+    return tuple(_site(wish) for wish in kept), tuple(notes)
 
 
 def _settled(
     wishes: Sequence[SiteWish], surroundings: Surroundings
 ) -> tuple[tuple[SiteWish, ...], list[Note]]:
-    """Sites beside the road, but for what hangs over it; those inside walls are moved out.
+    """Sites next to the road, but for what hangs over it; those inside walls are moved out.
 
     Sites inside buildings stay: :func:`tidy_sites` leaves them out.
     """
-    kept, told = [], []
+    kept, notes = [], []
     places = find_places([wish.position_m for wish in wishes], surroundings)
     for wish, place in zip(wishes, places, strict=True):
         if not place.why or wish.kind in HANGING_KINDS:
             kept.append(wish)
         elif place.position_m is None:
-            told.append(Note(what=f"site {wish.id}", why=f"it stands {place.why}"))
+            notes.append(Note(what=f"site {wish.id}", why=f"it stands {place.why}"))
         else:
             kept.append(replace(wish, position_m=place.position_m))
             why = f"it stood {place.why}"
-            told.append(Note(what=f"site {wish.id}", why=why, kind="sites", site_ids=(wish.id,)))
-    return tuple(kept), told
+            notes.append(Note(what=f"site {wish.id}", why=why, kind="sites", site_ids=(wish.id,)))
+    return tuple(kept), notes
 
 
 def _own_poles(
@@ -334,7 +328,7 @@ def _own_poles(
     for wish, is_far in zip(wishes, is_other.tolist(), strict=True):
         is_low = wish.kind == "sign" and (heights_m[wish.id] or sign_m) < rules.min_sign_m
         (far if is_far else low if is_low else kept).append(wish)
-    told = [
+    notes = [
         Note(what=_several(group, noun), why=f"{why}: no site unless asked for")
         for group, noun, why in (
             (far, "poles", f"within {rules.neighbour_m:g} m of another junction, nearer than here"),
@@ -342,7 +336,7 @@ def _own_poles(
         )
         if group
     ]
-    return tuple(kept), told
+    return tuple(kept), notes
 
 
 def _area(outline_m: FloatArray) -> "Polygon":
@@ -371,15 +365,15 @@ def _masts(
         else f"none within {radius_m:g} m"
     )
     why = f"{where}: masts every {rules.spacing_m:g} m along the kerbs were added"
-    told = Note(what="poles of the map", why=why)
-    return _kerbs(surroundings, rules.spacing_m, radius_m), [told]
+    notes = Note(what="poles of the map", why=why)
+    return _kerbs(surroundings, rules.spacing_m, radius_m), [notes]
 
 
 def _below_roofs(
     wishes: Sequence[SiteWish], surroundings: Surroundings
 ) -> tuple[tuple[SiteWish, ...], list[Note]]:
     """Sites that carry sensors no higher than what is above them lets them."""
-    kept, told = [], []
+    kept, notes = [], []
     positions = np.array([wish.position_m for wish in wishes]).reshape(-1, 2)
     for wish, clear_m in zip(wishes, clear_heights_m(positions, surroundings), strict=True):
         most_m = round(float(clear_m) - _BELOW_ROOF_M, 3)
@@ -387,20 +381,19 @@ def _below_roofs(
             kept.append(wish)
         elif most_m < MIN_POLE_M:
             why = f"below a roof {clear_m:g} m above the ground: too low for sensors"
-            told.append(Note(what=f"site {wish.id}", why=why))
+            notes.append(Note(what=f"site {wish.id}", why=why))
         else:
             low_m = min(_mounts_m(wish)[0], most_m)
             kept.append(replace(wish, min_height_m=low_m, max_height_m=most_m))
-    return tuple(kept), told
+    return tuple(kept), notes
 
 
 def _poles(surroundings: Surroundings) -> tuple[tuple[SiteWish, ...], list[Note]]:
-    """Poles that are high enough for sensors."""
-    wishes, told = [], []
+    wishes, notes = [], []
     for pole in surroundings.poles:
         if pole.height_m is not None and pole.height_m < MIN_POLE_M:
             why = f"{pole.height_m:g} m high: too low for sensors"
-            told.append(Note(what=f"{pole.kind} {pole.id}", why=why))
+            notes.append(Note(what=f"{pole.kind} {pole.id}", why=why))
             continue
         low_m, high_m = mount_range_m(pole)
         wishes.append(
@@ -412,21 +405,11 @@ def _poles(surroundings: Surroundings) -> tuple[tuple[SiteWish, ...], list[Note]
                 max_height_m=high_m,
             )
         )
-    return tuple(wishes), told
+    return tuple(wishes), notes
 
 
 def _kerbs(surroundings: Surroundings, spacing_m: float, radius_m: float) -> tuple[SiteWish, ...]:
-    lanes = [
-        MapLane(
-            id=lane.id,
-            kind=lane.kind,
-            width_m=lane.width_m,
-            centreline_m=np.column_stack([lane.centreline_m, np.zeros(len(lane.centreline_m))]),
-        )
-        for lane in surroundings.lanes
-        if lane.kind in _KINDS
-    ]
-    wishes = kerb_sites(lanes, surroundings.outline_m, spacing_m)
+    wishes = kerb_sites(surroundings.lanes, surroundings.outline_m, spacing_m)
     near = [wish for wish in wishes if np.hypot(*wish.position_m) <= radius_m]
     near.sort(key=lambda wish: float(np.hypot(*wish.position_m)))
     count: Counter[str] = Counter()
@@ -443,7 +426,7 @@ def _kerbs(surroundings: Surroundings, spacing_m: float, radius_m: float) -> tup
 def _listed(
     path: Path, surroundings: Surroundings, roads: SourceMap, radius_m: float
 ) -> tuple[tuple[SiteWish, ...], list[Note]]:
-    wishes, told, n_far = [], [], 0
+    wishes, notes, n_far = [], [], 0
     for wish in read_sites(path, crs=roads.crs):
         position = surroundings.frame.take(wish.position_m, roads)
         if np.hypot(*position) > radius_m:
@@ -452,12 +435,12 @@ def _listed(
         wishes.append(replace(wish, position_m=position))
     if n_far:
         why = f"farther than {radius_m:g} m from the junction"
-        told.append(Note(what=f"{n_far} sites in {path.name}", why=why))
+        notes.append(Note(what=f"{n_far} sites in {path.name}", why=why))
     dark = sum(wish.has_power is False or wish.has_fibre is False for wish in wishes)
     if dark:
         why = "only what cost_eur states is counted"
-        told.append(Note(what=f"power or fibre that {dark} sites lack", why=why))
-    return tuple(wishes), told
+        notes.append(Note(what=f"power or fibre that {dark} sites lack", why=why))
+    return tuple(wishes), notes
 
 
 def _spacing_m(where: str) -> float:
@@ -472,7 +455,7 @@ def _spacing_m(where: str) -> float:
 
 
 def _with_plain_ids(wishes: Sequence[SiteWish]) -> list[SiteWish]:
-    """The same sites with unique ids that a comma-separated option can name."""
+    """Sites with unique ids that a comma-separated list can name."""
     taken: set[str] = set()
     plain = []
     for wish in wishes:
@@ -515,8 +498,6 @@ def _site(wish: SiteWish) -> Site:
 
 
 # ---------- where poles and sites can stand
-
-
 SETBACK_M = (
     0.5  # of a pole's middle from the kerb; assumption: the usual clearance of a carriageway
 )
@@ -537,7 +518,7 @@ class Place:
 
 
 def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Place]:
-    """Nearest places beside the road and outside walls.
+    """Nearest places next to the road and outside walls.
 
     Parameters
     ----------
@@ -647,13 +628,8 @@ def _headroom_m(thing: Thing, surroundings: Surroundings) -> float:
 
 
 def footprint(thing: Thing) -> Any:
-    """What a thing covers, seen from above: a shapely geometry in metres."""
-    import shapely
-
-    flat = thing.vertices_m[thing.triangles][..., :2]
-    one, other = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
-    is_face = np.abs(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]) > 1e-6
-    return shapely.union_all(shapely.polygons(flat[is_face]))
+    """Ground that a thing covers, seen from above: a shapely geometry in metres."""
+    return flat_union(thing.vertices_m[thing.triangles])
 
 
 def is_under(positions_m: FloatArray, thing: Thing) -> BoolArray:
@@ -675,7 +651,6 @@ def is_under(positions_m: FloatArray, thing: Thing) -> BoolArray:
 
 
 def _turn(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Twice the signed area between two vectors, (n,)."""
     return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
@@ -693,7 +668,7 @@ def settle_poles(surroundings: Surroundings) -> tuple[Surroundings, tuple[Note, 
         A signal or sign over the road is left to the pole that the map has within 12 m; other poles
         on the road or inside walls are moved to the nearest place, see :func:`find_places`, or left
         out if there is none.
-    told : tuple of Note
+    notes : tuple of Note
         Each that was moved or left out.
     """
     if not surroundings.poles:
@@ -707,23 +682,23 @@ def settle_poles(surroundings: Surroundings) -> tuple[Surroundings, tuple[Note, 
         if pole.kind == "pole" and not place.why
     ]
     kept: list[Pole] = []
-    told: list[Note] = []
+    notes: list[Note] = []
     for pole, place in zip(surroundings.poles, places, strict=True):
         what = f"{pole.kind} {pole.id}"
         mast = _mast_of(pole, masts) if place.why and pole.kind in _HANGING else None
         if mast is not None:
             why = f"it hangs over the road: its pole is {mast.id}"
-            told.append(Note(what=what, why=why))
+            notes.append(Note(what=what, why=why))
             continue
         if place.position_m is None:
-            told.append(Note(what=what, why=f"no site: it stands {place.why}"))
+            notes.append(Note(what=what, why=f"no site: it stands {place.why}"))
             continue
         if place.why:
             why = f"it stood {place.why}"
-            told.append(Note(what=what, why=why, kind="sites", site_ids=(pole.id,)))
+            notes.append(Note(what=what, why=why, kind="sites", site_ids=(pole.id,)))
             pole = replace(pole, position_m=np.append(place.position_m, pole.position_m[2]))
         kept.append(pole)
-    return replace(surroundings, poles=tuple(kept)), tuple(told)
+    return replace(surroundings, poles=tuple(kept)), tuple(notes)
 
 
 def _mast_of(pole: Pole, masts: Sequence[Pole]) -> Pole | None:

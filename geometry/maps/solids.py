@@ -113,7 +113,6 @@ def volume_m3(vertices_m: FloatArray, triangles: NDArray[np.int32]) -> float:
 
 
 def _without_repeats(ring: FloatArray) -> FloatArray:
-    """An open ring without corners that repeat the one before."""
     points = np.asarray(ring, dtype=np.float64).reshape(-1, 3)
     if not len(points):
         return points

@@ -1,4 +1,4 @@
-"""The content of a map file, whatever its format: lanes, junctions, crosswalks, things, poles."""
+"""Content of a map file in any format: lanes, junctions, crosswalks, things, poles; their kinds."""
 
 import re
 from collections import Counter
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray, freeze, set_arrays
-from ..errors import InputError
+from ..errors import InputError, check_one_of
 from ..files import load_toml, pick
 from ..notes import Note
 from ..scene import LeadingRoad, Turn
@@ -36,7 +36,7 @@ class MapLane:
     # mean full width; where it varies and the lane leads to a junction, that of the 30 m next to it
     width_m: float
     # (n, 3); at least two points in driving direction; lanes without one (walking, parking) have
-    # that of the driving lane beside them
+    # that of the driving lane next to them
     centreline_m: FloatArray
     # ids of the junctions at its ends, where it stops at the outline; empty: none
     from_junction: str = ""
@@ -48,8 +48,7 @@ class MapLane:
 
     def __post_init__(self) -> None:
         where = f"lane {self.id}"
-        if self.kind not in LANE_KINDS:
-            raise InputError(f"{where}.kind", self.kind, "one of " + ", ".join(LANE_KINDS))
+        check_one_of(f"{where}.kind", self.kind, LANE_KINDS)
         if not (np.isfinite(self.width_m) and self.width_m > 0.0):
             raise InputError(f"{where}.width_m", self.width_m, "metres, > 0")
         set_arrays(self, f"{where}.", centreline_m=(-1, 3))
@@ -127,14 +126,13 @@ class Pole:
     assumed: str = ""  # why its position is not that of the source, in words; empty: it is
 
     def __post_init__(self) -> None:
-        if self.kind not in POLE_KINDS:
-            raise InputError(f"pole {self.id}.kind", self.kind, "one of " + ", ".join(POLE_KINDS))
+        check_one_of(f"pole {self.id}.kind", self.kind, POLE_KINDS)
         set_arrays(self, f"pole {self.id}.", position_m=(3,))
 
 
 @dataclass(frozen=True, slots=True)
 class Omissions:
-    """What is left out of a file, counted by kind and reason so that the list stays short.
+    """Parts of a file that are left out, by kind and reason so that the list stays short.
 
     ``found`` has the names by kind and reason.
     """
@@ -205,7 +203,7 @@ class SourceMap:
     heights: Heights = "above ground"  # zero of the z axis
     # the objects of the map
     lanes: tuple[MapLane, ...] = ()
-    # lanes through junctions, each from the end of a lane to the begin of another; both their
+    # lanes through junctions, each from the end of a lane to the start of another; both their
     # junctions are the one through which they lead. None: the map does not have them.
     connections: tuple[MapLane, ...] = ()
     junctions: tuple[MapJunction, ...] = ()
@@ -230,8 +228,6 @@ class SourceMap:
 
 
 # ---------- kinds of things and poles
-
-
 _MAX_NAME = 200  # characters of a name that are looked at
 _SECTIONS = 10  # of a pole's cylinder
 
@@ -285,8 +281,7 @@ def kind_from_name(name: str) -> ThingKind | None:
 def kind_of_class(class_name: str) -> ThingKind:
     """The defaults of a class: its last kind in ``data/things.toml``."""
     known = {kind.class_name: kind for kind in thing_defaults().kinds}
-    kind: ThingKind = pick(known, class_name, "class_name")
-    return kind
+    return pick(known, class_name, "class_name")
 
 
 MIN_POLE_M = 2.5
@@ -306,7 +301,7 @@ class PoleKind:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AutoSites:
-    """What is a site where nothing else is asked for: ``[auto]`` of ``data/sites.toml``."""
+    """Rules for sites where nothing else is asked for: ``[auto]`` of ``data/sites.toml``."""
 
     spacing_m: float  # between masts along the kerbs
     near_m: float  # they are assumed where no pole is as near to the middle

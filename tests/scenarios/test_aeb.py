@@ -20,9 +20,9 @@ from strategies import KMH, angles_deg, build_encounter, coordinates_m, encounte
 from geometry.actors import load_actors
 from geometry.errors import InputError
 from scenarios.aeb import (
-    Encounter,
+    _looks_s,
+    _separation_m,
     confirmation_mask,
-    first_contact_s,
     has_contact,
     held_frames,
     is_in_time,
@@ -30,9 +30,9 @@ from scenarios.aeb import (
     live_confirmation_time_s,
     load_aeb_rule,
     load_track_memory_s,
-    smallest_separation_m,
 )
 from scenarios.courses import pick_turn
+from scenarios.encounters import Encounter, first_contact_s
 from scenarios.paths import (
     Motion,
     StraightPath,
@@ -54,6 +54,12 @@ untils_s = numbers(-1.5, 0.5)
 
 def _tau_s(encounter, rule=RULE) -> float:
     return -last_brake_time_s(encounter, rule)
+
+
+def smallest_separation_m(encounter, onset_s, *, rule, time_step_s=0.001):
+    """Smallest separation from each onset of braking until the VUT stands, by looking often."""
+    since_onset = _looks_s(encounter, rule, time_step_s)
+    return _separation_m(encounter, np.reshape(onset_s, (-1, 1)), since_onset, rule).min(axis=1)
 
 
 def _rule(**changes):

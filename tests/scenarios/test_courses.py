@@ -117,7 +117,7 @@ def test_a_lane_without_length_has_no_course():
 
 def test_beside_a_bend_sharper_than_asked_for_there_is_no_course():
     with pytest.raises(InputError, match="left_m: got 14"):
-        follow_lane(circle(12.0), is_in=True).beside(14.0)
+        follow_lane(circle(12.0), is_in=True).offset(14.0)
 
 
 @st.composite
@@ -157,7 +157,7 @@ def test_no_path_leaves_its_lane_or_jumps(lane, is_in, body):
 @given(lane=lanes(), left_m=st.floats(-4.0, 4.0))
 def test_the_course_beside_another_keeps_its_distance_and_direction(lane, left_m):
     course = follow_lane(lane, is_in=True)
-    beside = course.beside(left_m)
+    beside = course.offset(left_m)
     station = 0.3 * course.begin_m
     place = course.tangent(station)
     there = beside.tangent(beside.station_of(place.at(0.0, left_m)))

@@ -123,7 +123,7 @@ def _read_roads(root: Element, where: str, offset: Offset, omissions: Omissions)
 
 
 def _beyond(link: RoadLink, joints: Mapping[str, tuple[RoadLink, RoadLink]]) -> RoadLink:
-    """What a link leads to, roads without a length passed over."""
+    """Link past roads that have no length."""
     for _ in range(len(joints)):
         if link.kind != "road" or link.id not in joints:
             break
@@ -139,11 +139,8 @@ def _sample(roads: Mapping[str, Road], where: str) -> dict[str, tuple[SampledSec
         sampled[road.id] = sample_road(road)
         n_points += sum(len(section.s_m) * (1 + len(section.lanes)) for section in sampled[road.id])
         if n_points > MAX_POINTS:
-            raise InputError(
-                road.where,
-                Unquoted(f"more than {MAX_POINTS:,} points up to here"),
-                "a smaller file: cut it out first",
-            )
+            got = Unquoted(f"more than {MAX_POINTS:,} points up to here")
+            raise InputError(road.where, got, "a smaller file: cut it out first")
     return sampled
 
 

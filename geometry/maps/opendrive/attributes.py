@@ -36,9 +36,8 @@ def take_number(element: Element, key: str, where: str) -> float:
     except ValueError:
         raise InputError(f"{where}.{key}", text, "a number") from None
     if not (math.isfinite(value) and abs(value) <= MAX_MAGNITUDE):
-        raise InputError(
-            f"{where}.{key}", value, f"a finite number, at most {MAX_MAGNITUDE:g} in size"
-        )
+        expected = f"a finite number, at most {MAX_MAGNITUDE:g} in size"
+        raise InputError(f"{where}.{key}", value, expected)
     return value
 
 
@@ -58,7 +57,7 @@ def take_number_if_any(element: Element, key: str, where: str) -> float | None:
 def take_size(element: Element, key: str, where: str) -> float | None:
     """A length, width, height or radius; None if it is missing, left open or not above 0.
 
-    Raises InputError if it is not finite, or larger than anything beside a road.
+    Raises InputError if it is not finite, or larger than anything next to a road.
     """
     value = take_number_if_any(element, key, where)
     if value is not None and value > MAX_SIZE_M:

@@ -266,7 +266,7 @@ def _surface(sections: Sequence[SampledSection]) -> Any:
         for section in sections
         for lane in section.lanes.values()
         if lane_kind(lane.record.type) == "driving" and lane.width_m.max() > _MIN_WIDTH_M
-        for ring in _rings(section.beside(lane.inner_m), section.beside(lane.outer_m))
+        for ring in _rings(section.points_at(lane.inner_m), section.points_at(lane.outer_m))
     ]
     if not rings:
         return None

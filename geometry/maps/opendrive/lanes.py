@@ -42,14 +42,14 @@ class SampledLane:
 class SampledSection:
     """A lane section as points."""
 
-    s_m: FloatArray  # (n,), stations from its begin to its end
+    s_m: FloatArray  # (n,), stations from its start to its end
     points_m: FloatArray  # (n, 3), of the reference line
     left: FloatArray  # (n, 2), unit vectors to the left of it
     rise: FloatArray  # (n,), by which the surface rises towards it: sine of the superelevation
     shape: CrossSections  # above that
     lanes: dict[int, SampledLane]  # by number
 
-    def beside(self, t_m: FloatArray) -> FloatArray:
+    def points_at(self, t_m: FloatArray) -> FloatArray:
         """Points (n, 3) of the surface some metres to the left of the reference line."""
         points = self.points_m.copy()
         points[:, :2] += t_m[:, None] * self.left
@@ -62,7 +62,7 @@ class SampledSection:
         sides = [np.zeros(len(self.s_m)), np.min(edges, axis=0), np.max(edges, axis=0)]
         if len(self.shape.stations_m):
             sides += edges
-        return np.concatenate([self.beside(t_m) for t_m in sides])
+        return np.concatenate([self.points_at(t_m) for t_m in sides])
 
 
 def sample_road(road: Road, *, chord_error_m: float = _CHORD_ERROR_M) -> tuple[SampledSection, ...]:
@@ -112,16 +112,12 @@ def _sample_section(
         for lane, numbers in zip(side, [0, *(lane.number for lane in side[:-1])], strict=False)
     }
     if np.abs(points).max() > MAX_COORDINATE_M:
-        raise InputError(
-            f"{road.where} planView", float(np.abs(points).max()), f"at most {MAX_COORDINATE_M:g} m"
-        )
+        got = float(np.abs(points).max())
+        raise InputError(f"{road.where} planView", got, f"at most {MAX_COORDINATE_M:g} m")
     height = evaluate(elevation[interval], ds) + road.base_m
     if np.abs(height).max() > _MAX_HEIGHT_M:
-        raise InputError(
-            f"{road.where} elevationProfile",
-            float(np.abs(height).max()),
-            f"heights of at most {_MAX_HEIGHT_M:g} m",
-        )
+        expected = f"heights of at most {_MAX_HEIGHT_M:g} m"
+        raise InputError(f"{road.where} elevationProfile", float(np.abs(height).max()), expected)
     return SampledSection(
         s_m=s_m,
         points_m=np.column_stack([points, height]),
@@ -139,9 +135,8 @@ def _sample_section(
 
 def _check_count(road: Road, n_points: float) -> None:
     if n_points > MAX_POINTS:
-        raise InputError(
-            road.where, Unquoted(f"{n_points:,.0f} points to draw it"), f"at most {MAX_POINTS:,}"
-        )
+        got = Unquoted(f"{n_points:,.0f} points to draw it")
+        raise InputError(road.where, got, f"at most {MAX_POINTS:,}")
 
 
 def _intervals(road: Road, section: LaneSection) -> tuple[FloatArray, FloatArray]:
@@ -358,7 +353,7 @@ def _runs(
     for index, number in chain.items():
         section = sections[index]
         lane = section.lanes[number]
-        pieces.append((section.beside(0.5 * (lane.inner_m + lane.outer_m)), lane.width_m))
+        pieces.append((section.points_at(0.5 * (lane.inner_m + lane.outer_m)), lane.width_m))
     points = np.concatenate([piece[0] for piece in pieces])
     widths = np.concatenate([piece[1] for piece in pieces])
     is_there = np.concatenate([[False], widths >= _MIN_WIDTH_M, [False]])
@@ -443,15 +438,10 @@ def _joined(lane: MapLane, pieces: Sequence[MapLane]) -> MapLane:
     return replace(
         lane,
         width_m=float(np.average([piece.width_m for piece in pieces], weights=lengths)),
-        centreline_m=_chain(pieces[0].centreline_m, pieces[1].centreline_m),
+        centreline_m=np.concatenate([pieces[0].centreline_m[:-1], pieces[1].centreline_m]),
         from_junction=pieces[0].from_junction,
         to_junction=pieces[1].to_junction,
     )
-
-
-def _chain(first_m: FloatArray, second_m: FloatArray) -> FloatArray:
-    """Both lines as one; of the two points at the joint the second line's stays."""
-    return np.concatenate([first_m[:-1], second_m])
 
 
 def _length_m(lane: MapLane) -> float:

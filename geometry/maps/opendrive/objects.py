@@ -1,4 +1,4 @@
-"""Objects on and beside the roads: buildings, trees, crosswalks, parking spaces."""
+"""Objects and signals along the roads: buildings, trees, crosswalks, parking spaces, poles."""
 
 import re
 from bisect import bisect_left
@@ -390,8 +390,6 @@ def _build_pole(kind: str, road: Road, spot: Copy | Sweep, name: str) -> Pole:
 
 
 # ---------- signals
-
-
 _PAINT = "paint on the road, or nothing above it"
 
 

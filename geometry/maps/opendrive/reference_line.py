@@ -173,7 +173,7 @@ def _polynomial_bends(k: FloatArray, length_m: float) -> tuple[float, float, flo
     ddu, ddv = (2.0 * k[i + 2] + 6.0 * p * k[i + 3] for i in (0, 4))
     speed = np.maximum(np.hypot(du, dv), 1.0e-6)
     curvature = (du * ddv - dv * ddu) / speed**3
-    # A curve that stands still at its begin has no curvature there: it is taken next to it.
+    # A curve that stands still at its start has no curvature there: it is taken next to it.
     curvature[speed <= 1.0e-5] = 0.0
     change = np.abs(np.diff(curvature)) / np.maximum(np.diff(s), 1.0e-9)
     stride = 1.0 if k[8] == 0.0 else float(speed.max() * k[8])
@@ -186,7 +186,7 @@ def read_reference_line(
     """Read a road's planView.
 
     Raises InputError if there is no piece of a length above 0, a number is missing or not finite, a
-    piece begins outside the road or far from its begin, or has an unknown shape.
+    piece begins outside the road or far from its start, or has an unknown shape.
     """
     rows = []
     for element, here in numbered(road.find("planView"), "geometry", where):
@@ -227,9 +227,8 @@ def _read_piece(element: Element, where: str) -> tuple[float, ...]:
     shape = next((child for child in element if child.tag in SHAPES), None)
     if shape is None:
         tags = [str(child.tag) for child in element]
-        raise InputError(
-            where, Unquoted(", ".join(tags)[:80] or "no shape"), "one of " + ", ".join(SHAPES)
-        )
+        got = Unquoted(", ".join(tags)[:80] or "no shape")
+        raise InputError(where, got, "one of " + ", ".join(SHAPES))
     return (
         *(s, x, y, heading, length_m, SHAPES.index(str(shape.tag))),
         *_read_shape(shape, f"{where} {shape.tag}", length_m),
@@ -258,7 +257,7 @@ def _read_shape(shape: Element, where: str, length_m: float) -> tuple[float, ...
 # ---------- cubics along a road
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PiecewiseCubic:
-    """a + b ds + c ds^2 + d ds^3 with ds counted from the begin of a piece; 0 before the first."""
+    """a + b ds + c ds^2 + d ds^3 with ds counted from the start of a piece; 0 before the first."""
 
     starts_m: FloatArray  # (n,), begins of the pieces, ascending
     coefficients: FloatArray  # (n, 4): a, b, c, d

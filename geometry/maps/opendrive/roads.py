@@ -1,4 +1,4 @@
-"""Roads as a file has them: reference line, elevation, superelevation, lane sections, links."""
+"""Roads of a file: reference line, elevation, superelevation and shape, lane sections, links."""
 
 import math
 from collections import Counter, defaultdict
@@ -40,8 +40,6 @@ _KMH = {"m/s": 3.6, "km/h": 1.0, "mph": 1.609344}
 
 
 # ---------- how the surface rises and falls across
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CrossSections:
     """Heights across a road at some stations; between two of them in proportion."""
@@ -124,7 +122,7 @@ class Road:
     base_m: float  # the header's offset in height
     offset: PiecewiseCubic  # of the lanes to the left of the reference line
     sections: tuple[LaneSection, ...]
-    before: RoadLink  # at its begin
+    before: RoadLink  # at its start
     after: RoadLink  # at its end
     bank: PiecewiseCubic  # roll around the reference line, its left side upwards. [rad]
     shape: CrossSections  # above the line across that the bank makes
@@ -133,7 +131,7 @@ class Road:
 
     @property
     def is_motorway(self) -> bool:
-        """Whether it says so all along, and has no sidewalk."""
+        """True if it says so all along, and has no sidewalk."""
         types = [element.get("type", "") for element in self.element.findall("type")]
         lanes = [lane for one in self.sections for lane in (*one.left, *one.right)]
         has_walkers = any(lane_kinds().get(lane.type.lower()) == "walking" for lane in lanes)
@@ -241,7 +239,7 @@ def _speed_kmh(speed: Element) -> float | None:
 
 
 def read_links(road: Element) -> tuple[RoadLink, RoadLink]:
-    """What lies before and after a road."""
+    """Links to what lies before and after a road."""
     return _read_link(road, "predecessor"), _read_link(road, "successor")
 
 

@@ -31,7 +31,7 @@ _CARRIAGEWAYS_M = (3.0, 30.0)  # apart
 
 
 def find_driving_side(elements: Elements, positions_m: FloatArray) -> tuple[bool, str]:
-    """Whether traffic keeps left, and what shows it (empty: nothing, it is assumed).
+    """True if traffic keeps left, and what shows it (empty: nothing, it is assumed).
 
     Evidence is the tag, the driving direction in roundabouts, or the side of a street's other
     carriageway. `positions_m` (n, 2) are those of the nodes.
@@ -107,8 +107,6 @@ def _carriageways(ways: list[Way], positions_m: FloatArray) -> Counter[bool]:
 
 
 # ---------- files
-
-
 def read_openstreetmap(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
     """Read a file of OpenStreetMap data.
 

@@ -1,4 +1,4 @@
-"""Buildings: prisms from the ground, or from where they begin above those who pass below."""
+"""Buildings, from the ground or above those who pass below; and bridges over roads."""
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
@@ -104,7 +104,6 @@ def _without_parts(outlines: Sequence[Area], parts: Sequence[Area]) -> list[list
 
 
 def _pieces(area: Area, shapes: Sequence[Polygon], name: str) -> Iterator[Area]:
-    """Parts of an area."""
     for number, shape in enumerate(shapes):
         yield replace(
             area,
@@ -192,7 +191,6 @@ def _clear_height_m(kind: str, tags: Tags) -> float:
 
 
 def _top_m(area: Area, omissions: Omissions) -> float | None:
-    """Height of the roof in metres, if it is tagged."""
     tags, usual = area.tags, DEFAULTS["building"]
     for key in ("height", "building:height", "est_height"):
         if key in tags:
@@ -211,7 +209,6 @@ def _top_m(area: Area, omissions: Omissions) -> float | None:
 
 
 def _bottom_m(tags: Tags) -> float | None:
-    """Height of the floor in metres, if it is tagged."""
     usual = DEFAULTS["building"]
     for key in ("min_height", "building:min_height"):
         height_m = parse_length_m(tags[key]) if key in tags else None
@@ -256,8 +253,8 @@ class _Passages:
         self._is_marked.append(_leads_through(tags))
 
     def through(self, area: Area) -> tuple[BaseGeometry | None, float]:
-        """What ways cover of a building that they lead through, and their clear height."""
-        is_gate = _is_gate(area.tags)
+        """Area of the ways that lead through a building, and their clear height."""
+        is_gate = area.tags.get("historic") in _GATES or _kind(area.tags) in _GATES
         found = [
             index
             for index in self._tree.query(area.polygon).tolist()
@@ -275,13 +272,7 @@ def _leads_through(tags: Tags) -> bool:
     return tags.get("tunnel") == "building_passage" or tags.get("covered") in _COVERED
 
 
-def _is_gate(tags: Tags) -> bool:
-    return tags.get("historic") in _GATES or _kind(tags) in _GATES
-
-
 # ---------- bridges over roads
-
-
 def find_bridges(
     network: Network, reaches: Sequence[Reach], elements: Elements, omissions: Omissions
 ) -> Iterator[Thing]:

@@ -70,7 +70,7 @@ def _over_roads(walk: LineString, edges: Sequence[Edge]) -> Iterator[FloatArray]
     crossed = [
         (part, area)
         for edge in edges
-        for area in [_carriageway(edge)]
+        for area in [LineString(edge.points_m).buffer(0.5 * edge.section.width_m, cap_style="flat")]
         for part in _parts_over(walk, edge, area)
     ]
     crossed.sort(key=lambda pair: walk.project(shapely.Point(pair[0].coords[0])))
@@ -85,10 +85,6 @@ def _over_roads(walk: LineString, edges: Sequence[Edge]) -> Iterator[FloatArray]
         joined.append((part, carriageway))
     for part, carriageway in joined:
         yield _from_kerb_to_kerb(part, carriageway, limits["beyond_kerb_m"])
-
-
-def _carriageway(edge: Edge) -> BaseGeometry:
-    return LineString(edge.points_m).buffer(0.5 * edge.section.width_m, cap_style="flat")
 
 
 def _parts_over(walk: LineString, edge: Edge, carriageway: BaseGeometry) -> Iterator[LineString]:

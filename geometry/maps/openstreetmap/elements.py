@@ -106,11 +106,8 @@ def _check_unpacked_size(path: Path, unpack: Any) -> None:
             while chunk := file.read(1 << 20):
                 n_bytes += len(chunk)
                 if n_bytes > limit:
-                    raise InputError(
-                        str(path),
-                        Unquoted(f"more than {limit:,} bytes when unpacked"),
-                        "fewer; cut it out first",
-                    )
+                    got = Unquoted(f"more than {limit:,} bytes when unpacked")
+                    raise InputError(str(path), got, "fewer; cut it out first")
     except (OSError, EOFError, zlib.error) as error:
         raise InputError(str(path), Unquoted(error), f"{_EXPECTED}: a whole archive") from None
 
@@ -139,11 +136,9 @@ def _collect(path: Path, file_format: str) -> Elements:
                 places.append(location.lon_without_check())
                 places.append(location.lat_without_check())
                 if not location.valid():
-                    raise InputError(
-                        f"{path}: node {element.id}",
-                        Unquoted(_place(location)),
-                        "latitude -90..90 and longitude -180..180",
-                    )
+                    got = Unquoted(_place(location))
+                    expected = "latitude -90..90 and longitude -180..180"
+                    raise InputError(f"{path}: node {element.id}", got, expected)
                 if tags:
                     tags_by_id[element.id] = tags
                 n_left -= 1
@@ -158,11 +153,8 @@ def _collect(path: Path, file_format: str) -> Elements:
                 relations[element.id] = Relation(id=element.id, members=members, tags=tags)
                 n_left -= 1 + len(members) // 10
             if n_left < 0:
-                raise InputError(
-                    str(path),
-                    Unquoted(f"more than {DEFAULTS['reading']['max_nodes']:,} elements"),
-                    "fewer; cut it out first",
-                )
+                got = Unquoted(f"more than {DEFAULTS['reading']['max_nodes']:,} elements")
+                raise InputError(str(path), got, "fewer; cut it out first")
     except InputError:
         raise
     except (RuntimeError, ValueError, osmium.InvalidLocationError) as error:
@@ -184,11 +176,9 @@ def _check_order(path: Path, lon_lat_deg: FloatArray, box_deg: FloatArray) -> No
         bool(((point >= low) & (point <= high)).all()) for point in (middle, middle[::-1])
     )
     if is_inside_exchanged and not is_inside:
-        raise InputError(
-            str(path),
-            Unquoted(f"nodes around latitude {middle[1]:g}, longitude {middle[0]:g}"),
-            "nodes within the file's bounds: latitude and longitude are exchanged",
-        )
+        got = Unquoted(f"nodes around latitude {middle[1]:g}, longitude {middle[0]:g}")
+        expected = "nodes within the file's bounds: latitude and longitude are exchanged"
+        raise InputError(str(path), got, expected)
 
 
 def _place(location: Any) -> str:
@@ -247,7 +237,7 @@ class Area:
 
     @property
     def polygon(self) -> Polygon:
-        """The same for shapely; not always a valid one."""
+        """Area as a shapely polygon, which may be invalid."""
         return Polygon(self.outer_m, self.holes_m)
 
 
@@ -433,12 +423,12 @@ def side_value(tags: Tags, key: str, side: str) -> str | None:
     return tags.get(f"{key}:{side}", tags.get(f"{key}:both"))
 
 
-def turned_round(tags: Tags) -> Tags:
+def reversed_tags(tags: Tags) -> Tags:
     """Tags of the same line with its nodes in the opposite order.
 
     Examples
     --------
-    >>> turned_round({"sidewalk": "left", "lanes:forward": "2"})
+    >>> reversed_tags({"sidewalk": "left", "lanes:forward": "2"})
     {'sidewalk': 'right', 'lanes:backward': '2'}
     """
     return {

@@ -1,4 +1,4 @@
-"""Junctions of a network: their nodes, arms, outlines and names."""
+"""Junctions of a network: their nodes, arms, outlines, names; the roads that lead to them."""
 
 from collections import Counter, defaultdict, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -348,7 +348,7 @@ def _arms_by_cluster(
         if begin is not None:
             arms[begin].append(Arm(street=street, index=index, is_begin=True))
         if end is not None:
-            arms[end].append(Arm(street=street.turned_round(), index=index, is_begin=False))
+            arms[end].append(Arm(street=street.reversed(), index=index, is_begin=False))
     for number, here in arms.items():
         # Most junctions stay as they are from round to round.
         key = tuple(_path(street) for street in (*(arm.street for arm in here), *inside[number]))
@@ -474,7 +474,6 @@ def _road_beside_m(network: Network, street: Street, *, is_begin: bool) -> float
 
 
 def _outline(arms: Sequence[Arm], inside: Sequence[Street], points_m: FloatArray) -> FloatArray:
-    """Road surface of a junction up to where its arms begin."""
     corner_m = DEFAULTS["junction"]["corner_m"]
     surfaces = [surface(street, 0.0, street.length_m) for street in inside]
     surfaces += [surface(arm.street, 0.0, arm.mouth_m) for arm in arms]
@@ -503,7 +502,6 @@ def _largest(shape: BaseGeometry) -> Polygon:
 
 
 def _name(arms: Sequence[Arm], inside: Sequence[Street]) -> str:
-    """Names of the streets that meet, the busiest first."""
     ranks: dict[str, int] = {}
     counts: Counter[str] = Counter()
     edges = [arm.street.parts[0][0] for arm in arms]
@@ -517,8 +515,6 @@ def _name(arms: Sequence[Arm], inside: Sequence[Street]) -> str:
 
 
 # ---------- where motorways merge or part
-
-
 _MOTORWAYS = ("motorway", "motorway_link")
 _TRUNKS = ("trunk", "trunk_link")
 _FOR_PEOPLE = ("traffic_signals", "crossing")  # nodes
@@ -526,7 +522,7 @@ _SIDEWALKS = ("both", "left", "right", "yes")
 
 
 def is_merge(arms: Sequence[tuple[Edge, bool]], nodes: Iterable[Tags]) -> bool:
-    """Whether only motorways and trunk roads meet, without people on foot and crossing ways.
+    """True if only motorways and trunk roads meet, without people on foot and crossing ways.
 
     `arms`: the part of each road next to the meeting, and whether it runs away from there. `nodes`:
     of the nodes where they meet: signals and crossings are for people.
@@ -555,8 +551,6 @@ def _has_people(tags: Tags) -> bool:
 
 
 # ---------- roads that lead to a junction
-
-
 _BEYOND_M = 1.0  # of the outline, which is rounded
 _AHEAD_M = 10.0  # over which a direction is taken
 

@@ -47,7 +47,7 @@ def build_lanes(reaches: Sequence[Reach]) -> tuple[MapLane, ...]:
 
 
 def _street_lanes(reach: Reach) -> Iterator[tuple[MapLane, bool]]:
-    """Lanes of a street, and whether cars drive both ways beside them."""
+    """Lanes of a street, and whether cars drive both ways next to them."""
     street = reach.street
     spans = [
         (max(low, reach.begin_m), min(high, reach.end_m))
@@ -203,7 +203,7 @@ def _heights(piece: _Piece) -> list[tuple[float, float]]:
     return heights
 
 
-_Group = tuple[str, bool]  # lanes side by side by their common name, and whether their begins
+_Group = tuple[str, bool]  # lanes side by side by their common name, and whether their starts
 
 
 def _lead_on(lanes: Sequence[MapLane], two_way: Set[str]) -> list[MapLane]:
@@ -226,7 +226,7 @@ def _lead_on(lanes: Sequence[MapLane], two_way: Set[str]) -> list[MapLane]:
     moved: dict[tuple[int, bool], FloatArray] = {}
 
     def place(index: int, other: int) -> FloatArray:
-        """Where the end of a lane and the begin of another one meet."""
+        """Where the end of a lane and the start of another one meet."""
         known = moved.get((index, False), moved.get((other, True)))
         if known is not None:
             return known

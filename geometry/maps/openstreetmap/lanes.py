@@ -1,4 +1,4 @@
-"""Lanes of a road from its tags: number per direction, widths, and strips beside them."""
+"""Lanes of a road from its tags: number, widths, strips next to them, and speed limits."""
 
 import re
 from collections import Counter
@@ -94,7 +94,7 @@ def count_lanes(tags: Tags, note: Note) -> LaneCounts:
     )
 
 
-# ---------- strips beside the driving lanes
+# ---------- strips next to the driving lanes
 Part = tuple[str, float, bool]  # kind, width [m], whether it runs as the way does
 
 _ON_CARRIAGEWAY = ("lane", "half_on_kerb", "shoulder", "yes")
@@ -107,7 +107,7 @@ _CYCLE_TRACKS = ("track", "opposite_track")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Roadside:
-    """Strips beside the driving lanes, outwards: kind, width [m], runs as the way does."""
+    """Strips next to the driving lanes, outwards: kind, width [m], runs as the way does."""
 
     inner: tuple[Part, ...]  # on the carriageway
     outer: tuple[Part, ...]  # behind the kerb
@@ -218,8 +218,8 @@ class CrossSection:
         """Directions in which cars drive: True is that of the way."""
         return frozenset(strip.is_forward for strip in self.strips if strip.kind == "driving")
 
-    def turned_round(self) -> "CrossSection":
-        """The same, along the way in the opposite order of nodes."""
+    def reversed(self) -> "CrossSection":
+        """Cross-section along the way in the opposite order of nodes."""
         strips = tuple(
             replace(
                 strip,
@@ -400,8 +400,6 @@ def _total_width_m(tags: Tags, note: Note) -> float | None:
 
 
 # ---------- speed limits
-
-
 _KMH_PER_MPH = 1.609344
 _SPEED = re.compile(r"(\d{1,3}(?:[.,]\d{1,3})?)\s*(mph|km/h|kmh|kph)?")
 _ZONE = re.compile(r"[a-z]{2}:(?:zone:?)?(\d{1,3})")

@@ -12,7 +12,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ..source_map import Omissions
-from .elements import DEFAULTS, Elements, Tags, Way, is_yes, turned_round
+from .elements import DEFAULTS, Elements, Tags, Way, is_yes, reversed_tags
 from .lanes import CrossSection, build_cross_section, is_oneway, runs_backward
 
 _MAX_STRAIGHT_ON_DEG = 60.0  # a road goes on into another one that turns off by less
@@ -125,7 +125,7 @@ def build_network(
     counts: dict[int, int] = defaultdict(int)
     for way, _, rows in parts:
         if way.id not in sections:
-            tags = turned_round(way.tags) if runs_backward(way.tags) else dict(way.tags)
+            tags = reversed_tags(way.tags) if runs_backward(way.tags) else dict(way.tags)
             if runs_backward(way.tags):
                 tags |= {"oneway": "yes", "oneway:turned": "yes"}
             section = build_cross_section(
@@ -199,8 +199,7 @@ class Street:
         stations = np.append(0.0, np.cumsum(lengths))
         last = np.cumsum([len(part) for part in points]) - 1
         sections = tuple(
-            edge.section if is_along else edge.section.turned_round()
-            for edge, is_along in self.parts
+            edge.section if is_along else edge.section.reversed() for edge, is_along in self.parts
         )
         for name, value in (
             ("points_m", joined),
@@ -217,8 +216,8 @@ class Street:
         """From end to end."""
         return float(self.stations_m[-1])
 
-    def turned_round(self) -> "Street":
-        """The same street from its end to its begin."""
+    def reversed(self) -> "Street":
+        """Street from its end to its start."""
         return replace(
             self, parts=tuple((edge, not is_along) for edge, is_along in self.parts[::-1])
         )
@@ -291,12 +290,12 @@ def _can_follow(edges: tuple[Edge, ...], one: End, other: End) -> bool:
     return one[1] != other[1]
 
 
-# ---------- lines and areas beside a street
-_MAX_MITRE = 2.0  # at sharp bends lines beside a street are cut off
+# ---------- lines and areas next to a street
+_MAX_MITRE = 2.0  # at sharp bends lines next to a street are cut off
 
 
-def points_beside(street: Street, stations_m: ArrayLike, left_m: ArrayLike) -> FloatArray:
-    """Points (n, 2) beside a street at ascending stations; at bends on the angle's bisector."""
+def offset_points(street: Street, stations_m: ArrayLike, left_m: ArrayLike) -> FloatArray:
+    """Points (n, 2) next to a street at ascending stations; at bends on the angle's bisector."""
     middle, across = axis_points(street, stations_m)
     return middle + np.asarray(left_m, dtype=np.float64).reshape(-1, 1) * across
 
@@ -322,10 +321,10 @@ def axis_points(street: Street, stations_m: ArrayLike) -> tuple[FloatArray, Floa
 
 
 def has_no_knot(line_m: FloatArray, middle: FloatArray) -> BoolArray:
-    """Which points of a line beside a street to keep, so that it runs as the street does, (n,).
+    """Which points of a line next to a street to keep, so that it runs as the street does, (n,).
 
     At sharp bends a line on the inner side would run backwards for a while; `middle` are the points
-    of the street's axis beside those of the line.
+    of the street's axis next to those of the line.
     """
     is_kept = np.ones(len(line_m), dtype=bool)
     steps = np.einsum("ij,ij->i", np.diff(line_m, axis=0), np.diff(middle, axis=0))
@@ -346,7 +345,7 @@ def has_no_knot(line_m: FloatArray, middle: FloatArray) -> BoolArray:
 def stations_between(
     street: Street, begin_m: float, end_m: float, extra: Sequence[float] = ()
 ) -> FloatArray:
-    """Stations where a line beside a street needs points: begin, end, bends, and `extra` ones."""
+    """Stations where a line next to a street needs points: begin, end, bends, and `extra` ones."""
     every = np.concatenate([street.stations_m, np.asarray(extra, dtype=np.float64)])
     inside = np.unique(every[(every > begin_m + 0.05) & (every < end_m - 0.05)])
     return np.concatenate([[begin_m], inside, [end_m]])

@@ -20,7 +20,7 @@ from .elements import (
 )
 from .junctions import Reach
 from .lanes import Note
-from .network import Network, known_runs, points_beside
+from .network import Network, known_runs, offset_points
 
 # ---------- walls and hedges
 _KINDS = ("wall", "city_wall", "retaining_wall", "fence", "hedge")
@@ -125,7 +125,7 @@ def _note_wood(tags: Tags, element: str, omissions: Omissions) -> None:
 
 
 def _along(line_m: FloatArray) -> FloatArray:
-    """Positions of the trees of a row, evenly from its begin to its end, (n, 2)."""
+    """Positions of the trees of a row, evenly from its start to its end, (n, 2)."""
     usual = DEFAULTS["tree"]
     along = np.append(0.0, np.cumsum(np.hypot(*np.diff(line_m, axis=0).T)))
     n_trees = min(round(float(along[-1]) / usual["row_spacing_m"]) + 1, usual["max_in_row"])
@@ -159,7 +159,6 @@ def _tree(name: str, foot_m: FloatArray, tags: Tags, element: str, omissions: Om
 
 @cache
 def _prism() -> Mesh:
-    """A trunk of radius 1 from height 0 to 1."""
     import trimesh
 
     prism = trimesh.creation.cylinder(
@@ -182,7 +181,7 @@ def find_poles(
     keeps_left: bool,
     omissions: Omissions,
 ) -> tuple[Pole, ...]:
-    """Poles beside roads that could carry sensors; lamps without a pole are noted.
+    """Poles next to roads that could carry sensors; lamps without a pole are noted.
 
     Signals and signs that are mapped on a road stand at the kerb on the side of traffic: at the
     stop line, or where an arm begins if that is farther out; those mapped where roads meet stand at
@@ -269,14 +268,14 @@ def _at_kerbs(places: Sequence[_Place], tags: Tags, *, keeps_left: bool) -> list
             section = reach.street.sections[reach.street.part_at(at_m)]
             sign = 1.0 if is_forward == keeps_left else -1.0  # left of the street
             beside_m = 0.5 * section.width_m + DEFAULTS["pole"]["beyond_kerb_m"]
-            foot = points_beside(reach.street, [at_m], [sign * beside_m])[0]
+            foot = offset_points(reach.street, [at_m], [sign * beside_m])[0]
             if all(np.hypot(*(foot - other)) > 1.0 for other in feet):
                 feet.append(foot)
     return feet
 
 
 def _directions(reach: Reach, station_m: float, tags: Tags) -> list[bool]:
-    """Directions along a street in which cars see a signal: True is from its begin to its end."""
+    """Directions along a street in which cars see a signal: True is from its start to its end."""
     street = reach.street
     index = street.part_at(station_m)
     edge, is_along = street.parts[index]

@@ -7,19 +7,15 @@ from geometry.errors import InputError
 from geometry.maps.place_lists import SiteWish
 from geometry.maps.sites import SETBACK_M, kerb_sites, tidy_sites
 from geometry.maps.solids import extrude
-from geometry.maps.source_map import MapLane, Thing
+from geometry.maps.source_map import Thing
+from geometry.scene import Lane
 
 SQUARE = np.array([[-8, -8], [8, -8], [8, 8], [-8, 8]], dtype=float)
 
 
-def lane(name, points, *, width_m=3.0, kind="driving", z=0.0):
+def lane(name, points, *, width_m=3.0, kind="driving"):
     line = np.array(points, dtype=float)
-    return MapLane(
-        id=name,
-        kind=kind,
-        width_m=width_m,
-        centreline_m=np.column_stack([line, np.full(len(line), z)]),
-    )
+    return Lane(id=name, kind=kind, width_m=width_m, centreline_m=line)
 
 
 def east(name, y, *, begin=8.0, end=100.0, **options):
@@ -71,10 +67,6 @@ def test_lanes_in_pieces_are_followed_and_those_of_other_roads_are_not():
     found = positions(kerb_sites(lanes, SQUARE, 10.0))
     assert found[:, 0].max() == pytest.approx(58.5, abs=0.5)
     assert np.abs(found[:, 1]).max() == 1.5 + SETBACK_M
-
-
-def test_sites_have_the_height_of_the_road():
-    assert {site.z_m for site in kerb_sites([east("a", 0.0, z=31.5)], SQUARE, 20.0)} == {31.5}
 
 
 @pytest.mark.parametrize("spacing_m", [0.0, -1.0, np.nan, np.inf])

@@ -156,7 +156,7 @@ def test_samples_follow_the_line_closely_and_keep_their_distance(start, end, len
     assert steps.max() <= 5.0 + 1e-6
     assert np.isclose(steps.sum(), length, rtol=5e-3, atol=1e-3)
     for t_m in (sampled.lanes[-1].inner_m, sampled.lanes[-1].outer_m):
-        edge = sampled.beside(t_m)[:, :2]
+        edge = sampled.points_at(t_m)[:, :2]
         np.testing.assert_allclose(np.hypot(*(edge - points).T), np.abs(t_m), atol=1e-9)
         assert np.hypot(*np.diff(edge, axis=0).T).max() <= 5.0 + 1e-6
         line = _road(text).line

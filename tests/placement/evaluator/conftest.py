@@ -18,8 +18,9 @@ from geometry.sensors import CameraModel
 from geometry.study_scene import load_study_scene
 from placement.detectors import GeometricDetector
 from placement.setting import Setting
-from scenarios.aeb import Encounter, load_aeb_rule
+from scenarios.aeb import load_aeb_rule
 from scenarios.cases import load_cases, select_cases
+from scenarios.encounters import Encounter
 from scenarios.paths import Motion, StraightPath
 from scenarios.runs import Run, build_frame_axis, build_runs
 from scenarios.weights import weight_per_run

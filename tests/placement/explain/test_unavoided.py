@@ -21,8 +21,9 @@ from placement.explain.unavoided import Look, find_reasons
 from placement.optimiser import Limits, PlacementProblem, run_margins_s
 from placement.setting import Setting
 from placement.visibility import build_detection_table
-from scenarios.aeb import Encounter, load_aeb_rule
+from scenarios.aeb import load_aeb_rule
 from scenarios.cases import load_cases
+from scenarios.encounters import Encounter
 from scenarios.paths import Motion, StraightPath
 from scenarios.runs import Run, build_frame_axis
 from scenarios.weights import weight_per_run

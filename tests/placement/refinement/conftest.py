@@ -11,8 +11,9 @@ from placement.detectors import load_detector, load_planning_detector
 from placement.pipeline import Assembly, place
 from placement.setting import Setting
 from placement.wishes import Wishes
-from scenarios.aeb import Encounter, load_aeb_rule
+from scenarios.aeb import load_aeb_rule
 from scenarios.cases import load_cases
+from scenarios.encounters import Encounter
 from scenarios.paths import Motion, StraightPath
 from scenarios.runs import Run, build_frame_axis
 from scenarios.weights import weight_per_run

@@ -12,8 +12,9 @@ from geometry.scene import Instance, Scene
 from geometry.sensors import CameraModel
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
-from scenarios.aeb import Encounter, load_aeb_rule
+from scenarios.aeb import load_aeb_rule
 from scenarios.cases import load_cases, select_cases
+from scenarios.encounters import Encounter
 from scenarios.paths import Motion, StraightPath
 from scenarios.runs import Run, build_frame_axis, build_runs
 from scenarios.weights import weight_per_run
