@@ -31,7 +31,7 @@ from ..results.numbers import percent
 
 if TYPE_CHECKING:
     from placement.detectors.evidence import Interval
-    from placement.detectors.sightings import FalseAlarms
+    from placement.detectors.fitting import FalseAlarms
 
     from .dataset import DatasetSummary
     from .fit import FitResult

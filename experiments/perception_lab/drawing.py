@@ -26,8 +26,8 @@ from geometry.sensors import CameraModel
 from geometry.weather import pick_weather
 from placement.compute import Compute
 from placement.evaluator import load_vut_camera
+from placement.evaluator.evaluate import UnitKey, build_rng
 from placement.evaluator.pictures import vut_camera_pose
-from placement.evaluator.watch import UnitKey, build_rng
 from placement.imaging import Picture, PointCloud, build_backdrop, draw_picture
 from placement.imaging.materials import Materials, load_materials, vary_materials
 from placement.imaging.mesh import build_frame_mesh, scan_mesh

@@ -23,10 +23,15 @@ from geometry.sensors import CameraModel
 from placement.compute import Compute
 from placement.detectors import VRU_CLASSES, Evidence, load_detector
 from placement.detectors.evidence import Interval
-from placement.detectors.fitting import Group, ResponseFit, fit_response
-from placement.detectors.network import ImageBoxes, NetworkDetector, vru_boxes
-from placement.detectors.onnx_exports import kind_of_name
-from placement.detectors.sightings import FalseAlarms, LabelledPicture, gather_sightings
+from placement.detectors.fitting import (
+    FalseAlarms,
+    Group,
+    LabelledPicture,
+    ResponseFit,
+    fit_response,
+    gather_sightings,
+)
+from placement.detectors.network import ImageBoxes, NetworkDetector, kind_of_name, vru_boxes
 from placement.evaluator import build_surroundings, load_vut_camera
 from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
 from placement.evaluator.pictures import PictureSource
@@ -59,28 +64,16 @@ _FROM_THE_SIDE_DEG = 90.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FitWish:
-    """What a response table is fitted to: exactly one of the three sources.
+    """What a response table is fitted to: exactly one of the three sources."""
 
-    Attributes
-    ----------
-    layout : Layout, optional
-        Whose cameras, and the VUT's, show rendered pictures to the question's network.
-    pictures : int
-        How many of these.
-    recording : Path, optional
-        Folder in the study's format, with labels and detections.
-    labels, results : Path, optional
-        COCO's files of annotations and of results.
-    min_confidence : float
-        Boxes below do not count.
-    """
-
+    # whose cameras, and the VUT's, show rendered pictures to the question's network
     layout: Layout | None = None
-    pictures: int = 1000
-    recording: Path | None = None
+    pictures: int = 1000  # how many of these
+    recording: Path | None = None  # folder in the study's format, with labels and detections
+    # labels, results: COCO's files of annotations and of results
     labels: Path | None = None
     results: Path | None = None
-    min_confidence: float = 0.5
+    min_confidence: float = 0.5  # boxes below do not count
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

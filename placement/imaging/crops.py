@@ -16,7 +16,14 @@ from geometry.sensors import CameraModel
 from geometry.weather import Weather
 from scenarios.runs import Run
 
-from .exposure import develop, find_edges, load_imager, white_luminance
+from .exposure import (
+    add_glare,
+    add_rain,
+    develop,
+    find_edges,
+    load_imager,
+    white_luminance,
+)
 from .materials import Materials
 from .mesh import FrameMesh, add_moving_meshes, build_moving_meshes, move_origin, place_mesh
 from .picture import (
@@ -32,7 +39,6 @@ from .picture import (
     smooth_image,
     tile_rays,
 )
-from .rain_and_glare import add_glare, add_rain
 from .stills import Still, add_moving
 
 _METERED_PX = (48, 27)  # columns and rows of the whole image that set the exposure

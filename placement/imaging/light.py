@@ -1,4 +1,4 @@
-"""Light on surfaces, from sun, sky and lamps with shadows; glare and drops in a picture."""
+"""Light on surfaces, from sun, sky and lamps with shadows."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -396,6 +396,3 @@ def _add_lamps(
         by_colour[tuple(lamp.colour.tolist())] += strength
     for colour, strength in by_colour.items():
         lux += strength[:, None] * np.array(colour, dtype=np.float32)
-
-
-# ---------- glare of lamps, and drops in front of a camera

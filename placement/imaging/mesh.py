@@ -348,24 +348,12 @@ def _unit(vectors: FloatRays) -> FloatRays:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PointCloud:
-    """Pulses that came back.
+    """Pulses that came back."""
 
-    Attributes
-    ----------
-    points_m : (n, 3) float32
-        Frame of the LiDAR: x ahead, y left, z up. [m]
-    intensity : (n,) float32
-        Reflectivity times the cosine of incidence, 0 .. 1.
-    instance : (n,) int32
-        Index into `names`.
-    names : tuple of str
-        The scene's instances, "parked-1" .., "vut" if it is there, "vru".
-    """
-
-    points_m: NDArray[np.float32]
-    intensity: NDArray[np.float32]
-    instance: NDArray[np.int32]
-    names: tuple[str, ...]
+    points_m: NDArray[np.float32]  # (n, 3): frame of the LiDAR: x ahead, y left, z up. [m]
+    intensity: NDArray[np.float32]  # (n,): reflectivity times the cosine of incidence, 0 .. 1.
+    instance: NDArray[np.int32]  # (n,): index into `names`
+    names: tuple[str, ...]  # the scene's instances, "parked-1" .., "vut" if it is there, "vru"
 
 
 def scan_cloud(

@@ -49,7 +49,6 @@ from .materials import (
     load_materials,
 )
 from .mesh import ROUND, FrameMesh, Index, Mesh, build_frame_mesh, build_static_mesh, vut_pose
-from .rain_and_glare import add_glare, add_rain
 
 _OFF_SURFACE_M = 4.0e-3  # where mirrored rays start
 _LEAST_MIRROR = 0.012  # share; less is not worth a ray
@@ -333,23 +332,12 @@ _TILE_PX = (90, 480)  # rows, columns drawn at a time: fit into a cache, and are
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Picture:
-    """What a camera sees.
+    """What a camera sees."""
 
-    Attributes
-    ----------
-    rgb : (h, w, 3) uint8
-        sRGB.
-    instance : (h, w) int32
-        Index into `names`; -1 where there is sky.
-    depth_m : (h, w) float32
-        Along the optical axis; infinite where there is sky. [m]
-    names : tuple of str
-        The scene's instances, "parked-1" .. for what parks in the run, "vut" if it is drawn, "vru".
-    """
-
-    rgb: NDArray[np.uint8]
-    instance: NDArray[np.int32]
-    depth_m: FloatRays
+    rgb: NDArray[np.uint8]  # (h, w, 3): sRGB
+    instance: NDArray[np.int32]  # (h, w): index into `names`; -1 where there is sky
+    depth_m: FloatRays  # (h, w): along the optical axis; infinite where there is sky. [m]
+    # the scene's instances, "parked-1" .. for what parks in the run, "vut" if it is drawn, "vru".
     names: tuple[str, ...]
 
 
@@ -533,7 +521,13 @@ def expose_image(
     shot: Shot, radiance: FloatRays, pose: Pose, seed: list[int], pool: ThreadPoolExecutor
 ) -> NDArray[np.uint8]:
     """Colours (h, w, 3) of radiances that are written over: glare, rain, exposure and noise."""
-    from .exposure import develop, load_imager, white_luminance  # loads the compiler
+    from .exposure import (  # loads the compiler
+        add_glare,
+        add_rain,
+        develop,
+        load_imager,
+        white_luminance,
+    )
 
     size = radiance.shape[:2]
     add_glare(radiance, pose, shot.camera, shot.lamps, shot.mesh.caster)

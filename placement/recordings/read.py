@@ -54,31 +54,18 @@ _BESIDE = (".png", ".bin")  # images and points of the frames
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Drive:
-    """Frames of one scenario at one speed, up to the impact.
+    """Frames of one scenario at one speed, up to the impact."""
 
-    Attributes
-    ----------
-    scenario : int
-        Index in the recording.
-    vru_class : str
-        "pedestrian", "bicycle", or "unseen".
-    vut_speed_mps, vru_speed_mps : float
-        Target speeds. [m/s]
-    closing_speed_mps : float
-        At which the distance falls in the last second before the impact. [m/s]
-    first_number : int
-        Frame number of the first frame; the others follow one by one.
-    distance_m : (n_frames,) float
-        Between the origins of VUT and VRU; the last one is that of the impact. NaN for a frame that
-        is missing. [m]
-    """
-
-    scenario: int
-    vru_class: str
+    scenario: int  # index in the recording
+    vru_class: str  # "pedestrian", "bicycle", or "unseen"
+    # vut_speed_mps, vru_speed_mps: target speeds. [m/s]
     vut_speed_mps: float
     vru_speed_mps: float
+    # at which the distance falls in the last second before the impact. [m/s]
     closing_speed_mps: float
-    first_number: int
+    first_number: int  # frame number of the first frame; the others follow one by one
+    # (n_frames,): between the origins of VUT and VRU; the last one is that of the impact. NaN for a
+    # frame that is missing. [m]
     distance_m: FloatArray
 
     def __post_init__(self) -> None:
@@ -226,36 +213,18 @@ def closing_speed_mps(time_s: FloatArray, distance_m: FloatArray) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Recording:
-    """What a folder in the study's format holds.
+    """What a folder in the study's format holds."""
 
-    Attributes
-    ----------
-    folder : Path
-        Where it was read.
-    units : tuple of str
-        Names of the roadside units' folders, ascending.
-    has_vut : bool
-        Whether the VUT's own camera is recorded, too.
-    drives : tuple of Drive
-        At least one.
-    labels : mapping of str to mapping of FrameKey to list of Label
-        Per unit ("car": the VUT): VRUs in view, boxes clipped to the image.
-    detections : mapping of str to mapping of FrameKey to list of Detection
-        Per unit: VRUs found, boxes clipped to the image.
-    n_frames : int
-        Frames with WorldData.
-    skipped : mapping of str to int
-        What was left out: reason and count.
-    """
-
-    folder: Path
-    units: tuple[str, ...]
-    has_vut: bool
-    drives: tuple[Drive, ...]
+    folder: Path  # where it was read
+    units: tuple[str, ...]  # names of the roadside units' folders, ascending
+    has_vut: bool  # the VUT's own camera is recorded, too
+    drives: tuple[Drive, ...]  # at least one
+    # per unit ("car": the VUT): VRUs in view, boxes clipped to the image
     labels: Mapping[str, Mapping[FrameKey, list[Label]]]
+    # per unit: VRUs found, boxes clipped to the image
     detections: Mapping[str, Mapping[FrameKey, list[Detection]]]
-    n_frames: int
-    skipped: Mapping[str, int]
+    n_frames: int  # frames with WorldData
+    skipped: Mapping[str, int]  # what was left out: reason and count
 
     @property
     def n_missing(self) -> int:

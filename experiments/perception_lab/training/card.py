@@ -12,8 +12,7 @@ from geometry.weather import pick_weather
 from placement.compute import Compute
 from placement.detectors import Evidence, ResponseDetector, load_planning_detector
 from placement.detectors.evidence import Interval
-from placement.detectors.fitting import fit_response
-from placement.detectors.sightings import LabelledPicture, gather_sightings
+from placement.detectors.fitting import LabelledPicture, fit_response, gather_sightings
 
 from ..fit import table_text
 from .crops import CROP_PX, WEATHERS, Crops

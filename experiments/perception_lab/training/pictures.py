@@ -20,7 +20,7 @@ from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError, Unquoted
 from geometry.image_boxes import box_height_px, iou
 from placement.detectors.evidence import VRU_CLASSES
-from placement.detectors.sightings import poisson, wilson
+from placement.detectors.fitting import poisson, wilson
 from placement.question import Question
 from placement.setting import Setting, build_setting
 

@@ -32,7 +32,7 @@ from .trajectories import Trajectories, build_trajectories
 ENDINGS = (".xml", ".xml.gz", ".csv", ".csv.gz", ".parquet")
 MAX_STEP_S = 1.0
 """Samples farther apart than this are not joined."""
-_MAX_BYTES = 4_000_000_000  # read piece by piece: only what is near the junction is kept
+_MAX_BYTES = 4_000_000_000  # read piece by piece: only rows near the junction are stored
 _MAX_NEAR_ROWS = 20_000_000
 _COLUMNS = ("timestep_time", "vehicle_id", "vehicle_x", "vehicle_y", "vehicle_angle")
 _TYPE = "vehicle_type"
@@ -80,7 +80,7 @@ def load_fcd(
         are more than 1 s apart; no vehicle comes near the junction.
     """
     if not path.name.lower().endswith(ENDINGS):
-        raise InputError("--traffic", str(path), "sumo, a .toml file of demand, or FCD of SUMO's: "
+        raise InputError("traffic", str(path), "sumo, a .toml file of demand, or FCD of SUMO's: "
                          + ", ".join(ENDINGS))  # fmt: skip
     placing = _placing(path, scene, offset_m)
     middle: FloatArray = scene.outline_m.mean(axis=0)
@@ -117,7 +117,7 @@ def load_fcd(
         got = Unquoted(
             f"no vehicle within {reach_m:g} m of the junction, the nearest {nearest_m:.0f} m away"
         )
-        raise InputError(str(path), got, "traffic of this place, or --traffic-offset EAST,NORTH")
+        raise InputError(str(path), got, "traffic of this place, or `traffic_offset` EAST,NORTH")
     step_s = _step_s(np.array(sorted(times)), path)
     samples = np.array(kept)
     bodies, is_vehicle = _bodies(types, demand, path)

@@ -16,12 +16,11 @@ from scenarios.runs import Run
 
 from .demand import Demand, load_demand
 from .fcd import ENDINGS, load_fcd
-from .network import RoadNetwork, build_network, missing_sumo
-from .simulate import simulate_windows
-from .trajectories import Trajectories
-from .windows import (
+from .sumo import RoadNetwork, build_network, missing_sumo, simulate_windows
+from .trajectories import (
     REACH_M,
     TrafficCount,
+    Trajectories,
     cut_window,
     frames_in_parked,
     last_frames,
@@ -34,27 +33,13 @@ _SAME_TIME_S = 1.0e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MovingTraffic:
-    """Where vehicles that drive by come from; either a network or trajectories.
+    """Where vehicles that drive by come from; either a network or trajectories."""
 
-    Attributes
-    ----------
-    name : str
-        What it is called in reports.
-    middle_m : (2,) float
-        Middle of the junction. World frame. [m]
-    demand : Demand
-        What SUMO drives.
-    network : RoadNetwork, optional
-        On which SUMO drives it, anew in each world.
-    trajectories : Trajectories, optional
-        A file's, of which each world cuts other windows.
-    """
-
-    name: str
-    middle_m: FloatArray
-    demand: Demand
-    network: RoadNetwork | None = None
-    trajectories: Trajectories | None = None
+    name: str  # in reports
+    middle_m: FloatArray  # (2,): middle of the junction. World frame. [m]
+    demand: Demand  # what SUMO drives
+    network: RoadNetwork | None = None  # on which SUMO drives it, anew in each world
+    trajectories: Trajectories | None = None  # a file's, of which each world cuts other windows
 
     def __repr__(self) -> str:
         return f"MovingTraffic({self.name!r})"
@@ -118,7 +103,7 @@ class MovingTraffic:
                     in_parked[parked] = frames_in_parked(window, run.obstruction)
                 key_of_run = (id(run.encounter), len(run.time_s), *parked)
                 if key_of_run not in left:
-                    left[key_of_run] = _beside(run, window, in_parked[parked], clearance_m)
+                    left[key_of_run] = _driving_by(run, window, in_parked[parked], clearance_m)
                 bodies, n_left_out = left[key_of_run]
                 driven[index] = replace(run, traffic=bodies)
                 count += TrafficCount(1, len(bodies) + n_left_out, n_left_out)
@@ -146,7 +131,7 @@ class MovingTraffic:
         n_choices = int((last_s - first_s - longest_s) / frame_s + _SAME_TIME_S) + 1
         if n_choices < 1:
             raise InputError(
-                "--traffic",
+                "traffic",
                 Unquoted(f"{last_s - first_s:g} s of traffic"),
                 f"at least as much as the longest run takes, {longest_s:g} s",
             )
@@ -158,7 +143,7 @@ class MovingTraffic:
         return self.trajectories, impact_s, TrafficCount()
 
 
-def _beside(
+def _driving_by(
     run: Run,
     window: Sequence[MovingActor],
     in_parked: Sequence[BoolArray],
@@ -172,16 +157,16 @@ def _beside(
         if (body := last_frames(whole, n_frames)) is not None
     ]
     meets = meets_road_users(run, [body for body, _ in near], clearance_m=clearance_m)
-    kept = tuple(
+    bodies = tuple(
         body
         for (body, is_in_parked), is_met in zip(near, meets, strict=True)
         if not (is_in_parked or is_met)
     )
-    return kept, len(near) - len(kept)
+    return bodies, len(near) - len(bodies)
 
 
 def load_traffic(source: str, scene: Scene, *, offset: str = "") -> MovingTraffic:
-    """Vehicles that drive by, as ``--traffic`` and ``--traffic-offset`` name them.
+    """Vehicles that drive by, as a question names them.
 
     Parameters
     ----------
@@ -204,11 +189,11 @@ def load_traffic(source: str, scene: Scene, *, offset: str = "") -> MovingTraffi
     is_demand = source == SUMO or path.suffix.lower() == ".toml"
     if not is_demand and not path.name.lower().endswith(ENDINGS):
         known = f"{SUMO}, a .toml file of demand, or a file of FCD: " + ", ".join(ENDINGS)
-        raise InputError("--traffic", source, known)
+        raise InputError("traffic", source, known)
     if is_demand:
         if offset:
             raise InputError(
-                "--traffic-offset", offset, "nothing: SUMO drives on the scene's own lanes"
+                "traffic_offset", offset, "nothing: SUMO drives on the scene's own lanes"
             )
         demand = load_demand(None if source == SUMO else path)
         if importlib.util.find_spec("libsumo") is None:
@@ -232,5 +217,5 @@ def _read_offset(text: str) -> FloatArray | None:
     except ValueError:
         offset = np.empty(0)
     if offset.shape != (2,) or not np.isfinite(offset).all():
-        raise InputError("--traffic-offset", text, "EAST,NORTH in metres, such as -120.5,33")
+        raise InputError("traffic_offset", text, "EAST,NORTH in metres, such as -120.5,33")
     return offset
