@@ -60,12 +60,12 @@ _BYTES_PER_POINT = 16
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DatasetWish:
-    """What a dataset shall hold beside the labels of all frames."""
+    """Contents of a dataset besides the labels of all frames."""
 
     format: str = FORMATS[0]  # "carlancap": the study's folders; "coco": pictures and ``coco.json``
     units: str = ""  # ids with commas between, "VUT" among them; empty: all, and the VUT
     every: int = 1  # pictures of every so many frames of a run; labels and motion are of all
-    lidar: str = "carla-ncap-lidar"  # model of a LiDAR beside each camera, or "none"
+    lidar: str = "carla-ncap-lidar"  # model of a LiDAR next to each camera, or "none"
     # masks, depth: pictures of instances and of depths are written, too
     masks: bool = False
     depth: bool = False
@@ -118,7 +118,7 @@ class DatasetRecord(Record, frozen=True):
     scene: str  # name of the junction
     detector: str  # whose detections are in ``Eval``
     every: int  # pictures are of every so many frames of a run
-    lidar: str  # model of the LiDAR beside each camera; "none" for none
+    lidar: str  # model of the LiDAR next to each camera; "none" for none
     # masks, depth: there are pictures of instances and of depths
     masks: bool
     depth: bool
@@ -131,7 +131,7 @@ class DatasetRecord(Record, frozen=True):
 
 
 class DatasetSummary(Record, frozen=True):
-    """What a call has done."""
+    """Summary of a call."""
 
     folder: str  # where the dataset is
     # pictures, drawn: in it, and of these drawn by this call
@@ -164,32 +164,12 @@ def run_dataset(
     progress: StageProgress,
     tell: Callable[[str], None],
 ) -> DatasetSummary:
-    """Write a dataset, or go on with one.
+    """Write a dataset into a folder, or go on with one that is there.
 
-    Parameters
-    ----------
-    question : Question
-        What is driven, and the detector whose detections are written.
-    layout : Layout
-        Whose cameras look.
-    wish : DatasetWish
-        What is written.
-    out : Path
-        Folder: new, empty, or of the same dataset.
-    compute : Compute
-        Seed, and number of processes.
-    progress : StageProgress
-        Is told the stages.
-    tell : callable
-        Is told, before anything is drawn, how much it will be.
-
-    Raises
-    ------
-    InputError
-        The layout has no such units, or LiDARs among them; the folder holds something else; the
-        scheduler does not answer.
-    OSError
-        The disk is full: what is drawn stays.
+    The folder is new, empty, or of the same dataset; `tell` gets a sentence on how much will be
+    drawn. Raises InputError if the layout has no such units, or LiDARs among them, the folder holds
+    something else, or the scheduler does not answer; OSError if the disk is full: what is drawn
+    stays.
     """
     lidar = None if wish.lidar == NO_LIDAR else pick_sensor(wish.lidar, "--lidar", kind="lidar")
     assert lidar is None or isinstance(lidar, LidarModel)
@@ -307,7 +287,7 @@ def _rows(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:
 
 
 def _is_begun(out: Path, record: DatasetRecord) -> bool:
-    """Whether a folder holds this dataset, or a part of it; InputError if it holds another one."""
+    """True if a folder holds this dataset or a part of it; InputError if it holds another one."""
     if not (out / MANIFEST).exists():
         return False
     found = load_manifest(out / MANIFEST)
@@ -468,7 +448,7 @@ def _coco(
 
 
 def _add_vehicles(out: Path) -> None:
-    """Label vehicles in ``coco.json``, once, as the text files beside the pictures have them."""
+    """Label vehicles in ``coco.json``, once, as the text files next to the pictures have them."""
     form, path = load_format(), out / _COCO_FILE
     coco = json.loads(read_text(path, "JSON"))
     number = len(_COCO_CLASSES) + 1
@@ -501,7 +481,7 @@ def _tasks(
     record: DatasetRecord,
     lidar: LidarModel | None,
 ) -> Iterator[DrawTask]:
-    """What is still to be drawn, in parts for workers."""
+    """Everything that is still to be drawn, in parts for workers."""
     for viewer in viewers:
         there = {entry.name for entry in os.scandir(out / viewer.folder)}
         groups: dict[tuple[object, ...], list[tuple[int, int, str]]] = {}

@@ -270,27 +270,12 @@ _FILE, _NETWORK_FILE, _TABLE_FILE = "detectors.toml", "vru.onnx", "vru.toml"
 
 
 def load_detector(name: str = "geometric", *, where: str = "detector") -> Detector:
-    """Detector by name or file.
+    """Detector by name or file; `where` names it in messages.
 
-    Parameters
-    ----------
-    name : str
-        "geometric", "response", "cnn-table", "cnn", a ``.toml`` file with a table
-        ``[response]`` as in ``data/detectors.toml``, or an ``.onnx`` file.
-    where : str
-        What named it, for error messages.
-
-    Returns
-    -------
-    detector : Detector
-        Ready.
-
-    Raises
-    ------
-    InputError
-        The name is unknown, or the file cannot be used.
-    MissingExtraError
-        "cnn" or an ONNX file without onnxruntime.
+    Names are "geometric", "response", "cnn-table" and "cnn"; files are ``.toml`` with a table
+    ``[response]`` as in ``data/detectors.toml``, or ``.onnx``. Raises InputError if the name is
+    unknown or the file cannot be used, MissingExtraError for "cnn" or an ONNX file without
+    onnxruntime.
     """
     if name == "cnn":
         return _load_shipped_network()

@@ -153,11 +153,11 @@ class Detector(Protocol):
 
     @property
     def needs_shares(self) -> bool:
-        """Whether visible share, cut-off share and aspect matter; otherwise they may be unknown."""
+        """True if visible share, cut-off share and aspect matter; else they may be unknown."""
 
     @property
     def needs_pictures(self) -> bool:
-        """Whether it looks at images."""
+        """True if it looks at images."""
 
     def detect(self, evidence: Evidence, rng: np.random.Generator) -> Detections:
         """Find VRUs; what is left to chance is drawn from `rng`."""

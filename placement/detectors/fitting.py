@@ -98,7 +98,7 @@ class LabelledPicture:
     # (n, m): which box is of a class that counts for which label; by default all are
     finds: BoolArray | None = None
     # (k, 4): the boxes that are false alarms where they overlap no label; by default all. A box
-    # around a person and a bicycle, say, is none beside these two.
+    # around a person and a bicycle, say, is none next to these two.
     alone_px: FloatArray | None = None
     # all of the picture was looked at: otherwise its false alarms are not counted
     is_whole: bool = True
@@ -128,24 +128,11 @@ class _Open:
 def gather_sightings(
     pictures: Iterable[LabelledPicture], *, n_confirmations: int, frame_rate_hz: float
 ) -> tuple[Sightings, FalseAlarms]:
-    """Match boxes with labels, picture by picture.
+    """Match boxes with labels, picture by picture; those of a track in the order of their frames.
 
-    Parameters
-    ----------
-    pictures : iterable of LabelledPicture
-        Those of a track in the order of their frames.
-    n_confirmations : int
-        Frames in a row that confirm a track.
-    frame_rate_hz : float
-        Of consecutive pictures. [Hz]
-
-    Returns
-    -------
-    sightings : Sightings
-        A row for each label.
-    alarms : FalseAlarms
-        A false track lasts while its boxes of consecutive frames overlap by an IoU of more than
-        0.3, and is counted once.
+    Gives a row for each label. As many frames in a row as `n_confirmations` confirm a track. A
+    false track lasts while its boxes of consecutive frames overlap by an IoU of more than 0.3, and
+    is counted once.
     """
     rows: list[FloatArray] = []
     n_pictures = n_alarms = n_chances = n_confirmed = 0
@@ -329,31 +316,12 @@ def fit_response(
     draws: int = _DRAWS,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> ResponseFit:
-    """Fit a response table to what was found.
+    """Fit a response table to what was found in at least 50 frames, five found and five missed.
 
-    Parameters
-    ----------
-    sightings : Sightings
-        At least 50 frames, at least five found and five missed.
-    name : str
-        Of the new table.
-    seed : int
-        Of the bootstrap.
-    draws : int
-        How many sets of figures are drawn for the intervals.
-    progress : callable
-        Called with the number of fits done, and of all.
-
-    Returns
-    -------
-    fit : ResponseFit
-        What no frame tells about, such as a class that never appears, is as in the built-in table,
-        which weighs as much as two frames.
-
-    Raises
-    ------
-    InputError
-        There are too few frames.
+    `draws` sets of figures are drawn for the intervals, by `seed`; `progress` gets the number of
+    fits done, and of all. What no frame says, such as of a class that never appears, is as in the
+    built-in table, which weighs as much as two frames. Raises InputError if there are too few
+    frames.
     """
     n_found = int(sightings.is_found.sum())
     least = min(n_found, len(sightings) - n_found)

@@ -368,7 +368,7 @@ class OnnxModel:
         fitted = _fit(image, self._session, self._export.stride_px)
         outputs = self._session.run(fitted.pixels, is_imagenet=self._export.is_imagenet)
         boxes, class_ids, confidence = self._export.read(outputs)
-        # NaN is kept, and reported below.
+        # NaN stays, and is reported below.
         is_sure = ~(confidence < onnx_setting("min_confidence"))
         boxes = boxes[is_sure].astype(np.float64)
         class_ids = class_ids[is_sure].astype(np.int64)
@@ -383,8 +383,8 @@ class OnnxModel:
         order = np.argsort(-confidence, kind="stable")
         order = order[(boxes[order, :2] < boxes[order, 2:]).all(axis=1)]  # some lie in the padding
         if not self._export.is_suppressed:
-            kept = suppress(boxes[order], class_ids[order], max_iou=onnx_setting("max_iou"))
-            order = order[kept]
+            left = suppress(boxes[order], class_ids[order], max_iou=onnx_setting("max_iou"))
+            order = order[left]
         return ImageBoxes(
             boxes_px=boxes[order],
             class_ids=class_ids[order],
@@ -515,7 +515,7 @@ def _open(path: Path, threads: int) -> _Session:
 
 
 def _may_be(side: object, expected: int) -> bool:
-    """Whether a declared size is the expected one, or free."""
+    """True if a declared size is the expected one, or free."""
     return not isinstance(side, int) or side in (expected, -1)
 
 
@@ -578,11 +578,11 @@ class NetworkDetector:
         class_ids = np.concatenate([found.class_ids for found, _ in parts])
         confidence = np.concatenate([found.confidence for found, _ in parts])
         order = np.argsort(-confidence, kind="stable")
-        kept = order[suppress(boxes[order], class_ids[order], max_iou=onnx_setting("max_iou"))]
+        left = order[suppress(boxes[order], class_ids[order], max_iou=onnx_setting("max_iou"))]
         return ImageBoxes(
-            boxes_px=boxes[kept],
-            class_ids=class_ids[kept],
-            confidence=confidence[kept],
+            boxes_px=boxes[left],
+            class_ids=class_ids[left],
+            confidence=confidence[left],
             kinds=parts[0][0].kinds,
         )
 

@@ -140,7 +140,7 @@ def _fingerprint(setting: Setting, seed: int) -> str:
 class _Watcher:
     """Looks from every unit, then lets the detector find the VRU in what is seen.
 
-    What looks is loaded then: not where all is known from an earlier call.
+    Renderers are loaded then: not where all is known from an earlier call.
     """
 
     def __init__(self, setting: Setting, compute: Compute) -> None:
@@ -216,7 +216,7 @@ class _Watcher:
     def _with_pictures(
         self, evidence: Evidence, source: "PictureSource", unit: CandidatePose | None
     ) -> Evidence:
-        """What is shown to the detector: whole pictures, or crops around the road user."""
+        """Evidence with pictures for the detector: whole ones, or crops around the road user."""
         if unit is None:
             crops = source.crops(self._mount, evidence.amodal_px)
             return replace(evidence, picture=source.from_vut(self._mount), crops=crops)
@@ -309,7 +309,7 @@ class Judge:
         ]
 
     def _touches(self, onset_s: FloatArray) -> BoolArray:
-        """Whether the bodies touch if braking begins then, (n, n_runs) for the same of onsets."""
+        """True where the bodies touch if braking begins at these onsets, (n, n_runs)."""
         touches = np.empty(onset_s.shape, dtype=bool)
         for index, run in enumerate(self._runs):
             asked, known = onset_s[:, index].tolist(), self._has_contact[id(run.encounter)]
@@ -323,7 +323,7 @@ class Judge:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Seen:
-    """What each party of a layout detects; `vam`: what road users tell of themselves, if any do."""
+    """Detections of each party of a layout; `vam`: messages of road users, if any send them."""
 
     layout: Layout
     units: Mapping[str, Party]
@@ -369,8 +369,8 @@ class VamRule:
     # min_interval_s, max_interval_s: not sooner after the last message, and not later. [s]
     min_interval_s: float
     max_interval_s: float
-    # position_change_m, speed_change_mps, heading_change_deg: what makes a message due. [m], [m/s],
-    # [deg]
+    # position_change_m, speed_change_mps, heading_change_deg: changes that make a message due.
+    # [m], [m/s], [deg]
     position_change_m: float
     speed_change_mps: float
     heading_change_deg: float
@@ -416,13 +416,13 @@ def known_frames(runs: Sequence[Run], links: Links, rng: np.random.Generator) ->
     counts until the next one must come. The device is taken to know its own position exactly.
     """
     rule = load_vam_rule()
-    luck: dict[int, tuple[float, FloatArray]] = {}
+    random: dict[int, tuple[float, FloatArray]] = {}
     known = []
     for run in runs:
         key = id(run.encounter)
-        if key not in luck:  # one and the same in all weathers
-            luck[key] = (float(rng.random()), rng.random(len(run.time_s)))
-        equipment, reception = luck[key]
+        if key not in random:  # one and the same in all weathers
+            random[key] = (float(rng.random()), rng.random(len(run.time_s)))
+        equipment, reception = random[key]
         is_received = reception >= links.packet_loss
         received_s = np.where(sent_frames(run, rule) & is_received, run.time_s, -np.inf)
         age_s = run.time_s - np.maximum.accumulate(received_s)
@@ -456,8 +456,8 @@ def evaluate_layouts(
     setting : Setting
         Scene, runs, braking rule, detector, radio.
     compute : Compute
-        What is left to chance are misses, lost messages, who carries a device. A unit's luck
-        depends on its pose, not on the layout that it is part of. For the progress see
+        Misses, lost messages and who carries a device are random. The random numbers of a unit
+        depend on its pose, not on the layout that it is part of. For the progress see
         :func:`watch`.
 
     Returns
@@ -505,11 +505,11 @@ def _check(setting: Setting) -> None:
 def _arriving(
     layout: Layout, setting: Setting, detected: Mapping[UnitKey, BoolArray], seed: int
 ) -> dict[str, Party]:
-    """What the VUT hears of each unit, by its id."""
+    """Messages of each unit that reach the VUT, by its id."""
     draws, frame_draw = np.unique(draw_index(setting.runs), return_inverse=True)
     units = {}
     for unit in layout.units:
-        luck = build_rng(seed, unit_key(unit), "cpm").random(len(draws))
-        arrives = (luck >= setting.links.packet_loss)[frame_draw]
+        random = build_rng(seed, unit_key(unit), "cpm").random(len(draws))
+        arrives = (random >= setting.links.packet_loss)[frame_draw]
         units[unit.id] = (detected[unit_key(unit)] & arrives, unit.latency(setting.rule))
     return units

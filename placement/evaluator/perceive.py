@@ -286,7 +286,7 @@ def _scan(
 ) -> BoolArray:
     pose, first = station.pose, station.first
     detected = np.zeros(len(station.order), dtype=bool)
-    luck: dict[int, FloatArray] = {}  # one for all weathers: what differs is the weather's
+    random: dict[int, FloatArray] = {}  # one for all weathers: what differs is the weather's
     beams = beam_directions(lidar).reshape(-1, 3)
     poses = np.concatenate([station.static_poses, station.vru_poses], axis=1)
     sight_of_frame = np.empty(len(station.order), dtype=np.int64)
@@ -312,9 +312,9 @@ def _scan(
                     echoes = _before(echoes, pose, lidar, vehicle, at)
             weather = surroundings.weathers[surroundings.weather_index[frame]]
             vru_class = VRU_CLASSES[surroundings.vru_class[frame]]
-            if draw not in luck:
-                luck[draw] = rng.random(len(echoes.distance_m))
-            detected[frame] = _is_enough(echoes, lidar, weather, vru_class, luck[draw])
+            if draw not in random:
+                random[draw] = rng.random(len(echoes.distance_m))
+            detected[frame] = _is_enough(echoes, lidar, weather, vru_class, random[draw])
     return detected
 
 
@@ -380,7 +380,7 @@ def _beams_around(
     half_width = np.where(has_pole, np.pi, np.arcsin(np.minimum(ratio, 1.0)))
     middle = np.degrees(np.stack([azimuth, elevation], axis=1))
     half = np.degrees(np.stack([half_width, half_angle_rad], axis=1))
-    # What ends at an edge may come in again at the other one, if it is wide enough.
+    # A cone that ends at an edge may come in again at the other one, if it is wide enough.
     turns_deg = (0.0,) if lidar.scans_all_round else (-360.0, 0.0, 360.0)
     windows = [
         beam_window(lidar, middle - half + [turn_deg, 0.0], middle + half + [turn_deg, 0.0])
@@ -429,9 +429,9 @@ def _before(
 
 
 def _is_enough(
-    echoes: _Echoes, lidar: LidarModel, weather: Weather, vru_class: str, luck: FloatArray
+    echoes: _Echoes, lidar: LidarModel, weather: Weather, vru_class: str, random: FloatArray
 ) -> bool:
-    """Whether enough pulses come back from the VRU."""
+    """True if enough pulses come back from the VRU."""
     detection = load_lidar_detection()
     probability = return_probability(
         lidar,
@@ -440,5 +440,5 @@ def _is_enough(
         incidence_cos=echoes.incidence_cos,
         extinction_per_m=weather.lidar_extinction_per_m(lidar.wavelength_nm),
     )
-    n_points = int((luck < probability).sum())
+    n_points = int((random < probability).sum())
     return n_points >= detection.min_points[vru_class]

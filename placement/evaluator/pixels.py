@@ -105,7 +105,7 @@ class Sights(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What is found; boxes in pixels, zeros where there is none."""
+    """Boxes in pixels, zeros where there is none, and shares."""
 
     amodal_px: FloatArray  # (n, 4): of each sight
     inside_share: FloatArray  # (n,): of the VRU's box, what the image's edges do not cut off
@@ -341,7 +341,7 @@ def find_box(image: Image, points: FloatArray, skin: Skin, window: Window) -> Wi
     middle_x, middle_y = 0.5 * image.width_px - 0.5, 0.5 * image.height_px - 0.5
     per_px = 1.0 / image.focal_px
     x_low, y_low, x_high, y_high = image.width_px, image.height_px, 0, 0
-    # What lies within these bounds lies in the box already.
+    # Vertices within these bounds lie in the box already.
     left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
     for vertex in range(len(points)):  # vertices of the skin, then the triangles at each
         if is_ahead:
@@ -501,7 +501,7 @@ def _set_beam(
 def _is_outside(
     planes: FloatArray, low_m: float, high_m: float, low: FloatArray, high: FloatArray, node: int
 ) -> bool:
-    """Whether a node's box lies outside of one of the planes, or of the heights of a beam."""
+    """True if a node's box lies outside of one of the planes, or of the heights of a beam."""
     if high[node, 2] <= low_m or low[node, 2] >= high_m:
         return True
     for plane in range(_N_PLANES):
@@ -584,10 +584,10 @@ def hide(
 
 
 @kernel
-def _is_beside(
+def _is_off_beam(
     image: Image, box: Window, farthest_m: float, shift: FloatArray, reach_m: float
 ) -> bool:
-    """Whether a body lies outside of the beam through a box: all of it is near its origin."""
+    """True if a body, all of it near its origin, lies outside of the beam through a box."""
     x, y, z = shift[0], shift[1], shift[2]
     if z - reach_m > farthest_m or z + reach_m < 0.0:
         return True
@@ -603,6 +603,51 @@ def _is_beside(
 
 
 # ---------- many sights
+
+
+@kernel
+def _see_past_vehicles(
+    image: Image,
+    body: tuple[FloatArray, IntArray],
+    vehicles: Vehicles,
+    sights: Sights,
+    seen: Seen,
+    sight: int,
+    box: Window,
+    depths: tuple[float, float, float],
+    n_pixels: int,
+    depth_m: FloatArray,
+    left_m: FloatArray,
+) -> None:
+    """Fill `seen` in the frames of a sight, which differ by the vehicles that move.
+
+    `body` has the VRU's vertices (camera frame) and triangles; `depths` are the farthest depth of
+    the VRU, and the heights between which all is that may hide it. Where `n_pixels` is 0,
+    `depth_m` is not yet drawn; `left_m` is room for as many pixels.
+    """
+    farthest_m, lowest_m, highest_m = depths
+    for frame in range(sights.frame_start[sight], sights.frame_start[sight + 1]):
+        is_hidden = False
+        for row in range(sights.vehicle_start[frame], sights.vehicle_start[frame + 1]):
+            kind = sights.vehicle_kind[row]
+            root = vehicles.roots[kind]
+            at, there = sights.vehicles.turn[row], sights.vehicles.shift[row]
+            base_m = sights.vehicles.up_m[row]
+            low_m, high_m = lowest_m - base_m + _TOUCH_M, highest_m - base_m
+            if _is_off_beam(image, box, farthest_m, there, vehicles.reach_m[kind]):
+                continue
+            look = (image, vehicles.tree, root, at, there, box, farthest_m, low_m, high_m)
+            if not hide(*look, depth_m[:0]):
+                continue
+            if n_pixels == 0:
+                n_pixels = _draw_all(image, body[0], body[1], box, depth_m)
+            for pixel in range(0 if is_hidden else len(depth_m)):
+                left_m[pixel] = depth_m[pixel]
+            is_hidden = True
+            hide(*look, left_m)
+        if is_hidden:
+            n_seen = _measure(left_m, box, seen.frame_visible_px, frame)
+            seen.frame_visible_share[frame] = n_seen / n_pixels
 
 
 @kernel
@@ -623,7 +668,7 @@ def see(
     what is `parked` in it, and `vehicles`. Where the VRU's part of the image is not
     `min_height_px` high, boxes are zeros.
     """
-    vertices_m, triangles, trees = skin.vertices_m, skin.triangles, vehicles.tree
+    vertices_m, triangles = skin.vertices_m, skin.triangles
     hull, points = np.empty((len(hull_m), 3)), np.empty((len(vertices_m), 3))
     nothing = np.empty(0)
     depth_m, left_m = nothing, nothing  # in the pixels of the box; infinite where it is not seen
@@ -665,36 +710,15 @@ def see(
             hide(image, tree, 0, at, there, box, farthest_m, low_m, high_m, depth_m[:area])
             n_left = _measure(depth_m, box, seen.visible_px, sight)
             seen.visible_share[sight] = n_left / n_pixels
-        # Frames of the sight, which differ by the vehicles that move.
         for frame in range(sights.frame_start[sight], sights.frame_start[sight + 1]):
             for side in range(4):
                 seen.frame_visible_px[frame, side] = seen.visible_px[sight, side]
             seen.frame_visible_share[frame] = seen.visible_share[sight]
-            if n_left == 0:
-                continue
-            is_hidden = False
-            for row in range(sights.vehicle_start[frame], sights.vehicle_start[frame + 1]):
-                kind = sights.vehicle_kind[row]
-                root = vehicles.roots[kind]
-                at, there = sights.vehicles.turn[row], sights.vehicles.shift[row]
-                base_m = sights.vehicles.up_m[row]
-                low_m, high_m = lowest_m - base_m + _TOUCH_M, highest_m - base_m
-                if _is_beside(image, box, farthest_m, there, vehicles.reach_m[kind]):
-                    continue
-                if not hide(image, trees, root, at, there, box, farthest_m, low_m, high_m, nothing):
-                    continue
-                if n_pixels == 0:
-                    n_pixels = _draw_all(image, points, triangles, box, depth_m[:area])
-                for pixel in range(0 if is_hidden else area):
-                    left_m[pixel] = depth_m[pixel]
-                is_hidden = True
-                hide(
-                    *(image, trees, root, at, there),
-                    *(box, farthest_m, low_m, high_m, left_m[:area]),
-                )
-            if is_hidden:
-                n_seen = _measure(left_m, box, seen.frame_visible_px, frame)
-                seen.frame_visible_share[frame] = n_seen / n_pixels
+        if n_left != 0:
+            _see_past_vehicles(
+                *(image, (points, triangles), vehicles, sights, seen, sight, box),
+                *((farthest_m, lowest_m, highest_m), n_pixels, depth_m[:area], left_m[:area]),
+            )
 
 
 # ---------- trees of boxes around triangles

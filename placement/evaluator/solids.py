@@ -41,7 +41,7 @@ class Mesh:
 
     @cached_property
     def skin(self) -> "Skin":
-        """The same for drawing."""
+        """Its triangles, shuffled for drawing."""
         from .pixels import Skin  # loads the compiler
 
         rng, n_vertices = np.random.default_rng(0), len(self.vertices_m)

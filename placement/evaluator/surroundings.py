@@ -156,7 +156,7 @@ def build_surroundings(
 def _lay_traffic(
     runs: Sequence[Run], vehicles: list[Actor], terrain: Terrain | None
 ) -> tuple[IntArray, FloatArray]:
-    """What drives by in each frame, (n_frames, n), and its road poses, (n_frames, n, 4)."""
+    """Vehicles that drive by in each frame, (n_frames, n); their road poses, (n_frames, n, 4)."""
     n_most = max(len(run.traffic) for run in runs)
     indices, poses = [], []
     for run in runs:
@@ -242,7 +242,7 @@ def vut_pitch_deg(
 def level_carriers(surroundings: Surroundings, mount: Pose) -> FloatArray:
     """Road poses (n, 4) of carriers that are level, on which the VUT's mount is where it is.
 
-    What tilts with the VUT is then the sensor's direction alone.
+    Then the sensor's direction alone tilts with the VUT.
     """
     tilted = body_rotation(0.0, surroundings.vut_pitch_deg) @ mount.position_m - mount.position_m
     carriers = surroundings.vut_poses.copy()

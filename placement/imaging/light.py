@@ -376,7 +376,7 @@ def _add_lamps(
         strength = lamp.intensity_cd(away)
         strength /= square
         strength *= square < np.float32(lamp.reach_m**2)
-        # What the ground below would get comes back from it.
+        # Light on the ground below comes back from it.
         glow = np.minimum(away[2], 0.0)
         glow *= strength
         glow *= below

@@ -103,7 +103,7 @@ def build_frame_mesh(
 
 
 def build_moving_meshes(run: Run, frame_index: int, *, with_vut: bool) -> tuple[Mesh, ...]:
-    """What moves in a frame, each thing in a mesh of its own; see :func:`build_frame_mesh`."""
+    """Moving things of a frame, each in a mesh of its own; see :func:`build_frame_mesh`."""
     bodies = [
         _body_mesh(
             f"driving-{number}",
@@ -137,7 +137,7 @@ def place_mesh(mesh: Mesh, origin_m: FloatArray) -> FrameMesh:
 
 
 def move_origin(mesh: FrameMesh, origin_m: FloatArray) -> FrameMesh:
-    """The same triangles, ready for rays already, in a frame with another origin (3,)."""
+    """Triangles that are ready for rays already, in a frame with another origin (3,)."""
     shift = (origin_m - mesh.origin_m).astype(np.float32)
     return replace(
         mesh,
@@ -148,7 +148,7 @@ def move_origin(mesh: FrameMesh, origin_m: FloatArray) -> FrameMesh:
 
 
 def add_moving_meshes(still: FrameMesh, moving: Sequence[Mesh]) -> FrameMesh:
-    """What stands still and what moves, for rays; only what moves is prepared anew."""
+    """Standing and moving triangles, for rays; only moving ones are prepared anew."""
     bodies = place_mesh(_join(moving), still.origin_m)
     return FrameMesh(
         origin_m=still.origin_m,

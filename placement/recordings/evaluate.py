@@ -118,7 +118,7 @@ def build_recorded_axis(recording: Recording, rule: AebRule) -> FrameAxis:
 
 
 def is_longitudinal(drive: Drive) -> bool:
-    """Whether the VUT catches up with a VRU that goes its way."""
+    """True if the VUT catches up with a VRU that goes its way."""
     return is_same_direction(
         vut_speed_mps=drive.vut_speed_mps,
         vru_speed_mps=drive.vru_speed_mps,
@@ -130,7 +130,7 @@ def is_longitudinal(drive: Drive) -> bool:
 def is_same_direction(
     *, vut_speed_mps: float, vru_speed_mps: float, closing_speed_mps: float, form: RecordingFormat
 ) -> bool:
-    """Whether the VUT catches up with a VRU that goes its way, by the law of cosines.
+    """True if the VUT catches up with a VRU that goes its way, by the law of cosines.
 
     False for a VRU that stands, or is as fast as the VUT. The format says up to which angle the
     ways count as the same.
@@ -206,7 +206,7 @@ def _detected(
 
 
 def _is_match(labels: Sequence[Label], found: Sequence[Detection]) -> bool:
-    """Whether there is a label, and each one overlaps a detection."""
+    """True if there is a label, and each one overlaps a detection."""
     if not labels or not found:
         return False
     overlap = iou(

@@ -1,6 +1,6 @@
 """A recording from its folder: its frames cut into drives, its labels and detections.
 
-What would make the result wrong is an error; what is merely left out is counted.
+Anything that would make the result wrong is an error; frames that are left out are counted.
 """
 
 import re
@@ -46,7 +46,7 @@ UNSEEN = "unseen"
 
 _FRAME_NAME = re.compile(r"(0|[1-9]\d{0,8})_(0|[1-9]\d{0,8})\.txt", re.ASCII)
 _UNIT_NAME = re.compile(r"0|[1-9]\d{0,8}", re.ASCII)
-_BESIDE = (".png", ".bin")  # images and points of the frames
+_OF_FRAMES = (".png", ".bin")  # images and points of the frames
 
 
 # ---------- drives: frames of a scenario up to the impact
@@ -120,7 +120,7 @@ def cut_drives(
 def with_class(drive: Drive, votes: Counter[str]) -> Drive:
     """The drive with the class of VRU that most of its labels have.
 
-    A rider may be labelled beside the bicycle: if both are as frequent it is a bicycle's drive.
+    A rider may be labelled as well as the bicycle: if both are as frequent it is a bicycle's drive.
     """
     if not votes:
         return drive
@@ -213,7 +213,7 @@ def closing_speed_mps(time_s: FloatArray, distance_m: FloatArray) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Recording:
-    """What a folder in the study's format holds."""
+    """Contents of a folder in the study's format."""
 
     folder: Path  # where it was read
     units: tuple[str, ...]  # names of the roadside units' folders, ascending
@@ -306,7 +306,7 @@ def _frames(folder: Path, skipped: Counter[str]) -> Iterator[tuple[FrameKey, Pat
             match = _FRAME_NAME.fullmatch(path.name)
             if match:
                 found[FrameKey(int(match[1]), int(match[2]))] = path
-            elif path.suffix not in _BESIDE:
+            elif path.suffix not in _OF_FRAMES:
                 skipped[OTHER_NAMES] += 1
     except OSError as error:
         raise InputError(
@@ -336,14 +336,14 @@ def _read_all_labels(
     for key, path in _frames(folder, skipped):
         labels, n_repeated = read_labels(path, form)
         skipped[REPEATED] += n_repeated
-        frames[key] = kept = []
+        frames[key] = inside = []
         for label in labels:
             if label.class_name not in VRU_CLASSES:
                 skipped[OTHER_LABELS] += 1
                 continue
             box = _inside(label.box_px, form, skipped)
             if box is not None:
-                kept.append(label._replace(box_px=box))
+                inside.append(label._replace(box_px=box))
     return frames
 
 

@@ -55,26 +55,11 @@ class MovingTraffic:
     ) -> tuple[tuple[Run, ...], TrafficCount]:
         """Runs with the vehicles that drive by in one world.
 
-        Parameters
-        ----------
-        runs : sequence of Run
-            With all that is parked.
-        groups : mapping of sequence of int
-            Indices of runs that see the same traffic: one window of time for each group. All end
-            at the same moment, so that runs of different speeds have their impact in the same.
-        frame_s : float
-            From frame to frame. [s]
-        clearance_m : float
-            Who comes nearer to the VUT or the VRU of a run is left out of that run. [m]
-        rng : numpy.random.Generator
-            Of the world.
-
-        Raises
-        ------
-        InputError
-            The file's traffic is shorter than a run, or SUMO cannot drive the demand.
-        MissingExtraError
-            SUMO is not installed.
+        `groups` are indices of runs that see the same traffic: one window of time for each group.
+        All end at the same moment, so that runs of different speeds have their impact in the same.
+        Who comes nearer than `clearance_m` to the VUT or the VRU of a run is left out of that run.
+        Raises InputError if the file's traffic is shorter than a run or SUMO cannot drive the
+        demand, MissingExtraError without SUMO.
         """
         members = {key: tuple(runs[index] for index in rows) for key, rows in groups.items()}
         trajectories, impact_s, count = self._windows(members, frame_s, rng)
@@ -168,21 +153,10 @@ def _driving_by(
 def load_traffic(source: str, scene: Scene, *, offset: str = "") -> MovingTraffic:
     """Vehicles that drive by, as a question names them.
 
-    Parameters
-    ----------
-    source : str
-        "sumo"; a .toml file of demand for it; or a file of floating car data as SUMO writes it.
-    scene : Scene
-        The junction.
-    offset : str
-        "EAST,NORTH": metres that are added to the file's x and y.
-
-    Raises
-    ------
-    InputError
-        Nothing of that kind, the file is not what it should be, or the offset is not two numbers.
-    MissingExtraError
-        SUMO is asked for and not installed.
+    The source is "sumo", a .toml file of demand for it, or a file of floating car data as SUMO
+    writes it; `offset`, "EAST,NORTH" in metres, is added to the file's x and y. Raises InputError
+    if it is none of these, not what it should be, or the offset is not two numbers;
+    MissingExtraError if SUMO is asked for and not installed.
     """
     path = Path(source)
     middle: FloatArray = scene.outline_m.mean(axis=0)

@@ -325,28 +325,11 @@ def simulate_windows(
 ) -> SimulatedWindows:
     """Drive traffic through a junction long enough to cut one window for each group of runs.
 
-    Parameters
-    ----------
-    network : RoadNetwork
-        Of the scene's lanes.
-    demand : Demand
-        How much drives, where to and with what.
-    groups : mapping of tuple of Run
-        Runs that share a window, at least one in each group. It is as long as the longest; the VUT
-        is that of the run in the middle of their speeds.
-    reach_m : float
-        Vehicles farther from the middle of the junction are left out. [m]
-    step_s : float
-        Of the simulation, and from frame to frame of the runs. [s]
-    rng : numpy.random.Generator
-        Of order and pauses of the windows, and SUMO's seed.
-
-    Raises
-    ------
-    InputError
-        The demand does not fit the junction, or SUMO cannot drive it.
-    MissingExtraError
-        SUMO is not installed.
+    Runs of a group, at least one, share a window as long as the longest; the VUT is that of the run
+    in the middle of their speeds. Vehicles farther than `reach_m` from the middle of the junction
+    are left out. The random numbers decide order and pauses of the windows, and SUMO's seed. Raises
+    InputError if the demand does not fit the junction or SUMO cannot drive it, MissingExtraError
+    without SUMO.
     """
     seed = int(rng.integers(_MAX_SEED))
     keys = list(groups)

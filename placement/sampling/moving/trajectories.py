@@ -75,24 +75,12 @@ def build_trajectories(
     step_s: float,
     span_s: tuple[float, float],
 ) -> Trajectories:
-    """Trajectories from what SUMO tells, sample by sample, in any order.
+    """Trajectories from SUMO's samples, in any order.
 
-    Parameters
-    ----------
-    bodies : tuple of Actor
-        By number; those without a sample are dropped.
-    vehicle : (n,) int
-        Number of the vehicle of each sample.
-    time_s : (n,) float
-        When. [s]
-    front_m : (n, 2) float
-        Middle of the front bumper, in the world frame, as SUMO's x and y. [m]
-    angle_deg : (n,) float
-        Clockwise from north, as SUMO's angle. [deg]
-    step_s : float
-        From sample to sample. [s]
-    span_s : (float, float)
-        From when to when traffic is known. [s]
+    `vehicle` (n,) is the number of each sample's vehicle, an index into `bodies`; those without a
+    sample are dropped. `front_m` (n, 2) is the middle of the front bumper, SUMO's x and y, in the
+    world frame; `angle_deg` (n,) is clockwise from north, as SUMO's. Traffic is known from
+    `span_s[0]` to `span_s[1]`, with samples `step_s` apart.
     """
     order = np.lexsort((time_s, vehicle))
     vehicle, time_s, front_m = vehicle[order], time_s[order], front_m[order]
@@ -165,18 +153,9 @@ def cut_window(
     middle_m: FloatArray,
     reach_m: float = REACH_M,
 ) -> tuple[MovingActor, ...]:
-    """Vehicles near a point at some times.
+    """Vehicles near a point (2,) at ascending times (n_frames,) on their clock.
 
-    Parameters
-    ----------
-    trajectories : Trajectories
-        Vehicles on the road.
-    time_s : (n_frames,) float
-        On their clock, ascending. [s]
-    middle_m : (2,) float
-        The point. [m]
-    reach_m : float
-        Frames in which a vehicle is farther away are cut; so is who is never near. [m]
+    Frames in which a vehicle is farther away than `reach_m` are cut; so is who is never near.
     """
     bodies = []
     for vehicle in trajectories.between(float(time_s[0]), float(time_s[-1])).tolist():
@@ -281,7 +260,7 @@ def _is_nearer(
     yaw_a_deg: FloatArray,
     yaw_b_deg: FloatArray,
 ) -> BoolArray:
-    """Whether two bodies are nearer than so much, moment by moment."""
+    """Moments at which two bodies are nearer than a limit."""
     one, other = actors
     sizes = FootprintSizes(
         length_a_m=one.length_m,
