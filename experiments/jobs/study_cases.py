@@ -9,7 +9,7 @@ import numpy as np
 from geometry.arrays import IntArray
 from geometry.catalogue import sensor_kind
 from placement.compute import Compute
-from placement.detectors.box_rule import GeometricDetector
+from placement.detectors.built_in import GeometricDetector
 from placement.evaluation import Evaluation
 from placement.evaluator import evaluate_layouts
 from placement.evaluator.evaluate import Judge, Seen, judge_layouts

@@ -32,7 +32,7 @@ from ..results.numbers import percent
 
 if TYPE_CHECKING:
     from placement.detectors.evidence import Interval
-    from placement.detectors.sightings import FalseAlarms
+    from placement.detectors.fitting import FalseAlarms
 
     from .dataset import DatasetSummary
     from .fit import FitResult
@@ -86,7 +86,7 @@ Examples:
     default="carla-ncap-lidar",
     show_default=True,
     metavar="MODEL",
-    help="Scans beside each camera; none for none.",
+    help="Scans next to each camera; none for none.",
 )
 @option("--masks", is_flag=True, help="Also a picture of each frame's things, a colour each.")
 @option("--depth", is_flag=True, help="Also depths: 16 bits, centimetres, 0 where nothing is.")
@@ -294,7 +294,7 @@ def _check_one_source(
     Raises
     ------
     click.UsageError
-        What is missing or too much.
+        A source is missing, or there is one too many.
     """
     if (labels is None) != (results is None):
         alone, other = ("--labels", "--results") if results is None else ("--results", "--labels")
@@ -327,7 +327,7 @@ def fit_text(result: "FitResult", out: Path | None) -> str:
     ]
     if result.unknown:
         lines += sentences(
-            f"Not told by them, and as in the built-in table: {', '.join(result.unknown)}."
+            f"Not known from them, and as in the built-in table: {', '.join(result.unknown)}."
         )
     lines += ["", *sentences(_alarms_words(result.false_alarms)), ""]
     for kind, groups in result.groups.items():
@@ -421,7 +421,7 @@ Examples:
 @option(
     "--out",
     type=click.Path(path_type=Path),
-    help="File to write, .png or .jpg; -instances.png and -depth.png are written beside it; of a "
+    help="File to write, .png or .jpg; -instances.png and -depth.png are written next to it; of a "
     "LiDAR .ply, or .bin with float32 x, y, z, intensity; default: in results/renders.",
 )
 @scene_option

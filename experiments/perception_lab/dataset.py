@@ -33,8 +33,8 @@ from placement.evaluator import (
     perceive_from_roadside,
     perceive_from_vut,
 )
+from placement.evaluator.evaluate import VUT_KEY, build_rng, unit_key
 from placement.evaluator.pictures import VUT_UNIT
-from placement.evaluator.watch import VUT_KEY, build_rng, unit_key
 from placement.layout import Layout
 from placement.question import Question, split_names
 from placement.recordings import FrameKey, WrittenDrive, load_format, write_folder, write_recording
@@ -60,85 +60,45 @@ _BYTES_PER_POINT = 16
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DatasetWish:
-    """What a dataset shall hold beside the labels of all frames.
+    """Contents of a dataset besides the labels of all frames."""
 
-    Attributes
-    ----------
-    format : str
-        "carlancap": the study's folders; "coco": pictures and ``coco.json``.
-    units : str
-        Ids with commas between, "VUT" among them; empty: all, and the VUT.
-    every : int
-        Pictures of every so many frames of a run; labels and motion are of all.
-    lidar : str
-        Model of a LiDAR beside each camera, or "none".
-    masks, depth : bool
-        Whether pictures of instances and of depths are written, too.
-    vehicles : bool
-        Whether vehicles get labels, too, in frames with pictures.
-    vary : bool
-        Whether clothes, paints and facades are drawn at random for each run.
-    scheduler : str
-        Address of a dask scheduler; empty: processes on this machine.
-    """
-
-    format: str = FORMATS[0]
-    units: str = ""
-    every: int = 1
-    lidar: str = "carla-ncap-lidar"
+    format: str = FORMATS[0]  # "carlancap": the study's folders; "coco": pictures and ``coco.json``
+    units: str = ""  # ids with commas between, "VUT" among them; empty: all, and the VUT
+    every: int = 1  # pictures of every so many frames of a run; labels and motion are of all
+    lidar: str = "carla-ncap-lidar"  # model of a LiDAR next to each camera, or "none"
+    # masks, depth: pictures of instances and of depths are written, too
     masks: bool = False
     depth: bool = False
-    vehicles: bool = False
-    vary: bool = False
-    scheduler: str = ""
+    vehicles: bool = False  # vehicles get labels, too, in frames with pictures
+    vary: bool = False  # clothes, paints and facades are drawn at random for each run
+    scheduler: str = ""  # address of a dask scheduler; empty: processes on this machine
 
 
 class DatasetUnit(Record, frozen=True):
-    """A unit of a dataset: its folder, and its camera's calibration as OpenCV has it.
+    """A unit of a dataset: its folder, and its camera's calibration as OpenCV has it."""
 
-    Attributes
-    ----------
-    folder : str
-        Name of its folder.
-    id : str
-        Of the unit in its layout, or "VUT".
-    width_px, height_px : int
-        Size of the pictures.
-    camera_matrix : tuple
-        K; the middle of the first pixel is (0, 0). [px]
-    world_to_camera, translation_m : tuple or None
-        R and t, x_camera = R x_world + t; None of the VUT's camera, which drives.
-    """
-
-    folder: str
-    id: str
+    folder: str  # name of its folder
+    id: str  # of the unit in its layout, or "VUT"
+    # width_px, height_px: size of the pictures
     width_px: int
     height_px: int
-    camera_matrix: tuple[tuple[float, ...], ...]
+    camera_matrix: tuple[tuple[float, ...], ...]  # K; the middle of the first pixel is (0, 0). [px]
+    # world_to_camera, translation_m: R and t, x_camera = R x_world + t; None of the VUT's camera,
+    # which drives
     world_to_camera: tuple[tuple[float, ...], ...] | None
     translation_m: tuple[float, ...] | None
 
 
 class DatasetDrive(Record, frozen=True):
-    """A run as part of a dataset: files of its frames are called SCENARIO_NUMBER.
+    """A run as part of a dataset: files of its frames are called SCENARIO_NUMBER."""
 
-    Attributes
-    ----------
-    run : str
-        Id.
-    weather : str
-        Of the run.
-    scenario, first_number, frames : int
-        Of the names of its files; numbers run on.
-    last_brake_time_s : float or None
-        Relative to the impact, which is the last frame; None: braking cannot help. [s]
-    """
-
-    run: str
-    weather: str
+    run: str  # id
+    weather: str  # of the run
+    # scenario, first_number, frames: of the names of its files; numbers run on
     scenario: int
     first_number: int
     frames: int
+    # relative to the impact, which is the last frame; None: braking cannot help. [s]
     last_brake_time_s: float | None
 
     def pictured(self, every: int) -> range:
@@ -151,74 +111,38 @@ class DatasetDrive(Record, frozen=True):
 
 
 class DatasetRecord(Record, frozen=True):
-    """``dataset.json``: what a dataset holds; a folder with another one is not added to.
+    """``dataset.json``: what a dataset holds; a folder with another one is not added to."""
 
-    Attributes
-    ----------
-    schema : str
-        Name and version of the file's format.
-    format : str
-        One of ``FORMATS``.
-    scene : str
-        Name of the junction.
-    detector : str
-        Whose detections are in ``Eval``.
-    every : int
-        Pictures are of every so many frames of a run.
-    lidar : str
-        Model of the LiDAR beside each camera; "none" for none.
-    masks, depth : bool
-        Whether there are pictures of instances and of depths.
-    vehicles : bool
-        Whether vehicles have labels, too, in frames with pictures.
-    vary : bool
-        Whether clothes, paints and facades are others in each run.
-    seed : int
-        Of noise, of what is left to chance.
-    units, drives : tuple
-        Who looks, and at what.
-    """
-
-    schema: str
-    format: str
-    scene: str
-    detector: str
-    every: int
-    lidar: str
+    schema: str  # name and version of the file's format
+    format: str  # one of ``FORMATS``
+    scene: str  # name of the junction
+    detector: str  # whose detections are in ``Eval``
+    every: int  # pictures are of every so many frames of a run
+    lidar: str  # model of the LiDAR next to each camera; "none" for none
+    # masks, depth: there are pictures of instances and of depths
     masks: bool
     depth: bool
-    vehicles: bool
-    vary: bool
-    seed: int
+    vehicles: bool  # vehicles have labels, too, in frames with pictures
+    vary: bool  # clothes, paints and facades are others in each run
+    seed: int  # of noise, of what is left to chance
+    # units, drives: who looks, and at what
     units: tuple[DatasetUnit, ...]
     drives: tuple[DatasetDrive, ...]
 
 
 class DatasetSummary(Record, frozen=True):
-    """What a call has done.
+    """Summary of a call."""
 
-    Attributes
-    ----------
-    folder : str
-        Where the dataset is.
-    pictures, drawn : int
-        In it, and of these drawn by this call.
-    frames, runs, units : int
-        Of the dataset.
-    size_bytes : int
-        Of pictures and clouds drawn by this call.
-    seconds : float
-        For drawing.
-    """
-
-    folder: str
+    folder: str  # where the dataset is
+    # pictures, drawn: in it, and of these drawn by this call
     pictures: int
     drawn: int
+    # frames, runs, units: of the dataset
     frames: int
     runs: int
     units: int
-    size_bytes: int
-    seconds: float
+    size_bytes: int  # of pictures and clouds drawn by this call
+    seconds: float  # for drawing
 
 
 def load_manifest(path: Path) -> DatasetRecord:
@@ -240,32 +164,12 @@ def run_dataset(
     progress: StageProgress,
     tell: Callable[[str], None],
 ) -> DatasetSummary:
-    """Write a dataset, or go on with one.
+    """Write a dataset into a folder, or go on with one that is there.
 
-    Parameters
-    ----------
-    question : Question
-        What is driven, and the detector whose detections are written.
-    layout : Layout
-        Whose cameras look.
-    wish : DatasetWish
-        What is written.
-    out : Path
-        Folder: new, empty, or of the same dataset.
-    compute : Compute
-        Seed, and number of processes.
-    progress : StageProgress
-        Is told the stages.
-    tell : callable
-        Is told, before anything is drawn, how much it will be.
-
-    Raises
-    ------
-    InputError
-        The layout has no such units, or LiDARs among them; the folder holds something else; the
-        scheduler does not answer.
-    OSError
-        The disk is full: what is drawn stays.
+    The folder is new, empty, or of the same dataset; `tell` gets a sentence on how much will be
+    drawn. Raises InputError if the layout has no such units, or LiDARs among them, the folder holds
+    something else, or the scheduler does not answer; OSError if the disk is full: what is drawn
+    stays.
     """
     lidar = None if wish.lidar == NO_LIDAR else pick_sensor(wish.lidar, "--lidar", kind="lidar")
     assert lidar is None or isinstance(lidar, LidarModel)
@@ -383,7 +287,7 @@ def _rows(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:
 
 
 def _is_begun(out: Path, record: DatasetRecord) -> bool:
-    """Whether a folder holds this dataset, or a part of it; InputError if it holds another one."""
+    """True if a folder holds this dataset or a part of it; InputError if it holds another one."""
     if not (out / MANIFEST).exists():
         return False
     found = load_manifest(out / MANIFEST)
@@ -544,7 +448,7 @@ def _coco(
 
 
 def _add_vehicles(out: Path) -> None:
-    """Label vehicles in ``coco.json``, once, as the text files beside the pictures have them."""
+    """Label vehicles in ``coco.json``, once, as the text files next to the pictures have them."""
     form, path = load_format(), out / _COCO_FILE
     coco = json.loads(read_text(path, "JSON"))
     number = len(_COCO_CLASSES) + 1
@@ -577,7 +481,7 @@ def _tasks(
     record: DatasetRecord,
     lidar: LidarModel | None,
 ) -> Iterator[DrawTask]:
-    """What is still to be drawn, in parts for workers."""
+    """Everything that is still to be drawn, in parts for workers."""
     for viewer in viewers:
         there = {entry.name for entry in os.scandir(out / viewer.folder)}
         groups: dict[tuple[object, ...], list[tuple[int, int, str]]] = {}

@@ -26,8 +26,8 @@ from geometry.sensors import CameraModel
 from geometry.weather import pick_weather
 from placement.compute import Compute
 from placement.evaluator import load_vut_camera
+from placement.evaluator.evaluate import UnitKey, build_rng
 from placement.evaluator.pictures import vut_camera_pose
-from placement.evaluator.watch import UnitKey, build_rng
 from placement.imaging import Picture, PointCloud, build_backdrop, draw_picture
 from placement.imaging.materials import Materials, load_materials, vary_materials
 from placement.imaging.mesh import build_frame_mesh, scan_mesh
@@ -41,7 +41,7 @@ DRAW = "draw"
 """The stage in which pictures are drawn."""
 
 MASKS, DEPTHS = "instances", "depth"
-"""Folders of the pictures beside those in colour."""
+"""Folders of the pictures other than those in colour."""
 
 _VEHICLE = "car"  # the study's actor type
 _MOVING = re.compile(r"vut|(parked|driving)-\d+")  # what a run brings along
@@ -55,14 +55,14 @@ class Viewer:
 
     folder: str
     id: str
-    key: UnitKey  # with which the evaluator draws its luck
+    key: UnitKey  # with which the evaluator seeds its random numbers
     pose: Pose | None  # None: on the VUT
     camera: CameraModel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DrawTask:
-    """Frames that one camera sees in one weather, beside the same parked vehicles."""
+    """Frames that one camera sees in one weather, with the same parked vehicles."""
 
     out: Path
     scene: Scene
@@ -114,7 +114,7 @@ def draw_task(task: DrawTask) -> int:
 
 
 def _drawer(task: DrawTask) -> Callable[[Run, int], tuple[Picture, PointCloud | None]]:
-    """What draws and scans a frame: from the VUT all anew, from a roadside unit onto a still."""
+    """A function that draws and scans a frame: from the VUT anew, at the roadside onto a still."""
     # loads the compiler
     from placement.imaging.stills import Still, draw_onto, draw_still, scan_onto
 
@@ -171,7 +171,7 @@ def _drawer(task: DrawTask) -> Callable[[Run, int], tuple[Picture, PointCloud | 
 def _contents(
     picture: Picture, cloud: PointCloud | None, files: Mapping[str, Path], task: DrawTask
 ) -> Iterator[tuple[str, Callable[[BinaryIO], object]]]:
-    """What the files of a frame hold, by kind, in the order of :meth:`DrawTask.files`."""
+    """Contents of the files of a frame, by kind, in the order of :meth:`DrawTask.files`."""
     if cloud is not None:
         points = cloud_bytes(cloud)
         yield "cloud", lambda file: file.write(points)
@@ -220,7 +220,7 @@ NewExecutor = Callable[[], Executor]
 
 @contextmanager
 def start_executors(scheduler: str, workers: int) -> Iterator[NewExecutor | None]:
-    """What makes executors, anew if one breaks; None: all is drawn in this process."""
+    """A function that makes executors; None: all is drawn in this process."""
     if scheduler:
         try:
             connected = connect_to_scheduler(scheduler)

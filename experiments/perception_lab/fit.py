@@ -23,10 +23,15 @@ from geometry.sensors import CameraModel
 from placement.compute import Compute
 from placement.detectors import VRU_CLASSES, Evidence, load_detector
 from placement.detectors.evidence import Interval
-from placement.detectors.fitting import Group, ResponseFit, fit_response
-from placement.detectors.network import ImageBoxes, NetworkDetector, vru_boxes
-from placement.detectors.onnx_exports import kind_of_name
-from placement.detectors.sightings import FalseAlarms, LabelledPicture, gather_sightings
+from placement.detectors.fitting import (
+    FalseAlarms,
+    Group,
+    LabelledPicture,
+    ResponseFit,
+    fit_response,
+    gather_sightings,
+)
+from placement.detectors.network import ImageBoxes, NetworkDetector, kind_of_name, vru_boxes
 from placement.evaluator import build_surroundings, load_vut_camera
 from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
 from placement.evaluator.pictures import PictureSource
@@ -59,28 +64,16 @@ _FROM_THE_SIDE_DEG = 90.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FitWish:
-    """What a response table is fitted to: exactly one of the three sources.
+    """Source of a response table: exactly one of the three."""
 
-    Attributes
-    ----------
-    layout : Layout, optional
-        Whose cameras, and the VUT's, show rendered pictures to the question's network.
-    pictures : int
-        How many of these.
-    recording : Path, optional
-        Folder in the study's format, with labels and detections.
-    labels, results : Path, optional
-        COCO's files of annotations and of results.
-    min_confidence : float
-        Boxes below do not count.
-    """
-
+    # whose cameras, and the VUT's, show rendered pictures to the question's network
     layout: Layout | None = None
-    pictures: int = 1000
-    recording: Path | None = None
+    pictures: int = 1000  # how many of these
+    recording: Path | None = None  # folder in the study's format, with labels and detections
+    # labels, results: COCO's files of annotations and of results
     labels: Path | None = None
     results: Path | None = None
-    min_confidence: float = 0.5
+    min_confidence: float = 0.5  # boxes below do not count
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,27 +112,12 @@ def run_detector_fit(
     compute: Compute,
     progress: StageProgress,
 ) -> FitResult:
-    """Fit a response table to what a detector finds; table, figure and numbers to `out`.
+    """Fit a response table to what a detector finds; table, figure and numbers go to `out`.
 
-    Parameters
-    ----------
-    question : Question
-        What is driven where pictures are rendered, and the network; how many frames confirm.
-    wish : FitWish
-        The source.
-    out : Path, optional
-        Folder that gets ``response.toml``, ``fit.json`` and ``calibration.png``.
-    command : str
-        How this was called.
-    compute : Compute
-        Seed of the choice of pictures, of noise and of the bootstrap; threads.
-    progress : StageProgress
-        Is given the stages.
-
-    Raises
-    ------
-    InputError
-        A source is not what it should be, there are too few frames, or `out` cannot be written.
+    The question says what is driven where pictures are rendered, by which network, and how many
+    frames confirm. The seed decides which pictures are looked at, their noise and the bootstrap.
+    Raises InputError if a source is not what it should be, there are too few frames, or `out`
+    cannot be written.
     """
     if out is not None:
         check_folder(out)
@@ -276,7 +254,7 @@ def _look(
         for run, frame, row in picked:
             progress(LOOK, n_drawn, sum(shares))
             n_drawn += 1
-            # What counts in an evaluation is what is found in the crop.
+            # An evaluation counts boxes that are found in the crop.
             in_crop = in_crops.get(row)
             is_whole = in_crop is None or n_drawn // _BLOCK % _WHOLE == 0
             found = network.look(picture(row)) if in_crop is None or is_whole else in_crop
@@ -285,7 +263,7 @@ def _look(
             kind = int(np.broadcast_to(evidence.vru_class, len(evidence))[row])
             of_class = boxes.cyclists if kind == _CYCLIST else boxes.persons
             box = evidence.visible_px[row]
-            # What it finds of a road user that is too small to count is no false alarm.
+            # Boxes on a road user that is too small to count are no false alarms.
             is_alone = np.isin(found.class_ids, list(found.kinds)) & (iou(found.boxes_px, box) == 0)
             n_labels = int(box[3] - box[1] >= max(least_px, 1.0))
             yield LabelledPicture(
@@ -548,7 +526,7 @@ def table_text(
         f"# {command}",
     ]
     if unknown:
-        lines.append(f"# Not told by them, and as built in: {', '.join(unknown)}.")
+        lines.append(f"# Not known from them, and as built in: {', '.join(unknown)}.")
     lines += ["", "[response]"]
 
     def add(key: str, value: object, *names: str) -> None:

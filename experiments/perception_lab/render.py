@@ -32,27 +32,11 @@ _MAX_CM = 65535  # what 16 bits hold
 
 
 def find_run(run_id: str, scene: Scene, *, weather: str | None = None) -> Run:
-    """The run that an id names.
+    """The run that an id names, laid on a junction.
 
-    Parameters
-    ----------
-    run_id : str
-        "case/approach/speed", by day, or "case/approach/speed/weather"; see
-        :attr:`scenarios.runs.Run.id`.
-    scene : Scene
-        The junction.
-    weather : str, optional
-        In place of the id's.
-
-    Returns
-    -------
-    run : Run
-        Laid on the junction.
-
-    Raises
-    ------
-    InputError
-        Some part of it is unknown; says what is known.
+    It reads "case/approach/speed", by day, or "case/approach/speed/weather"; see
+    :attr:`scenarios.runs.Run.id`. `weather` takes the place of the id's. Raises InputError if some
+    part is unknown, and says what is known.
     """
     parts = run_id.split("/")
     if len(parts) not in (3, 4) or not all(parts):
@@ -84,13 +68,7 @@ def suffixes_of(sensor: Sensor) -> tuple[str, ...]:
 
 
 def check_path(path: Path, sensor: Sensor) -> None:
-    """Refuse a file name that says no format of a sensor's.
-
-    Raises
-    ------
-    InputError
-        The name ends in none of :func:`suffixes_of`, or is no regular file's.
-    """
+    """Refuse a file name that ends in none of :func:`suffixes_of`, or is no regular file's."""
     known = suffixes_of(sensor)
     if path.suffix.lower() not in known:
         raise InputError("--out", str(path), "a name that ends in " + ", ".join(known))
@@ -105,18 +83,8 @@ def save(path: Path, seen: Picture | PointCloud) -> tuple[Path, ...]:
 def save_cloud(path: Path, cloud: PointCloud) -> tuple[Path]:
     """Write a point cloud, whole or not at all.
 
-    Parameters
-    ----------
-    path : Path
-        ".ply": points in the LiDAR's frame with a colour for each thing; ".bin": float32 x, y, z,
-        intensity, as the study releases them.
-    cloud : PointCloud
-        What to write.
-
-    Returns
-    -------
-    paths : tuple of Path
-        The file.
+    ".ply": points in the LiDAR's frame with a colour for each thing; ".bin": float32 x, y, z,
+    intensity, as the study releases them.
     """
     import trimesh
 
@@ -130,25 +98,10 @@ def save_cloud(path: Path, cloud: PointCloud) -> tuple[Path]:
 
 
 def save_picture(path: Path, picture: Picture) -> tuple[Path, Path, Path]:
-    """Write colours, instances and depths, each whole or not at all.
+    """Write colours, instances and depths, each whole or not at all; returns the three paths.
 
-    Parameters
-    ----------
-    path : Path
-        Of the colours: ".png", or ".jpg" for a smaller file.
-    picture : Picture
-        What to write.
-
-    Returns
-    -------
-    paths : tuple of Path
-        Colours; "..-instances.png", a colour for each thing; "..-depth.png", 16 bits, centimetres,
-        0 where nothing is hit.
-
-    Raises
-    ------
-    OSError
-        A file cannot be written.
+    Colours are ".png", or ".jpg" for a smaller file; "..-instances.png" has a colour for each
+    thing; "..-depth.png" has 16 bits, centimetres, 0 where nothing is hit.
     """
     from PIL import Image
 
@@ -189,17 +142,9 @@ def depth_image(picture: Picture) -> NDArray[np.uint16]:
 
 
 def instance_colours(names: tuple[str, ...]) -> NDArray[np.uint8]:
-    """Colours of things that differ in hue and in lightness.
+    """Colours (n + 1, 3) of things, sRGB, that differ in hue and in lightness.
 
-    Parameters
-    ----------
-    names : tuple of str
-        Of the things.
-
-    Returns
-    -------
-    colours : (n + 1, 3) uint8
-        sRGB; the VRU's is the lightest; the last one, for sky, is black.
+    The VRU's is the lightest; the last one, for sky, is black.
     """
     import colorsys
 
@@ -218,7 +163,7 @@ def instance_colours(names: tuple[str, ...]) -> NDArray[np.uint8]:
 
 
 def vru_sentence(seen: Picture | PointCloud) -> str:
-    """Whether and where the VRU is in view."""
+    """A sentence that says if, and where, the VRU is in view."""
     if isinstance(seen, PointCloud):
         count = int((seen.instance == seen.names.index("vru")).sum())
         return f"VRU: {count} of {len(seen.instance)} points."

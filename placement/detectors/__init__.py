@@ -2,12 +2,16 @@
 
 ``evidence`` says what they get and give. ``built_in`` has one that looks at boxes alone and one
 that misses with a probability, and finds detectors by name or file. ``network`` shows rendered
-pictures to an ONNX file, whose outputs ``onnx_exports`` recognises. ``fitting`` makes a response
-table of what a detector really found, which ``sightings`` gathers from boxes and labels.
+pictures to an ONNX file. ``fitting`` makes a response table of what a detector really found.
 """
 
-from .box_rule import GeometricDetector, is_matched, load_min_iou
-from .built_in import DETECTOR_NAMES, ResponseDetector, load_detector, load_planning_detector
+from .built_in import (
+    DETECTOR_NAMES,
+    GeometricDetector,
+    ResponseDetector,
+    load_detector,
+    load_planning_detector,
+)
 from .evidence import (
     VRU_CLASSES,
     Detections,
@@ -15,6 +19,8 @@ from .evidence import (
     Evidence,
     PlanningDetector,
     aspects_deg,
+    is_matched,
+    load_min_iou,
     vru_class,
 )
 

@@ -1,4 +1,4 @@
-"""The built-in detectors, by boxes alone and by probability, and detectors by name or file."""
+"""Detectors by boxes alone and by probability, and any detector by its name or file."""
 
 import re
 from dataclasses import dataclass
@@ -13,9 +13,8 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, IntArray, float_array
 from geometry.errors import InputError, Unquoted
 from geometry.files import Table, load_toml, read_table, take, take_list, take_number
-from geometry.image_boxes import box_height_px
+from geometry.image_boxes import box_height_px, iou
 
-from .box_rule import GeometricDetector, load_min_iou
 from .evidence import (
     VRU_CLASSES,
     Detections,
@@ -23,7 +22,73 @@ from .evidence import (
     Evidence,
     Interval,
     PlanningDetector,
+    load_min_iou,
 )
+
+# ---------- by boxes alone
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GeometricDetector:
+    """Detects by boxes alone: the same evidence always gives the same answer."""
+
+    # the box of the visible part must overlap that of the whole VRU (amodal) by more than this
+    min_iou: float
+    min_box_height_px: float  # the visible box must be at least this high. [px]
+    min_contrast: float = 0.0  # the VRU must stand out by at least this much
+
+    name = "geometric"
+    needs_shares = False
+    needs_pictures = False
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.min_iou < 1.0:
+            raise InputError("detector.min_iou", self.min_iou, "0 <= IoU < 1")
+        if not (np.isfinite(self.min_box_height_px) and self.min_box_height_px >= 0.0):
+            raise InputError(
+                "detector.min_box_height_px", self.min_box_height_px, "pixels, at least 0"
+            )
+        if not 0.0 <= self.min_contrast <= 1.0:
+            raise InputError("detector.min_contrast", self.min_contrast, "0 .. 1")
+
+    @property
+    def description(self) -> str:
+        """When it detects."""
+        return (
+            "A road user counts as detected in a frame if the box around its visible part overlaps "
+            f"the box around all of it by more than {self.min_iou:g} (intersection over union), is "
+            f"at least {self.min_box_height_px:g} pixels high, and light and air leave it a "
+            f"contrast of at least {100.0 * self.min_contrast:g} %."
+        )
+
+    def is_expected(self, evidence: Evidence) -> BoolArray:
+        """Rows that it detects, (n,)."""
+        expected: BoolArray = (
+            (iou(evidence.visible_px, evidence.amodal_px) > self.min_iou)
+            & (box_height_px(evidence.visible_px) >= self.min_box_height_px)
+            & (evidence.contrast >= self.min_contrast)
+        )
+        return expected
+
+    def least_height_px(self, evidence: Evidence) -> FloatArray:
+        """The least height where the contrast is enough, infinite elsewhere, (n,)."""
+        is_clear = np.broadcast_to(evidence.contrast >= self.min_contrast, len(evidence))
+        return np.where(is_clear, self.min_box_height_px, np.inf)
+
+    def detect(self, evidence: Evidence, rng: np.random.Generator) -> Detections:
+        """The visible boxes of what it detects; `rng` is not used."""
+        rows = np.flatnonzero(self.is_expected(evidence))
+        return Detections(
+            row_index=rows, boxes_px=evidence.visible_px[rows], confidence=np.ones(len(rows))
+        )
+
+    def fingerprint(self) -> tuple[object, ...]:
+        """Everything that it depends on."""
+        return (self.name, self.min_iou, self.min_box_height_px, self.min_contrast)
+
+
+# ---------- by probability
+
 
 _POSITIVES = (
     "height_half_px",
@@ -197,32 +262,20 @@ def _linked_noise(draws: IntArray, correlation: float, rng: np.random.Generator)
     return linked
 
 
+# ---------- by name or file
+
+
 DETECTOR_NAMES = ("geometric", "response", "cnn-table", "cnn")
 _FILE, _NETWORK_FILE, _TABLE_FILE = "detectors.toml", "vru.onnx", "vru.toml"
 
 
 def load_detector(name: str = "geometric", *, where: str = "detector") -> Detector:
-    """Detector by name or file.
+    """Detector by name or file; `where` names it in messages.
 
-    Parameters
-    ----------
-    name : str
-        "geometric", "response", "cnn-table", "cnn", a ``.toml`` file with a table
-        ``[response]`` as in ``data/detectors.toml``, or an ``.onnx`` file.
-    where : str
-        What named it, for error messages.
-
-    Returns
-    -------
-    detector : Detector
-        Ready.
-
-    Raises
-    ------
-    InputError
-        The name is unknown, or the file cannot be used.
-    MissingExtraError
-        "cnn" or an ONNX file without onnxruntime.
+    Names are "geometric", "response", "cnn-table" and "cnn"; files are ``.toml`` with a table
+    ``[response]`` as in ``data/detectors.toml``, or ``.onnx``. Raises InputError if the name is
+    unknown or the file cannot be used, MissingExtraError for "cnn" or an ONNX file without
+    onnxruntime.
     """
     if name == "cnn":
         return _load_shipped_network()

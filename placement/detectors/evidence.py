@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -9,6 +11,8 @@ from numpy.typing import NDArray
 
 from geometry.actors import Actor
 from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.files import load_toml, take_number
+from geometry.image_boxes import iou
 
 VRU_CLASSES = ("pedestrian", "child", "cyclist")
 _ADULT_FROM_M = 1.4  # between the heights of Euro NCAP's child (1.154 m) and adult (1.8 m) targets
@@ -114,6 +118,24 @@ class Detections:
     confidence: FloatArray  # (m,): 0 .. 1.
 
 
+@cache
+def load_min_iou() -> float:
+    """Overlap (IoU) that a box must exceed to count, from ``data/detectors.toml``."""
+    table = load_toml(files(__package__) / "data" / "detectors.toml")
+    return take_number(table["box_rule"], "min_iou", "detectors.toml: box_rule")
+
+
+def is_matched(detections: Detections, truth_px: FloatArray, *, min_iou: float) -> BoolArray:
+    """Rows in which some detection overlaps the VRU's box by more than `min_iou`, (n,).
+
+    `truth_px` (n, 4) is the box of the VRU's visible part, as in the study.
+    """
+    matched = np.zeros(len(truth_px), dtype=bool)
+    hits = iou(detections.boxes_px, truth_px[detections.row_index]) > min_iou
+    matched[detections.row_index[hits]] = True
+    return matched
+
+
 class Detector(Protocol):
     """Image evidence in, boxes with confidence out."""
 
@@ -131,11 +153,11 @@ class Detector(Protocol):
 
     @property
     def needs_shares(self) -> bool:
-        """Whether visible share, cut-off share and aspect matter; otherwise they may be unknown."""
+        """True if visible share, cut-off share and aspect matter; else they may be unknown."""
 
     @property
     def needs_pictures(self) -> bool:
-        """Whether it looks at images."""
+        """True if it looks at images."""
 
     def detect(self, evidence: Evidence, rng: np.random.Generator) -> Detections:
         """Find VRUs; what is left to chance is drawn from `rng`."""

@@ -1,20 +1,31 @@
-"""Boxes of the VRU in every frame, derived from pixels.
+"""Boxes of the VRU in every frame, derived from pixels, and LiDAR points on it.
 
-Each unit is a camera that is fixed to something: an RSU to the world, the VUT's camera to the
-VUT. Seen from there many instants look the same but for the VUT and other vehicles that drive: such
-a sight is drawn once.
+Each unit is a sensor that is fixed to something: an RSU to the world, the VUT's sensors to the VUT.
+Seen from there many instants look the same but for the VUT and other vehicles that drive: such a
+sight is drawn, or scanned, once.
 """
 
 import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
-from geometry.arrays import FloatArray, IntArray, freeze
+from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
+from geometry.lidar import (
+    LidarModel,
+    beam_directions,
+    beam_window,
+    load_lidar_detection,
+    return_probability,
+)
 from geometry.poses import Pose, body_rotation, camera_rotation
 from geometry.sensors import CameraModel
+from geometry.weather import Weather
 
-from ..detectors import Evidence, aspects_deg
-from .sights import Placed, Seen, Sights
+from ..detectors import VRU_CLASSES, Evidence, aspects_deg
+from .pixels import Image, Placed, Seen, Sights, see
+from .solids import Solid
 from .surroundings import (
     Surroundings,
     VutCamera,
@@ -22,6 +33,105 @@ from .surroundings import (
     level_carriers,
     relative_road_poses,
 )
+
+_SIGHTS_AT_ONCE = 256
+
+# ---------- frames as a sensor has them before it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Station:
+    """A sensor's place, and road poses relative to the frame in which it stands."""
+
+    pose: Pose
+    tilt_deg: FloatArray  # (n_frames,): it looks up by so much more than its pose says
+    static_poses: FloatArray  # (n_frames, 4)
+    vru_poses: FloatArray  # (n_frames, 4)
+    vehicle_index: IntArray  # (n_frames, n): -1 for none
+    vehicle_poses: FloatArray  # (n_frames, n, 4)
+    # Frames, sight by sight; sights that show the same bodies follow one another.
+    order: IntArray  # (n_frames,)
+    start: IntArray  # (n_sights + 1,): of each sight in `order`
+
+    @property
+    def first(self) -> IntArray:
+        """The first frame of each sight, (n_sights,)."""
+        return self.order[self.start[:-1]]
+
+
+def _at_roadside(surroundings: Surroundings, pose: Pose) -> _Station:
+    return _build_station(
+        pose,
+        tilt_deg=np.zeros(len(surroundings.vru_poses)),
+        static_poses=surroundings.static_poses,
+        vru_poses=surroundings.vru_poses,
+        vehicle_index=np.insert(surroundings.traffic_index, 0, 0, axis=1),
+        vehicle_poses=np.insert(surroundings.traffic_poses, 0, surroundings.vut_poses, axis=1),
+        sight_index=surroundings.sight_index,
+    )
+
+
+def _on_vut(surroundings: Surroundings, mount: VutCamera) -> _Station:
+    """The VUT itself is not seen."""
+    pose = mount.pose_on(surroundings.vut_actor)
+    vut_poses = level_carriers(surroundings, pose)
+    static_poses = relative_road_poses(surroundings.static_poses, vut_poses)
+    vru_poses = relative_road_poses(surroundings.vru_poses, vut_poses)
+    return _build_station(
+        pose,
+        tilt_deg=surroundings.vut_pitch_deg,
+        static_poses=static_poses,
+        vru_poses=vru_poses,
+        vehicle_index=surroundings.traffic_index,
+        vehicle_poses=relative_road_poses(surroundings.traffic_poses, vut_poses),
+        sight_index=find_sights(
+            surroundings.static_index, surroundings.vru_index, static_poses, vru_poses
+        ),
+    )
+
+
+def _build_station(
+    pose: Pose,
+    *,
+    tilt_deg: FloatArray,
+    static_poses: FloatArray,
+    vru_poses: FloatArray,
+    vehicle_index: IntArray,
+    vehicle_poses: FloatArray,
+    sight_index: IntArray,
+) -> _Station:
+    order = np.argsort(sight_index, kind="stable")
+    start = np.flatnonzero(np.diff(sight_index[order], prepend=-1))
+    return _Station(
+        pose=pose,
+        tilt_deg=tilt_deg,
+        static_poses=static_poses,
+        vru_poses=vru_poses,
+        vehicle_index=vehicle_index,
+        vehicle_poses=vehicle_poses,
+        order=order,
+        start=np.append(start, len(order)),
+    )
+
+
+def _same_bodies(surroundings: Surroundings, station: _Station) -> Iterator[tuple[slice, int, int]]:
+    """Sights with the same static world and the same body, and the numbers of these two."""
+    kinds = np.stack([surroundings.static_index, surroundings.vru_index], axis=1)[station.first]
+    changes = np.flatnonzero((np.diff(kinds, axis=0, prepend=-1) != 0).any(axis=1)).tolist()
+    for begin, end in itertools.pairwise([*changes, len(kinds)]):
+        yield slice(begin, end), *kinds[begin].tolist()
+
+
+def _distances_m(pose: Pose, vru_poses: FloatArray, hull_m: FloatArray) -> FloatArray:
+    """From a sensor to the middle of the VRU, (n,), in metres."""
+    offsets = np.empty((len(vru_poses), 3))
+    offsets[:, :2] = vru_poses[:, :2] - pose.position_m[:2]
+    offsets[:, 2] = 0.5 * hull_m[:, 2].max() + vru_poses[:, 3] - pose.position_m[2]
+    distance: FloatArray = np.linalg.norm(offsets, axis=1)
+    return distance
+
+
+# ---------- cameras
 
 
 def perceive_from_roadside(
@@ -31,75 +141,28 @@ def perceive_from_roadside(
 
     Where the VRU's box cannot be `min_height_px` high, nothing is drawn and boxes are zeros.
     """
-    return _perceive(
-        surroundings,
-        pose,
-        camera,
-        tilt_deg=np.zeros(len(surroundings.vru_poses)),
-        static_poses=surroundings.static_poses,
-        vru_poses=surroundings.vru_poses,
-        vehicle_index=np.insert(surroundings.traffic_index, 0, 0, axis=1),
-        vehicle_poses=np.insert(surroundings.traffic_poses, 0, surroundings.vut_poses, axis=1),
-        sight_of_frame=surroundings.sight_index,
-        min_height_px=min_height_px,
-    )
+    return _perceive(surroundings, _at_roadside(surroundings, pose), camera, min_height_px)
 
 
 def perceive_from_vut(
     surroundings: Surroundings, vut_camera: VutCamera, *, min_height_px: float = 0.0
 ) -> Evidence:
     """Evidence of the VUT's own camera; the VUT itself is not drawn."""
-    mount = vut_camera.pose_on(surroundings.vut_actor)
-    vut_poses = level_carriers(surroundings, mount)
-    static_poses = relative_road_poses(surroundings.static_poses, vut_poses)
-    vru_poses = relative_road_poses(surroundings.vru_poses, vut_poses)
-    return _perceive(
-        surroundings,
-        mount,
-        vut_camera.camera,
-        tilt_deg=surroundings.vut_pitch_deg,
-        static_poses=static_poses,
-        vru_poses=vru_poses,
-        vehicle_index=surroundings.traffic_index,
-        vehicle_poses=relative_road_poses(surroundings.traffic_poses, vut_poses),
-        sight_of_frame=find_sights(
-            surroundings.static_index, surroundings.vru_index, static_poses, vru_poses
-        ),
-        min_height_px=min_height_px,
-    )
+    station = _on_vut(surroundings, vut_camera)
+    return _perceive(surroundings, station, vut_camera.camera, min_height_px)
 
 
 def _perceive(
-    surroundings: Surroundings,
-    pose: Pose,
-    camera: CameraModel,
-    *,
-    tilt_deg: FloatArray,
-    static_poses: FloatArray,
-    vru_poses: FloatArray,
-    vehicle_index: IntArray,
-    vehicle_poses: FloatArray,
-    sight_of_frame: IntArray,
-    min_height_px: float,
+    surroundings: Surroundings, station: _Station, camera: CameraModel, min_height_px: float
 ) -> Evidence:
-    """Evidence from poses relative to the frame in which the camera stands.
-
-    It looks up by `tilt_deg`, (n_frames,), more than its pose says.
-    """
-    from .pixels import see  # loads the compiler
-    from .triangle_kernels import Image
-
-    n_frames = len(vru_poses)
-    order = np.argsort(sight_of_frame, kind="stable")
-    start = np.flatnonzero(np.diff(sight_of_frame[order], prepend=-1))
-    first = order[start]  # a frame of each sight
-    start = np.append(start, n_frames)
-    vru = _place(pose, vru_poses[first], tilt_deg[first])
-    static = _place(pose, static_poses[first], tilt_deg[first])
-    is_there = vehicle_index[order] >= 0
-    tilts = np.broadcast_to(tilt_deg[order, None], is_there.shape)[is_there]
-    vehicles = _place(pose, vehicle_poses[order][is_there], tilts)
-    vehicle_kind = vehicle_index[order][is_there]
+    pose, order, start, first = station.pose, station.order, station.start, station.first
+    n_frames = len(order)
+    vru = _place(pose, station.vru_poses[first], station.tilt_deg[first])
+    static = _place(pose, station.static_poses[first], station.tilt_deg[first])
+    is_there = station.vehicle_index[order] >= 0
+    tilts = np.broadcast_to(station.tilt_deg[order, None], is_there.shape)[is_there]
+    vehicles = _place(pose, station.vehicle_poses[order][is_there], tilts)
+    vehicle_kind = station.vehicle_index[order][is_there]
     vehicle_start = np.concatenate([[0], np.cumsum(is_there.sum(axis=1))])
     seen = _blank(len(first), n_frames)
     image = Image(
@@ -109,14 +172,11 @@ def _perceive(
         near_m=camera.near_m,
         up_m=float(pose.position_m[2]),
     )
-    kinds = np.stack([surroundings.static_index, surroundings.vru_index], axis=1)[first]
-    changes = np.flatnonzero((np.diff(kinds, axis=0, prepend=-1) != 0).any(axis=1)).tolist()
     distance_m = np.empty(n_frames)
-    for begin, end in itertools.pairwise([*changes, len(first)]):
-        static_index, vru_index = kinds[begin]
+    for sights, static_index, vru_index in _same_bodies(surroundings, station):
         body = surroundings.vrus[vru_index]
         standing, parked = surroundings.statics[static_index].meshes
-        sights, frames = slice(begin, end), slice(start[begin], start[end])
+        frames = slice(start[sights.start], start[sights.stop])
         driving = slice(vehicle_start[frames.start], vehicle_start[frames.stop])
         see(
             image,
@@ -129,7 +189,7 @@ def _perceive(
             Sights(
                 vru=vru.take(sights),
                 static=static.take(sights),
-                frame_start=start[begin : end + 1] - start[begin],
+                frame_start=start[sights.start : sights.stop + 1] - start[sights.start],
                 vehicles=vehicles.take(driving),
                 vehicle_kind=vehicle_kind[driving],
                 vehicle_start=vehicle_start[frames.start : frames.stop + 1] - driving.start,
@@ -137,18 +197,19 @@ def _perceive(
             seen.take(sights, frames),
         )
         of_kind = order[frames]
-        distance_m[of_kind] = distances_m(pose, vru_poses[of_kind], body.hull_m)
+        distance_m[of_kind] = _distances_m(pose, station.vru_poses[of_kind], body.hull_m)
     sight = np.empty(n_frames, dtype=np.int64)  # of each frame
     sight[order] = np.repeat(np.arange(len(first)), np.diff(start))
     visible, shares = np.empty((n_frames, 4)), np.empty(n_frames)
     visible[order], shares[order] = seen.frame_visible_px, seen.frame_visible_share
+    sightline_m = station.vru_poses[:, :2] - pose.position_m[:2]
     return Evidence(
         visible_px=freeze(visible),
         amodal_px=freeze(seen.amodal_px[sight]),
         contrast=surroundings.contrast(distance_m),
         visible_share=shares,
         inside_share=seen.inside_share[sight],
-        aspect_deg=aspects_deg(vru_poses[:, :2] - pose.position_m[:2], vru_poses[:, 2]),
+        aspect_deg=aspects_deg(sightline_m, station.vru_poses[:, 2]),
         vru_class=surroundings.vru_class,
         draw_index=surroundings.draw_index,
     )
@@ -184,10 +245,200 @@ def _blank(n_sights: int, n_frames: int) -> Seen:
     )
 
 
-def distances_m(pose: Pose, vru_poses: FloatArray, hull_m: FloatArray) -> FloatArray:
-    """From a sensor to the middle of the VRU, (n,), in metres."""
-    offsets = np.empty((len(vru_poses), 3))
-    offsets[:, :2] = vru_poses[:, :2] - pose.position_m[:2]
-    offsets[:, 2] = 0.5 * hull_m[:, 2].max() + vru_poses[:, 3] - pose.position_m[2]
-    distance: FloatArray = np.linalg.norm(offsets, axis=1)
-    return distance
+# ---------- LiDARs
+
+
+def scan_from_roadside(
+    surroundings: Surroundings, pose: Pose, lidar: LidarModel, rng: np.random.Generator
+) -> BoolArray:
+    """Frames in which a fixed LiDAR gets enough points on the VRU, (n_frames,) bool.
+
+    The random numbers say which pulses come back.
+    """
+    return _scan(surroundings, _at_roadside(surroundings, pose), lidar, rng)
+
+
+def scan_from_vut(
+    surroundings: Surroundings, mount: VutCamera, lidar: LidarModel, rng: np.random.Generator
+) -> BoolArray:
+    """Frames in which the VUT's own LiDAR detects the VRU; see :func:`scan_from_roadside`."""
+    return _scan(surroundings, _on_vut(surroundings, mount), lidar, rng)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Echoes:
+    """Beams that reach the VRU in one sight."""
+
+    directions: FloatArray  # (n, 3), unit vectors, in the frame in which the LiDAR stands
+    distance_m: FloatArray  # (n,)
+    incidence_cos: FloatArray  # (n,)
+
+    def take(self, keep: BoolArray) -> "_Echoes":
+        return _Echoes(
+            directions=self.directions[keep],
+            distance_m=self.distance_m[keep],
+            incidence_cos=self.incidence_cos[keep],
+        )
+
+
+def _scan(
+    surroundings: Surroundings, station: _Station, lidar: LidarModel, rng: np.random.Generator
+) -> BoolArray:
+    pose, first = station.pose, station.first
+    detected = np.zeros(len(station.order), dtype=bool)
+    random: dict[int, FloatArray] = {}  # one for all weathers: what differs is the weather's
+    beams = beam_directions(lidar).reshape(-1, 3)
+    poses = np.concatenate([station.static_poses, station.vru_poses], axis=1)
+    sight_of_frame = np.empty(len(station.order), dtype=np.int64)
+    sight_of_frame[station.order] = np.repeat(np.arange(len(first)), np.diff(station.start))
+    for sights, static_index, vru_index in _same_bodies(surroundings, station):
+        static, vru = surroundings.statics[static_index], surroundings.vrus[vru_index]
+        in_parts = np.array_split(first[sights], -(-len(first[sights]) // _SIGHTS_AT_ONCE))
+        of_sights = [
+            echoes
+            for part in in_parts
+            for echoes in _look(
+                pose, lidar, beams, static, vru, poses[part], station.tilt_deg[part]
+            )
+        ]
+        frames = station.order[station.start[sights.start] : station.start[sights.stop]]
+        for frame in np.sort(frames).tolist():
+            draw = int(surroundings.draw_index[frame])
+            echoes = of_sights[sight_of_frame[frame] - sights.start]
+            for place in np.flatnonzero(station.vehicle_index[frame] >= 0).tolist():
+                if len(echoes.distance_m):
+                    vehicle = surroundings.vehicles[station.vehicle_index[frame, place]]
+                    at = station.vehicle_poses[frame, place]
+                    echoes = _before(echoes, pose, lidar, vehicle, at)
+            weather = surroundings.weathers[surroundings.weather_index[frame]]
+            vru_class = VRU_CLASSES[surroundings.vru_class[frame]]
+            if draw not in random:
+                random[draw] = rng.random(len(echoes.distance_m))
+            detected[frame] = _is_enough(echoes, lidar, weather, vru_class, random[draw])
+    return detected
+
+
+def _look(
+    pose: Pose,
+    lidar: LidarModel,
+    beams: FloatArray,
+    static: Solid,
+    vru: Solid,
+    poses: FloatArray,
+    tilt_deg: FloatArray,
+) -> Iterator[_Echoes]:
+    """Beams that reach the VRU before anything that stands still, sight by sight."""
+    vru_poses = poses[:, 4:]
+    turns = body_rotation(pose.yaw_deg, pose.pitch_deg + tilt_deg)  # from the LiDAR's own frame
+    distance = _distances_m(pose, vru_poses, vru.hull_m)
+    radius_m = float(
+        np.linalg.norm(vru.hull_m - [0.0, 0.0, 0.5 * vru.hull_m[:, 2].max()], axis=1).max()
+    )
+    middle = np.column_stack([vru_poses[:, :2], 0.5 * vru.hull_m[:, 2].max() + vru_poses[:, 3]])
+    towards = (middle - pose.position_m) / distance[:, None]
+    half_angle = np.arcsin(np.minimum(1.0, radius_m / distance))
+    near = np.flatnonzero(distance - radius_m <= lidar.range_m)
+    towards_lidar = np.einsum("ni,nij->nj", towards, turns)
+    windows = list(_beams_around(lidar, towards_lidar[near], half_angle[near]))
+    sight = np.repeat(near, [len(window) for window in windows])
+    beam = np.concatenate([*windows, np.empty(0, dtype=np.int64)])
+    cosine = np.einsum("ni,ni->n", towards_lidar[sight], beams[beam])
+    is_close = cosine >= np.cos(half_angle[sight])
+    sight, beam = sight[is_close], beam[is_close]
+    directions = np.einsum("nij,nj->ni", turns[sight], beams[beam])
+    depth, triangle = _cast(pose, lidar, vru, vru_poses[sight], directions)
+    hits = np.isfinite(depth)
+    sight, directions, depth, triangle = sight[hits], directions[hits], depth[hits], triangle[hits]
+    before, _ = _cast(pose, lidar, static, poses[sight, :4], directions)
+    free = depth < before
+    sight, directions, depth, triangle = sight[free], directions[free], depth[free], triangle[free]
+    normals = np.einsum("nij,nj->ni", body_rotation(vru_poses[sight, 2]), vru.normals[triangle])
+    cosine = np.abs(np.einsum("ni,ni->n", normals, directions))
+    ends = np.searchsorted(sight, np.arange(len(poses) + 1))
+    for start, end in itertools.pairwise(ends):
+        yield _Echoes(
+            directions=directions[start:end],
+            distance_m=depth[start:end],
+            incidence_cos=cosine[start:end],
+        )
+
+
+def _beams_around(
+    lidar: LidarModel, towards: FloatArray, half_angle_rad: FloatArray
+) -> Iterator[IntArray]:
+    """Beams in boxes of angles around cones, cone by cone: line by line, each from right to left.
+
+    Cones have axes (n, 3), unit vectors in the LiDAR's frame. Beams are indices into the flattened
+    scan pattern. Over the seam of a LiDAR that scans all round they go on: a cone has the same
+    beams in the same order however the LiDAR is turned.
+    """
+    azimuth = np.arctan2(towards[:, 1], towards[:, 0])
+    elevation = np.arcsin(np.clip(towards[:, 2], -1.0, 1.0))
+    # A cone around the pole has every azimuth; another one is widest where a meridian touches it.
+    has_pole = np.abs(elevation) + half_angle_rad >= 0.5 * np.pi
+    ratio = np.sin(half_angle_rad) / np.where(has_pole, 1.0, np.cos(elevation))
+    half_width = np.where(has_pole, np.pi, np.arcsin(np.minimum(ratio, 1.0)))
+    middle = np.degrees(np.stack([azimuth, elevation], axis=1))
+    half = np.degrees(np.stack([half_width, half_angle_rad], axis=1))
+    # A cone that ends at an edge may come in again at the other one, if it is wide enough.
+    turns_deg = (0.0,) if lidar.scans_all_round else (-360.0, 0.0, 360.0)
+    windows = [
+        beam_window(lidar, middle - half + [turn_deg, 0.0], middle + half + [turn_deg, 0.0])
+        for turn_deg in turns_deg
+    ]
+    for parts in zip(*windows, strict=True):
+        columns = np.concatenate([np.arange(first, end) for _, first, _, end in parts])
+        if lidar.scans_all_round:
+            columns %= lidar.n_columns
+        else:
+            columns = np.unique(columns)
+        lines = np.arange(parts[0][0], parts[0][2])
+        yield (lines[:, None] * lidar.n_columns + columns).ravel()
+
+
+def _cast(
+    pose: Pose, lidar: LidarModel, solid: Solid, road_poses: FloatArray, directions: FloatArray
+) -> tuple[FloatArray, IntArray]:
+    """Distance to a solid along each beam, and the triangle hit; infinite and -1 where none is."""
+    rotations = body_rotation(road_poses[:, 2])
+    offsets = np.repeat(pose.position_m[None], len(road_poses), axis=0)
+    offsets -= road_poses[:, [0, 1, 3]]
+    origins = np.einsum("ni,nij->nj", offsets, rotations)
+    turned = np.einsum("ni,nij->nj", directions, rotations)
+    starts = origins + lidar.near_m * turned
+    share, triangle = solid.caster.first_triangle(
+        starts.astype(np.float32), turned.astype(np.float32)
+    )
+    return share.astype(np.float64) + lidar.near_m, triangle
+
+
+def _before(
+    echoes: _Echoes, pose: Pose, lidar: LidarModel, vehicle: Solid, road_pose: FloatArray
+) -> _Echoes:
+    """Beams that a vehicle does not stop on their way."""
+    up_m = 0.5 * vehicle.hull_m[:, 2].max() + road_pose[3]
+    middle = np.array([*road_pose[:2], up_m]) - pose.position_m
+    radius_m = float(np.linalg.norm(vehicle.hull_m, axis=1).max())
+    along = echoes.directions @ middle
+    aside_m = np.sqrt(np.maximum(middle @ middle - along**2, 0.0))
+    if not ((aside_m <= radius_m) & (along - radius_m <= echoes.distance_m)).any():
+        return echoes
+    poses = np.repeat(road_pose[None], len(echoes.distance_m), axis=0)
+    depth, _ = _cast(pose, lidar, vehicle, poses, echoes.directions)
+    return echoes.take(echoes.distance_m < depth)
+
+
+def _is_enough(
+    echoes: _Echoes, lidar: LidarModel, weather: Weather, vru_class: str, random: FloatArray
+) -> bool:
+    """True if enough pulses come back from the VRU."""
+    detection = load_lidar_detection()
+    probability = return_probability(
+        lidar,
+        echoes.distance_m,
+        reflectivity=detection.reflectivity[vru_class],
+        incidence_cos=echoes.incidence_cos,
+        extinction_per_m=weather.lidar_extinction_per_m(lidar.wavelength_nm),
+    )
+    n_points = int((random < probability).sum())
+    return n_points >= detection.min_points[vru_class]

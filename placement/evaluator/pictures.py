@@ -41,7 +41,7 @@ PictureOfFrame = Callable[[int], Image]
 
 _CROP_SIDES_PX = (64, 96, 128, 160)
 _ROOM = 0.625  # share of a crop that a road user may take up; for larger ones the scale is less
-_BESIDE_PX = 4.0  # by which blur and glare reach beyond a body
+_HALO_PX = 4.0  # by which blur and glare reach beyond a body
 
 
 class PictureSource:
@@ -141,7 +141,7 @@ class PictureSource:
         )
 
     def _draw_still(self, frame: int, view: "_View", window: Window) -> Still:
-        """What stands still in a window, as the camera of a view sees it in the frame's run."""
+        """Still of a window, by the camera of a view in the frame's run."""
         if self._is_closed:
             raise CancelledError
         run, _ = self._find(frame)
@@ -291,10 +291,10 @@ def _around(windows: Sequence[Window]) -> Window:
 def _may_show_vut(
     run: Run, index: int, pose: Pose, camera: CameraModel, box_px: FloatArray, reach_px: float
 ) -> bool:
-    """Whether the VUT changes what is seen in a crop that reaches so far from a box's middle.
+    """True if the VUT changes a crop that reaches so far from a box's middle.
 
-    What its body, its shadow on level ground and its mirror image in wet ground can cover lies
-    inside the bounding box of their corners.
+    Pixels that its body, its shadow on level ground and its mirror image in wet ground can cover
+    lie inside the bounding box of their corners.
     """
     weather = pick_weather(run.weather, "run: weather")
     if weather.has_lamps or run.terrain is not None:
@@ -303,7 +303,7 @@ def _may_show_vut(
     if not np.isfinite(points).all():
         return not np.isnan(points).all()
     # At the image's edge a crop is moved inwards.
-    reach = reach_px + _BESIDE_PX
+    reach = reach_px + _HALO_PX
     size = np.array([camera.width_px, camera.height_px])
     middle = np.clip(0.5 * (box_px[:2] + box_px[2:]), reach_px, np.maximum(size - reach_px, 0.0))
     return bool(
@@ -330,7 +330,7 @@ def _cast_corners(run: Run, index: int, weather: Weather) -> FloatArray:
 
 
 def _scaled(camera: CameraModel, scale: int) -> CameraModel:
-    """The same field of view with fewer pixels."""
+    """A camera with as wide a field of view and fewer pixels."""
     if scale == 1:
         return camera
     return replace(
@@ -374,10 +374,7 @@ class Viewpoint:
 def find_frame(run: Run, frame: int) -> int:
     """Index of a frame from the start; negative numbers count from the end.
 
-    Raises
-    ------
-    InputError
-        The run has no such frame.
+    Raises InputError if the run has no such frame.
     """
     n_frames = len(run.time_s)
     if not -n_frames <= frame < n_frames:
@@ -388,28 +385,9 @@ def find_frame(run: Run, frame: int) -> int:
 
 
 def find_viewpoint(layout: Layout, unit_id: str, run: Run, frame_index: int) -> Viewpoint:
-    """Where a unit's sensor is in a frame.
+    """Pose and sensor of a unit in a frame; "VUT" is its camera, "VUT-LIDAR" its LiDAR.
 
-    Parameters
-    ----------
-    layout : Layout
-        The units.
-    unit_id : str
-        One of them, or "VUT" for its camera, "VUT-LIDAR" for its LiDAR.
-    run : Run
-        What drives.
-    frame_index : int
-        When.
-
-    Returns
-    -------
-    viewpoint : Viewpoint
-        Pose and sensor.
-
-    Raises
-    ------
-    InputError
-        There is no such unit.
+    Raises InputError if there is no such unit.
     """
     mount = load_vut_camera()
     own: dict[str, Sensor] = {VUT_UNIT: mount.camera, VUT_LIDAR_UNIT: load_vut_lidar()}

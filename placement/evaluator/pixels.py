@@ -1,4 +1,4 @@
-"""Which pixels of an image show the VRU: triangles drawn at pixel centres, by compiled code.
+"""Numba kernels: pixels of an image that show the VRU, by triangles drawn at pixel centres.
 
 A pixel is a direction from the lens, one metre deep: the ray through its centre. A triangle with
 corners a, b, c (camera frame) covers it where the direction lies on the same side of the three
@@ -16,35 +16,221 @@ References
    Graphics Hardware 1997.
 """
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 
 from geometry.arrays import FloatArray, IntArray
 from geometry.kernels import kernel
 
-from .sights import Seen, Sights, Skin, Tree, Vehicles
-from .trees import MAX_OPEN
-from .triangle_kernels import (
-    SLACK_PX,
-    Bounds,
-    Image,
-    Window,
-    columns_left,
-    corner,
-    cross,
-    depth_at,
-    dot,
-    find_columns,
-    find_cut,
-    find_cuts,
-    find_edges,
-    find_span,
-    passes_by,
-    pixels_within,
-)
+# Few numbers are tuples, which need no memory: passing arrays costs more than the arithmetic.
+Point = tuple[float, float, float]  # right, down, ahead: camera frame. [m]
+Edges = tuple[Point, Point, Point]  # normals of planes through the lens
+Window = tuple[int, int, int, int]  # first column and row, and those after the last
+Bounds = tuple[float, float, float, float]  # x_min, y_min, x_max, y_max. [px]
 
+_SLACK_PX = 1.0e-6  # more than rounding moves an edge
 _MIN_DEPTH_M = 1.0e-6
 _TOUCH_M = 1.0e-6  # what the VRU stands on does not hide it
 _N_PLANES = 6
+_LEAF_SIZE = 4
+_MAX_OPEN = 512  # nodes of a tree that wait for their turn: one per level
+
+
+class Image(NamedTuple):
+    """The pixels of a camera at its place."""
+
+    focal_px: float
+    width_px: int
+    height_px: int
+    near_m: float  # distance from the lens at which drawing starts
+    up_m: float  # height of the lens
+
+
+# ---------- inputs and outputs of the drawing of many frames, as tuples for compiled code
+
+
+class Tree(NamedTuple):
+    """Boxes around ever fewer triangles: a parent is followed by its first child."""
+
+    corners_m: FloatArray  # (n_triangles, 3, 3): leaf by leaf
+    low_m: FloatArray  # (n_nodes, 3): box of each node; without triangles there is no node
+    high_m: FloatArray
+    second: IntArray  # (n_nodes,): the second child; -1 for a leaf
+    start: IntArray  # (n_nodes,): triangles of a node, from start to end
+    end: IntArray
+
+
+class Vehicles(NamedTuple):
+    """Trees of all kinds of bodies that move."""
+
+    tree: Tree  # one after the other
+    roots: IntArray  # (n_kinds,): the node at which each begins
+    reach_m: FloatArray  # (n_kinds,): all of it is so near its origin
+
+
+class Skin(NamedTuple):
+    """Triangles to draw, shuffled: neighbours do not follow one another."""
+
+    vertices_m: FloatArray  # (n_vertices, 3): body frame, shuffled, too
+    triangles: IntArray  # (n_triangles, 3): rows of vertices
+    # fan_start, fans: (n_vertices + 1,), (3 * n_triangles,): rows of the triangles at each vertex,
+    # one vertex after the other
+    fan_start: IntArray
+    fans: IntArray
+
+
+class Placed(NamedTuple):
+    """Where bodies are, seen from a camera: ``turn @ point + shift`` is right, down, ahead."""
+
+    turn: FloatArray  # (n, 3, 3)
+    shift: FloatArray  # (n, 3). [m]
+    up_m: FloatArray  # (n,): height of their origins in the frame in which the camera stands. [m]
+
+    def take(self, rows: slice) -> "Placed":
+        """Some of them."""
+        return Placed(self.turn[rows], self.shift[rows], self.up_m[rows])
+
+
+class Sights(NamedTuple):
+    """Where everything is in frames that differ in more than the vehicles that move."""
+
+    vru: Placed
+    static: Placed
+    frame_start: IntArray  # (n + 1,): frames of each sight, one after the other
+    vehicles: Placed  # of every frame, one frame after the other
+    vehicle_kind: IntArray  # (n_vehicles,): which body each of them is
+    vehicle_start: IntArray  # (n_frames + 1,): into them
+
+
+class Seen(NamedTuple):
+    """Boxes in pixels, zeros where there is none, and shares."""
+
+    amodal_px: FloatArray  # (n, 4): of each sight
+    inside_share: FloatArray  # (n,): of the VRU's box, what the image's edges do not cut off
+    visible_px: FloatArray  # (n, 4): of each sight, were no vehicles there
+    visible_share: FloatArray  # (n,): by pixels; 1 where the VRU covers none
+    frame_visible_px: FloatArray  # (n_frames, 4): with vehicles
+    frame_visible_share: FloatArray  # (n_frames,)
+
+    def take(self, sights: slice, frames: slice) -> "Seen":
+        """Parts of the same arrays."""
+        return Seen(*(part[sights] for part in self[:4]), *(part[frames] for part in self[4:]))
+
+
+# ---------- triangles: their bounds in the image, and their depths
+
+
+@kernel
+def corner(points: FloatArray, row: int) -> Point:
+    """A row of points (n, 3)."""
+    return points[row, 0], points[row, 1], points[row, 2]
+
+
+@kernel
+def find_span(image: Image, least_depth: float, a: Point, b: Point, c: Point) -> Bounds:
+    """Bounds of the part of a triangle that is at least so deep; empty if there is none."""
+    bounds = (np.inf, np.inf, -np.inf, -np.inf)
+    bounds = _with_edge(image, least_depth, a, b, bounds)
+    bounds = _with_edge(image, least_depth, b, c, bounds)
+    return _with_edge(image, least_depth, c, a, bounds)
+
+
+@kernel
+def _with_edge(image: Image, least_depth: float, p: Point, q: Point, bounds: Bounds) -> Bounds:
+    """Bounds stretched by an edge from p to just before q, as far as it is deep enough."""
+    if p[2] >= least_depth:
+        bounds = _with_point(image, p[0], p[1], p[2], bounds)
+    if (p[2] >= least_depth) != (q[2] >= least_depth):
+        part = (least_depth - p[2]) / (q[2] - p[2])
+        x, y = p[0] + part * (q[0] - p[0]), p[1] + part * (q[1] - p[1])
+        bounds = _with_point(image, x, y, least_depth, bounds)
+    return bounds
+
+
+@kernel
+def _with_point(image: Image, right: float, down: float, ahead: float, bounds: Bounds) -> Bounds:
+    scale = image.focal_px / ahead
+    x, y = 0.5 * image.width_px + scale * right, 0.5 * image.height_px + scale * down
+    return min(bounds[0], x), min(bounds[1], y), max(bounds[2], x), max(bounds[3], y)
+
+
+@kernel
+def pixels_within(bounds: Bounds, window: Window) -> Window:
+    """Pixels of a window whose centres lie within bounds; zeros if there are none."""
+    left = max(bounds[0] - 0.5 - _SLACK_PX, float(window[0]))
+    top = max(bounds[1] - 0.5 - _SLACK_PX, float(window[1]))
+    right = min(bounds[2] + 0.5 + _SLACK_PX, float(window[2]))
+    bottom = min(bounds[3] + 0.5 + _SLACK_PX, float(window[3]))
+    if not (left < right and top < bottom):
+        return 0, 0, 0, 0
+    # No number is negative: cutting off rounds down.
+    return int(np.ceil(left)), int(np.ceil(top)), int(right), int(bottom)
+
+
+@kernel
+def cross(p: Point, q: Point) -> Point:
+    """Vector product."""
+    return p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
+
+
+@kernel
+def dot(p: Point, q: Point) -> float:
+    """Scalar product."""
+    return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
+
+
+@kernel
+def find_edges(a: Point, b: Point, c: Point) -> tuple[Edges, float]:
+    """Normals of the planes through the lens and the edges, and a . (b x c), which is positive.
+
+    A direction that the triangle covers ahead of the lens is on the positive side of all three.
+    """
+    volume = dot(a, cross(b, c))
+    if volume < 0.0:
+        return (cross(c, b), cross(a, c), cross(b, a)), -volume
+    return (cross(b, c), cross(c, a), cross(a, b)), volume
+
+
+@kernel
+def depth_at(
+    image: Image, edges: Edges, volume: float, is_near: bool, across: float, down: float
+) -> float:
+    """Depth of a triangle in a direction; infinite where it does not cover it, or is too near."""
+    direction = (across, down, 1.0)
+    first, second = dot(edges[0], direction), dot(edges[1], direction)
+    third = dot(edges[2], direction)
+    total = first + second + third
+    if first < 0.0 or second < 0.0 or third < 0.0 or total <= 0.0:
+        return np.inf
+    depth: float = volume / total
+    if is_near and depth * np.sqrt(1.0 + across * across + down * down) < image.near_m:
+        return np.inf
+    return depth
+
+
+@kernel
+def _passes_by(
+    image: Image, edges: Edges, volume: float, window: Window, farthest_m: float
+) -> bool:
+    """True if a plane through a triangle, or through its edge and the lens, clears a beam."""
+    n_before, n_first, n_second, n_third = 0, 0, 0, 0
+    for corner in range(4):  # corners of the window
+        x = window[0] if corner < 2 else window[2]
+        y = window[1] if corner % 2 == 0 else window[3]
+        direction = (
+            (x - 0.5 * image.width_px) / image.focal_px,
+            (y - 0.5 * image.height_px) / image.focal_px,
+            1.0,
+        )
+        first, second = dot(edges[0], direction), dot(edges[1], direction)
+        third = dot(edges[2], direction)
+        n_first += first < 0.0
+        n_second += second < 0.0
+        n_third += third < 0.0
+        n_before += (first + second + third) * farthest_m < volume
+    return n_before == 4 or n_first == 4 or n_second == 4 or n_third == 4
 
 
 # ---------- the image
@@ -147,7 +333,7 @@ def find_box(image: Image, points: FloatArray, skin: Skin, window: Window) -> Wi
     """Box around the pixels of a window that a body covers, zeros if there are none.
 
     `points` are the vertices of its skin (camera frame). A triangle that makes the box larger has a
-    corner outside of it: few are drawn, with corners in an order without order.
+    corner outside of it: few are drawn, with corners shuffled.
     """
     least_depth = _least_depth(image, window)
     pixels = np.empty((len(points), 2))
@@ -155,9 +341,9 @@ def find_box(image: Image, points: FloatArray, skin: Skin, window: Window) -> Wi
     middle_x, middle_y = 0.5 * image.width_px - 0.5, 0.5 * image.height_px - 0.5
     per_px = 1.0 / image.focal_px
     x_low, y_low, x_high, y_high = image.width_px, image.height_px, 0, 0
-    # What lies within these bounds lies in the box already.
+    # Vertices within these bounds lie in the box already.
     left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
-    for vertex in range(len(points)):
+    for vertex in range(len(points)):  # vertices of the skin, then the triangles at each
         if is_ahead:
             column, line = pixels[vertex, 0], pixels[vertex, 1]
             if left < column < right and top < line < bottom:
@@ -176,35 +362,33 @@ def find_box(image: Image, points: FloatArray, skin: Skin, window: Window) -> Wi
             if x_min >= x_low and x_max <= x_high and y_min >= y_low and y_max <= y_high:
                 continue
             edges, volume = find_edges(a, b, c)
-            cuts = find_cuts(image, edges)
             is_near = min(min(a[2], b[2]), c[2]) < image.near_m
             for y in range(y_min, y_max):
                 down = (y - middle_y) * per_px
-                first, stop = find_columns(cuts, down, x_min, x_max)
                 # From both ends to the first that is covered: what is between them is in the box.
                 is_in = y_low <= y < y_high
-                x = first
-                while x < (min(stop, x_low) if is_in else stop):
+                x = x_min
+                while x < (min(x_max, x_low) if is_in else x_max):
                     across = (x - middle_x) * per_px
                     if depth_at(image, edges, volume, is_near, across, down) < np.inf:
                         x_low, x_high = min(x_low, x), max(x_high, x + 1)
                         y_low, y_high = min(y_low, y), max(y_high, y + 1)
                         break
                     x += 1
-                if x >= stop:
+                if x >= x_max:
                     continue
-                x = stop - 1
-                while x >= max(first, x_high):
+                x = x_max - 1
+                while x >= max(x_min, x_high):
                     across = (x - middle_x) * per_px
                     if depth_at(image, edges, volume, is_near, across, down) < np.inf:
                         x_high = x + 1
                         break
                     x -= 1
         if x_low < x_high:
-            left = x_low - 0.5 + SLACK_PX if x_low > window[0] else -np.inf
-            right = x_high + 0.5 - SLACK_PX if x_high < window[2] else np.inf
-            top = y_low - 0.5 + SLACK_PX if y_low > window[1] else -np.inf
-            bottom = y_high + 0.5 - SLACK_PX if y_high < window[3] else np.inf
+            left = x_low - 0.5 + _SLACK_PX if x_low > window[0] else -np.inf
+            right = x_high + 0.5 - _SLACK_PX if x_high < window[2] else np.inf
+            top = y_low - 0.5 + _SLACK_PX if y_low > window[1] else -np.inf
+            bottom = y_high + 0.5 - _SLACK_PX if y_high < window[3] else np.inf
     if x_low >= x_high:
         return 0, 0, 0, 0
     return x_low, y_low, x_high, y_high
@@ -228,7 +412,7 @@ def draw(
     width = window[2] - window[0]
     middle_x, middle_y = 0.5 * image.width_px - 0.5, 0.5 * image.height_px - 0.5
     per_px = 1.0 / image.focal_px
-    for row in range(len(triangles)):
+    for row in range(len(triangles)):  # triangles, and the pixels that each may cover
         i, j, k = triangles[row, 0], triangles[row, 1], triangles[row, 2]
         a, b, c = corner(points, i), corner(points, j), corner(points, k)
         bounds = _bounds(pixels, i, j, k) if is_ahead else find_span(image, least_depth, a, b, c)
@@ -238,13 +422,11 @@ def draw(
         if not has_backs and dot(a, cross(b, c)) > 0.0:
             continue
         edges, volume = find_edges(a, b, c)
-        cuts = find_cuts(image, edges)
         is_near = min(min(a[2], b[2]), c[2]) < image.near_m
         for y in range(y_min, y_max):
             down = (y - middle_y) * per_px
             start = (y - window[1]) * width - window[0]
-            first, stop = find_columns(cuts, down, x_min, x_max)
-            for x in range(first, stop):
+            for x in range(x_min, x_max):
                 across = (x - middle_x) * per_px
                 depth = depth_at(image, edges, volume, is_near, across, down)
                 depth_m[start + x] = min(depth_m[start + x], depth)
@@ -319,7 +501,7 @@ def _set_beam(
 def _is_outside(
     planes: FloatArray, low_m: float, high_m: float, low: FloatArray, high: FloatArray, node: int
 ) -> bool:
-    """Whether a node's box lies outside of one of the planes, or of the heights of a beam."""
+    """True if a node's box lies outside of one of the planes, or of the heights of a beam."""
     if high[node, 2] <= low_m or low[node, 2] >= high_m:
         return True
     for plane in range(_N_PLANES):
@@ -361,11 +543,11 @@ def hide(
     per_px = 1.0 / image.focal_px
     is_asked = len(depth_m) == 0
     width = box[2] - box[0]
-    waiting = np.empty(MAX_OPEN, dtype=np.int64)
+    waiting = np.empty(_MAX_OPEN, dtype=np.int64)
     corners = np.empty((3, 3))
     waiting[0] = root
     n_waiting = 1
-    while n_waiting:
+    while n_waiting:  # nodes of the tree whose boxes may reach into the beam
         n_waiting -= 1
         node = waiting[n_waiting]
         if _is_outside(planes, low_m, high_m, tree.low_m, tree.high_m, node):
@@ -374,7 +556,7 @@ def hide(
             waiting[n_waiting], waiting[n_waiting + 1] = tree.second[node], node + 1
             n_waiting += 2
             continue
-        for row in range(tree.start[node], tree.end[node]):
+        for row in range(tree.start[node], tree.end[node]):  # triangles of a leaf
             _to_camera(turn, shift, tree.corners_m[row], corners)
             a, b, c = corner(corners, 0), corner(corners, 1), corner(corners, 2)
             bounds = find_span(image, least_depth, a, b, c)
@@ -382,24 +564,13 @@ def hide(
             if x_min >= x_max or y_min >= y_max:
                 continue
             edges, volume = find_edges(a, b, c)
-            if volume == 0.0 or passes_by(image, edges, volume, box, farthest_m):
+            if volume == 0.0 or _passes_by(image, edges, volume, box, farthest_m):
                 continue
             is_near = min(min(a[2], b[2]), c[2]) < image.near_m
-            cuts = find_cuts(image, edges)
-            total = (
-                edges[0][0] + edges[1][0] + edges[2][0],
-                edges[0][1] + edges[1][1] + edges[2][1],
-                edges[0][2] + edges[1][2] + edges[2][2],
-            )
-            # It is nearer than that where all products together are at least so large.
-            near = find_cut(image, total, volume / farthest_m)
-            for y in range(y_min, y_max):
+            for y in range(y_min, y_max):  # pixels of the box within its bounds
                 down = (y - middle_y) * per_px
                 start = (y - box[1]) * width - box[0]
-                first, stop = find_columns(cuts, down, x_min, x_max)
-                if is_asked and first < stop:
-                    first, stop = columns_left(near, down, float(first), float(stop - 1))
-                for x in range(first, stop):
+                for x in range(x_min, x_max):
                     before_m = farthest_m if is_asked else depth_m[start + x]
                     if before_m == np.inf:
                         continue
@@ -413,10 +584,10 @@ def hide(
 
 
 @kernel
-def _is_beside(
+def _is_off_beam(
     image: Image, box: Window, farthest_m: float, shift: FloatArray, reach_m: float
 ) -> bool:
-    """Whether a body lies outside of the beam through a box: all of it is near its origin."""
+    """True if a body, all of it near its origin, lies outside of the beam through a box."""
     x, y, z = shift[0], shift[1], shift[2]
     if z - reach_m > farthest_m or z + reach_m < 0.0:
         return True
@@ -432,6 +603,51 @@ def _is_beside(
 
 
 # ---------- many sights
+
+
+@kernel
+def _see_past_vehicles(
+    image: Image,
+    body: tuple[FloatArray, IntArray],
+    vehicles: Vehicles,
+    sights: Sights,
+    seen: Seen,
+    sight: int,
+    box: Window,
+    depths: tuple[float, float, float],
+    n_pixels: int,
+    depth_m: FloatArray,
+    left_m: FloatArray,
+) -> None:
+    """Fill `seen` in the frames of a sight, which differ by the vehicles that move.
+
+    `body` has the VRU's vertices (camera frame) and triangles; `depths` are the farthest depth of
+    the VRU, and the heights between which all is that may hide it. Where `n_pixels` is 0,
+    `depth_m` is not yet drawn; `left_m` is room for as many pixels.
+    """
+    farthest_m, lowest_m, highest_m = depths
+    for frame in range(sights.frame_start[sight], sights.frame_start[sight + 1]):
+        is_hidden = False
+        for row in range(sights.vehicle_start[frame], sights.vehicle_start[frame + 1]):
+            kind = sights.vehicle_kind[row]
+            root = vehicles.roots[kind]
+            at, there = sights.vehicles.turn[row], sights.vehicles.shift[row]
+            base_m = sights.vehicles.up_m[row]
+            low_m, high_m = lowest_m - base_m + _TOUCH_M, highest_m - base_m
+            if _is_off_beam(image, box, farthest_m, there, vehicles.reach_m[kind]):
+                continue
+            look = (image, vehicles.tree, root, at, there, box, farthest_m, low_m, high_m)
+            if not hide(*look, depth_m[:0]):
+                continue
+            if n_pixels == 0:
+                n_pixels = _draw_all(image, body[0], body[1], box, depth_m)
+            for pixel in range(0 if is_hidden else len(depth_m)):
+                left_m[pixel] = depth_m[pixel]
+            is_hidden = True
+            hide(*look, left_m)
+        if is_hidden:
+            n_seen = _measure(left_m, box, seen.frame_visible_px, frame)
+            seen.frame_visible_share[frame] = n_seen / n_pixels
 
 
 @kernel
@@ -452,14 +668,14 @@ def see(
     what is `parked` in it, and `vehicles`. Where the VRU's part of the image is not
     `min_height_px` high, boxes are zeros.
     """
-    vertices_m, triangles, trees = skin.vertices_m, skin.triangles, vehicles.tree
+    vertices_m, triangles = skin.vertices_m, skin.triangles
     hull, points = np.empty((len(hull_m), 3)), np.empty((len(vertices_m), 3))
     nothing = np.empty(0)
     depth_m, left_m = nothing, nothing  # in the pixels of the box; infinite where it is not seen
     foot_m, top_m = hull_m[0, 2], hull_m[0, 2]
     for row in range(len(hull_m)):
         foot_m, top_m = min(foot_m, hull_m[row, 2]), max(top_m, hull_m[row, 2])
-    for sight in range(len(sights.vru.shift)):
+    for sight in range(len(sights.vru.shift)):  # places of the VRU before what stands still
         turn, shift = sights.vru.turn[sight], sights.vru.shift[sight]
         _to_camera(turn, shift, hull_m, hull)
         crop, inside_share = find_crop(image, hull, min_height_px)
@@ -498,28 +714,104 @@ def see(
             for side in range(4):
                 seen.frame_visible_px[frame, side] = seen.visible_px[sight, side]
             seen.frame_visible_share[frame] = seen.visible_share[sight]
-            if n_left == 0:
-                continue
-            is_hidden = False
-            for row in range(sights.vehicle_start[frame], sights.vehicle_start[frame + 1]):
-                kind = sights.vehicle_kind[row]
-                root = vehicles.roots[kind]
-                at, there = sights.vehicles.turn[row], sights.vehicles.shift[row]
-                base_m = sights.vehicles.up_m[row]
-                low_m, high_m = lowest_m - base_m + _TOUCH_M, highest_m - base_m
-                if _is_beside(image, box, farthest_m, there, vehicles.reach_m[kind]):
-                    continue
-                if not hide(image, trees, root, at, there, box, farthest_m, low_m, high_m, nothing):
-                    continue
-                if n_pixels == 0:
-                    n_pixels = _draw_all(image, points, triangles, box, depth_m[:area])
-                for pixel in range(0 if is_hidden else area):
-                    left_m[pixel] = depth_m[pixel]
-                is_hidden = True
-                hide(
-                    *(image, trees, root, at, there),
-                    *(box, farthest_m, low_m, high_m, left_m[:area]),
-                )
-            if is_hidden:
-                n_seen = _measure(left_m, box, seen.frame_visible_px, frame)
-                seen.frame_visible_share[frame] = n_seen / n_pixels
+        if n_left != 0:
+            _see_past_vehicles(
+                *(image, (points, triangles), vehicles, sights, seen, sight, box),
+                *((farthest_m, lowest_m, highest_m), n_pixels, depth_m[:area], left_m[:area]),
+            )
+
+
+# ---------- trees of boxes around triangles
+
+
+def build_tree(corners_m: FloatArray) -> Tree:
+    """Tree of triangles (n, 3, 3)."""
+    n = len(corners_m)
+    n_nodes = max(0, 2 * n - 1)
+    tree = Tree(
+        corners_m=corners_m,
+        low_m=np.full((n_nodes, 3), np.inf),
+        high_m=np.full((n_nodes, 3), -np.inf),
+        second=np.full(n_nodes, -1, dtype=np.int64),
+        start=np.zeros(n_nodes, dtype=np.int64),
+        end=np.zeros(n_nodes, dtype=np.int64),
+    )
+    order = np.arange(n)
+    centres_m = 0.5 * (corners_m.min(axis=1) + corners_m.max(axis=1))
+    n_used = _fill(tree, order, centres_m)
+    return Tree(
+        corners_m=corners_m[order],
+        low_m=tree.low_m[:n_used].copy(),
+        high_m=tree.high_m[:n_used].copy(),
+        second=tree.second[:n_used].copy(),
+        start=tree.start[:n_used].copy(),
+        end=tree.end[:n_used].copy(),
+    )
+
+
+def join_vehicles(trees: Sequence[Tree], reach_m: FloatArray) -> Vehicles:
+    """Trees of bodies, one after the other, each of which reaches so far from its origin."""
+    roots = np.cumsum([0, *(len(tree.second) for tree in trees)])[:-1]
+    firsts = np.cumsum([0, *(len(tree.corners_m) for tree in trees)])[:-1]
+    moved = [
+        tree._replace(
+            second=np.where(tree.second < 0, -1, tree.second + root),
+            start=tree.start + first,
+            end=tree.end + first,
+        )
+        for tree, root, first in zip(trees, roots, firsts, strict=True)
+    ]
+    return Vehicles(
+        tree=Tree(*(np.concatenate(parts) for parts in zip(*moved, strict=True))),
+        roots=roots,
+        reach_m=reach_m,
+    )
+
+
+@kernel
+def _fill(tree: Tree, order: IntArray, centres_m: FloatArray) -> int:
+    """Fill a tree and the order of its triangles; gives the number of nodes.
+
+    A node is split in the middle of its triangles' centres along their largest extent; in number
+    where that would leave a side empty, or the tree grow too deep.
+    """
+    begins, ends = np.empty(_MAX_OPEN, dtype=np.int64), np.empty(_MAX_OPEN, dtype=np.int64)
+    parents = np.empty(_MAX_OPEN, dtype=np.int64)  # whose second child it is; -1: a first child
+    begins[0], ends[0], parents[0] = 0, len(order), -1
+    n_open = 1 if len(order) else 0
+    n_used = 0
+    while n_open:  # nodes, parents before their children
+        n_open -= 1
+        begin, stop, parent = begins[n_open], ends[n_open], parents[n_open]
+        node = n_used
+        n_used += 1
+        if parent >= 0:
+            tree.second[parent] = node
+        tree.start[node], tree.end[node] = begin, stop
+        along, largest_m, middle_m = 0, -1.0, 0.0
+        for axis in range(3):
+            least, most = np.inf, -np.inf
+            for place in range(begin, stop):
+                row = order[place]
+                for corner in range(3):
+                    value = tree.corners_m[row, corner, axis]
+                    tree.low_m[node, axis] = min(tree.low_m[node, axis], value)
+                    tree.high_m[node, axis] = max(tree.high_m[node, axis], value)
+                least, most = min(least, centres_m[row, axis]), max(most, centres_m[row, axis])
+            if most - least > largest_m:
+                along, largest_m, middle_m = axis, most - least, 0.5 * (least + most)
+        if stop - begin <= _LEAF_SIZE:
+            continue
+        split = begin
+        for place in range(begin, stop):
+            row = order[place]
+            if centres_m[row, along] < middle_m:
+                order[place] = order[split]
+                order[split] = row
+                split += 1
+        if split in (begin, stop) or n_open > _MAX_OPEN // 2:
+            split = (begin + stop) // 2
+        begins[n_open], ends[n_open], parents[n_open] = split, stop, node
+        begins[n_open + 1], ends[n_open + 1], parents[n_open + 1] = begin, split, -1
+        n_open += 2
+    return n_used

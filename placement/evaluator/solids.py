@@ -1,4 +1,4 @@
-"""Triangles of everything that can be seen, kept ready for pixels and for LiDAR beams.
+"""Triangles of everything that can be seen, ready for pixels and for LiDAR beams.
 
 A *road pose* is a row of four numbers: east and north in metres, yaw in degrees, and height of the
 ground in metres. It places the frame of a :class:`Solid` in the frame in which a sensor stands.
@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from threading import RLock
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,7 +18,8 @@ from geometry.poses import to_world
 from geometry.raycast import RayCaster, build_caster
 from geometry.scene import Scene
 
-from .sights import Skin, Tree
+if TYPE_CHECKING:
+    from .pixels import Skin, Tree
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,8 +40,10 @@ class Mesh:
         return corners
 
     @cached_property
-    def skin(self) -> Skin:
-        """The same for drawing."""
+    def skin(self) -> "Skin":
+        """Its triangles, shuffled for drawing."""
+        from .pixels import Skin  # loads the compiler
+
         rng, n_vertices = np.random.default_rng(0), len(self.vertices_m)
         order = rng.permutation(n_vertices)
         place = np.empty(n_vertices, dtype=np.int64)
@@ -54,36 +58,27 @@ class Mesh:
         )
 
     @property
-    def tree(self) -> Tree:
+    def tree(self) -> "Tree":
         """Boxes around its triangles; safe to ask for from several threads."""
         with self._lock:
             return self._tree
 
     @cached_property
-    def _tree(self) -> Tree:
-        from .trees import build_tree  # loads the compiler
+    def _tree(self) -> "Tree":
+        from .pixels import build_tree  # loads the compiler
 
         return build_tree(self.corners_m)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Solid:
-    """Triangles that keep together, in their own frame.
+    """Triangles that keep together, in their own frame."""
 
-    Attributes
-    ----------
-    meshes : tuple of Mesh
-        One of a road user; of the static world, what always stands there and what is parked in a
-        run. A mesh may belong to several solids.
-    hull_m : (n, 3) float
-        Vertices of the convex hull; none for the static world. [m]
-    library : str or None
-        What casts rays; see :func:`geometry.raycast.build_caster`.
-    """
-
+    # One of a road user; of the static world, what always stands there and what is parked in a run.
+    # A mesh may belong to several solids.
     meshes: tuple[Mesh, ...]
-    hull_m: FloatArray
-    library: str | None = None
+    hull_m: FloatArray  # (n, 3): vertices of the convex hull; none for the static world. [m]
+    library: str | None = None  # casts rays; see geometry.raycast.build_caster
     _lock: RLock = field(default_factory=RLock, repr=False)
 
     @property

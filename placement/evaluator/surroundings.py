@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,8 +23,10 @@ from geometry.weather import Weather, pick_weather
 from scenarios.runs import Run
 
 from ..detectors import VRU_CLASSES, vru_class
-from .sights import Vehicles
 from .solids import Solid, build_body, build_scene_mesh, build_static
+
+if TYPE_CHECKING:
+    from .pixels import Vehicles
 
 _POSE_DECIMALS = 6  # poses that agree to a micrometre are the same
 
@@ -38,7 +41,7 @@ class Surroundings:
     statics: tuple[Solid, ...]
     vrus: tuple[Solid, ...]
     vehicles: tuple[Solid, ...]  # distinct bodies that move: the VUT first
-    vehicle_trees: Vehicles  # the same for drawing
+    vehicle_trees: "Vehicles"  # the same for drawing
     vut_actor: Actor
     # static_index, vru_index: (n_frames,): which of them is there
     static_index: IntArray
@@ -95,7 +98,7 @@ def build_surroundings(
     vuts = {run.encounter.vut.name: run.encounter.vut for run in runs}
     if len(vuts) != 1:
         raise InputError("runs: VUT", sorted(vuts), "the same vehicle in all runs")
-    from .trees import join_vehicles  # loads the compiler
+    from .pixels import join_vehicles  # loads the compiler
 
     vut_actor = next(iter(vuts.values()))
     vru_of_frame = [(run.encounter.vru, int(index)) for run in runs for index in run.vru_shape]
@@ -153,7 +156,7 @@ def build_surroundings(
 def _lay_traffic(
     runs: Sequence[Run], vehicles: list[Actor], terrain: Terrain | None
 ) -> tuple[IntArray, FloatArray]:
-    """What drives by in each frame, (n_frames, n), and its road poses, (n_frames, n, 4)."""
+    """Vehicles that drive by in each frame, (n_frames, n); their road poses, (n_frames, n, 4)."""
     n_most = max(len(run.traffic) for run in runs)
     indices, poses = [], []
     for run in runs:
@@ -239,7 +242,7 @@ def vut_pitch_deg(
 def level_carriers(surroundings: Surroundings, mount: Pose) -> FloatArray:
     """Road poses (n, 4) of carriers that are level, on which the VUT's mount is where it is.
 
-    What tilts with the VUT is then the sensor's direction alone.
+    Then the sensor's direction alone tilts with the VUT.
     """
     tilted = body_rotation(0.0, surroundings.vut_pitch_deg) @ mount.position_m - mount.position_m
     carriers = surroundings.vut_poses.copy()

@@ -1,8 +1,9 @@
 """Pictures by ray casting: what a camera sees of a run in colour, by instance and in depth.
 
 ``mesh`` gathers a frame's triangles and scans them with a LiDAR, ``ground`` draws the road plane;
-``materials`` says what surfaces send back, ``light`` what falls on them, and draws glare and drops;
-``picture`` casts the rays and exposes.
+``materials`` says what surfaces send back, ``light`` what falls on them; ``picture`` casts the rays
+of one frame, ``stills`` those of many by one camera, ``crops`` those of a part; ``exposure`` adds
+glare and drops, and exposes.
 """
 
 from .mesh import PointCloud, scan_cloud

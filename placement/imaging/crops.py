@@ -16,7 +16,14 @@ from geometry.sensors import CameraModel
 from geometry.weather import Weather
 from scenarios.runs import Run
 
-from .exposure import develop, find_edges, load_imager, white_luminance
+from .exposure import (
+    add_glare,
+    add_rain,
+    develop,
+    find_edges,
+    load_imager,
+    white_luminance,
+)
 from .materials import Materials
 from .mesh import FrameMesh, add_moving_meshes, build_moving_meshes, move_origin, place_mesh
 from .picture import (
@@ -32,7 +39,6 @@ from .picture import (
     smooth_image,
     tile_rays,
 )
-from .rain_and_glare import add_glare, add_rain
 from .stills import Still, add_moving
 
 _METERED_PX = (48, 27)  # columns and rows of the whole image that set the exposure
@@ -65,37 +71,12 @@ def draw_crop(
     white_cd_m2: float | None = None,
     seed: int = 0,
 ) -> Picture:
-    """Render a part of one frame of a run.
+    """Render a window of one frame of a run, as large as the window.
 
-    Parameters
-    ----------
-    backdrop : Backdrop
-        The scene, with what parks in the run.
-    still : FrameMesh
-        Its triangles, ready for rays: ``place_mesh(backdrop.mesh, np.zeros(3))``.
-    run, frame_index : Run, int
-        What moves.
-    pose : Pose
-        The camera's.
-    camera : CameraModel
-        Its lens and the size of its whole image.
-    window : Window
-        What is drawn of the image.
-    weather : Weather
-        Light, air and drops.
-    with_vut : bool
-        Whether the VUT is seen; its headlights shine in any case.
-    materials : Materials, optional
-        Colours; by default those of ``data/materials.toml``.
-    white_cd_m2 : float, optional
-        Luminance that is white; by default what :func:`meter` says of the frame.
-    seed : int
-        Of noise and drops.
-
-    Returns
-    -------
-    picture : Picture
-        Of the window's size.
+    `still` has the backdrop's triangles ready for rays, ``place_mesh(backdrop.mesh, np.zeros(3))``;
+    pose and camera are those of the whole image. `with_vut` says if the VUT is seen: its headlights
+    shine in any case. `white_cd_m2` is the luminance that becomes white, by default what
+    :func:`meter` finds in the frame; the seed is that of noise and drops.
     """
     still = move_origin(still, pose.position_m)
     mesh = add_moving_meshes(still, build_moving_meshes(run, frame_index, with_vut=with_vut))

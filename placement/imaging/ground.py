@@ -20,7 +20,7 @@ from .mesh import Thing
 # ---------- lanes and markings
 
 
-_BESIDE_M = 0.4  # so far beyond a lane's edge lies its neighbour
+_NEIGHBOUR_M = 0.4  # so far beyond a lane's edge lies its neighbour
 _MOUTH_M = 2.5  # a lane that ends so near the junction's outline ends at a stop line
 _OVERLAP_M = 0.06
 
@@ -78,9 +78,9 @@ def _lane_lines(scene: Scene, marks: Mapping[str, float]) -> Iterator[list[float
 
 
 def _neighbour(scene: Scene, lane: Lane, side: float) -> tuple[Lane | None, bool]:
-    """The lane beside the middle of a lane, and whether it leads the same way."""
+    """The neighbour of a lane at its middle; True if it leads the same way."""
     at_m = 0.5 * _lengths(lane.centreline_m)[-1]
-    point, ahead = _at(lane.centreline_m, at_m, side * (0.5 * lane.width_m + _BESIDE_M))
+    point, ahead = _at(lane.centreline_m, at_m, side * (0.5 * lane.width_m + _NEIGHBOUR_M))
     for other in scene.lanes:
         if other is lane:
             continue
@@ -127,11 +127,11 @@ def _lengths(line: FloatArray) -> FloatArray:
 
 
 def _at(line: FloatArray, length_m: float, offset_m: float) -> tuple[FloatArray, FloatArray]:
-    """Point beside a line, left positive, and the line's direction there."""
+    """Point at an offset from a line, left positive, and the line's direction there."""
     lengths = _lengths(line)
     piece = int(np.clip(np.searchsorted(lengths, length_m) - 1, 0, len(line) - 2))
     step = line[piece + 1] - line[piece]
-    if not step.any():  # a point that is there twice: the nearest step beside it
+    if not step.any():  # a point that is there twice: the nearest other step
         steps = np.diff(line, axis=0)
         other = np.flatnonzero(steps.any(axis=1))
         step = steps[other[np.argmin(np.abs(other - piece))]]
@@ -153,7 +153,7 @@ def _dashes(line: FloatArray, dash_m: float, gap_m: float) -> list[tuple[float, 
 def _strip(
     line: FloatArray, offset_m: float, width_m: float, dashes: list[tuple[float, float]]
 ) -> Iterator[list[float]]:
-    """Pieces of a strip that runs beside a line."""
+    """Pieces of a strip along a line."""
     for start_m, end_m in dashes:
         middle, ahead = _at(line, 0.5 * (start_m + end_m), offset_m)
         yaw = float(np.arctan2(ahead[1], ahead[0]))
@@ -166,7 +166,7 @@ def _strip(
 ROAD, PAINT, SKY = 0, 1, 2  # layers of a map
 
 _STEP_M = 0.1
-_ROAD_REACH_M = 4.5  # distances are kept up to here
+_ROAD_REACH_M = 4.5  # distances are stored up to here
 _PAINT_REACH_M = 0.4
 _SHADE_REACH_M = 12.0
 _CLEARANCE_M = 0.18  # of vehicles above the road: light gets in below them
@@ -250,15 +250,15 @@ def _road_and_paint(
 
     def keep_least(layer: int, rectangle: FloatArray, reach_m: float) -> None:
         window, points = _window(low, layers, _corners(rectangle), reach_m)
-        kept = layers[*window, layer]
-        kept[...] = np.minimum(kept, rectangle_distance(points, rectangle))
+        stored = layers[*window, layer]
+        stored[...] = np.minimum(stored, rectangle_distance(points, rectangle))
 
     for rectangle in build_road(scene):
         keep_least(ROAD, rectangle, _ROAD_REACH_M)
     if len(scene.outline_m):
         window, points = _window(low, layers, scene.outline_m, _ROAD_REACH_M)
-        kept = layers[*window, ROAD]
-        kept[...] = np.minimum(kept, polygon_distance(points, scene.outline_m))
+        stored = layers[*window, ROAD]
+        stored[...] = np.minimum(stored, polygon_distance(points, scene.outline_m))
     for rectangle in build_markings(scene, dict(marks)):
         keep_least(PAINT, rectangle, _PAINT_REACH_M)
     # Paint is on the road only.

@@ -1,4 +1,4 @@
-"""Light on surfaces, from sun, sky and lamps with shadows; glare and drops in a picture."""
+"""Light on surfaces, from sun, sky and lamps with shadows."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -376,7 +376,7 @@ def _add_lamps(
         strength = lamp.intensity_cd(away)
         strength /= square
         strength *= square < np.float32(lamp.reach_m**2)
-        # What the ground below would get comes back from it.
+        # Light on the ground below comes back from it.
         glow = np.minimum(away[2], 0.0)
         glow *= strength
         glow *= below
@@ -396,6 +396,3 @@ def _add_lamps(
         by_colour[tuple(lamp.colour.tolist())] += strength
     for colour, strength in by_colour.items():
         lux += strength[:, None] * np.array(colour, dtype=np.float32)
-
-
-# ---------- glare of lamps, and drops in front of a camera

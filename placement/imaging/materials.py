@@ -207,7 +207,7 @@ _TEXELS = np.float32(2.7)  # of noise per window
 def coat_ground(
     hits: Hits, ground: GroundMap, materials: Materials, *, wetness: float
 ) -> tuple[Coat, FloatRays]:
-    """Road, paint, kerb, pavement and grass; beside the coat the share (n,) of skylight left there.
+    """Road, paint, kerb, pavement, grass: coat, and share (n,) of skylight that reaches them.
 
     `wetness` is the weather's, 0 .. 1.
     """
@@ -228,17 +228,17 @@ def coat_ground(
     under = colour[painted]
     blend(under, albedo["paint"], share)
     colour[painted] = under
-    beside = np.flatnonzero(road > -pixel)
-    if len(beside):
-        at, size = road[beside], pixel[beside]
-        spot = colour[beside]
+    off = np.flatnonzero(road > -pixel)
+    if len(off):
+        at, size = road[off], pixel[off]
+        spot = colour[off]
         blend(spot, albedo["kerb"], 1.0 - cover(at, size))
         blend(spot, albedo["pavement"], 1.0 - cover(at - np.float32(pattern["kerb_m"]), size))
-        joints = _joints(east[beside], north[beside], pattern["slab_m"], size)
+        joints = _joints(east[off], north[off], pattern["slab_m"], size)
         spot *= 1.0 - 0.25 * (joints * (at > pattern["kerb_m"]))[:, None]
         verge = 1.0 - cover(at - np.float32(pattern["pavement_m"]), size + np.float32(0.1))
-        blend(spot, albedo["verge"] * (1.0 + 0.25 * patches[beside, None]), verge)
-        colour[beside] = spot
+        blend(spot, albedo["verge"] * (1.0 + 0.25 * patches[off, None]), verge)
+        colour[off] = spot
     colour *= (1.0 + np.float32(0.07) * patches + np.float32(0.10) * grain).clip(0.5, 1.6)[:, None]
     colour *= np.float32(1.0 - wetness * materials.gloss["wet_darkening"])
     coat = Coat(
@@ -351,14 +351,14 @@ def coat_vehicle(hits: Hits, things: Things, materials: Materials) -> Coat:
     coat = blank_coat(len(x))
     coat.albedo[...] = things.colours[hits.thing, 0]
     coat.mirror[...] = materials.gloss["lacquer"]
-    is_beside = np.abs(facing[:, 1]) > 0.6
+    is_side = np.abs(facing[:, 1]) > 0.6
     pane_low = np.where(is_van, np.float32(0.60), np.float32(0.675))
     pane = is_upright & (level > pane_low) & (level < 0.925)
-    # Beside: pillars, and a van's closed rear; ahead and behind: a frame of lacquer.
+    # At the sides: pillars, and a van's closed rear; ahead and behind: a frame of lacquer.
     pillar = np.abs(x + np.float32(0.06) * length) < 0.05
     closed = is_van & (x < 0.16 * length)
-    pane &= np.where(is_beside, ~(pillar | closed), side < 0.385 * width)
-    pane &= is_beside | front | (rear & ~is_van)
+    pane &= np.where(is_side, ~(pillar | closed), side < 0.385 * width)
+    pane &= is_side | front | (rear & ~is_van)
     for name, where in (
         ("pane", pane),
         ("trim", level < 0.155),
@@ -393,7 +393,7 @@ def coat_pedestrian(hits: Hits, things: Things, materials: Materials) -> Coat:
     coat = blank_coat(len(x))
     coat.albedo[...] = things.colours[hits.thing, 0]
     is_leg = level < 0.50
-    # Arms hang beside the hips: sleeves down to the wrists, then hands.
+    # Arms reach down to the hips: sleeves down to the wrists, then hands.
     is_arm = (np.abs(y) > 0.36 * width) & (level > 0.34)
     coat.albedo[is_leg & ~is_arm] = things.colours[hits.thing, 1][is_leg & ~is_arm]
     coat.albedo[is_arm & (level < 0.435)] = albedo["skin"]

@@ -103,7 +103,7 @@ def build_frame_mesh(
 
 
 def build_moving_meshes(run: Run, frame_index: int, *, with_vut: bool) -> tuple[Mesh, ...]:
-    """What moves in a frame, each thing in a mesh of its own; see :func:`build_frame_mesh`."""
+    """Moving things of a frame, each in a mesh of its own; see :func:`build_frame_mesh`."""
     bodies = [
         _body_mesh(
             f"driving-{number}",
@@ -137,7 +137,7 @@ def place_mesh(mesh: Mesh, origin_m: FloatArray) -> FrameMesh:
 
 
 def move_origin(mesh: FrameMesh, origin_m: FloatArray) -> FrameMesh:
-    """The same triangles, ready for rays already, in a frame with another origin (3,)."""
+    """Triangles that are ready for rays already, in a frame with another origin (3,)."""
     shift = (origin_m - mesh.origin_m).astype(np.float32)
     return replace(
         mesh,
@@ -148,7 +148,7 @@ def move_origin(mesh: FrameMesh, origin_m: FloatArray) -> FrameMesh:
 
 
 def add_moving_meshes(still: FrameMesh, moving: Sequence[Mesh]) -> FrameMesh:
-    """What stands still and what moves, for rays; only what moves is prepared anew."""
+    """Standing and moving triangles, for rays; only moving ones are prepared anew."""
     bodies = place_mesh(_join(moving), still.origin_m)
     return FrameMesh(
         origin_m=still.origin_m,
@@ -348,24 +348,12 @@ def _unit(vectors: FloatRays) -> FloatRays:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PointCloud:
-    """Pulses that came back.
+    """Pulses that came back."""
 
-    Attributes
-    ----------
-    points_m : (n, 3) float32
-        Frame of the LiDAR: x ahead, y left, z up. [m]
-    intensity : (n,) float32
-        Reflectivity times the cosine of incidence, 0 .. 1.
-    instance : (n,) int32
-        Index into `names`.
-    names : tuple of str
-        The scene's instances, "parked-1" .., "vut" if it is there, "vru".
-    """
-
-    points_m: NDArray[np.float32]
-    intensity: NDArray[np.float32]
-    instance: NDArray[np.int32]
-    names: tuple[str, ...]
+    points_m: NDArray[np.float32]  # (n, 3): frame of the LiDAR: x ahead, y left, z up. [m]
+    intensity: NDArray[np.float32]  # (n,): reflectivity times the cosine of incidence, 0 .. 1.
+    instance: NDArray[np.int32]  # (n,): index into `names`
+    names: tuple[str, ...]  # the scene's instances, "parked-1" .., "vut" if it is there, "vru"
 
 
 def scan_cloud(

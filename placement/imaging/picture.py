@@ -49,7 +49,6 @@ from .materials import (
     load_materials,
 )
 from .mesh import ROUND, FrameMesh, Index, Mesh, build_frame_mesh, build_static_mesh, vut_pose
-from .rain_and_glare import add_glare, add_rain
 
 _OFF_SURFACE_M = 4.0e-3  # where mirrored rays start
 _LEAST_MIRROR = 0.012  # share; less is not worth a ray
@@ -120,7 +119,7 @@ def whole_image(camera: CameraModel) -> Window:
 
 
 class Shades(NamedTuple):
-    """What rays see."""
+    """Light, things and depths that rays meet."""
 
     radiance: FloatRays  # (n, 3), cd/m^2
     instance: Index  # (n,): index of the thing; -1 where there is sky
@@ -128,7 +127,7 @@ class Shades(NamedTuple):
 
 
 class Surfaces(NamedTuple):
-    """What rays meet, to add light to it later: arrays (n, 3), zeros where there is sky."""
+    """Surfaces that rays meet, to add light to later: arrays (n, 3), zeros where there is sky."""
 
     albedo: FloatRays
     lux: FloatRays  # the light that falls on it
@@ -137,7 +136,7 @@ class Surfaces(NamedTuple):
 
 
 def shade_rays(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
-    """What rays see that start at the camera, are one metre deep, have the world's axes, (n, 3)."""
+    """Shades and surfaces of rays (n, 3) from the camera, one metre deep, in the world's axes."""
     camera, mesh, sky = shot.camera, shot.mesh, shot.sky
     length = np.sqrt(np.einsum("ij,ij->i", ways, ways))
     near = np.float32(camera.near_m) / length  # rays start where drawing starts
@@ -333,29 +332,18 @@ _TILE_PX = (90, 480)  # rows, columns drawn at a time: fit into a cache, and are
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Picture:
-    """What a camera sees.
+    """Colours, things and depths in the image of a camera."""
 
-    Attributes
-    ----------
-    rgb : (h, w, 3) uint8
-        sRGB.
-    instance : (h, w) int32
-        Index into `names`; -1 where there is sky.
-    depth_m : (h, w) float32
-        Along the optical axis; infinite where there is sky. [m]
-    names : tuple of str
-        The scene's instances, "parked-1" .. for what parks in the run, "vut" if it is drawn, "vru".
-    """
-
-    rgb: NDArray[np.uint8]
-    instance: NDArray[np.int32]
-    depth_m: FloatRays
+    rgb: NDArray[np.uint8]  # (h, w, 3): sRGB
+    instance: NDArray[np.int32]  # (h, w): index into `names`; -1 where there is sky
+    depth_m: FloatRays  # (h, w): along the optical axis; infinite where there is sky. [m]
+    # the scene's instances, "parked-1" .. for what parks in the run, "vut" if it is drawn, "vru".
     names: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Backdrop:
-    """What stands still in all frames of a run, ready to be drawn many times."""
+    """Standing things of all frames of a run, ready to be drawn many times."""
 
     mesh: Mesh  # scene and obstruction
     ground: GroundMap
@@ -448,7 +436,7 @@ def build_shot(
     frame_index: int = 0,
     materials: Materials | None = None,
 ) -> Shot:
-    """What a picture of a mesh is made from; with the VUT's headlights in a frame of a run."""
+    """Inputs of a picture of a mesh; with the VUT's headlights in a frame of a run."""
     lamps: tuple[Lamp, ...] = ()
     if weather.has_lamps:
         lamps = backdrop.street_lamps
@@ -477,12 +465,12 @@ def start_pool(compute: Compute) -> Iterator[ThreadPoolExecutor]:
 
 
 def shade_image(shot: Shot, pool: ThreadPoolExecutor) -> Shades:
-    """What a camera sees through the middles of its pixels, before lens and noise, (h, w)."""
+    """Shades through the middles of a camera's pixels, before lens and noise, (h, w)."""
     return _shade_tiles(shot, whole_image(shot.camera), pool, None)
 
 
 def shade_surfaces(shot: Shot, window: Window, pool: ThreadPoolExecutor) -> tuple[Shades, Surfaces]:
-    """As :func:`shade_image` in a window, and what is met there, (h, w, 3)."""
+    """Shades in a window, as of :func:`shade_image`, and the surfaces there, (h, w, 3)."""
     size = (window.height, window.width)
     surfaces = Surfaces(*(np.empty((*size, 3), dtype=np.float32) for _ in Surfaces._fields))
     return _shade_tiles(shot, window, pool, surfaces), surfaces
@@ -533,7 +521,13 @@ def expose_image(
     shot: Shot, radiance: FloatRays, pose: Pose, seed: list[int], pool: ThreadPoolExecutor
 ) -> NDArray[np.uint8]:
     """Colours (h, w, 3) of radiances that are written over: glare, rain, exposure and noise."""
-    from .exposure import develop, load_imager, white_luminance  # loads the compiler
+    from .exposure import (  # loads the compiler
+        add_glare,
+        add_rain,
+        develop,
+        load_imager,
+        white_luminance,
+    )
 
     size = radiance.shape[:2]
     add_glare(radiance, pose, shot.camera, shot.lamps, shot.mesh.caster)

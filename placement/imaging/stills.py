@@ -1,4 +1,4 @@
-"""Many pictures by one camera that hangs still: what stands still is drawn once.
+"""Many pictures by one fixed camera: what stands still is drawn once.
 
 In each frame only those pixels are drawn anew that what moves can change: it is seen there, throws
 a shadow there, is mirrored there, or its headlights shine there. What can be changed is found by
@@ -61,7 +61,7 @@ _BLOCK_PX = 12  # sides of the blocks of pixels that are tried as a whole
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Still:
-    """What a camera sees of what stands still, in one weather; drawn by :func:`draw_still`."""
+    """Image of what stands still, in one weather; drawn by :func:`draw_still`."""
 
     backdrop: Backdrop
     pose: Pose
@@ -144,7 +144,7 @@ def draw_still(
 def scan_onto(
     still: Still, run: Run, frame_index: int, lidar: LidarModel, *, seed: int
 ) -> PointCloud:
-    """Scan a frame of a run by a LiDAR that hangs where a still's camera does."""
+    """Scan a frame of a run by a LiDAR at the place of a still's camera."""
     moving = build_moving_meshes(run, frame_index, with_vut=True)
     return scan_mesh(
         add_moving_meshes(still.shot.mesh, moving),
@@ -175,7 +175,7 @@ def draw_onto(
 def add_moving(
     still: Still, run: Run, frame_index: int, *, with_vut: bool = True, each: Each = map
 ) -> tuple[Shot, Shades, FloatRays]:
-    """What is seen in a frame, before lens and noise, with what moves.
+    """Image of a frame before lens and noise, with what moves.
 
     Returns
     -------
@@ -240,7 +240,7 @@ def _headlights(shot: Shot) -> list[HeadLamp]:
 
 
 def _headlight_radiance(still: Still, shot: Shot, pixels: IntArray, ways: FloatRays) -> FloatRays:
-    """What headlights add to the radiance of pixels (n,) of a still, (n, 3)."""
+    """Radiance (n, 3) that headlights add to pixels (n,) of a still."""
     assert still.surfaces is not None
     surfaces = Surfaces(*(array.reshape(-1, 3)[pixels] for array in still.surfaces))
     local = ways * still.raw.depth_m.reshape(-1)[pixels, None]
@@ -268,7 +268,7 @@ def _headlight_radiance(still: Still, shot: Shot, pixels: IntArray, ways: FloatR
 
 
 def _grown(mask: BoolArray) -> BoolArray:
-    """A mask (h, w) and the pixels beside it, above and below."""
+    """A mask (h, w) and the pixels next to it, above and below."""
     grown = mask.copy()
     grown[1:] |= mask[:-1]
     grown[:-1] |= mask[1:]
@@ -350,7 +350,7 @@ def _may_meet(
     vz: float,
     radius: float,
 ) -> bool:
-    """Whether the sphere around a box may be met from anywhere within a radius of p, along v.
+    """True if rays along v from within a radius of p may meet the sphere around a box.
 
     All rays are parallel, or all end where p + v is: then they come nearer to one another.
     """
@@ -373,7 +373,7 @@ def _meets(
     vz: float,
     most: float,
 ) -> bool:
-    """Whether a ray from p along v meets a box before `most` times v."""
+    """True if a ray from p along v meets a box before `most` times v."""
     if not _may_meet(box, px, py, pz, vx, vy, vz, 0.0):
         return False
     dx, dy, dz = box[0] - px, box[1] - py, box[2] - pz
@@ -439,7 +439,7 @@ def _is_changed(
     lamps: FloatArray,
     possible: BoolArray,
 ) -> bool:
-    """Whether a box is seen in a pixel, or throws a shadow there; those are tried that may."""
+    """True if one of the possible boxes is seen in a pixel, or throws a shadow there."""
     x, y, z = vx * depth, vy * depth, vz * depth
     for index in range(len(boxes)):
         if possible[index, 0] and _meets(boxes[index], 0.0, 0.0, 0.0, vx, vy, vz, depth):

@@ -27,30 +27,15 @@ _FINDS = {"pedestrian": ("pedestrian",), "bicycle": ("bicycle", "pedestrian")}
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RecordedEvaluation:
-    """Verdicts of the units of a recording.
+    """Verdicts of the units of a recording."""
 
-    Attributes
-    ----------
-    axis : FrameAxis
-        A run per drive, all of equal weight.
-    vut : Verdict, optional
-        The VUT's own camera alone; None where it is not recorded.
-    units : mapping of str to Verdict
-        Each roadside unit alone, by the name of its folder.
-    rsu_all : Verdict
-        All of them fused: in each frame any of them may be the detector.
-    vut_and_rsus : Verdict, optional
-        The same with the VUT's camera; None where that is not recorded.
-    n_ambiguous : int
-        Frames of a roadside unit with several VRUs of the drive's class in view: it is not known
-        which one the VUT is about to hit, so that they count only if each of them is detected.
-    """
-
-    axis: FrameAxis
-    vut: Verdict | None
-    units: Mapping[str, Verdict]
-    rsu_all: Verdict
-    vut_and_rsus: Verdict | None
+    axis: FrameAxis  # A run per drive, all of equal weight
+    vut: Verdict | None  # the VUT's own camera alone; None where it is not recorded
+    units: Mapping[str, Verdict]  # each roadside unit alone, by the name of its folder
+    rsu_all: Verdict  # all of them fused: in each frame any of them may be the detector
+    vut_and_rsus: Verdict | None  # the same with the VUT's camera; None where that is not recorded
+    # frames of a roadside unit with several VRUs of the drive's class in view: it is not known
+    # which one the VUT is about to hit, so that they count only if each of them is detected
     n_ambiguous: int
 
 
@@ -66,7 +51,7 @@ def evaluate_recording(
     detected.
     """
     if not 0.0 <= min_confidence <= 1.0:
-        raise InputError("--min-confidence", min_confidence, "a confidence, 0 .. 1")
+        raise InputError("min_confidence", min_confidence, "a confidence, 0 .. 1")
     form = load_format()
     detected, n_ambiguous = {}, 0
     for unit in recording.units:
@@ -133,7 +118,7 @@ def build_recorded_axis(recording: Recording, rule: AebRule) -> FrameAxis:
 
 
 def is_longitudinal(drive: Drive) -> bool:
-    """Whether the VUT catches up with a VRU that goes its way."""
+    """True if the VUT catches up with a VRU that goes its way."""
     return is_same_direction(
         vut_speed_mps=drive.vut_speed_mps,
         vru_speed_mps=drive.vru_speed_mps,
@@ -145,7 +130,7 @@ def is_longitudinal(drive: Drive) -> bool:
 def is_same_direction(
     *, vut_speed_mps: float, vru_speed_mps: float, closing_speed_mps: float, form: RecordingFormat
 ) -> bool:
-    """Whether the VUT catches up with a VRU that goes its way, by the law of cosines.
+    """True if the VUT catches up with a VRU that goes its way, by the law of cosines.
 
     False for a VRU that stands, or is as fast as the VUT. The format says up to which angle the
     ways count as the same.
@@ -221,7 +206,7 @@ def _detected(
 
 
 def _is_match(labels: Sequence[Label], found: Sequence[Detection]) -> bool:
-    """Whether there is a label, and each one overlaps a detection."""
+    """True if there is a label, and each one overlaps a detection."""
     if not labels or not found:
         return False
     overlap = iou(

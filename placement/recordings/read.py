@@ -1,6 +1,6 @@
 """A recording from its folder: its frames cut into drives, its labels and detections.
 
-What would make the result wrong is an error; what is merely left out is counted.
+Anything that would make the result wrong is an error; frames that are left out are counted.
 """
 
 import re
@@ -46,7 +46,7 @@ UNSEEN = "unseen"
 
 _FRAME_NAME = re.compile(r"(0|[1-9]\d{0,8})_(0|[1-9]\d{0,8})\.txt", re.ASCII)
 _UNIT_NAME = re.compile(r"0|[1-9]\d{0,8}", re.ASCII)
-_BESIDE = (".png", ".bin")  # images and points of the frames
+_OF_FRAMES = (".png", ".bin")  # images and points of the frames
 
 
 # ---------- drives: frames of a scenario up to the impact
@@ -54,31 +54,18 @@ _BESIDE = (".png", ".bin")  # images and points of the frames
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Drive:
-    """Frames of one scenario at one speed, up to the impact.
+    """Frames of one scenario at one speed, up to the impact."""
 
-    Attributes
-    ----------
-    scenario : int
-        Index in the recording.
-    vru_class : str
-        "pedestrian", "bicycle", or "unseen".
-    vut_speed_mps, vru_speed_mps : float
-        Target speeds. [m/s]
-    closing_speed_mps : float
-        At which the distance falls in the last second before the impact. [m/s]
-    first_number : int
-        Frame number of the first frame; the others follow one by one.
-    distance_m : (n_frames,) float
-        Between the origins of VUT and VRU; the last one is that of the impact. NaN for a frame that
-        is missing. [m]
-    """
-
-    scenario: int
-    vru_class: str
+    scenario: int  # index in the recording
+    vru_class: str  # "pedestrian", "bicycle", or "unseen"
+    # vut_speed_mps, vru_speed_mps: target speeds. [m/s]
     vut_speed_mps: float
     vru_speed_mps: float
+    # at which the distance falls in the last second before the impact. [m/s]
     closing_speed_mps: float
-    first_number: int
+    first_number: int  # frame number of the first frame; the others follow one by one
+    # (n_frames,): between the origins of VUT and VRU; the last one is that of the impact. NaN for a
+    # frame that is missing. [m]
     distance_m: FloatArray
 
     def __post_init__(self) -> None:
@@ -133,7 +120,7 @@ def cut_drives(
 def with_class(drive: Drive, votes: Counter[str]) -> Drive:
     """The drive with the class of VRU that most of its labels have.
 
-    A rider may be labelled beside the bicycle: if both are as frequent it is a bicycle's drive.
+    A rider may be labelled as well as the bicycle: if both are as frequent it is a bicycle's drive.
     """
     if not votes:
         return drive
@@ -226,36 +213,18 @@ def closing_speed_mps(time_s: FloatArray, distance_m: FloatArray) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Recording:
-    """What a folder in the study's format holds.
+    """Contents of a folder in the study's format."""
 
-    Attributes
-    ----------
-    folder : Path
-        Where it was read.
-    units : tuple of str
-        Names of the roadside units' folders, ascending.
-    has_vut : bool
-        Whether the VUT's own camera is recorded, too.
-    drives : tuple of Drive
-        At least one.
-    labels : mapping of str to mapping of FrameKey to list of Label
-        Per unit ("car": the VUT): VRUs in view, boxes clipped to the image.
-    detections : mapping of str to mapping of FrameKey to list of Detection
-        Per unit: VRUs found, boxes clipped to the image.
-    n_frames : int
-        Frames with WorldData.
-    skipped : mapping of str to int
-        What was left out: reason and count.
-    """
-
-    folder: Path
-    units: tuple[str, ...]
-    has_vut: bool
-    drives: tuple[Drive, ...]
+    folder: Path  # where it was read
+    units: tuple[str, ...]  # names of the roadside units' folders, ascending
+    has_vut: bool  # the VUT's own camera is recorded, too
+    drives: tuple[Drive, ...]  # at least one
+    # per unit ("car": the VUT): VRUs in view, boxes clipped to the image
     labels: Mapping[str, Mapping[FrameKey, list[Label]]]
+    # per unit: VRUs found, boxes clipped to the image
     detections: Mapping[str, Mapping[FrameKey, list[Detection]]]
-    n_frames: int
-    skipped: Mapping[str, int]
+    n_frames: int  # frames with WorldData
+    skipped: Mapping[str, int]  # what was left out: reason and count
 
     @property
     def n_missing(self) -> int:
@@ -337,7 +306,7 @@ def _frames(folder: Path, skipped: Counter[str]) -> Iterator[tuple[FrameKey, Pat
             match = _FRAME_NAME.fullmatch(path.name)
             if match:
                 found[FrameKey(int(match[1]), int(match[2]))] = path
-            elif path.suffix not in _BESIDE:
+            elif path.suffix not in _OF_FRAMES:
                 skipped[OTHER_NAMES] += 1
     except OSError as error:
         raise InputError(
@@ -367,14 +336,14 @@ def _read_all_labels(
     for key, path in _frames(folder, skipped):
         labels, n_repeated = read_labels(path, form)
         skipped[REPEATED] += n_repeated
-        frames[key] = kept = []
+        frames[key] = inside = []
         for label in labels:
             if label.class_name not in VRU_CLASSES:
                 skipped[OTHER_LABELS] += 1
                 continue
             box = _inside(label.box_px, form, skipped)
             if box is not None:
-                kept.append(label._replace(box_px=box))
+                inside.append(label._replace(box_px=box))
     return frames
 
 

@@ -1,4 +1,4 @@
-"""Candidate poses and runs to a detection table, and tables kept on disk."""
+"""Candidate poses and runs to a detection table, and tables cached on disk."""
 
 import hashlib
 from collections.abc import Iterable, Sequence
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from geometry.actors import Actor
-from geometry.arrays import BoolArray, IntArray
+from geometry.arrays import BoolArray
 from geometry.errors import InputError
 from geometry.lidar import LidarModel, load_lidar_detection
 from geometry.scene import Scene
@@ -51,19 +51,11 @@ def build_detection_table(
     world = build_world(
         scene, runs, n_points=N_POINTS, seed=compute.seed, rays=compute.rays, shared=shared
     )
-    mounts = _group_by_mount(candidates)
-    packed = np.zeros((len(candidates), -(-axis.n_frames // 8)), dtype=np.uint8)
-
-    def fill(rows: IntArray) -> None:
-        packed[rows] = _mount_rows(world, [candidates[row] for row in rows], detector)
-
+    looks = [(candidate, detector) for candidate in candidates]
     # One BLAS thread per worker: the matrices are small, and idle BLAS threads spin.
     with threadpool_limits(1), ThreadPoolExecutor(compute.workers) as pool:
-        pending = [pool.submit(fill, rows) for rows in mounts]
         try:
-            for done, future in enumerate(as_completed(pending), start=1):
-                future.result()
-                compute.progress(STAGE, done, len(mounts))
+            packed = _pack_rows(world, looks, pool, compute)
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
@@ -72,28 +64,41 @@ def build_detection_table(
     )
 
 
-def _group_by_mount(candidates: Sequence[CandidatePose]) -> list[IntArray]:
-    """Rows that share all rays: same position, same near limit."""
-    groups: dict[tuple[float, ...], list[int]] = {}
-    for row, candidate in enumerate(candidates):
-        key = (*candidate.pose.position_m.tolist(), candidate.sensor.near_m)
-        groups.setdefault(key, []).append(row)
-    return [np.array(rows) for rows in groups.values()]
+Look = tuple[CandidatePose, PlanningDetector]
 
 
-def _mount_rows(
-    world: World, candidates: Sequence[CandidatePose], detector: PlanningDetector
+def _pack_rows(
+    world: World, looks: Sequence[Look], pool: ThreadPoolExecutor, compute: Compute
 ) -> NDArray[np.uint8]:
-    """Packed rows of all candidates of one mount position."""
-    position_m = candidates[0].pose.position_m
-    sight = cast_for(world, position_m, [(candidate, detector) for candidate in candidates])
-    return build_sensing(world, sight, position_m, detector).packed(candidates)
+    """Rows of all looks, as bits; rays are cast once for all from one place."""
+    mounts: dict[tuple[float, ...], list[int]] = {}  # rows of the same position and near limit
+    for row, (candidate, _) in enumerate(looks):
+        key = (*candidate.pose.position_m.tolist(), candidate.sensor.near_m)
+        mounts.setdefault(key, []).append(row)
+    n_frames = len(world.views.view_of_frame)
+    packed = np.zeros((len(looks), -(-n_frames // 8)), dtype=np.uint8)
+    pending = [pool.submit(_fill, packed, world, looks, rows) for rows in mounts.values()]
+    for done, future in enumerate(as_completed(pending), start=1):
+        future.result()
+        compute.progress(STAGE, done, len(mounts))
+    return packed
+
+
+def _fill(
+    packed: NDArray[np.uint8], world: World, looks: Sequence[Look], rows: Sequence[int]
+) -> None:
+    """Rows of all looks from one place."""
+    here = [looks[row] for row in rows]
+    position_m = here[0][0].pose.position_m
+    sensing = build_sensing(world, cast_for(world, position_m, here), position_m, here[0][1])
+    rows_of: dict[PlanningDetector, list[int]] = {}
+    for row in rows:
+        rows_of.setdefault(looks[row][1], []).append(row)
+    for detector, alike in rows_of.items():
+        packed[alike] = replace(sensing, detector=detector).packed([looks[row][0] for row in alike])
 
 
 # ---------- a few poses, each with a detector of its own
-
-
-Look = tuple[CandidatePose, PlanningDetector]
 
 
 def detected_frames(
@@ -102,8 +107,8 @@ def detected_frames(
     """Frames in which units detect, each with a detector of its own, (n_looks, n_frames) bool.
 
     These are the rows that :func:`build_detection_table` has for each. Rays are cast once for all
-    from one place, and only to what any of them has in its view. What is kept of an earlier call
-    is not looked at again.
+    from one place, and only to what any of them has in its view. Frames that are cached by an
+    earlier call are not looked for again.
     """
     hashes = Fingerprints()
     names = [
@@ -115,49 +120,16 @@ def detected_frames(
         scene_hash = table_fingerprint(
             setting.scene, (), setting.runs, setting.table_detector, seed=compute.seed
         )
-    kept = CachedArrays(compute.cache_folder, "looks", kind=_FORMAT, fingerprint=scene_hash)
-    new = {name: look for name, look in zip(names, looks, strict=True) if name not in kept.arrays}
+    cached = CachedArrays(compute.cache_folder, "looks", kind=_FORMAT, fingerprint=scene_hash)
+    new = {name: look for name, look in zip(names, looks, strict=True) if name not in cached.arrays}
     if new:
-        frames = _look_from(setting, [*new.values()], pool=pool, compute=compute)
-        kept.add(dict(zip(new, frames, strict=True)))
-    return np.array([kept.arrays[name] for name in names])
-
-
-def _look_from(
-    setting: Setting, looks: Sequence[Look], *, pool: ThreadPoolExecutor, compute: Compute
-) -> BoolArray:
-    """The same, each look for itself."""
-    world = build_world(
-        setting.scene, setting.runs, n_points=N_POINTS, seed=compute.seed, rays=compute.rays
-    )
-    places: dict[tuple[float, ...], list[int]] = {}
-    for row, (unit, _) in enumerate(looks):
-        key = (*unit.pose.position_m.tolist(), unit.sensor.near_m)
-        places.setdefault(key, []).append(row)
-    frames = np.zeros((len(looks), setting.axis.n_frames), dtype=bool)
-    pending = [pool.submit(_fill, frames, world, looks, rows) for rows in places.values()]
-    for done, future in enumerate(as_completed(pending), start=1):
-        future.result()
-        compute.progress(STAGE, done, len(places))
-    return frames
-
-
-def _fill(
-    frames: BoolArray,
-    world: World,
-    looks: Sequence[Look],
-    rows: Sequence[int],
-) -> None:
-    """Rows of all looks from one place."""
-    here = [looks[row] for row in rows]
-    position_m = here[0][0].pose.position_m
-    sensing = build_sensing(world, cast_for(world, position_m, here), position_m, here[0][1])
-    rows_of: dict[PlanningDetector, list[int]] = {}
-    for row in rows:
-        rows_of.setdefault(looks[row][1], []).append(row)
-    for detector, alike in rows_of.items():
-        bits = replace(sensing, detector=detector).packed([looks[row][0] for row in alike])
-        frames[alike] = np.unpackbits(bits, axis=1, count=frames.shape[1], bitorder="little")
+        world = build_world(
+            setting.scene, setting.runs, n_points=N_POINTS, seed=compute.seed, rays=compute.rays
+        )
+        packed = _pack_rows(world, [*new.values()], pool, compute)
+        frames = np.unpackbits(packed, axis=1, count=setting.axis.n_frames, bitorder="little")
+        cached.add(dict(zip(new, frames.astype(bool), strict=True)))
+    return np.array([cached.arrays[name] for name in names])
 
 
 # ---------- tables on disk, under a hash of everything that went into them
@@ -198,7 +170,7 @@ def table_fingerprint(
     add([(candidate.id, sensors[candidate.sensor]) for candidate in candidates])
     add(np.array([candidate.pose.position_m for candidate in candidates]))
     add(np.array([(c.pose.yaw_deg, c.pose.pitch_deg) for c in candidates]))
-    # By content: runs that were kept on disk bring actors of their own.
+    # By content: runs that were cached on disk bring actors of their own.
     hashes = Fingerprints()
     prints = {
         actor: hashes.of(

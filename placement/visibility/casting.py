@@ -326,12 +326,12 @@ def cast_sight(
 ) -> Sight:
     """Find the visible points from a mount position; entries without any are left out.
 
-    What is nearer than `near_m` to the lens hides nothing; VRUs farther than `max_distance_m`, and
+    Things nearer than `near_m` to the lens hide nothing; VRUs farther than `max_distance_m`, and
     views that are not asked for, (n_views,), are not looked at. Rays are cast where something may
-    stand in their way. What a body hides of itself is of no account for a camera as long as nothing
-    else hides anything: with `for_lidar` false, no rays are cast for it, and all points of such a
-    body are taken to be visible. Views that are foreseen, (n_views,), may be asked for later, from
-    the same eye: it costs less to find out about them now, where that is cached.
+    stand in their way. Points that a body itself hides are of no account for a camera as long as
+    nothing else hides anything: with `for_lidar` false, no rays are cast for it, and all points of
+    such a body are taken to be visible. Views that are foreseen, (n_views,), may be asked for
+    later, from the same eye: it costs less to find out about them now, where that is cached.
     """
     views = world.views
     eye = np.asarray(position_m, dtype=np.float64) - world.origin_m

@@ -53,7 +53,7 @@ def _is_any_near(
 ) -> bool:
     """Set `is_near` (LANES,) where a sphere may be so high in a camera's image.
 
-    The rows that it reaches lie between the tangents from the eye; beside and behind the lens it
+    The rows that it reaches lie between the tangents from the eye; next to and behind the lens it
     may reach any.
     """
     for j in range(LANES):
@@ -236,6 +236,90 @@ def _box_points(
 
 
 @kernel
+def _find_near(
+    middle: Array,
+    radius: Array,
+    eye: Array,
+    view: int,
+    lenses: Array,
+    n_cameras: int,
+    least_px: Any,
+    near: Array,
+) -> int:
+    """Cameras in whose images a view's body may be high enough, into `near`; their number."""
+    x = np.float32(middle[view, 0] - eye[0])
+    y = np.float32(middle[view, 1] - eye[1])
+    z = np.float32(middle[view, 2] - eye[2])
+    reach = np.float32(radius[view]) + _SLACK_M
+    is_near, n_near = np.empty(LANES, np.bool_), 0
+    for block in range(len(lenses)):
+        n = min(LANES, n_cameras - block * LANES)
+        if _is_any_near(x, y, z, reach, lenses[block], n, least_px, is_near):
+            for j in range(n):
+                near[n_near] = block * LANES + j
+                n_near += is_near[j]
+    return n_near
+
+
+@kernel
+def _is_high(box: Array, min_height_px: float) -> bool:
+    """True if the box of what is visible has the height that is asked for."""
+    high = np.float64(box[_SEEN + 3]) - np.float64(box[_SEEN + 1])
+    return bool(high >= min_height_px and high > 0.0)
+
+
+@kernel
+def _share_inside(left: Any, top: Any, right: Any, bottom: Any, width: Any, height: Any) -> float:
+    """Share of a box inside an image."""
+    zero = np.float32(0.0)
+    area = (np.float64(right) - left) * (np.float64(bottom) - top)
+    across = np.float64(max(zero, min(right, width))) - max(zero, min(left, width))
+    up = np.float64(max(zero, min(bottom, height))) - max(zero, min(top, height))
+    return float(across * up / max(area, 1.0e-9))
+
+
+@kernel
+def _gather_lanes(lenses: Array, cameras: Array, lens: Array) -> None:
+    """Put some cameras side by side into the lanes of one block."""
+    for j in range(len(cameras)):
+        block, lane = cameras[j] // LANES, cameras[j] % LANES
+        for number in range(_N_NUMBERS):
+            lens[number * LANES + j] = lenses[block, number * LANES + lane]
+
+
+@kernel
+def _box_part(
+    blocks: tuple[Array, Array],
+    state: tuple[bool, bool, Any, float],
+    lens: Array,
+    camera: int,
+    limits: Array,
+    some: Array,
+    box: Array,
+) -> bool:
+    """Boxes of the visible points and of all, in one camera, into `box` (8,); True if high enough.
+
+    Blocks of visible and of all points are of :func:`_set_out`. The state says if nothing hides the
+    body, if the image cuts it off, and the least depth and height. `limits` are those of all.
+    """
+    (seen, every), (is_whole, is_cut, min_depth, min_height_px) = blocks, state
+    if not is_whole:
+        _box_points(seen, lens, camera, min_depth, is_cut, some, box, _SEEN)
+        if not _is_high(box, min_height_px):
+            return False
+    if is_cut:
+        _box_points(every, lens, camera, min_depth, is_cut, some, box, _ALL)
+    if is_whole:
+        for k in range(4):
+            box[_SEEN + k] = box[_ALL + k]
+    if not _is_high(box, min_height_px):
+        return False
+    for k in range(4 if not is_cut else 0):
+        box[_ALL + k] = limits[k * LANES + camera]
+    return True
+
+
+@kernel
 def box_bodies(
     points: Array,
     hull: Array,
@@ -257,19 +341,17 @@ def box_bodies(
 ) -> tuple[int, int]:
     """Boxes of bodies in cameras, those of whole bodies inside the image apart from the others.
 
-    `points` (n_views, 3, n_points) and `hull` (n_views, 3, n_corners),
-    the corners of their convex hull, are in single precision, and so is `eye` (3,); `middle`
-    (n_views, 3) and `radius` (n_views,) are spheres around them. `lenses` are as
-    :func:`pack_lenses` has them.
-
-    Returns how many of each kind there are. Pairs of a camera and an entry go to `plain` and
-    `part` (n, 2); of plain ones, the one box of all that is visible goes to `plain_px` (n, 4), of
-    the others those of the visible points and of all go to `part_px` (n, 8), and the share of the
-    body inside the image to `inside_share` (n,). Of a body that the image cuts off, only the points
-    inside the image count. Pairs whose visible box is not `min_height_px` high are left out.
+    `points` (n_views, 3, n_points), `hull` (n_views, 3, n_corners), the corners of their convex
+    hull, and `eye` (3,) are in single precision; `middle` (n_views, 3) and `radius` (n_views,) are
+    spheres around them; `lenses` are of :func:`pack_lenses`. Returns how many of each kind there
+    are. Pairs of a camera and an entry go to `plain` and `part` (n, 2); of plain ones, the one box
+    of all that is visible goes to `plain_px` (n, 4), of the others those of the visible points and
+    of all go to `part_px` (n, 8), and the share of the body inside the image to `inside_share`
+    (n,). Of a body that the image cuts off, only the points inside the image count. Pairs whose
+    visible box is not `min_height_px` high are left out.
     """
     limits, some = np.empty(5 * LANES, np.float32), np.empty(5 * LANES, np.float32)
-    is_near, box = np.empty(LANES, np.bool_), np.empty(8, np.float32)
+    box = np.empty(8, np.float32)
     near, lens = np.empty(n_cameras + 1, np.int64), np.zeros(_N_NUMBERS * LANES, np.float32)
     n_points = points.shape[2]
     every_point = np.ones(n_points, np.bool_)
@@ -279,24 +361,11 @@ def box_bodies(
     n_plain = n_part = 0
     for entry in range(len(view_of_entry)):
         view = view_of_entry[entry]
-        x = np.float32(middle[view, 0] - eye[0])
-        y = np.float32(middle[view, 1] - eye[1])
-        z = np.float32(middle[view, 2] - eye[2])
-        reach = np.float32(radius[view]) + _SLACK_M
         n_every = n_seen = -1  # blocks of points; not yet set out
-        n_near = 0
-        for block in range(len(lenses)):
-            n = min(LANES, n_cameras - block * LANES)
-            if _is_any_near(x, y, z, reach, lenses[block], n, least_px, is_near):
-                for j in range(n):
-                    near[n_near] = block * LANES + j
-                    n_near += is_near[j]
-        for first in range(0, n_near, LANES):
+        n_near = _find_near(middle, radius, eye, view, lenses, n_cameras, least_px, near)
+        for first in range(0, n_near, LANES):  # near cameras, as many as there are lanes
             n = min(LANES, n_near - first)
-            for j in range(n):
-                block, lane = near[first + j] // LANES, near[first + j] % LANES
-                for number in range(_N_NUMBERS):
-                    lens[number * LANES + j] = lenses[block, number * LANES + lane]
+            _gather_lanes(lenses, near[first : first + n], lens)
             _project_into_all(hull, view, eye, lens, min_depth_m, limits)
             for j in range(n):
                 camera = near[first + j]
@@ -317,39 +386,22 @@ def box_bodies(
                         plain_px[n_plain, 2], plain_px[n_plain, 3] = right, bottom
                         n_plain += 1
                     continue
-                shot = (lens, j, min_depth_m, is_cut, some, box)
-                if not is_whole[entry]:
-                    if n_seen < 0:
-                        n_seen = _set_out(points, view, eye, is_visible[entry], seen)
-                    _box_points(seen[:n_seen], *shot, _SEEN)
-                    high = np.float64(box[3]) - np.float64(box[1])
-                    if not (high >= min_height_px and high > 0.0):
-                        continue
-                if is_cut:
-                    if n_every < 0:
-                        n_every = _set_out(points, view, eye, every_point, every)
-                    _box_points(every[:n_every], *shot, _ALL)
-                if is_whole[entry]:
-                    for k in range(4):
-                        box[_SEEN + k] = box[_ALL + k]
-                high = np.float64(box[3]) - np.float64(box[1])
-                if not (high >= min_height_px and high > 0.0):
+                if not is_whole[entry] and n_seen < 0:
+                    n_seen = _set_out(points, view, eye, is_visible[entry], seen)
+                if is_cut and n_every < 0:
+                    n_every = _set_out(points, view, eye, every_point, every)
+                blocks = (seen[: max(n_seen, 0)], every[: max(n_every, 0)])
+                state = (is_whole[entry], is_cut, min_depth_m, min_height_px)
+                if not _box_part(blocks, state, lens, j, limits, some, box):
                     continue
-                for k in range(4 if not is_cut else 0):
-                    box[_ALL + k] = limits[k * LANES + j]
                 part[n_part, 0], part[n_part, 1] = camera, entry
-                for side in range(8):
-                    part_px[n_part, side] = box[side]
-                if is_behind:  # beside and behind the lens points are not projected as bodies are
+                part_px[n_part] = box
+                if is_behind:  # next to and behind the lens points are not projected as bodies are
                     _project_into_all(points, view, eye, lens, min_depth_m, some)
                     left, top = some[_LEFT + j], some[_TOP + j]
                     right, bottom = some[_RIGHT + j], some[_BOTTOM + j]
-                inside_share[n_part] = 1.0
-                if is_cut:
-                    area = (np.float64(right) - left) * (np.float64(bottom) - top)
-                    across = np.float64(max(zero, min(right, width))) - max(zero, min(left, width))
-                    up = np.float64(max(zero, min(bottom, height))) - max(zero, min(top, height))
-                    inside_share[n_part] = across * up / max(area, 1.0e-9)
+                share = _share_inside(left, top, right, bottom, width, height)
+                inside_share[n_part] = share if is_cut else 1.0
                 n_part += 1
     return n_plain, n_part
 

@@ -189,7 +189,7 @@ def mark_nearest(
 
 @kernel
 def _is_clear(nearest: Array, size: int, window: tuple[int, int, int, int], far: Any) -> bool:
-    """Whether all blocks of `size` x `size` cells in a window know of nothing as near as `far`."""
+    """True if no block of `size` x `size` cells in a window knows of anything as near as `far`."""
     low, high, begin, end = window
     for up in range(low // size, high // size + 1):
         for around in range(begin // size, end // size + 1):
@@ -254,7 +254,7 @@ def misses(
     low: tuple[float, float, float],
     high: tuple[float, float, float],
 ) -> bool:
-    """Whether the way from one place to another passes by a box along the axes."""
+    """True if the way from one place to another passes a box along the axes."""
     first, last = 0.0, 1.0
     for origin, target, least, most in (
         (ex, x, low[0], high[0]),

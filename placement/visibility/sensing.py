@@ -43,7 +43,7 @@ class Sensing:
     aspect_deg: FloatArray  # (n,): between line of sight and heading. [deg]
 
     def detected(self, candidates: Sequence[CandidatePose]) -> BoolArray:
-        """Whether each sensor detects each entry in each weather, (n_sensors, n_weathers, n).
+        """Entries that each sensor detects in each weather, (n_sensors, n_weathers, n).
 
         The sight must have been cast for LiDARs if one is among the sensors.
         """
@@ -162,7 +162,7 @@ def cast_for(
     position_m: FloatArray,
     looks: Sequence[tuple[CandidatePose, PlanningDetector]],
 ) -> Sight:
-    """What sensors at one mount see of all that any of them may detect, each with its detector."""
+    """Sight of all that any sensor at one mount may detect, each with its detector."""
     return cast_sight(
         world,
         position_m,
@@ -212,7 +212,7 @@ def _may_detect(
 
 
 def has_lidar(candidates: Sequence[CandidatePose]) -> bool:
-    """Whether a LiDAR is among the sensors: it counts the points that a camera need not know."""
+    """True if a LiDAR is among the sensors: it counts points that a camera need not know."""
     return any(isinstance(candidate.sensor, LidarModel) for candidate in candidates)
 
 
@@ -342,7 +342,7 @@ class Echoes:
     needed: FloatArray  # (n_entries,): for a detection
 
     def detected(self, candidates: Sequence[CandidatePose], is_near: BoolArray) -> BoolArray:
-        """Whether each of some of these LiDARs has enough points on each entry in each weather.
+        """Entries on which each of these LiDARs has enough points, in each weather.
 
         `is_near` (n, n_entries): entries of which some part may be in its field of view. The result
         has the shape (n, n_weathers, n_entries).

@@ -240,10 +240,10 @@ Find = Callable[[IntArray], BoolArray]
 
 
 class HiddenPoints:
-    """What hides points of bodies, row by row, as seen from eyes that come up again.
+    """Cache of hidden points of bodies, row by row, for eyes that come up again.
 
-    Rows are places, or frames. What is hidden is found once and kept, as long as there is room; it
-    is the same whether it is kept or not. Several threads may ask.
+    Rows are places, or frames. Hidden points are found once and cached, as long as there is room;
+    the cache changes no result. Several threads may ask.
     """
 
     def __init__(self, n_rows: int, n_points: int) -> None:

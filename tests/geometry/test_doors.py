@@ -23,7 +23,7 @@ EXCEPTIONS = {
     "geometry/maps/point_files.py": {"open"},  # laspy
     "placement/verification/instances.py": {"ZipFile", "open"},
     "placement/covering/files.py": {"load", "savez_compressed"},
-    "placement/sampling/moving/simulate.py": {"load"},
+    "placement/sampling/moving/sumo.py": {"load"},
     "geometry/untrusted_files.py": {"ZipFile", "ParquetFile", "open"},
     "experiments/results/reading.py": {"read_csv"},
     # Libraries that take names only: the door has looked at them before.

@@ -12,8 +12,7 @@ from geometry.weather import pick_weather
 from placement.compute import Compute
 from placement.detectors import Evidence, ResponseDetector, load_planning_detector
 from placement.detectors.evidence import Interval
-from placement.detectors.fitting import fit_response
-from placement.detectors.sightings import LabelledPicture, gather_sightings
+from placement.detectors.fitting import LabelledPicture, fit_response, gather_sightings
 
 from ..fit import table_text
 from .crops import CROP_PX, WEATHERS, Crops
@@ -167,18 +166,10 @@ _UNKNOWN = ("aspect", "frame_correlation")
 
 
 def fit_table(crops: Crops, found: Found, *, source: str, command: str, compute: Compute) -> str:
-    """The table as TOML, for ``--detector FILE``.
+    """Response table as TOML, for ``--detector FILE``; each crop is a track of its own.
 
-    Parameters
-    ----------
-    crops : Crops
-        With labels; each is a track of its own.
-    found : list
-        Boxes and confidence of each crop, by class.
-    source, command : str
-        What the crops are of, and how this was called.
-    compute : Compute
-        Seed of the intervals.
+    `found` has boxes and confidence of each crop, by class; `source` and `command` say what the
+    crops are of, and how this was called.
     """
     pictures = [_picture(crops, row, by_class) for row, by_class in enumerate(found)]
     sightings, _ = gather_sightings(pictures, n_confirmations=3, frame_rate_hz=10.0)

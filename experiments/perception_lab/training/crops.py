@@ -47,7 +47,7 @@ _TRIES = 30
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Framing:
-    """What crops show: those to train with, by default."""
+    """Contents of crops: those to train with, by default."""
 
     height_px: tuple[float, float] = (11.0, 125.0)  # of road users, even on a logarithmic scale
     crop_px: tuple[int, int] = (CROP_PX, CROP_PX)  # width, height
@@ -77,16 +77,7 @@ class Crops:
 def draw_crops(scene: Scene, n_crops: int, *, seed: int, tell: Callable[[int], None]) -> Crops:
     """Draw crops at a junction; half of them with varied colours, a fourth of them empty.
 
-    Parameters
-    ----------
-    scene : Scene
-        A junction.
-    n_crops : int
-        How many.
-    seed : int
-        Of all that is drawn at random.
-    tell : callable
-        Is told how many are done.
+    `tell` gets the number of those that are done.
     """
     found: list[dict[str, Any]] = []
     setting = build_setting(Question(cases=_CASES), scene)
@@ -130,7 +121,7 @@ def load_crops(path: Path) -> Crops:
 
 
 Backdrops = dict[tuple[object, ...], tuple[Backdrop, FrameMesh]]
-"""What stands still, by junction and obstruction."""
+"""Standing things, by junction and obstruction."""
 
 
 def look_around(
@@ -300,7 +291,7 @@ def _shows_vru(picture: Picture) -> BoolArray:
 
 
 def _label(picture: Picture, run: Run, n_whole: int, height_px: float) -> dict[str, Any]:
-    """What is known of a crop in which the whole road user would cover so many pixels."""
+    """Labels of a crop in which the whole road user would cover `n_whole` pixels."""
     rows, columns = np.nonzero(_shows_vru(picture))
     is_seen = len(rows) > 0
     box = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1] if is_seen else [0] * 4

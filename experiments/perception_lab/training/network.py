@@ -49,7 +49,7 @@ def _conv(n_in: int, n_out: int, *, stride: int = 1) -> nn.Sequential:
 
 
 class _Block(nn.Module):
-    """Two convolutions beside a short cut."""
+    """Two convolutions with a residual connection."""
 
     def __init__(self, width: int) -> None:
         super().__init__()
@@ -124,16 +124,9 @@ def to_boxes(sides: Tensor) -> Tensor:
 def loss(logits: Tensor, sides: Tensor, boxes: Tensor, classes: Tensor, counts: Tensor) -> Tensor:
     """Focal loss of the classes, and that of the overlap of boxes in positive cells.
 
-    Parameters
-    ----------
-    logits, sides : Tensor
-        What the network says.
-    boxes : (b, 4) Tensor
-        The visible box in each image, in pixels.
-    classes : (b,) Tensor
-        Its class; -1 where there is none.
-    counts : (b,) Tensor of bool
-        Whether the box counts; where a road user is hardly to be seen, cells on it do not.
+    `boxes` (b, 4) are visible boxes in pixels, `classes` (b,) their classes, -1 where there is
+    none. Where a road user is hardly to be seen it does not count (`counts` (b,)), nor do cells on
+    it.
     """
     n_images, n_classes, height, width = logits.shape
     across, down = cell_middles(height, width, logits.device)
@@ -207,7 +200,7 @@ def export_onnx(network: VruNetwork, path: Path, *, side_px: int) -> None:
 
 _RATE = 3.0e-3  # highest rate of learning
 _DECAY = 1.0e-2
-_MEMORY = 0.998  # of the running mean of weights, which is what is kept
+_MEMORY = 0.998  # of the running mean of weights, which is exported
 _LEAST_SHARE, _LEAST_PX = 0.3, 10.0  # what is hidden more, or is lower, neither counts nor harms
 _LEAST_SPREAD = 3.0  # of grey, 0 .. 255: what stands out less cannot be learnt
 _MIN_CONFIDENCE = 0.02
@@ -225,13 +218,13 @@ class Recipe:
     steps: int  # batches shown
     seed: int
     batch: int = 64
-    round_steps: int = 250  # after so many the state is kept, and told
+    round_steps: int = 250  # after so many the state is saved, and reported
     bfloat16: bool = False  # multiply in 16 bits: twice as fast on processors that can
     device: str = "cpu"
 
     @property
     def rounds(self) -> int:
-        """How often the state is kept; the last round may be shorter."""
+        """How often the state is saved; the last round may be shorter."""
         return math.ceil(self.steps / self.round_steps)
 
 
@@ -242,23 +235,11 @@ def train(
     tell: Callable[[int, float, VruNetwork], None] = lambda done, loss, network: None,
     checkpoint: Path | None = None,
 ) -> VruNetwork:
-    """Train a network on crops.
+    """Train a network on crops; a callable is asked for them before each round.
 
-    Parameters
-    ----------
-    crops : Crops or callable
-        What it learns from; a callable is asked before each round.
-    recipe : Recipe
-        How.
-    tell : callable
-        Is told after each round: steps done, its mean loss, and the network so far.
-    checkpoint : Path, optional
-        Where the state is kept after each round; training goes on from there if it exists.
-
-    Returns
-    -------
-    network : VruNetwork
-        With the running mean of its weights, ready to look at images.
+    After each round `tell` gets the steps done, its mean loss and the network so far, and the state
+    is written to `checkpoint`, from which training goes on if it exists. Returns the network with
+    the running mean of its weights, ready to look at images.
     """
     torch.manual_seed(recipe.seed)
     network = VruNetwork().to(recipe.device, memory_format=torch.channels_last)
@@ -435,16 +416,18 @@ def find_boxes(network: VruNetwork, crops: Crops) -> Found:
         logits, sides = network(pixels)
         scores, boxes = logits.sigmoid().flatten(2).numpy(), to_boxes(sides).flatten(2).numpy()
         for row in range(len(part)):
-            found.append([_kept(boxes[row], scores[row, number]) for number in range(len(CLASSES))])
+            found.append(
+                [_most_confident(boxes[row], scores[row, number]) for number in range(len(CLASSES))]
+            )
     return found
 
 
-def _kept(
+def _most_confident(
     boxes: NDArray[np.float32], scores: NDArray[np.float32]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     sure = scores.astype(np.float64)
     order = np.argsort(-sure, kind="stable")
     order = order[sure[order] >= _MIN_CONFIDENCE]
     corners = boxes.T[order].astype(np.float64).clip(0.0, CROP_PX)
-    kept = suppress(corners, np.zeros(len(order), dtype=np.int64), max_iou=0.5)
-    return corners[kept], sure[order][kept]
+    left = suppress(corners, np.zeros(len(order), dtype=np.int64), max_iou=0.5)
+    return corners[left], sure[order][left]

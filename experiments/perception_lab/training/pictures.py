@@ -20,7 +20,7 @@ from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError, Unquoted
 from geometry.image_boxes import box_height_px, iou
 from placement.detectors.evidence import VRU_CLASSES
-from placement.detectors.sightings import poisson, wilson
+from placement.detectors.fitting import poisson, wilson
 from placement.question import Question
 from placement.setting import Setting, build_setting
 
@@ -93,8 +93,8 @@ def draw_looks(settings: Sequence[Setting], *, seed: int) -> Looks:
     ]
 
 
-def kept_looks(folder: Path, *, seed: int) -> Looks:
-    """The same out of crops that were kept for training, ``JUNCTION-SEED.npz``.
+def stored_looks(folder: Path, *, seed: int) -> Looks:
+    """Pictures as of :func:`draw_looks`, out of crops stored for training, ``JUNCTION-SEED.npz``.
 
     Raises
     ------
@@ -105,12 +105,12 @@ def kept_looks(folder: Path, *, seed: int) -> Looks:
         path.stem.rpartition("-")[0]: load_crops(path) for path in sorted(folder.glob("*.npz"))
     }
     return [
-        _kept(parts, kind, weather, np.random.default_rng([seed, weather, kind]), folder)
+        _stored(parts, kind, weather, np.random.default_rng([seed, weather, kind]), folder)
         for weather, kind in product(range(len(WEATHERS)), range(len(VRU_CLASSES)))
     ]
 
 
-def _kept(
+def _stored(
     parts: Mapping[str, Crops], kind: int, weather: int, rng: np.random.Generator, folder: Path
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     """A crop of each junction in turn."""
@@ -134,7 +134,7 @@ def _kept(
 def draw_sheet(looks: Looks, *, tell: Callable[[str], None] = lambda words: None) -> Image.Image:
     """Forty pictures on a page, one of each class and weather after the other.
 
-    Whom no light reaches is not on it; `tell` is told how many were left out.
+    Whom no light reaches is not on it; `tell` gets how many were left out.
 
     Raises
     ------
@@ -193,7 +193,7 @@ def load_people_detector() -> Judge:
         import cv2
     except ModuleNotFoundError:
         raise InputError("judge", "no OpenCV", need) from None
-    library: Any = cv2  # installed beside this may be another version than its types are of
+    library: Any = cv2  # another version may be installed than its types are of
     if not hasattr(library, "HOGDescriptor"):
         raise InputError("judge", f"OpenCV {cv2.__version__}", need)
     hog = library.HOGDescriptor()
@@ -227,18 +227,7 @@ def judge_pictures(
 ) -> tuple[FloatArray, NDArray[np.int64], BoolArray, int]:
     """Heights (n,) of people in pictures, weather, who is found, and all false alarms.
 
-    Parameters
-    ----------
-    settings : sequence of Setting
-        Junctions.
-    judge : callable
-        The detector.
-    n_pictures : int
-        How many, each with one road user that is hardly hidden.
-    kind : str
-        One of ``VRU_CLASSES``.
-    seed : int
-        Of all that is drawn at random.
+    Each picture has one road user of a kind of ``VRU_CLASSES`` who is hardly hidden.
     """
     framing = Framing(
         height_px=_JUDGED_HEIGHTS_PX,
@@ -309,7 +298,7 @@ def _line(name: str, found: BoolArray, alarms: str = "") -> str:
 
 
 _MAPS = click.option(
-    "--map", "maps", multiple=True, help="A map's file, beside town05, which is built in."
+    "--map", "maps", multiple=True, help="A map's file, besides town05, which is built in."
 )
 
 
@@ -332,7 +321,7 @@ def sheet(*, maps: tuple[str, ...], crops: Path | None, seed: int, out: Path) ->
     if crops is not None and maps:
         raise click.UsageError("--crops: got it with --map; expected one of them")
     looks = (
-        draw_looks(_settings(maps), seed=seed) if crops is None else kept_looks(crops, seed=seed)
+        draw_looks(_settings(maps), seed=seed) if crops is None else stored_looks(crops, seed=seed)
     )
     draw_sheet(looks, tell=_tell).save(out, quality=90)
 
@@ -347,7 +336,7 @@ def sheet(*, maps: tuple[str, ...], crops: Path | None, seed: int, out: Path) ->
 def judge_command(
     *, maps: tuple[str, ...], adults: int, children: int, cyclists: int, seed: int, out: Path
 ) -> None:
-    """What OpenCV's people detector finds in them."""
+    """Let OpenCV's people detector find road users in pictures."""
     judge = load_people_detector()
     text = judge_text(
         _settings(maps),

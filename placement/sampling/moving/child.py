@@ -1,8 +1,8 @@
 """One simulation of SUMO in a process of its own: ``python child.py INPUT.json OUTPUT.npz``.
 
 libsumo holds one simulation per process, and brings libraries that must not meet those of its
-caller: this file imports nothing of the toolkit. What it reads and writes stands in
-:mod:`.simulate`.
+caller: this file imports nothing of the toolkit. It reads and writes what
+:mod:`.sumo` says.
 """
 
 import json
@@ -30,14 +30,8 @@ def simulate(job: dict[str, Any]) -> dict[str, Any]:
             *("sumo", "-n", job["network"], "-r", job["routes"], "--seed", str(job["seed"])),
             *("--step-length", repr(step_s), "--no-step-log", "--no-warnings"),
             # By default vehicles jump from lane to lane within one step.
-            *(
-                "--lanechange.duration",
-                "3",
-                "--collision.action",
-                "none",
-                "--xml-validation",
-                "never",
-            ),
+            *("--lanechange.duration", "3", "--collision.action", "none"),
+            *("--xml-validation", "never"),
             *("--duration-log.disable", "--random-depart-offset", "0"),
         ]
     )

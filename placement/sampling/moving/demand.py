@@ -38,39 +38,17 @@ class DrivingKind:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Demand:
-    """Traffic through a junction.
+    """Traffic through a junction."""
 
-    Attributes
-    ----------
-    vehicles_per_hour_per_lane : float
-        Into the junction, on each lane of an arm.
-    arms : mapping of str to float
-        In place of that, on all lanes of an arm together, by its name. [1/h]
-    turns : mapping of str to float
-        Share of each of ``TURNS``; sums to 1.
-    vehicles : tuple of DrivingKind
-        What drives; shares sum to 1.
-    speed_limit_mps : float
-        On all lanes. [m/s]
-    approach_m : float
-        Length of each arm, at least. [m]
-    warm_up_s : float
-        Until the streets are full. [s]
-    pause_s : tuple of float
-        Shortest and longest time between two windows. [s]
-    name : str
-        What it is called in reports.
-    """
-
-    vehicles_per_hour_per_lane: float
-    arms: Mapping[str, float]
-    turns: Mapping[str, float]
-    vehicles: tuple[DrivingKind, ...]
-    speed_limit_mps: float
-    approach_m: float
-    warm_up_s: float
-    pause_s: tuple[float, float]
-    name: str = "default"
+    vehicles_per_hour_per_lane: float  # into the junction, on each lane of an arm
+    arms: Mapping[str, float]  # in place of that, on all lanes of an arm together, by name. [1/h]
+    turns: Mapping[str, float]  # share of each of ``TURNS``; sums to 1
+    vehicles: tuple[DrivingKind, ...]  # shares sum to 1
+    speed_limit_mps: float  # on all lanes. [m/s]
+    approach_m: float  # length of each arm, at least. [m]
+    warm_up_s: float  # until the streets are full. [s]
+    pause_s: tuple[float, float]  # shortest and longest time between two windows. [s]
+    name: str = "default"  # in reports
 
     def per_hour(self, arm: str, n_lanes: int) -> float:
         """Vehicles an hour on all entry lanes of an arm."""

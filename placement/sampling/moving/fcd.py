@@ -2,7 +2,7 @@
 
 XML (also packed), CSV (also packed) and Parquet, with SUMO's names of columns. Positions are moved
 into the scene's world frame by an offset that is given, or by the projection of the SUMO network
-that lies beside the file.
+in the same folder.
 """
 
 import csv
@@ -32,7 +32,7 @@ from .trajectories import Trajectories, build_trajectories
 ENDINGS = (".xml", ".xml.gz", ".csv", ".csv.gz", ".parquet")
 MAX_STEP_S = 1.0
 """Samples farther apart than this are not joined."""
-_MAX_BYTES = 4_000_000_000  # read piece by piece: only what is near the junction is kept
+_MAX_BYTES = 4_000_000_000  # read piece by piece: only rows near the junction are stored
 _MAX_NEAR_ROWS = 20_000_000
 _COLUMNS = ("timestep_time", "vehicle_id", "vehicle_x", "vehicle_y", "vehicle_angle")
 _TYPE = "vehicle_type"
@@ -58,36 +58,23 @@ def load_fcd(
 ) -> Trajectories:
     """Read a file of floating car data near a scene's junction.
 
-    Parameters
-    ----------
-    path : Path
-        A file whose name ends in one of ``ENDINGS``.
-    scene : Scene
-        Whose junction.
-    demand : Demand
-        Bodies for types of vehicles, by the words in their names.
-    offset_m : (2,) float, optional
-        Added to x and y of the file. By default what the SUMO network says that lies beside the
-        file (the only .net.xml in its folder); without one, nothing. [m]
-    reach_m : float
-        Vehicles must come as near to the middle of the junction; samples a little farther away
-        are kept, to be joined to those within. [m]
+    The demand has bodies for types of vehicles, by the words in their names. `offset_m` (2,) is
+    added to x and y of the file; by default as the SUMO network says that lies in the same folder
+    (the only .net.xml there), without one nothing. Vehicles must come within `reach_m` of the
+    junction's middle; samples a little farther away are read, to be joined to those within.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, is empty, cut off, or has a value that is no number; its samples
-        are more than 1 s apart; no vehicle comes near the junction.
+    Raises InputError if the file cannot be read, is empty, cut off, or has a value that is no
+    number, its samples are more than 1 s apart, or no vehicle comes near the junction.
     """
     if not path.name.lower().endswith(ENDINGS):
-        raise InputError("--traffic", str(path), "sumo, a .toml file of demand, or FCD of SUMO's: "
+        raise InputError("traffic", str(path), "sumo, a .toml file of demand, or FCD of SUMO's: "
                          + ", ".join(ENDINGS))  # fmt: skip
     placing = _placing(path, scene, offset_m)
     middle: FloatArray = scene.outline_m.mean(axis=0)
     times: dict[float, None] = {}
     number: dict[str, int] = {}
     types: list[str] = []
-    kept: list[tuple[float, float, float, float, float]] = []
+    near: list[tuple[float, float, float, float, float]] = []
     nearest_m, n_seen = math.inf, 0
     for block in _blocks(path):
         for row in block:
@@ -107,8 +94,8 @@ def load_fcd(
                 number[name] = len(types)
                 types.append(kind)
             angle_deg = numbers[index, 3] - placing.turn_deg
-            kept.append((number[name], numbers[index, 0], *moved[index].tolist(), angle_deg))
-        if len(kept) > _MAX_NEAR_ROWS:
+            near.append((number[name], numbers[index, 0], *moved[index].tolist(), angle_deg))
+        if len(near) > _MAX_NEAR_ROWS:
             raise InputError(str(path), Unquoted(f"more than {_MAX_NEAR_ROWS:,} samples near the "
                              "junction"), "fewer; cut out an hour")  # fmt: skip
     if n_seen == 0:
@@ -117,9 +104,9 @@ def load_fcd(
         got = Unquoted(
             f"no vehicle within {reach_m:g} m of the junction, the nearest {nearest_m:.0f} m away"
         )
-        raise InputError(str(path), got, "traffic of this place, or --traffic-offset EAST,NORTH")
+        raise InputError(str(path), got, "traffic of this place, or `traffic_offset` EAST,NORTH")
     step_s = _step_s(np.array(sorted(times)), path)
-    samples = np.array(kept)
+    samples = np.array(near)
     bodies, is_vehicle = _bodies(types, demand, path)
     samples = samples[is_vehicle[samples[:, 0].astype(np.int64)]]
     if len(samples) == 0:

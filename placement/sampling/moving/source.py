@@ -16,12 +16,11 @@ from scenarios.runs import Run
 
 from .demand import Demand, load_demand
 from .fcd import ENDINGS, load_fcd
-from .network import RoadNetwork, build_network, missing_sumo
-from .simulate import simulate_windows
-from .trajectories import Trajectories
-from .windows import (
+from .sumo import RoadNetwork, build_network, missing_sumo, simulate_windows
+from .trajectories import (
     REACH_M,
     TrafficCount,
+    Trajectories,
     cut_window,
     frames_in_parked,
     last_frames,
@@ -34,27 +33,13 @@ _SAME_TIME_S = 1.0e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MovingTraffic:
-    """Where vehicles that drive by come from; either a network or trajectories.
+    """Where vehicles that drive by come from; either a network or trajectories."""
 
-    Attributes
-    ----------
-    name : str
-        What it is called in reports.
-    middle_m : (2,) float
-        Middle of the junction. World frame. [m]
-    demand : Demand
-        What SUMO drives.
-    network : RoadNetwork, optional
-        On which SUMO drives it, anew in each world.
-    trajectories : Trajectories, optional
-        A file's, of which each world cuts other windows.
-    """
-
-    name: str
-    middle_m: FloatArray
-    demand: Demand
-    network: RoadNetwork | None = None
-    trajectories: Trajectories | None = None
+    name: str  # in reports
+    middle_m: FloatArray  # (2,): middle of the junction. World frame. [m]
+    demand: Demand  # what SUMO drives
+    network: RoadNetwork | None = None  # on which SUMO drives it, anew in each world
+    trajectories: Trajectories | None = None  # a file's, of which each world cuts other windows
 
     def __repr__(self) -> str:
         return f"MovingTraffic({self.name!r})"
@@ -70,26 +55,11 @@ class MovingTraffic:
     ) -> tuple[tuple[Run, ...], TrafficCount]:
         """Runs with the vehicles that drive by in one world.
 
-        Parameters
-        ----------
-        runs : sequence of Run
-            With all that is parked.
-        groups : mapping of sequence of int
-            Indices of runs that see the same traffic: one window of time for each group. All end
-            at the same moment, so that runs of different speeds have their impact in the same.
-        frame_s : float
-            From frame to frame. [s]
-        clearance_m : float
-            Who comes nearer to the VUT or the VRU of a run is left out of that run. [m]
-        rng : numpy.random.Generator
-            Of the world.
-
-        Raises
-        ------
-        InputError
-            The file's traffic is shorter than a run, or SUMO cannot drive the demand.
-        MissingExtraError
-            SUMO is not installed.
+        `groups` are indices of runs that see the same traffic: one window of time for each group.
+        All end at the same moment, so that runs of different speeds have their impact in the same.
+        Who comes nearer than `clearance_m` to the VUT or the VRU of a run is left out of that run.
+        Raises InputError if the file's traffic is shorter than a run or SUMO cannot drive the
+        demand, MissingExtraError without SUMO.
         """
         members = {key: tuple(runs[index] for index in rows) for key, rows in groups.items()}
         trajectories, impact_s, count = self._windows(members, frame_s, rng)
@@ -118,7 +88,7 @@ class MovingTraffic:
                     in_parked[parked] = frames_in_parked(window, run.obstruction)
                 key_of_run = (id(run.encounter), len(run.time_s), *parked)
                 if key_of_run not in left:
-                    left[key_of_run] = _beside(run, window, in_parked[parked], clearance_m)
+                    left[key_of_run] = _driving_by(run, window, in_parked[parked], clearance_m)
                 bodies, n_left_out = left[key_of_run]
                 driven[index] = replace(run, traffic=bodies)
                 count += TrafficCount(1, len(bodies) + n_left_out, n_left_out)
@@ -146,7 +116,7 @@ class MovingTraffic:
         n_choices = int((last_s - first_s - longest_s) / frame_s + _SAME_TIME_S) + 1
         if n_choices < 1:
             raise InputError(
-                "--traffic",
+                "traffic",
                 Unquoted(f"{last_s - first_s:g} s of traffic"),
                 f"at least as much as the longest run takes, {longest_s:g} s",
             )
@@ -158,7 +128,7 @@ class MovingTraffic:
         return self.trajectories, impact_s, TrafficCount()
 
 
-def _beside(
+def _driving_by(
     run: Run,
     window: Sequence[MovingActor],
     in_parked: Sequence[BoolArray],
@@ -172,43 +142,32 @@ def _beside(
         if (body := last_frames(whole, n_frames)) is not None
     ]
     meets = meets_road_users(run, [body for body, _ in near], clearance_m=clearance_m)
-    kept = tuple(
+    bodies = tuple(
         body
         for (body, is_in_parked), is_met in zip(near, meets, strict=True)
         if not (is_in_parked or is_met)
     )
-    return kept, len(near) - len(kept)
+    return bodies, len(near) - len(bodies)
 
 
 def load_traffic(source: str, scene: Scene, *, offset: str = "") -> MovingTraffic:
-    """Vehicles that drive by, as ``--traffic`` and ``--traffic-offset`` name them.
+    """Vehicles that drive by, as a question names them.
 
-    Parameters
-    ----------
-    source : str
-        "sumo"; a .toml file of demand for it; or a file of floating car data as SUMO writes it.
-    scene : Scene
-        The junction.
-    offset : str
-        "EAST,NORTH": metres that are added to the file's x and y.
-
-    Raises
-    ------
-    InputError
-        Nothing of that kind, the file is not what it should be, or the offset is not two numbers.
-    MissingExtraError
-        SUMO is asked for and not installed.
+    The source is "sumo", a .toml file of demand for it, or a file of floating car data as SUMO
+    writes it; `offset`, "EAST,NORTH" in metres, is added to the file's x and y. Raises InputError
+    if it is none of these, not what it should be, or the offset is not two numbers;
+    MissingExtraError if SUMO is asked for and not installed.
     """
     path = Path(source)
     middle: FloatArray = scene.outline_m.mean(axis=0)
     is_demand = source == SUMO or path.suffix.lower() == ".toml"
     if not is_demand and not path.name.lower().endswith(ENDINGS):
         known = f"{SUMO}, a .toml file of demand, or a file of FCD: " + ", ".join(ENDINGS)
-        raise InputError("--traffic", source, known)
+        raise InputError("traffic", source, known)
     if is_demand:
         if offset:
             raise InputError(
-                "--traffic-offset", offset, "nothing: SUMO drives on the scene's own lanes"
+                "traffic_offset", offset, "nothing: SUMO drives on the scene's own lanes"
             )
         demand = load_demand(None if source == SUMO else path)
         if importlib.util.find_spec("libsumo") is None:
@@ -232,5 +191,5 @@ def _read_offset(text: str) -> FloatArray | None:
     except ValueError:
         offset = np.empty(0)
     if offset.shape != (2,) or not np.isfinite(offset).all():
-        raise InputError("--traffic-offset", text, "EAST,NORTH in metres, such as -120.5,33")
+        raise InputError("traffic_offset", text, "EAST,NORTH in metres, such as -120.5,33")
     return offset

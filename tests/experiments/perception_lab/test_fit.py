@@ -96,7 +96,7 @@ def test_a_table_fitted_to_a_recording_is_a_detector(run, recording):
     assert 0.0 < rate.high < 1000.0
     text = " ".join(out.split())
     assert "of 1080 frames with a road user are detected" in text
-    assert "Not told by them, and as in the built-in table: share that is seen, contrast" in text
+    assert "Not known from them, and as in the built-in table: share that is seen, contrast" in text
     told = json.loads(Path("mine/fit.json").read_text())
     assert told["table"]["height_half_px"]["value"] == pytest.approx(table.height_half_px, rel=1e-5)
     assert told["false_alarms"]["alarms"] == 0

@@ -10,8 +10,7 @@ from scipy.stats import multivariate_normal
 from geometry.errors import InputError
 from placement.detectors import load_planning_detector
 from placement.detectors.built_in import _linked_noise
-from placement.detectors.fitting import fit_response, joint_normal
-from placement.detectors.sightings import Sightings
+from placement.detectors.fitting import Sightings, fit_response, joint_normal
 
 N_TRACKS, N_FRAMES = 250, 30
 TRUTH = replace(

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import poisson as poisson_law
 
 from geometry.errors import InputError
-from placement.detectors.sightings import (
+from placement.detectors.fitting import (
     LabelledPicture,
     Sightings,
     gather_sightings,

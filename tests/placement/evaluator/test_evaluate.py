@@ -10,7 +10,7 @@ from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.detectors import load_detector
-from placement.evaluator import perceive, scan, watch
+from placement.evaluator import evaluate, perceive
 from placement.evaluator.evaluate import evaluate_layout, evaluate_layouts
 from placement.evaluator.perceive import perceive_from_roadside
 from placement.evaluator.surroundings import build_surroundings
@@ -80,10 +80,10 @@ def pretend(monkeypatch, build_layout, setting, axis):
         def by_vut_lidar(surroundings, mount, lidar, rng):
             return vut_lidar_row
 
-        monkeypatch.setattr(watch, "_VUT_JOBS", 1)  # all frames at once
+        monkeypatch.setattr(evaluate, "_VUT_JOBS", 1)  # all frames at once
         monkeypatch.setattr(perceive, "perceive_from_roadside", from_roadside)
         monkeypatch.setattr(perceive, "perceive_from_vut", from_vut)
-        monkeypatch.setattr(scan, "scan_from_vut", by_vut_lidar)
+        monkeypatch.setattr(perceive, "scan_from_vut", by_vut_lidar)
         names = [f"unit {index}" for index in range(len(rows))]
         return evaluate_layout(
             build_layout(*names, latencies_s=latencies_s),

@@ -12,11 +12,9 @@ from geometry.poses import Pose
 from geometry.raycast import build_caster
 from geometry.sensors import CameraModel, pixel_rays
 from placement.evaluator.perceive import _place, perceive_from_roadside
-from placement.evaluator.pixels import draw, find_box, find_crop, hide
+from placement.evaluator.pixels import Image, build_tree, draw, find_box, find_crop, hide
 from placement.evaluator.solids import Mesh, build_body, build_scene_mesh, build_static
 from placement.evaluator.surroundings import build_surroundings
-from placement.evaluator.trees import build_tree
-from placement.evaluator.triangle_kernels import Image
 
 HERE = np.zeros(4)
 LEVEL = Pose(position_m=np.array([0.0, 0.0, 0.9]), yaw_deg=0.0)

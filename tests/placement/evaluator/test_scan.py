@@ -15,8 +15,8 @@ from geometry.lidar import (
 from geometry.poses import Pose, body_rotation, to_world
 from geometry.raycast import build_caster
 from placement.detectors import VRU_CLASSES
-from placement.evaluator import scan
-from placement.evaluator.scan import scan_from_roadside, scan_from_vut
+from placement.evaluator import perceive
+from placement.evaluator.perceive import scan_from_roadside, scan_from_vut
 from placement.evaluator.surroundings import build_surroundings, load_vut_camera, load_vut_lidar
 
 STUDY = load_lidars()["carla-ncap-lidar"]
@@ -39,7 +39,7 @@ def needs(monkeypatch):
             min_points=dict.fromkeys(VRU_CLASSES, n_points),
             reflectivity=load_lidar_detection().reflectivity,
         )
-        monkeypatch.setattr(scan, "load_lidar_detection", lambda: detection)
+        monkeypatch.setattr(perceive, "load_lidar_detection", lambda: detection)
 
     return set_points
 
@@ -304,7 +304,7 @@ def beams_on_vru(monkeypatch):
         counts = []
         with monkeypatch.context() as patch:
             patch.setattr(
-                scan, "_is_enough", lambda echoes, *given: counts.append(len(echoes.distance_m))
+                perceive, "_is_enough", lambda echoes, *given: counts.append(len(echoes.distance_m))
             )
             # One by one: a scan has an order of its own.
             for frame in range(len(surroundings.vru_poses)):

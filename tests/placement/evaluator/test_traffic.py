@@ -12,7 +12,7 @@ from geometry.errors import InputError
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.compute import DEFAULT_COMPUTE
-from placement.evaluator.watch import unit_key, watch
+from placement.evaluator.evaluate import unit_key, watch
 from placement.visibility import build_detection_table
 
 LENGTH_M, WIDTH_M, HEIGHT_M = 12.0, 2.5, 3.2

@@ -10,9 +10,8 @@ from ray_renderer import render_frame
 
 from geometry.scene import Instance
 from geometry.terrain import GROUND, Terrain, pitch_on_ground_deg, terrain_of
-from placement.evaluator.perceive import perceive_from_vut
+from placement.evaluator.perceive import perceive_from_vut, scan_from_vut
 from placement.evaluator.pictures import vut_camera_pose
-from placement.evaluator.scan import scan_from_vut
 from placement.evaluator.surroundings import (
     VutCamera,
     build_surroundings,

@@ -170,9 +170,7 @@ def test_weak_detections_do_not_count_if_asked_for(small, judge):
 def test_a_confidence_out_of_range_is_refused(small, judge, confidence):
     with pytest.raises(InputError) as caught:
         judge(small, min_confidence=confidence)
-    assert str(caught.value) == (
-        f"--min-confidence: got {confidence}; expected a confidence, 0 .. 1"
-    )
+    assert str(caught.value) == (f"min_confidence: got {confidence}; expected a confidence, 0 .. 1")
 
 
 def test_of_several_pedestrians_a_roadside_unit_must_detect_each(new_folder, judge):

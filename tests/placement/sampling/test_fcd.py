@@ -175,7 +175,7 @@ def shifted(samples, metres):
         (
             xml_of(shifted(EAST, 5000.0)),
             "got no vehicle within 100 m of the junction, the nearest 4982 m away; expected "
-            "traffic of this place, or --traffic-offset EAST,NORTH",
+            "traffic of this place, or `traffic_offset` EAST,NORTH",
         ),
         (
             xml_of([(4.0 * sample[0], *sample[1:]) for sample in EAST]),
@@ -235,10 +235,10 @@ def test_a_table_of_something_else_is_told(tmp_path, scene):
 @pytest.mark.parametrize(
     ("source", "offset", "message"),
     [
-        ("sumoo", "", "--traffic: got 'sumoo'; expected sumo, a .toml file of demand, or a file"),
-        ("x.csv", "12", "--traffic-offset: got '12'; expected EAST,NORTH in metres"),
-        ("x.csv", "1,nan", "--traffic-offset: got '1,nan'; expected EAST,NORTH in metres"),
-        ("sumo", "1,2", "--traffic-offset: got '1,2'; expected nothing"),
+        ("sumoo", "", "traffic: got 'sumoo'; expected sumo, a .toml file of demand, or a file"),
+        ("x.csv", "12", "traffic_offset: got '12'; expected EAST,NORTH in metres"),
+        ("x.csv", "1,nan", "traffic_offset: got '1,nan'; expected EAST,NORTH in metres"),
+        ("sumo", "1,2", "traffic_offset: got '1,2'; expected nothing"),
         ("missing.csv", "", "missing.csv: got No such file or directory; expected a readable"),
     ],
 )

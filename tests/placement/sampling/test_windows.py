@@ -12,8 +12,8 @@ from geometry.footprints import footprint_corners, footprint_separation
 from geometry.poses import Pose
 from placement.sampling import MovingTraffic, Uncertainty, draw_samples, with_moving_traffic
 from placement.sampling.moving.demand import load_demand
-from placement.sampling.moving.trajectories import Trajectories
-from placement.sampling.moving.windows import (
+from placement.sampling.moving.trajectories import (
+    Trajectories,
     cut_window,
     frames_in_parked,
     last_frames,

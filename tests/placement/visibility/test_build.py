@@ -318,12 +318,11 @@ def test_an_interruption_stops_after_the_positions_at_work(world, mount, monkeyp
     many = [mount(f"{i}", [i, 0.0, 6.0]) for i in range(60)]
     begun = []
 
-    def slow(world, candidates, detector):
-        begun.append(candidates[0].id)
+    def slow(packed, world, looks, rows):
+        begun.append(looks[rows[0]][0].id)
         time.sleep(0.02)
-        return np.zeros((len(candidates), -(-axis.n_frames // 8)), dtype=np.uint8)
 
-    monkeypatch.setattr(build_module, "_mount_rows", slow)
+    monkeypatch.setattr(build_module, "_fill", slow)
 
     def interrupt(stage, done, total):
         raise KeyboardInterrupt
@@ -346,10 +345,10 @@ def test_an_interruption_stops_after_the_positions_at_work(world, mount, monkeyp
 def test_an_error_in_a_worker_is_not_lost(world, mount, monkeypatch):
     scene, runs, axis = world
 
-    def fail(world, candidates, detector):
+    def fail(packed, world, looks, rows):
         raise MemoryError("no room")
 
-    monkeypatch.setattr(build_module, "_mount_rows", fail)
+    monkeypatch.setattr(build_module, "_fill", fail)
     with pytest.raises(MemoryError, match="no room"):
         build_detection_table(
             scene,

@@ -13,9 +13,8 @@ from geometry.lidar import (
     load_lidars,
 )
 from placement.detectors import VRU_CLASSES, GeometricDetector, load_planning_detector
-from placement.evaluator import scan
-from placement.evaluator.perceive import perceive_from_roadside
-from placement.evaluator.scan import scan_from_roadside
+from placement.evaluator import perceive
+from placement.evaluator.perceive import perceive_from_roadside, scan_from_roadside
 from placement.evaluator.surroundings import build_surroundings
 from placement.visibility import build_detection_table, sensing
 from placement.visibility.build import N_POINTS
@@ -228,7 +227,7 @@ def test_as_many_points_are_expected_on_a_body_as_beams_end_on_it(
     candidate = mount("a", [0.0, 0.0, 1.2], camera=SURE)
     n_expected, n_beams = 0, []
     monkeypatch.setattr(
-        scan, "_is_enough", lambda echoes, *given: n_beams.append(len(echoes.distance_m))
+        perceive, "_is_enough", lambda echoes, *given: n_beams.append(len(echoes.distance_m))
     )
     for yaw_deg in range(0, 360, 60):
         run = build_run([[8.0, 0.5, yaw_deg]], vru=body)

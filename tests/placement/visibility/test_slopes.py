@@ -12,8 +12,11 @@ from geometry.poses import Pose, to_world
 from geometry.raycast import build_caster
 from geometry.terrain import Terrain, ground_height_m, on_ground, set_down
 from placement.detectors import load_planning_detector
-from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
-from placement.evaluator.scan import scan_from_roadside
+from placement.evaluator.perceive import (
+    perceive_from_roadside,
+    perceive_from_vut,
+    scan_from_roadside,
+)
 from placement.evaluator.surroundings import build_surroundings, load_vut_camera, load_vut_lidar
 from placement.visibility.build import build_detection_table
 from placement.visibility.casting import build_world, cast_sight

@@ -109,7 +109,7 @@ def test_forty_kept_crops_are_on_a_page(tmp_path):
     crops.rgb[dark] //= 100
     save_crops(tmp_path / "here-11.npz", crops)
     told = []
-    sheet = pictures.draw_sheet(pictures.kept_looks(tmp_path, seed=0), tell=told.append)
+    sheet = pictures.draw_sheet(pictures.stored_looks(tmp_path, seed=0), tell=told.append)
     assert sheet.size == (8 * CROP_PX, 5 * (CROP_PX + pictures._CAPTION_PX))
     assert told[0] == "1 of 40: adult, day, 80 px, here"
     assert told[-2].startswith("40 of 40: ")
@@ -132,4 +132,4 @@ def test_a_page_of_nothing_but_darkness_is_refused():
 
 def test_a_folder_without_crops_is_named(tmp_path):
     with pytest.raises(InputError, match=r"crops of adults, day, made by python -m exp"):
-        pictures.draw_sheet(pictures.kept_looks(tmp_path, seed=0))
+        pictures.draw_sheet(pictures.stored_looks(tmp_path, seed=0))

@@ -1,54 +1,59 @@
-"""A scene's lanes as a SUMO network: plain nodes and edges, put together by netconvert."""
+"""SUMO: a scene's lanes as its network, and the traffic of one sampled world on it.
 
+Plain nodes and edges are put together by netconvert. The simulation runs in a child process
+(:mod:`.child`). Windows of time, one per group of runs, follow one another with pauses of random
+length between them, so that each meets another moment of the signal programme. In each, the VUT of
+one run of the group is moved along its path without braking, and the vehicles of SUMO react to it
+as to any other: they follow it, keep their gaps and do not change lanes into it. It obeys neither
+lights nor right of way, as Euro NCAP's does not: who has a green light may come into its way, and
+is left out of the run by :mod:`.trajectories`.
+"""
+
+import json
 import re
 import shutil
 import subprocess
+import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
+from geometry.actors import Actor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, MissingExtraError, Unquoted
-from geometry.files import read_text, write_new
+from geometry.files import open_file, read_text, write_new
 from geometry.junction import Arm, Junction, build_junction, lane_length_m
 from geometry.scene import Lane, Scene
+from scenarios.runs import Run
+
+from .demand import Demand, write_routes
+from .trajectories import Trajectories, build_trajectories
 
 JUNCTION = "junction"
 _SAME_LENGTH_M = 5.0  # lanes of an arm whose lengths differ by less go as far as one another
 _SHORTEST_M = 8.0  # pieces of an arm shorter than this are no edges of their own
 _TURN_OF_DIRECTION = {"s": "straight", "l": "left", "L": "left", "r": "right", "R": "right"}
-_TIMEOUT_S = 60.0
+_NETCONVERT_TIMEOUT_S = 60.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RoadNetwork:
-    """A junction as SUMO knows it.
+    """A junction as SUMO knows it."""
 
-    Attributes
-    ----------
-    xml : str
-        Content of the .net.xml file.
-    origin_m : (2,) float
-        Where its origin lies in the world frame; its axes are those of the world. [m]
-    entry_edges, exit_edges : dict of str to str
-        By arm: edges towards the junction, and away from it, in driving order with blanks between.
-    n_entry_lanes : dict of str to int
-        By arm.
-    ways : dict of str to dict of str to dict of str to str
-        By arm, turn and exit arm: the edges of the way through.
-    """
-
-    xml: str
-    origin_m: FloatArray
+    xml: str  # content of the .net.xml file
+    origin_m: FloatArray  # (2,): its origin in the world frame, whose axes it has. [m]
+    # entry_edges, exit_edges: by arm: edges towards the junction, and away from it, in driving
+    # order with blanks between
     entry_edges: dict[str, str]
     exit_edges: dict[str, str]
-    n_entry_lanes: dict[str, int]
-    ways: dict[str, dict[str, dict[str, str]]]
+    n_entry_lanes: dict[str, int]  # by arm
+    ways: dict[str, dict[str, dict[str, str]]]  # by arm, turn, exit arm: the edges of the way
 
 
 def sumo_program(name: str) -> str:
@@ -66,7 +71,7 @@ def sumo_program(name: str) -> str:
 def missing_sumo() -> MissingExtraError:
     """The error that says how SUMO is installed."""
     return MissingExtraError(
-        "--traffic sumo needs SUMO: pip install place-rsus[traffic] (in a checkout: uv run --extra "
+        "`traffic` sumo needs SUMO: pip install place-rsus[traffic] (in a checkout: uv run --extra "
         "traffic place-rsus ..); without it, parked and waiting vehicles are drawn as always"
     )
 
@@ -257,7 +262,7 @@ def _run_netconvert(program: str, plain: _Plain, scene: Scene, *, has_lights: bo
         ]
         try:
             done = subprocess.run(
-                command, capture_output=True, text=True, timeout=_TIMEOUT_S, check=False
+                command, capture_output=True, text=True, timeout=_NETCONVERT_TIMEOUT_S, check=False
             )
         except subprocess.TimeoutExpired:
             raise InputError(scene.name, Unquoted("no network"), "lanes for netconvert") from None
@@ -289,3 +294,145 @@ def _find_ways(
             f"{scene.name}: lanes", Unquoted("no way through the junction"), "lanes in and out"
         )
     return ways
+
+
+# ---------- simulation
+
+
+_TIMEOUT_S = 900.0
+_LONGEST_BODY_M = 20.0
+_MAX_SEED = 2**31 - 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SimulatedWindows:
+    """Traffic that SUMO drove."""
+
+    trajectories: Trajectories  # vehicles near the junction, on the simulation's clock
+    impact_s: dict[Any, float]  # by group: when its runs end. [s]
+    n_departed: int  # vehicles that entered the network until the end
+    n_waiting: int  # those that found no room to
+
+
+def simulate_windows(
+    network: RoadNetwork,
+    demand: Demand,
+    groups: Mapping[Any, tuple[Run, ...]],
+    *,
+    reach_m: float,
+    step_s: float,
+    rng: np.random.Generator,
+) -> SimulatedWindows:
+    """Drive traffic through a junction long enough to cut one window for each group of runs.
+
+    Runs of a group, at least one, share a window as long as the longest; the VUT is that of the run
+    in the middle of their speeds. Vehicles farther than `reach_m` from the middle of the junction
+    are left out. The random numbers decide order and pauses of the windows, and SUMO's seed. Raises
+    InputError if the demand does not fit the junction or SUMO cannot drive it, MissingExtraError
+    without SUMO.
+    """
+    seed = int(rng.integers(_MAX_SEED))
+    keys = list(groups)
+    order = [keys[index] for index in rng.permutation(len(keys)).tolist()]
+    pauses_s = rng.uniform(*demand.pause_s, size=len(order))
+    now = round(demand.warm_up_s / step_s)
+    windows, impact_s = [], {}
+    for key, pause_s in zip(order, pauses_s.tolist(), strict=True):
+        runs = groups[key]
+        n_frames = max(len(run.time_s) for run in runs)
+        first = now + max(1, round(pause_s / step_s))
+        now = first + n_frames
+        impact_s[key] = now * step_s
+        middle = sorted(runs, key=lambda run: run.vut_speed_kmh)[len(runs) // 2]
+        windows.append(
+            {
+                "first_step": first,
+                "last_step": now,
+                "vut": _vut_drive(middle, network, last_step=now),
+            }
+        )
+    vut = next(iter(groups.values()))[0].encounter.vut
+    job = {
+        "seed": seed,
+        "step_s": step_s,
+        "junction": JUNCTION,
+        "reach_m": reach_m + _LONGEST_BODY_M,
+        "first_type": demand.vehicles[0].actor.name,
+        "vut": {"length": vut.length_m, "width": vut.width_m, "height": vut.height_m},
+        "windows": windows,
+    }
+    found = _run(job, network, write_routes(demand, network.ways, network.n_entry_lanes))
+    samples: FloatArray = found["samples"]
+    known = {kind.actor.name: kind.actor for kind in demand.vehicles}
+    bodies: tuple[Actor, ...] = tuple(known[name] for name in found["types"].tolist())
+    return SimulatedWindows(
+        trajectories=build_trajectories(
+            bodies,
+            vehicle=samples[:, 0].astype(np.int64),
+            time_s=samples[:, 1] * step_s,
+            front_m=samples[:, 2:4] + network.origin_m,
+            angle_deg=samples[:, 4],
+            step_s=step_s,
+            span_s=(0.0, now * step_s),
+        ),
+        impact_s=impact_s,
+        n_departed=int(found["n_departed"]),
+        n_waiting=int(found["n_waiting"]),
+    )
+
+
+def _vut_drive(run: Run, network: RoadNetwork, *, last_step: int) -> dict[str, Any] | None:
+    """Where the VUT of a run is, step by step, as the child wants it; None where it has no lane."""
+    leaving = _exits(run, network)
+    if run.approach not in network.entry_edges or not leaving:
+        return None
+    yaw = np.radians(run.vut_yaw_deg)
+    ahead = np.column_stack([np.cos(yaw), np.sin(yaw)])
+    front = run.vut_position_m + 0.5 * run.encounter.vut.length_m * ahead - network.origin_m
+    return {
+        "first_step": last_step - len(run.time_s) + 1,
+        "edges": leaving.split(),
+        "front_m": np.round(front, 3).tolist(),
+        "angle_deg": np.round(90.0 - run.vut_yaw_deg, 3).tolist(),
+        "speed_mps": run.vut_speed_kmh / 3.6,
+    }
+
+
+def _exits(run: Run, network: RoadNetwork) -> str:
+    """Edges of the way through the junction that leads most nearly where the VUT's path points."""
+    turns = network.ways.get(run.approach, {})
+    first, last = run.vut_yaw_deg[[0, -1]].tolist()
+    turned_deg = (last - first + 180.0) % 360.0 - 180.0
+    wanted = "straight" if abs(turned_deg) < 30.0 else "left" if turned_deg > 0.0 else "right"
+    exits = turns.get(wanted) or next(iter(turns.values()), {})
+    return next(iter(exits.values()), "")
+
+
+def _run(job: dict[str, Any], network: RoadNetwork, routes: str) -> dict[str, Any]:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        paths = {key: folder / f"junction.{key}.xml" for key in ("network", "routes")}
+        write_new(paths["network"], network.xml)
+        write_new(paths["routes"], routes)
+        given, found = folder / "job.json", folder / "found.npz"
+        write_new(given, json.dumps(job | {key: str(path) for key, path in paths.items()}))
+        try:
+            done = subprocess.run(
+                [sys.executable, "-I", str(_CHILD), str(given), str(found)],
+                capture_output=True,
+                text=True,
+                timeout=_TIMEOUT_S,
+                check=False,
+            )
+        except subprocess.TimeoutExpired:
+            got = Unquoted(f"a simulation that takes more than {_TIMEOUT_S:g} s")
+            raise InputError("traffic", got, "less demand, or fewer runs") from None
+        if done.returncode != 0:
+            lines = done.stderr.split("\n")
+            reason = next((line for line in reversed(lines) if line.strip()), "no reason given")
+            raise InputError("traffic", Unquoted(reason.strip()), "traffic that SUMO drives")
+        with open_file(found) as file, np.load(file, allow_pickle=False) as stored:
+            return {key: stored[key] for key in stored.files}
+
+
+_CHILD = Path(__file__).with_name("child.py")

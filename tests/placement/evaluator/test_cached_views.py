@@ -1,4 +1,4 @@
-"""What units detect is kept for the next call: it looks at nothing again, and finds the same."""
+"""What units detect is cached for the next call: it looks at nothing again, and finds the same."""
 
 from dataclasses import replace
 
@@ -13,8 +13,8 @@ from geometry.weather import load_weathers
 from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.detectors import load_detector
+from placement.evaluator import evaluate as watch_module
 from placement.evaluator import evaluate_layout
-from placement.evaluator import watch as watch_module
 from placement.layout import Layout
 
 WALL = ((5.0, 0.2, 0.0), (5.3, 4.0, 3.0))
