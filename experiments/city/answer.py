@@ -497,11 +497,7 @@ def _phases(
 
 
 def _cheapest(
-    city: City,
-    options: Options,
-    solved: Sequence[int],
-    share: FloatArray,
-    first: IntArray,
+    city: City, options: Options, solved: Sequence[int], share: FloatArray, first: IntArray
 ) -> str:
     """Cost and benefit of the cheapest useful option, in words."""
     gain = share[options.junction] * (options.apr - options.apr[first][options.junction])

@@ -325,13 +325,7 @@ def city_text(result: "CityResult", out: Path) -> str:
     lines = sentences(*result.sentences)
     if served:
         rows = [
-            [
-                one.label,
-                str(one.units),
-                f"{one.cost_eur:,.0f}",
-                percent(one.apr),
-                percent(one.gain),
-            ]
+            [one.label, str(one.units), f"{one.cost_eur:,.0f}", percent(one.apr), percent(one.gain)]
             for one in served[:_MAX_LISTED]
         ]
         lines += ["", *table(["junction", "units", "EUR", "APR", "of the city"], rows)]

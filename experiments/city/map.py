@@ -136,10 +136,7 @@ def plot_city_front(result: CityResult) -> Axes:
 
 
 def plot_junction_front(
-    points: Sequence[tuple[float, float, int]],
-    steps: Sequence[tuple[float, float]],
-    *,
-    chosen: int,
+    points: Sequence[tuple[float, float, int]], steps: Sequence[tuple[float, float]], *, chosen: int
 ) -> Axes:
     """APR against money at one junction: points (EUR, APR, units), bounds, the one chosen."""
     axes = new_axes(WIDTH_IN, 2.8)

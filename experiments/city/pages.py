@@ -265,12 +265,7 @@ def _assumptions_section(result: CityResult) -> Section:
 
 
 def render_junction_page(
-    one: CityJunctionRecord,
-    record: CityFrontRecord,
-    scene: Scene,
-    layout: Layout,
-    *,
-    question: str,
+    one: CityJunctionRecord, record: CityFrontRecord, scene: Scene, layout: Layout, *, question: str
 ) -> str:
     """The page of a junction: its units, its front, and how to look closer.
 

@@ -172,12 +172,7 @@ def run_city(
     for layout in kept.values():
         sensors |= {unit.sensor.name: unit.sensor for unit in layout.units}
     serving = _served_tasks(
-        out,
-        result,
-        question=question,
-        kept=kept,
-        sensors=sensors,
-        same_fronts=unchanged,
+        out, result, question=question, kept=kept, sensors=sensors, same_fronts=unchanged
     )
     served = _write_served(serving, workers.n_workers, progress)
     progress(WRITING, 0, 0)

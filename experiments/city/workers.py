@@ -65,10 +65,7 @@ def run_junction(task: JunctionTask) -> JunctionAnswer:
             save_scene(Path(folder), imported.scene, sources=imported.sources)
             files = {path.name: read_bytes(path) for path in sorted(Path(folder).iterdir())}
         solved = solve_junction(
-            imported.scene,
-            task.question,
-            task.wishes,
-            compute=Compute(seed=task.seed, workers=1),
+            imported.scene, task.question, task.wishes, compute=Compute(seed=task.seed, workers=1)
         )
     except (InputError, TimeUpError) as error:
         # Another time, the machine may be less busy, and what it compiles once is compiled.

@@ -77,11 +77,7 @@ def scene_record(
         ],
         "grid": list(chosen),
         "runs": [
-            {
-                "id": run.id,
-                "title": describe_run(axis, index),
-                "frames": len(run.time_s),
-            }
+            {"id": run.id, "title": describe_run(axis, index), "frames": len(run.time_s)}
             for index, run in enumerate(setting.runs)
         ],
         "arms": _arm_records(setting),
@@ -291,11 +287,7 @@ _MAX_AREAS = 200  # those that are seen the most
 
 
 def private_record(
-    units: Sequence[CandidatePose],
-    ground: PrivateGround,
-    sight: PrivateSight,
-    *,
-    max_share: float,
+    units: Sequence[CandidatePose], ground: PrivateGround, sight: PrivateSight, *, max_share: float
 ) -> list[dict[str, Any]]:
     """Private areas that units have in their pictures, those that are seen the most first.
 

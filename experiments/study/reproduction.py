@@ -10,20 +10,9 @@ import click
 import numpy as np
 
 from geometry.errors import InputError
-from geometry.files import (
-    load_toml,
-    take_list,
-    take_number,
-    take_text,
-    write_atomically,
-)
+from geometry.files import load_toml, take_list, take_number, take_text, write_atomically
 from placement.compute import Compute, silent
-from placement.evaluation import (
-    Evaluation,
-    Verdict,
-    apr,
-    detected_share,
-)
+from placement.evaluation import Evaluation, Verdict, apr, detected_share
 from placement.evaluator import evaluate_layout
 from placement.setting import build_setting
 
@@ -348,11 +337,7 @@ def _units_table(values: dict[tuple[str, str], float], units: Sequence[str]) -> 
         )
         for party in parties
     ]
-    header = (
-        "",
-        *(f"APR {case}" for case in CASES),
-        *(f"frames {case}" for case in CASES),
-    )
+    header = ("", *(f"APR {case}" for case in CASES), *(f"frames {case}" for case in CASES))
     best = [unit for unit in units if all(values[f"APR of {unit}", case] == 1.0 for case in CASES)]
     return [
         "## Every unit by itself",

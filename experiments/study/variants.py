@@ -118,8 +118,7 @@ def _move_parked(setting: Setting, by_m: float) -> Setting:
             PlacedActor(
                 actor=parked.actor,
                 pose=Pose(
-                    position_m=parked.pose.position_m + by_m * right,
-                    yaw_deg=parked.pose.yaw_deg,
+                    position_m=parked.pose.position_m + by_m * right, yaw_deg=parked.pose.yaw_deg
                 ),
             )
             for parked in run.obstruction
