@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from geometry.catalogue import Sensor, sensor_kind
@@ -207,7 +208,7 @@ def plan_text(state: PlanState, scene: Scene, background: Background | None = No
     ]
     record: dict[str, Any] = {"schema": SCHEMA, "scene": scene.name, "variants": variants}
     if background is not None:
-        record["background"] = background.record()
+        record["background"] = msgspec.to_builtins(background)
     return to_json_text(record)
 
 

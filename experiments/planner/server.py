@@ -261,7 +261,7 @@ class Pages:
             return JSONResponse({})
         if session.background is None:
             return Response("no image\n", 404, media_type="text/plain")
-        return Response(session.background.content, media_type=session.background.media_type)
+        return Response(session.background.image, media_type=session.background.media_type)
 
     async def _explain(self, request: Request) -> Response:
         run_id = request.query_params.get("run", "")
