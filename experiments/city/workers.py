@@ -24,7 +24,8 @@ from placement.question import Question
 from ..jobs.local_workers import LocalWorkers, WorkerDiedError
 from ..jobs.schedulers import connect_to_scheduler, program, run_alike
 from ..results.numbers import several
-from .answer import CityFrontRecord, build_points
+from ..results.record import build_unit_records
+from .answer import CityFrontRecord
 
 TRIES = 3
 """Of a junction whose worker dies, or that fails for no reason of its own."""
@@ -75,9 +76,10 @@ def run_junction(task: JunctionTask) -> JunctionAnswer:
     record = _record(
         task,
         scene=imported.scene.name,
-        points=build_points(solved),
-        by_units=solved.front.by_units,
-        by_cost=solved.front.by_cost,
+        front=solved.front,
+        layouts=tuple(
+            () if layout is None else build_unit_records(layout) for layout in solved.layouts
+        ),
         sites=solved.n_sites,
         poses=solved.n_poses,
         runs=solved.n_runs,

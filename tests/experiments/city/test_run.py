@@ -492,13 +492,13 @@ def check_fronts_of(address, tiny, tmp_path):
     assert result.computed == 3
     for mine, theirs in zip(fronts_of(tiny / "city"), fronts_of(tmp_path / "city"), strict=True):
         assert mine.key == theirs.key
-        assert mine.points == theirs.points
+        assert (mine.front, mine.layouts) == (theirs.front, theirs.layouts)
 
 
 def tasks_of(path):
     city = job.load_city([path], SEARCH.reading, CityWish(budget_units=1))
     grid = job.build_grid(Question(), is_coarse=True)
-    tasks = job._Tasks(city, FEW_RUNS, SEARCH, grid, kept={}, seed=0)
+    tasks = job._Tasks(city, FEW_RUNS, SEARCH, grid, existing={}, seed=0)
     return [tasks.task(one) for one in city.junctions]
 
 
@@ -586,7 +586,7 @@ def test_kill_9_loses_at_most_the_junctions_in_work_and_ends_the_workers(
     assert again.computed == list(done.values()).count(False)
     assert all((folder / "front.json").read_bytes() == text for folder, text in written.items())
     for mine, theirs in zip(fronts_of(tiny / "city"), fronts_of(city), strict=True):
-        assert (mine.key, mine.points) == (theirs.key, theirs.points)
+        assert (mine.key, mine.front, mine.layouts) == (theirs.key, theirs.front, theirs.layouts)
 
 
 def test_numbers_of_the_figure_are_those_of_the_result(tiny, city, never, no_pages):
