@@ -69,10 +69,11 @@ class Variant:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlanState:
-    """All variants, and which of them is worked on."""
+    """All variants, which of them is worked on, and the workspace of the scene it is for."""
 
     variants: tuple[Variant, ...]
     current: int = 0
+    workspace: Any = None
 
     @property
     def variant(self) -> Variant:
@@ -381,7 +382,7 @@ def add_variant(state: PlanState, variant: Variant, *, source: str = "") -> Plan
     while name in names:
         name, number = f"{base} ({number})", number + 1
     variants = (*state.variants, replace(variant, name=name))
-    return PlanState(variants=variants, current=len(variants) - 1)
+    return replace(state, variants=variants, current=len(variants) - 1)
 
 
 def _select_variant(state: PlanState, change: SelectVariant, stock: Stock) -> PlanState:
@@ -401,7 +402,7 @@ def _remove_variant(state: PlanState, change: RemoveVariant, stock: Stock) -> Pl
     if len(state.variants) == 1:
         raise InputError("variant", state.variant.name, "another one: the last one stays")
     variants = tuple(each for each in state.variants if each is not state.variant)
-    return PlanState(variants=variants, current=min(state.current, len(variants) - 1))
+    return replace(state, variants=variants, current=min(state.current, len(variants) - 1))
 
 
 _CHANGES: Mapping[type, Callable[[PlanState, Any, Stock], PlanState]] = {
@@ -501,6 +502,12 @@ class History:
             return self
         return History(states=self.states[:-1], now=self.now - 1)
 
+    def of_newest(self, most: int) -> "History":
+        """Without the steps in other than the newest workspaces."""
+        last = list(dict.fromkeys(id(state.workspace) for state in reversed(self.states)))[:most]
+        states = tuple(state for state in self.states if id(state.workspace) in last)
+        return History(states=states, now=len(states) - 1)
+
     def undone(self) -> "History":
         """One state back, where there is one."""
         return replace(self, now=max(self.now - 1, 0), gesture="")
@@ -510,13 +517,13 @@ class History:
         return replace(self, now=min(self.now + 1, len(self.states) - 1), gesture="")
 
 
-def begin_history(variants: Sequence[Variant]) -> History:
+def begin_history(variants: Sequence[Variant], workspace: Any = None) -> History:
     """A history of one state with these variants, the first one worked on; or with an empty one.
 
     Raises InputError as :func:`add_variant`.
     """
     first = variants[0] if variants else Variant(name="Variant 1")
-    state = PlanState(variants=(first,))
+    state = PlanState(variants=(first,), workspace=workspace)
     for variant in variants[1:]:
         state = add_variant(state, variant)
     return History(states=(replace(state, current=0),))

@@ -259,9 +259,11 @@ class Pages:
             points = request.headers.get("x-points", "")[:2000].encode("latin-1", "replace")
             session.lay_background(build_background(content, points, "image") if content else None)
             return JSONResponse({})
-        if session.background is None:
+        if session.workspace.background is None:
             return Response("no image\n", 404, media_type="text/plain")
-        return Response(session.background.image, media_type=session.background.media_type)
+        return Response(
+            session.workspace.background.image, media_type=session.workspace.background.media_type
+        )
 
     async def _explain(self, request: Request) -> Response:
         run_id = request.query_params.get("run", "")
