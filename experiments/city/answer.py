@@ -324,14 +324,8 @@ def choose_for_city(
         No junction, or none with a weight, has a front; a wish cannot be met.
     """
     records = [done[one.folder] for one in city.junctions]
-    solved = _solved(city, records)
+    solved = _solved(city, records, values)
     weight = values.weight[solved]
-    if not weight.sum() > 0.0:
-        raise InputError(
-            "--junction-weights",
-            Unquoted("weights only of junctions that have no front"),
-            "a weight above 0 for one that has",
-        )
     fronts = [front for record in records if (front := record.front) is not None]
     options = stack_fronts(fronts)
     asked = values.wishes(wish, solved)
@@ -350,22 +344,13 @@ def choose_for_city(
     first = np.flatnonzero(np.diff(options.junction, prepend=-1))
     share = weight / weight.sum()
     phases = _phases(options, choice, first, share, wish)
+    chosen = [int(number) for number in choice.rows - first]
+    years = [0] * len(solved) if phases is None else phases.year.tolist()
     junctions = _without_units(city, values, records)
-    for place, index in enumerate(solved):
-        one, number = city.junctions[index], int(choice.rows[place] - first[place])
-        point = fronts[place].points[number]
-        layout = _layout(out, one, number) if point.units or one.scene_name in existing else ()
-        junctions[index] = replace(
-            junctions[index],
-            units=point.units,
-            cost_eur=point.cost_eur,
-            apr_before=fronts[place].points[0].apr,
-            apr=point.apr,
-            apr_one_failed=point.apr_one_failed,
-            layout=layout,
-            kept=max(len(layout) - point.units, 0),
-            year=0 if phases is None else int(phases.year[place]),
-        )
+    for index, front, number, year in zip(solved, fronts, chosen, years, strict=True):
+        has_layout = front.points[number].units or city.junctions[index].scene_name in existing
+        layout = _layout(out, city.junctions[index], number) if has_layout else ()
+        junctions[index] = _with_point(junctions[index], front, number, layout, year)
     result = CityResult(
         maps=city.records,
         budget_units=wish.budget_units,
@@ -404,8 +389,8 @@ def choose_for_city(
     return replace(result, sentences=_sentences(result, wish, phases))
 
 
-def _solved(city: City, records: Sequence[CityFrontRecord]) -> list[int]:
-    """Indices of the junctions that have a front."""
+def _solved(city: City, records: Sequence[CityFrontRecord], values: CityValues) -> list[int]:
+    """Indices of the junctions that have a front; InputError if none has, or none with a weight."""
     solved = [index for index, record in enumerate(records) if not record.reason]
     if not solved:
         # One that another try could mend says what to change.
@@ -416,6 +401,12 @@ def _solved(city: City, records: Sequence[CityFrontRecord]) -> list[int]:
             "one at which runs can be laid and sites can carry units"
             if failed.is_final
             else "more time or memory for each: --max-junction-seconds, --worker-memory",
+        )
+    if not values.weight[solved].sum() > 0.0:
+        raise InputError(
+            "--junction-weights",
+            Unquoted("weights only of junctions that have no front"),
+            "a weight above 0 for one that has",
         )
     return solved
 
@@ -439,6 +430,28 @@ def _without_units(
         )
         for index, (one, record) in enumerate(zip(city.junctions, records, strict=True))
     ]
+
+
+def _with_point(
+    one: CityJunctionRecord,
+    front: JunctionFront,
+    number: int,
+    layout: tuple[UnitRecord, ...],
+    year: int,
+) -> CityJunctionRecord:
+    """A junction that gets a point of its front."""
+    point = front.points[number]
+    return replace(
+        one,
+        units=point.units,
+        cost_eur=point.cost_eur,
+        apr_before=front.points[0].apr,
+        apr=point.apr,
+        apr_one_failed=point.apr_one_failed,
+        layout=layout,
+        kept=max(len(layout) - point.units, 0),
+        year=year,
+    )
 
 
 def _layout(out: Path, one: CityJunction, index: int) -> tuple[UnitRecord, ...]:

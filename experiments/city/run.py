@@ -116,12 +116,11 @@ def run_city(
 
     Parameters
     ----------
-    question : Question
-        Runs and sensors at each junction.
+    question, wish, search, workers
+        Runs and sensors at each junction; budgets, and junctions that count; effort for each
+        front; where these are found.
     maps : sequence of Path
         Maps with roads, and others with buildings.
-    wish, search, workers
-        Budgets and junctions that count; effort for each front; where these are solved.
     out : Path
         Folder: new, empty, or of the same city.
     seed : int
@@ -130,11 +129,6 @@ def run_city(
         Command line that makes the result again.
     progress, tell
         Shows the stages; prints the amount of work and the workers.
-
-    Returns
-    -------
-    result : CityResult
-        As ``city.json`` has it.
 
     Raises
     ------
@@ -168,23 +162,17 @@ def run_city(
     progress("choose", 0, 0)
     result = choose_for_city(out, city, values, done, wish=wish, search=search, existing=existing)
     result = replace(result, command=command, computed=n_todo, versions=versions())
-    sensors = {model.name: model for model in grid.sensors}
-    for layout in existing.values():
-        sensors |= {unit.sensor.name: unit.sensor for unit in layout.units}
-    serving = _served_tasks(
-        out, result, question=question, existing=existing, sensors=sensors, same_fronts=unchanged
+    served = _write_served(
+        _served_tasks(
+            out, result, question=question, existing=existing, grid=grid, same_fronts=unchanged
+        ),
+        workers.n_workers,
+        progress,
     )
-    served = _write_served(serving, workers.n_workers, progress)
     progress(WRITING, 0, 0)
+    records = [done[one.folder] for one in city.junctions]
     result = replace(result, purchases=_purchases(served))
-    result = write_city(
-        out,
-        result,
-        city,
-        [done[one.folder] for one in city.junctions],
-        served,
-        finish=progress.finish,
-    )
+    result = write_city(out, result, city, records, served, finish=progress.finish)
     progress.kept = f"the city is in {out}"
     return result
 
@@ -454,7 +442,7 @@ def _served_tasks(
     *,
     question: Question,
     existing: Mapping[str, Layout],
-    sensors: Mapping[str, Sensor],
+    grid: CandidateGrid,
     same_fronts: Container[str],
 ) -> list[ServedTask]:
     """A task for each junction with units; layouts and pages of the others are removed.
@@ -462,6 +450,9 @@ def _served_tasks(
     `same_fronts` are folders whose fronts are those of the last call: where it chose the same,
     nothing is written again. The junctions that gain most, which the report lists, get pages.
     """
+    sensors = {model.name: model for model in grid.sensors}
+    for layout in existing.values():
+        sensors |= {unit.sensor.name: unit.sensor for unit in layout.units}
     last = load_summary(out / SUMMARY)
     chosen = () if last is None or last.versions != result.versions else last.junctions
     same = {one.folder: one for one in chosen if one.folder in same_fronts}
