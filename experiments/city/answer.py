@@ -377,16 +377,20 @@ def choose_for_city(
         ),
         cheapest=_cheapest(city, options, solved, share, first),
         gain_years=None if phases is None else phases.gain_years,
-        search=CitySearchRecord(
-            poses="coarse" if search.is_coarse else "fine",
-            max_units=search.max_units,
-            max_junction_seconds=search.max_junction_s,
-            radius_m=search.radius_m,
-            sites=search.sites,
-        ),
+        search=_search_record(search),
         notes=(*city.notes, *values.notes),
     )
     return replace(result, sentences=_sentences(result, wish, phases))
+
+
+def _search_record(search: CitySearch) -> CitySearchRecord:
+    return CitySearchRecord(
+        poses="coarse" if search.is_coarse else "fine",
+        max_units=search.max_units,
+        max_junction_seconds=search.max_junction_s,
+        radius_m=search.radius_m,
+        sites=search.sites,
+    )
 
 
 def _solved(city: City, records: Sequence[CityFrontRecord], values: CityValues) -> list[int]:

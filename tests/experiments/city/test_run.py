@@ -23,7 +23,7 @@ from experiments.city import run as job
 from experiments.city import workers as city_workers
 from experiments.city.answer import load_front
 from experiments.city.inputs import CitySearch, CityWish
-from experiments.jobs import local_workers, schedulers
+from experiments.jobs import schedulers
 from experiments.progress import WRITING, StageProgress
 from experiments.results.folders import changed_files
 from experiments.results.numbers import percent
@@ -510,7 +510,7 @@ class Dying:
     def submit(self, function, task):
         self.times += 1
         future = Future()
-        future.set_exception(local_workers.WorkerDiedError("more than 1.5 GiB of memory"))
+        future.set_exception(city_workers.WorkerDiedError("more than 1.5 GiB of memory"))
         return future
 
     def wait(self, timeout_s):
@@ -537,7 +537,9 @@ def test_a_worker_that_is_killed_loses_nothing(tiny):
     with city_workers.start_workers(
         "", n_workers=2, memory="1.5GiB", tell=lambda sentence: None
     ) as workers:
-        killer = threading.Timer(1.0, lambda: os.kill(workers.pids()[0], signal.SIGKILL))
+        killer = threading.Timer(
+            1.0, lambda: os.kill(workers._workers[0].process.pid, signal.SIGKILL)
+        )
         killer.start()
         answers = [answer.record for _, answer in city_workers.run_junctions(workers, tasks)]
         killer.join()
