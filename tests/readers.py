@@ -341,8 +341,9 @@ def _read_places(path: Path) -> Any:
 def _city_folder() -> Mapping[str, tuple[str, Files]]:
     import msgspec
 
-    from experiments.city.answer import CityEntry, CityFrontRecord, CityManifest, CityPointRecord
+    from experiments.city.answer import CityEntry, CityFrontRecord, CityManifest
     from experiments.city.inputs import CityMapRecord
+    from placement.city.fronts import NOTHING, JunctionFront
 
     manifest = CityManifest(
         maps=(CityMapRecord(name="a.osm", sha256="0", has_roads=True),),
@@ -353,19 +354,10 @@ def _city_folder() -> Mapping[str, tuple[str, Files]]:
     front = CityFrontRecord(
         **dict.fromkeys(("key", "id", "name", "map", "scene", "reason"), "1"),
         **dict.fromkeys(("sites", "poses", "runs", "frames"), 1),
-        points=(
-            CityPointRecord(
-                units=0,
-                cost_eur=0.0,
-                apr=0.5,
-                apr_one_failed=0.5,
-                smallest_margin_s=0.0,
-                mean_margin_s=0.0,
-                layout=(),
-            ),
+        front=JunctionFront(
+            points=(replace(NOTHING, apr=0.5),), by_units=((0.0, 0.5),), by_cost=((0.0, 0.5),)
         ),
-        by_units=((0.0, 0.5),),
-        by_cost=((0.0, 0.5),),
+        layouts=((),),
         seconds={"table": 1.0},
         peak_memory_mib=1.0,
     )

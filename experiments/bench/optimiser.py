@@ -11,13 +11,7 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from geometry.arrays import BoolArray
 from placement.candidates import CandidatePose
 from placement.compute import Compute
-from placement.optimiser import (
-    Effort,
-    PlacementProblem,
-    presolve,
-    run_margins_s,
-    solve_placement,
-)
+from placement.optimiser import Effort, PlacementProblem, presolve, run_margins_s, solve_placement
 from placement.optimiser.problem import Fusion
 from placement.setting import Setting
 from placement.visibility.build import build_detection_table
@@ -31,11 +25,7 @@ _BUDGET_TIME_S = 20.0
 
 
 def build_bench_problem(
-    setting: Setting,
-    candidates: Sequence[CandidatePose],
-    budget: int,
-    *,
-    fusion: Fusion = "any",
+    setting: Setting, candidates: Sequence[CandidatePose], budget: int, *, fusion: Fusion = "any"
 ) -> PlacementProblem:
     """The question of so many units, on a table that is built for it."""
     table = build_detection_table(

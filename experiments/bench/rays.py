@@ -55,9 +55,7 @@ def ratio(ours_s: list[float], theirs_s: list[float]) -> float:
 
 
 def bare_embree(
-    vertices_m: FloatArray,
-    triangles: Any,
-    rays: Sequence[Rays],
+    vertices_m: FloatArray, triangles: Any, rays: Sequence[Rays]
 ) -> Callable[[], object]:
     """The library's own query of all rays in one call, with everything prepared that can be."""
     origins, vectors = (np.concatenate(part) for part in zip(*rays, strict=True))

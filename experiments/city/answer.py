@@ -6,6 +6,7 @@
 
 import io
 from collections.abc import Iterable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -19,7 +20,6 @@ from geometry.errors import InputError, Unquoted
 from geometry.files import read_bytes
 from placement.city.choose import CityChoice, Phases, choose, city_front, plan_phases
 from placement.city.fronts import JunctionFront, Options, Point, stack_bounds, stack_fronts
-from placement.city.junction import SolvedJunction
 from placement.layout import Layout
 from placement.optimiser.tolerances import TOLERANCE
 
@@ -30,7 +30,6 @@ from ..results.record import (
     StageRecord,
     UnitRecord,
     build_stage_records,
-    build_unit_records,
 )
 from .inputs import JUNCTIONS, City, CityJunction, CityMapRecord, CitySearch, CityValues, CityWish
 
@@ -43,21 +42,6 @@ Count = Annotated[int, Meta(ge=0)]
 Amount = Annotated[float, Meta(ge=0)]
 
 # ---------- one junction
-
-
-class CityPointRecord(Record, frozen=True, kw_only=True):
-    """A :class:`placement.city.fronts.Point` with its layout: units mounted there already, too."""
-
-    units: Count  # new ones
-    cost_eur: Amount
-    apr: Share
-    apr_one_failed: Share
-    smallest_margin_s: float
-    mean_margin_s: float
-    layout: tuple[UnitRecord, ...]
-
-
-_POINT = tuple(Point.__dataclass_fields__)
 
 
 class CityFrontRecord(Record, frozen=True, kw_only=True):
@@ -73,8 +57,8 @@ class CityFrontRecord(Record, frozen=True, kw_only=True):
         Why there is no front; empty: there is one.
     is_final : bool
         False where another try may end otherwise: a worker died, or time was up.
-    points, by_units, by_cost
-        As :class:`placement.city.fronts.JunctionFront` has them.
+    front, layouts
+        The front, and the layout of each point, with the units that are mounted already.
     seconds : dict of float
         Processor time by stage. [s]
     """
@@ -87,9 +71,8 @@ class CityFrontRecord(Record, frozen=True, kw_only=True):
     scene: str
     reason: str = ""
     is_final: bool = True
-    points: tuple[CityPointRecord, ...] = ()
-    by_units: tuple[tuple[float, float], ...] = ()
-    by_cost: tuple[tuple[float, float], ...] = ()
+    front: JunctionFront | None = None
+    layouts: tuple[tuple[UnitRecord, ...], ...] = ()
     sites: Count = 0
     poses: Count = 0
     runs: Count = 0
@@ -99,25 +82,13 @@ class CityFrontRecord(Record, frozen=True, kw_only=True):
     notes: tuple[str, ...] = ()
 
     @property
-    def front(self) -> JunctionFront:
-        """The front without its layouts."""
-        points = (Point(**{name: getattr(point, name) for name in _POINT}) for point in self.points)
-        return JunctionFront(points=tuple(points), by_units=self.by_units, by_cost=self.by_cost)
+    def points(self) -> tuple[Point, ...]:
+        """Points of the front; none where there is no front."""
+        return () if self.front is None else self.front.points
 
     def without_layouts(self) -> "CityFrontRecord":
-        """A record without what takes memory: its layouts and notes."""
-        return replace(self, points=tuple(replace(p, layout=()) for p in self.points), notes=())
-
-
-def build_points(solved: SolvedJunction) -> tuple[CityPointRecord, ...]:
-    """The points of a junction's front with their layouts."""
-    return tuple(
-        CityPointRecord(
-            **{name: getattr(point, name) for name in _POINT},
-            layout=() if layout is None else build_unit_records(layout),
-        )
-        for point, layout in zip(solved.front.points, solved.layouts, strict=True)
-    )
+        """A record without the parts that take memory: its layouts and notes."""
+        return replace(self, layouts=(), notes=())
 
 
 def load_front(path: Path) -> CityFrontRecord | None:
@@ -132,17 +103,17 @@ def fronts_table(records: Iterable[CityFrontRecord]) -> bytes:
     """All fronts as Parquet: a row for each point, and one for each junction that has none."""
     import pandas as pd
 
+    values = list(Point.__dataclass_fields__)
     rows = []
     for record in records:
         head = {"junction": record.id, "name": record.name, "map": record.map}
-        for point in record.points:
-            values = {name: getattr(point, name) for name in _POINT}
-            poses = " ".join(unit.id for unit in point.layout)
-            rows.append(head | values | {"layout": poses, "reason": ""})
+        for point, layout in zip(record.points, record.layouts, strict=True):
+            poses = " ".join(unit.id for unit in layout)
+            rows.append(head | asdict(point) | {"layout": poses, "reason": ""})
         if not record.points:
-            rows.append(head | dict.fromkeys(_POINT) | {"layout": "", "reason": record.reason})
+            rows.append(head | dict.fromkeys(values) | {"layout": "", "reason": record.reason})
     file = io.BytesIO()
-    pd.DataFrame(rows).astype(dict.fromkeys(_POINT, "float64")).to_parquet(file)
+    pd.DataFrame(rows).astype(dict.fromkeys(values, "float64")).to_parquet(file)
     return file.getvalue()
 
 
@@ -342,7 +313,7 @@ def choose_for_city(
     *,
     wish: CityWish,
     search: CitySearch,
-    kept: dict[str, Layout],
+    existing: dict[str, Layout],
 ) -> CityResult:
     """Choose a point of each junction's front; `done` has the fronts by their folders.
 
@@ -352,15 +323,9 @@ def choose_for_city(
         No junction, or none with a weight, has a front; a wish cannot be met.
     """
     records = [done[one.folder] for one in city.junctions]
-    solved = _solved(city, records)
+    solved = _solved(city, records, values)
     weight = values.weight[solved]
-    if not weight.sum() > 0.0:
-        raise InputError(
-            "--junction-weights",
-            Unquoted("weights only of junctions that have no front"),
-            "a weight above 0 for one that has",
-        )
-    fronts = [records[index].front for index in solved]
+    fronts = [front for record in records if (front := record.front) is not None]
     options = stack_fronts(fronts)
     asked = values.wishes(wish, solved)
     by_cost = asked.budget_eur is not None
@@ -378,28 +343,13 @@ def choose_for_city(
     first = np.flatnonzero(np.diff(options.junction, prepend=-1))
     share = weight / weight.sum()
     phases = _phases(options, choice, first, share, wish)
-    shares = values.weight / values.weight.sum()
-    junctions = [
-        _row_of(one, record, weight=float(shares[index]), district=values.district_of(index))
-        for index, (one, record) in enumerate(zip(city.junctions, records, strict=True))
-    ]
-    for place, index in enumerate(solved):
-        one, point = city.junctions[index], int(choice.rows[place] - first[place])
-        chosen = records[index].points[point]
-        if chosen.units or one.scene_name in kept:
-            chosen = _with_layout(out, one, point)
-        junctions[index] = replace(
-            junctions[index],
-            units=chosen.units,
-            cost_eur=chosen.cost_eur,
-            apr_before=records[index].points[0].apr,
-            apr=chosen.apr,
-            apr_one_failed=chosen.apr_one_failed,
-            layout=chosen.layout,
-            kept=len(chosen.layout) - chosen.units,
-            year=0 if phases is None else int(phases.year[place]),
-        )
-    steps = city_front(options, weight, by_cost=by_cost)[:_MAX_STEPS]
+    chosen = [int(number) for number in choice.rows - first]
+    years = [0] * len(solved) if phases is None else phases.year.tolist()
+    junctions = _without_units(city, values, records)
+    for index, front, number, year in zip(solved, fronts, chosen, years, strict=True):
+        has_layout = front.points[number].units or city.junctions[index].scene_name in existing
+        layout = _layout(out, city.junctions[index], number) if has_layout else ()
+        junctions[index] = _with_point(junctions[index], front, number, layout, year)
     result = CityResult(
         maps=city.records,
         budget_units=wish.budget_units,
@@ -422,24 +372,28 @@ def choose_for_city(
                 taken=step.taken,
                 apr=step.apr,
             )
-            for step in steps
+            for step in city_front(options, weight, by_cost=by_cost)[:_MAX_STEPS]
         ),
         cheapest=_cheapest(city, options, solved, share, first),
         gain_years=None if phases is None else phases.gain_years,
-        search=CitySearchRecord(
-            poses="coarse" if search.is_coarse else "fine",
-            max_units=search.max_units,
-            max_junction_seconds=search.max_junction_s,
-            radius_m=search.radius_m,
-            sites=search.sites,
-        ),
+        search=_search_record(search),
         notes=(*city.notes, *values.notes),
     )
     return replace(result, sentences=_sentences(result, wish, phases))
 
 
-def _solved(city: City, records: Sequence[CityFrontRecord]) -> list[int]:
-    """Indices of the junctions that have a front."""
+def _search_record(search: CitySearch) -> CitySearchRecord:
+    return CitySearchRecord(
+        poses="coarse" if search.is_coarse else "fine",
+        max_units=search.max_units,
+        max_junction_seconds=search.max_junction_s,
+        radius_m=search.radius_m,
+        sites=search.sites,
+    )
+
+
+def _solved(city: City, records: Sequence[CityFrontRecord], values: CityValues) -> list[int]:
+    """Indices of the junctions that have a front; InputError if none has, or none with a weight."""
     solved = [index for index, record in enumerate(records) if not record.reason]
     if not solved:
         # One that another try could mend says what to change.
@@ -451,34 +405,65 @@ def _solved(city: City, records: Sequence[CityFrontRecord]) -> list[int]:
             if failed.is_final
             else "more time or memory for each: --max-junction-seconds, --worker-memory",
         )
+    if not values.weight[solved].sum() > 0.0:
+        raise InputError(
+            "--junction-weights",
+            Unquoted("weights only of junctions that have no front"),
+            "a weight above 0 for one that has",
+        )
     return solved
 
 
-def _row_of(
-    one: CityJunction, record: CityFrontRecord, *, weight: float, district: str
+def _without_units(
+    city: City, values: CityValues, records: Sequence[CityFrontRecord]
+) -> list[CityJunctionRecord]:
+    """All junctions, as if none got anything."""
+    shares = (values.weight / values.weight.sum()).tolist()
+    return [
+        CityJunctionRecord(
+            id=one.surveyed.junction.id,
+            name=one.surveyed.junction.name,
+            map=one.roads.name,
+            folder=f"{JUNCTIONS}/{one.folder}",
+            x=float(one.surveyed.position[0]),
+            y=float(one.surveyed.position[1]),
+            weight=shares[index],
+            district=values.district_of(index),
+            reason=record.reason,
+        )
+        for index, (one, record) in enumerate(zip(city.junctions, records, strict=True))
+    ]
+
+
+def _with_point(
+    one: CityJunctionRecord,
+    front: JunctionFront,
+    number: int,
+    layout: tuple[UnitRecord, ...],
+    year: int,
 ) -> CityJunctionRecord:
-    """A junction that gets nothing yet."""
-    x, y = (float(value) for value in one.surveyed.position)
-    return CityJunctionRecord(
-        id=one.surveyed.junction.id,
-        name=one.surveyed.junction.name,
-        map=one.roads.name,
-        folder=f"{JUNCTIONS}/{one.folder}",
-        x=x,
-        y=y,
-        weight=weight,
-        district=district,
-        reason=record.reason,
+    """A junction that gets a point of its front."""
+    point = front.points[number]
+    return replace(
+        one,
+        units=point.units,
+        cost_eur=point.cost_eur,
+        apr_before=front.points[0].apr,
+        apr=point.apr,
+        apr_one_failed=point.apr_one_failed,
+        layout=layout,
+        kept=max(len(layout) - point.units, 0),
+        year=year,
     )
 
 
-def _with_layout(out: Path, one: CityJunction, index: int) -> CityPointRecord:
-    """A point of a junction's front as it stands in the folder."""
+def _layout(out: Path, one: CityJunction, index: int) -> tuple[UnitRecord, ...]:
+    """The layout of a point of a junction's front, as the folder has it."""
     path = out / JUNCTIONS / one.folder / FRONT
     record = load_front(path)
-    if record is None or index >= len(record.points):
+    if record is None or index >= len(record.layouts):
         raise InputError(str(path), Unquoted("a file that has changed"), "what was written")
-    return record.points[index]
+    return record.layouts[index]
 
 
 def _phases(
@@ -496,11 +481,7 @@ def _phases(
 
 
 def _cheapest(
-    city: City,
-    options: Options,
-    solved: Sequence[int],
-    share: FloatArray,
-    first: IntArray,
+    city: City, options: Options, solved: Sequence[int], share: FloatArray, first: IntArray
 ) -> str:
     """Cost and benefit of the cheapest useful option, in words."""
     gain = share[options.junction] * (options.apr - options.apr[first][options.junction])

@@ -37,6 +37,22 @@ _DRIVEN = tuple(
     if name not in (*OF_SCENE, "vut_sensors", "packet_loss", "vam_rate", "strict")
 )
 _MAX_LISTED = 12
+_FILE: dict[str, Any] = {
+    "type": click.Path(path_type=Path),
+    "metavar": "FILE",
+    "is_path": True,
+}
+_UNITS: dict[str, Any] = {
+    "type": click.IntRange(min=1),
+    "metavar": "N",
+    "expected": "a number of units, at least 1",
+}
+_METRES: dict[str, Any] = {
+    "type": click.FloatRange(min=0.0, min_open=True),
+    "show_default": True,
+    "metavar": "METRES",
+    "expected": "metres, more than 0",
+}
 
 
 @click.command(
@@ -79,9 +95,7 @@ Examples:
 )
 @option(
     "--within",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    is_path=True,
+    **_FILE,
     help="Only junctions in these areas: GeoJSON, GeoPackage, Shapefile.",
 )
 @option(
@@ -105,9 +119,7 @@ Examples:
 @option(
     "--junction-weights",
     "weights_file",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    is_path=True,
+    **_FILE,
     help="Accidents or traffic: points (CSV with lat and lon, or x and y; GeoJSON, GeoPackage), or "
     "a CSV with a column junction. Default: every junction counts the same.",
 )
@@ -124,19 +136,14 @@ Examples:
     "snap_m",
     is_common=False,
     needs="weights_file",
-    type=click.FloatRange(min=0.0, min_open=True),
     default=50.0,
-    show_default=True,
-    metavar="METRES",
-    expected="metres, more than 0",
+    **_METRES,
     help="A point counts at the nearest junction no farther away.",
 )
 @option(
     "--districts",
     is_common=False,
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    is_path=True,
+    **_FILE,
     help="Areas in each of which --min-district-apr is reached.",
 )
 @option(
@@ -152,9 +159,7 @@ Examples:
 @option(
     "--areas",
     is_common=False,
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    is_path=True,
+    **_FILE,
     help="Schools and the like, with columns min_apr (each junction there reaches it) or weight "
     "(a factor on the weights there).",
 )
@@ -172,9 +177,7 @@ Examples:
 @option(
     "--units-per-year",
     is_common=False,
-    type=click.IntRange(min=1),
-    metavar="N",
-    expected="a number of units, at least 1",
+    **_UNITS,
     help="Mounted in a year at most: the result says in which year each junction is ready.",
 )
 @option(
@@ -192,7 +195,7 @@ Examples:
     type=click.Path(path_type=Path),
     metavar="LAYOUT",
     is_path=True,
-    help="What hangs there: a layout file of a junction's scene, or an earlier folder of the city. "
+    help="Existing units: a layout file of a junction's scene, or an earlier folder of the city. "
     "Can be given again.",
 )
 @option(
@@ -204,11 +207,9 @@ Examples:
 @option(
     "--max-units",
     is_common=False,
-    type=click.IntRange(min=1),
     default=6,
     show_default=True,
-    metavar="N",
-    expected="a number of units, at least 1",
+    **_UNITS,
     help="New units at one junction, at most.",
 )
 @option(
@@ -226,12 +227,9 @@ Examples:
     "--radius",
     "radius_m",
     is_common=False,
-    type=click.FloatRange(min=0.0, min_open=True),
     default=80.0,
-    show_default=True,
-    metavar="METRES",
-    expected="metres, more than 0",
-    help="Of what is kept around a junction.",
+    **_METRES,
+    help="Around a junction; things farther away are left out.",
 )
 @option(
     "--sites",
@@ -325,13 +323,7 @@ def city_text(result: "CityResult", out: Path) -> str:
     lines = sentences(*result.sentences)
     if served:
         rows = [
-            [
-                one.label,
-                str(one.units),
-                f"{one.cost_eur:,.0f}",
-                percent(one.apr),
-                percent(one.gain),
-            ]
+            [one.label, str(one.units), f"{one.cost_eur:,.0f}", percent(one.apr), percent(one.gain)]
             for one in served[:_MAX_LISTED]
         ]
         lines += ["", *table(["junction", "units", "EUR", "APR", "of the city"], rows)]

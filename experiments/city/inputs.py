@@ -483,7 +483,7 @@ def _number(
 # ---------- units mounted already
 
 
-def load_kept(paths: Sequence[Path], city: City) -> dict[str, Layout]:
+def load_existing(paths: Sequence[Path], city: City) -> dict[str, Layout]:
     """Layouts of the units mounted already, by the name of the scene.
 
     A folder is one of a city, and stands for the layouts that it chose.
@@ -503,7 +503,7 @@ def load_kept(paths: Sequence[Path], city: City) -> dict[str, Layout]:
         else:
             files.append(path)
     scenes = {one.scene_name for one in city.junctions}
-    kept: dict[str, Layout] = {}
+    existing: dict[str, Layout] = {}
     for file in files:
         layout = load_layout(file)
         if layout.scene_name not in scenes:
@@ -512,7 +512,7 @@ def load_kept(paths: Sequence[Path], city: City) -> dict[str, Layout]:
                 layout.scene_name or Unquoted("nothing"),
                 "a junction that counts, such as " + sorted(scenes)[0],
             )
-        if layout.scene_name in kept:
+        if layout.scene_name in existing:
             raise InputError("--keep", str(file), f"one layout of {layout.scene_name}")
-        kept[layout.scene_name] = layout
-    return kept
+        existing[layout.scene_name] = layout
+    return existing

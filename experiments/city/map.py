@@ -10,6 +10,7 @@ from matplotlib.lines import Line2D
 
 from geometry.arrays import FloatArray
 from geometry.maps.source_map import SourceMap
+from placement.city.fronts import JunctionFront
 
 from ..figures.axes import BLUE, VERMILION, WIDTH_IN, Style, finish_axes, new_axes
 from ..scene.pictures import HALO, new_map_axes
@@ -135,30 +136,24 @@ def plot_city_front(result: CityResult) -> Axes:
     return _finish_front(axes, label, "accidents prevented (%)", by_cost=by_cost)
 
 
-def plot_junction_front(
-    points: Sequence[tuple[float, float, int]],
-    steps: Sequence[tuple[float, float]],
-    *,
-    chosen: int,
-) -> Axes:
-    """APR against money at one junction: points (EUR, APR, units), bounds, the one chosen."""
+def plot_junction_front(front: JunctionFront, *, chosen: int) -> Axes:
+    """APR against money at one junction: points with their units, bounds, the one chosen."""
     axes = new_axes(WIDTH_IN, 2.8)
-    cost = [point[0] for point in points]
-    apr_percent = [100.0 * point[1] for point in points]
+    cost = [point.cost_eur for point in front.points]
+    apr_percent = [100.0 * point.apr for point in front.points]
     end = 1.1 * max(*cost, 1.0)
-    if steps:
-        axes.plot(
-            [start for start, _ in steps] + [end],
-            [100.0 * bound for _, bound in (*steps, steps[-1])],
-            drawstyle="steps-post",
-            color="#777777",
-            lw=1.0,
-            linestyle=(0, (3, 2)),
-            label="no layout is above",
-        )
+    axes.plot(
+        [start for start, _ in front.by_cost] + [end],
+        [100.0 * bound for _, bound in (*front.by_cost, front.by_cost[-1])],
+        drawstyle="steps-post",
+        color="#777777",
+        lw=1.0,
+        linestyle=(0, (3, 2)),
+        label="no layout is above",
+    )
     axes.plot(cost, apr_percent, ms=5.0, color=BLUE, label="layouts", gid="points", **_DOT)
-    for place, (_, _, units) in zip(zip(cost, apr_percent, strict=True), points, strict=True):
-        _write(axes, units, np.array(place), xytext=(0.0, -9.0), va="baseline", fontsize=6.5)
+    for x, y, point in zip(cost, apr_percent, front.points, strict=True):
+        _write(axes, point.units, np.array([x, y]), xytext=(0.0, -9.0), va="baseline", fontsize=6.5)
     axes.plot([cost[chosen]], [apr_percent[chosen]], **_CHOSEN)
     axes.set_ylim(-8.0, 104.0)
     axes.set_xlim(-0.03 * end, end)

@@ -265,12 +265,7 @@ def _assumptions_section(result: CityResult) -> Section:
 
 
 def render_junction_page(
-    one: CityJunctionRecord,
-    record: CityFrontRecord,
-    scene: Scene,
-    layout: Layout,
-    *,
-    question: str,
+    one: CityJunctionRecord, record: CityFrontRecord, scene: Scene, layout: Layout, *, question: str
 ) -> str:
     """The page of a junction: its units, its front, and how to look closer.
 
@@ -321,14 +316,15 @@ def _plan_blocks(one: CityJunctionRecord, scene: Scene, layout: Layout) -> list[
 
 
 def _front_blocks(one: CityJunctionRecord, record: CityFrontRecord) -> list[Block]:
+    assert record.front is not None
+    points = record.front.points
     chosen = next(
         index
-        for index, point in enumerate(record.points)
+        for index, point in enumerate(points)
         if (point.units, point.cost_eur, point.apr) == (one.units, one.cost_eur, one.apr)
     )
-    points = [(point.cost_eur, point.apr, point.units) for point in record.points]
     front = build_picture(
-        plot_junction_front(points, record.by_cost, chosen=chosen),
+        plot_junction_front(record.front, chosen=chosen),
         title="What money buys here",
         caption="Layouts found, and the upper bound of all.",
         alt="APR against cost; the table below has the numbers.",
@@ -338,7 +334,7 @@ def _front_blocks(one: CityJunctionRecord, record: CityFrontRecord) -> list[Bloc
             *(str(point.units), f"{point.cost_eur:,.0f}", percent(point.apr)),
             *(percent(point.apr_one_failed), "yes" if index == chosen else ""),
         ]
-        for index, point in enumerate(record.points)
+        for index, point in enumerate(points)
     ]
     columns = ["new units", "cost (EUR)", "APR", "APR if a unit fails", "chosen"]
     return [front, Table(caption="Layouts", columns=columns, rows=rows, numeric=(0, 1, 2, 3))]

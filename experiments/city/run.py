@@ -68,7 +68,7 @@ from .inputs import (
     CitySearch,
     CityWish,
     load_city,
-    load_kept,
+    load_existing,
     load_values,
 )
 from .map import plot_city_front, plot_city_map
@@ -115,12 +115,11 @@ def run_city(
 
     Parameters
     ----------
-    question : Question
-        Runs and sensors at each junction.
+    question, wish, search, workers
+        Runs and sensors at each junction; budgets, and junctions that count; effort for each
+        front; where these are found.
     maps : sequence of Path
         Maps with roads, and others with buildings.
-    wish, search, workers
-        Budgets and junctions that count; effort for each front; where these are solved.
     out : Path
         Folder: new, empty, or of the same city.
     seed : int
@@ -129,11 +128,6 @@ def run_city(
         Command line that makes the result again.
     progress, tell
         Shows the stages; prints the amount of work and the workers.
-
-    Returns
-    -------
-    result : CityResult
-        As ``city.json`` has it.
 
     Raises
     ------
@@ -151,9 +145,9 @@ def run_city(
     for source in city.roads:
         check_sites(search.sites, crs=source.crs)
     values = load_values(city, wish)
-    kept = load_kept(wish.keep, city)
+    existing = load_existing(wish.keep, city)
     manifest = _begin(out, city)
-    tasks = _Tasks(city, question, search, grid, kept=kept, seed=seed)
+    tasks = _Tasks(city, question, search, grid, existing=existing, seed=seed)
     done = _find_done(out, tasks)
     n_todo = len(city.junctions) - len(done)
     tell(
@@ -165,30 +159,19 @@ def run_city(
         _find_missing(out, tasks, done, workers, progress, tell)
     unchanged = _update_manifest(out, manifest, city, done)
     progress("choose", 0, 0)
-    result = choose_for_city(out, city, values, done, wish=wish, search=search, kept=kept)
+    result = choose_for_city(out, city, values, done, wish=wish, search=search, existing=existing)
     result = replace(result, command=command, computed=n_todo, versions=versions())
-    sensors = {model.name: model for model in grid.sensors}
-    for layout in kept.values():
-        sensors |= {unit.sensor.name: unit.sensor for unit in layout.units}
-    serving = _served_tasks(
-        out,
-        result,
-        question=question,
-        kept=kept,
-        sensors=sensors,
-        same_fronts=unchanged,
+    served = _write_served(
+        _served_tasks(
+            out, result, question=question, existing=existing, grid=grid, same_fronts=unchanged
+        ),
+        workers.n_workers,
+        progress,
     )
-    served = _write_served(serving, workers.n_workers, progress)
     progress(WRITING, 0, 0)
+    records = [done[one.folder] for one in city.junctions]
     result = replace(result, purchases=_purchases(served))
-    result = write_city(
-        out,
-        result,
-        city,
-        [done[one.folder] for one in city.junctions],
-        served,
-        finish=progress.finish,
-    )
+    result = write_city(out, result, city, records, served, finish=progress.finish)
     progress.kept = f"the city is in {out}"
     return result
 
@@ -315,12 +298,12 @@ class _Tasks:
         search: CitySearch,
         grid: CandidateGrid,
         *,
-        kept: dict[str, Layout],
+        existing: dict[str, Layout],
         seed: int,
     ) -> None:
         self.city = city
         self._question, self._search, self._grid = question, search, grid
-        self._kept, self._seed = kept, seed
+        self._existing, self._seed = existing, seed
         self._around = city.neighbourhoods(radius_m=search.radius_m)
         sites = Path(search.sites)
         listed = sha256(sites) if sites.is_file() else ""
@@ -338,7 +321,7 @@ class _Tasks:
             grid=self._grid,
             max_units=search.max_units,
             time_limit_s=search.max_junction_s,
-            existing=self._kept.get(one.scene_name),
+            existing=self._existing.get(one.scene_name),
         )
         # Lanes and things lie around several junctions and are hashed once; maps are cut out anew.
         parts = [[getattr(part, field.name) for field in fields(part)] for part in maps]
@@ -370,7 +353,7 @@ class ServedTask:
     one: CityJunctionRecord
     sensors: tuple[Sensor, ...]
     question: Question
-    kept: Layout | None
+    existing: Layout | None
     has_page: bool
     is_new: bool
 
@@ -391,14 +374,14 @@ def write_served(task: ServedTask) -> Served:
     scene = load_scene_folder(folder)
     layout = _junction_layout(one, scene, {sensor.name: sensor for sensor in task.sensors})
     names = [unit.id for unit in layout.units]
-    kept = () if task.kept is None else task.kept.units
+    existing = () if task.existing is None else task.existing.units
     items: list[tuple[str, str, int, float | None]] = []
     if one.units:
         bill = build_bill(
             layout,
             scene,
             site_cost_eur=question.site_cost_eur,
-            kept_ids=[unit.id for unit in kept if unit.id in names],
+            kept_ids=[unit.id for unit in existing if unit.id in names],
         )
         items = [
             (item.part, item.name if item.part == "sensor" else item.kind, item.count, item.sum_eur)
@@ -457,8 +440,8 @@ def _served_tasks(
     result: CityResult,
     *,
     question: Question,
-    kept: Mapping[str, Layout],
-    sensors: Mapping[str, Sensor],
+    existing: Mapping[str, Layout],
+    grid: CandidateGrid,
     same_fronts: Container[str],
 ) -> list[ServedTask]:
     """A task for each junction with units; layouts and pages of the others are removed.
@@ -466,6 +449,9 @@ def _served_tasks(
     `same_fronts` are folders whose fronts are those of the last call: where it chose the same,
     nothing is written again. The junctions that gain most, which the report lists, get pages.
     """
+    sensors = {model.name: model for model in grid.sensors}
+    for layout in existing.values():
+        sensors |= {unit.sensor.name: unit.sensor for unit in layout.units}
     last = load_summary(out / SUMMARY)
     chosen = () if last is None or last.versions != result.versions else last.junctions
     same = {one.folder: one for one in chosen if one.folder in same_fronts}
@@ -491,7 +477,7 @@ def _served_tasks(
             one=one,
             sensors=tuple(sensors.values()),
             question=question,
-            kept=kept.get(f"{Path(one.map).stem}/{one.id}"),
+            existing=existing.get(f"{Path(one.map).stem}/{one.id}"),
             has_page=one.folder in paged,
             is_new=one.folder not in right
             or (one.folder in paged and not (out / one.folder / REPORT).exists()),

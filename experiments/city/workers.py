@@ -1,13 +1,18 @@
 """Junctions of a city, each a task for a process on this machine or a worker of dask."""
 
+import logging
+import multiprocessing
+import os
 import re
 import resource
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import islice
+from multiprocessing.connection import Connection
+from multiprocessing.connection import wait as wait_for_pipes
 from pathlib import Path
 from typing import Any
 
@@ -21,16 +26,18 @@ from placement.city.junction import JunctionWishes, TimeUpError, solve_junction
 from placement.compute import Compute
 from placement.question import Question
 
-from ..jobs.local_workers import LocalWorkers, WorkerDiedError
 from ..jobs.schedulers import connect_to_scheduler, program, run_alike
+from ..progress import follow_parent
 from ..results.numbers import several
-from .answer import CityFrontRecord, build_points
+from ..results.record import build_unit_records
+from .answer import CityFrontRecord
 
 TRIES = 3
 """Of a junction whose worker dies, or that fails for no reason of its own."""
 
 _AHEAD = 2  # tasks per worker of a cluster that are handed over before their turn
 _WATCH_S = 0.2  # the memory of processes is looked at as often
+_CONTEXT = multiprocessing.get_context("spawn")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -65,10 +72,7 @@ def run_junction(task: JunctionTask) -> JunctionAnswer:
             save_scene(Path(folder), imported.scene, sources=imported.sources)
             files = {path.name: read_bytes(path) for path in sorted(Path(folder).iterdir())}
         solved = solve_junction(
-            imported.scene,
-            task.question,
-            task.wishes,
-            compute=Compute(seed=task.seed, workers=1),
+            imported.scene, task.question, task.wishes, compute=Compute(seed=task.seed, workers=1)
         )
     except (InputError, TimeUpError) as error:
         # Another time, the machine may be less busy, and what it compiles once is compiled.
@@ -78,9 +82,10 @@ def run_junction(task: JunctionTask) -> JunctionAnswer:
     record = _record(
         task,
         scene=imported.scene.name,
-        points=build_points(solved),
-        by_units=solved.front.by_units,
-        by_cost=solved.front.by_cost,
+        front=solved.front,
+        layouts=tuple(
+            () if layout is None else build_unit_records(layout) for layout in solved.layouts
+        ),
         sites=solved.n_sites,
         poses=solved.n_poses,
         runs=solved.n_runs,
@@ -107,7 +112,124 @@ def _record(task: JunctionTask, **found: Any) -> CityFrontRecord:
     )
 
 
-# ---------- workers
+# ---------- processes on this machine
+
+
+class WorkerDiedError(Exception):
+    """A process ended without an answer."""
+
+
+@dataclass(slots=True, eq=False)
+class _Worker:
+    """A process, and the answer it works at."""
+
+    pipe: Connection
+    process: Any
+    future: Future[Any] | None = None
+    death: str = field(default="", init=False)  # why it was ended, if it was
+
+
+class LocalWorkers:
+    """Up to `n` processes on this machine, each ended if it takes more memory than `max_bytes`.
+
+    They are reached through pipes that nobody else can open; there is no port. Memory is watched
+    where the system has ``/proc``.
+    """
+
+    def __init__(self, n: int, *, max_bytes: int) -> None:
+        self.capacity = n
+        self._max_bytes = max_bytes
+        self._workers: list[_Worker] = []
+
+    def __enter__(self) -> "LocalWorkers":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        for worker in self._workers:
+            worker.process.kill()
+        for worker in self._workers:
+            worker.process.join()
+            worker.pipe.close()
+        self._workers.clear()
+
+    def submit(self, function: Callable[[Any], Any], task: Any) -> Future[Any]:
+        """Hand a task to a process that has none; no more than `capacity` at a time."""
+        worker = next((one for one in self._workers if one.future is None), None) or self._start()
+        future: Future[Any] = Future()
+        worker.future = future
+        try:
+            worker.pipe.send((function, task))
+        except OSError:  # it has died since
+            self._lose(worker)
+        return future
+
+    def wait(self, timeout_s: float) -> None:
+        """Wait for answers, no longer than a time; end processes with too much memory."""
+        busy = {one.pipe: one for one in self._workers if one.future is not None}
+        for pipe in wait_for_pipes([*busy], timeout_s):
+            self._take(busy[pipe])  # type: ignore[index]
+        for worker in self._workers:
+            if worker.future is not None and _memory_bytes(worker.process.pid) > self._max_bytes:
+                worker.death = f"more than {self._max_bytes / 2**30:.3g} GiB of memory"
+                worker.process.kill()
+
+    def _start(self) -> _Worker:
+        ours, theirs = _CONTEXT.Pipe()
+        process = _CONTEXT.Process(target=_serve, args=(theirs,), daemon=True)
+        process.start()
+        theirs.close()
+        worker = _Worker(pipe=ours, process=process)
+        self._workers.append(worker)
+        return worker
+
+    def _take(self, worker: _Worker) -> None:
+        try:
+            is_answer, value = worker.pipe.recv()
+        except (EOFError, OSError):
+            self._lose(worker)
+            return
+        future, worker.future = worker.future, None
+        assert future is not None
+        if is_answer:
+            future.set_result(value)
+        else:
+            future.set_exception(value)
+
+    def _lose(self, worker: _Worker) -> None:
+        """Forget a process that has died."""
+        self._workers.remove(worker)
+        worker.process.join()
+        worker.pipe.close()
+        if worker.future is not None:
+            worker.future.set_exception(WorkerDiedError(worker.death))
+
+
+def _memory_bytes(pid: int) -> int:
+    """Memory of a process; 0 where the system does not say, or the process has died."""
+    try:
+        pages = Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1]
+    except OSError:
+        return 0
+    return int(pages) * os.sysconf("SC_PAGE_SIZE")
+
+
+def _serve(pipe: Connection) -> None:
+    """Main function of a process: tasks and answers, as long as the parent lives."""
+    follow_parent()
+    logging.disable(logging.WARNING)  # the parent warns
+    while True:
+        try:
+            function, task = pipe.recv()
+        except EOFError:
+            return
+        try:
+            answer = (True, function(task))
+        except Exception as error:  # whatever it is, the parent decides
+            answer = (False, RuntimeError(f"{type(error).__name__}: {error}"))
+        pipe.send(answer)
+
+
+# ---------- workers of both kinds
 
 
 class DaskWorkers:

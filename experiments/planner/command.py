@@ -178,15 +178,7 @@ def _begun_plan(layout_names: Sequence[str], save: Path | None, scene: "Scene") 
     from placement.layout import check_layout, find_layout
 
     from .numbers import key_of
-    from .plan import (
-        MAX_PLAN_BYTES,
-        MAX_UNITS,
-        Plan,
-        Variant,
-        check_count,
-        check_plan,
-        read_plan,
-    )
+    from .plan import MAX_PLAN_BYTES, MAX_UNITS, Plan, Variant, check_count, check_plan, read_plan
 
     begun = Plan(variants=())
     if save is not None and save.exists():

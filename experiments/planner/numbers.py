@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from geometry.catalogue import Sensor, sensor_kind
@@ -76,11 +77,7 @@ def scene_record(
         ],
         "grid": list(chosen),
         "runs": [
-            {
-                "id": run.id,
-                "title": describe_run(axis, index),
-                "frames": len(run.time_s),
-            }
+            {"id": run.id, "title": describe_run(axis, index), "frames": len(run.time_s)}
             for index, run in enumerate(setting.runs)
         ],
         "arms": _arm_records(setting),
@@ -210,7 +207,7 @@ def plan_text(state: PlanState, scene: Scene, background: Background | None = No
     ]
     record: dict[str, Any] = {"schema": SCHEMA, "scene": scene.name, "variants": variants}
     if background is not None:
-        record["background"] = background.record()
+        record["background"] = msgspec.to_builtins(background)
     return to_json_text(record)
 
 
@@ -290,11 +287,7 @@ _MAX_AREAS = 200  # those that are seen the most
 
 
 def private_record(
-    units: Sequence[CandidatePose],
-    ground: PrivateGround,
-    sight: PrivateSight,
-    *,
-    max_share: float,
+    units: Sequence[CandidatePose], ground: PrivateGround, sight: PrivateSight, *, max_share: float
 ) -> list[dict[str, Any]]:
     """Private areas that units have in their pictures, those that are seen the most first.
 

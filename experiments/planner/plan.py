@@ -4,8 +4,6 @@ Pure values: what browsers ask for is a value, too. A plan may have an image of 
 laid by two points that are known in both.
 """
 
-import base64
-import binascii
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -71,10 +69,11 @@ class Variant:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlanState:
-    """All variants, and which of them is worked on."""
+    """All variants, which of them is worked on, and the workspace of the scene it is for."""
 
     variants: tuple[Variant, ...]
     current: int = 0
+    workspace: Any = None
 
     @property
     def variant(self) -> Variant:
@@ -383,7 +382,7 @@ def add_variant(state: PlanState, variant: Variant, *, source: str = "") -> Plan
     while name in names:
         name, number = f"{base} ({number})", number + 1
     variants = (*state.variants, replace(variant, name=name))
-    return PlanState(variants=variants, current=len(variants) - 1)
+    return replace(state, variants=variants, current=len(variants) - 1)
 
 
 def _select_variant(state: PlanState, change: SelectVariant, stock: Stock) -> PlanState:
@@ -403,7 +402,7 @@ def _remove_variant(state: PlanState, change: RemoveVariant, stock: Stock) -> Pl
     if len(state.variants) == 1:
         raise InputError("variant", state.variant.name, "another one: the last one stays")
     variants = tuple(each for each in state.variants if each is not state.variant)
-    return PlanState(variants=variants, current=min(state.current, len(variants) - 1))
+    return replace(state, variants=variants, current=min(state.current, len(variants) - 1))
 
 
 _CHANGES: Mapping[type, Callable[[PlanState, Any, Stock], PlanState]] = {
@@ -503,6 +502,12 @@ class History:
             return self
         return History(states=self.states[:-1], now=self.now - 1)
 
+    def of_newest(self, most: int) -> "History":
+        """Without the steps in other than the newest workspaces."""
+        last = list(dict.fromkeys(id(state.workspace) for state in reversed(self.states)))[:most]
+        states = tuple(state for state in self.states if id(state.workspace) in last)
+        return History(states=states, now=len(states) - 1)
+
     def undone(self) -> "History":
         """One state back, where there is one."""
         return replace(self, now=max(self.now - 1, 0), gesture="")
@@ -512,13 +517,13 @@ class History:
         return replace(self, now=min(self.now + 1, len(self.states) - 1), gesture="")
 
 
-def begin_history(variants: Sequence[Variant]) -> History:
+def begin_history(variants: Sequence[Variant], workspace: Any = None) -> History:
     """A history of one state with these variants, the first one worked on; or with an empty one.
 
     Raises InputError as :func:`add_variant`.
     """
     first = variants[0] if variants else Variant(name="Variant 1")
-    state = PlanState(variants=(first,))
+    state = PlanState(variants=(first,), workspace=workspace)
     for variant in variants[1:]:
         state = add_variant(state, variant)
     return History(states=(replace(state, current=0),))
@@ -544,25 +549,18 @@ class Lie(Struct, frozen=True, forbid_unknown_fields=True):
     points: tuple[LiePoint, LiePoint]
 
 
-class _BackgroundRecord(Struct, frozen=True, forbid_unknown_fields=True):
-    """As a plan's file has it."""
+class Background(Struct, frozen=True, forbid_unknown_fields=True):
+    """An image, as base64 in a plan's file, and how it lies; nothing here decodes it."""
 
     lie: Lie
-    image: str
+    image: bytes
 
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Background:
-    """An image and how it lies; browsers draw it, and nothing here decodes it."""
-
-    content: bytes
-    media_type: str
-    lie: Lie
-
-    def record(self) -> dict[str, Any]:
-        """Its part of a plan's file."""
-        image = base64.b64encode(self.content).decode()
-        return {"lie": msgspec.to_builtins(self.lie), "image": image}
+    @property
+    def media_type(self) -> str:
+        """Kind of image that browsers draw, by its first bytes; empty: none."""
+        if self.image[:4] == b"RIFF" and self.image[8:12] == b"WEBP":
+            return "image/webp"
+        return next((kind for start, kind in _STARTS.items() if self.image.startswith(start)), "")
 
 
 def background_message(background: Background | None) -> dict[str, Any]:
@@ -587,26 +585,23 @@ def build_background(content: bytes, lie: bytes, where: str) -> Background:
         found = msgspec.json.decode(lie, type=Lie)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(f"{where}: points", Unquoted(error), "two points of the image") from None
-    return _checked(content, found, where)
+    return _checked(Background(lie=found, image=content), where)
 
 
 def read_background(record: Any, where: str) -> Background:
     """A background from a plan's file. Raises InputError as :func:`build_background` does."""
     try:
-        found = msgspec.convert(record, _BackgroundRecord)
-        content = base64.b64decode(found.image, validate=True)
-    except (msgspec.ValidationError, binascii.Error, ValueError) as error:
+        found = msgspec.convert(record, Background)
+    except msgspec.ValidationError as error:
         raise InputError(where, Unquoted(error), "an image and how it lies") from None
-    return _checked(content, found.lie, where)
+    return _checked(found, where)
 
 
-def _checked(content: bytes, lie: Lie, where: str) -> Background:
-    if len(content) > MAX_IMAGE_BYTES:
-        raise InputError(where, Unquoted(f"{len(content):,} bytes"), f"at most {MAX_IMAGE_BYTES:,}")
-    kind = next((kind for start, kind in _STARTS.items() if content.startswith(start)), "")
-    if content[:4] == b"RIFF" and content[8:12] == b"WEBP":
-        kind = "image/webp"
-    if not kind:
+def _checked(background: Background, where: str) -> Background:
+    lie, n_bytes = background.lie, len(background.image)
+    if n_bytes > MAX_IMAGE_BYTES:
+        raise InputError(where, Unquoted(f"{n_bytes:,} bytes"), f"at most {MAX_IMAGE_BYTES:,}")
+    if not background.media_type:
         raise InputError(where, Unquoted("another format"), "PNG, JPEG, WebP or GIF")
     if not (1 <= lie.width_px <= _MAX_SIDE_PX and 1 <= lie.height_px <= _MAX_SIDE_PX):
         size = Unquoted(f"{lie.width_px} by {lie.height_px} pixels")
@@ -623,7 +618,7 @@ def _checked(content: bytes, lie: Lie, where: str) -> Background:
             Unquoted(f"points {apart_px:.1f} px and {apart_m:.2f} m from each other"),
             f"at least {_LEAST_APART_PX:g} px and {_LEAST_APART_M:g} m",
         )
-    return Background(content=content, media_type=kind, lie=lie)
+    return background
 
 
 # ---------- plans as files

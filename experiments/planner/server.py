@@ -8,7 +8,7 @@ import shutil
 import socket
 import threading
 import time
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
@@ -43,7 +43,7 @@ _MAX_NAME_BYTES = 500
 _EACH = ("problem", "notice", "view")  # messages of which not only the newest counts
 _MAX_WAITING = 2000  # messages for a browser that does not read
 _CLOSED_CODES = (1000, 1001, 1005)  # the page was closed or is loaded again; others: it was lost
-_PATIENCE_S = 2.0  # with a server that is told to end
+_PATIENCE_S = 2.0  # until a server has ended
 LINGER_S = 8.0
 """After the last page was closed: it may be loaded again."""
 LINGER_LOST_S = 180.0
@@ -110,10 +110,7 @@ class Guard:
 
 @cache
 def page_files() -> dict[str, tuple[bytes, str]]:
-    """Everything that the page is made of, by name: content and media type.
-
-    ``shared.js`` is made of the report's own scripts.
-    """
+    """Files of the page by name: content and media type; ``shared.js`` has the report's scripts."""
     page = files("experiments.planner") / "page"
     kinds = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
     found = {
@@ -204,7 +201,7 @@ class Pages:
         def listen(message: dict[str, Any]) -> None:
             try:
                 waiting.put_nowait(message)
-            except asyncio.QueueFull:  # it joins again and is told everything
+            except asyncio.QueueFull:  # it joins again and is sent everything
                 is_lost.set()
 
         sender = asyncio.create_task(_send_all(socket, waiting, is_lost))
@@ -250,18 +247,17 @@ class Pages:
         return JSONResponse(await self._session.private_view(request.query_params.get("unit", "")))
 
     async def _background(self, request: Request) -> Response:
-        """The image below the plan; or another one, or with an empty body none any more."""
+        """The image below the plan; by POST another one, or with an empty body none."""
         session = self._session
         if request.method == "POST":
-            path = await self._received(request, "image", MAX_IMAGE_BYTES)
-            content = path.read_bytes()
-            _remove(path)
+            content = await _body(request, MAX_IMAGE_BYTES)
             points = request.headers.get("x-points", "")[:2000].encode("latin-1", "replace")
             session.lay_background(build_background(content, points, "image") if content else None)
             return JSONResponse({})
-        if session.background is None:
+        background = session.workspace.background
+        if background is None:
             return Response("no image\n", 404, media_type="text/plain")
-        return Response(session.background.content, media_type=session.background.media_type)
+        return Response(background.image, media_type=background.media_type)
 
     async def _explain(self, request: Request) -> Response:
         run_id = request.query_params.get("run", "")
@@ -291,43 +287,34 @@ class Pages:
     # ---------- files in
 
     async def _open(self, request: Request) -> Response:
-        """Open a layout or a plan; look what a map or a scene has: its name says what it is."""
+        """Open a layout or a plan, or survey a map or a scene, by the suffix of its name."""
         name = unquote(request.headers.get("x-file-name", ""))[:200]
         lower = name.lower()
         if lower.endswith(".json"):
-            path = await self._received(request, "layout.json", MAX_PLAN_BYTES)
-            try:
-                plan = read_plan(path.read_bytes(), name)
-            finally:
-                _remove(path)
+            plan = read_plan(await _body(request, MAX_PLAN_BYTES), name)
             self._session.open_plan(plan, Path(name).stem)
             return JSONResponse({"opened": [variant.name for variant in plan.variants]})
         suffix = next((end for end in _MAP_SUFFIXES if lower.endswith(end)), None)
         if suffix is None:
             expected = "a name that ends in .json, " + ", ".join(_MAP_SUFFIXES)
             raise InputError("file", name, expected)
-        path = await self._received(request, _plain_name(name, suffix), MAX_MAP_BYTES)
+        path = await self._received(request, _plain_name(name, suffix))
         try:
             found = await self._session.call("survey", str(path), is_long=True)
         except TaskError as error:
             _remove(path)
             raise TaskError(str(error).replace(str(path), name)) from None
         before, self._map = self._map, _Received(path=path, name=name, found=found)
-        if before is not None:  # one at a time is kept
+        if before is not None:  # one at a time is stored
             _remove(before.path)
         return JSONResponse({"map": name, **found})
 
     async def _import(self, request: Request) -> Response:
-        """Go on at the junction that was chosen of the map that was sent last, or in that scene."""
+        """Go on at a junction of the map that was sent last, or in that scene."""
         if self._map is None:
             raise InputError("map", Unquoted("none"), "one that was dropped on the page before")
         sent = self._map
-        named = bytearray()
-        async for chunk in request.stream():
-            named += chunk
-            if len(named) > _MAX_NAME_BYTES:
-                raise InputError("junction", Unquoted("a longer name"), "one that is shown")
-        junction = named.decode("utf-8", errors="replace")
+        junction = (await _body(request, _MAX_NAME_BYTES)).decode("utf-8", errors="replace")
         try:
             if sent.found["isScene"]:
                 await self._session.open_scene(str(sent.path))
@@ -336,30 +323,38 @@ class Pages:
                 folder = str(self._session.work.scratch / f"scene-{next(self._numbers)}")
                 given = (str(sent.path), junction, folder)
                 await self._session.call("import_junction", *given, is_long=True)
-                named_so = [one["name"] for one in sent.found["junctions"] if one["id"] == junction]
-                await self._session.open_scene(folder, title=named_so[0] if named_so else "")
+                names = {one["id"]: one["name"] for one in sent.found["junctions"]}
+                await self._session.open_scene(folder, title=names.get(junction, ""))
         except TaskError as error:
             raise TaskError(str(error).replace(str(sent.path), sent.name)) from None
         return JSONResponse({"scene": self._session.workspace.title})
 
-    async def _received(self, request: Request, name: str, max_bytes: int) -> Path:
-        """A file of the session with what is sent, in a folder of its own."""
+    async def _received(self, request: Request, name: str) -> Path:
+        """A file of the session with the map that is sent, in a folder of its own."""
         path = self._session.work.scratch / f"received-{next(self._numbers)}" / name
         path.parent.mkdir()
-        n_bytes = 0
         try:
             with path.open("wb") as file:
-                async for chunk in request.stream():
-                    n_bytes += len(chunk)
-                    if n_bytes > max_bytes:
-                        raise InputError(
-                            "file", Unquoted(f"more than {max_bytes:,} bytes"), "a smaller one"
-                        )
+                async for chunk in _chunks(request, MAX_MAP_BYTES):
                     file.write(chunk)
         except BaseException:
             _remove(path)
             raise
         return path
+
+
+async def _chunks(request: Request, max_bytes: int) -> AsyncIterator[bytes]:
+    """The body of a request in parts; InputError if there is more of it."""
+    n_bytes = 0
+    async for chunk in request.stream():
+        n_bytes += len(chunk)
+        if n_bytes > max_bytes:
+            raise InputError("file", Unquoted(f"more than {max_bytes:,} bytes"), "a smaller one")
+        yield chunk
+
+
+async def _body(request: Request, max_bytes: int) -> bytes:
+    return b"".join([chunk async for chunk in _chunks(request, max_bytes)])
 
 
 def _remove(received: Path) -> None:
@@ -431,7 +426,7 @@ def build_app(session: Session, *, token: str, hosts: frozenset[str] | None) -> 
     return Guard(inner, token=token, hosts=hosts)
 
 
-# ---------- a server that runs beside the main thread
+# ---------- a server in a thread of its own
 
 
 class RunningServer:
@@ -476,7 +471,7 @@ class RunningServer:
 
     @property
     def is_alive(self) -> bool:
-        """Whether it serves."""
+        """True while it serves."""
         return self._thread.is_alive()
 
     def wait(self) -> None:

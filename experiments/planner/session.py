@@ -76,7 +76,7 @@ MAX_ALONE = 60
 
 _REST_S = 0.3  # without a change, before pixels are asked
 _MAX_PROPOSALS = 12
-_MAX_WORKSPACES = 4  # scenes that Undo leads back to
+_MAX_WORKSPACES = 5  # with those that Undo leads back to
 _AT_ONCE = 16  # units between two looks whether anybody waits
 _MAX_KNOWN = 300  # layouts by the evaluator
 
@@ -108,6 +108,7 @@ class Workspace:
     ) -> None:
         self.work, self.setting, self.save = work, setting, save
         self.title = title or setting.scene.name
+        self.background: Background | None = None
         self.ground: PrivateGround | None = None
         self._sight: PrivateSight | None = None
         if work.question.no_look:
@@ -178,15 +179,6 @@ class Workspace:
             "view": path,
             "reachM": self.views.reach_m(unit.sensor),
         }
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Visit:
-    """A workspace with what was planned there."""
-
-    workspace: Workspace
-    history: History
-    background: Background | None
 
 
 def build_workspace(
@@ -282,10 +274,9 @@ class Session:
     ) -> None:
         self.workspace = Workspace(work, setting, save=save)
         self._make_worker = make_worker
-        self.history: History = begin_history(plan.variants if plan else ())
-        self.background: Background | None = plan.background if plan else None
-        self._earlier: list[Visit] = []  # other scenes that Undo and Redo lead to
-        self._later: list[Visit] = []
+        self.workspace.background = plan.background if plan else None
+        self.history: History = begin_history(plan.variants if plan else (), self.workspace)
+        self._saves = [save] if save else []
         self.revision = 0
         self.listeners: set[Listener] = set()
         self.left_at_s: float | None = None  # since when nobody looks, who looked before
@@ -358,7 +349,7 @@ class Session:
         listener(self._scene_message())
         listener(self._state_message())
         listener(self._proposals_message())
-        listener(background_message(self.background))
+        listener(background_message(self.workspace.background))
         for _, view in self._views.values():
             listener(view)
         if self._doing:
@@ -390,8 +381,6 @@ class Session:
 
     def _state_message(self) -> dict[str, Any]:
         record = state_record(self.history, self.setting.scene)
-        record["canUndo"] |= bool(self._earlier)
-        record["canRedo"] |= bool(self._later)
         return {"type": "state", "revision": self.revision, **record}
 
     def _do(self, who: str, stage: str, done: int = 0, total: int = 0) -> None:
@@ -405,9 +394,9 @@ class Session:
         """Carry out a request. Raises InputError if that cannot be done."""
         message = read_message(text)
         if isinstance(message, Undo):
-            self._undo()
+            self._go_to(self.history.undone())
         elif isinstance(message, Redo):
-            self._redo()
+            self._go_to(self.history.redone())
         elif isinstance(message, Revert):
             self._go_to(self.history.reverted(message.gesture))
         elif isinstance(message, Ask):
@@ -434,8 +423,8 @@ class Session:
 
     def lay_background(self, background: Background | None) -> None:
         """Show another image below the plan, or none."""
-        self.background = background
-        self.send(background_message(self.background))
+        self.workspace.background = background
+        self.send(background_message(background))
         self._changed.set()  # saved when the plan rests
 
     def open_plan(self, plan: Plan, source: str) -> None:
@@ -447,7 +436,7 @@ class Session:
         check_plan(plan, self.setting.scene)
         state = self.history.state
         if len(state.variants) == 1 and not state.variant.units:
-            state = begin_history(plan.variants).state
+            state = begin_history(plan.variants, self.workspace).state
         else:
             for variant in plan.variants:
                 state = add_variant(state, variant, source=source)
@@ -456,50 +445,28 @@ class Session:
         self._go_on(state)
 
     def _go_on(self, state: PlanState, *, gesture: str = "") -> None:
-        self._later.clear()
         self._go_to(self.history.went_on(state, gesture=gesture))
 
-    def _go_to(self, history: History) -> None:
+    def _go_to(self, history: History, exact: Worker | None = None) -> None:
+        """Show the state of a history; `exact` has read its scene already, if that is another."""
+        is_elsewhere = history.state.workspace is not self.workspace
+        if is_elsewhere:
+            self._notice(self.save_plan())
+            self.stop_processes()
+            self.workspace = history.state.workspace
+            self._exact = self._make_worker(self.work) if exact is None else exact
+            self._advice = self._make_worker(self.work)
+            self._proposals = []
+            self._views.clear()
+            self.send(self._scene_message())
         self.history = history
         self.revision += 1
         self.send(self._state_message())
+        if is_elsewhere:
+            self.send(self._proposals_message())
+            self.send(background_message(self.workspace.background))
         self._changed.set()
         self._moved.set()
-
-    def _undo(self) -> None:
-        if self.history.can_undo or not self._earlier:
-            self._go_to(self.history.undone())
-        else:
-            self._later.append(self._visit())
-            self._enter(self._earlier.pop())
-
-    def _redo(self) -> None:
-        if self.history.can_redo or not self._later:
-            self._go_to(self.history.redone())
-        else:
-            self._earlier.append(self._visit())
-            self._enter(self._later.pop())
-
-    def _visit(self) -> Visit:
-        return Visit(workspace=self.workspace, history=self.history, background=self.background)
-
-    def _enter(self, visit: Visit, exact: Worker | None = None) -> None:
-        """Go on in another scene; `exact` has read it already."""
-        self._notice(self.save_plan())
-        self.stop_processes()
-        self.workspace, self.history, self.background = (
-            visit.workspace,
-            visit.history,
-            visit.background,
-        )
-        self._exact = self._make_worker(self.work) if exact is None else exact
-        self._advice = self._make_worker(self.work)
-        self._proposals = []
-        self._views.clear()
-        self.send(self._scene_message())
-        self._go_to(self.history)
-        self.send(self._proposals_message())
-        self.send(background_message(self.background))
 
     # ---------- numbers
 
@@ -663,7 +630,7 @@ class Session:
         An empty plan makes no file.
         """
         save = self.workspace.save
-        is_empty = self.background is None and self.history.state.is_empty
+        is_empty = self.workspace.background is None and self.history.state.is_empty
         if save is None or (is_empty and not save.exists()):
             return ""
         text = self.plan_text()
@@ -675,12 +642,7 @@ class Session:
 
     def saved_files(self) -> list[str]:
         """Files of the plans of this session, in the order of their scenes."""
-        places = [visit.workspace for visit in (*self._earlier, self._visit(), *self._later[::-1])]
-        return [
-            str(workspace.save)
-            for workspace in places
-            if workspace.save and workspace.save.exists()
-        ]
+        return [str(path) for path in self._saves if path.exists()]
 
     # ---------- the optimiser
 
@@ -745,7 +707,7 @@ class Session:
 
     def plan_text(self) -> bytes:
         """Contents of the plan's file."""
-        return plan_text(self.history.state, self.setting.scene, self.background).encode()
+        return plan_text(self.history.state, self.setting.scene, self.workspace.background).encode()
 
     def layout(self) -> Layout:
         """The layout that is worked on. Raises InputError if nothing is mounted."""
@@ -785,9 +747,8 @@ class Session:
             exact.stop()
             exact = self._make_worker(workspace.work)
         self._notice(notice)
-        self._later.clear()
-        self._earlier = [*self._earlier, self._visit()][-_MAX_WORKSPACES:]
-        self._enter(Visit(workspace=workspace, history=begin_history(()), background=None), exact)
+        before, state = self.workspace, begin_history((), workspace).state
+        self._go_to(self.history.went_on(state).of_newest(_MAX_WORKSPACES), exact)
         if save is not None:
-            before = self._earlier[-1].workspace
+            self._saves.append(save)
             self._notice(f"The plan at {before.title} is in {before.save}; this one: {save}.")

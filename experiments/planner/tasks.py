@@ -135,9 +135,7 @@ class Tasks:
         frames = axis.frames_of(index)
         counts = np.asarray(
             is_in_time(
-                axis.time_s[frames],
-                float(axis.last_brake_time_s[index]),
-                latency_s=rule.latency_s,
+                axis.time_s[frames], float(axis.last_brake_time_s[index]), latency_s=rule.latency_s
             )
         )
         looks = []

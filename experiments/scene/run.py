@@ -206,12 +206,7 @@ def _import_result(imported: ImportedScene) -> SceneResult:
 
 
 def run_import(
-    files: Sequence[str],
-    options: ImportOptions,
-    *,
-    bbox: str,
-    out: Path,
-    progress: StageProgress,
+    files: Sequence[str], options: ImportOptions, *, bbox: str, out: Path, progress: StageProgress
 ) -> SceneResult:
     """Make a scene of map files and write it.
 

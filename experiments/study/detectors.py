@@ -1,8 +1,8 @@
 """The study's cases by four detectors: ``python -m experiments.study.detectors``.
 
-The same layout and runs are judged by the box rule, the response model, the network that is
-shipped, and the response table fitted to it; and by what the detection table counts on, which is
-how well plans foretell the network's verdicts.
+One layout and its runs are judged by the box rule, the response model, the network that is
+shipped, and the response table fitted to it; and by the detection table, to show how well plans
+predict the network's verdicts.
 """
 
 from collections.abc import Iterator, Mapping
@@ -22,7 +22,7 @@ from placement.evaluation import Evaluation, Verdict, apr, detected_share
 from placement.evaluator import build_surroundings, evaluate_layout, load_vut_camera
 from placement.evaluator.evaluate import Judge
 from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
-from placement.layout import Layout, find_layout
+from placement.layout import Layout, load_carlancap_layout
 from placement.question import Question
 from placement.setting import Setting, build_setting
 
@@ -40,21 +40,9 @@ _UNITS = ("VUT", "all units")
 
 
 def compare_detectors(question: Question, layout: Layout, compute: Compute) -> str:
-    """Frames detected and APR by case and detector, and how far plans foretell the network.
+    """Frames detected and APR by case and detector, and how well plans predict the network's.
 
-    Parameters
-    ----------
-    question : Question
-        Cases and runs; its detector is not asked.
-    layout : Layout
-        Cameras.
-    compute : Compute
-        Threads, seed and progress.
-
-    Returns
-    -------
-    text : str
-        Markdown.
+    The question gives cases and runs; its detector is not used. Returns Markdown.
     """
     scene = load_scene(question.scene)
     settings = {name: build_setting(replace(question, detector=name), scene) for name in DETECTORS}
@@ -89,7 +77,7 @@ def _rows(setting: Setting, found: Mapping[str, Evaluation]) -> Iterator[str]:
 
 
 def _agreement(setting: Setting, layout: Layout, by_network: Evaluation) -> Iterator[str]:
-    """In how many runs what a plan counts on gives the network's verdict, unit by unit."""
+    """Shares of runs in which a plan predicts the network's verdict, unit by unit."""
     surroundings = build_surroundings(setting.scene, setting.runs)
     judge = Judge(setting.runs, setting.axis, setting.rule)
     mount = load_vut_camera()
@@ -119,37 +107,18 @@ def _agreement(setting: Setting, layout: Layout, by_network: Evaluation) -> Iter
 
 
 @click.command()
-@click.option("--layout", "layout_name", default="carlancap-12", show_default=True)
 @click.option("--cases", default=",".join(CASES), show_default=True)
-@click.option("--along-arms", default="0", show_default=True)
 @click.option("--speeds", default="", help="km/h with commas between; default: all of a case.")
-@click.option("--approaches", default="", help="Default: all.")
-@click.option("--weather", default="day", show_default=True)
 @click.option("--workers", type=int, default=2, show_default=True, help="Threads.")
 @click.option("--out", type=click.Path(path_type=Path), help="File; default: the terminal.")
-def main(
-    *,
-    layout_name: str,
-    cases: str,
-    along_arms: str,
-    speeds: str,
-    approaches: str,
-    weather: str,
-    workers: int,
-    out: Path | None,
-) -> None:
-    """Judge a layout by the box rule, the response model, the network, and its table."""
-    question = Question(
-        cases=cases, along_arms=along_arms, speeds=speeds, approaches=approaches, weather=weather
-    )
+def main(*, cases: str, speeds: str, workers: int, out: Path | None) -> None:
+    """Judge the study's layout by the box rule, the response model, the network, its table."""
+    question = Question(cases=cases, along_arms="0", speeds=speeds)
     progress = StageProgress()
     progress.start(quiet=False)
     try:
-        text = compare_detectors(
-            question,
-            find_layout(layout_name, "--layout"),
-            Compute(workers=workers, progress=progress),
-        )
+        compute = Compute(workers=workers, progress=progress)
+        text = compare_detectors(question, load_carlancap_layout(), compute)
     finally:
         progress.stop()
     if out is None:

@@ -1,29 +1,20 @@
-"""The CarlaNCAP study's figures beside ours: ``python -m experiments.study.reproduction``."""
+"""The CarlaNCAP study's figures and ours: ``python -m experiments.study.reproduction``."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from importlib.resources import files
+from itertools import count
 from pathlib import Path
+from typing import Literal
 
 import click
+import msgspec
 import numpy as np
 
-from geometry.errors import InputError
-from geometry.files import (
-    load_toml,
-    take_list,
-    take_number,
-    take_text,
-    write_atomically,
-)
+from geometry.files import load_toml, write_atomically
 from placement.compute import Compute, silent
-from placement.evaluation import (
-    Evaluation,
-    Verdict,
-    apr,
-    detected_share,
-)
+from placement.evaluation import Evaluation, Verdict, apr, detected_share
 from placement.evaluator import evaluate_layout
 from placement.setting import build_setting
 
@@ -46,9 +37,6 @@ from .variants import (
     build_variants,
 )
 
-# ---------- the study's figures beside ours
-
-
 CASES = tuple(OWN_CASES.split(","))
 HEATMAP_SPEEDS_KMH = {"CPNC-50": 55, "CBNA": 60, "CBLA": 50}  # the runs that the study draws
 WEATHERS = ("day", "night", "rain", "fog")
@@ -56,90 +44,43 @@ DETECTORS = ("geometric", "response")
 _NEARLY_ALL = 0.9
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PublishedFigure:
-    """A figure of the study.
+class PublishedFigure(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A figure of the study: quantity as :func:`quantities` names it, case, and share of 1.
 
-    Attributes
-    ----------
-    quantity, case : str
-        What, as :func:`quantities` names it, and in which case.
-    value : float
-        Share of 1.
-    use : str
-        "set by it" or "compared".
-    depends_on : str
-        What of ours it hangs on most.
+    It was used to set a dimension of ours, or is only compared; and depends on one of ours most.
     """
 
     quantity: str
     case: str
     value: float
-    use: str
+    use: Literal["set by it", "compared"]
     depends_on: str
 
 
-@cache
-def load_published() -> tuple[PublishedFigure, ...]:
-    """The study's figures, from ``data/carla_ncap_published.toml``."""
-    where = "carla_ncap_published.toml"
-    table = load_toml(files("experiments") / "data" / where)
-    found = []
-    for index, entry in enumerate(take_list(table, "figures", where)):
-        here = f"{where}: figures[{index}]"
-        use = take_text(entry, "use", here)
-        if use not in ("set by it", "compared"):
-            raise InputError(f"{here}.use", use, "'set by it' or 'compared'")
-        found.append(
-            PublishedFigure(
-                quantity=take_text(entry, "quantity", here),
-                case=take_text(entry, "case", here),
-                value=take_number(entry, "value", here),
-                use=use,
-                depends_on=take_text(entry, "depends_on", here),
-            )
-        )
-    return tuple(found)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AdditionalFigure:
-    """A figure of the study's additional cases, another recording; nothing was fitted to it.
-
-    Attributes
-    ----------
-    quantity, case : str
-        What, as :func:`quantities` names it, and in which case.
-    published : str
-        What the study says, in words.
-    """
+class AdditionalFigure(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A figure of the study's additional cases, in its words; nothing was fitted to it."""
 
     quantity: str
     case: str
     published: str
 
 
+class Published(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """All figures of the study."""
+
+    figures: tuple[PublishedFigure, ...]
+    additional: tuple[AdditionalFigure, ...]
+
+
 @cache
-def load_additional() -> tuple[AdditionalFigure, ...]:
-    """Figures of the additional cases, from ``data/carla_ncap_published.toml``."""
-    where = "carla_ncap_published.toml"
-    table = load_toml(files("experiments") / "data" / where)
-    return tuple(
-        AdditionalFigure(
-            **{
-                name: take_text(entry, name, f"{where}: additional[{index}]")
-                for name in ("quantity", "case", "published")
-            }
-        )
-        for index, entry in enumerate(take_list(table, "additional", where))
-    )
+def load_published() -> Published:
+    """The study's figures, from ``data/carla_ncap_published.toml``."""
+    table = load_toml(files("experiments") / "data" / "carla_ncap_published.toml")
+    return msgspec.convert(table, Published)
 
 
 def quantities(evaluation: Evaluation) -> dict[tuple[str, str], float]:
-    """What the study publishes or leaves open, as shares of 1.
-
-    By quantity and case.
-    """
+    """Figures that the study publishes or leaves open, as shares of 1, by quantity and case."""
     axis = evaluation.axis
     parties: dict[str, Verdict] = {
         "the VUT": evaluation.vut,
@@ -161,19 +102,16 @@ def write_reproduction(folder: Path, *, compute: Compute) -> None:
     """Evaluate all variants and weathers, and write ``reproduction.md`` with its heatmaps."""
     variants, additional = build_variants(), build_additional_variants()
     n_steps = len(variants) + len(DETECTORS) + len(additional)
-    evaluations = []
+    steps = count()
     quiet = replace(compute, progress=silent)
-    for number, variant in enumerate(variants):
-        compute.progress("evaluate variants", number, n_steps)
-        evaluations.append(_evaluate(variant, quiet))
-    by_weather = {}
-    for number, detector in enumerate(DETECTORS, start=len(variants)):
-        compute.progress("evaluate variants", number, n_steps)
-        by_weather[detector] = _evaluate_weathers(detector, variants[0], quiet)
-    of_additional = {}
-    for number, variant in enumerate(additional, start=len(variants) + len(DETECTORS)):
-        compute.progress("evaluate variants", number, n_steps)
-        of_additional[variant.name] = quantities(_evaluate(variant, quiet))
+
+    def evaluate(variant: Variant) -> Evaluation:
+        compute.progress("evaluate variants", next(steps), n_steps)
+        return evaluate_layout(variant.layout, variant.setting, compute=quiet)
+
+    evaluations = [evaluate(variant) for variant in variants]
+    by_weather = {detector: evaluate(_in_weathers(detector, variants[0])) for detector in DETECTORS}
+    of_additional = {variant.name: quantities(evaluate(variant)) for variant in additional}
     base = evaluations[0]
     heatmaps = [
         base.axis.run_ids.index(f"{case}/east/{speed}")
@@ -209,14 +147,9 @@ def write_reproduction(folder: Path, *, compute: Compute) -> None:
     write_atomically(folder / "reproduction.md", text)
 
 
-def _evaluate(variant: Variant, compute: Compute) -> Evaluation:
-    return evaluate_layout(variant.layout, variant.setting, compute=compute)
-
-
-def _evaluate_weathers(detector: str, base: Variant, compute: Compute) -> Evaluation:
+def _in_weathers(detector: str, base: Variant) -> Variant:
     question = replace(AS_STUDIED, weather=",".join(WEATHERS), detector=detector)
-    setting = build_setting(question, base.setting.scene)
-    return evaluate_layout(base.layout, setting, compute=compute)
+    return replace(base, setting=build_setting(question, base.setting.scene))
 
 
 def _introduction() -> list[str]:
@@ -249,14 +182,14 @@ def _published_table(found: Sequence[dict[tuple[str, str], float]]) -> list[str]
             figure.use,
             figure.depends_on,
         )
-        for figure in load_published()
+        for figure in load_published().figures
     ]
     header = ("quantity", "case", "published", "ours", "range", "use", "hangs on")
     return ["## Published and ours", "", *_table(header, rows), ""]
 
 
 def _additional_section(by_variant: Mapping[str, Mapping[tuple[str, str], float]]) -> list[str]:
-    figures = load_additional()
+    figures = load_published().additional
     published = {(figure.quantity, figure.case): figure.published for figure in figures}
     cases = list(dict.fromkeys(figure.case for figure in figures))
     of_all = list(dict.fromkeys(figure.quantity for figure in figures))
@@ -285,12 +218,12 @@ def _additional_section(by_variant: Mapping[str, Mapping[tuple[str, str], float]
 
 
 def _reading(by_variant: Mapping[str, Mapping[tuple[str, str], float]]) -> list[str]:
-    """What of the differences is explained, and what is excluded."""
+    """Explanations of the differences, and what is excluded, in sentences."""
     asked = (LARGE_BOX, BEFORE, BEHIND, BEHIND_NARROW, FARTHEST, SHORTEST)
     if not all(name in by_variant for name in asked):
         return []
 
-    def told(name: str, who: str) -> str:
+    def both(name: str, who: str) -> str:
         """A figure in both turning cases, or once where it is the same."""
         shares = [percent(by_variant[name][f"APR of {who}", case]) for case in TURNING]
         return shares[0] if len(set(shares)) == 1 else f"{shares[0]} and {shares[1]}"
@@ -322,14 +255,14 @@ def _reading(by_variant: Mapping[str, Mapping[tuple[str, str], float]]) -> list[
         "CBTAno and CBTAfo, the VUT: by the protocol's names (o: opposite) the cyclist comes "
         "towards it, near the middle of its picture, and it avoids every run. Where the cyclist "
         "comes from behind instead, out of its field of view, it avoids "
-        f"{told(BEHIND, 'the VUT')} with 110 deg and {told(BEHIND_NARROW, 'the VUT')} with 90 deg: "
+        f"{both(BEHIND, 'the VUT')} with 110 deg and {both(BEHIND_NARROW, 'the VUT')} with 90 deg: "
         "the study's 33 % lie between. From where its cyclists come is not published.",
         "CBTAno and CBTAfo, single RSUs: where the paths cross farther out on the exit arm, "
         "outside of what the cameras at the junction look at, the best of them avoids "
-        f"{told(FARTHEST, 'the best RSU')}; the study says up to 25 %, and gives that reason.",
+        f"{both(FARTHEST, 'the best RSU')}; the study says up to 25 %, and gives that reason.",
         "CBTAno and CBTAfo, all RSUs together: the twelve see the cyclist early wherever the paths "
         f"cross. Only if recordings begin 0.6 s before the impact do they lose runs "
-        f"({told(SHORTEST, 'any RSU')}), and then nearly all of the pedestrians', too. That the "
+        f"({both(SHORTEST, 'any RSU')}), and then nearly all of the pedestrians', too. That the "
         "study's twelve avoid no more than its car is left unexplained.",
         "Excluded, since no party loses a turning run by it: "
         f"{'; '.join(quiet)}. Nor can pillars explain it: the study's camera is mounted outside, "
@@ -348,11 +281,7 @@ def _units_table(values: dict[tuple[str, str], float], units: Sequence[str]) -> 
         )
         for party in parties
     ]
-    header = (
-        "",
-        *(f"APR {case}" for case in CASES),
-        *(f"frames {case}" for case in CASES),
-    )
+    header = ("", *(f"APR {case}" for case in CASES), *(f"frames {case}" for case in CASES))
     best = [unit for unit in units if all(values[f"APR of {unit}", case] == 1.0 for case in CASES)]
     return [
         "## Every unit by itself",
@@ -417,7 +346,7 @@ def _weather_table(by_weather: dict[str, Evaluation]) -> list[str]:
 
 
 def _who_sees(evaluation: Evaluation, run_index: int) -> str:
-    """Which RSUs detect in nearly all frames of a run, and which in some before its last moment."""
+    """RSUs that detect in nearly all frames of a run, and in some before its last moment."""
     axis = evaluation.axis
     frames = axis.frames_of(run_index)
     in_time = axis.time_s[frames] <= axis.last_brake_time_s[run_index]
@@ -442,7 +371,7 @@ def _who_sees(evaluation: Evaluation, run_index: int) -> str:
 
 
 def _predictions(found: Sequence[dict[tuple[str, str], float]], units: Sequence[str]) -> list[str]:
-    published = {(figure.quantity, figure.case) for figure in load_published()}
+    published = {(figure.quantity, figure.case) for figure in load_published().figures}
     wanted = [
         (f"APR of {party}", case) for case in CASES for party in ("the VUT", "any RSU", *units)
     ]
@@ -476,7 +405,7 @@ def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
 @click.option("--workers", type=int, default=2, show_default=True, help="Threads.")
 @click.option("--quiet", is_flag=True, help="No progress on stderr.")
 def main(out: Path, workers: int, quiet: bool) -> None:
-    """Write reproduction.md: the study's figures, ours, and what ours hang on."""
+    """Write reproduction.md: the study's figures, ours, and what ours depend on."""
     progress = StageProgress()
     progress.start(quiet=quiet)
     try:

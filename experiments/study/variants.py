@@ -1,7 +1,7 @@
-"""The study's setting with one thing of our reconstruction, or of what it leaves open, changed."""
+"""Variants of the study's setting: one thing of ours, or that it leaves open, is changed."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,17 +32,7 @@ AS_STUDIED = Question(cases=OWN_CASES, along_arms="0", weights="run", track_memo
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Variant:
-    """A setting and the study's layout in it.
-
-    Attributes
-    ----------
-    name : str
-        What is changed.
-    setting : Setting
-        Scene, runs, detector.
-    layout : Layout
-        The study's 12 cameras.
-    """
+    """A setting with one thing changed, which its name says, and the study's 12 cameras in it."""
 
     name: str
     setting: Setting
@@ -53,19 +43,20 @@ def build_variants() -> tuple[Variant, ...]:
     """As it is first; then walls, parked cars, smallest box and field of view, changed."""
     layout = load_carlancap_layout()
     base = build_setting(AS_STUDIED, load_study_scene())
-    changes: Mapping[str, Callable[[], Setting]] = {
-        "as it is": lambda: base,
-        "walls 0.5 m nearer to the corner": lambda: _move_walls(base, 0.5),
-        "walls 5 m farther from the corner": lambda: _move_walls(base, -5.0),
-        "no parked cars": lambda: _keep_parked(base, 0),
-        "no parked cars, walls 5 m farther": lambda: _move_walls(_keep_parked(base, 0), -5.0),
-        "two parked cars instead of eight": lambda: _keep_parked(base, 2),
-        "parked row 1 m beside the VUT, not 0.5 m": lambda: _move_parked(base, 0.5),
-        "smallest box 30 px": lambda: _detect_from(base, 30.0),
-        "smallest box 50 px": lambda: _detect_from(base, 50.0),
+    open_corner = move_walls(base.scene, -5.0)
+    settings = {
+        "as it is": base,
+        "walls 0.5 m nearer to the corner": replace(base, scene=move_walls(base.scene, 0.5)),
+        "walls 5 m farther from the corner": replace(base, scene=open_corner),
+        "no parked cars": _keep_parked(base, 0),
+        "no parked cars, walls 5 m farther": replace(_keep_parked(base, 0), scene=open_corner),
+        "two parked cars instead of eight": _keep_parked(base, 2),
+        "parked row 1 m beside the VUT, not 0.5 m": _move_parked(base, 0.5),
+        "smallest box 30 px": _detect_from(base, 30.0),
+        "smallest box 50 px": _detect_from(base, 50.0),
     }
     variants = [
-        Variant(name=name, setting=build(), layout=layout) for name, build in changes.items()
+        Variant(name=name, setting=setting, layout=layout) for name, setting in settings.items()
     ]
     return (*variants, _narrow(Variant(name=_NARROW, setting=base, layout=layout)))
 
@@ -82,11 +73,6 @@ def _narrow(variant: Variant) -> Variant:
         setting=replace(variant.setting, vut_camera=camera),
         layout=replace(variant.layout, units=units),
     )
-
-
-def _move_walls(setting: Setting, by_m: float) -> Setting:
-    """Every wall moved towards the middle of the junction, along both roads. [m]."""
-    return replace(setting, scene=move_walls(setting.scene, by_m))
 
 
 def move_walls(scene: Scene, by_m: float) -> Scene:
@@ -117,8 +103,7 @@ def _move_parked(setting: Setting, by_m: float) -> Setting:
             PlacedActor(
                 actor=parked.actor,
                 pose=Pose(
-                    position_m=parked.pose.position_m + by_m * right,
-                    yaw_deg=parked.pose.yaw_deg,
+                    position_m=parked.pose.position_m + by_m * right, yaw_deg=parked.pose.yaw_deg
                 ),
             )
             for parked in run.obstruction
@@ -226,7 +211,7 @@ def _farther(case: Case, away_m: float) -> Case:
 
 
 def _without(scene: Scene, classes: Sequence[str]) -> Scene:
-    """A scene less all things of some classes."""
+    """A scene without the things of some classes."""
     kept = [i for i, thing in enumerate(scene.instances) if thing.class_name not in classes]
     number = np.full(len(scene.instances), -1, dtype=scene.triangle_instance.dtype)
     number[kept] = np.arange(len(kept))

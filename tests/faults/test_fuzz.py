@@ -124,7 +124,7 @@ NO_USERS_FILES = {
     "geometry.untrusted_files.open_parquet": "within readers of traffic and results",
     "geometry.untrusted_files.open_stream": "within readers of traffic",
     "experiments.city.inputs.load_city": "maps, by read_map",
-    "experiments.city.inputs.load_kept": "layouts, by load_layout",
+    "experiments.city.inputs.load_existing": "layouts, by load_layout",
     "experiments.perception_lab.training.crops.load_crops": "written by the training itself",
     "geometry.actors.read_actors": "facts of the package",
     "geometry.scene_files.pack_scene": "writes",

@@ -12,8 +12,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments import start
 from experiments import main as program
+from experiments import start
 from experiments.results.csv_text import csv_text
 from geometry.errors import InputError
 from geometry.files import check_target, open_file, read_text, write_atomically

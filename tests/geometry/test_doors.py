@@ -53,7 +53,7 @@ EXCEPTIONS = {
     "geometry/lazy_names.py": {"read_bytes"},
     "placement/detectors/built_in.py": {"read_text"},
     "placement/cache.py": {"load", "read_bytes"},
-    "experiments/jobs/local_workers.py": {"read_text"},
+    "experiments/city/workers.py": {"read_text"},
     "placement/memory.py": {"read_text"},
     "experiments/planner/command.py": {"open"},  # the browser
 }

@@ -26,8 +26,8 @@ export function openDialogs({ map, notice, scene, state, saved }) {
     if (!find("run-dialog").open) find("run-dialog").showModal();
     const asked = run;
     try {
-      const told = await ask("explain", { run: run.id });
-      if (run === asked) explain(told);
+      const message = await ask("explain", { run: run.id });
+      if (run === asked) explain(message);
     } catch (error) {
       if (run === asked) find("run-why").textContent = `Why: ${error.message}`;
     }
@@ -37,16 +37,16 @@ export function openDialogs({ map, notice, scene, state, saved }) {
     select.replaceChildren(...values.map((value) => element("option", Array.isArray(value) ? { value: value[0], text: value[1] } : { value, text: value })));
   }
 
-  function explain(told) {
+  function explain(message) {
     const holder = find("run-why");
     holder.replaceChildren();
-    element("p", { text: told.inTime ? `${told.inTime} frames come early enough to brake for. In these:` : "No frame comes early enough: no sensor could help." }, holder);
+    element("p", { text: message.inTime ? `${message.inTime} frames come early enough to brake for. In these:` : "No frame comes early enough: no sensor could help." }, holder);
     const list = element("ul", {}, holder);
-    if (told.inTime) told.units.forEach((unit) => element("li", { text: `${unit.unit} detects the road user in ${unit.detected}; in the others: ${unit.reasons.map((reason) => `${reason.words} (${reason.frames})`).join(", ")}.` }, list));
+    if (message.inTime) message.units.forEach((unit) => element("li", { text: `${unit.unit} detects the road user in ${unit.detected}; in the others: ${unit.reasons.map((reason) => `${reason.words} (${reason.frames})`).join(", ")}.` }, list));
     // A frame that matters most, of those in time: the last one.
-    const times = told.frames;
-    [...find("picture-frame").options].forEach((option, index) => { option.textContent = `${times[index].time}${index < told.inTime ? ", in time" : ""}`; });
-    if (told.inTime) find("picture-frame").value = told.inTime - 1 - run.frames;
+    const times = message.frames;
+    [...find("picture-frame").options].forEach((option, index) => { option.textContent = `${times[index].time}${index < message.inTime ? ", in time" : ""}`; });
+    if (message.inTime) find("picture-frame").value = message.inTime - 1 - run.frames;
   }
 
   find("picture-show").addEventListener("click", async () => {
@@ -78,10 +78,10 @@ export function openDialogs({ map, notice, scene, state, saved }) {
   async function open(file) {
     notice(`${file.name} is being read \u2026`);
     try {
-      const told = await give("open", file, { headers: { "X-File-Name": encodeURIComponent(file.name) }, most: PLANS.some((end) => file.name.toLowerCase().endsWith(end)) ? scene().mostBytes.plan : scene().mostBytes.map });
-      notice(told.opened ? `Opened: ${told.opened.join(", ")}.` : "");
-      if (told.isScene && !hasUnits()) await take("");
-      else if (told.map) chooseJunction(told);
+      const message = await give("open", file, { headers: { "X-File-Name": encodeURIComponent(file.name) }, most: PLANS.some((end) => file.name.toLowerCase().endsWith(end)) ? scene().mostBytes.plan : scene().mostBytes.map });
+      notice(message.opened ? `Opened: ${message.opened.join(", ")}.` : "");
+      if (message.isScene && !hasUnits()) await take("");
+      else if (message.map) chooseJunction(message);
     } catch (error) {
       notice(error.message); // it begins with the file's name
     }
@@ -126,23 +126,23 @@ export function openDialogs({ map, notice, scene, state, saved }) {
 
   const hasUnits = () => state()?.variants.some((variant) => variant.units);
 
-  function chooseJunction(told) {
-    const has = told.isScene ? `${told.map} is the scene ${told.name}.` : `${told.map} has ${told.junctions.length + (told.left || 0)} junctions${told.left ? `; here are ${told.junctions.length}` : ""}.`;
+  function chooseJunction(message) {
+    const has = message.isScene ? `${message.map} is the scene ${message.name}.` : `${message.map} has ${message.junctions.length + (message.left || 0)} junctions${message.left ? `; here are ${message.junctions.length}` : ""}.`;
     find("map-text").textContent = hasUnits() ? `${has} Planning there begins with nothing mounted; Undo leads back to the plan at ${scene().title}.` : has;
-    find("map-choice").hidden = told.isScene;
-    if (told.isScene) { find("map-dialog").showModal(); return; }
+    find("map-choice").hidden = message.isScene;
+    if (message.isScene) { find("map-dialog").showModal(); return; }
     const select = find("map-junction");
-    fill(select, told.junctions.map((one) => [one.id, `${one.name || one.id}: ${one.arms} arms, ${one.lanes} lanes`]));
+    fill(select, message.junctions.map((one) => [one.id, `${one.name || one.id}: ${one.arms} arms, ${one.lanes} lanes`]));
     select.selectedIndex = 0;
     const svg = find("map-plan");
     svg.replaceChildren();
-    const [xs, ys] = ["x", "y"].map((axis) => told.junctions.map((one) => one[axis]));
+    const [xs, ys] = ["x", "y"].map((axis) => message.junctions.map((one) => one[axis]));
     const [west, south] = [Math.min(...xs), Math.min(...ys)];
     // Degrees of longitude are shorter than those of latitude.
     const squeeze = Math.max(...ys.map(Math.abs)) <= 90 && Math.max(...xs.map(Math.abs)) <= 180 ? Math.cos(south * Math.PI / 180) : 1;
     const size = Math.max((Math.max(...xs) - west) * squeeze, Math.max(...ys) - south) || 1;
     svg.setAttribute("viewBox", "-8 -8 116 116");
-    const dots = told.junctions.map((one) => {
+    const dots = message.junctions.map((one) => {
       const dot = element("circle", { cx: 100 * (one.x - west) * squeeze / size, cy: 100 - 100 * (one.y - south) / size, r: 1.6, stroke: "#000", "stroke-width": 0.3 }, svg);
       element("title", { text: one.name || one.id }, dot);
       dot.addEventListener("click", () => { select.value = one.id; mark(); });
@@ -154,8 +154,8 @@ export function openDialogs({ map, notice, scene, state, saved }) {
     find("map-dialog").showModal();
   }
   async function take(junction) {
-    const told = await give("import", junction);
-    if (!find("notice").textContent) notice(`The scene is ${told.scene}.`);
+    const message = await give("import", junction);
+    if (!find("notice").textContent) notice(`The scene is ${message.scene}.`);
   }
   find("map-take").addEventListener("click", async () => {
     find("map-take").disabled = true;
@@ -234,16 +234,16 @@ export function openDialogs({ map, notice, scene, state, saved }) {
   });
 
   // What is laid, by whichever browser.
-  function readBackground(told) {
-    if (!told.address) {
+  function readBackground(message) {
+    if (!message.address) {
       map.showImage("");
       return;
     }
-    map.showImage(told.address, told.size, told.points.map(([x, y, east, north]) => [[x, y], [100 * east, 100 * north]]));
+    map.showImage(message.address, message.size, message.points.map(([x, y, east, north]) => [[x, y], [100 * east, 100 * north]]));
     if (find("image-dialog").open) return;
     image = null;
-    preparePreview(told.address);
-    told.points.forEach((point, index) => POINT_FIELDS.forEach((name, column) => { find(`${name}${index + 1}`).value = point[column]; }));
+    preparePreview(message.address);
+    message.points.forEach((point, index) => POINT_FIELDS.forEach((name, column) => { find(`${name}${index + 1}`).value = point[column]; }));
   }
 
   find("show-help").addEventListener("click", () => find("help-dialog").showModal());

@@ -1,4 +1,4 @@
-// The line to the desk: messages both ways, and what to do when it breaks.
+// The connection to the session: messages both ways, and how to reconnect.
 
 const FIRST_WAIT_MS = 400, LONGEST_WAIT_MS = 5000, PATIENCE_MS = 1500, SILENCE_MS = 3000;
 

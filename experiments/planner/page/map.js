@@ -192,7 +192,7 @@ export function createMap(holder, on) {
     element("image", { href: address, width: size[0], height: size[1], opacity: 0.75, transform: `matrix(${cos} ${sin} ${sin} ${-cos} ${shift[0]} ${shift[1]})` }, layers.image);
   }
 
-  // ---------- what hangs
+  // ---------- mounted sensors
 
   function showUnits(next) {
     const focused = document.activeElement?.closest?.("[data-unit]")?.dataset.unit;
@@ -217,7 +217,7 @@ export function createMap(holder, on) {
       mark.addEventListener("keydown", (event) => { if (event.key === "Enter" || event.key === " ") { event.preventDefault(); on.unit(unit.id); } });
       drawn.push({ place: unit.place, mark });
     });
-    // Above all others, or it could not be dragged where many hang.
+    // Above all others, or it could not be dragged where many are mounted.
     const unit = units.find((item) => item.id === selected);
     if (unit) {
       const aim = aimOf(unit);

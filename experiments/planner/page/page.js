@@ -1,4 +1,4 @@
-// The planner's page: what the desk tells is shown, what is done here is told to the desk.
+// The planner's page: shows the messages of the session, and sends it what is done here.
 
 import { openDialogs } from "./dialogs.js";
 import { ask, openLine } from "./line.js";
@@ -30,18 +30,18 @@ const map = createMap(find("plan"), {
 });
 const dialogs = openDialogs({ map, notice, scene: () => scene, state: () => state, saved: () => { savedRevision = state.revision; } });
 
-// What is not kept in a file is gone with the page.
+// A plan that is in no file is gone with the page.
 window.addEventListener("beforeunload", (event) => {
   if (isConnected && !scene?.isKept && state?.canUndo && state.revision !== savedRevision) event.preventDefault();
 });
 
-// ---------- what the desk tells
+// ---------- messages of the session
 
 function read(message) {
   const readers = {
     scene: readScene, state: readState, numbers: readNumbers, variants: readVariants, proposals: readProposals, view: readView,
-    coverage: readCoverage, doing: readDoing, background: dialogs.readBackground, sensors: (told) => { scene.grid = told.grid; fillGrid(); },
-    problem: (told) => notice(told.text), notice: (told) => notice(told.text),
+    coverage: readCoverage, doing: readDoing, background: dialogs.readBackground, sensors: (message) => { scene.grid = message.grid; fillGrid(); },
+    problem: (message) => notice(message.text), notice: (message) => notice(message.text),
   };
   readers[message.type]?.(message);
 }
@@ -50,7 +50,7 @@ function connected(isOpen) {
   isConnected = isOpen;
   const banner = find("connection");
   banner.hidden = isOpen;
-  banner.textContent = isOpen ? "" : "The connection to place-rsus plan is lost; trying again. What you do now is not kept.";
+  banner.textContent = isOpen ? "" : "The connection to place-rsus plan is lost; trying again. What you do now is not saved.";
   find("main").inert = !isOpen;
   if (!isOpen) { numbers = null; showNumbers(); }
 }
@@ -216,7 +216,7 @@ function showCost() {
   find("cost").title = cost ? cost.assumed.join(" ") : "";
 }
 
-// ---------- sensors that hang
+// ---------- mounted sensors
 
 let shownUnits = "";
 function showUnits() {

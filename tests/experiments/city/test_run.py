@@ -23,7 +23,7 @@ from experiments.city import run as job
 from experiments.city import workers as city_workers
 from experiments.city.answer import load_front
 from experiments.city.inputs import CitySearch, CityWish
-from experiments.jobs import local_workers, schedulers
+from experiments.jobs import schedulers
 from experiments.progress import WRITING, StageProgress
 from experiments.results.folders import changed_files
 from experiments.results.numbers import percent
@@ -490,13 +490,13 @@ def check_fronts_of(address, tiny, tmp_path):
     assert result.computed == 3
     for mine, theirs in zip(fronts_of(tiny / "city"), fronts_of(tmp_path / "city"), strict=True):
         assert mine.key == theirs.key
-        assert mine.points == theirs.points
+        assert (mine.front, mine.layouts) == (theirs.front, theirs.layouts)
 
 
 def tasks_of(path):
     city = job.load_city([path], SEARCH.reading, CityWish(budget_units=1))
     grid = job.build_grid(Question(), is_coarse=True)
-    tasks = job._Tasks(city, FEW_RUNS, SEARCH, grid, kept={}, seed=0)
+    tasks = job._Tasks(city, FEW_RUNS, SEARCH, grid, existing={}, seed=0)
     return [tasks.task(one) for one in city.junctions]
 
 
@@ -508,7 +508,7 @@ class Dying:
     def submit(self, function, task):
         self.times += 1
         future = Future()
-        future.set_exception(local_workers.WorkerDiedError("more than 1.5 GiB of memory"))
+        future.set_exception(city_workers.WorkerDiedError("more than 1.5 GiB of memory"))
         return future
 
     def wait(self, timeout_s):
@@ -535,7 +535,9 @@ def test_a_worker_that_is_killed_loses_nothing(tiny):
     with city_workers.start_workers(
         "", n_workers=2, memory="1.5GiB", tell=lambda sentence: None
     ) as workers:
-        killer = threading.Timer(1.0, lambda: os.kill(workers.pids()[0], signal.SIGKILL))
+        killer = threading.Timer(
+            1.0, lambda: os.kill(workers._workers[0].process.pid, signal.SIGKILL)
+        )
         killer.start()
         answers = [answer.record for _, answer in city_workers.run_junctions(workers, tasks)]
         killer.join()
@@ -584,7 +586,7 @@ def test_kill_9_loses_at_most_the_junctions_in_work_and_ends_the_workers(
     assert again.computed == list(done.values()).count(False)
     assert all((folder / "front.json").read_bytes() == text for folder, text in written.items())
     for mine, theirs in zip(fronts_of(tiny / "city"), fronts_of(city), strict=True):
-        assert (mine.key, mine.points) == (theirs.key, theirs.points)
+        assert (mine.key, mine.front, mine.layouts) == (theirs.key, theirs.front, theirs.layouts)
 
 
 def test_numbers_of_the_figure_are_those_of_the_result(tiny, city, never, no_pages):

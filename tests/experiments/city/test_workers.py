@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from experiments.jobs.local_workers import LocalWorkers, WorkerDiedError
+from experiments.city.workers import LocalWorkers, WorkerDiedError
 
 
 @pytest.fixture(scope="module")
@@ -23,12 +23,12 @@ def end_of(workers, function, task):
 
 def test_a_process_takes_one_task_after_the_other_and_survives_errors(workers):
     assert end_of(workers, abs, -3).result() == 3
-    pids = workers.pids()
+    pids = [one.process.pid for one in workers._workers]
     assert len(pids) == 1
     with pytest.raises(RuntimeError, match=r"^TypeError: bad operand"):
         end_of(workers, abs, "x").result()
     assert end_of(workers, abs, -4).result() == 4
-    assert workers.pids() == pids
+    assert [one.process.pid for one in workers._workers] == pids
 
 
 def test_a_process_that_dies_is_replaced(workers):
@@ -49,14 +49,14 @@ def test_no_process_listens_at_a_port(workers):
     import psutil
 
     end_of(workers, abs, -1)
-    for pid in workers.pids():
+    for pid in [one.process.pid for one in workers._workers]:
         assert not psutil.Process(pid).net_connections()
 
 
 def test_processes_end_with_their_workers():
     with LocalWorkers(2, max_bytes=2**30) as workers:
         futures = [workers.submit(time.sleep, 60.0) for _ in range(2)]
-        pids = workers.pids()
+        pids = [one.process.pid for one in workers._workers]
         assert len(pids) == 2
     assert not any(future.done() for future in futures)
     for pid in pids:
