@@ -127,17 +127,10 @@ def random_sets(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Corner:
-    """A corner of a junction: the place between two neighbouring arms.
+    """A corner of a junction: the place between two neighbouring arms."""
 
-    Attributes
-    ----------
-    arms : tuple of str
-        Names of the arms, counter-clockwise.
-    position_m : (2,) float
-        Midway between where the kerbs of both arms reach the junction. World frame. [m]
-    """
-
-    arms: tuple[str, str]
+    arms: tuple[str, str]  # names of the arms, counter-clockwise
+    # (2,): midway between where the kerbs of both arms reach the junction. World frame. [m]
     position_m: FloatArray
 
     def __post_init__(self) -> None:
@@ -262,25 +255,14 @@ def _most_direct(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Proposals:
-    """What to compare with, before anything is known of what it detects: rows of candidates.
+    """What to compare with, before anything is known of what it detects: rows of candidates."""
 
-    Attributes
-    ----------
-    n_units : int
-        Of each random layout; the expert's has at most as many.
-    random : tuple of tuple of int
-        See :func:`random_sets`.
-    forced : tuple of int
-        For each site that must carry a unit, the one there that looks at the junction's middle the
-        most directly.
-    corners : dict of str to int
-        See :func:`corner_poses`.
-    """
-
-    n_units: int
-    random: tuple[tuple[int, ...], ...]
+    n_units: int  # of each random layout; the expert's has at most as many
+    random: tuple[tuple[int, ...], ...]  # see :func:`random_sets`
+    # for each site that must carry a unit, the one there that looks at the junction's middle the
+    # most directly
     forced: tuple[int, ...]
-    corners: dict[str, int]
+    corners: dict[str, int]  # see :func:`corner_poses`
 
     @property
     def rows(self) -> tuple[int, ...]:

@@ -38,23 +38,12 @@ class District:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CityWishes:
-    """What a city asks of all junctions together.
+    """What a city asks of all junctions together."""
 
-    Attributes
-    ----------
-    budget_units : int, optional
-        At most so many new units.
-    budget_eur : float, optional
-        At most so much money. [EUR]
-    districts : sequence of District
-        Each reaches its APR.
-    least_apr : (n_junctions,) float, optional
-        APR that each junction reaches by itself; by default 0.
-    """
-
-    budget_units: int | None = None
-    budget_eur: float | None = None
-    districts: Sequence[District] = field(default_factory=tuple)
+    budget_units: int | None = None  # at most so many new units
+    budget_eur: float | None = None  # at most so much money. [EUR]
+    districts: Sequence[District] = field(default_factory=tuple)  # each reaches its APR
+    # (n_junctions,): APR that each junction reaches by itself; by default 0
     least_apr: FloatArray | None = None
 
     def __post_init__(self) -> None:
@@ -64,22 +53,14 @@ class CityWishes:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CityChoice:
-    """What each junction gets.
+    """What each junction gets."""
 
-    Attributes
-    ----------
-    rows : (n_junctions,) int
-        Row of the options, for each junction.
-    certificate : Certificate
-        A stage for each objective. The bound of the first holds for all layouts of all junctions,
-        those of the others for the points of the fronts.
-    bound_of_points : float
-        What no choice among the points exceeds in the first stage: what is between this and the
-        first stage's bound is what the fronts leave open.
-    """
-
-    rows: IntArray
+    rows: IntArray  # (n_junctions,): row of the options, for each junction
+    # a stage for each objective. The bound of the first holds for all layouts of all junctions,
+    # those of the others for the points of the fronts
     certificate: Certificate
+    # what no choice among the points exceeds in the first stage: what is between this and the first
+    # stage's bound is what the fronts leave open
     bound_of_points: float
 
 

@@ -79,21 +79,11 @@ def _compare(one: Point, other: Point) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JunctionFront:
-    """What a junction may get, and what no layout there exceeds.
+    """What a junction may get, and what no layout there exceeds."""
 
-    Attributes
-    ----------
-    points : tuple of Point
-        The first takes nothing.
-    by_units : tuple of (float, float)
-        From so many new units on, up to the next step, no layout has a higher APR.
-    by_cost : tuple of (float, float)
-        From so many euros on, up to the next step, no layout has a higher APR.
-    """
-
-    points: tuple[Point, ...]
-    by_units: Steps
-    by_cost: Steps
+    points: tuple[Point, ...]  # the first takes nothing
+    by_units: Steps  # from so many new units on, up to the next step, no layout has a higher APR
+    by_cost: Steps  # from so many euros on, up to the next step, no layout has a higher APR
 
     def __post_init__(self) -> None:
         if not self.points or self.points[0].units or self.points[0].cost_eur:
@@ -178,23 +168,13 @@ def lowered(steps: Sequence[tuple[float, float]]) -> Steps:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Options:
-    """What each of many junctions may get, one option per row.
+    """What each of many junctions may get, one option per row."""
 
-    Attributes
-    ----------
-    junction : (n,) int
-        Ascending, 0, 1, 2 ..; each junction has an option at least.
-    units : (n,) int
-        New units.
-    cost_eur : (n,) float
-        Of these. [EUR]
-    apr, apr_one_failed, smallest_margin_s, mean_margin_s : (n,) float
-        What the option is worth, see :class:`Point`.
-    """
-
-    junction: IntArray
-    units: IntArray
-    cost_eur: FloatArray
+    junction: IntArray  # (n,): ascending, 0, 1, 2 ..; each junction has an option at least
+    units: IntArray  # (n,): new units
+    cost_eur: FloatArray  # (n,): of these. [EUR]
+    # apr, apr_one_failed, smallest_margin_s, mean_margin_s: (n,): what the option is worth, see
+    # :class:`Point`
     apr: FloatArray
     apr_one_failed: FloatArray
     smallest_margin_s: FloatArray
@@ -290,18 +270,12 @@ _MAX_TIERS = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SiteFront:
-    """What so many sites with more units than one can do.
+    """What so many sites with more units than one can do."""
 
-    Attributes
-    ----------
-    limits : tuple of float
-        APR that no layout exceeds whose new units hang at 0, 1, 2 .. sites; more sites are not
-        bounded.
-    layouts : tuple of tuple of int
-        Good ones with fewer sites than new units: rows of the detection table, with those kept.
-    """
-
+    # APR that no layout exceeds whose new units hang at 0, 1, 2 .. sites; more sites are not
+    # bounded
     limits: tuple[float, ...]
+    # good ones with fewer sites than new units: rows of the detection table, with those kept
     layouts: tuple[tuple[int, ...], ...]
 
     def limit(self, n_sites: int) -> float:

@@ -51,25 +51,14 @@ class TimeUpError(RuntimeError):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class JunctionWishes:
-    """How a junction's front is looked for.
+    """How a junction's front is looked for."""
 
-    Attributes
-    ----------
-    grid : CandidateGrid
-        Poses at each site.
-    max_units : int
-        Most new units.
-    time_limit_s : float
-        For all of it; of what is left after the detection table, the optimiser takes what the
-        question allows it. [s]
-    existing : Layout, optional
-        What is mounted there already.
-    """
-
-    grid: CandidateGrid
-    max_units: int
+    grid: CandidateGrid  # poses at each site
+    max_units: int  # most new units
+    # for all of it; of what is left after the detection table, the optimiser takes what the
+    # question allows it. [s]
     time_limit_s: float
-    existing: Layout | None = None
+    existing: Layout | None = None  # what is mounted there already
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

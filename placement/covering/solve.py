@@ -38,28 +38,16 @@ from ..optimiser.tolerances import ROUNDING, common_step, settle
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CoveringInstance:
-    """A covering problem without its question: columns can be chosen, rows want to be covered.
+    """A covering problem without its question: columns can be chosen, rows want to be covered."""
 
-    Attributes
-    ----------
-    covers : (n_columns, n_rows) sparse bool
-        Whether a column (a pose) covers a row (a demand). Compressed by columns of the problem:
-        ``covers.indices[covers.indptr[c] : covers.indptr[c + 1]]`` are the rows that column c
-        covers, ascending. May be given as any array.
-    cost : (n_columns,) float
-        Price of each column, not negative.
-    weight : (n_rows,) float
-        What covering each row is worth, not negative.
-    names : tuple of str
-        Of the columns; empty if they have none.
-    numbered_from : int
-        The number of the first column where the instance comes from: 1 in OR-Library's files.
-    """
-
+    # (n_columns, n_rows): whether a column (a pose) covers a row (a demand). Compressed by columns
+    # of the problem: ``covers.indices[covers.indptr[c] : covers.indptr[c + 1]]`` are the rows that
+    # column c covers, ascending. May be given as any array
     covers: sp.csr_array
-    cost: FloatArray
-    weight: FloatArray
-    names: tuple[str, ...] = ()
+    cost: FloatArray  # (n_columns,): price of each column, not negative
+    weight: FloatArray  # (n_rows,): what covering each row is worth, not negative
+    names: tuple[str, ...] = ()  # of the columns; empty if they have none
+    # the number of the first column where the instance comes from: 1 in OR-Library's files
     numbered_from: int = 0
 
     def __post_init__(self) -> None:

@@ -206,23 +206,16 @@ _PROOF_SHARE = 0.4  # of the time: for the whole grid, when the search is over
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RefinementEffort:
-    """How hard to try.
+    """How hard to try."""
 
-    Attributes
-    ----------
-    n_rounds : int
-        At most so many rounds of new poses; fewer if three in a row improve nothing,
-        nor does an exact solution then.
-    n_pool : int
-        Poses of the grid that stay in the race for each unit's place, beside the best ones of
-        every site.
-    time_limit_s : float
-        Six tenths of it for rounds and steps, the rest for the proof at the end. Results are the
-        same again only where it is not reached. [s]
-    """
-
+    # at most so many rounds of new poses; fewer if three in a row improve nothing, nor does an
+    # exact solution then
     n_rounds: int = 10
+    # poses of the grid that stay in the race for each unit's place, beside the best ones of every
+    # site
     n_pool: int = 24
+    # six tenths of it for rounds and steps, the rest for the proof at the end. Results are the same
+    # again only where it is not reached. [s]
     time_limit_s: float = 60.0
 
     def __post_init__(self) -> None:

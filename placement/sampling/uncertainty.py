@@ -116,42 +116,23 @@ class VehicleKind:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StandingTraffic:
-    """Vehicles that stand at random: parked along the arms, and waiting to enter the junction.
+    """Vehicles that stand at random: parked along the arms, and waiting to enter the junction."""
 
-    Attributes
-    ----------
-    taken_share : float
-        Probability that a place in a parking lane is taken. 0 .. 1
-    waiting_share, following_share : float
-        Probability that somebody waits at the stop line of a lane; then, again and again, that
-        another one stands behind. 0 .. 1
-    vehicles : tuple of VehicleKind
-        What stands there; shares of each use sum to 1.
-    free_place_m : float
-        Length of a place that stays free. [m]
-    parked_gap_m, waiting_gap_m : float
-        From bumper to bumper. [m]
-    clear_of_mouth_m : float
-        No parking nearer to the junction. [m]
-    crosswalk_gap_m : float
-        From the line on which pedestrians cross an arm to the first bumper that waits. [m]
-    along_arm_m : float
-        Nobody stands farther from the junction. [m]
-    clearance_m : float
-        Nobody stands nearer to the way of a VUT or a VRU. [m]
-    """
-
-    taken_share: float = 0.0
+    taken_share: float = 0.0  # probability that a place in a parking lane is taken. 0 .. 1
+    # waiting_share, following_share: probability that somebody waits at the stop line of a lane;
+    # then, again and again, that another one stands behind. 0 .. 1
     waiting_share: float = 0.0
     following_share: float = 0.0
-    vehicles: tuple[VehicleKind, ...] = ()
-    free_place_m: float = 5.5
+    vehicles: tuple[VehicleKind, ...] = ()  # what stands there; shares of each use sum to 1
+    free_place_m: float = 5.5  # length of a place that stays free. [m]
+    # parked_gap_m, waiting_gap_m: from bumper to bumper. [m]
     parked_gap_m: float = 0.8
-    clear_of_mouth_m: float = 5.0
+    clear_of_mouth_m: float = 5.0  # no parking nearer to the junction. [m]
     waiting_gap_m: float = 2.0
+    # from the line on which pedestrians cross an arm to the first bumper that waits. [m]
     crosswalk_gap_m: float = 3.0
-    along_arm_m: float = 60.0
-    clearance_m: float = 0.5
+    along_arm_m: float = 60.0  # nobody stands farther from the junction. [m]
+    clearance_m: float = 0.5  # nobody stands nearer to the way of a VUT or a VRU. [m]
 
     def __post_init__(self) -> None:
         for name in ("taken_share", "waiting_share", "following_share"):
@@ -172,34 +153,18 @@ class StandingTraffic:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Uncertainty:
-    """All that is uncertain; by default nothing is.
+    """All that is uncertain; by default nothing is."""
 
-    Attributes
-    ----------
-    mounting : MountingErrors
-        How far off units are.
-    latency : LatencyJitter
-        How long messages take.
-    packet_loss : float
-        Probability that the message of one unit in one frame is lost; in place of the setting's.
-        0 .. 1
-    draws_detections : bool
-        Whether a planning detector that gives probabilities is drawn frame by frame.
-    traffic : StandingTraffic
-        What stands at random.
-    moving : MovingTraffic, optional
-        What drives by; see :func:`with_moving_traffic`.
-    name : str
-        What it is called in reports.
-    """
-
-    mounting: MountingErrors = field(default_factory=MountingErrors)
-    latency: LatencyJitter = field(default_factory=LatencyJitter)
+    mounting: MountingErrors = field(default_factory=MountingErrors)  # how far off units are
+    latency: LatencyJitter = field(default_factory=LatencyJitter)  # how long messages take
+    # probability that the message of one unit in one frame is lost; in place of the setting's. 0 ..
+    # 1
     packet_loss: float = 0.0
+    # whether a planning detector that gives probabilities is drawn frame by frame
     draws_detections: bool = False
-    traffic: StandingTraffic = field(default_factory=StandingTraffic)
-    moving: MovingTraffic | None = None
-    name: str = "none"
+    traffic: StandingTraffic = field(default_factory=StandingTraffic)  # what stands at random
+    moving: MovingTraffic | None = None  # what drives by; see :func:`with_moving_traffic`
+    name: str = "none"  # what it is called in reports
 
     def __post_init__(self) -> None:
         _check_range(self, "packet_loss", 1.0, "")

@@ -58,33 +58,17 @@ _OF_GRID = re.compile(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Mounts:
-    """Site, pose and sensor of each row of a problem's table, and the scene that it was made in.
+    """Site, pose and sensor of each row of a problem's table, and the scene that it was made in."""
 
-    Attributes
-    ----------
-    sites : tuple of str
-        Site of each pose; empty: none.
-    position_m : (n_poses, 3) float
-        World frame. [m]
-    yaw_deg, pitch_deg : (n_poses,) float
-        Counter-clockwise from east, positive up. [deg]
-    latency_s : (n_poses,) float
-        Of its own; NaN: that of the rule. [s]
-    sensor_index : (n_poses,) int
-        Row of `sensors`.
-    sensors : tuple of CameraModel or LidarModel
-        Models, complete.
-    scene_name, scene_sha256 : str
-        Name and :func:`scene_hash` of the scene.
-    """
-
-    sites: tuple[str, ...]
-    position_m: FloatArray
+    sites: tuple[str, ...]  # site of each pose; empty: none
+    position_m: FloatArray  # (n_poses, 3): world frame. [m]
+    # yaw_deg, pitch_deg: (n_poses,): counter-clockwise from east, positive up. [deg]
     yaw_deg: FloatArray
     pitch_deg: FloatArray
-    latency_s: FloatArray
-    sensor_index: IntArray
-    sensors: tuple[Sensor, ...]
+    latency_s: FloatArray  # (n_poses,): of its own; NaN: that of the rule. [s]
+    sensor_index: IntArray  # (n_poses,): row of `sensors`
+    sensors: tuple[Sensor, ...]  # models, complete
+    # scene_name, scene_sha256: name and :func:`scene_hash` of the scene
     scene_name: str
     scene_sha256: str
 
