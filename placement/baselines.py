@@ -27,7 +27,7 @@ _MOUTH_M = 10.0  # of a lane next to the junction that says where the lane leads
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RandomLayouts:
-    """What layouts of poses drawn at random prevent, on the detection table.
+    """Worth of layouts of poses drawn at random, on the detection table.
 
     Attributes
     ----------
@@ -255,7 +255,7 @@ def _most_direct(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Proposals:
-    """What to compare with, before anything is known of what it detects: rows of candidates."""
+    """Layouts to compare with, before their detections are known: rows of candidates."""
 
     n_units: int  # of each random layout; the expert's has at most as many
     random: tuple[tuple[int, ...], ...]  # see :func:`random_sets`
@@ -270,7 +270,7 @@ class Proposals:
         return tuple(sorted({*chain(*self.random), *self.forced, *self.corners.values()}))
 
     def among(self, rows: Sequence[int]) -> "Proposals":
-        """The same where some of the rows, these, are all that there are."""
+        """Proposals in terms of some of the rows, which have all that they need."""
         index = {row: number for number, row in enumerate(rows)}
         return replace(
             self,
@@ -305,7 +305,7 @@ def propose(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Baselines:
-    """What there is to compare a layout with.
+    """Layouts to compare a layout with.
 
     Attributes
     ----------
@@ -323,7 +323,7 @@ class Baselines:
 
 
 def judge_proposals(problem: PlacementProblem, proposals: Proposals) -> Baselines:
-    """What proposals are worth on a detection table, whose rows are theirs.
+    """Worth of proposals on a detection table, whose rows are theirs.
 
     The expert mounts what is forced, then a camera at each corner of the junction that looks at its
     middle: the corner whose camera prevents the most by itself comes first, of equal ones the first

@@ -116,7 +116,7 @@ def _write(path: Path, write: Callable[[BinaryIO], object], *, what: str) -> boo
 
 @cache
 def _is_usable(folder: Path) -> bool:
-    """Whether a folder can hold a cache, made if it is missing; says once if it cannot."""
+    """True if a folder can hold a cache, made if it is missing; says once if it cannot."""
     trouble = trouble_with(folder)
     if trouble:
         _log.warning("nothing is cached: %s %s", folder, trouble)
@@ -249,7 +249,7 @@ def cached_value(
     classes: Sequence[type] = (),
     is_worth_it: Callable[[_T], bool] = lambda value: True,
 ) -> _T:
-    """What `make` gives, from the last call that asked for the same.
+    """Value of `make`, from the last call that asked for the same.
 
     Parameters
     ----------
@@ -422,7 +422,7 @@ class _Reader:
         self._made: dict[int, Any] = {}
 
     def value(self, plain: Any, hint: Any) -> Any:
-        """What a hint says of a plain value; ValueError if that is of another kind."""
+        """Value of a type hint from plain data; ValueError if that is of another kind."""
         origin, hints = get_origin(hint), get_args(hint)
         if origin in (Union, UnionType):
             return None if plain is None else self.value(plain, *_without_none(hints))

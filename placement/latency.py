@@ -66,7 +66,7 @@ class LatencyPart:
 
     @property
     def is_fixed(self) -> bool:
-        """Whether it always takes the same time."""
+        """True if it always takes the same time."""
         return self.low_s == self.high_s
 
 

@@ -1,4 +1,4 @@
-"""How much memory something needs, and what this machine has: told before anything long starts."""
+"""Memory that something needs and that this machine has, checked before anything long starts."""
 
 import os
 import sys
@@ -44,7 +44,7 @@ def machine_bytes() -> int | None:
     """Memory that this process may use: the machine's, or less where a limit is set.
 
     Limits are those of a container (control groups) and of the shell (``ulimit -v``). None where
-    the system tells nothing.
+    the system does not say.
     """
     sizes = []
     if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
@@ -68,7 +68,7 @@ def machine_bytes() -> int | None:
 def available_bytes() -> int:
     """Memory that can still be had: what the system says is free, within :func:`machine_bytes`.
 
-    Where the system tells nothing, as much as a size can say.
+    Where the system does not say, as much as a size can hold.
     """
     sizes = [machine_bytes() or sys.maxsize]
     try:

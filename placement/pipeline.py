@@ -49,7 +49,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Assembly:
-    """What every answer needs of a question; the table and the problem are made once, when asked.
+    """A question made ready for every answer; table and problem are made once, when asked for.
 
     Another assembly with other candidates or wishes is made by ``dataclasses.replace``.
 
@@ -60,7 +60,7 @@ class Assembly:
     candidates : tuple of CandidatePose
         Poses to choose from: rows of the table. Ids are unique.
     wishes : Wishes
-        What is asked of a layout.
+        Demands on a layout.
     fusion : {"any", "single"}
         "any": a frame counts if any unit detects; "single": one unit must confirm alone.
     effort : Effort
@@ -293,7 +293,7 @@ def build_effort(question: Question) -> Effort:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Placement:
-    """What the optimiser found, and what it was found in.
+    """Result of the optimiser, and the problem that it solved.
 
     Attributes
     ----------

@@ -38,7 +38,7 @@ class District:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CityWishes:
-    """What a city asks of all junctions together."""
+    """Demands of a city on all junctions together."""
 
     budget_units: int | None = None  # at most so many new units
     budget_eur: float | None = None  # at most so much money. [EUR]
@@ -53,7 +53,7 @@ class CityWishes:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CityChoice:
-    """What each junction gets."""
+    """Option that each junction gets."""
 
     rows: IntArray  # (n_junctions,): row of the options, for each junction
     # a stage for each objective. The bound of the first holds for all layouts of all junctions,
@@ -144,7 +144,7 @@ def choose(
 
 
 def city_values(options: Options, rows: IntArray, weight: FloatArray) -> dict[Objective, float]:
-    """What a choice is worth, objective by objective; 0 where nothing is prevented."""
+    """Worth of a choice, objective by objective; 0 where nothing is prevented."""
     taken = options.taken(rows)
     share = weight / weight.sum()
     return _values(taken, share)
@@ -491,7 +491,7 @@ def plan_phases(
     """Spread units over years.
 
     At most so many units are mounted in a year. A junction counts from the year in which its last
-    unit is mounted: its units may hang in two years. The order is the one with the largest sum of
+    unit is mounted: its units may come in two years. The order is the one with the largest sum of
     gains over the years in which they are there: a mixed-integer model, or for thousands of
     junctions those with the largest gain per unit first (Smith, 1956), with the bound of the order
     in which units may be divided.

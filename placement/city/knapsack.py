@@ -47,14 +47,14 @@ class Knapsack:
         return starts
 
     def is_within(self, chosen: IntArray) -> bool:
-        """Whether a choice, one option per group, keeps the limits but for rounding."""
+        """True if a choice, one option per group, keeps the limits but for rounding."""
         room = _ROUNDING * np.maximum(1.0, np.abs(self.rows[:, chosen]).sum(axis=1))
         return bool((self.rows[:, chosen].sum(axis=1) <= self.limits + room).all())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Choice:
-    """What was chosen."""
+    """Options that were chosen."""
 
     # (n_groups,): option of each group; None: nothing was found within the time, or `bound` is
     # minus infinity and nothing keeps the limits

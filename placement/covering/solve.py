@@ -144,7 +144,7 @@ def _amounts(values: FloatArray, n: int, name: str) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CoveringBudget:
-    """What may be chosen."""
+    """Limits on what may be chosen."""
 
     units: int | None = None  # at most so many columns; by default any number
     cost: float | None = None  # at most so much money; by default any
@@ -163,7 +163,7 @@ class CoveringBudget:
         return math.inf if self.cost is None else self.cost * (1.0 + ROUNDING)
 
     def allows(self, cost: ArrayLike) -> bool:
-        """Whether columns at these costs may be chosen together."""
+        """True if columns at these costs may be chosen together."""
         costs = np.asarray(cost, dtype=np.float64)
         return (self.units is None or len(costs) <= self.units) and bool(costs.sum() <= self.money)
 
@@ -213,7 +213,7 @@ def needed_weight(instance: CoveringInstance, target: float | None) -> float | N
 
 
 def is_whole(amounts: FloatArray) -> bool:
-    """Whether all are whole numbers, so that their sums are, too."""
+    """True if all are whole numbers, so that their sums are, too."""
     return bool((amounts == np.round(amounts)).all())
 
 
@@ -277,7 +277,7 @@ class CoveringSolution:
 
     @property
     def is_proven(self) -> bool:
-        """Whether the objective is proven to be the best there is."""
+        """True if the objective is proven to be the best there is."""
         return self.gap == 0.0
 
 
@@ -384,7 +384,7 @@ def solver_text() -> str:
 
 
 def _has_proof(solver: str, instance: CoveringInstance) -> bool:
-    """Whether a solver proves its answers, by its name.
+    """True if a solver proves its answers, by its name.
 
     Raises InputError: there is no such solver, or no memory for it.
     """
@@ -608,7 +608,7 @@ def _stack(times_covered: sp.csr_array, *rows: FloatArray) -> sp.csr_array:
 
 
 def _unit(coefficients: FloatArray) -> float:
-    """What to divide an objective by; whole numbers of an ordinary size stay whole."""
+    """Divisor of an objective; whole numbers of an ordinary size stay whole."""
     total = float(coefficients.sum())
     if total == 0.0 or (is_whole(coefficients) and total <= _LARGEST_SUM):
         return 1.0

@@ -65,7 +65,7 @@ def stage_values(problem: PlacementProblem, pose_index: Sequence[int]) -> tuple[
 
 
 def improves(values: Sequence[StageValue], others: Sequence[StageValue]) -> bool:
-    """Whether the first difference that exceeds rounding noise favours `values`.
+    """True if the first difference that exceeds rounding noise favours `values`.
 
     Examples
     --------
@@ -80,7 +80,7 @@ def improves(values: Sequence[StageValue], others: Sequence[StageValue]) -> bool
 
 
 def certify(values: Sequence[StageValue], certificate: Certificate, solver: str) -> Certificate:
-    """The bounds of a certificate, beside a set of poses that is as good as its layout or better.
+    """The bounds of a certificate for a set of poses that is as good as its layout or better.
 
     `values` are those of a set within the certificate's problem. A bound holds for all sets that
     are as good in the stages before as the certificate's layout, and so for those that are as good
@@ -435,7 +435,7 @@ class Refinement:
 
     @property
     def is_improved(self) -> bool:
-        """Whether a better layout was found."""
+        """True if a better layout was found."""
         return bool(self.moves)
 
     def __repr__(self) -> str:
@@ -467,7 +467,7 @@ def refine(
     solver : Effort, optional
         Of the optimiser; its time limit is shortened where that of `effort` leaves less.
     compute : Compute
-        Threads, who is told the progress, and the seed of the new poses and of the points on the
+        Threads, progress, and the seed of the new poses and of the points on the
         VRUs: that of the table.
 
     Returns
@@ -476,7 +476,7 @@ def refine(
         Never worse, in the order of the problem's stages. Poses around the chosen ones and poses
         aimed at what is seen too late are added to the promising ones of the grid, and the problem
         is solved again on these, until that improves nothing; then the units are turned in small
-        steps where they hang.
+        steps where they are.
 
     Raises
     ------

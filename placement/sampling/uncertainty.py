@@ -101,7 +101,7 @@ class LatencyJitter:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class VehicleKind:
-    """A kind of vehicle that stands beside the road or waits on it."""
+    """A kind of vehicle that stands at the roadside or waits on the road."""
 
     actor: Actor  # its body
     # parked_share, waiting_share: of all that are parked, and of all that wait: so many are of this
@@ -147,7 +147,7 @@ class StandingTraffic:
 
     @property
     def is_empty(self) -> bool:
-        """Whether nobody stands anywhere."""
+        """True if nobody stands anywhere."""
         return self.taken_share == 0.0 == self.waiting_share
 
 
@@ -176,7 +176,7 @@ class Uncertainty:
 
 
 def with_moving_traffic(uncertainty: Uncertainty, moving: MovingTraffic) -> Uncertainty:
-    """The same with vehicles that drive by, and none drawn at the stop lines: these wait, too."""
+    """Uncertainty with vehicles that drive by, which replace those drawn at the stop lines."""
     standing = replace(uncertainty.traffic, waiting_share=0.0, following_share=0.0)
     return replace(uncertainty, moving=moving, traffic=standing)
 
@@ -252,7 +252,7 @@ def load_uncertainty(
 
 
 def load_drawn(question: Question, scene: Scene, *, n_samples: int) -> Uncertainty:
-    """What a question draws in so many sampled worlds of a scene: `uncertainty` and `traffic`.
+    """Uncertainty and traffic that a question draws in so many sampled worlds of a scene.
 
     Raises InputError as :func:`load_uncertainty` and :func:`.load_traffic`, or where traffic is
     given and no world is sampled; MissingExtraError where SUMO is asked for and not installed.

@@ -247,9 +247,7 @@ def test_districts_areas_and_years(tiny, city, never, tmp_path, no_pages):
     assert at.apr >= 0.3
     served = run(tiny / "tiny.osm", city, budget_units=1, districts=middle, min_district_apr=0.3)
     assert [one.units for one in served.junctions if one.district == "middle"] == [1]
-    with pytest.raises(
-        InputError, match=r"budget_eur: got 10.0; expected at least [\d,]+ EUR, to"
-    ):
+    with pytest.raises(InputError, match=r"budget_eur: got 10.0; expected at least [\d,]+ EUR, to"):
         run(tiny / "tiny.osm", city, budget_eur=10.0, districts=middle, min_district_apr=0.3)
     years = run(tiny / "tiny.osm", city, budget_units=3, units_per_year=1)
     assert sorted(one.year for one in years.junctions if one.units)[-1] == years.units

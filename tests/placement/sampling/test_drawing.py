@@ -31,7 +31,7 @@ def _first(setting, poses, uncertainty, seed=0):
     return next(iter(draw_samples(setting, poses, uncertainty, n_samples=1, seed=seed)))
 
 
-# Luck from frame to frame
+# RandomStreams from frame to frame
 
 
 def _noise(frames, correlation, seed):

@@ -17,13 +17,13 @@ from placement.sampling.traffic import (
     group_key,
     stop_line_m,
 )
-from placement.sampling.worlds import Luck
+from placement.sampling.worlds import RandomStreams
 from scenarios.cases import load_cases
 from scenarios.runs import build_runs
 
 
 def _rng(index=0, seed=3):
-    return Luck(seed=seed, purpose="choose", index=index).rng
+    return RandomStreams(seed=seed, purpose="choose", index=index).rng
 
 
 def _traffic(*, body="parked-van", **fields):
