@@ -40,7 +40,8 @@ from .optimiser import (
 )
 from .optimiser.problem import Fusion
 from .question import Question
-from .sampling import SampledTable, Uncertainty, load_drawn, obtain_table, sampled_table
+from .sampling.tables import SampledTable, obtain_table, sampled_table
+from .sampling.uncertainty import Uncertainty, load_drawn
 from .setting import Setting, build_setting
 from .wishes import Wishes, build_limits, build_problem, read_wishes
 

@@ -13,7 +13,7 @@ from experiments.cli.main import cli
 from geometry.catalogue import load_catalogue
 from geometry.maps.site_files import read_sites
 from placement.latency import load_latency_budget
-from placement.sampling import load_uncertainty
+from placement.sampling.uncertainty import load_uncertainty
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

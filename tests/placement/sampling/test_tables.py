@@ -10,18 +10,16 @@ from geometry.actors import Actor
 from geometry.errors import InputError
 from placement.compute import Compute
 from placement.detectors import load_planning_detector
-from placement.sampling import (
+from placement.sampling.tables import SampledTable, _append, build_sample_tables, sampled_table
+from placement.sampling.uncertainty import (
     LatencyJitter,
     MountingErrors,
-    SampledTable,
     StandingTraffic,
     Uncertainty,
     VehicleKind,
-    draw_samples,
     load_uncertainty,
-    sampled_table,
 )
-from placement.sampling.tables import _append, build_sample_tables
+from placement.sampling.worlds import draw_samples
 from placement.visibility import build_detection_table
 from scenarios.runs import live_confirmation_times_s
 

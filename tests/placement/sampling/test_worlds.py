@@ -5,13 +5,8 @@ import pytest
 
 from geometry.errors import InputError
 from geometry.poses import Pose
-from placement.sampling import (
-    LatencyJitter,
-    MountingErrors,
-    Uncertainty,
-    draw_samples,
-)
-from placement.sampling.worlds import RandomStreams, mount_key, pose_key
+from placement.sampling.uncertainty import LatencyJitter, MountingErrors, Uncertainty
+from placement.sampling.worlds import RandomStreams, draw_samples, mount_key, pose_key
 
 
 def _offsets(sample):
