@@ -74,27 +74,9 @@ def random_sets(
     Each begins with the poses that are forced. Then one pose after the other is drawn, any of those
     that the limits still admit as likely as another. What cannot be completed is drawn anew.
 
-    Parameters
-    ----------
-    limits : Limits
-        What may be mounted together; no set exceeds them.
-    n_units : int
-        Poses of each set, those that are forced among them.
-    n : int
-        Sets to draw.
-    rng : Generator
-        Of random numbers: the same one gives the same sets.
-
-    Returns
-    -------
-    sets : tuple of tuple of int
-        Rows, ascending. A set may be drawn twice. There are fewer where the limits leave hardly any
-        set of that size, or none.
-
-    Raises
-    ------
-    InputError
-        A number is below 1.
+    There are `n` sets, each of `n_units` ascending rows, the forced ones among them; fewer where
+    the limits leave hardly any set of that size, or none. A set may be drawn twice. Raises
+    InputError for a number below 1.
     """
     for where, number in (("n_units", n_units), ("n", n)):
         if number < 1:

@@ -251,29 +251,11 @@ def cached_value(
 ) -> _T:
     """Value of `make`, from the last call that asked for the same.
 
-    Parameters
-    ----------
-    folder : Path, optional
-        Where it is cached; None: nowhere.
-    name : str
-        Of the value, in messages and in the file's name.
-    make : function
-        Makes it, from nothing but `made_from` and what the packages hold.
-    kind : type hint
-        Of the value; see :mod:`placement.cache`.
-    made_from : sequence of object
-        See :class:`Fingerprints`.
-    packages : sequence of str
-        Whose code and data make it: any change of their files makes it anew.
-    classes : sequence of type
-        Dataclasses that stand where the hints of `kind` name a protocol.
-    is_worth_it : function
-        Whether a value is cached, such as one that needed no more time than it was given.
-
-    Returns
-    -------
-    value : object
-        Equal to what `make` gives, and arrays that are read-only there are so here.
+    It is cached in `folder`, or nowhere. `make` uses nothing but `made_from` (see
+    :class:`Fingerprints`) and what the `packages` hold: any change of their files makes it anew.
+    `kind` is the value's type hint; `classes` are dataclasses that stand where it names a protocol.
+    Only a value that `is_worth_it` is cached, such as one that needed no more time than it was
+    given. Arrays that are read-only stay so.
     """
     if folder is None:
         return make()

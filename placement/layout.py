@@ -501,23 +501,11 @@ def unit_record(
 ) -> dict[str, Any]:
     """A unit as a layout file has it, out of what people write.
 
-    Parameters
-    ----------
-    values : mapping
-        id; site (may be empty); lat and lon, or x and y in the scene's frame, or neither: at the
-        site; height above the ground, or z; bearing clockwise from north, or yaw; tilt, positive
-        down, or pitch; model. Case and units at the end of a name do not matter.
-    where : str
-        What is read, for error messages.
-    scene : Scene
-        Says where on earth it lies, how high the ground is, and its sites.
-    sensors : mapping of str to Sensor
-        Models in addition to those of the catalogue.
-
-    Raises
-    ------
-    InputError
-        A field is missing or not of its kind, a site or a model is unknown.
+    `values` are id; site (may be empty); lat and lon, or x and y in the scene's frame, or neither:
+    at the site; height above the ground, or z; bearing clockwise from north, or yaw; tilt, positive
+    down, or pitch; model. Case and units at the end of a name do not matter. `sensors` are models
+    in addition to those of the catalogue. Raises InputError where a field is missing or not of its
+    kind, a site or a model is unknown.
     """
     columns = known_columns(list(values), where, _FIELDS)
     row = {field: values[name] for name, field in columns.items()}

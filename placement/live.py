@@ -130,20 +130,9 @@ def _row_key(unit: CandidatePose) -> _Key:
 def table_verdict(units: Sequence[CandidatePose], detected: BoolArray, setting: Setting) -> Verdict:
     """Verdict on all units together by the detection table, without the VUT's own sensors.
 
-    Parameters
-    ----------
-    units : sequence of CandidatePose
-        Their latencies count.
-    detected : (n_units, n_frames) bool
-        As :meth:`LiveTable.detected` has them.
-    setting : Setting
-        Runs and braking rule.
-
-    Returns
-    -------
-    verdict : Verdict
-        As the optimiser reads the table: a run is avoided if a confirmed track is alive at the
-        last moment. The evaluator asks pixels and bodies instead.
+    `detected`, (n_units, n_frames) bool, is that of :meth:`LiveTable.detected`. The table is read
+    as by the optimiser: a run is avoided if a confirmed track is alive at the last moment. The
+    evaluator asks pixels and bodies instead.
     """
     axis, rule = setting.axis, setting.rule
     parties = [(row, unit.latency(rule)) for unit, row in zip(units, detected, strict=True)]

@@ -214,15 +214,7 @@ def assemble(
     if existing is None:
         existing = _named_layout(question.keep, "keep", scene, question.sensors)
     units = () if existing is None else existing.units
-    within = _named_layout(question.within, "within", scene, question.sensors)
-    if within is not None:
-        candidates = _distinct(within.units, units)
-    elif grid is not None:
-        candidates = build_candidates(scene, grid, extra=units)
-    else:
-        study = find_baseline(scene)
-        extra = _distinct(() if study is None else study.units, units)
-        candidates = build_candidates(scene, build_grid(question), extra=extra)
+    candidates = _candidates(question, scene, grid, units)
     private_ground, may_look = None, None
     if question.no_look:
         private_ground = load_private_ground(Path(question.no_look), scene)
@@ -263,6 +255,19 @@ def _check_together(question: Question) -> None:
             raise InputError("refine", got, "one of them: poses stay as they are")
     if question.no_look_share and not question.no_look:
         raise InputError("no_look_share", question.no_look_share, "`no_look` beside it")
+
+
+def _candidates(
+    question: Question, scene: Scene, grid: CandidateGrid | None, existing: Sequence[CandidatePose]
+) -> tuple[CandidatePose, ...]:
+    within = _named_layout(question.within, "within", scene, question.sensors)
+    if within is not None:
+        return _distinct(within.units, existing)
+    if grid is not None:
+        return build_candidates(scene, grid, extra=existing)
+    study = find_baseline(scene)
+    extra = _distinct(() if study is None else study.units, existing)
+    return build_candidates(scene, build_grid(question), extra=extra)
 
 
 def _named_layout(name: str, where: str, scene: Scene, sensors: str) -> Layout | None:

@@ -74,35 +74,13 @@ def choose(
     gap: float = 0.0,
     time_limit_s: float = 60.0,
 ) -> CityChoice:
-    """The best choice of one option for each junction.
+    """The best choice of one option for each junction, with its certificate.
 
-    Parameters
-    ----------
-    options : Options
-        Points of the junctions' fronts.
-    weight : (n_junctions,) float
-        Of each junction's accidents; their sum is not 0.
-    wishes : CityWishes
-        Budgets, and what has to be reached.
-    bounds : Options, optional
-        See :func:`placement.city.fronts.stack_bounds`; by default the points, which are then taken
-        for all that there is.
-    names : sequence of str
-        Of the junctions, for messages.
-    gap : float
-        Relative gap at which a stage counts as settled.
-    time_limit_s : float
-        For all stages. [s]
-
-    Returns
-    -------
-    choice : CityChoice
-        With its certificate.
-
-    Raises
-    ------
-    InputError
-        A least APR cannot be reached, or not within the budgets; the message says what it takes.
+    `options` are the points of the junctions' fronts, `weight` (n_junctions,) is that of each
+    junction's accidents, `bounds` are those of :func:`placement.city.fronts.stack_bounds`, by
+    default the points, which are then taken for all that there is. A stage counts as settled at a
+    relative `gap`; `time_limit_s` is for all stages. Raises InputError where a least APR cannot be
+    reached, or not within the budgets; the message says what it takes.
     """
     end_s = now_s() + time_limit_s
     share = weight / weight.sum()
@@ -415,14 +393,8 @@ def city_front(options: Options, weight: FloatArray, *, by_cost: bool) -> list[S
     Each step's choice is the best one of all for what it takes, as every choice is that is best at
     some price [1]_; between two steps there are other choices, which the knapsack finds.
 
-    Parameters
-    ----------
-    options : Options
-        Points of the junctions' fronts; the first of each takes nothing.
-    weight : (n_junctions,) float
-        Of each junction's accidents.
-    by_cost : bool
-        Whether euros are counted; else units.
+    The first option of each junction takes nothing; `weight` (n_junctions,) is that of each
+    junction's accidents. Either euros or units are counted.
 
     References
     ----------
@@ -494,21 +466,8 @@ def plan_phases(
     unit is mounted: its units may come in two years. The order is the one with the largest sum of
     gains over the years in which they are there: a mixed-integer model, or for thousands of
     junctions those with the largest gain per unit first (Smith, 1956), with the bound of the order
-    in which units may be divided.
-
-    Parameters
-    ----------
-    units, gain : (n,)
-        Of each junction; the gain is at least 0.
-    units_per_year : int
-        At least 1.
-    years : int, optional
-        By default as many as it takes.
-
-    Raises
-    ------
-    InputError
-        The years do not suffice.
+    in which units may be divided. `units` and `gain`, (n,), are those of each junction; there are
+    by default as many years as it takes. Raises InputError if the years do not suffice.
     """
     total = int(units.sum())
     needed = -(-total // units_per_year)

@@ -299,22 +299,9 @@ def front_by_sites(
 ) -> SiteFront:
     """Layouts of more new units than sites, and what bounds them.
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        Without floors; its prices do not count.
-    base_apr : float
-        Of the existing units.
-    max_units : int
-        New ones.
-    effort : callable
-        What the next step may take.
-
-    Returns
-    -------
-    front : SiteFront
-        With bounds up to as many sites as can carry `max_units`; without any where each unit has
-        to confirm alone.
+    The problem has no floors, and its prices do not count. `base_apr` is that of the existing
+    units; `effort` says what the next step may take. There are bounds up to as many sites as can
+    carry `max_units` new units; none where each unit has to confirm alone.
     """
     limits = problem.limits
     room = rooms_of(limits)
@@ -374,26 +361,17 @@ def bounds_by_money(limits: Limits, tiers: Sequence[tuple[float, Steps, SiteFron
     So many new units at so many sites, the dearest of which is of some tier, cost at least what the
     cheapest ones and one site of that tier do; they do no more than what sites up to that tier can.
 
-    Parameters
-    ----------
-    limits : Limits
-        With prices, and a number of units.
-    tiers : sequence of (euros, Steps, SiteFront)
-        Lowest price of a site of the tier; bounds by new units, and by their sites, where no site
-        is dearer than those of the tier. The first one has all sites.
-
-    Returns
-    -------
-    by_cost : sequence of (from, APR)
-        Steps that rise. [EUR]
+    Of each tier: the lowest price of its sites in euros; bounds by new units, and by their sites,
+    where no site is dearer than those of the tier. The first one has all sites. The limits have
+    prices and a number of units.
     """
     free = ~limits.is_forbidden & ~limits.is_forced
     room = rooms_of(limits)
     units = np.cumsum(np.sort(limits.unit_cost_eur[free]))
     cheapest = np.cumsum([0.0, *np.sort(limits.site_cost_eur[room > 0])])
     carried = np.cumsum(np.sort(room[room > 0])[::-1])
-    assert limits.budget_units is not None
-    max_units = limits.budget_units - int(limits.is_forced.sum())
+    max_units = limits.budget_new_units
+    assert max_units is not None
     least = {0.0: tiers[0][1][0][1]}
     for own_eur, by_units, by_sites in tiers:
         for n_sites, most in enumerate(carried, start=1):

@@ -164,24 +164,10 @@ def find_front(
 ) -> tuple[JunctionFront, list[tuple[int, ...]]]:
     """Front of what units and money buy, and the layout of each point.
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        With a number of units, the existing ones among them, and without floors.
-    effort : callable
-        What the next step may take.
-    begin : callable
-        Called with each step.
-    first : (n,) int, optional
-        Few of the poses, the existing ones among them, whose own front is found first: no point
-        is worse than what they can do.
-
-    Returns
-    -------
-    front : JunctionFront
-        The first point takes nothing.
-    layouts : list of tuple of int
-        Rows of the detection table, with the existing ones.
+    The problem has a number of units, the existing ones among them, and no floors. `effort` says
+    what the next step may take, `begin` is called with each step. The front of the poses `first`,
+    (n,), the existing ones among them, is found first: no point is worse than what they can do. The
+    first point takes nothing; layouts are rows of the detection table, with the existing ones.
     """
     limits = problem.limits
     forced = tuple(np.flatnonzero(limits.is_forced).tolist())

@@ -72,23 +72,9 @@ def solve_knapsack(
     time_limit_s: float = 60.0,
     core_options: int = CORE_OPTIONS,
 ) -> Choice:
-    """Choose one option of each group.
+    """Choose one option of each group, up to a relative gap, within a time in seconds.
 
-    Parameters
-    ----------
-    problem : Knapsack
-        At least one option in each group.
-    gap : float
-        Relative distance of objective and bound at which it is good enough.
-    time_limit_s : float
-        For all of it. [s]
-    core_options : int
-        Options that the solver is handed at first.
-
-    Returns
-    -------
-    choice : Choice
-        Bounds hold for all choices, whatever the core.
+    The solver is handed `core_options` at first; bounds hold for all choices, whatever the core.
     """
     end_s = now_s() + time_limit_s
     if len(problem.group) <= core_options:

@@ -194,22 +194,6 @@ class FreshWorlds:
     driving: TrafficCount  # vehicles that drove by, in all of them
 
 
-def out_of_sample(
-    setting: Setting,
-    layout: Layout,
-    uncertainty: Uncertainty,
-    *,
-    n_samples: int,
-    fusion: str = "any",
-    compute: Compute = DEFAULT_COMPUTE,
-) -> SampledApr:
-    """Evaluate one layout in new worlds; see :func:`out_of_sample_layouts`."""
-    (judged,) = out_of_sample_layouts(
-        setting, [layout], uncertainty, n_samples=n_samples, fusion=fusion, compute=compute
-    )
-    return judged
-
-
 def out_of_sample_layouts(
     setting: Setting,
     layouts: Sequence[Layout],

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
+from geometry.arrays import FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
 from geometry.lidar import LidarModel
 from scenarios.runs import FrameAxis
@@ -195,16 +195,6 @@ class SampledTable:
         if sorted(set(index.tolist())) != list(range(self.n_samples)):
             raise InputError("sample_index", index.tolist(), f"0 .. {self.n_samples - 1}, each")
         object.__setattr__(self, "sample_index", freeze(index))
-
-    def apr_by_sample(self, is_avoided: BoolArray) -> FloatArray:
-        """Accident prevention ratio in each world, (n_samples,), of (n_runs,) avoided runs."""
-        weight = self.table.axis.weight
-        every, avoided = (
-            np.bincount(self.sample_index, weights=counted, minlength=self.n_samples)
-            for counted in (weight, weight * np.asarray(is_avoided, dtype=bool))
-        )
-        apr: FloatArray = avoided / every
-        return apr
 
     def __repr__(self) -> str:
         return f"SampledTable({self.n_samples} samples, {self.table!r})"

@@ -23,6 +23,18 @@ from .moving import MovingTraffic, load_traffic
 # ---------- kinds of uncertainty
 
 
+_LENGTHS = (
+    "free_place_m",
+    "parked_gap_m",
+    "clear_of_mouth_m",
+    "waiting_gap_m",
+    "crosswalk_gap_m",
+    "along_arm_m",
+    "clearance_m",
+)
+_TRAFFIC = ("taken_share", "waiting_share", "following_share", *_LENGTHS)
+
+
 DISTRIBUTIONS = ("gamma", "uniform")
 DRAWN_PER = ("run", "sample")
 _MAX_ANGLE_SD_DEG = 30.0
@@ -135,7 +147,7 @@ class StandingTraffic:
     clearance_m: float = 0.5  # nobody stands nearer to the way of a VUT or a VRU. [m]
 
     def __post_init__(self) -> None:
-        for name in ("taken_share", "waiting_share", "following_share"):
+        for name in _TRAFFIC[:3]:
             _check_range(self, name, 1.0, "")
         for name in _LENGTHS:
             _check_range(self, name, _MAX_LENGTH_M, "metres")
@@ -181,17 +193,6 @@ def with_moving_traffic(uncertainty: Uncertainty, moving: MovingTraffic) -> Unce
     return replace(uncertainty, moving=moving, traffic=standing)
 
 
-_LENGTHS = (
-    "free_place_m",
-    "parked_gap_m",
-    "clear_of_mouth_m",
-    "waiting_gap_m",
-    "crosswalk_gap_m",
-    "along_arm_m",
-    "clearance_m",
-)
-
-
 def _check_mix(vehicles: Sequence[VehicleKind], use: str) -> None:
     if not vehicles:
         raise InputError("vehicles", Unquoted("none"), "at least one kind of vehicle")
@@ -218,18 +219,6 @@ DEFAULT_UNCERTAINTY = UNCERTAINTY_NAMES[0]
 _FILE = "uncertainty.toml"
 _SECTIONS = ("mounting", "latency", "messages", "detector", "traffic", "vehicles")
 _MOUNTING = ("yaw_sd_deg", "pitch_sd_deg", "height_sd_m")
-_TRAFFIC = (
-    "taken_share",
-    "waiting_share",
-    "following_share",
-    "free_place_m",
-    "parked_gap_m",
-    "clear_of_mouth_m",
-    "waiting_gap_m",
-    "crosswalk_gap_m",
-    "along_arm_m",
-    "clearance_m",
-)
 _SHARES = ("parked_share", "waiting_share")
 _T = TypeVar("_T")
 
@@ -276,27 +265,21 @@ def _load_named(name: str) -> Uncertainty:
 
 def _read(document: Table, name: str, prefix: str) -> Uncertainty:
     _refuse_unknown(document, _SECTIONS, prefix.rstrip(".: "))
-    sections = {key: _section(document, key, prefix) for key in _SECTIONS if key != "vehicles"}
     vehicles = _read_vehicles(document, prefix)
-    traffic = sections["traffic"]
-    where = f"{prefix}traffic"
-    fields: dict[str, Any] = {}
-    if traffic is not None:
-        _refuse_unknown(traffic, _TRAFFIC, where)
-        fields = {key: take_number(traffic, key, where) for key in _TRAFFIC}
-    elif vehicles:
+    if vehicles and "traffic" not in document:
         raise InputError(f"{prefix}vehicles", Unquoted("no section traffic"), "where they stand")
-    return _named(
-        prefix,
-        lambda: Uncertainty(
-            name=name,
-            mounting=_read_mounting(sections["mounting"], f"{prefix}mounting"),
-            latency=_read_latency(sections["latency"], f"{prefix}latency"),
-            packet_loss=_read_loss(sections["messages"], f"{prefix}messages"),
-            draws_detections=_read_is_drawn(sections["detector"], f"{prefix}detector"),
-            traffic=_named(f"{where}.", lambda: StandingTraffic(vehicles=vehicles, **fields)),
+    errors = _numbers(document, "mounting", _MOUNTING, prefix)
+    messages = _numbers(document, "messages", ("packet_loss",), prefix)
+    street = _numbers(document, "traffic", _TRAFFIC, prefix)
+    parts = {
+        "mounting": _named(f"{prefix}mounting.", partial(MountingErrors, **errors)),
+        "latency": _read_latency(_section(document, "latency", prefix), f"{prefix}latency"),
+        "draws_detections": _read_is_drawn(document, prefix),
+        "traffic": _named(
+            f"{prefix}traffic.", partial(StandingTraffic, vehicles=vehicles, **street)
         ),
-    )
+    }
+    return _named(f"{prefix}messages.", partial(Uncertainty, name=name, **parts, **messages))
 
 
 def _section(document: Table, key: str, prefix: str) -> Table | None:
@@ -306,12 +289,13 @@ def _section(document: Table, key: str, prefix: str) -> Table | None:
     return table
 
 
-def _read_mounting(table: Table | None, where: str) -> MountingErrors:
+def _numbers(document: Table, key: str, names: Sequence[str], prefix: str) -> dict[str, Any]:
+    """All numbers of a section; none where it is left out."""
+    table = _section(document, key, prefix)
     if table is None:
-        return MountingErrors()
-    _refuse_unknown(table, _MOUNTING, where)
-    fields = {key: take_number(table, key, where) for key in _MOUNTING}
-    return _named(f"{where}.", lambda: MountingErrors(**fields))
+        return {}
+    _refuse_unknown(table, names, f"{prefix}{key}")
+    return {name: take_number(table, name, f"{prefix}{key}") for name in names}
 
 
 def _read_latency(table: Table | None, where: str) -> LatencyJitter:
@@ -329,17 +313,8 @@ def _read_latency(table: Table | None, where: str) -> LatencyJitter:
     return _named(f"{where}.", lambda: LatencyJitter(**fields))
 
 
-def _read_loss(table: Table | None, where: str) -> float:
-    if table is None:
-        return 0.0
-    _refuse_unknown(table, ("packet_loss",), where)
-    loss = take_number(table, "packet_loss", where)
-    if not 0.0 <= loss <= 1.0:
-        raise InputError(f"{where}.packet_loss", loss, "0 to 1")
-    return loss
-
-
-def _read_is_drawn(table: Table | None, where: str) -> bool:
+def _read_is_drawn(document: Table, prefix: str) -> bool:
+    table, where = _section(document, "detector", prefix), f"{prefix}detector"
     if table is None:
         return False
     _refuse_unknown(table, ("is_drawn",), where)
@@ -363,7 +338,7 @@ def _read_vehicles(document: Table, prefix: str) -> tuple[VehicleKind, ...]:
     return tuple(kinds)
 
 
-def _refuse_unknown(table: Table, known: tuple[str, ...], where: str) -> None:
+def _refuse_unknown(table: Table, known: Sequence[str], where: str) -> None:
     for key in table:
         if key not in known:
             raise InputError(where, key, "one of " + ", ".join(known))

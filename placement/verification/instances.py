@@ -394,21 +394,8 @@ def load_problem(path: str | Path) -> PlacementProblem:
 def load_stored_problem(path: Path) -> StoredProblem:
     """Read a problem and what its poses are, checked field by field.
 
-    Parameters
-    ----------
-    path : Path
-        Written by :func:`save_problem`, or by others in the same form.
-
-    Returns
-    -------
-    stored : StoredProblem
-        With the hash of the one that was written.
-
-    Raises
-    ------
-    InputError
-        The file is missing, damaged or of another kind; a field is missing, unknown, or has
-        another type or shape; or the values contradict each other.
+    Raises InputError where the file is missing, damaged or of another kind; a field is missing,
+    unknown, or has another type or shape; or the values contradict each other.
     """
     with _archive(path) as archive:
         kind = _read_kind(archive, str(path))

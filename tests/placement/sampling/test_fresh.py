@@ -11,13 +11,18 @@ from placement.sampling.out_of_sample import (
     SampledApr,
     judge_layouts,
     look_at_fresh_worlds,
-    out_of_sample,
     out_of_sample_layouts,
 )
 from placement.sampling.tables import build_sample_tables
 from placement.sampling.uncertainty import LatencyJitter, Uncertainty
 from placement.sampling.worlds import draw_samples
 from placement.visibility import build_detection_table
+
+
+def out_of_sample(setting, layout, uncertainty, **options):
+    (judged,) = out_of_sample_layouts(setting, [layout], uncertainty, **options)
+    return judged
+
 
 LOSSY = Uncertainty(packet_loss=0.6, latency=LatencyJitter(mean_s=0.4, sd_s=0.3))
 
