@@ -271,7 +271,7 @@ def _read(document: Table, name: str, prefix: str) -> Uncertainty:
     errors = _numbers(document, "mounting", _MOUNTING, prefix)
     messages = _numbers(document, "messages", ("packet_loss",), prefix)
     street = _numbers(document, "traffic", _TRAFFIC, prefix)
-    parts = {
+    parts: dict[str, Any] = {
         "mounting": _named(f"{prefix}mounting.", partial(MountingErrors, **errors)),
         "latency": _read_latency(_section(document, "latency", prefix), f"{prefix}latency"),
         "draws_detections": _read_is_drawn(document, prefix),
