@@ -1,7 +1,7 @@
-"""Answers to somebody who plans by hand: what to do next from the units that hang, with a bound.
+"""Answers to somebody who plans by hand: what to do next from the mounted units, with a bound.
 
 Every question is one of the optimiser's: on the detection table of the candidate grid, with the
-units as they hang - wherever that is - as further rows.
+units as they are mounted - wherever that is - as further rows.
 """
 
 from collections.abc import Sequence
@@ -39,10 +39,10 @@ class Advice:
     Attributes
     ----------
     units : tuple of CandidatePose
-        All that would hang then; those that stay keep their ids.
+        All that would be mounted then; those that stay keep their ids.
     before, after : PlacementValue
-        What hangs, and what would hang, on the detection table; `before` is None where nothing
-        hangs. Costs are of the same kind: of what is new, or of everything, see the question.
+        Worth of the present and the new layout on the detection table; `before` is None where
+        nothing is mounted. Costs are of the same kind: of what is new, or of everything.
     certificate : Certificate, optional
         Of a search; None where all alternatives were tried one by one.
     n_compared : int
@@ -57,14 +57,14 @@ class Advice:
 
     @property
     def is_proven(self) -> bool:
-        """Whether nothing of its kind is better by what is asked for, the first objective."""
+        """True if nothing of its kind is better by what is asked for, the first objective."""
         if self.certificate is None:
             return self.n_compared > 0
         return self.certificate.stages[0].gap == 0.0
 
     @property
     def is_all_proven(self) -> bool:
-        """Whether nothing of its kind is better by any objective."""
+        """True if nothing of its kind is better by any objective."""
         return self.n_compared > 0 or (self.certificate is not None and self.certificate.is_proven)
 
     @property
@@ -94,7 +94,7 @@ class Adviser:
         self._live = LiveTable(assembly.setting, compute=assembly.compute)
 
     def best_next(self, units: Sequence[CandidatePose]) -> Advice:
-        """The unit that gains most beside those that hang; costs are the new unit's and its site's.
+        """The unit that gains most next to the mounted ones; costs are its own and its site's.
 
         Raises InputError if none is allowed, or none is an improvement.
         """
@@ -114,14 +114,14 @@ class Adviser:
         )
 
     def complete(self, units: Sequence[CandidatePose], *, n_units: int) -> Advice:
-        """The best layout of `n_units` that has the units that hang; costs are of what is new.
+        """The best layout of `n_units` that has the mounted units; costs are of what is new.
 
         One unit more is found as :meth:`best_next` finds it, by trying all. Raises InputError if so
-        many hang already, the sites cannot carry them, or one unit more is no improvement.
+        many are mounted already, the sites cannot carry them, or one unit more is no improvement.
         """
         if n_units <= len(units):
             raise InputError(
-                "units in all", n_units, f"more than the {len(units)} that hang already"
+                "units in all", n_units, f"more than the {len(units)} that are mounted already"
             )
         is_forced = self._wishes.forced_sites or any(
             site.use == "forced" for site in self._setting.scene.sites
@@ -138,7 +138,7 @@ class Adviser:
     def re_aim(self, units: Sequence[CandidatePose]) -> Advice:
         """The best directions of all units, each at its place with its sensor; nothing is bought.
 
-        Raises InputError if nothing hangs, or no unit can look elsewhere.
+        Raises InputError if nothing is mounted, or no unit can look elsewhere.
         """
         if not units:
             raise InputError("re-aim", Unquoted("no unit"), "at least one unit")
@@ -181,9 +181,9 @@ class Adviser:
         )
 
     def cheapest(self, units: Sequence[CandidatePose]) -> Advice:
-        """The layout of least cost that is as good as what hangs by APR; costs are of everything.
+        """The layout of least cost whose APR is that of the mounted one; costs are of everything.
 
-        Raises InputError if nothing hangs, or it avoids nothing.
+        Raises InputError if nothing is mounted, or it avoids nothing.
         """
         if not units:
             raise InputError("the cheapest that keeps this", Unquoted("no unit"), "a unit")
@@ -194,11 +194,11 @@ class Adviser:
         return self._search(units, wishes)
 
     def why_not(self, units: Sequence[CandidatePose], site_id: str) -> tuple[Advice, Advice]:
-        """What a site can do: beside the units that hang, and in a layout of as many units.
+        """Worth of a site: next to the mounted units, and in a layout of as many units.
 
-        The first has the best unit there beside all others; the second is the best layout of as
-        many units as hang that uses the site, costs of everything. Raises InputError if nothing
-        hangs, or nothing may hang at the site.
+        The first has the best unit there next to all others; the second is the best layout of as
+        many units that uses the site, costs of everything. Raises InputError if nothing is
+        mounted, or nothing may be mounted at the site.
         """
         where = f"why not {site_id}"
         if not units:
@@ -228,7 +228,7 @@ class Adviser:
     # ---------- problems
 
     def _search(self, units: Sequence[CandidatePose], wishes: Wishes) -> Advice:
-        """The optimiser's answer, from what hangs on where that is allowed."""
+        """The optimiser's answer, started from the mounted units where that is allowed."""
         problem = self._problem(units, wishes)
         standing = np.arange(len(units))
         has_start = bool(len(units)) and wishes.budget_units is None
@@ -249,7 +249,7 @@ class Adviser:
         )
 
     def _beside(self, units: Sequence[CandidatePose]) -> tuple[PlacementProblem, RetrofitPoses]:
-        """The problem of one more unit beside those that hang."""
+        """The problem of one more unit next to the mounted ones."""
         candidates = self._candidates(units)
         unit_index = np.full(len(candidates), -1)
         unit_index[: len(units)] = np.arange(len(units))
@@ -257,7 +257,7 @@ class Adviser:
         return self._problem(units, self._one_more(units)), poses
 
     def _one_more(self, units: Sequence[CandidatePose]) -> Wishes:
-        """One more row than those that hang: a further unit, or another direction of one."""
+        """One more row than the mounted units: a further unit, or another direction of one."""
         return replace(
             self._wishes,
             budget_units=len(units) + 1,

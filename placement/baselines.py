@@ -27,7 +27,7 @@ _MOUTH_M = 10.0  # of a lane next to the junction that says where the lane leads
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RandomLayouts:
-    """What layouts of poses drawn at random prevent, on the detection table.
+    """Worth of layouts of poses drawn at random, on the detection table.
 
     Attributes
     ----------
@@ -74,27 +74,9 @@ def random_sets(
     Each begins with the poses that are forced. Then one pose after the other is drawn, any of those
     that the limits still admit as likely as another. What cannot be completed is drawn anew.
 
-    Parameters
-    ----------
-    limits : Limits
-        What may be mounted together; no set exceeds them.
-    n_units : int
-        Poses of each set, those that are forced among them.
-    n : int
-        Sets to draw.
-    rng : Generator
-        Of random numbers: the same one gives the same sets.
-
-    Returns
-    -------
-    sets : tuple of tuple of int
-        Rows, ascending. A set may be drawn twice. There are fewer where the limits leave hardly any
-        set of that size, or none.
-
-    Raises
-    ------
-    InputError
-        A number is below 1.
+    There are `n` sets, each of `n_units` ascending rows, the forced ones among them; fewer where
+    the limits leave hardly any set of that size, or none. A set may be drawn twice. Raises
+    InputError for a number below 1.
     """
     for where, number in (("n_units", n_units), ("n", n)):
         if number < 1:
@@ -127,17 +109,10 @@ def random_sets(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Corner:
-    """A corner of a junction: the place between two neighbouring arms.
+    """A corner of a junction: the place between two neighbouring arms."""
 
-    Attributes
-    ----------
-    arms : tuple of str
-        Names of the arms, counter-clockwise.
-    position_m : (2,) float
-        Midway between where the kerbs of both arms reach the junction. World frame. [m]
-    """
-
-    arms: tuple[str, str]
+    arms: tuple[str, str]  # names of the arms, counter-clockwise
+    # (2,): midway between where the kerbs of both arms reach the junction. World frame. [m]
     position_m: FloatArray
 
     def __post_init__(self) -> None:
@@ -262,25 +237,14 @@ def _most_direct(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Proposals:
-    """What to compare with, before anything is known of what it detects: rows of candidates.
+    """Layouts to compare with, before their detections are known: rows of candidates."""
 
-    Attributes
-    ----------
-    n_units : int
-        Of each random layout; the expert's has at most as many.
-    random : tuple of tuple of int
-        See :func:`random_sets`.
-    forced : tuple of int
-        For each site that must carry a unit, the one there that looks at the junction's middle the
-        most directly.
-    corners : dict of str to int
-        See :func:`corner_poses`.
-    """
-
-    n_units: int
-    random: tuple[tuple[int, ...], ...]
+    n_units: int  # of each random layout; the expert's has at most as many
+    random: tuple[tuple[int, ...], ...]  # see :func:`random_sets`
+    # for each site that must carry a unit, the one there that looks at the junction's middle the
+    # most directly
     forced: tuple[int, ...]
-    corners: dict[str, int]
+    corners: dict[str, int]  # see :func:`corner_poses`
 
     @property
     def rows(self) -> tuple[int, ...]:
@@ -288,7 +252,7 @@ class Proposals:
         return tuple(sorted({*chain(*self.random), *self.forced, *self.corners.values()}))
 
     def among(self, rows: Sequence[int]) -> "Proposals":
-        """The same where some of the rows, these, are all that there are."""
+        """Proposals in terms of some of the rows, which have all that they need."""
         index = {row: number for number, row in enumerate(rows)}
         return replace(
             self,
@@ -323,7 +287,7 @@ def propose(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Baselines:
-    """What there is to compare a layout with.
+    """Layouts to compare a layout with.
 
     Attributes
     ----------
@@ -341,7 +305,7 @@ class Baselines:
 
 
 def judge_proposals(problem: PlacementProblem, proposals: Proposals) -> Baselines:
-    """What proposals are worth on a detection table, whose rows are theirs.
+    """Worth of proposals on a detection table, whose rows are theirs.
 
     The expert mounts what is forced, then a camera at each corner of the junction that looks at its
     middle: the corner whose camera prevents the most by itself comes first, of equal ones the first

@@ -116,7 +116,7 @@ def _write(path: Path, write: Callable[[BinaryIO], object], *, what: str) -> boo
 
 @cache
 def _is_usable(folder: Path) -> bool:
-    """Whether a folder can hold a cache, made if it is missing; says once if it cannot."""
+    """True if a folder can hold a cache, made if it is missing; says once if it cannot."""
     trouble = trouble_with(folder)
     if trouble:
         _log.warning("nothing is cached: %s %s", folder, trouble)
@@ -249,31 +249,13 @@ def cached_value(
     classes: Sequence[type] = (),
     is_worth_it: Callable[[_T], bool] = lambda value: True,
 ) -> _T:
-    """What `make` gives, from the last call that asked for the same.
+    """Value of `make`, from the last call that asked for the same.
 
-    Parameters
-    ----------
-    folder : Path, optional
-        Where it is cached; None: nowhere.
-    name : str
-        Of the value, in messages and in the file's name.
-    make : function
-        Makes it, from nothing but `made_from` and what the packages hold.
-    kind : type hint
-        Of the value; see :mod:`placement.cache`.
-    made_from : sequence of object
-        See :class:`Fingerprints`.
-    packages : sequence of str
-        Whose code and data make it: any change of their files makes it anew.
-    classes : sequence of type
-        Dataclasses that stand where the hints of `kind` name a protocol.
-    is_worth_it : function
-        Whether a value is cached, such as one that needed no more time than it was given.
-
-    Returns
-    -------
-    value : object
-        Equal to what `make` gives, and arrays that are read-only there are so here.
+    It is cached in `folder`, or nowhere. `make` uses nothing but `made_from` (see
+    :class:`Fingerprints`) and what the `packages` hold: any change of their files makes it anew.
+    `kind` is the value's type hint; `classes` are dataclasses that stand where it names a protocol.
+    Only a value that `is_worth_it` is cached, such as one that needed no more time than it was
+    given. Arrays that are read-only stay so.
     """
     if folder is None:
         return make()
@@ -422,7 +404,7 @@ class _Reader:
         self._made: dict[int, Any] = {}
 
     def value(self, plain: Any, hint: Any) -> Any:
-        """What a hint says of a plain value; ValueError if that is of another kind."""
+        """Value of a type hint from plain data; ValueError if that is of another kind."""
         origin, hints = get_origin(hint), get_args(hint)
         if origin in (Union, UnionType):
             return None if plain is None else self.value(plain, *_without_none(hints))

@@ -132,17 +132,17 @@ class CandidateGrid:
 
 
 def is_ring(sensor: Sensor) -> bool:
-    """Whether a sensor is a LiDAR that scans all round."""
+    """True if a sensor is a LiDAR that scans all round."""
     return isinstance(sensor, LidarModel) and sensor.scans_all_round
 
 
 def is_turn_useless(sensor: Sensor, *, pitch_deg: float) -> bool:
-    """Whether a sensor sees the same at every yaw: a level LiDAR that scans all round."""
+    """True if a sensor sees the same at every yaw: a level LiDAR that scans all round."""
     return is_ring(sensor) and pitch_deg == 0.0
 
 
 def is_in_view(unit: CandidatePose, points_m: FloatArray) -> BoolArray:
-    """Whether points (n, 3) lie in a unit's field of view, at any distance, hidden or not."""
+    """True if points (n, 3) lie in a unit's field of view, at any distance, hidden or not."""
     sensor, pose = unit.sensor, unit.pose
     is_inside: BoolArray
     if isinstance(sensor, LidarModel):

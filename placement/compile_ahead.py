@@ -38,7 +38,7 @@ def compile_ahead() -> None:
 
     if is_compiled(grow) and is_compiled(see):
         return
-    # The first process tells that it compiles.
+    # The first process reports that it compiles.
     logging.getLogger("geometry.kernels").setLevel(logging.ERROR)
     compute = Compute(workers=1)
     setting = build_setting(_QUESTION, compute=compute)

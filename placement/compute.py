@@ -44,10 +44,10 @@ class Compute:
     workers : int
         Threads, at least 1; by default one per processor.
     cache_folder : Path, optional
-        Where detection tables, and what units detect, are kept for the next call; by default
+        Where detection tables, and what units detect, are cached; by default
         nowhere.
     progress : Progress
-        Is told the stages; by default nobody is.
+        Called with the stages; by default nothing is.
     rays : str
         Library that casts rays: "embree", "open3d", or by default "auto", the fastest that loads.
 
@@ -73,12 +73,12 @@ class Compute:
             raise InputError("rays", self.rays, "one of " + ", ".join(RAYS))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Other processes tell nobody: whoever waits for them does."""
+        """Other processes report nothing: whoever waits for them does."""
         known = {one.name: getattr(self, one.name) for one in fields(self)} | {"progress": silent}
         return partial(Compute, **known), ()
 
     def within(self, stage: str) -> "Compute":
-        """The same, for a part of a larger stage: all progress is reported under its name."""
+        """These options for a part of a larger stage, under whose name progress is reported."""
 
         def report(part: str, done: int, total: int, /) -> None:
             self.progress(stage, done, total)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Verdict:
-    """What one sensing party achieves: a unit, the VUT, or several fused.
+    """Verdict on one sensing party: a unit, the VUT, or several fused.
 
     Attributes
     ----------
@@ -201,7 +201,7 @@ def units_by_site(layout: Layout) -> dict[str, list[int]]:
 
 
 def apr_one_site_failed(evaluation: Evaluation, rule: AebRule) -> float:
-    """APR of all units together when the worst pole fails, with all that hangs on it."""
+    """APR of all units together when the worst pole fails, with all that it carries."""
     axis = evaluation.axis
     arrivals_s = np.stack(
         [

@@ -226,7 +226,7 @@ def build_private_ground(areas: Sequence[tuple[str, Any]]) -> PrivateGround:
 
 
 class PrivateSight:
-    """What poses have of private ground in their pictures; not for several threads at once.
+    """Private ground in the pictures of poses; not for several threads at once.
 
     What lies open to a place is looked up once, so that a camera there is turned and zoomed fast.
     What parks or drives hides nothing for long, and is left out. LiDARs take no pictures: they see

@@ -66,7 +66,7 @@ class LatencyPart:
 
     @property
     def is_fixed(self) -> bool:
-        """Whether it always takes the same time."""
+        """True if it always takes the same time."""
         return self.low_s == self.high_s
 
 
@@ -266,23 +266,16 @@ class LatencyCurve:
     A run is avoided with latencies of some intervals. The shorter the latency, the more messages
     arrive; but the later is also the last moment at which a track must be alive. So a run may be
     avoided with a longer latency and not with a shorter one, if tracks do not live for ever.
-
-    Attributes
-    ----------
-    first_latency_s, last_latency_s : (n_intervals,) float
-        Between these, both included, a run is avoided; those of a run do not overlap. First: at
-        most 0, or minus infinity, where every shorter latency will do, too. Last: negative where
-        even no latency is too much, infinite where any will do. [s]
-    run_index : (n_intervals,) int
-        Whose interval. A run that no latency avoids has none.
-    weight : (n_runs,) float
-        Of the runs.
     """
 
+    # first_latency_s, last_latency_s: (n_intervals,): between these, both included, a run is
+    # avoided; those of a run do not overlap. First: at most 0, or minus infinity, where every
+    # shorter latency will do, too. Last: negative where even no latency is too much, infinite where
+    # any will do. [s]
     first_latency_s: FloatArray
     last_latency_s: FloatArray
-    run_index: IntArray
-    weight: FloatArray
+    run_index: IntArray  # (n_intervals,): whose interval. A run that no latency avoids has none
+    weight: FloatArray  # (n_runs,): of the runs
 
     def __post_init__(self) -> None:
         for name in ("first_latency_s", "last_latency_s", "run_index", "weight"):

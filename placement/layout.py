@@ -151,7 +151,7 @@ class Certificate:
 
     @property
     def is_proven(self) -> bool:
-        """Whether every stage's gap is closed."""
+        """True if every stage's gap is closed."""
         return all(stage.gap == 0.0 for stage in self.stages)
 
     def __str__(self) -> str:
@@ -220,7 +220,7 @@ def layout_from_records(
 ) -> Layout:
     """Layout from plain records as :func:`layout_records` writes them; "site" may be missing.
 
-    `sensors` are models beside those of the catalogue; `where` is what is read, for error
+    `sensors` are models in addition to the catalogue's; `where` is what is read, for error
     messages. Raises InputError where a field is missing or not of its kind, an id is repeated, or
     a sensor is unknown.
     """
@@ -289,7 +289,7 @@ def load_layout(
 
     In a CSV, and in JSON that is written by hand, units may lie at latitudes and longitudes and
     look along compass bearings, see :func:`placement.layout.unit_record`: that takes the
-    `scene`. `sensors` are models beside those of the catalogue. Raises InputError if the file
+    `scene`. `sensors` are models in addition to the catalogue's. Raises InputError if the file
     cannot be read, is of another version, or a field is wrong.
     """
     path = Path(path)
@@ -366,7 +366,7 @@ def _read_own_sensors(records: Any, where: str) -> dict[str, Sensor]:
 def check_layout(layout: Layout, scene: Scene) -> None:
     """Raise InputError unless a layout is of a scene.
 
-    It must not be made for another one; every unit hangs in the open air, at a site that exists.
+    It must not be made for another one; every unit is in the open air, at a site that exists.
     """
     if layout.scene_name not in ("", scene.name):
         raise InputError(
@@ -454,7 +454,7 @@ def load_carlancap_layout() -> Layout:
 
 
 def find_baseline(scene: Scene) -> Layout | None:
-    """What layouts of a scene are compared with: the study's, or at another junction nothing."""
+    """The study's layout, to compare others with at its junction; None at another one."""
     study = load_carlancap_layout()
     return study if scene.name == study.scene_name else None
 
@@ -478,7 +478,7 @@ _OF_PEOPLE = {"lat", "lon", "height", "bearing", "tilt"}
 
 
 def is_list(records: Sequence[Any]) -> bool:
-    """Whether units are given as people write them, not as a layout file has them."""
+    """True if units are given as people write them, not as a layout file has them."""
     named = [list(one) for one in records if isinstance(one, Mapping)]
     return any(_OF_PEOPLE & set(known_columns(names, "", _FIELDS).values()) for names in named)
 
@@ -501,23 +501,11 @@ def unit_record(
 ) -> dict[str, Any]:
     """A unit as a layout file has it, out of what people write.
 
-    Parameters
-    ----------
-    values : mapping
-        id; site (may be empty); lat and lon, or x and y in the scene's frame, or neither: at the
-        site; height above the ground, or z; bearing clockwise from north, or yaw; tilt, positive
-        down, or pitch; model. Case and units at the end of a name do not matter.
-    where : str
-        What is read, for error messages.
-    scene : Scene
-        Says where on earth it lies, how high the ground is, and its sites.
-    sensors : mapping of str to Sensor
-        Models beside those of the catalogue.
-
-    Raises
-    ------
-    InputError
-        A field is missing or not of its kind, a site or a model is unknown.
+    `values` are id; site (may be empty); lat and lon, or x and y in the scene's frame, or neither:
+    at the site; height above the ground, or z; bearing clockwise from north, or yaw; tilt, positive
+    down, or pitch; model. Case and units at the end of a name do not matter. `sensors` are models
+    in addition to those of the catalogue. Raises InputError where a field is missing or not of its
+    kind, a site or a model is unknown.
     """
     columns = known_columns(list(values), where, _FIELDS)
     row = {field: values[name] for name, field in columns.items()}

@@ -1,8 +1,8 @@
-"""Detections of units while somebody moves them: rays are kept, points projected again.
+"""Detections of units while somebody moves them: rays are cached, points projected again.
 
-A ray hangs on the place of a sensor, not on where it looks: :class:`LiveTable` casts once per mount
-position, to every road user whom any direction or zoom could show, and answers every turn, tilt and
-zoom from there by the detection table's own kernels. Its rows are those of
+A ray depends on the place of a sensor, not on where it looks: :class:`LiveTable` casts once per
+mount position, to every road user whom any direction or zoom could show, and answers every turn,
+tilt and zoom from there by the detection table's own kernels. Its rows are those of
 :func:`placement.visibility.build_detection_table`.
 """
 
@@ -27,10 +27,10 @@ from .visibility.casting import World, build_world, cast_sight
 from .visibility.sensing import Sensing, build_sensing, reach_m
 
 MAX_MOUNTS = 64
-"""Mount positions whose rays are kept: some megabytes each."""
+"""Mount positions whose rays are cached: some megabytes each."""
 
 MAX_ROWS = 4096
-"""Poses whose frames are kept: some kilobytes each."""
+"""Poses whose frames are cached: some kilobytes each."""
 
 _Key = tuple[object, ...]
 
@@ -81,7 +81,7 @@ class LiveTable:
         return frames
 
     def _sensing(self, unit: CandidatePose) -> Sensing:
-        """What is seen from a unit's mount, in every direction."""
+        """View from a unit's mount, in every direction."""
         key = _mount_key(unit)
         if key in self._mounts:
             self._mounts.move_to_end(key)
@@ -115,7 +115,7 @@ def _mount_key(unit: CandidatePose) -> _Key:
 
 
 def _lens_free(sensor: Sensor) -> _Key:
-    """What of a sensor the rays hang on: not how its lens is set."""
+    """Key of a sensor as far as rays depend on it: not how its lens is set."""
     if isinstance(sensor, CameraModel) and sensor.fov_range_deg is not None:
         size = (sensor.width_px, sensor.height_px, sensor.near_m)
         return ("camera", *size, sensor.fov_range_deg)
@@ -128,22 +128,11 @@ def _row_key(unit: CandidatePose) -> _Key:
 
 
 def table_verdict(units: Sequence[CandidatePose], detected: BoolArray, setting: Setting) -> Verdict:
-    """What units achieve together by the detection table, without the VUT's own sensors.
+    """Verdict on all units together by the detection table, without the VUT's own sensors.
 
-    Parameters
-    ----------
-    units : sequence of CandidatePose
-        Their latencies count.
-    detected : (n_units, n_frames) bool
-        As :meth:`LiveTable.detected` has them.
-    setting : Setting
-        Runs and braking rule.
-
-    Returns
-    -------
-    verdict : Verdict
-        As the optimiser reads the table: a run is avoided if a confirmed track is alive at the
-        last moment. The evaluator asks pixels and bodies instead.
+    `detected`, (n_units, n_frames) bool, is that of :meth:`LiveTable.detected`. The table is read
+    as by the optimiser: a run is avoided if a confirmed track is alive at the last moment. The
+    evaluator asks pixels and bodies instead.
     """
     axis, rule = setting.axis, setting.rule
     parties = [(row, unit.latency(rule)) for unit, row in zip(units, detected, strict=True)]

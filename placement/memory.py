@@ -1,4 +1,4 @@
-"""How much memory something needs, and what this machine has: told before anything long starts."""
+"""Memory that something needs and that this machine has, checked before anything long starts."""
 
 import os
 import sys
@@ -14,21 +14,9 @@ _LIMIT_FILES = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit
 
 
 def needed_bytes(n_poses: int, n_frames: int, *, n_worlds: int = 1) -> int:
-    """Memory of a placement at its peak, when presolve has the whole detection table.
+    """Memory of a placement at its peak, when presolve has the whole detection table, in bytes.
 
-    Parameters
-    ----------
-    n_poses : int
-        Candidates.
-    n_frames : int
-        Of all runs, in one world.
-    n_worlds : int
-        Sampled worlds; 1 for the world as planned.
-
-    Returns
-    -------
-    size : int
-        A part that grows with poses x frames x worlds, and one that does not. [bytes]
+    A part grows with candidates x frames of all runs x sampled worlds, and one does not.
 
     Examples
     --------
@@ -44,7 +32,7 @@ def machine_bytes() -> int | None:
     """Memory that this process may use: the machine's, or less where a limit is set.
 
     Limits are those of a container (control groups) and of the shell (``ulimit -v``). None where
-    the system tells nothing.
+    the system does not say.
     """
     sizes = []
     if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
@@ -68,7 +56,7 @@ def machine_bytes() -> int | None:
 def available_bytes() -> int:
     """Memory that can still be had: what the system says is free, within :func:`machine_bytes`.
 
-    Where the system tells nothing, as much as a size can say.
+    Where the system does not say, as much as a size can hold.
     """
     sizes = [machine_bytes() or sys.maxsize]
     try:
@@ -80,17 +68,9 @@ def available_bytes() -> int:
 
 
 def check_memory(n_poses: int, n_frames: int, *, n_worlds: int = 1) -> None:
-    """Refuse a question that cannot fit into the memory of this machine.
+    """Raise InputError for a question that cannot fit into the memory of this machine.
 
-    Parameters
-    ----------
-    n_poses, n_frames, n_worlds : int
-        See :func:`needed_bytes`.
-
-    Raises
-    ------
-    InputError
-        It needs more than there is. The message says how much, and what makes it smaller.
+    The message says how much it needs, and what makes it smaller.
     """
     needed, there = needed_bytes(n_poses, n_frames, n_worlds=n_worlds), machine_bytes()
     if there is None or needed <= there:
@@ -109,21 +89,9 @@ def check_memory(n_poses: int, n_frames: int, *, n_worlds: int = 1) -> None:
 
 
 def check_fits(where: str, what: str, needed_bytes: int, remedy: str) -> None:
-    """Refuse what takes more memory than can be had.
+    """Raise InputError if something takes more memory than there is.
 
-    Parameters
-    ----------
-    where, what : str
-        What is read or solved, and how large it is.
-    needed_bytes : int
-        Memory that it takes. [bytes]
-    remedy : str
-        What helps.
-
-    Raises
-    ------
-    InputError
-        It takes more than there is.
+    `where` and `what` say what is read or solved and how large it is, `remedy` what helps.
     """
     free = available_bytes()
     if needed_bytes > free:

@@ -40,7 +40,8 @@ from .optimiser import (
 )
 from .optimiser.problem import Fusion
 from .question import Question
-from .sampling import SampledTable, Uncertainty, load_drawn, obtain_table, sampled_table
+from .sampling.tables import SampledTable, obtain_table, sampled_table
+from .sampling.uncertainty import Uncertainty, load_drawn
 from .setting import Setting, build_setting
 from .wishes import Wishes, build_limits, build_problem, read_wishes
 
@@ -49,7 +50,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Assembly:
-    """What every answer needs of a question; the table and the problem are made once, when asked.
+    """A question made ready for every answer; table and problem are made once, when asked for.
 
     Another assembly with other candidates or wishes is made by ``dataclasses.replace``.
 
@@ -60,7 +61,7 @@ class Assembly:
     candidates : tuple of CandidatePose
         Poses to choose from: rows of the table. Ids are unique.
     wishes : Wishes
-        What is asked of a layout.
+        Demands on a layout.
     fusion : {"any", "single"}
         "any": a frame counts if any unit detects; "single": one unit must confirm alone.
     effort : Effort
@@ -213,15 +214,7 @@ def assemble(
     if existing is None:
         existing = _named_layout(question.keep, "keep", scene, question.sensors)
     units = () if existing is None else existing.units
-    within = _named_layout(question.within, "within", scene, question.sensors)
-    if within is not None:
-        candidates = _distinct(within.units, units)
-    elif grid is not None:
-        candidates = build_candidates(scene, grid, extra=units)
-    else:
-        study = find_baseline(scene)
-        extra = _distinct(() if study is None else study.units, units)
-        candidates = build_candidates(scene, build_grid(question), extra=extra)
+    candidates = _candidates(question, scene, grid, units)
     private_ground, may_look = None, None
     if question.no_look:
         private_ground = load_private_ground(Path(question.no_look), scene)
@@ -264,6 +257,19 @@ def _check_together(question: Question) -> None:
         raise InputError("no_look_share", question.no_look_share, "`no_look` beside it")
 
 
+def _candidates(
+    question: Question, scene: Scene, grid: CandidateGrid | None, existing: Sequence[CandidatePose]
+) -> tuple[CandidatePose, ...]:
+    within = _named_layout(question.within, "within", scene, question.sensors)
+    if within is not None:
+        return _distinct(within.units, existing)
+    if grid is not None:
+        return build_candidates(scene, grid, extra=existing)
+    study = find_baseline(scene)
+    extra = _distinct(() if study is None else study.units, existing)
+    return build_candidates(scene, build_grid(question), extra=extra)
+
+
 def _named_layout(name: str, where: str, scene: Scene, sensors: str) -> Layout | None:
     if not name:
         return None
@@ -293,7 +299,7 @@ def build_effort(question: Question) -> Effort:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Placement:
-    """What the optimiser found, and what it was found in.
+    """Result of the optimiser, and the problem that it solved.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What sites cost where nobody has told a price: a table of assumptions, each with its source."""
+"""Prices of sites that have none of their own: a table of assumptions, each with its source."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -19,33 +19,18 @@ _OTHERWISE = "pole"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Part:
-    """Something that a site takes.
+    """Something that a site takes."""
 
-    Attributes
-    ----------
-    eur : float
-        Its price. [EUR]
-    source : str
-        Where the price comes from; it begins with "assumption" where that is nowhere.
-    """
-
-    eur: Annotated[float, Meta(ge=0.0, description="euros, at least 0")]
-    source: str
+    eur: Annotated[float, Meta(ge=0.0, description="euros, at least 0")]  # its price. [EUR]
+    source: str  # where the price comes from; it begins with "assumption" where that is nowhere
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SitePrices:
-    """The content of ``data/prices.toml``.
+    """The content of ``data/prices.toml``."""
 
-    Attributes
-    ----------
-    parts : dict of str to Part
-        What sites may take, by name.
-    kinds : dict of str to tuple of str
-        Names of the parts that a site takes, by its kind; "pole" stands for all other kinds.
-    """
-
-    parts: dict[str, Part]
+    parts: dict[str, Part]  # what sites may take, by name
+    # names of the parts that a site takes, by its kind; "pole" stands for all other kinds
     kinds: dict[str, tuple[str, ...]]
 
     def __post_init__(self) -> None:
@@ -55,7 +40,7 @@ class SitePrices:
             raise InputError(f"{_FILE}: kinds", got, f"parts of the table, and {_OTHERWISE!r}")
 
     def of_kind(self, kind: str) -> dict[str, float]:
-        """What a site of a kind takes: prices in euros by the name of the part."""
+        """Parts that a site of a kind takes: prices in euros by name."""
         names = self.kinds.get(kind, self.kinds[_OTHERWISE])
         return {name: self.parts[name].eur for name in names}
 
@@ -77,19 +62,19 @@ def load_prices() -> SitePrices:
 
 
 def assumed_prices(prices: SitePrices, sites: Sequence[Site]) -> tuple[str, ...]:
-    """What is assumed of sites that tell no price, in sentences; a sentence for each kind."""
+    """Assumed prices of sites that have none of their own, a sentence for each kind."""
     count = Counter(site.kind for site in sites if not site.cost_eur > 0.0)
-    told = []
+    sentences = []
     for kind, number in count.most_common():
         parts = prices.of_kind(kind)
         sum_of = ", ".join(f"{name.replace('-', ' ')} {eur:,.0f}" for name, eur in parts.items())
-        told.append(
-            f"No price is told for {number} site{'s' if number > 1 else ''} of the kind {kind}: "
+        sentences.append(
+            f"No price is known for {number} site{'s' if number > 1 else ''} of the kind {kind}: "
             f"{sum(parts.values()):,.0f} EUR each are assumed ({sum_of})."
         )
-    if told:
-        told.append(
+    if sentences:
+        sentences.append(
             f"Sources are in {_FILE}; a site cost in the question, or cost_eur in the scene, takes "
             "their place."
         )
-    return tuple(told)
+    return tuple(sentences)

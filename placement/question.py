@@ -17,7 +17,7 @@ from msgspec import Meta
 
 DEFAULT_CASES = "default"
 BASELINE_NAME = "carlancap-12"
-"""What a user calls the study's own layout."""
+"""Name of the study's own layout."""
 
 
 def _share(of: str) -> Meta:
@@ -45,7 +45,7 @@ _MOST_S = 10_000_000  # four months
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
-    """What is asked: what is driven and how it brakes, what may be mounted, how hard to look.
+    """A user's question: what is driven and how it brakes, what may be mounted, how hard to look.
 
     Lists are one text with commas between; an empty text means that nothing is given. Raises
     InputError where a value is of another kind, or out of its range.
@@ -66,7 +66,7 @@ class Question:
         Reach `target` and `min_case_apr` even when any N units fail, or any pole with all its
         units: site, or '2 sites'. Without these, look for the highest APR that is left then.
     keep : str
-        A layout that hangs there and is paid: units are added to it.
+        A layout that is mounted and paid already: units are added to it.
     within : str
         Choose among the units of this layout alone: carlancap-12, or a file.
     force_site : str
@@ -90,7 +90,7 @@ class Question:
         Pitches that are tried, positive up: -30,-15; default: -15,-30,-45.
     no_look : str
         Areas that no camera may have in its picture; of a layout that is given, the share of them
-        in each picture is told. Polygons in GeoJSON, GeoPackage or Shapefile.
+        in each picture is reported. Polygons in GeoJSON, GeoPackage or Shapefile.
     no_look_share : float, optional
         Share of such an area that may be in the picture all the same; default: none.
     solver : {"auto", "exact", "relax", "greedy"}
@@ -112,7 +112,7 @@ class Question:
         Vehicles that drive by in the worlds of `samples`: sumo, a .toml file of demand for it, or
         FCD of your own model (.xml, .csv, also .gz, .parquet).
     traffic_offset : str
-        Metres added to x and y of `traffic` FILE; default: what the .net.xml beside it says.
+        Metres added to x and y of `traffic` FILE; default: what the .net.xml next to it says.
     risk : str
         With `samples`: mean, worst, or the share of the worst worlds whose mean APR counts.
     pool : int
@@ -128,8 +128,8 @@ class Question:
         Of a map: a point near the junction, in the file's own coordinates: longitude,latitude or
         metres.
     sites : str
-        Of a map, where sensors may hang: map (its poles), kerb:15 (every 15 m along the kerbs), a
-        CSV or GeoJSON file; default: map, and where it has none kerb:15.
+        Of a map, where sensors may be mounted: map (its poles), kerb:15 (every 15 m along the
+        kerbs), a CSV or GeoJSON file; default: map, and where it has none kerb:15.
     driving_side : {"map", "left", "right"}
         Of a map, on which traffic keeps; map: as it says or shows.
     cases : str
@@ -150,7 +150,7 @@ class Question:
     force : bool
         Drive speeds that the protocol does not.
     strict : bool
-        A case that no approach carries is an error; else it is told and left out.
+        A case that no approach carries is an error; else it is reported and left out.
     weights : str
         run: every run counts the same; case: every case, and within it every approach, then every
         position, then every run; fhwa-crash-types: by how often cars hit people so;
@@ -251,7 +251,7 @@ class Question:
 
 
 def map_options(question: Question) -> dict[str, Any]:
-    """What a question says of the map that its scene is cut out of; empty: nothing.
+    """Options of the map that a question's scene is cut out of.
 
     Keywords of :func:`geometry.load_scene`. Raises InputError if the point is no point.
     """

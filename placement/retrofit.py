@@ -167,7 +167,7 @@ class Change:
 
     @property
     def is_proven(self) -> bool:
-        """Whether no other change of its kind brings more."""
+        """True if no other change of its kind brings more."""
         return self.n_compared > 0 or (self.certificate is not None and self.certificate.is_proven)
 
 
@@ -288,7 +288,7 @@ def combined_limits(
 def find_addition(
     problem: PlacementProblem, poses: RetrofitPoses, *, budget_eur: float | None
 ) -> Change | None:
-    """The best new unit beside the existing ones; None if none is allowed or an improvement.
+    """The best new unit next to the existing ones; None if none is allowed or an improvement.
 
     All that are allowed are tried; a budget is for the new unit and its site alone.
     """
@@ -390,25 +390,25 @@ _BLOCK_POSES = 512  # tens of megabytes of frames
 
 def best_joining(
     problem: PlacementProblem,
-    kept: Sequence[int],
+    mounted: Sequence[int],
     each: IntArray,
     *,
     price_eur: FloatArray | None = None,
 ) -> int:
-    """Which of the poses `each` (n_each,) is the best to join those `kept`: an index into `each`.
+    """The pose of `each` (n_each,) that joins those `mounted` best: an index into `each`.
 
     Best by APR, then APR when one unit fails, smallest and mean margin, and price (by default
     equal). Limits and floors of the problem do not matter.
     """
     measure, weight = problem.measure(), problem.table.axis.weight
-    margin = margins_joined_s(problem, kept, each)
+    margin = margins_joined_s(problem, mounted, each)
     is_avoided = (margin > -np.inf) & (weight > 0.0)
     apr = measure.of(is_avoided)
     # Failures are costly to go through: only poses with the best APR need it.
     rows = np.flatnonzero(apr >= apr.max() - TOLERANCE)
-    left = np.full(len(rows), float(measure.of(run_margins_s(problem, kept) > -np.inf)))
-    for failed in kept:
-        others = [pose for pose in kept if pose != failed]
+    left = np.full(len(rows), float(measure.of(run_margins_s(problem, mounted) > -np.inf)))
+    for failed in mounted:
+        others = [pose for pose in mounted if pose != failed]
         left_then = margins_joined_s(problem, others, each[rows]) > -np.inf
         left = np.minimum(left, measure.of(left_then))
     margin, is_avoided = margin[rows], is_avoided[rows]
@@ -429,14 +429,16 @@ def best_joining(
     return int(rows[SetValues(VALUE_OBJECTIVES, gains).best_row()])
 
 
-def margins_joined_s(problem: PlacementProblem, kept: Sequence[int], each: IntArray) -> FloatArray:
-    """Margins of all runs for `kept` together with each pose, (n_each, n_runs), in seconds.
+def margins_joined_s(
+    problem: PlacementProblem, mounted: Sequence[int], each: IntArray
+) -> FloatArray:
+    """Margins of all runs for `mounted` together with each pose, (n_each, n_runs), in seconds.
 
     As :func:`placement.optimiser.run_margins_s` of each such set.
     """
     axis, rule = problem.table.axis, problem.rule
-    beside = problem.table.detected(list(kept))
-    together: BoolArray = np.logical_or.reduce(beside, axis=0)
+    alone_each = problem.table.detected(list(mounted))
+    together: BoolArray = np.logical_or.reduce(alone_each, axis=0)
     confirmed = np.empty((len(each), axis.n_runs))
     for start in range(0, len(each), _BLOCK_POSES):
         block = slice(start, start + _BLOCK_POSES)
@@ -444,8 +446,8 @@ def margins_joined_s(problem: PlacementProblem, kept: Sequence[int], each: IntAr
         if problem.fusion == "any":
             detected |= together
         confirmed[block] = live_confirmation_times_s(detected, axis, rule=rule)
-    if problem.fusion == "single" and len(kept):
-        alone = live_confirmation_times_s(beside, axis, rule=rule)
+    if problem.fusion == "single" and len(mounted):
+        alone = live_confirmation_times_s(alone_each, axis, rule=rule)
         confirmed = np.minimum(confirmed, alone.min(axis=0))
     onset_s = confirmed + rule.latency_s
     return np.where(np.isfinite(onset_s), axis.last_brake_time_s - onset_s, -np.inf)

@@ -202,7 +202,7 @@ def drive(
 
     Without a word on speeds none is driven that is above the speed limits of the scene's lanes.
     With a `position`, every speed is driven at this one alone. In a `cache_folder` the runs are
-    kept for the next call.
+    cached for the next call.
 
     Raises InputError where a word of the question is unknown, or the protocol does not drive a
     speed.
@@ -289,7 +289,7 @@ def build_setting(
     weights : function of a Run, optional
         How much a run counts, in place of the question's word; only proportions matter.
     compute : Compute
-        Where the runs are kept for the next call.
+        Where the runs are cached for the next call.
 
     Returns
     -------

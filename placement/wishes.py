@@ -1,4 +1,4 @@
-"""What is asked of a layout - units, money, targets, sites - and the problem that it makes."""
+"""Demands on a layout - units, money, targets, sites - and the problem that they make."""
 
 import re
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ from .setting import Setting
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wishes:
-    """What is asked of a layout.
+    """Demands on a layout.
 
     Attributes
     ----------

@@ -496,7 +496,7 @@ def _latencies() -> Mapping[str, tuple[str, Files]]:
 
 
 def _read_uncertainty(path: Path) -> Any:
-    from placement.sampling import load_uncertainty
+    from placement.sampling.uncertainty import load_uncertainty
 
     return load_uncertainty(str(path))
 

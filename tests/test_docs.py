@@ -17,7 +17,7 @@ from experiments.main import cli
 from geometry.catalogue import load_catalogue
 from geometry.maps.place_lists import read_sites
 from placement.latency import load_latency_budget
-from placement.sampling import load_uncertainty
+from placement.sampling.uncertainty import load_uncertainty
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

@@ -15,8 +15,7 @@ from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.pipeline import assemble
 from placement.question import Question
-from placement.sampling import obtain_table
-from placement.sampling.tables import sampled_table
+from placement.sampling.tables import obtain_table, sampled_table
 from placement.sampling.uncertainty import load_uncertainty
 from placement.setting import Setting, build_setting
 from scenarios.runs import WEATHERS, build_frame_axis

@@ -31,15 +31,14 @@ from placement.pipeline import Assembly, Placement, assemble, place
 from placement.prices import assumed_prices
 from placement.question import Question
 from placement.refinement.refine import refine
-from placement.sampling import (
+from placement.sampling.out_of_sample import STAGE as OUT_OF_SAMPLE
+from placement.sampling.out_of_sample import (
     FreshWorlds,
-    Uncertainty,
     judge_layouts,
-    load_drawn,
     look_at_fresh_worlds,
     out_of_sample_layouts,
 )
-from placement.sampling.out_of_sample import STAGE as OUT_OF_SAMPLE
+from placement.sampling.uncertainty import Uncertainty, load_drawn
 from placement.setting import Setting, build_setting
 
 from ..parts.coverage import coverage_section

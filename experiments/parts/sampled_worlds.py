@@ -9,9 +9,7 @@ from matplotlib.figure import Figure
 from msgspec import UNSET
 
 from geometry.errors import InputError, Unquoted
-from placement.sampling import (
-    SampledApr,
-)
+from placement.sampling.out_of_sample import SampledApr
 
 from ..figures.axes import BLUE, GREEN, PINK, VERMILION, WIDTH_IN, finish_axes, literal, new_axes
 from ..results.numbers import number, or_nan, percent, points, shortened

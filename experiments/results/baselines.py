@@ -15,7 +15,7 @@ from placement.explain import OtherSensors
 from placement.layout import Layout
 from placement.optimiser import apr as table_apr
 from placement.pipeline import Placement
-from placement.sampling import estimate_mean
+from placement.sampling.out_of_sample import estimate_mean
 from scenarios.runs import FrameAxis
 
 from .record import Record, Share, UnitRecord, build_unit_records, says

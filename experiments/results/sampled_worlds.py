@@ -9,7 +9,9 @@ import numpy as np
 from msgspec import UNSET, UnsetType
 
 from geometry.errors import InputError, Unquoted
-from placement.sampling import SampledApr, TrafficCount, Uncertainty, cvar, estimate_mean
+from placement.sampling.moving import TrafficCount
+from placement.sampling.out_of_sample import SampledApr, cvar, estimate_mean
+from placement.sampling.uncertainty import Uncertainty
 
 from .record import Record, RunId, Share, says
 

@@ -38,23 +38,12 @@ class District:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CityWishes:
-    """What a city asks of all junctions together.
+    """Demands of a city on all junctions together."""
 
-    Attributes
-    ----------
-    budget_units : int, optional
-        At most so many new units.
-    budget_eur : float, optional
-        At most so much money. [EUR]
-    districts : sequence of District
-        Each reaches its APR.
-    least_apr : (n_junctions,) float, optional
-        APR that each junction reaches by itself; by default 0.
-    """
-
-    budget_units: int | None = None
-    budget_eur: float | None = None
-    districts: Sequence[District] = field(default_factory=tuple)
+    budget_units: int | None = None  # at most so many new units
+    budget_eur: float | None = None  # at most so much money. [EUR]
+    districts: Sequence[District] = field(default_factory=tuple)  # each reaches its APR
+    # (n_junctions,): APR that each junction reaches by itself; by default 0
     least_apr: FloatArray | None = None
 
     def __post_init__(self) -> None:
@@ -64,22 +53,14 @@ class CityWishes:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CityChoice:
-    """What each junction gets.
+    """Option that each junction gets."""
 
-    Attributes
-    ----------
-    rows : (n_junctions,) int
-        Row of the options, for each junction.
-    certificate : Certificate
-        A stage for each objective. The bound of the first holds for all layouts of all junctions,
-        those of the others for the points of the fronts.
-    bound_of_points : float
-        What no choice among the points exceeds in the first stage: what is between this and the
-        first stage's bound is what the fronts leave open.
-    """
-
-    rows: IntArray
+    rows: IntArray  # (n_junctions,): row of the options, for each junction
+    # a stage for each objective. The bound of the first holds for all layouts of all junctions,
+    # those of the others for the points of the fronts
     certificate: Certificate
+    # what no choice among the points exceeds in the first stage: what is between this and the first
+    # stage's bound is what the fronts leave open
     bound_of_points: float
 
 
@@ -93,35 +74,13 @@ def choose(
     gap: float = 0.0,
     time_limit_s: float = 60.0,
 ) -> CityChoice:
-    """The best choice of one option for each junction.
+    """The best choice of one option for each junction, with its certificate.
 
-    Parameters
-    ----------
-    options : Options
-        Points of the junctions' fronts.
-    weight : (n_junctions,) float
-        Of each junction's accidents; their sum is not 0.
-    wishes : CityWishes
-        Budgets, and what has to be reached.
-    bounds : Options, optional
-        See :func:`placement.city.fronts.stack_bounds`; by default the points, which are then taken
-        for all that there is.
-    names : sequence of str
-        Of the junctions, for messages.
-    gap : float
-        Relative gap at which a stage counts as settled.
-    time_limit_s : float
-        For all stages. [s]
-
-    Returns
-    -------
-    choice : CityChoice
-        With its certificate.
-
-    Raises
-    ------
-    InputError
-        A least APR cannot be reached, or not within the budgets; the message says what it takes.
+    `options` are the points of the junctions' fronts, `weight` (n_junctions,) is that of each
+    junction's accidents, `bounds` are those of :func:`placement.city.fronts.stack_bounds`, by
+    default the points, which are then taken for all that there is. A stage counts as settled at a
+    relative `gap`; `time_limit_s` is for all stages. Raises InputError where a least APR cannot be
+    reached, or not within the budgets; the message says what it takes.
     """
     end_s = now_s() + time_limit_s
     share = weight / weight.sum()
@@ -163,7 +122,7 @@ def choose(
 
 
 def city_values(options: Options, rows: IntArray, weight: FloatArray) -> dict[Objective, float]:
-    """What a choice is worth, objective by objective; 0 where nothing is prevented."""
+    """Worth of a choice, objective by objective; 0 where nothing is prevented."""
     taken = options.taken(rows)
     share = weight / weight.sum()
     return _values(taken, share)
@@ -434,14 +393,8 @@ def city_front(options: Options, weight: FloatArray, *, by_cost: bool) -> list[S
     Each step's choice is the best one of all for what it takes, as every choice is that is best at
     some price [1]_; between two steps there are other choices, which the knapsack finds.
 
-    Parameters
-    ----------
-    options : Options
-        Points of the junctions' fronts; the first of each takes nothing.
-    weight : (n_junctions,) float
-        Of each junction's accidents.
-    by_cost : bool
-        Whether euros are counted; else units.
+    The first option of each junction takes nothing; `weight` (n_junctions,) is that of each
+    junction's accidents. Either euros or units are counted.
 
     References
     ----------
@@ -510,24 +463,11 @@ def plan_phases(
     """Spread units over years.
 
     At most so many units are mounted in a year. A junction counts from the year in which its last
-    unit is mounted: its units may hang in two years. The order is the one with the largest sum of
+    unit is mounted: its units may come in two years. The order is the one with the largest sum of
     gains over the years in which they are there: a mixed-integer model, or for thousands of
     junctions those with the largest gain per unit first (Smith, 1956), with the bound of the order
-    in which units may be divided.
-
-    Parameters
-    ----------
-    units, gain : (n,)
-        Of each junction; the gain is at least 0.
-    units_per_year : int
-        At least 1.
-    years : int, optional
-        By default as many as it takes.
-
-    Raises
-    ------
-    InputError
-        The years do not suffice.
+    in which units may be divided. `units` and `gain`, (n,), are those of each junction; there are
+    by default as many years as it takes. Raises InputError if the years do not suffice.
     """
     total = int(units.sum())
     needed = -(-total // units_per_year)

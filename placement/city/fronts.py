@@ -1,4 +1,4 @@
-"""What a junction may get, and what bounds it: points of its front, and steps that none exceeds."""
+"""Front of a junction: its points, and steps that no layout exceeds."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -34,11 +34,11 @@ class Point:
     Attributes
     ----------
     units : int
-        New ones: those that hang there already are not counted.
+        New ones: the existing ones are not counted.
     cost_eur : float
         Of the new units and their sites. [EUR]
     apr, apr_one_failed, smallest_margin_s, mean_margin_s : float
-        As :class:`placement.optimiser.PlacementValue` has them, with what hangs there already.
+        As :class:`placement.optimiser.PlacementValue` has them, with the existing units.
     """
 
     units: int
@@ -49,7 +49,7 @@ class Point:
     mean_margin_s: float
 
     def is_beaten_by(self, other: "Point") -> bool:
-        """Whether another point takes no more and is no worse, objective by objective."""
+        """True if another point takes no more and is no worse, objective by objective."""
         return (
             other.units <= self.units
             and other.cost_eur <= self.cost_eur + COST_TOLERANCE_EUR
@@ -65,7 +65,7 @@ NOTHING = Point(
     smallest_margin_s=0.0,
     mean_margin_s=0.0,
 )
-"""What a junction has where nothing hangs."""
+"""A junction where nothing is mounted."""
 
 
 def _compare(one: Point, other: Point) -> int:
@@ -79,21 +79,11 @@ def _compare(one: Point, other: Point) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JunctionFront:
-    """What a junction may get, and what no layout there exceeds.
+    """Layouts that a junction may get, and bounds that no layout there exceeds."""
 
-    Attributes
-    ----------
-    points : tuple of Point
-        The first takes nothing.
-    by_units : tuple of (float, float)
-        From so many new units on, up to the next step, no layout has a higher APR.
-    by_cost : tuple of (float, float)
-        From so many euros on, up to the next step, no layout has a higher APR.
-    """
-
-    points: tuple[Point, ...]
-    by_units: Steps
-    by_cost: Steps
+    points: tuple[Point, ...]  # the first takes nothing
+    by_units: Steps  # from so many new units on, up to the next step, no layout has a higher APR
+    by_cost: Steps  # from so many euros on, up to the next step, no layout has a higher APR
 
     def __post_init__(self) -> None:
         if not self.points or self.points[0].units or self.points[0].cost_eur:
@@ -107,7 +97,7 @@ class JunctionFront:
 
     @property
     def is_proven(self) -> bool:
-        """Whether no layout has a higher APR than the points, for any number of units or euros."""
+        """True if no layout has a higher APR than the points, for any number of units or euros."""
         return all(
             bound <= max(p.apr for p in self.points if p.units <= units) + TOLERANCE
             for units, bound in self.by_units
@@ -178,23 +168,13 @@ def lowered(steps: Sequence[tuple[float, float]]) -> Steps:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Options:
-    """What each of many junctions may get, one option per row.
+    """Options of many junctions, one per row."""
 
-    Attributes
-    ----------
-    junction : (n,) int
-        Ascending, 0, 1, 2 ..; each junction has an option at least.
-    units : (n,) int
-        New units.
-    cost_eur : (n,) float
-        Of these. [EUR]
-    apr, apr_one_failed, smallest_margin_s, mean_margin_s : (n,) float
-        What the option is worth, see :class:`Point`.
-    """
-
-    junction: IntArray
-    units: IntArray
-    cost_eur: FloatArray
+    junction: IntArray  # (n,): ascending, 0, 1, 2 ..; each junction has an option at least
+    units: IntArray  # (n,): new units
+    cost_eur: FloatArray  # (n,): of these. [EUR]
+    # apr, apr_one_failed, smallest_margin_s, mean_margin_s: (n,): what the option is worth, see
+    # :class:`Point`
     apr: FloatArray
     apr_one_failed: FloatArray
     smallest_margin_s: FloatArray
@@ -245,7 +225,7 @@ def stack_fronts(fronts: Sequence[JunctionFront]) -> Options:
 def stack_bounds(
     fronts: Sequence[JunctionFront], *, counts_units: bool, counts_cost: bool
 ) -> Options:
-    """What layouts beside the points might reach at best, as options.
+    """Upper bounds of layouts other than the points, as options.
 
     Each layout of a junction takes at least as much as one of these options and has no higher APR:
     what cannot be reached with them cannot be reached at all. With units and cost counted, an
@@ -290,32 +270,26 @@ _MAX_TIERS = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SiteFront:
-    """What so many sites with more units than one can do.
+    """Layouts and bounds of so many sites with more units than one."""
 
-    Attributes
-    ----------
-    limits : tuple of float
-        APR that no layout exceeds whose new units hang at 0, 1, 2 .. sites; more sites are not
-        bounded.
-    layouts : tuple of tuple of int
-        Good ones with fewer sites than new units: rows of the detection table, with those kept.
-    """
-
+    # APR that no layout exceeds whose new units are at 0, 1, 2 .. sites; more sites are not
+    # bounded
     limits: tuple[float, ...]
+    # good ones with fewer sites than new units: rows of the detection table, with the existing ones
     layouts: tuple[tuple[int, ...], ...]
 
     def limit(self, n_sites: int) -> float:
-        """What no layout at so many sites exceeds."""
+        """Upper bound of the APR of layouts at so many sites."""
         return self.limits[n_sites] if n_sites < len(self.limits) else 1.0
 
 
 def rooms_of(limits: Limits) -> IntArray:
     """New units that each site can carry, (n_sites,)."""
     sites = limits.site_index
-    n_kept = np.bincount(sites[limits.is_forced], minlength=limits.n_sites)
+    n_existing = np.bincount(sites[limits.is_forced], minlength=limits.n_sites)
     is_free = ~limits.is_forced & ~limits.is_forbidden
     room: IntArray = np.minimum(
-        limits.site_capacity - n_kept, np.bincount(sites[is_free], minlength=limits.n_sites)
+        limits.site_capacity - n_existing, np.bincount(sites[is_free], minlength=limits.n_sites)
     )
     return room
 
@@ -325,56 +299,43 @@ def front_by_sites(
 ) -> SiteFront:
     """Layouts of more new units than sites, and what bounds them.
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        Without floors; its prices do not count.
-    base_apr : float
-        Of what is kept.
-    max_units : int
-        New ones.
-    effort : callable
-        What the next step may take.
-
-    Returns
-    -------
-    front : SiteFront
-        With bounds up to as many sites as can carry `max_units`; without any where each unit has
-        to confirm alone.
+    The problem has no floors, and its prices do not count. `base_apr` is that of the existing
+    units; `effort` says what the next step may take. There are bounds up to as many sites as can
+    carry `max_units` new units; none where each unit has to confirm alone.
     """
     limits = problem.limits
     room = rooms_of(limits)
     if room.max(initial=0) < 2:
         return SiteFront(limits=(base_apr,), layouts=())
     # A site counts 1, in place of money.
-    has_kept = np.bincount(limits.site_index[limits.is_forced], minlength=limits.n_sites) > 0
+    has_existing = np.bincount(limits.site_index[limits.is_forced], minlength=limits.n_sites) > 0
     counted = replace(
         problem,
         limits=replace(
             limits,
             budget_eur=None,
             unit_cost_eur=np.zeros(limits.n_poses),
-            site_cost_eur=np.where(has_kept, 0.0, 1.0),
+            site_cost_eur=np.where(has_existing, 0.0, 1.0),
         ),
     )
     reduced = presolve(counted)
     is_free = ~reduced.limits.is_forced & (room[reduced.limits.site_index] > 0)
-    if not is_free.any():  # what is left hangs already, or where there is no more room
+    if not is_free.any():  # what remains is mounted already, or where there is no more room
         return SiteFront(limits=(base_apr,), layouts=())
     most = int(room.max())
     bounds, full, are_best = _front_of_full_sites(
         counted, reduced, room, max_sites=-(-max_units // most), effort=effort
     )
     layouts: dict[tuple[int, int], tuple[int, ...]] = {}
-    n_kept = int(limits.is_forced.sum())
+    n_existing = int(limits.is_forced.sum())
     widest = np.sort(room)[::-1]
     for n_sites in range(1, min(max_units, int((room > 0).sum()) + 1)):
         for n_units in range(n_sites + 1, min(max_units, int(widest[:n_sites].sum())) + 1):
             within = replace(
-                counted.limits, budget_units=n_units + n_kept, budget_eur=float(n_sites)
+                counted.limits, budget_units=n_units + n_existing, budget_eur=float(n_sites)
             )
             at = replace(reduced, limits=within.of_poses(reduced.pose_index))
-            parts = _parts_of(full.get(n_sites, ()), limits, n_units + n_kept)
+            parts = _parts_of(full.get(n_sites, ()), limits, n_units + n_existing)
             if are_best and n_units == widest[:n_sites].sum() and parts:
                 layouts[n_sites, n_units] = parts[0]  # the best one there is
                 continue
@@ -395,31 +356,22 @@ def price_tiers_eur(limits: Limits) -> list[tuple[float, float]]:
 
 
 def bounds_by_money(limits: Limits, tiers: Sequence[tuple[float, Steps, SiteFront]]) -> Steps:
-    """What no layout for so much money exceeds: by the units and sites that so much buys at most.
+    """Upper bound of the APR by money: by the units and sites that it buys at most.
 
     So many new units at so many sites, the dearest of which is of some tier, cost at least what the
     cheapest ones and one site of that tier do; they do no more than what sites up to that tier can.
 
-    Parameters
-    ----------
-    limits : Limits
-        With prices, and a number of units.
-    tiers : sequence of (euros, Steps, SiteFront)
-        Lowest price of a site of the tier; bounds by new units, and by their sites, where no site
-        is dearer than those of the tier. The first one has all sites.
-
-    Returns
-    -------
-    by_cost : sequence of (from, APR)
-        Steps that rise. [EUR]
+    Of each tier: the lowest price of its sites in euros; bounds by new units, and by their sites,
+    where no site is dearer than those of the tier. The first one has all sites. The limits have
+    prices and a number of units.
     """
     free = ~limits.is_forbidden & ~limits.is_forced
     room = rooms_of(limits)
     units = np.cumsum(np.sort(limits.unit_cost_eur[free]))
     cheapest = np.cumsum([0.0, *np.sort(limits.site_cost_eur[room > 0])])
     carried = np.cumsum(np.sort(room[room > 0])[::-1])
-    assert limits.budget_units is not None
-    max_units = limits.budget_units - int(limits.is_forced.sum())
+    max_units = limits.budget_new_units
+    assert max_units is not None
     least = {0.0: tiers[0][1][0][1]}
     for own_eur, by_units, by_sites in tiers:
         for n_sites, most in enumerate(carried, start=1):
@@ -451,7 +403,7 @@ def _front_of_full_sites(
     if problem.fusion != "any" or not len(free):
         return [], {}, False
     classes = _classes_of(table, at_site, sizes)
-    kept = np.flatnonzero(limits.is_forced).tolist()
+    existing = np.flatnonzero(limits.is_forced).tolist()
     sets = [
         (site, chosen)
         for site, (here, size) in enumerate(zip(classes, sizes, strict=True))
@@ -461,7 +413,7 @@ def _front_of_full_sites(
     n_sets = len(sets)
     packed = np.empty((n_sets, table.packed.shape[1]), dtype=np.uint8)
     for row, (_, chosen) in enumerate(sets):
-        together = [*chain.from_iterable(chosen), *kept]
+        together = [*chain.from_iterable(chosen), *existing]
         np.bitwise_or.reduce(table.packed[together], axis=0, out=packed[row])
     of_sets = replace(
         problem,
@@ -486,7 +438,7 @@ def _front_of_full_sites(
 
 
 def _one_of_each(reduced: ReducedProblem, classes: list[tuple[int, ...]]) -> tuple[int, ...]:
-    """What is kept, and of each class the pose that adds most to those before it."""
+    """Existing units, and of each class the pose that adds most to those before it."""
     units = forced_units(reduced)
     for poses in classes:
         members = np.searchsorted(reduced.pose_index, poses)
@@ -524,13 +476,13 @@ def _classes_of(
 
 
 def _parts_of(layout: tuple[int, ...], limits: Limits, n_units: int) -> list[tuple[int, ...]]:
-    """Layouts of so many units, among them all that are kept, out of a larger one."""
-    kept = [pose for pose in layout if limits.is_forced[pose]]
+    """Layouts of so many units, among them all existing ones, out of a larger one."""
+    existing = [pose for pose in layout if limits.is_forced[pose]]
     new = [pose for pose in layout if not limits.is_forced[pose]]
-    n_new = n_units - len(kept)
+    n_new = n_units - len(existing)
     if not 0 < n_new <= len(new):
         return []
-    return [tuple(sorted([*kept, *part])) for part in combinations(new, n_new)]
+    return [tuple(sorted([*existing, *part])) for part in combinations(new, n_new)]
 
 
 def _fewer(n_sites: int, n_units: int) -> tuple[tuple[int, int], ...]:

@@ -51,25 +51,14 @@ class TimeUpError(RuntimeError):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class JunctionWishes:
-    """How a junction's front is looked for.
+    """How a junction's front is looked for."""
 
-    Attributes
-    ----------
-    grid : CandidateGrid
-        Poses at each site.
-    max_units : int
-        Most new units.
-    time_limit_s : float
-        For all of it; of what is left after the detection table, the optimiser takes what the
-        question allows it. [s]
-    existing : Layout, optional
-        What is mounted there already.
-    """
-
-    grid: CandidateGrid
-    max_units: int
+    grid: CandidateGrid  # poses at each site
+    max_units: int  # most new units
+    # for all of it; of what is left after the detection table, the optimiser takes what the
+    # question allows it. [s]
     time_limit_s: float
-    existing: Layout | None = None
+    existing: Layout | None = None  # what is mounted there already
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -81,7 +70,7 @@ class SolvedJunction:
     front : JunctionFront
         Points and bounds.
     layouts : tuple of Layout or None
-        Of each point, with what hangs there already; None where nothing hangs.
+        Of each point, with the existing units; None where nothing is mounted.
     n_sites, n_poses, n_runs, n_frames : int
         Sizes of the question.
     seconds : dict of str to float
@@ -173,42 +162,28 @@ def find_front(
     begin: Callable[[str], None],
     first: IntArray | None = None,
 ) -> tuple[JunctionFront, list[tuple[int, ...]]]:
-    """What units and money buy, and the layout of each point.
+    """Front of what units and money buy, and the layout of each point.
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        With a number of units, those that are kept among them, and without floors.
-    effort : callable
-        What the next step may take.
-    begin : callable
-        Is told each step.
-    first : (n,) int, optional
-        Few of the poses, those that are kept among them, whose own front is found first: no point
-        is worse than what they can do.
-
-    Returns
-    -------
-    front : JunctionFront
-        The first point takes nothing.
-    layouts : list of tuple of int
-        Rows of the detection table, with those kept.
+    The problem has a number of units, the existing ones among them, and no floors. `effort` says
+    what the next step may take, `begin` is called with each step. The front of the poses `first`,
+    (n,), the existing ones among them, is found first: no point is worse than what they can do. The
+    first point takes nothing; layouts are rows of the detection table, with the existing ones.
     """
     limits = problem.limits
     forced = tuple(np.flatnonzero(limits.is_forced).tolist())
-    n_kept = len(forced)
+    n_existing = len(forced)
     base = PlacementValue(0.0, 0.0, 0.0, 0.0, 0.0)
-    if n_kept:
+    if n_existing:
         base = placement_value(problem, forced)
 
     def fronts_of(part: PlacementProblem, tell: Callable[[str], None]) -> tuple[Front, SiteFront]:
         assert limits.budget_units is not None
         tell("front by units")
         by_units = pareto_front(
-            part, max_units=limits.budget_units, min_units=max(n_kept, 1), effort=effort()
+            part, max_units=limits.budget_units, min_units=max(n_existing, 1), effort=effort()
         )
         tell("front by sites")
-        most = limits.budget_units - n_kept
+        most = limits.budget_units - n_existing
         by_sites = front_by_sites(part, base_apr=base.apr, max_units=most, effort=effort)
         return by_units, by_sites
 
@@ -229,7 +204,9 @@ def find_front(
         begin("front by money")
         by_cost = _cost_front(problem, effort())
     lowest_eur = [least_eur for least_eur, _ in reversed(tiers)] or [0.0]
-    return _merge(problem, list(zip(lowest_eur, fronts, strict=True)), by_cost, few, base, n_kept)
+    return _merge(
+        problem, list(zip(lowest_eur, fronts, strict=True)), by_cost, few, base, n_existing
+    )
 
 
 def _most_units(scene: Scene, question: Question, wishes: JunctionWishes) -> int:
@@ -256,7 +233,7 @@ def _without_dear_sites(problem: PlacementProblem, highest_eur: float) -> Placem
 
 
 def _has_prices(limits: Limits) -> bool:
-    """Whether one unit, or one site, costs more than another: then money is more than numbers."""
+    """True if one unit, or one site, costs more than another: then money is more than numbers."""
     free = ~limits.is_forbidden & ~limits.is_forced
     sites = limits.site_cost_eur[np.unique(limits.site_index[free])]
     return bool(np.ptp(limits.unit_cost_eur[free]) or np.ptp(sites))
@@ -273,9 +250,9 @@ def _cost_front(problem: PlacementProblem, effort: Effort) -> Front | None:
 
 
 def _layout(
-    candidates: Sequence[CandidatePose], index: tuple[int, ...], kept: Layout | None
+    candidates: Sequence[CandidatePose], index: tuple[int, ...], existing: Layout | None
 ) -> Layout | None:
-    return pick_layout(candidates, index, f"front-{len(index)}") if index else kept
+    return pick_layout(candidates, index, f"front-{len(index)}") if index else existing
 
 
 # ---------- one front of all
@@ -287,7 +264,7 @@ def _merge(
     by_cost: Front | None,
     others: list[tuple[int, ...]],
     base: PlacementValue,
-    n_kept: int,
+    n_existing: int,
 ) -> tuple[JunctionFront, list[tuple[int, ...]]]:
     """The points of all fronts that no other one beats, and the poses of each.
 
@@ -302,10 +279,10 @@ def _merge(
         layouts += [(found.value, found.pose_index) for found in by_units.points]
         layouts += [(placement_value(problem, layout), layout) for layout in by_sites.layouts]
     for value, layout in layouts:
-        if n_new := len(layout) - n_kept:
+        if n_new := len(layout) - n_existing:
             poses.setdefault(_point(value, n_new, value.cost_eur), layout)
     bounds = [
-        (eur, _bounds_by_units(by_units, base=base.apr, n_kept=n_kept), by_sites)
+        (eur, _bounds_by_units(by_units, base=base.apr, n_existing=n_existing), by_sites)
         for eur, (by_units, by_sites) in tiers
     ]
     unit_steps = bounds[0][1]
@@ -336,18 +313,18 @@ def _apr_bound(point: FrontPoint) -> float:
     return stage.bound
 
 
-def _bounds_by_units(front: Front, *, base: float, n_kept: int) -> Steps:
+def _bounds_by_units(front: Front, *, base: float, n_existing: int) -> Steps:
     steps = [(0.0, base)]
     steps += [
-        (float(point.units - n_kept), max(_apr_bound(point), base))
+        (float(point.units - n_existing), max(_apr_bound(point), base))
         for point in front.points
-        if point.units > n_kept
+        if point.units > n_existing
     ]
     return lowered(steps)
 
 
 def _bounds_by_cost(front: Front, *, base: float, most: float, step: float) -> Steps:
-    """What no layout for so much money exceeds.
+    """Upper bound of the APR by money.
 
     The first stage of a point says what is better than the point before it costs at least: better
     by the step of the front, so that up to a step more is not ruled out for less money.

@@ -33,24 +33,12 @@ _UNIT_SUM = 1.0e5  # the solver's objective: its tolerance of 1e-6 is then 1e-11
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Knapsack:
-    """A problem: the highest sum of profits of one option per group, within limits.
+    """A problem: the highest sum of profits of one option per group, within limits."""
 
-    Attributes
-    ----------
-    group : (n,) int
-        Ascending, 0, 1, 2 ..
-    profit : (n,) float
-        Of each option.
-    rows : (m, n) float
-        What an option takes of each limit; negative: what it adds.
-    limits : (m,) float
-        What all chosen options may take together.
-    """
-
-    group: IntArray
-    profit: FloatArray
-    rows: FloatArray
-    limits: FloatArray
+    group: IntArray  # (n,): ascending, 0, 1, 2
+    profit: FloatArray  # (n,): of each option
+    rows: FloatArray  # (m, n): what an option takes of each limit; negative: what it adds
+    limits: FloatArray  # (m,): what all chosen options may take together
 
     @property
     def starts(self) -> IntArray:
@@ -59,30 +47,22 @@ class Knapsack:
         return starts
 
     def is_within(self, chosen: IntArray) -> bool:
-        """Whether a choice, one option per group, keeps the limits but for rounding."""
+        """True if a choice, one option per group, keeps the limits but for rounding."""
         room = _ROUNDING * np.maximum(1.0, np.abs(self.rows[:, chosen]).sum(axis=1))
         return bool((self.rows[:, chosen].sum(axis=1) <= self.limits + room).all())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Choice:
-    """What was chosen.
+    """Options that were chosen."""
 
-    Attributes
-    ----------
-    chosen : (n_groups,) int or None
-        Option of each group; None: nothing was found within the time, or `bound` is minus infinity
-        and nothing keeps the limits.
-    objective, bound : float
-        Sum of profits, and what no choice exceeds.
-    n_core : int
-        Options that the solver was handed.
-    """
-
+    # (n_groups,): option of each group; None: nothing was found within the time, or `bound` is
+    # minus infinity and nothing keeps the limits
     chosen: IntArray | None
+    # objective, bound: sum of profits, and what no choice exceeds
     objective: float
     bound: float
-    n_core: int
+    n_core: int  # options that the solver was handed
 
 
 def solve_knapsack(
@@ -92,23 +72,9 @@ def solve_knapsack(
     time_limit_s: float = 60.0,
     core_options: int = CORE_OPTIONS,
 ) -> Choice:
-    """Choose one option of each group.
+    """Choose one option of each group, up to a relative gap, within a time in seconds.
 
-    Parameters
-    ----------
-    problem : Knapsack
-        At least one option in each group.
-    gap : float
-        Relative distance of objective and bound at which it is good enough.
-    time_limit_s : float
-        For all of it. [s]
-    core_options : int
-        Options that the solver is handed at first.
-
-    Returns
-    -------
-    choice : Choice
-        Bounds hold for all choices, whatever the core.
+    The solver is handed `core_options` at first; bounds hold for all choices, whatever the core.
     """
     end_s = now_s() + time_limit_s
     if len(problem.group) <= core_options:

@@ -87,7 +87,7 @@ class _Numbers:
         return int(value)
 
     def begin_lines(self, indices: IntArray) -> bool:
-        """Whether all of some numbers are the first of their lines."""
+        """True if all of some numbers are the first of their lines."""
         text = np.frombuffer(self.data, dtype=np.uint8)
         ends = np.flatnonzero((text == ord("\n")) | (text == ord("\r")))
         line = np.searchsorted(ends, self.start)
@@ -104,7 +104,7 @@ class _Numbers:
         return f"line {line}, number {nth}"
 
     def text(self, index: int) -> object:
-        """What stands there."""
+        """Text at a number's place."""
         if index >= len(self.start):
             return Unquoted("the end of the file after it")
         return _token(self.data, int(self.start[index]))
@@ -160,7 +160,7 @@ def _numbers(data: bytes, where: str) -> _Numbers:
     start = np.flatnonzero(~is_blank & np.append(True, is_blank[:-1])[: len(is_blank)])
     value = np.empty(0)
     if not data.translate(None, _CHARACTERS):
-        with contextlib.suppress(ValueError):  # such as a sign without digits, told below
+        with contextlib.suppress(ValueError):  # such as a sign without digits, refused below
             value = np.fromstring(data.decode("ascii"), sep=" ")
     if len(value) != len(start) or not np.isfinite(value).all():
         for index, offset in enumerate(start):
@@ -192,7 +192,7 @@ def _one_of(words: Sequence[str]) -> str:
 
 
 def _token(data: bytes, offset: int, *, longest: int | None = 40) -> str:
-    """What stands from an offset to the next blank."""
+    """Text from an offset to the next blank."""
     end = len(data) if longest is None else offset + longest
     token = data[offset : min(end, offset + 4096)].split(None, 1)[0]
     return token.decode("latin-1")
@@ -298,7 +298,7 @@ class _Lists:
     end: int  # where the last one ends
 
     def take(self, order: IntArray) -> "_Lists":
-        """The same lists in another order."""
+        """Lists in another order."""
         return _Lists(
             record=self.record[order],
             start=self.start[order],
@@ -428,7 +428,7 @@ FORMATS = (NPZ, *TEXT_FORMATS)
 """Names of the formats that :func:`load_instance` reads; of its own, npz."""
 
 KIND = "place-rsus/covering-instance/1"
-"""What our own files say they hold; raise the number whenever the fields change."""
+"""Kind of our own files; raise the number whenever the fields change."""
 
 _OPTIONAL = {"numbered_from": 0, "names": np.empty(0, dtype=np.str_)}
 _ZIP_MAGIC = b"PK"
@@ -492,7 +492,7 @@ def save_instance(path: Path, instance: CoveringInstance) -> None:
 
 
 def instance_kind(path: Path) -> str | None:
-    """What kind of instance one of this program's files holds, such as :data:`KIND`.
+    """Kind of instance that one of this program's files holds, such as :data:`KIND`.
 
     None if the file cannot be read, or is none of this program's.
     """
@@ -500,7 +500,7 @@ def instance_kind(path: Path) -> str | None:
         # Opened here: numpy does not close a file that turns out to be no archive.
         with open_file(path) as file, np.load(file, allow_pickle=False) as stored:
             return str(stored["kind"])
-    except Exception:  # what is wrong with it is told by what reads it
+    except Exception:  # what is wrong with it is said by what reads it
         return None
 
 

@@ -38,28 +38,16 @@ from ..optimiser.tolerances import ROUNDING, common_step, settle
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CoveringInstance:
-    """A covering problem without its question: columns can be chosen, rows want to be covered.
+    """A covering problem without its question: columns can be chosen, rows want to be covered."""
 
-    Attributes
-    ----------
-    covers : (n_columns, n_rows) sparse bool
-        Whether a column (a pose) covers a row (a demand). Compressed by columns of the problem:
-        ``covers.indices[covers.indptr[c] : covers.indptr[c + 1]]`` are the rows that column c
-        covers, ascending. May be given as any array.
-    cost : (n_columns,) float
-        Price of each column, not negative.
-    weight : (n_rows,) float
-        What covering each row is worth, not negative.
-    names : tuple of str
-        Of the columns; empty if they have none.
-    numbered_from : int
-        The number of the first column where the instance comes from: 1 in OR-Library's files.
-    """
-
+    # (n_columns, n_rows): whether a column (a pose) covers a row (a demand). Compressed by columns
+    # of the problem: ``covers.indices[covers.indptr[c] : covers.indptr[c + 1]]`` are the rows that
+    # column c covers, ascending. May be given as any array
     covers: sp.csr_array
-    cost: FloatArray
-    weight: FloatArray
-    names: tuple[str, ...] = ()
+    cost: FloatArray  # (n_columns,): price of each column, not negative
+    weight: FloatArray  # (n_rows,): what covering each row is worth, not negative
+    names: tuple[str, ...] = ()  # of the columns; empty if they have none
+    # the number of the first column where the instance comes from: 1 in OR-Library's files
     numbered_from: int = 0
 
     def __post_init__(self) -> None:
@@ -156,7 +144,7 @@ def _amounts(values: FloatArray, n: int, name: str) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CoveringBudget:
-    """What may be chosen."""
+    """Limits on what may be chosen."""
 
     units: int | None = None  # at most so many columns; by default any number
     cost: float | None = None  # at most so much money; by default any
@@ -175,7 +163,7 @@ class CoveringBudget:
         return math.inf if self.cost is None else self.cost * (1.0 + ROUNDING)
 
     def allows(self, cost: ArrayLike) -> bool:
-        """Whether columns at these costs may be chosen together."""
+        """True if columns at these costs may be chosen together."""
         costs = np.asarray(cost, dtype=np.float64)
         return (self.units is None or len(costs) <= self.units) and bool(costs.sum() <= self.money)
 
@@ -225,7 +213,7 @@ def needed_weight(instance: CoveringInstance, target: float | None) -> float | N
 
 
 def is_whole(amounts: FloatArray) -> bool:
-    """Whether all are whole numbers, so that their sums are, too."""
+    """True if all are whole numbers, so that their sums are, too."""
     return bool((amounts == np.round(amounts)).all())
 
 
@@ -289,7 +277,7 @@ class CoveringSolution:
 
     @property
     def is_proven(self) -> bool:
-        """Whether the objective is proven to be the best there is."""
+        """True if the objective is proven to be the best there is."""
         return self.gap == 0.0
 
 
@@ -396,7 +384,7 @@ def solver_text() -> str:
 
 
 def _has_proof(solver: str, instance: CoveringInstance) -> bool:
-    """Whether a solver proves its answers, by its name.
+    """True if a solver proves its answers, by its name.
 
     Raises InputError: there is no such solver, or no memory for it.
     """
@@ -620,7 +608,7 @@ def _stack(times_covered: sp.csr_array, *rows: FloatArray) -> sp.csr_array:
 
 
 def _unit(coefficients: FloatArray) -> float:
-    """What to divide an objective by; whole numbers of an ordinary size stay whole."""
+    """Divisor of an objective; whole numbers of an ordinary size stay whole."""
     total = float(coefficients.sum())
     if total == 0.0 or (is_whole(coefficients) and total <= _LARGEST_SUM):
         return 1.0

@@ -118,7 +118,7 @@ def _vru_positions_m(runs: Sequence[Run], axis: FrameAxis, frame_run: IntArray) 
 
 
 _DIGITS = 2  # of metres and degrees: finer than anyone mounts
-_N_HEIGHTS = 2  # new ones per unit and round, beside its own
+_N_HEIGHTS = 2  # new ones per unit and round, in addition to its own
 _N_AT_OWN_HEIGHTS = 96  # per round, of all units: they need no new rays
 _PER_NEW_HEIGHT = 12
 _N_AIMED_MOUNTS = 4  # per round
@@ -137,7 +137,7 @@ class Places:
 
     scene: Scene  # its sites say how high
     candidates: tuple[CandidatePose, ...]  # the grid
-    # (n,): which of them stand for poses that may be chosen: not forbidden, and not kept.
+    # (n,): which of them stand for poses that may be chosen: not forbidden, and not existing.
     is_free: BoolArray
     site_index: IntArray  # (n,): equal for poses of one site
     row_of: Mapping[str, int]  # row of every id
@@ -178,11 +178,11 @@ def moved(
     pitch_deg: float,
     fov_deg: float | None = None,
 ) -> CandidatePose | None:
-    """What stands for a row of the grid, moved and turned; None if it would hang inside something.
+    """Replacement for a row of the grid, moved and turned; None if it would be inside something.
 
     The height is brought into the site's range, the pitch into -90 .. 90 degrees, and the field of
     view into the range of a varifocal lens; it is that of the grid by default. The pose's id says
-    where it hangs and how it looks.
+    where it is mounted and how it looks.
     """
     grid = places.candidates[origin]
     low_m, high_m = places.height_range_m(origin)
@@ -341,7 +341,7 @@ class Bench:
     """Poses that are tried together."""
 
     candidates: tuple[CandidatePose, ...]  # the poses
-    # (n,): row of the grid's pose that each one is, or stands in for: it hangs at the same place,
+    # (n,): row of the grid's pose that each one is, or stands in for: it is at the same place,
     # and has the same sensor.
     origin: IntArray
     is_new: NDArray[np.bool_]  # (n,): whether it is not in the grid
@@ -428,7 +428,7 @@ def promising_rows(
 ) -> IntArray:
     """Rows of the full problem's table that stay in the race for a place, ascending.
 
-    For each unit these are the `n_best` poses beside all others, and the `n_per_site` best of each
+    For each unit these are the `n_best` poses next to all others, and the `n_per_site` best of each
     site, so that every site stays in the race. The chosen poses and all that are forced are among
     them.
     """
@@ -515,7 +515,7 @@ class RayRows:
     def _sensing(
         self, key: tuple[float, ...], candidates: Sequence[CandidatePose]
     ) -> tuple[Sensing, float]:
-        """What a mount sees as far as its sensors reach, and how far that is."""
+        """View from a mount as far as its sensors reach, and how far that is."""
         needed_m = max(self._reach_of(candidate.sensor) for candidate in candidates)
         if key in self._mounts and self._mounts[key][1] >= needed_m:
             return self._mounts[key]
@@ -564,7 +564,7 @@ class Move:
 
     @property
     def is_same_place(self) -> bool:
-        """Whether the same sensor still hangs at the same place, maybe higher or lower."""
+        """True if the same sensor is still at the same place, maybe higher or lower."""
         before, after = self.before, self.after
         return before is not None and after is not None and is_same_place(before, after)
 
@@ -603,7 +603,7 @@ class Move:
 
 
 def is_same_place(one: CandidatePose, other: CandidatePose) -> bool:
-    """Whether two poses are of one sensor model at one place, whatever their heights."""
+    """True if two poses are of one sensor model at one place, whatever their heights."""
     away_m = one.pose.position_m[:2] - other.pose.position_m[:2]
     return one.sensor.name == other.sensor.name and bool(np.hypot(*away_m) <= _SAME_PLACE_M)
 
@@ -636,7 +636,7 @@ def rename(
 ) -> tuple[Layout, tuple[Move, ...]]:
     """A layout of the poses, whose units keep their names where they stay in place, and the moves.
 
-    `before` has the names that are kept. `named` are names that mean one pose and no other, such as
+    `before` has the names that stay. `named` are names that mean one pose and no other, such as
     those of an existing layout: another pose gets another name. The units come in the order of the
     old ones, new ones behind; the moves leave out units that stayed as they were.
     """

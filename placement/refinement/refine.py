@@ -65,7 +65,7 @@ def stage_values(problem: PlacementProblem, pose_index: Sequence[int]) -> tuple[
 
 
 def improves(values: Sequence[StageValue], others: Sequence[StageValue]) -> bool:
-    """Whether the first difference that exceeds rounding noise favours `values`.
+    """True if the first difference that exceeds rounding noise favours `values`.
 
     Examples
     --------
@@ -80,7 +80,7 @@ def improves(values: Sequence[StageValue], others: Sequence[StageValue]) -> bool
 
 
 def certify(values: Sequence[StageValue], certificate: Certificate, solver: str) -> Certificate:
-    """The bounds of a certificate, beside a set of poses that is as good as its layout or better.
+    """The bounds of a certificate for a set of poses that is as good as its layout or better.
 
     `values` are those of a set within the certificate's problem. A bound holds for all sets that
     are as good in the stages before as the certificate's layout, and so for those that are as good
@@ -206,23 +206,16 @@ _PROOF_SHARE = 0.4  # of the time: for the whole grid, when the search is over
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RefinementEffort:
-    """How hard to try.
+    """How hard to try."""
 
-    Attributes
-    ----------
-    n_rounds : int
-        At most so many rounds of new poses; fewer if three in a row improve nothing,
-        nor does an exact solution then.
-    n_pool : int
-        Poses of the grid that stay in the race for each unit's place, beside the best ones of
-        every site.
-    time_limit_s : float
-        Six tenths of it for rounds and steps, the rest for the proof at the end. Results are the
-        same again only where it is not reached. [s]
-    """
-
+    # at most so many rounds of new poses; fewer if three in a row improve nothing, nor does an
+    # exact solution then
     n_rounds: int = 10
+    # poses of the grid that stay in the race for each unit's place, beside the best ones of every
+    # site
     n_pool: int = 24
+    # six tenths of it for rounds and steps, the rest for the proof at the end. Results are the same
+    # again only where it is not reached. [s]
     time_limit_s: float = 60.0
 
     def __post_init__(self) -> None:
@@ -442,7 +435,7 @@ class Refinement:
 
     @property
     def is_improved(self) -> bool:
-        """Whether a better layout was found."""
+        """True if a better layout was found."""
         return bool(self.moves)
 
     def __repr__(self) -> str:
@@ -474,7 +467,7 @@ def refine(
     solver : Effort, optional
         Of the optimiser; its time limit is shortened where that of `effort` leaves less.
     compute : Compute
-        Threads, who is told the progress, and the seed of the new poses and of the points on the
+        Threads, progress, and the seed of the new poses and of the points on the
         VRUs: that of the table.
 
     Returns
@@ -483,7 +476,7 @@ def refine(
         Never worse, in the order of the problem's stages. Poses around the chosen ones and poses
         aimed at what is seen too late are added to the promising ones of the grid, and the problem
         is solved again on these, until that improves nothing; then the units are turned in small
-        steps where they hang.
+        steps where they are.
 
     Raises
     ------

@@ -188,26 +188,10 @@ class SampledApr:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FreshWorlds:
-    """What layouts avoid in some worlds that none was chosen in."""
+    """Runs that layouts avoid in some worlds that none was chosen in."""
 
     avoided: BoolArray  # (n_layouts, n_worlds, n_runs)
     driving: TrafficCount  # vehicles that drove by, in all of them
-
-
-def out_of_sample(
-    setting: Setting,
-    layout: Layout,
-    uncertainty: Uncertainty,
-    *,
-    n_samples: int,
-    fusion: str = "any",
-    compute: Compute = DEFAULT_COMPUTE,
-) -> SampledApr:
-    """Evaluate one layout in new worlds; see :func:`out_of_sample_layouts`."""
-    (judged,) = out_of_sample_layouts(
-        setting, [layout], uncertainty, n_samples=n_samples, fusion=fusion, compute=compute
-    )
-    return judged
 
 
 def out_of_sample_layouts(
@@ -223,7 +207,7 @@ def out_of_sample_layouts(
 
     Units at the same pose in several layouts are looked from once. No draw is shared with the
     worlds that :func:`placement.sampling.tables.sampled_table` chooses in, also not for the same
-    seed. Nothing is cached; progress is told the worlds.
+    seed. Nothing is cached; progress counts the worlds.
     """
     worlds = look_at_fresh_worlds(
         *(setting, layouts, uncertainty), n_worlds=n_samples, fusion=fusion, compute=compute
@@ -241,7 +225,7 @@ def look_at_fresh_worlds(
     fusion: str = "any",
     compute: Compute = DEFAULT_COMPUTE,
 ) -> FreshWorlds:
-    """What layouts avoid in so many fresh worlds, from one of them on."""
+    """Runs that layouts avoid in so many fresh worlds, from one of them on."""
     if fusion not in FUSIONS:
         raise InputError("fusion", fusion, "one of " + ", ".join(FUSIONS))
     units = {_key(unit): unit for layout in layouts for unit in layout.units}

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
+from geometry.arrays import FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
 from geometry.lidar import LidarModel
 from scenarios.runs import FrameAxis
@@ -30,7 +30,7 @@ from ..visibility.casting import SharedScene, World, build_shared_scene, build_w
 from ..visibility.sensing import build_sensing, cast_for
 from .moving import TrafficCount
 from .uncertainty import Uncertainty
-from .worlds import Luck, Sample, draw_samples, pose_key
+from .worlds import RandomStreams, Sample, draw_samples, pose_key
 
 # ---------- misses and lost messages
 
@@ -77,7 +77,7 @@ def build_drawn_table(
             draw_frames(
                 *(limit, world.views.weather_of_frame, entry_of_frame),
                 *(order.run_of_frame, order.place_of_frame),
-                sample.luck.key("detector", *pose_key(planned)),
+                sample.streams.key("detector", *pose_key(planned)),
                 detector.frame_correlation,
                 packed[row],
             )
@@ -111,14 +111,14 @@ def lose_messages(sample: Sample, table: DetectionTable) -> DetectionTable:
     order = link_frames(draw_index(sample.setting.runs))
     packed = np.array(table.packed)
     for row in np.flatnonzero(packed.any(axis=1)).tolist():
-        key = sample.luck.key("message", *pose_key(sample.planned[row]))
+        key = sample.streams.key("message", *pose_key(sample.planned[row]))
         lose_frames(order.run_of_frame, order.place_of_frame, key, loss, packed[row])
     return DetectionTable(pose_ids=table.pose_ids, axis=table.axis, packed=packed)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FrameLinks:
-    """Which frames share their luck, and which follow one another."""
+    """Frames that share their random numbers, and frames that follow one another."""
 
     # run_of_frame, place_of_frame: (n_frames,): place in its run, and what makes the sum of both
     # another for each frame; the same for the same run in several weathers
@@ -129,7 +129,7 @@ class FrameLinks:
 def link_frames(frames: IntArray) -> FrameLinks:
     """Find out which frames belong together, from numbers as `draw_index` gives, (n_frames,).
 
-    Equal ones share their luck, those that follow one another are linked.
+    Equal ones share their random numbers, those that follow one another are linked.
     """
     draws, index = np.unique(frames, return_inverse=True)
     starts = np.flatnonzero(np.diff(draws, prepend=draws[0] - 2) != 1)
@@ -143,7 +143,7 @@ def link_frames(frames: IntArray) -> FrameLinks:
 def _limits(
     world: World, candidates: Sequence[CandidatePose], detector: ResponseDetector
 ) -> tuple[FloatArray, IntArray]:
-    """What a standard normal number must be less than to be a detection, for one mount position.
+    """Limits below which a standard normal number is a detection, for one mount position.
 
     Of each candidate, weather and entry, (n, n_weathers, n_entries), and the entry that each frame
     shows; -1 where nothing is seen.
@@ -164,9 +164,9 @@ def _limits(
     return limits, sight.entry_of_frame
 
 
-def drawing_key(luck: Luck, detector: ResponseDetector) -> str:
-    """Everything that a drawn table depends on beside the probabilities, and how it is drawn."""
-    return f"2 {luck.seed} {luck.purpose} {luck.index} {detector.frame_correlation!r}"
+def drawing_key(streams: RandomStreams, detector: ResponseDetector) -> str:
+    """Everything but the probabilities that a drawn table depends on, and how it is drawn."""
+    return f"2 {streams.seed} {streams.purpose} {streams.index} {detector.frame_correlation!r}"
 
 
 # ---------- detection tables of sampled worlds
@@ -196,16 +196,6 @@ class SampledTable:
             raise InputError("sample_index", index.tolist(), f"0 .. {self.n_samples - 1}, each")
         object.__setattr__(self, "sample_index", freeze(index))
 
-    def apr_by_sample(self, is_avoided: BoolArray) -> FloatArray:
-        """Accident prevention ratio in each world, (n_samples,), of (n_runs,) avoided runs."""
-        weight = self.table.axis.weight
-        every, avoided = (
-            np.bincount(self.sample_index, weights=counted, minlength=self.n_samples)
-            for counted in (weight, weight * np.asarray(is_avoided, dtype=bool))
-        )
-        apr: FloatArray = avoided / every
-        return apr
-
     def __repr__(self) -> str:
         return f"SampledTable({self.n_samples} samples, {self.table!r})"
 
@@ -223,7 +213,7 @@ def sampled_table(
     Where mounts, the street or detections are drawn, every world takes nearly as long as the plan's
     own table: other things stand in the way, and sensors look elsewhere. A packed table has n_poses
     x n_frames / 8 bytes per world, in memory and in the cache. The cache keeps the tables of single
-    worlds; progress is told the mount positions of all.
+    worlds; progress counts the mount positions of all.
     """
     samples = draw_samples(setting, candidates, uncertainty, n_samples=n_samples, seed=compute.seed)
     compute.progress(STAGE, 0, 0)
@@ -304,7 +294,7 @@ def build_sample_tables(
 
 
 def share_scene(setting: Setting, *, is_still: bool, compute: Compute) -> SharedScene:
-    """What sampled worlds have in common, and keep of one another.
+    """Shared scene: what all sampled worlds have in common.
 
     In worlds that are still nothing drives that was not planned.
     """
@@ -333,7 +323,7 @@ def _obtain(
         sample.candidates,
         stage=STAGE,
         build=lambda: _build(sample, compute, share(sample)),
-        drawn="" if detector is None else drawing_key(sample.luck, detector),
+        drawn="" if detector is None else drawing_key(sample.streams, detector),
         compute=compute,
     )
 

@@ -111,7 +111,7 @@ def _footprints_of(bodies: Iterable[PlacedActor]) -> Footprints:
 
 
 def touches_any(corners_m: FloatArray, others_m: Sequence[FloatArray]) -> bool:
-    """Whether a footprint touches one of others."""
+    """True if a footprint touches one of others."""
     if not others_m:
         return False
     separation: BoolArray = footprint_separation(np.stack(others_m), corners_m) <= _TOGETHER_M
@@ -221,7 +221,7 @@ class Street:
         return set_down(kept, self.scene)
 
     def _is_free(self, corners_m: FloatArray, height_m: float) -> bool:
-        """Whether nothing of the scene is on the sides and diagonals of a footprint."""
+        """True if nothing of the scene is on the sides and diagonals of a footprint."""
         heights = [h for h in (*_HEIGHTS_M, height_m - _BELOW_ROOF_M) if h < height_m]
         on_road = on_ground(corners_m, terrain_of(self.scene)) - self.origin_m
         starts, ends = (

@@ -23,6 +23,18 @@ from .moving import MovingTraffic, load_traffic
 # ---------- kinds of uncertainty
 
 
+_LENGTHS = (
+    "free_place_m",
+    "parked_gap_m",
+    "clear_of_mouth_m",
+    "waiting_gap_m",
+    "crosswalk_gap_m",
+    "along_arm_m",
+    "clearance_m",
+)
+_TRAFFIC = ("taken_share", "waiting_share", "following_share", *_LENGTHS)
+
+
 DISTRIBUTIONS = ("gamma", "uniform")
 DRAWN_PER = ("run", "sample")
 _MAX_ANGLE_SD_DEG = 30.0
@@ -101,7 +113,7 @@ class LatencyJitter:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class VehicleKind:
-    """A kind of vehicle that stands beside the road or waits on it."""
+    """A kind of vehicle that stands at the roadside or waits on the road."""
 
     actor: Actor  # its body
     # parked_share, waiting_share: of all that are parked, and of all that wait: so many are of this
@@ -116,45 +128,26 @@ class VehicleKind:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StandingTraffic:
-    """Vehicles that stand at random: parked along the arms, and waiting to enter the junction.
+    """Vehicles that stand at random: parked along the arms, and waiting to enter the junction."""
 
-    Attributes
-    ----------
-    taken_share : float
-        Probability that a place in a parking lane is taken. 0 .. 1
-    waiting_share, following_share : float
-        Probability that somebody waits at the stop line of a lane; then, again and again, that
-        another one stands behind. 0 .. 1
-    vehicles : tuple of VehicleKind
-        What stands there; shares of each use sum to 1.
-    free_place_m : float
-        Length of a place that stays free. [m]
-    parked_gap_m, waiting_gap_m : float
-        From bumper to bumper. [m]
-    clear_of_mouth_m : float
-        No parking nearer to the junction. [m]
-    crosswalk_gap_m : float
-        From the line on which pedestrians cross an arm to the first bumper that waits. [m]
-    along_arm_m : float
-        Nobody stands farther from the junction. [m]
-    clearance_m : float
-        Nobody stands nearer to the way of a VUT or a VRU. [m]
-    """
-
-    taken_share: float = 0.0
+    taken_share: float = 0.0  # probability that a place in a parking lane is taken. 0 .. 1
+    # waiting_share, following_share: probability that somebody waits at the stop line of a lane;
+    # then, again and again, that another one stands behind. 0 .. 1
     waiting_share: float = 0.0
     following_share: float = 0.0
-    vehicles: tuple[VehicleKind, ...] = ()
-    free_place_m: float = 5.5
+    vehicles: tuple[VehicleKind, ...] = ()  # what stands there; shares of each use sum to 1
+    free_place_m: float = 5.5  # length of a place that stays free. [m]
+    # parked_gap_m, waiting_gap_m: from bumper to bumper. [m]
     parked_gap_m: float = 0.8
-    clear_of_mouth_m: float = 5.0
+    clear_of_mouth_m: float = 5.0  # no parking nearer to the junction. [m]
     waiting_gap_m: float = 2.0
+    # from the line on which pedestrians cross an arm to the first bumper that waits. [m]
     crosswalk_gap_m: float = 3.0
-    along_arm_m: float = 60.0
-    clearance_m: float = 0.5
+    along_arm_m: float = 60.0  # nobody stands farther from the junction. [m]
+    clearance_m: float = 0.5  # nobody stands nearer to the way of a VUT or a VRU. [m]
 
     def __post_init__(self) -> None:
-        for name in ("taken_share", "waiting_share", "following_share"):
+        for name in _TRAFFIC[:3]:
             _check_range(self, name, 1.0, "")
         for name in _LENGTHS:
             _check_range(self, name, _MAX_LENGTH_M, "metres")
@@ -166,40 +159,24 @@ class StandingTraffic:
 
     @property
     def is_empty(self) -> bool:
-        """Whether nobody stands anywhere."""
+        """True if nobody stands anywhere."""
         return self.taken_share == 0.0 == self.waiting_share
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Uncertainty:
-    """All that is uncertain; by default nothing is.
+    """All that is uncertain; by default nothing is."""
 
-    Attributes
-    ----------
-    mounting : MountingErrors
-        How far off units are.
-    latency : LatencyJitter
-        How long messages take.
-    packet_loss : float
-        Probability that the message of one unit in one frame is lost; in place of the setting's.
-        0 .. 1
-    draws_detections : bool
-        Whether a planning detector that gives probabilities is drawn frame by frame.
-    traffic : StandingTraffic
-        What stands at random.
-    moving : MovingTraffic, optional
-        What drives by; see :func:`with_moving_traffic`.
-    name : str
-        What it is called in reports.
-    """
-
-    mounting: MountingErrors = field(default_factory=MountingErrors)
-    latency: LatencyJitter = field(default_factory=LatencyJitter)
+    mounting: MountingErrors = field(default_factory=MountingErrors)  # how far off units are
+    latency: LatencyJitter = field(default_factory=LatencyJitter)  # how long messages take
+    # probability that the message of one unit in one frame is lost; in place of the setting's. 0 ..
+    # 1
     packet_loss: float = 0.0
+    # whether a planning detector that gives probabilities is drawn frame by frame
     draws_detections: bool = False
-    traffic: StandingTraffic = field(default_factory=StandingTraffic)
-    moving: MovingTraffic | None = None
-    name: str = "none"
+    traffic: StandingTraffic = field(default_factory=StandingTraffic)  # what stands at random
+    moving: MovingTraffic | None = None  # what drives by; see :func:`with_moving_traffic`
+    name: str = "none"  # what it is called in reports
 
     def __post_init__(self) -> None:
         _check_range(self, "packet_loss", 1.0, "")
@@ -211,20 +188,9 @@ class Uncertainty:
 
 
 def with_moving_traffic(uncertainty: Uncertainty, moving: MovingTraffic) -> Uncertainty:
-    """The same with vehicles that drive by, and none drawn at the stop lines: these wait, too."""
+    """Uncertainty with vehicles that drive by, which replace those drawn at the stop lines."""
     standing = replace(uncertainty.traffic, waiting_share=0.0, following_share=0.0)
     return replace(uncertainty, moving=moving, traffic=standing)
-
-
-_LENGTHS = (
-    "free_place_m",
-    "parked_gap_m",
-    "clear_of_mouth_m",
-    "waiting_gap_m",
-    "crosswalk_gap_m",
-    "along_arm_m",
-    "clearance_m",
-)
 
 
 def _check_mix(vehicles: Sequence[VehicleKind], use: str) -> None:
@@ -253,18 +219,6 @@ DEFAULT_UNCERTAINTY = UNCERTAINTY_NAMES[0]
 _FILE = "uncertainty.toml"
 _SECTIONS = ("mounting", "latency", "messages", "detector", "traffic", "vehicles")
 _MOUNTING = ("yaw_sd_deg", "pitch_sd_deg", "height_sd_m")
-_TRAFFIC = (
-    "taken_share",
-    "waiting_share",
-    "following_share",
-    "free_place_m",
-    "parked_gap_m",
-    "clear_of_mouth_m",
-    "waiting_gap_m",
-    "crosswalk_gap_m",
-    "along_arm_m",
-    "clearance_m",
-)
 _SHARES = ("parked_share", "waiting_share")
 _T = TypeVar("_T")
 
@@ -287,7 +241,7 @@ def load_uncertainty(
 
 
 def load_drawn(question: Question, scene: Scene, *, n_samples: int) -> Uncertainty:
-    """What a question draws in so many sampled worlds of a scene: `uncertainty` and `traffic`.
+    """Uncertainty and traffic that a question draws in so many sampled worlds of a scene.
 
     Raises InputError as :func:`load_uncertainty` and :func:`.load_traffic`, or where traffic is
     given and no world is sampled; MissingExtraError where SUMO is asked for and not installed.
@@ -311,27 +265,21 @@ def _load_named(name: str) -> Uncertainty:
 
 def _read(document: Table, name: str, prefix: str) -> Uncertainty:
     _refuse_unknown(document, _SECTIONS, prefix.rstrip(".: "))
-    sections = {key: _section(document, key, prefix) for key in _SECTIONS if key != "vehicles"}
     vehicles = _read_vehicles(document, prefix)
-    traffic = sections["traffic"]
-    where = f"{prefix}traffic"
-    fields: dict[str, Any] = {}
-    if traffic is not None:
-        _refuse_unknown(traffic, _TRAFFIC, where)
-        fields = {key: take_number(traffic, key, where) for key in _TRAFFIC}
-    elif vehicles:
+    if vehicles and "traffic" not in document:
         raise InputError(f"{prefix}vehicles", Unquoted("no section traffic"), "where they stand")
-    return _named(
-        prefix,
-        lambda: Uncertainty(
-            name=name,
-            mounting=_read_mounting(sections["mounting"], f"{prefix}mounting"),
-            latency=_read_latency(sections["latency"], f"{prefix}latency"),
-            packet_loss=_read_loss(sections["messages"], f"{prefix}messages"),
-            draws_detections=_read_is_drawn(sections["detector"], f"{prefix}detector"),
-            traffic=_named(f"{where}.", lambda: StandingTraffic(vehicles=vehicles, **fields)),
+    errors = _numbers(document, "mounting", _MOUNTING, prefix)
+    messages = _numbers(document, "messages", ("packet_loss",), prefix)
+    street = _numbers(document, "traffic", _TRAFFIC, prefix)
+    parts: dict[str, Any] = {
+        "mounting": _named(f"{prefix}mounting.", partial(MountingErrors, **errors)),
+        "latency": _read_latency(_section(document, "latency", prefix), f"{prefix}latency"),
+        "draws_detections": _read_is_drawn(document, prefix),
+        "traffic": _named(
+            f"{prefix}traffic.", partial(StandingTraffic, vehicles=vehicles, **street)
         ),
-    )
+    }
+    return _named(f"{prefix}messages.", partial(Uncertainty, name=name, **parts, **messages))
 
 
 def _section(document: Table, key: str, prefix: str) -> Table | None:
@@ -341,12 +289,13 @@ def _section(document: Table, key: str, prefix: str) -> Table | None:
     return table
 
 
-def _read_mounting(table: Table | None, where: str) -> MountingErrors:
+def _numbers(document: Table, key: str, names: Sequence[str], prefix: str) -> dict[str, Any]:
+    """All numbers of a section; none where it is left out."""
+    table = _section(document, key, prefix)
     if table is None:
-        return MountingErrors()
-    _refuse_unknown(table, _MOUNTING, where)
-    fields = {key: take_number(table, key, where) for key in _MOUNTING}
-    return _named(f"{where}.", lambda: MountingErrors(**fields))
+        return {}
+    _refuse_unknown(table, names, f"{prefix}{key}")
+    return {name: take_number(table, name, f"{prefix}{key}") for name in names}
 
 
 def _read_latency(table: Table | None, where: str) -> LatencyJitter:
@@ -364,17 +313,8 @@ def _read_latency(table: Table | None, where: str) -> LatencyJitter:
     return _named(f"{where}.", lambda: LatencyJitter(**fields))
 
 
-def _read_loss(table: Table | None, where: str) -> float:
-    if table is None:
-        return 0.0
-    _refuse_unknown(table, ("packet_loss",), where)
-    loss = take_number(table, "packet_loss", where)
-    if not 0.0 <= loss <= 1.0:
-        raise InputError(f"{where}.packet_loss", loss, "0 to 1")
-    return loss
-
-
-def _read_is_drawn(table: Table | None, where: str) -> bool:
+def _read_is_drawn(document: Table, prefix: str) -> bool:
+    table, where = _section(document, "detector", prefix), f"{prefix}detector"
     if table is None:
         return False
     _refuse_unknown(table, ("is_drawn",), where)
@@ -398,7 +338,7 @@ def _read_vehicles(document: Table, prefix: str) -> tuple[VehicleKind, ...]:
     return tuple(kinds)
 
 
-def _refuse_unknown(table: Table, known: tuple[str, ...], where: str) -> None:
+def _refuse_unknown(table: Table, known: Sequence[str], where: str) -> None:
     for key in table:
         if key not in known:
             raise InputError(where, key, "one of " + ", ".join(known))

@@ -29,7 +29,7 @@ PURPOSES = ("choose", "judge")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Luck:
+class RandomStreams:
     """Where the random numbers of one sampled world come from."""
 
     seed: int  # the user's
@@ -82,13 +82,13 @@ _LOWEST_M = 0.1  # above the road
 class Sample:
     """One world that may turn out to be."""
 
-    luck: Luck  # where its random numbers come from
+    streams: RandomStreams  # where its random numbers come from
     uncertainty: Uncertainty  # what they are drawn of
     # the runs with all that stands in the street in them; deadlines less what messages take longer
     # than the rule says; the share of messages that is lost
     setting: Setting
     planned: tuple[CandidatePose, ...]  # poses as planned
-    # the same as they really hang; ids, sites and sensors are as planned
+    # the same as they are really mounted; ids, sites and sensors are as planned
     candidates: tuple[CandidatePose, ...]
     vehicles: tuple[PlacedActor, ...]  # all that stands in the street, in whichever runs
     driving: TrafficCount  # how many drive by, in all runs together
@@ -97,22 +97,22 @@ class Sample:
     @property
     def drawn_detector(self) -> ResponseDetector | None:
         """The detector whose detections are drawn frame by frame, if any are."""
-        planner = self.setting.table_detector
-        if self.uncertainty.draws_detections and isinstance(planner, ResponseDetector):
-            return planner
+        detector = self.setting.table_detector
+        if self.uncertainty.draws_detections and isinstance(detector, ResponseDetector):
+            return detector
         return None
 
     @property
     def looks_as_planned(self) -> bool:
-        """Whether every pose detects what it would in the plan."""
+        """True if every pose detects what it would in the plan."""
         is_in_place = self.candidates is self.planned
         is_empty = not self.vehicles and not self.driving.n_vehicles
         return is_in_place and is_empty and self.drawn_detector is None
 
     def __repr__(self) -> str:
         return (
-            f"Sample({self.luck.index}, {self.luck.purpose!r}, {len(self.vehicles)} vehicles, "
-            f"{len(self.candidates)} poses)"
+            f"Sample({self.streams.index}, {self.streams.purpose!r}, "
+            f"{len(self.vehicles)} vehicles, {len(self.candidates)} poses)"
         )
 
 
@@ -145,9 +145,9 @@ def draw_samples(
     traffic = uncertainty.traffic
     street = None if traffic.is_empty else build_street(setting.scene, traffic)
     ways = {} if street is None else build_ways(setting.runs, setting.rule)
-    luck, planned = Luck(seed=seed, purpose=purpose, index=0), tuple(candidates)
+    streams, planned = RandomStreams(seed=seed, purpose=purpose, index=0), tuple(candidates)
     draws = (
-        partial(_draw, setting, planned, uncertainty, replace(luck, index=index), street, ways)
+        partial(_draw, setting, planned, uncertainty, replace(streams, index=index), street, ways)
         for index in range(first, first + n_samples)
     )
     return _one_ahead(draws)
@@ -167,16 +167,16 @@ def _draw(
     setting: Setting,
     candidates: tuple[CandidatePose, ...],
     uncertainty: Uncertainty,
-    luck: Luck,
+    streams: RandomStreams,
     street: Street | None,
     ways: dict[GroupKey, Ways],
 ) -> Sample:
     axis = setting.axis
     rule = setting.rule
     extra_s = uncertainty.latency.draw_s(
-        luck.rng("latency"), axis.n_runs, rule_latency_s=rule.latency_s
+        streams.rng("latency"), axis.n_runs, rule_latency_s=rule.latency_s
     )
-    vehicles = () if street is None else street.draw(luck.rng)
+    vehicles = () if street is None else street.draw(streams.rng)
     runs = setting.runs
     if vehicles:
         clearance_m = uncertainty.traffic.clearance_m
@@ -191,10 +191,10 @@ def _draw(
             groups,
             frame_s=1.0 / rule.frame_rate_hz,
             clearance_m=uncertainty.traffic.clearance_m,
-            rng=luck.rng("moving traffic"),
+            rng=streams.rng("moving traffic"),
         )
     return Sample(
-        luck=luck,
+        streams=streams,
         uncertainty=uncertainty,
         setting=replace(
             setting,
@@ -203,7 +203,7 @@ def _draw(
             radio=replace(setting.radio, packet_loss=uncertainty.packet_loss),
         ),
         planned=candidates,
-        candidates=_as_mounted(candidates, uncertainty.mounting, luck),
+        candidates=_as_mounted(candidates, uncertainty.mounting, streams),
         vehicles=vehicles,
         driving=driving,
         extra_latency_s=freeze(extra_s),
@@ -219,14 +219,14 @@ def _with_vehicles(
 
 
 def _as_mounted(
-    candidates: tuple[CandidatePose, ...], errors: MountingErrors, luck: Luck
+    candidates: tuple[CandidatePose, ...], errors: MountingErrors, streams: RandomStreams
 ) -> tuple[CandidatePose, ...]:
     spread = np.array([errors.yaw_sd_deg, errors.pitch_sd_deg, errors.height_sd_m])
     if not spread.any():
         return candidates
     off: dict[tuple[object, ...], tuple[float, float, float]] = {}
     for key in dict.fromkeys(mount_key(candidate) for candidate in candidates):
-        normal = luck.rng("mount", *key).standard_normal(3)
+        normal = streams.rng("mount", *key).standard_normal(3)
         normal[2] = _HEIGHT_STEP * np.sign(normal[2]) * (abs(normal[2]) > _LEVEL)
         yaw, pitch, height = (spread * np.clip(normal, -_CUT_OFF, _CUT_OFF)).tolist()
         off[key] = (yaw, pitch, height)

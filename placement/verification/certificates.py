@@ -1,6 +1,6 @@
 """``certificate.json``: what was solved, what was found, and how good it is said to be.
 
-Beside it lies ``instance.npz``, the whole problem (:mod:`.instances`): together they are enough to
+Next to it lies ``instance.npz``, the whole problem (:mod:`.instances`): together they are enough to
 check the claim without the optimiser, see :mod:`placement.verification.verify`.
 """
 
@@ -63,7 +63,7 @@ _ALIVE = (
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StoredCertificate:
-    """What a ``certificate.json`` claims, read and checked for form only."""
+    """Claims of a ``certificate.json``, read and checked for form only."""
 
     instance: Mapping[str, Any]  # what :func:`instance_of` says
     sha256: str  # hash of the problem, see :func:`problem_hash`
@@ -196,7 +196,7 @@ def load_certificate(path: str | Path) -> StoredCertificate:
 
 
 def instance_of(problem: PlacementProblem, mounts: Mounts | None) -> dict[str, Any]:
-    """What a certificate says of the file beside it."""
+    """Entry of a certificate about the instance file next to it."""
     return {
         "file": INSTANCE_FILE,
         "kind": KIND if mounts is None else KIND_WITH_MOUNTS,
@@ -219,7 +219,7 @@ def words_of(problem: PlacementProblem, stages: Sequence[str]) -> dict[str, str]
 
 
 def model_of(problem: PlacementProblem) -> dict[str, Any]:
-    """What a problem asks, and within which limits, as plain values for JSON."""
+    """Demands and limits of a problem, as plain values for JSON."""
     axis, limits, samples = problem.table.axis, problem.limits, problem.sample_index
     return {
         "fusion": problem.fusion,

@@ -58,33 +58,17 @@ _OF_GRID = re.compile(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Mounts:
-    """Site, pose and sensor of each row of a problem's table, and the scene that it was made in.
+    """Site, pose and sensor of each row of a problem's table, and the scene that it was made in."""
 
-    Attributes
-    ----------
-    sites : tuple of str
-        Site of each pose; empty: none.
-    position_m : (n_poses, 3) float
-        World frame. [m]
-    yaw_deg, pitch_deg : (n_poses,) float
-        Counter-clockwise from east, positive up. [deg]
-    latency_s : (n_poses,) float
-        Of its own; NaN: that of the rule. [s]
-    sensor_index : (n_poses,) int
-        Row of `sensors`.
-    sensors : tuple of CameraModel or LidarModel
-        Models, complete.
-    scene_name, scene_sha256 : str
-        Name and :func:`scene_hash` of the scene.
-    """
-
-    sites: tuple[str, ...]
-    position_m: FloatArray
+    sites: tuple[str, ...]  # site of each pose; empty: none
+    position_m: FloatArray  # (n_poses, 3): world frame. [m]
+    # yaw_deg, pitch_deg: (n_poses,): counter-clockwise from east, positive up. [deg]
     yaw_deg: FloatArray
     pitch_deg: FloatArray
-    latency_s: FloatArray
-    sensor_index: IntArray
-    sensors: tuple[Sensor, ...]
+    latency_s: FloatArray  # (n_poses,): of its own; NaN: that of the rule. [s]
+    sensor_index: IntArray  # (n_poses,): row of `sensors`
+    sensors: tuple[Sensor, ...]  # models, complete
+    # scene_name, scene_sha256: name and :func:`scene_hash` of the scene
     scene_name: str
     scene_sha256: str
 
@@ -116,7 +100,7 @@ class Mounts:
         return f"Mounts({self.n_poses} poses in {self.scene_name!r})"
 
     def differences(self, row: int, unit: CandidatePose) -> list[str]:
-        """What of a unit is not as the pose of a row has it, in words; its name does not count."""
+        """Differences of a unit from the pose of a row, in words; its name does not count."""
         found = []
         if unit.site_id != self.sites[row]:
             found.append(f"site {unit.site_id or 'none'}, not {self.sites[row] or 'none'}")
@@ -142,10 +126,10 @@ class Mounts:
     def misnamed(
         self, pose_ids: Sequence[str], feet_m: Mapping[str, FloatArray] | None = None
     ) -> str:
-        """The first pose of the grid whose name does not say where it hangs, in words; or nothing.
+        """The first pose of the grid whose name does not say where it is, in words; or nothing.
 
-        Names of the grid tell site, height, yaw, pitch and sensor. All poses of a site hang one
-        above the other, as far apart as their names say; above the site, if `feet_m` tells where
+        Names of the grid have site, height, yaw, pitch and sensor. All poses of a site are one
+        above the other, as far apart as their names say; above the site, if `feet_m` says where
         sites are.
         """
         sites, foot_m = set(self.sites), dict(feet_m or {})
@@ -170,12 +154,12 @@ class Mounts:
             first = foot_m.setdefault(self.sites[row], foot)
             # Names have heights to six digits.
             if (np.abs(foot - first) > [TOLERANCE, TOLERANCE, 1.0e-4]).any():
-                return f"{name} does not hang where the others of {self.sites[row]} do"
+                return f"{name} is not where the others of {self.sites[row]} are"
         return ""
 
 
 def _name_with_lens(sensor: Sensor) -> str:
-    """How names of poses end: some tell where a lens is set."""
+    """How names of poses end: some say how a lens is set."""
     if isinstance(sensor, CameraModel) and sensor.fov_range_deg is not None:
         return f"{sensor.name}/{sensor.horizontal_fov_deg:g}"
     return sensor.name
@@ -194,7 +178,7 @@ def _sensor_differences(got: Sensor, wanted: Sensor) -> list[str]:
 
 
 def build_mounts(scene: Scene, candidates: Sequence[CandidatePose]) -> Mounts:
-    """What the names of candidate poses stand for; they are the rows of a table."""
+    """Poses behind the names of candidates; they are the rows of a table."""
     sensors = {candidate.sensor: 0 for candidate in candidates}
     sensors = {sensor: row for row, sensor in enumerate(sensors)}
     return Mounts(
@@ -246,7 +230,7 @@ def scene_hash(scene: Scene) -> str:
     limits = {lane.id: lane.speed_limit_kmh for lane in scene.lanes if lane.speed_limit_kmh}
     if limits:
         words["speed_limits"] = limits
-    if scene.zero_height_m is not None:  # else as before scenes told it
+    if scene.zero_height_m is not None:  # else as before scenes had it
         words["zero_height_m"] = scene.zero_height_m
     digest.update(json.dumps(words).encode())
     return digest.hexdigest()
@@ -309,9 +293,9 @@ def _read_sensor(text: str) -> Sensor:
 
 INSTANCE_FILE = "instance.npz"
 KIND = "place-rsus/placement-problem/1"
-"""What a file says that holds a problem alone; raise the number whenever the fields change."""
+"""Kind of a file with a problem alone; raise the number whenever the fields change."""
 KIND_WITH_MOUNTS = "place-rsus/placement-problem/2"
-"""What a file says that also has what the poses are, see :mod:`.mounts`."""
+"""Kind of a file that also says where and what the poses are, see :class:`Mounts`."""
 KINDS = (KIND, KIND_WITH_MOUNTS)
 
 _UNPACKED_BYTES = 4  # of memory for each byte of a file, unpacked, while it is read and checked
@@ -388,7 +372,7 @@ def save_problem(path: Path, problem: PlacementProblem, mounts: Mounts | None = 
 
 
 def _write_arrays(file: BinaryIO, arrays: Arrays) -> None:
-    """What numpy's ``savez_compressed`` writes, 6 % larger, in a third of its time."""
+    """Content as of numpy's ``savez_compressed``, 6 % larger, in a third of its time."""
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, array in arrays.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
@@ -396,7 +380,7 @@ def _write_arrays(file: BinaryIO, arrays: Arrays) -> None:
 
 
 class StoredProblem(NamedTuple):
-    """What an instance file holds."""
+    """Content of an instance file."""
 
     problem: PlacementProblem
     mounts: Mounts | None  # None: the file does not say what the poses are
@@ -410,21 +394,8 @@ def load_problem(path: str | Path) -> PlacementProblem:
 def load_stored_problem(path: Path) -> StoredProblem:
     """Read a problem and what its poses are, checked field by field.
 
-    Parameters
-    ----------
-    path : Path
-        Written by :func:`save_problem`, or by others in the same form.
-
-    Returns
-    -------
-    stored : StoredProblem
-        With the hash of the one that was written.
-
-    Raises
-    ------
-    InputError
-        The file is missing, damaged or of another kind; a field is missing, unknown, or has
-        another type or shape; or the values contradict each other.
+    Raises InputError where the file is missing, damaged or of another kind; a field is missing,
+    unknown, or has another type or shape; or the values contradict each other.
     """
     with _archive(path) as archive:
         kind = _read_kind(archive, str(path))
@@ -444,7 +415,7 @@ def load_stored_problem(path: Path) -> StoredProblem:
 
 
 def instance_kind(path: Path) -> str:
-    """What an instance file says it holds, such as :data:`KIND`.
+    """Kind of an instance file by its own words, such as :data:`KIND`.
 
     Raises InputError: it is no ``.npz``, or does not say.
     """
@@ -475,7 +446,7 @@ def problem_hash(problem: PlacementProblem, mounts: Mounts | None = None) -> str
 
 
 def is_never_lost(rule: AebRule) -> bool:
-    """Whether a confirmed track lives for ever."""
+    """True if a confirmed track lives for ever."""
     return rule.track_memory_s == math.inf
 
 
@@ -648,7 +619,7 @@ def _damaged(where: str, error: Exception) -> InputError:
 
 
 def _check_fields(arrays: Arrays, known: Mapping[str, _Field], where: str) -> None:
-    """Whether all fields are there, of their types, and agree about what their axes count."""
+    """True if all fields are there, of their types, and agree about what their axes count."""
     sizes: dict[str, int] = {"2": 2, "3": 3}
     for name, field in known.items():
         if name not in arrays:

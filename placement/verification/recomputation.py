@@ -149,7 +149,7 @@ def limit_checks(problem: "PlacementProblem", sets: IntArray) -> dict[str, BoolA
 
 
 def floor_values(problem: "PlacementProblem", floor: "Floor", sets: IntArray) -> FloatArray:
-    """What sets reach of a floor, after the failures that it allows for, (n_sets,)."""
+    """Share of a floor that sets reach after the failures that it allows for, (n_sets,)."""
     return _of_blocks(problem, sets, lambda block: _left(problem, block, floor.n_failures, floor))
 
 
@@ -178,7 +178,7 @@ def _left(
 def _left_of_sites(
     problem: "PlacementProblem", sets: IntArray, n_failures: int, floor: "Floor | None"
 ) -> FloatArray:
-    """The same when sites fail with all that they carry."""
+    """Values when sites fail with all that they carry."""
     sites = problem.limits.site_index[sets]
     smallest = np.full(len(sets), np.inf)
     for chosen in combinations(range(sets.shape[1]), n_failures):
@@ -315,7 +315,7 @@ def most_units(problem: "PlacementProblem") -> int:
 
 
 def simple_limits(problem: "PlacementProblem", stages: Sequence[Stage]) -> dict[Objective, float]:
-    """What no layout can be better than in each objective, by a look at all poses at once.
+    """Limit of each objective that no layout exceeds, by a look at all poses at once.
 
     `stages` are what is claimed of a layout: limits of later stages hold for layouts that are as
     good in earlier ones. The more poses, the earlier each run is confirmed: all usable poses

@@ -57,7 +57,7 @@ class Check(NamedTuple):
 
 
 class StageProof(NamedTuple):
-    """What stands behind a stage of a certificate."""
+    """Grounds for a stage of a certificate."""
 
     name: str  # the stage
     # Whether the certificate says that the layout is proven best in this stage.
@@ -68,14 +68,14 @@ class StageProof(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verification:
-    """What a check of a certificate came to."""
+    """Result of checking a certificate."""
 
     checks: tuple[Check, ...]  # in the order in which they were made
     proofs: tuple[StageProof, ...]  # of every stage; none if the layout could not be made out
 
     @property
     def passed(self) -> bool:
-        """Whether everything that was looked at is as it should be."""
+        """True if everything that was looked at is as it should be."""
         return all(check.passed for check in self.checks)
 
 
@@ -98,7 +98,7 @@ def verify_certificate(
     stored : StoredCertificate
         What is claimed.
     shown : sequence of mapping
-        Units of the layout file beside it.
+        Units of the layout file next to it.
     mounts : Mounts, optional
         What the poses of the problem are, as the instance file says.
     units : sequence of CandidatePose
@@ -113,8 +113,8 @@ def verify_certificate(
     verification : Verification
         Every check, also after one has failed, as far as it can be made.
     """
-    tell = on_stage or (lambda stage: None)
-    tell("recompute the layout's values")
+    report = on_stage or (lambda stage: None)
+    report("recompute the layout's values")
     checks = [*_instance_checks(problem, stored, mounts), *_model_checks(problem, stored)]
     checks += [*_pose_checks(problem, stored), _layout_check(problem, stored, shown)]
     checks += _mount_checks(problem, stored, mounts, units)
@@ -146,7 +146,7 @@ def verify_certificate(
                 f"{_limit_words(objective)} {limit:.9g}" if is_simple else stored.solver,
             )
         )
-    checks, proofs = _compare(problem, stored, checks, proofs, max_sets, tell)
+    checks, proofs = _compare(problem, stored, checks, proofs, max_sets, report)
     return Verification(checks=tuple(checks), proofs=tuple(proofs))
 
 
@@ -201,7 +201,7 @@ def _model_checks(problem: "PlacementProblem", stored: StoredCertificate) -> lis
 
 
 def _pose_checks(problem: "PlacementProblem", stored: StoredCertificate) -> list[Check]:
-    """Whether the poses exist; "poses" fails if nothing can be made of them."""
+    """True if the poses exist; "poses" fails if nothing can be made of them."""
     table, rows = problem.table, stored.pose_index
     missing = [row for row in rows if row >= table.n_poses]
     if missing or len(set(rows)) < len(rows):
@@ -221,7 +221,7 @@ def _pose_checks(problem: "PlacementProblem", stored: StoredCertificate) -> list
 def _layout_check(
     problem: "PlacementProblem", stored: StoredCertificate, shown: Sequence[Mapping[str, Any]]
 ) -> Check:
-    """Whether the layout file has the same units, and sites where the problem has."""
+    """True if the layout file has the same units, and sites where the problem has."""
     if [dict(unit) for unit in shown] != [dict(unit) for unit in stored.units]:
         return Check("layout file", False, "it does not show the certificate's units")
     sites = [unit.get("site") for unit in shown]
@@ -241,7 +241,7 @@ def _mount_checks(
     mounts: Mounts | None,
     units: Sequence[CandidatePose],
 ) -> list[Check]:
-    """Whether units hang and look as the poses do that were solved, and poses as their names say.
+    """True if units are mounted as the poses that were solved, and poses as their names say.
 
     Sites and prices of the problem follow from the poses, too.
     """
@@ -262,7 +262,7 @@ def _mount_checks(
         Check(
             "poses and names",
             not misnamed,
-            misnamed or "poses of the grid hang and look as their names say",
+            misnamed or "poses of the grid are and look as their names say",
         ),
         Check("poses and sites", not torn, f"{torn[0]} is elsewhere" if torn else "they agree"),
         Check(
@@ -274,7 +274,7 @@ def _mount_checks(
     for unit, row in zip(units, stored.pose_index, strict=False):
         if row < table.n_poses:
             wrong = "; ".join(mounts.differences(row, unit))
-            text = f"hangs, looks and is made as row {row}"
+            text = f"is mounted, looks and is made as row {row}"
             checks.append(Check(f"unit {unit.id}", not wrong, wrong or text))
     return checks
 
@@ -282,7 +282,7 @@ def _mount_checks(
 def _stage_checks(
     stage: Stage, objective: Objective, is_proven: bool, value: float, limit: float
 ) -> list[Check]:
-    """What a stage claims of the layout, and whether its numbers fit together."""
+    """Checks of a stage's claims about the layout, and of its numbers among themselves."""
     name, claimed, bound = stage.name, stage.objective, stage.bound
     distance = abs(bound - claimed)
     gap = 0.0 if distance <= EPSILON * max(1.0, abs(claimed)) else math.inf
@@ -321,7 +321,7 @@ def _compare(
     checks: list[Check],
     proofs: list[StageProof],
     max_sets: int,
-    tell: Callable[[str], None],
+    report: Callable[[str], None],
 ) -> tuple[list[Check], list[StageProof]]:
     """Look for a set of poses that a bound does not allow for: among all, or near the layout."""
     if all(proof.is_proven_again for proof in proofs):
@@ -330,10 +330,10 @@ def _compare(
     n_all, n_near = n_sets_of_all(problem), n_neighbours(problem, stored.pose_index)
     is_all = n_all <= most
     if is_all:
-        tell(f"compare all {n_all} sets of poses")
+        report(f"compare all {n_all} sets of poses")
         families, words = all_sets(problem), f"all {n_all} sets of poses"
     elif n_near <= most:
-        tell(f"compare {n_near} sets that differ in one unit")
+        report(f"compare {n_near} sets that differ in one unit")
         families = neighbours(problem, stored.pose_index)
         words = f"{n_near} sets that differ in one unit"
     else:

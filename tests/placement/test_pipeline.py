@@ -22,7 +22,7 @@ from placement.optimiser import (
     solve_placement,
 )
 from placement.pipeline import Assembly, pick_layout, place
-from placement.sampling import obtain_table
+from placement.sampling.tables import obtain_table
 from placement.setting import Setting
 from placement.wishes import Wishes
 from scenarios.runs import build_frame_axis

@@ -40,10 +40,10 @@ def test_a_site_costs_what_it_says_else_what_its_kind_takes():
 def test_what_is_assumed_is_told_for_each_kind():
     sites = [site("lamp post"), site("lamp post"), site("kerb"), site("pole", 10.0)]
     assert assumed_prices(load_prices(), sites) == (
-        "No price is told for 2 sites of the kind lamp post: 3,560 EUR each are assumed (mounting "
+        "No price is known for 2 sites of the kind lamp post: 3,560 EUR each are assumed (mounting "
         "900, power at hand 400, data link 2,260).",
-        "No price is told for 1 site of the kind kerb: 7,060 EUR each are assumed (new pole 2,400, "
-        "mounting 900, new power 1,500, data link 2,260).",
+        "No price is known for 1 site of the kind kerb: 7,060 EUR each are assumed (new pole "
+        "2,400, mounting 900, new power 1,500, data link 2,260).",
         "Sources are in prices.toml; a site cost in the question, or cost_eur in the scene, takes "
         "their place.",
     )

@@ -13,7 +13,7 @@ from experiments.results.sampled_worlds import SampledPairRecord
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.layout import Layout
-from placement.sampling import SampledApr
+from placement.sampling.out_of_sample import SampledApr
 
 
 @pytest.fixture

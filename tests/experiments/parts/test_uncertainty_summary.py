@@ -20,12 +20,8 @@ from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.latency import load_latency_budget
 from placement.layout import Layout
-from placement.sampling import (
-    LatencyJitter,
-    SampledApr,
-    Uncertainty,
-    load_uncertainty,
-)
+from placement.sampling.out_of_sample import SampledApr
+from placement.sampling.uncertainty import LatencyJitter, Uncertainty, load_uncertainty
 
 
 def summarise(*given, **options):

@@ -73,7 +73,7 @@ def test_sensors_are_counted_by_model_and_sites_are_paid_once(build, scene):
     assert [site.price_source for site in bill.sites] == ["told", "assumption"]
     assert bill.sites_eur == 800.0 + assumed_eur
     assert bill_sentences(bill) == [f"All lines together: {7800 + assumed_eur:,.0f} EUR."]
-    assert bill.assumed[0].startswith(f"No price is told for 1 site of the kind {kind}:")
+    assert bill.assumed[0].startswith(f"No price is known for 1 site of the kind {kind}:")
     sensors, sites = bill_tables(bill)
     assert sensors.rows[-1] == ["all", "", "3", "", "7,000"]
     assert sites.rows[-1] == ["all", "", "3", f"{800 + assumed_eur:,.0f}", ""]

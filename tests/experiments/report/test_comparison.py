@@ -25,7 +25,8 @@ from placement.candidates import CandidatePose
 from placement.detectors import load_detector
 from placement.evaluation import Evaluation, Verdict
 from placement.layout import Layout
-from placement.sampling import SampledApr, load_uncertainty
+from placement.sampling.out_of_sample import SampledApr
+from placement.sampling.uncertainty import load_uncertainty
 from placement.setting import Radio
 
 

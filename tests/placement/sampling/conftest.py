@@ -11,7 +11,7 @@ from geometry.scene import Lane
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidateGrid, CandidatePose, build_candidates
 from placement.detectors import GeometricDetector, load_detector, load_planning_detector
-from placement.sampling import load_uncertainty
+from placement.sampling.uncertainty import load_uncertainty
 from placement.setting import Setting
 from scenarios.cases import load_cases
 from scenarios.runs import build_frame_axis, build_runs

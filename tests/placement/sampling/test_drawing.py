@@ -10,7 +10,6 @@ from placement.compute import Compute
 from placement.detection_table import pack_table
 from placement.detectors import load_planning_detector
 from placement.evaluator import build_surroundings, perceive_from_roadside
-from placement.sampling import Uncertainty, draw_samples
 from placement.sampling.drawing import draw_frames, link_noise, random_bits
 from placement.sampling.tables import (
     build_drawn_table,
@@ -18,6 +17,8 @@ from placement.sampling.tables import (
     link_frames,
     lose_messages,
 )
+from placement.sampling.uncertainty import Uncertainty
+from placement.sampling.worlds import draw_samples
 
 DRAWN = Uncertainty(draws_detections=True)
 
@@ -31,7 +32,7 @@ def _first(setting, poses, uncertainty, seed=0):
     return next(iter(draw_samples(setting, poses, uncertainty, n_samples=1, seed=seed)))
 
 
-# Luck from frame to frame
+# RandomStreams from frame to frame
 
 
 def _noise(frames, correlation, seed):

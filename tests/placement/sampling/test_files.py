@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from geometry.errors import InputError
-from placement.sampling import UNCERTAINTY_NAMES, load_uncertainty
+from placement.sampling.uncertainty import UNCERTAINTY_NAMES, load_uncertainty
 
 WHOLE = """
 [mounting]

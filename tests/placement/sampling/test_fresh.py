@@ -7,18 +7,22 @@ from geometry.errors import InputError
 from placement.compute import Compute
 from placement.evaluator import evaluate_layout
 from placement.layout import Layout
-from placement.sampling import (
-    LatencyJitter,
+from placement.sampling.out_of_sample import (
     SampledApr,
-    Uncertainty,
-    draw_samples,
     judge_layouts,
     look_at_fresh_worlds,
-    out_of_sample,
     out_of_sample_layouts,
 )
 from placement.sampling.tables import build_sample_tables
+from placement.sampling.uncertainty import LatencyJitter, Uncertainty
+from placement.sampling.worlds import draw_samples
 from placement.visibility import build_detection_table
+
+
+def out_of_sample(setting, layout, uncertainty, **options):
+    (judged,) = out_of_sample_layouts(setting, [layout], uncertainty, **options)
+    return judged
+
 
 LOSSY = Uncertainty(packet_loss=0.6, latency=LatencyJitter(mean_s=0.4, sd_s=0.3))
 

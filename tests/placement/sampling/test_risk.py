@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from geometry.errors import InputError
-from placement.sampling import cvar, estimate_mean
+from placement.sampling.out_of_sample import cvar, estimate_mean
 
 shares = st.lists(st.floats(0.0, 1.0, allow_subnormal=False), min_size=1, max_size=12)
 

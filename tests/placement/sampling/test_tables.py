@@ -4,24 +4,21 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import detection_tables
 
 from geometry.actors import Actor
 from geometry.errors import InputError
 from placement.compute import Compute
 from placement.detectors import load_planning_detector
-from placement.sampling import (
+from placement.sampling.tables import SampledTable, _append, build_sample_tables, sampled_table
+from placement.sampling.uncertainty import (
     LatencyJitter,
     MountingErrors,
-    SampledTable,
     StandingTraffic,
     Uncertainty,
     VehicleKind,
-    draw_samples,
     load_uncertainty,
-    sampled_table,
 )
-from placement.sampling.tables import _append, build_sample_tables
+from placement.sampling.worlds import draw_samples
 from placement.visibility import build_detection_table
 from scenarios.runs import live_confirmation_times_s
 
@@ -142,26 +139,6 @@ def test_units_that_are_off_detect_otherwise(setting, candidates, planned):
     by_hand = _plan(setting, sample.candidates, seed=3)
     assert np.array_equal(sampled.table.packed, by_hand.packed)
     assert not np.array_equal(sampled.table.packed, planned.packed)
-
-
-@given(detection_tables(), st.data())
-def test_apr_by_sample_is_the_weight_of_avoided_runs_of_each_world(drawn, data):
-    table, _ = drawn
-    n_runs = table.axis.n_runs
-    n_samples = data.draw(st.integers(1, n_runs))
-    index = data.draw(st.permutations([i % n_samples for i in range(n_runs)]))
-    weight = 1.0 + np.arange(n_runs)
-    axis = replace(table.axis, weight=weight / weight.sum())
-    avoided = np.array(data.draw(st.lists(st.booleans(), min_size=n_runs, max_size=n_runs)))
-    sampled = SampledTable(
-        table=replace(table, axis=axis), sample_index=np.array(index), n_samples=n_samples
-    )
-    expected = [
-        sum(w for w, a, i in zip(weight, avoided, index, strict=True) if a and i == sample)
-        / sum(w for w, i in zip(weight, index, strict=True) if i == sample)
-        for sample in range(n_samples)
-    ]
-    assert sampled.apr_by_sample(avoided) == pytest.approx(np.array(expected))
 
 
 @given(

@@ -9,7 +9,6 @@ from geometry.actors import load_actors
 from geometry.footprints import footprint_corners, footprint_separation
 from geometry.junction import Line, build_junction
 from geometry.study_scene import load_study_scene
-from placement.sampling import StandingTraffic, VehicleKind, draw_samples
 from placement.sampling.traffic import (
     build_street,
     build_ways,
@@ -17,13 +16,14 @@ from placement.sampling.traffic import (
     group_key,
     stop_line_m,
 )
-from placement.sampling.worlds import Luck
+from placement.sampling.uncertainty import StandingTraffic, VehicleKind
+from placement.sampling.worlds import RandomStreams, draw_samples
 from scenarios.cases import load_cases
 from scenarios.runs import build_runs
 
 
 def _rng(index=0, seed=3):
-    return Luck(seed=seed, purpose="choose", index=index).rng
+    return RandomStreams(seed=seed, purpose="choose", index=index).rng
 
 
 def _traffic(*, body="parked-van", **fields):

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from geometry.actors import load_actors
 from geometry.errors import InputError
 from placement.latency import load_latency_budget
-from placement.sampling import (
+from placement.sampling.uncertainty import (
     LatencyJitter,
     MountingErrors,
     StandingTraffic,

@@ -10,7 +10,7 @@ from geometry.actors import MovingActor, PlacedActor, load_actors
 from geometry.errors import InputError
 from geometry.footprints import footprint_corners, footprint_separation
 from geometry.poses import Pose
-from placement.sampling import MovingTraffic, Uncertainty, draw_samples, with_moving_traffic
+from placement.sampling.moving import MovingTraffic
 from placement.sampling.moving.demand import load_demand
 from placement.sampling.moving.trajectories import (
     Trajectories,
@@ -19,6 +19,8 @@ from placement.sampling.moving.trajectories import (
     last_frames,
     meets_road_users,
 )
+from placement.sampling.uncertainty import Uncertainty, with_moving_traffic
+from placement.sampling.worlds import draw_samples
 
 VAN = load_actors()["parked-van"]
 MIDDLE_M = np.zeros(2)

@@ -5,13 +5,8 @@ import pytest
 
 from geometry.errors import InputError
 from geometry.poses import Pose
-from placement.sampling import (
-    LatencyJitter,
-    MountingErrors,
-    Uncertainty,
-    draw_samples,
-)
-from placement.sampling.worlds import Luck, mount_key, pose_key
+from placement.sampling.uncertainty import LatencyJitter, MountingErrors, Uncertainty
+from placement.sampling.worlds import RandomStreams, draw_samples, mount_key, pose_key
 
 
 def _offsets(sample):
@@ -67,7 +62,7 @@ def test_the_same_seed_draws_the_same_worlds_and_another_one_others(setting, can
 
 def test_worlds_are_drawn_when_they_are_asked_for_and_wishes_checked_at_once(setting, default):
     worlds = draw_samples(setting, (), default, n_samples=10**9, seed=0)
-    assert next(iter(worlds)).luck == Luck(seed=0, purpose="choose", index=0)
+    assert next(iter(worlds)).streams == RandomStreams(seed=0, purpose="choose", index=0)
     for field, value, message in (
         ("n_samples", 0, "samples: got 0; expected a whole number, at least 1"),
         ("n_samples", 2.0, "samples: got 2.0; expected a whole number, at least 1"),
@@ -172,12 +167,12 @@ def test_the_evaluator_is_told_how_many_messages_are_lost(setting, candidates):
     assert (sample.setting.radio.packet_loss, sample.setting.radio.vam_rate) == (0.2, 0.5)
 
 
-# Luck
+# RandomStreams
 
 
 def test_every_thing_has_a_generator_of_its_own():
     lucks = [
-        Luck(seed=seed, purpose=purpose, index=index)
+        RandomStreams(seed=seed, purpose=purpose, index=index)
         for seed in (0, 1)
         for purpose in ("choose", "judge")
         for index in (0, 1)
