@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from msgspec import UNSET
 
 from placement.question import SEEN
 
@@ -14,7 +13,7 @@ from .options import is_given, option, option_name
 from .terminal import sentences, table, wide_table
 
 if TYPE_CHECKING:
-    from ..results.recordings import DetectedShareRecord, RecordedAprRecord, RecordedResult
+    from ..parts.recording import DetectedShareRecord, RecordedAprRecord, RecordedResult
 
 _WITH_RECORDING = frozenset(
     ("recording", "min_confidence", "out", "as_json", "quiet", "question", "save_question_to")
@@ -83,9 +82,9 @@ def recording_table(summary: "RecordedResult", out: Path | None) -> str:
 
 def recorded_placement_table(summary: "RecordedResult", out: Path | None) -> str:
     """The result of :func:`run_recorded_placement` for a terminal."""
-    from ..jobs.recording import ALL_UNITS
+    from ..parts.recording import ALL_UNITS
 
-    assert summary.stages is not UNSET
+    assert summary.stages is not None
     assert summary.baseline is not None
     chosen = ", ".join(unit.id for unit in summary.layout)
     head = (
@@ -116,7 +115,7 @@ def _parties_text(
     evaluation: "RecordedAprRecord", shares: "DetectedShareRecord", cases: Sequence[str]
 ) -> list[str]:
     """A row per party; APR over all drives, share of frames, and APR by case as columns."""
-    from ..jobs.recording import ALL_UNITS
+    from ..parts.recording import ALL_UNITS
 
     parties = [
         *((name, evaluation.units[name], share) for name, share in shares.units.items()),

@@ -267,7 +267,7 @@ class Tasks:
 
     def sheet(self, layout: Layout) -> bytes:
         """The mounting sheet, a PDF with a page for each unit."""
-        from ..jobs.sheet import mounting_sheet
+        from ..parts.sheet import mounting_sheet
 
         self._progress("tolerances", 0, 0)
         tolerances = find_tolerances(self.setting, layout.units, compute=self._compute)

@@ -38,7 +38,7 @@ EXCEPTIONS = {
     "experiments/jobs/writing.py": {"to_parquet"},
     "experiments/results/city.py": {"to_parquet"},
     "experiments/figures/film.py": {"savefig"},
-    "experiments/jobs/sheet.py": {"savefig"},
+    "experiments/parts/sheet.py": {"savefig"},
     "experiments/parts/section.py": {"open"},
     "experiments/plan/tasks.py": {"ZipFile", "read_text"},
     "experiments/plan/server.py": {"open", "read_bytes", "read_text"},

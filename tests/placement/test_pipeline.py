@@ -348,8 +348,8 @@ def test_wishes_that_contradict_each_other_are_named_with_ways_out(setting, cand
     with pytest.raises(InputError) as caught:
         place(setting, candidates, wishes=Wishes(budget_units=1, target=1.0, survive=1))
     assert str(caught.value) == (
-        "--target 1 and --budget 1: got demands that no layout meets together; "
-        "expected one of them to give way: --target 0 or --budget 3"
+        "`target` 1 and `budget` 1: got demands that no layout meets together; "
+        "expected one of them to give way: `target` 0 or `budget` 3"
     )
     wishes = Wishes(budget_units=1, forced_sites=("corner-ne", "mast-w"))
     told: list[str] = []
@@ -361,7 +361,7 @@ def test_wishes_that_contradict_each_other_are_named_with_ways_out(setting, cand
             compute=Compute(progress=lambda *stage: told.append(stage[0])),
         )
     assert str(caught.value) == (
-        "--budget 1 and --force-site corner-ne,mast-w: got demands that no layout meets together; "
-        "expected one of them to give way: --budget 2 or --force-site without corner-ne"
+        "`budget` 1 and `force_site` corner-ne,mast-w: got demands that no layout meets together; "
+        "expected one of them to give way: `budget` 2 or `force_site` without corner-ne"
     )
     assert told[-1] == "what has to give way"

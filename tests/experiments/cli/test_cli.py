@@ -299,7 +299,7 @@ def test_what_does_not_fit_into_memory_is_refused_before_it_starts(
 ):
     monkeypatch.setattr("placement.memory.machine_bytes", lambda: 2**20)
     monkeypatch.setattr(
-        "experiments.jobs.pareto.build_setting", lambda *given, **options: small_study
+        "experiments.parts.front.build_setting", lambda *given, **options: small_study
     )
     code, out, err = run(*command, "--quiet")
     assert (code, out) == (2, "")

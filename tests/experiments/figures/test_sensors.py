@@ -18,7 +18,7 @@ from experiments.figures.sensors import (
     ground_rings,
     looking_words,
 )
-from experiments.jobs.sheet import _direction, _draw_plan, _tilt
+from experiments.parts.sheet import _direction, _draw_plan, _tilt
 from experiments.report.interactive.records import field_lines, unit_records
 from experiments.report.units import unit_table
 from geometry.catalogue import load_cameras
