@@ -16,7 +16,7 @@ from placement.layout import Layout
 from placement.planning import build_grid, own_models
 from placement.setting import Setting
 
-from ..report.interactive.records import view_paths
+from ..parts.player import view_paths
 from .background import MAX_BYTES as MAX_IMAGE_BYTES
 from .background import Background, background_message
 from .messages import (

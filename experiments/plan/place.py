@@ -17,7 +17,7 @@ from placement.private_ground import PrivateGround, PrivateSight, load_private_g
 from placement.setting import Setting
 
 from ..figures.views import GroundViews
-from ..report.interactive.records import view_paths
+from ..parts.player import view_paths
 from .background import Background
 from .numbers import key_of, private_record, table_numbers
 from .session import History

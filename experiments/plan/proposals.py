@@ -10,7 +10,7 @@ from placement.candidates import CandidatePose
 from placement.layout import Layout
 from placement.planning import own_models
 
-from ..report.interactive.records import unit_records
+from ..parts.player import unit_records
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -28,8 +28,9 @@ from placement.question import Question
 from placement.setting import Setting, build_setting
 from scenarios.aeb import is_in_time
 
+from ..parts.player import interactive_part
+from ..parts.view_3d import view_part
 from ..progress import StageProgress
-from ..report.interactive.part import interactive_part, view_part
 from ..report.page import page_environment
 from ..results.numbers import euros, percent
 from .numbers import evaluated_numbers, key_of
