@@ -80,7 +80,7 @@ class GroundCoverage:
 
 
 def find_ground_coverage(scene: Scene, units: Sequence[CandidatePose]) -> GroundCoverage:
-    """How finely cameras see the ground around a junction, where nothing drives or parks.
+    """Pixel density of cameras on the ground around a junction, where nothing drives or parks.
 
     Cells of a square metre, up to 45 m around the junction's middle, one metre above the road.
     Pixels per metre across the line of sight are focal length over depth. LiDARs take no pictures.

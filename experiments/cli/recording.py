@@ -53,7 +53,7 @@ def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def check_recording_options(recording: Path | None) -> None:
-    """Refuse options that say nothing beside a recording.
+    """Refuse options that say nothing next to a recording.
 
     Raises
     ------
@@ -134,7 +134,7 @@ def _parties_text(
 
 
 def _footer(summary: "RecordedResult", out: Path | None) -> list[str]:
-    """What was read, what was left out and why."""
+    """Lines on what was read, and what was left out and why."""
     frames = summary.frames
     read = (
         f"Read: {frames.recorded} frames; {summary.runs} drives with {frames.in_drives} "

@@ -60,7 +60,7 @@ def sheet(
 
 
 def sheet_text(summary: "SheetResult") -> str:
-    """How far each unit may be off before a run is lost."""
+    """Tolerances of each unit before a run is lost."""
     rows = []
     for unit in summary.units:
         (right, left), (down, up) = unit.yaw_deg, unit.pitch_deg

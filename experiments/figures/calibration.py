@@ -1,4 +1,4 @@
-"""Figure of a fitted response table: its probabilities beside what was found, recall by height."""
+"""Figure of a fitted response table: its probabilities and what was found, recall by height."""
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure

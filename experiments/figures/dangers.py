@@ -1,4 +1,4 @@
-"""Where it is still dangerous: the junction from above, each place where runs end in an impact."""
+"""Dangerous places: the junction from above, each place where runs end in an impact."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ _UNIT_COLOUR = "#CC0000"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Place:
-    """Where some runs end in an impact if nobody brakes.
+    """Place where some runs end in an impact if nobody brakes.
 
     Attributes
     ----------

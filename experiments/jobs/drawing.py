@@ -41,7 +41,7 @@ DRAW = "draw"
 """The stage in which pictures are drawn."""
 
 MASKS, DEPTHS = "instances", "depth"
-"""Folders of the pictures beside those in colour."""
+"""Folders of the pictures other than those in colour."""
 
 _VEHICLE = "car"  # the study's actor type
 _MOVING = re.compile(r"vut|(parked|driving)-\d+")  # what a run brings along
@@ -62,7 +62,7 @@ class Viewer:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DrawTask:
-    """Frames that one camera sees in one weather, beside the same parked vehicles."""
+    """Frames that one camera sees in one weather, among the same parked vehicles."""
 
     out: Path
     scene: Scene
@@ -114,7 +114,7 @@ def draw_task(task: DrawTask) -> int:
 
 
 def _drawer(task: DrawTask) -> Callable[[Run, int], tuple[Picture, PointCloud | None]]:
-    """What draws and scans a frame: from the VUT all anew, from a roadside unit onto a still."""
+    """Renderer and scanner of a frame: from the VUT all anew, from a roadside unit onto a still."""
     # loads the compiler
     from placement.imaging.stills import Still, draw_onto, draw_still, scan_onto
 
@@ -171,7 +171,7 @@ def _drawer(task: DrawTask) -> Callable[[Run, int], tuple[Picture, PointCloud | 
 def _contents(
     picture: Picture, cloud: PointCloud | None, files: Mapping[str, Path], task: DrawTask
 ) -> Iterator[tuple[str, Callable[[BinaryIO], object]]]:
-    """What the files of a frame hold, by kind, in the order of :meth:`DrawTask.files`."""
+    """Content of a frame's files, by kind, in the order of :meth:`DrawTask.files`."""
     if cloud is not None:
         points = cloud_bytes(cloud)
         yield "cloud", lambda file: file.write(points)
@@ -220,7 +220,7 @@ NewExecutor = Callable[[], Executor]
 
 @contextmanager
 def start_executors(scheduler: str, workers: int) -> Iterator[NewExecutor | None]:
-    """What makes executors, anew if one breaks; None: all is drawn in this process."""
+    """Maker of executors, anew if one breaks; None: all is drawn in this process."""
     if scheduler:
         try:
             connected = connect_to_scheduler(scheduler)

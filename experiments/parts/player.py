@@ -295,7 +295,7 @@ def _on_slope(run: Run) -> dict[str, Any]:
 
 
 def is_playable(run: Run, evaluation: Evaluation) -> bool:
-    """Whether an evaluation has the run on the very frames on which it is driven."""
+    """True if an evaluation has the run on the very frames on which it is driven."""
     axis = evaluation.axis
     if run.id not in axis.run_ids:
         return False
@@ -304,7 +304,7 @@ def is_playable(run: Run, evaluation: Evaluation) -> bool:
 
 
 def _last_place(run: Run) -> list[int] | None:
-    """Where the car is at the last moment to brake; None where no braking helps."""
+    """Place of the car at the last moment to brake; None where no braking helps."""
     if not np.isfinite(run.last_brake_time_s):
         return None
     motion = run.encounter.vut_motion

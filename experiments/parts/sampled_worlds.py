@@ -115,7 +115,7 @@ def what_is_uncertain(found: SampledRecord) -> str:
 
 
 def moving_sentence(found: SampledRecord) -> str:
-    """How many vehicles drive by in a run, and how many were left out; empty where none do."""
+    """Words on the vehicles that drive by in a run; empty where none do."""
     moving = found.moving
     if not moving or not moving.n_runs:
         return ""
@@ -141,7 +141,7 @@ def _gain(name: str, gain: SampledPairRecord) -> str:
 
 
 def is_open(difference: SampledPairRecord) -> bool:
-    """Whether the 95 % interval of a difference holds zero: nobody knows who avoids more."""
+    """True if the 95 % interval of a difference holds zero: no sure winner."""
     return or_nan(difference.low) <= 0.0 <= or_nan(difference.high)
 
 
@@ -177,7 +177,7 @@ def sampled_section(picture: Picture) -> Section:
 
 
 _STRIP = 0.08  # height of a mark's row
-_STYLES = (  # told apart by their lines and marks where colours are not
+_STYLES = (  # distinct by their lines and marks where colours are not
     (BLUE, "-", "o"),
     (VERMILION, "--", "s"),
     (GREEN, "-.", "^"),
@@ -191,7 +191,7 @@ _LEAST_SPAN_POINTS = 1.0
 
 
 def plot_sampled_apr(judged: Sequence[SampledApr], *, axes: Axes | None = None) -> Axes:
-    """What layouts avoid in sampled worlds, at least one of them.
+    """APR of layouts in sampled worlds, at least one of them.
 
     Up to ``MAX_STAIRCASES`` have a staircase each: in what share of the worlds the layout avoids at
     most how much; line styles and marks tell them apart without colour, and below the staircases a

@@ -122,7 +122,7 @@ def _shown(
 def nearest_triangles(scene: Scene, middle_m: FloatArray, max_triangles: int) -> IntArray:
     """Triangles nearest to a point, in ascending order of their index.
 
-    Indices into ``scene.triangles``; how far a triangle is, is told by the box around it.
+    Indices into ``scene.triangles``; the distance of a triangle is that of the box around it.
     """
     n_triangles = len(scene.triangles)
     if n_triangles <= max_triangles:
@@ -181,7 +181,7 @@ def _mesh(name: str, colour: str, vertices_m: FloatArray, triangles: IntArray) -
 
 
 def _shades(corners_m: FloatArray) -> FloatArray:
-    """How bright triangles (n, 3, 3) are, 0 .. 1: flat ones most, walls by where they face.
+    """Brightness of triangles (n, 3, 3), 0 .. 1: flat ones most, walls by where they face.
 
     Which way a triangle winds does not matter.
     """
@@ -387,7 +387,7 @@ def field_lines(
 def view_border(
     unit: CandidatePose, *, max_range_m: float, terrain: Terrain | None = None
 ) -> FloatArray:
-    """Where the rays through the border of a sensor's field of view end.
+    """Ends of the rays through the border of a sensor's field of view.
 
     Shape (32, 3), in order around the border; every eighth is a corner. Rays end at `max_range_m`,
     or on the ground. World frame. [m]
@@ -437,7 +437,7 @@ def _border_directions(sensor: Sensor) -> FloatArray:
 
 
 def lane_area(lane: Lane) -> Any:
-    """What a lane covers: a shapely polygon. World frame, metres."""
+    """Ground that a lane covers: a shapely polygon. World frame, metres."""
     import shapely
 
     return shapely.LineString(lane.centreline_m).buffer(0.5 * lane.width_m, cap_style="flat")
@@ -498,7 +498,7 @@ _PLOTLY_PACKAGE = "plotly"
 
 
 def view_part(scene: Scene, layout: Layout | None, others: Sequence[Layout] = ()) -> dict[str, str]:
-    """Values for ``templates/view_3d.html.j2``, which stands alone, too; nothing may hang."""
+    """Values for ``templates/view_3d.html.j2``, which stands alone, too; the layout may be None."""
     view = view_record(scene, layout, others)
     return {
         "view_json": to_script_json(view),

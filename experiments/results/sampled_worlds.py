@@ -21,7 +21,7 @@ from .record import Record, RunId, Share, says
 
 
 class UncertaintyRecord(Record, frozen=True, kw_only=True):
-    """What was drawn, as in --uncertainty."""
+    """Uncertainty as in the file of --uncertainty."""
 
     name: Annotated[str, says("Of the uncertainty.")]
     mounting: Annotated[MountingErrors, says("Errors of mounting.")]

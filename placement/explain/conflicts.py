@@ -72,7 +72,7 @@ class Wish:
     """A placement problem that can be taken apart.
 
     `separation` says where the rivals of its limits come from, if from a least distance. With
-    `keeps_forced`, forced poses are no demand but a fact, such as units that hang there already.
+    `keeps_forced`, forced poses are no demand but a fact, such as existing units.
     """
 
     def __init__(
@@ -405,7 +405,7 @@ class _Trial:
         return replace(best, is_least=False)
 
     def _is_violated(self, item: tuple[int, ...], poses: tuple[int, ...]) -> bool:
-        """Whether a set of poses is against an item of the demand."""
+        """True if a set of poses is against an item of the demand."""
         limits, kind = self.problem.limits, self.demand.kind
         sites = set(limits.site_index[list(poses)].tolist())
         if kind == "forced":
