@@ -48,7 +48,7 @@ def run_solve(
     path : Path
         The instance.
     format_name : str or None
-        Of the file; None: by its content.
+        Of the file; None: told from its content.
     budget_units, budget_cost : int, float or None
         With one of them it is a maximal covering problem.
     target : float or None

@@ -379,25 +379,12 @@ def find_sensitivity(
     values = {one.name: _new_values(one, setting) for one in assumptions}
     asked = [(name, value) for name in (*_MOUNTING, *_DETECTOR) for value in values.get(name, ())]
     looks = {} if is_large else {key: _looks_at(units, *key, setting) for key in asked}
-    compute.progress(STAGE, 0, 0)
-    with threadpool_limits(1), ThreadPoolExecutor(compute.workers) as pool:
-        try:
-            brakes = pool.submit(
-                find_last_brake_times, setting, values.get("deceleration_mps2", ()), compute=compute
-            )
-            frames = detected_frames(
-                setting,
-                [*((unit, setting.planner) for unit in units), *chain(*looks.values())],
-                pool=pool,
-                compute=compute.within(STAGE),
-            )
-            axes = {
-                value: replace(setting.axis, last_brake_time_s=last_s)
-                for value, last_s in brakes.result().items()
-            }
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+    frames, axes = _detect_and_brake(
+        setting,
+        [*((unit, setting.planner) for unit in units), *chain(*looks.values())],
+        values.get("deceleration_mps2", ()),
+        compute,
+    )
     as_planned, *others = (
         Watched(units=units, detected=part, axis=setting.axis, rule=rule, fusion=fusion)
         for part in frames.reshape(-1, len(units), setting.axis.n_frames)
@@ -443,6 +430,32 @@ def find_sensitivity(
     return Sensitivity(
         planned=planned.worth, assumptions=tuple(vary_all(one) for one in assumptions)
     )
+
+
+def _detect_and_brake(
+    setting: Setting, looks: Sequence[Look], decelerations_mps2: Sequence[float], compute: Compute
+) -> tuple[BoolArray, dict[float, FrameAxis]]:
+    """Frames detected in each look, and the axis with the brake times of each deceleration."""
+    compute.progress(STAGE, 0, 0)
+    with threadpool_limits(1), ThreadPoolExecutor(compute.workers) as pool:
+        try:
+            brakes = pool.submit(
+                find_last_brake_times, setting, decelerations_mps2, compute=compute
+            )
+            frames = detected_frames(
+                setting,
+                looks,
+                pool=pool,
+                compute=compute.within(STAGE),
+            )
+            axes = {
+                value: replace(setting.axis, last_brake_time_s=last_s)
+                for value, last_s in brakes.result().items()
+            }
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+    return frames, axes
 
 
 def _finite(value: float | None) -> float | None:
