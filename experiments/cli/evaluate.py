@@ -64,7 +64,7 @@ def evaluate(
     check_recording_options(recording)
     if recording is not None:
         progress.start(quiet=quiet)
-        from ..jobs import recording as recording_job
+        from ..parts import recording as recording_job
 
         summary = recording_job.run_recording(
             question,

@@ -33,10 +33,10 @@ def explanation_text(explained: ExplainedRecord) -> str:
         for part in parts:
             lines += _indented(_in_short(part, n_units=len(parts)))
     groups = _alike(explained.not_avoided)
-    told = missed_sentences(explained)
+    said = missed_sentences(explained)
     if len(groups) == 1:  # the line about them says it all: once is enough
-        told = missed_counts(explained, with_outcomes=False)
-    lines += sentences(" ".join(told))
+        said = missed_counts(explained, with_outcomes=False)
+    lines += sentences(" ".join(said))
     for group in groups[:_MAX_MISSED]:
         lines += _indented(_missed_in_short(group))
     lines += _and_more(sum(map(len, groups[_MAX_MISSED:])))
@@ -82,7 +82,7 @@ def _in_short(part: ContributionRecord, *, n_units: int) -> str:
     saved = f"{count_runs(len(runs))} ({first_of(runs, _MAX_RUNS)})"
     if n_units == 1:
         return f"{unit}: saves {saved}, an APR of {percent(part.marginal_apr)}"
-    words = f"{unit}: no run hangs on it alone"
+    words = f"{unit}: no run depends on it alone"
     if runs:
         words = f"{unit}: only it saves {saved}, {points(part.marginal_apr)} of the APR"
     if part.without.apr == 0.0:

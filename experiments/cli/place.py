@@ -127,7 +127,7 @@ def cli(
     check_recording_options(recording)
     if recording is not None:
         progress.start(quiet=quiet)
-        from ..jobs import recording as recording_job
+        from ..parts import recording as recording_job
 
         folder = out if is_given("out") else None
         summary = recording_job.run_recorded_placement(

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from msgspec import UNSET
 
 from ..results.numbers import or_nan, percent
 from .options import is_given, option, option_name
@@ -13,7 +12,7 @@ from .question_options import SEEN
 from .terminal import sentences, table, wide_table
 
 if TYPE_CHECKING:
-    from ..results.recordings import DetectedShareRecord, RecordedAprRecord, RecordedResult
+    from ..parts.recording import DetectedShareRecord, RecordedAprRecord, RecordedResult
 
 _WITH_RECORDING = frozenset(
     ("recording", "min_confidence", "out", "as_json", "quiet", "question", "save_question_to")
@@ -53,7 +52,7 @@ def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def check_recording_options(recording: Path | None) -> None:
-    """Refuse options that say nothing beside a recording.
+    """Refuse options that say nothing next to a recording.
 
     Raises
     ------
@@ -82,9 +81,9 @@ def recording_table(summary: "RecordedResult", out: Path | None) -> str:
 
 def recorded_placement_table(summary: "RecordedResult", out: Path | None) -> str:
     """The result of :func:`run_recorded_placement` for a terminal."""
-    from ..jobs.recording import ALL_UNITS
+    from ..parts.recording import ALL_UNITS
 
-    assert summary.stages is not UNSET
+    assert summary.stages is not None
     assert summary.baseline is not None
     chosen = ", ".join(unit.id for unit in summary.layout)
     head = (
@@ -115,7 +114,7 @@ def _parties_text(
     evaluation: "RecordedAprRecord", shares: "DetectedShareRecord", cases: Sequence[str]
 ) -> list[str]:
     """A row per party; APR over all drives, share of frames, and APR by case as columns."""
-    from ..jobs.recording import ALL_UNITS
+    from ..parts.recording import ALL_UNITS
 
     parties = [
         *((name, evaluation.units[name], share) for name, share in shares.units.items()),
@@ -134,7 +133,7 @@ def _parties_text(
 
 
 def _footer(summary: "RecordedResult", out: Path | None) -> list[str]:
-    """What was read, what was left out and why."""
+    """Lines on what was read, and what was left out and why."""
     frames = summary.frames
     read = (
         f"Read: {frames.recorded} frames; {summary.runs} drives with {frames.in_drives} "

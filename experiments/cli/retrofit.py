@@ -1,4 +1,4 @@
-"""``place-rsus retrofit``: what to remove, re-aim or add where units hang already."""
+"""``place-rsus retrofit``: what to remove, re-aim or add where units are mounted."""
 
 import textwrap
 from pathlib import Path
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from ..parts.retrofit import ChangeRecord, RetrofitResult
     from ..results.record import LayoutValueRecord
 
-# What hangs there is --layout; what is added is asked for by money alone.
+# Existing units are --layout; what is added is asked for by money alone.
 _ASKED = ("budget_cost", *fields_in(MOUNTED, but=("keep", "within", "force_site")))
 
 
@@ -65,7 +65,7 @@ def retrofit(
     quiet: bool,
     compute: Compute,
 ) -> None:
-    """What to change about units that hang already: remove, re-aim or add one, each priced.
+    """What to change about units that are mounted: remove, re-aim or add one, each priced.
 
     A unit keeps its pole, height and sensor when it is re-aimed. With --budget-cost, the best
     re-aims and additions together for the money, too.
@@ -90,7 +90,7 @@ _WORDS_WIDTH = 32
 
 
 def retrofit_text(summary: "RetrofitResult", out: Path | None) -> str:
-    """What can be changed: a row per change, in groups, then the best of each in sentences."""
+    """Possible changes: a row each, in groups, then the best of each in sentences."""
     labour = summary.labour
     rows = [_row("as it is", 0.0, summary.before)]
     for head, changes in (

@@ -51,7 +51,7 @@ _Key = tuple[str, str, str]
 
 
 def list_rows(drives: "Drives") -> list[DrivenRow]:
-    """One row per case, approach and position; what is refused stands beside what is driven."""
+    """One row per case, approach and position; with what is driven and what is refused."""
     driven: dict[_Key, list[Run]] = {}
     reasons: dict[_Key, list[str]] = {}
     for run in drives.runs:
@@ -144,7 +144,7 @@ def scenario_table(rows: Sequence[DrivenRow]) -> str:
 
 
 def _position_table(rows: Sequence[DrivenRow]) -> list[str]:
-    """How many runs there are at each place along the arms."""
+    """Number of runs at each place along the arms."""
     from scenarios.positions import sort_positions
 
     cells = []

@@ -21,7 +21,7 @@ from .running import begin, load_one_layout, print_result
 from .terminal import sentences, table
 
 if TYPE_CHECKING:
-    from ..jobs.sheet import SheetResult
+    from ..parts.sheet import SheetResult
 
 
 @click.command(
@@ -53,14 +53,14 @@ def sheet(
     """
     question = begin(progress, question, quiet=quiet)
     layout = load_one_layout(layout_names, question)
-    from ..jobs.sheet import run_sheet
+    from ..parts.sheet import run_sheet
 
     summary = run_sheet(question, layout=layout, out=out, compute=compute, progress=progress)
     print_result(summary, progress, as_json, lambda: sheet_text(summary))
 
 
 def sheet_text(summary: "SheetResult") -> str:
-    """How far each unit may be off before a run is lost."""
+    """Tolerances of each unit before a run is lost."""
     rows = []
     for unit in summary.units:
         (right, left), (down, up) = unit.yaw_deg, unit.pitch_deg

@@ -109,7 +109,7 @@ Examples:
     show_default=True,
     help="npz: this program's own; orlib: OR-Library's set covering, by rows; rail: its railway "
     "instances, by columns; gecco: the camera placement competition of GECCO 2020; sts: Steiner "
-    "triples; auto: told from the content.",
+    "triples; auto: by the content.",
 )
 @option(
     "--out",

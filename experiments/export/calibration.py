@@ -35,7 +35,7 @@ class Calibration:
     translation_m : (3,) float
         t: where the world's origin is for the camera, so that x_camera = R x_world + t. [m]
     pose : Pose
-        Where the camera hangs and looks. World frame.
+        Pose of the camera. World frame.
     """
 
     id: str

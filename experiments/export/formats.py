@@ -11,7 +11,7 @@ from placement.layout import Layout, check_layout
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportFormat:
-    """How a layout is written in a format, and what a user should know about it.
+    """A format: how a layout is written, and what a user should know about it.
 
     Attributes
     ----------

@@ -17,7 +17,7 @@ def to_kml(layout: Layout, scene: Scene) -> str:
     """Layout as KML: a placemark per unit, at its height above ground, with a pole below it.
 
     An XML document. Every field of the layout is in the placemark's ExtendedData; the placemark's
-    camera looks from where the unit hangs along its optical axis. Raises InputError if
+    camera looks from the unit's place along its optical axis. Raises InputError if
     the scene has no crs, or one that pyproj does not know, or if a name is not printable.
 
     References

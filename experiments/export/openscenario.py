@@ -58,7 +58,7 @@ def load_table(name: str) -> Table:
 
 
 def _body(actor: Actor) -> tuple[Table, str]:
-    """What the standard asks for of a body, and where that stands."""
+    """Properties of a body that the standard asks for, and their place."""
     bodies = load_table("bodies")
     name = actor.name if actor.name in bodies else actor.class_name
     return pick(bodies, name, "class_name"), f"{TABLE}: bodies.{name}"
@@ -76,7 +76,7 @@ def _axles_m(actor: Actor) -> tuple[float, float]:
 
 
 def reference_ahead_m(actor: Actor) -> float:
-    """How far a body's point of reference is ahead of the middle of its box.
+    """Distance of a body's point of reference ahead of the middle of its box.
 
     The rear axle of cars and bicycles; 0, the middle itself, of pedestrians and walls. [m] Raises
     InputError if ``data/openscenario.toml`` knows neither its name nor its class, or a car has no
@@ -143,7 +143,7 @@ _SPEED_STEP_S = 1.0e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Track:
-    """Where a body's reference point is, from the first frame (time 0) to the impact.
+    """Places of a body's reference point, from the first frame (time 0) to the impact.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Where on earth, and where in its map, a layout's units are."""
+"""Places of a layout's units on earth and in the map."""
 
 from typing import Any
 
@@ -23,7 +23,7 @@ def positions_m(layout: Layout) -> FloatArray:
 def placed_records(layout: Layout, scene: Scene | None) -> list[dict[str, Any]]:
     """Units as records, with their place in the map that a scene was made from.
 
-    As :func:`placement.layout.layout_records`; beside these map_x, map_y (longitude and latitude
+    As :func:`placement.layout.layout_records`; in addition map_x, map_y (longitude and latitude
     where the map has degrees) and map_crs, which is empty if the map does not say where on earth it
     lies. Where the ground is not flat, height_m is that above the ground below the unit, and map_z
     that of the map. Where sites are assumed, "assumed" says what, and is empty for the others.

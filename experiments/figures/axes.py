@@ -13,7 +13,7 @@ from placement.layout import Layout
 from scenarios.positions import AT_ZERO
 from scenarios.runs import FrameAxis
 
-# M. Okabe, K. Ito, "Color Universal Design" (2008): told apart with any colour vision.
+# M. Okabe, K. Ito, "Color Universal Design" (2008): distinct with any colour vision.
 BLUE, SKY, GREEN, YELLOW = "#0072B2", "#56B4E9", "#009E73", "#F0E442"
 ORANGE, VERMILION, PINK, GREY = "#E69F00", "#D55E00", "#CC79A7", "#999999"
 

@@ -1,4 +1,4 @@
-"""Where it is still dangerous: the junction from above, each place where runs end in an impact."""
+"""Dangerous places: the junction from above, each place where runs end in an impact."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ _UNIT_COLOUR = "#CC0000"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Place:
-    """Where some runs end in an impact if nobody brakes.
+    """Place where some runs end in an impact if nobody brakes.
 
     Attributes
     ----------
@@ -103,35 +103,7 @@ def plot_dangers(
     reach_m = float(np.abs(points - middle).max()) + _BORDER_M
     size = 15.0 if width_in >= WIDTH_IN else 12.0
     for place in places:
-        share = place.share_avoided(is_avoided, setting.axis.weight)
-        if not np.isfinite(share):  # runs that do not count
-            continue
-        is_safe = share > 1.0 - 1.0e-9
-        axes.plot(
-            *place.position_m,
-            marker="s" if is_safe else "o",  # small circles are sites
-            markersize=(0.27 if is_safe else 1.0) * size,
-            markerfacecolor=SHADES(share),
-            markeredgecolor="black",
-            markeredgewidth=0.7,
-            linestyle="none",
-            zorder=7.0 if is_safe else 8.0 - 0.5 * share,  # the most dangerous on top
-            gid="place",
-        )
-        if is_safe:
-            continue
-        east_m, north_m = place.position_m
-        axes.text(
-            east_m,
-            north_m,
-            f"{_whole_percent(share)}",
-            fontsize=0.5 * size,
-            ha="center",
-            va="center_baseline",
-            color="white" if share < DARK_BELOW else "black",
-            zorder=8.0 - 0.5 * share,
-            gid="share",
-        )
+        _draw_place(axes, place, place.share_avoided(is_avoided, setting.axis.weight), size)
     for unit in layout.units:
         axes.plot(
             *unit.pose.position_m[:2],
@@ -159,6 +131,38 @@ def plot_dangers(
     bar.set_label("runs avoided there (%)", fontsize=8)
     bar.ax.tick_params(labelsize=7)
     return axes
+
+
+def _draw_place(axes: Axes, place: Place, share: float, size: float) -> None:
+    """Draw a mark with its number; `size` in points."""
+    if not np.isfinite(share):  # runs that do not count
+        return
+    is_safe = share > 1.0 - 1.0e-9
+    axes.plot(
+        *place.position_m,
+        marker="s" if is_safe else "o",  # small circles are sites
+        markersize=(0.27 if is_safe else 1.0) * size,
+        markerfacecolor=SHADES(share),
+        markeredgecolor="black",
+        markeredgewidth=0.7,
+        linestyle="none",
+        zorder=7.0 if is_safe else 8.0 - 0.5 * share,  # the most dangerous on top
+        gid="place",
+    )
+    if is_safe:
+        return
+    east_m, north_m = place.position_m
+    axes.text(
+        east_m,
+        north_m,
+        f"{_whole_percent(share)}",
+        fontsize=0.5 * size,
+        ha="center",
+        va="center_baseline",
+        color="white" if share < DARK_BELOW else "black",
+        zorder=8.0 - 0.5 * share,
+        gid="share",
+    )
 
 
 def _whole_percent(share: float) -> int:

@@ -151,7 +151,7 @@ def plot_apr_by_case(evaluations: Mapping[str, Evaluation], *, axes: Axes | None
 SHADES = LinearSegmentedColormap.from_list("left over", ["#303030", "#ffffff"])
 """Of shares that are avoided: the more accidents are left, the darker."""
 DARK_BELOW = 0.34
-"""Where white and black letters stand out from a shade alike."""
+"""Shade from which white and black letters stand out alike."""
 _HEAD_WIDTH = 16
 _MAX_NARROW_COLUMNS = 3
 

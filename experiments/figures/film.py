@@ -84,7 +84,7 @@ def save_film(path: Path, scene: Scene, run: Run, *, progress: Progress = silent
     scene, run
         As for :func:`plot_film`.
     progress : Progress
-        Is told the frames of an animation.
+        Gets the frames of an animation.
 
     Raises
     ------
@@ -177,7 +177,7 @@ class _Sightlines:
         return np.asarray(eye)
 
     def free(self, frame: int) -> BoolArray:
-        """Whether each point is in the image and the line to it free."""
+        """Mask of the points that are in the image with a free line to them."""
         vru = self.run.encounter.vru
         points = np.array(
             [
@@ -198,7 +198,7 @@ class _Sightlines:
         return is_free & self._is_in_image(vectors, float(self.run.vut_yaw_deg[frame]))
 
     def _is_in_image(self, vectors_m: FloatArray, vut_yaw_deg: float) -> BoolArray:
-        """Whether points, seen from the level camera, lie inside its image."""
+        """Mask of the points that lie inside the image of the level camera."""
         camera = self.vut_camera.camera
         ahead, left, up = (vectors_m @ body_rotation(vut_yaw_deg)).T
         is_inside: BoolArray = ahead > 0.0

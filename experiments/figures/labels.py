@@ -184,7 +184,7 @@ def unit_names(layout: Layout, scene: Scene) -> list[Label]:
 
 
 def looks_alike(unit: CandidatePose, other: CandidatePose) -> bool:
-    """Whether two units look the same way from one pole, but for 30 degrees."""
+    """True if two units look the same way from one pole, but for 30 degrees."""
     turn_deg = (unit.pose.yaw_deg - other.pose.yaw_deg + 180.0) % 360.0 - 180.0
     apart_m = np.linalg.norm(unit.pose.position_m[:2] - other.pose.position_m[:2])
     return bool(apart_m < _SAME_PLACE_M and abs(turn_deg) < _SAME_WAY_DEG)

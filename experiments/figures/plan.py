@@ -98,7 +98,7 @@ def draw_scene(axes: Axes, scene: Scene) -> None:
         )
     axes.add_patch(Polygon(scene.outline_m, facecolor="#dedede", edgecolor="none", zorder=1))
     for ends in scene.crosswalks_m:
-        # Grey below the white bars: beside the road they would not be seen on a white ground.
+        # Grey below the white bars: next to the road they would not be seen on a white ground.
         axes.plot(*ends.T, color="#8c8c8c", linewidth=6.0, solid_capstyle="butt", zorder=1.8)
         axes.plot(*ends.T, color="white", linewidth=5.0, linestyle=(0, (0.6, 0.6)), zorder=1.9)
     for index, instance in enumerate(scene.instances):
@@ -170,7 +170,7 @@ _MAX_NAME = 18  # letters that the legend has room for
 def ground_footprint(
     unit: CandidatePose, *, max_range_m: float, max_depth_m: float = math.inf
 ) -> FloatArray:
-    """What a unit's image shows of the road plane, if nothing stood on it.
+    """Footprint of a unit's image on the road plane, if nothing stood on it.
 
     A convex polygon, (n, 2), counter-clockwise, up to `max_range_m` from the foot of the camera and
     up to `max_depth_m` along its axis; empty if it sees no ground there. Of a LiDAR that opens half
@@ -375,12 +375,12 @@ def _draw_units(axes: Axes, layout: Layout, scene: Scene, max_range_m: float) ->
 
 
 def _rank(layout: Layout, index: int) -> int:
-    """How many of the units before look the same way from the same pole."""
+    """Number of the units before that look the same way from the same pole."""
     return sum(looks_alike(layout.units[index], other) for other in layout.units[:index])
 
 
 def _tips_m(layout: Layout, half_size_m: float, width_in: float) -> FloatArray:
-    """Where the units' arrows end, about; (n, 2)."""
+    """Approximate ends of the units' arrows, (n, 2)."""
     yaw = np.radians([unit.pose.yaw_deg for unit in layout.units])
     length_m = 0.6 * ARROW_POINTS * 2.0 * half_size_m / (60.0 * width_in)
     places = np.array([unit.pose.position_m[:2] for unit in layout.units])

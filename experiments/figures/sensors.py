@@ -20,13 +20,13 @@ def compass_word(unit: CandidatePose) -> str:
 
 
 def looking_words(unit: CandidatePose) -> str:
-    """Where a unit looks, for a sentence: "looking to the east" or "scanning all round"."""
+    """Direction of a unit's view, for a sentence: "looking to the east" or "scanning all round"."""
     word = compass_word(unit)
     return f"scanning {word}" if word == ALL_ROUND else f"looking to the {word}"
 
 
 def is_wide(unit: CandidatePose) -> bool:
-    """Whether a unit is a LiDAR that opens half a turn or more: no picture plane holds its view."""
+    """True for a LiDAR that opens half a turn or more: no picture plane holds its view."""
     return isinstance(unit.sensor, LidarModel) and unit.sensor.horizontal_fov_deg >= 180.0
 
 

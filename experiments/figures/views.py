@@ -96,7 +96,7 @@ class GroundViews:
         return shapely.intersection(shapely.make_valid(image), self._open_ground(unit))
 
     def has_rays(self, unit: CandidatePose) -> bool:
-        """Whether rays have been cast from where a unit is."""
+        """True if rays have been cast from the place of a unit."""
         return _mount_key(unit) in self._open
 
     @cached_property

@@ -81,7 +81,7 @@ def plot_coverage(
 
 
 def coverage_section(scene: Scene, layout: Layout) -> Section:
-    """What the cameras see of the roads: a sentence, a table, a map."""
+    """Roads as the cameras see them: a sentence, a table, a map."""
     coverage = find_ground_coverage(scene, layout.units)
     sentence, rows = coverage_sentence(coverage), coverage_rows(coverage.shares())
     table = Table(
@@ -117,7 +117,7 @@ def coverage_rows(shares: Mapping[str, float]) -> list[list[str]]:
 
 
 def coverage_sentence(coverage: GroundCoverage) -> str:
-    """How much of the road is seen, and where the largest blind spot is."""
+    """Sentence on the seen share of the road, and its largest blind spot."""
     shares = coverage.shares()
     text = f"{percent(1.0 - shares['unseen'])} of the road within 45 m is seen by a camera"
     spot = _largest_blind_spot(coverage)

@@ -22,7 +22,7 @@ OUTCOMES = {
     "lost again": "confirmed, but lost again before the last moment",
     "too late": "confirmed too late",
 }
-"""What became of a run that is not avoided, in words."""
+"""Words for the outcome of a run that is not avoided."""
 
 _CAUSES = {
     "out of view": "out of view",
@@ -34,17 +34,17 @@ _CAUSES = {
 
 
 def contribution_sentences(explained: ExplainedRecord) -> list[str]:
-    """Which units something hangs on, in sentences."""
+    """Sentences on the units that something depends on."""
     parts = explained.contributions
     if is_nothing_avoided(parts):
         return [f"{'This unit avoids' if len(parts) == 1 else 'These units avoid'} nothing."]
     if len(parts) == 1:
-        return ["Everything that is avoided hangs on this one unit."]
+        return ["Everything that is avoided depends on this one unit."]
     needed = [part for part in parts if part.only_runs]
     if not needed:
         others = "the other avoids" if len(parts) == 2 else "the others avoid"
         return [
-            f"No run hangs on a single unit: whichever fails, {others} all that they avoid "
+            f"No run depends on a single unit: whichever fails, {others} all that they avoid "
             "together. What each unit adds is time."
         ]
     if len(needed) == len(parts):
@@ -54,17 +54,17 @@ def contribution_sentences(explained: ExplainedRecord) -> list[str]:
 
 
 def is_nothing_avoided(parts: Sequence[ContributionRecord]) -> bool:
-    """Whether units avoid nothing together."""
+    """True if units avoid nothing together."""
     return all(part.without.apr + part.marginal_apr <= 0.0 for part in parts)
 
 
 def missed_sentences(explained: ExplainedRecord) -> list[str]:
-    """How many runs are not avoided, and what is most often in the way."""
+    """Sentences on the runs that are not avoided, and what is most often in the way."""
     return [*missed_counts(explained), *_causes_and_remedies(explained.not_avoided)]
 
 
 def missed_counts(explained: ExplainedRecord, *, with_outcomes: bool = True) -> list[str]:
-    """How many runs are not avoided, what became of them, and how many are left out."""
+    """Sentences on the number of runs that are not avoided, their outcomes, and runs left out."""
     missed, n_without = explained.not_avoided, explained.runs_without_weight
     which = "every run that counts" if n_without else "every run"
     sentences = [f"On the detection table, {which} is avoided."]
@@ -115,7 +115,7 @@ def cause(reason: Reason) -> str:
 
 
 def pool_sentences(explained: ExplainedRecord) -> list[str]:
-    """How much there is to choose from; nothing where nobody has looked."""
+    """Sentences on the layouts to choose from; none where nobody has looked."""
     pool = explained.pool
     if pool is None:
         return []
@@ -156,7 +156,7 @@ _MAX_UNFOLDED = 12  # rows of a table that is unfolded from the start
 def contribution_table(
     explained: ExplainedRecord, labels: Mapping[str, str] | None = None
 ) -> Table:
-    """What each unit is there for: a row each; `labels` are short names of the units, by id."""
+    """Contributions, a row for each unit; `labels` are short names of the units, by id."""
     return Table(
         caption="What each unit is there for, on the detection table",
         columns=[
@@ -262,7 +262,7 @@ def pool_table(pool: PoolRecord) -> Table:
 
 
 def site_table(pool: PoolRecord) -> Table:
-    """How often each site carries a unit in the layouts that are as good: a row each."""
+    """Share of the layouts as good that have a unit at a site: a row each."""
     whole = "all " if pool.is_complete else "the listed "
     if pool.within == 1:
         whole = ""
@@ -306,7 +306,7 @@ def explanation_sections(
             "Reasons of the unit nearest to the road user that looks there, in frames from which "
             "braking in time could follow. “Hidden by” names what most of the blocked rays meet "
             "first; without it the road user would be detected. A further unit is one of the "
-            "candidate poses, mounted beside these; its price is not asked for.",
+            "candidate poses, mounted next to these; its price is not asked for.",
         ]
     sections.append(Section("missed", "Runs that are not avoided", missed))
     if explained.pool is not None:

@@ -237,7 +237,7 @@ def describe_money(front: Front, *, pole_failed: PoleFailed | None = None) -> li
 def _first_units(point: FrontPoint, n_kept: int) -> str:
     number = point.units
     if n_kept and number == n_kept:
-        who = f"The {number} that hang there reach" if number > 1 else "What hangs there reaches"
+        who = f"The {number} existing units reach" if number > 1 else "The existing unit reaches"
     elif number == 1:
         who = "The first unit reaches"
     else:
@@ -455,8 +455,8 @@ def run_pareto(
         versions=versions(),
     )
     if prices is not None:
-        told = assumed_prices(prices, scene.sites)
-        result = replace_fields(result, sentences=(*result.sentences, *told))
+        assumed = assumed_prices(prices, scene.sites)
+        result = replace_fields(result, sentences=(*result.sentences, *assumed))
     if out is None:
         return replace_fields(result, seconds=progress.finish())
     progress(WRITING, 0, 0)

@@ -172,7 +172,7 @@ def _words(axis: FrameAxis) -> tuple[list[str], list[str]]:
 
 
 def _limits_ms(verdicts: Sequence[Verdict], axis: FrameAxis) -> tuple[float, float]:
-    """Where the scale begins and ends, with room for the marks at its left edge."""
+    """Both ends of the scale, with room for the marks at its left edge."""
     margins_ms = _MS * np.concatenate([margin_s(verdict, axis) for verdict in verdicts])
     finite_ms = margins_ms[np.isfinite(margins_ms)]
     low_ms = min(-_MS, float(finite_ms.min(initial=0.0)))
@@ -218,7 +218,7 @@ _COLUMNS = (
 
 
 def margin_m(verdict: Verdict, axis: FrameAxis) -> FloatArray:
-    """How much farther from the collision the VUT still is than it may be when it begins to brake.
+    """Distance to spare of the VUT when it begins to brake.
 
     Shape (n_runs,), along the VUT's path, from where braking sets in to where it must set in at the
     latest. Negative: it is past that place by so much. Minus infinity: never confirmed, or no
@@ -313,7 +313,7 @@ def _of(measure: Callable[[FloatArray], Any], values: FloatArray) -> float:
 
 
 def _groupings(axis: FrameAxis) -> list[tuple[str, str, list[RunGroup]]]:
-    """What runs are told apart by: words for the caption, the column's head, groups."""
+    """Groupings of runs: words for the caption, the column's head, groups."""
     return [
         ("by case", "case", groups_by_case(axis)),
         ("by speed of the car", "speed (km/h)", groups_by_speed(axis)),
@@ -408,7 +408,7 @@ def _sentence(subject: str, verdict: Verdict, axis: FrameAxis) -> str:
 
 
 def _missed_words(summary: MarginSummary) -> str:
-    """What the runs that are not avoided lack."""
+    """Sentence on what the runs lack that are not avoided."""
     n_late = summary.n_not_avoided - summary.n_never - summary.n_lost - summary.n_hopeless
     kinds = [
         (summary.n_never, "never confirmed"),
@@ -427,7 +427,7 @@ def _missed_words(summary: MarginSummary) -> str:
 
 
 def margin_notes(evaluations: Mapping[str, Evaluation]) -> list[str]:
-    """What must be known to read the tables, in sentences; only what applies."""
+    """Notes for readers of the tables; only those that apply."""
     axis = next(iter(evaluations.values())).axis
     notes = []
     n_without = int((axis.weight == 0.0).sum())
@@ -476,7 +476,7 @@ def margins_section(evaluations: Mapping[str, Evaluation]) -> Section:
     )
     notes = [
         "Smallest and median are those of the runs that are avoided; the smallest in milliseconds "
-        "and the smallest in metres may be of different runs. “Worst too late by” is told of the "
+        "and the smallest in metres may be of different runs. “Worst too late by” is that of the "
         "runs in which the road user is confirmed, but too late.",
         *margin_notes(evaluations),
     ]

@@ -26,7 +26,7 @@ def private_ground_sentence(found: PrivateGroundRecord) -> str:
 
 
 def private_ground_sentences(result: Result) -> list[str]:
-    """The same of a result; of each layout where several are compared."""
+    """Sentences on a result; one for each layout where several are compared."""
     if not result.private_ground:
         return []
     return [
@@ -50,7 +50,7 @@ _MAX_NAMED = 6  # pairs of unit and area in a sentence
 def private_ground_section(
     found: PrivateGroundRecord | UnsetType, labels: Mapping[str, str]
 ) -> Section | None:
-    """What units see of private ground: areas that are seen the most first; None without any.
+    """Shares of private ground that units see, the most seen areas first; None without any.
 
     `labels` are short names of the units, by id.
     """

@@ -9,7 +9,7 @@ _MAX_DIGITS = 6
 
 
 def refinement_sentences(found: RefinementRecord) -> list[str]:
-    """What refinement changed, and what is proven of it.
+    """Sentences on the changes by refinement and their proof.
 
     Of one unit at the study's junction: "Refinement turned U1 by -6.94 deg and raised it by
     0.22 m: smallest time to spare 0.33 s to 0.43 s, mean time to spare 3.81 s to 3.74 s."
@@ -17,7 +17,7 @@ def refinement_sentences(found: RefinementRecord) -> list[str]:
     n_tried, n_grid = found.poses_tried, found.grid_candidates
     if not found.is_improved:
         return [
-            f"Refinement tried {n_tried} poses beside the {n_grid} candidates of the grid and "
+            f"Refinement tried {n_tried} poses between the {n_grid} candidates of the grid and "
             "found nothing better."
         ]
     proven = (
@@ -29,12 +29,12 @@ def refinement_sentences(found: RefinementRecord) -> list[str]:
     return [
         f"Refinement {joined([_deed(move) for move in found.moves])}: {_changes(found)}.",
         f"{proven} The bounds of the refined layout hold for these and the {n_tried} poses tried "
-        "beside them, not for every pose in between.",
+        "between them, not for every pose there is.",
     ]
 
 
 def _deed(move: MoveRecord) -> str:
-    """What was done to one unit."""
+    """Words for the change of one unit."""
     if move.is_ is None:
         return f"removed {move.was}"
     if move.was is None:

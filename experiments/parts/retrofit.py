@@ -19,11 +19,13 @@ from placement.question import Question
 from placement.retrofit import (
     Change,
     Labour,
+    Retrofit,
     RetrofitPoses,
     build_retrofit_poses,
     find_retrofit,
     load_labour,
 )
+from placement.setting import Setting
 
 from ..export.json import to_json_text
 from ..progress import WRITING, StageProgress
@@ -251,12 +253,40 @@ def run_retrofit(
         effort=plan.effort,
     )
 
+    result = _build_result(
+        retrofit, poses, layout, setting, question, labour=labour, command=command
+    )
+    assumed = () if prices is None else assumed_prices(prices, scene.sites)
+    result = replace_fields(result, sentences=(*describe_retrofit(result), *assumed))
+    if out is None:
+        return replace_fields(result, seconds=progress.finish())
+    progress(WRITING, 0, 0)
+    csv = csv_text(retrofit_table(result))
+    result = replace_fields(result, seconds=progress.finish())
+    json = to_json_text(result)
+    write_files(out, {CSV_NAME: csv.encode(), JSON_NAME: json.encode()})
+    progress.kept = f"the results are in {out}"
+    return result
+
+
+def _build_result(
+    retrofit: Retrofit,
+    poses: RetrofitPoses,
+    layout: Layout,
+    setting: Setting,
+    question: Question,
+    *,
+    labour: Labour,
+    command: str,
+) -> RetrofitResult:
+    """The result without sentences and seconds."""
+
     def record(change: Change) -> ChangeRecord:
         return _change_record(change, retrofit.before, poses)
 
-    result = RetrofitResult(
+    return RetrofitResult(
         name=layout.name,
-        layout=build_unit_records(layout, scene),
+        layout=build_unit_records(layout, setting.scene),
         before=LayoutValueRecord(**retrofit.before._asdict()),
         candidates=len(poses.candidates),
         removals=tuple(record(change) for change in retrofit.removals),
@@ -273,17 +303,6 @@ def run_retrofit(
         seconds={},
         versions=versions(),
     )
-    assumed = () if prices is None else assumed_prices(prices, scene.sites)
-    result = replace_fields(result, sentences=(*describe_retrofit(result), *assumed))
-    if out is None:
-        return replace_fields(result, seconds=progress.finish())
-    progress(WRITING, 0, 0)
-    csv = csv_text(retrofit_table(result))
-    result = replace_fields(result, seconds=progress.finish())
-    json = to_json_text(result)
-    write_files(out, {CSV_NAME: csv.encode(), JSON_NAME: json.encode()})
-    progress.kept = f"the results are in {out}"
-    return result
 
 
 def retrofit_table(result: RetrofitResult) -> "pd.DataFrame":

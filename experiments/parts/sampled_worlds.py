@@ -1,12 +1,11 @@
 """APR of layouts in sampled worlds: in sentences, as text for a terminal, drawn."""
 
 from collections.abc import Sequence
+from dataclasses import astuple
 
-import msgspec
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from msgspec import UNSET
 
 from geometry.errors import InputError, Unquoted
 from placement.sampling.out_of_sample import SampledApr
@@ -14,7 +13,6 @@ from placement.sampling.out_of_sample import SampledApr
 from ..figures.axes import BLUE, GREEN, PINK, VERMILION, WIDTH_IN, finish_axes, literal, new_axes
 from ..results.numbers import number, or_nan, percent, points, shortened
 from ..results.sampled_worlds import (
-    SampledGainRecord,
     SampledLayoutRecord,
     SampledPairRecord,
     SampledRecord,
@@ -25,7 +23,7 @@ from .section import Picture, Section, build_picture
 
 
 def uncertainty_sentences(found: SampledRecord) -> list[str]:
-    """What the sampled worlds say, in sentences."""
+    """Sentences on layouts in sampled worlds; the first layout is the subject."""
     subject = found.layouts[0]
     n_samples = found.samples
     planned = subject.planned
@@ -61,20 +59,16 @@ def uncertainty_sentences(found: SampledRecord) -> list[str]:
 
 
 def overtaken_sentences(found: SampledRecord) -> list[str]:
-    """That fresh worlds surely prefer a layout with no more units, if they do: one sentence."""
+    """Sentence on a layout with no more units that fresh worlds surely prefer, if there is one."""
     subject = found.layouts[0]
-    units = {layout.name: layout.units for layout in found.layouts if layout.units is not UNSET}
-    most = units.get(subject.name, 0)
-    ahead = [
-        gain
-        for gain in found.gains
-        if or_nan(gain.high) < 0.0 and units.get(gain.over, np.inf) <= most
-    ]
-    if not ahead or found.chosen_in is UNSET:
+    units = {layout.name: layout.units for layout in found.layouts}
+    most = units[subject.name]
+    ahead = [gain for gain in found.gains if or_nan(gain.high) < 0.0 and units[gain.second] <= most]
+    if not ahead or found.chosen_in is None:
         return []
     gain = min(ahead, key=lambda gain: or_nan(gain.mean))
     points, low, high = (-100.0 * or_nan(share) for share in (gain.mean, gain.high, gain.low))
-    other = next(layout for layout in found.layouts if layout.name == gain.over)
+    other = next(layout for layout in found.layouts if layout.name == gain.second)
     worst = (
         f"; in the worst {percent(found.tail)} of them {percent(other.cvar)}, not "
         f"{percent(subject.cvar)}"
@@ -91,61 +85,61 @@ def overtaken_sentences(found: SampledRecord) -> list[str]:
 
 
 def what_is_uncertain(found: SampledRecord) -> str:
-    """What is drawn in the sampled worlds, in words."""
+    """Words for what is drawn in the sampled worlds."""
     record = found.uncertainty
     mounting, latency, traffic = record.mounting, record.latency, record.traffic
     parts = []
-    if any(msgspec.structs.astuple(mounting)):
+    if any(astuple(mounting)):
         parts.append(
             f"units off by {mounting.yaw_sd_deg:g}\N{DEGREE SIGN} in yaw, "
             f"{mounting.pitch_sd_deg:g}\N{DEGREE SIGN} in pitch and "
             f"{100.0 * mounting.height_sd_m:g} cm in height"
         )
-    if latency.budget:
-        parts.append(f"latency drawn from the budget {latency.budget}")
-    elif latency.mean_s:
-        parts.append(f"messages {1000.0 * latency.mean_s:g} ms later on average")
-    if record.messages.packet_loss > 0.0:
-        parts.append(f"{percent(record.messages.packet_loss)} of the messages lost")
-    if record.detector.is_drawn:
+    if "budget" in latency:
+        parts.append(f"latency drawn from the budget {latency['budget']}")
+    elif latency["mean_s"]:
+        parts.append(f"messages {1000.0 * float(latency['mean_s']):g} ms later on average")
+    if record.packet_loss > 0.0:
+        parts.append(f"{percent(record.packet_loss)} of the messages lost")
+    if record.draws_detections:
         parts.append("detections drawn where the detector gives a probability")
-    if traffic.taken_share > 0.0:
-        parts.append(f"{percent(traffic.taken_share)} of the parking places taken")
-    if traffic.waiting_share > 0.0:
-        parts.append(f"vehicles waiting in {percent(traffic.waiting_share)} of the lanes")
+    if traffic["taken_share"] > 0.0:
+        parts.append(f"{percent(traffic['taken_share'])} of the parking places taken")
+    if traffic["waiting_share"] > 0.0:
+        parts.append(f"vehicles waiting in {percent(traffic['waiting_share'])} of the lanes")
     if found.moving:
-        parts.append(f"vehicles that drive by ({found.moving.source})")
+        parts.append(f"vehicles that drive by ({found.traffic_source})")
     return ", ".join(parts) or "nothing is uncertain"
 
 
 def moving_sentence(found: SampledRecord) -> str:
-    """How many vehicles drive by in a run, and how many were left out; empty where none do."""
-    if not found.moving or not found.moving.runs:
-        return ""
+    """Words on the vehicles that drive by in a run; empty where none do."""
     moving = found.moving
-    share = percent(moving.left_out / moving.vehicles) if moving.vehicles else "none"
+    if not moving or not moving.n_runs:
+        return ""
+    share = percent(moving.n_left_out / moving.n_vehicles) if moving.n_vehicles else "none"
     text = (
-        f"{moving.vehicles / moving.runs:.0f} vehicles drive by in a run ({moving.source}); "
-        f"{moving.left_out} of {moving.vehicles} ({share}) are left out of theirs, for they would "
-        "come into the way of car or road user"
+        f"{moving.n_vehicles / moving.n_runs:.0f} vehicles drive by in a run "
+        f"({found.traffic_source}); {moving.n_left_out} of {moving.n_vehicles} ({share}) are left "
+        "out of theirs, for they would come into the way of car or road user"
     )
-    if moving.without_room:
-        wanted = moving.departed + moving.without_room
-        text += f"; SUMO found no room for {moving.without_room} of {wanted} vehicles"
+    if moving.n_waiting:
+        wanted = moving.n_departed + moving.n_waiting
+        text += f"; SUMO found no room for {moving.n_waiting} of {wanted} vehicles"
     return text
 
 
-def _gain(name: str, gain: SampledGainRecord) -> str:
+def _gain(name: str, gain: SampledPairRecord) -> str:
     mean, low, high = (or_nan(share) for share in (gain.mean, gain.low, gain.high))
     where = f"95 % interval {number(100.0 * low, 1)} to {number(100.0 * high, 1)}"
     if is_open(gain):
-        return f"Between {name} and {gain.over} there is no sure difference ({where} points)"
+        return f"Between {name} and {gain.second} there is no sure difference ({where} points)"
     more = "more" if mean > 0.0 else "less"
-    return f"{name} avoids {points(abs(mean))} {more} than {gain.over} ({where})"
+    return f"{name} avoids {points(abs(mean))} {more} than {gain.second} ({where})"
 
 
-def is_open(difference: SampledGainRecord | SampledPairRecord) -> bool:
-    """Whether the 95 % interval of a difference holds zero: nobody knows who avoids more."""
+def is_open(difference: SampledPairRecord) -> bool:
+    """True if the 95 % interval of a difference holds zero: no sure winner."""
     return or_nan(difference.low) <= 0.0 <= or_nan(difference.high)
 
 
@@ -161,7 +155,7 @@ def _worlds(count: int) -> str:
 
 
 def sampled_picture(found: SampledRecord, figure: Axes | Figure) -> Picture:
-    """What the layouts avoid in sampled worlds, as drawn by :func:`plot_sampled_apr`."""
+    """Picture of the layouts' APR, as drawn by :func:`plot_sampled_apr`."""
     kind = "Staircases" if len(found.layouts) <= MAX_STAIRCASES else "Intervals"
     return build_picture(
         figure,
@@ -173,7 +167,7 @@ def sampled_picture(found: SampledRecord, figure: Axes | Figure) -> Picture:
 
 
 def sampled_section(picture: Picture) -> Section:
-    """What becomes of the layouts in sampled worlds."""
+    """The layouts in sampled worlds."""
     return Section("sampled", "If the world is not as planned", [picture])
 
 
@@ -181,7 +175,7 @@ def sampled_section(picture: Picture) -> Section:
 
 
 _STRIP = 0.08  # height of a mark's row
-_STYLES = (  # told apart by their lines and marks where colours are not
+_STYLES = (  # distinct by their lines and marks where colours are not
     (BLUE, "-", "o"),
     (VERMILION, "--", "s"),
     (GREEN, "-.", "^"),
@@ -195,7 +189,7 @@ _LEAST_SPAN_POINTS = 1.0
 
 
 def plot_sampled_apr(judged: Sequence[SampledApr], *, axes: Axes | None = None) -> Axes:
-    """What layouts avoid in sampled worlds, at least one of them.
+    """APR of layouts in sampled worlds, at least one of them.
 
     Up to ``MAX_STAIRCASES`` have a staircase each: in what share of the worlds the layout avoids at
     most how much; line styles and marks tell them apart without colour, and below the staircases a

@@ -97,7 +97,7 @@ _AXIS_LABELS = {
 }
 _NOTHING_MOVES = 1.0e-9
 _LEAST_SPAN = {"apr": 2.0, "smallest_margin_s": 0.2}  # so that nothing tiny fills the figure
-_ROOM = 0.22  # for the values beside the bars, of the span
+_ROOM = 0.22  # for the values next to the bars, of the span
 
 
 def plot_sensitivity(

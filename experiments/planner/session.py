@@ -25,7 +25,7 @@ from placement.live import LiveTable, table_verdict
 from placement.setting import Setting
 
 from ..figures.views import GroundViews
-from ..report.interactive.records import unit_records, view_paths
+from ..parts.player import unit_records, view_paths
 from .numbers import (
     centimetres,
     cost_record,

@@ -31,8 +31,9 @@ from placement.question import Question
 from placement.setting import Setting, build_setting
 from scenarios.aeb import is_in_time
 
+from ..parts.player import interactive_part
+from ..parts.view_3d import view_part
 from ..progress import StageProgress, follow_parent
-from ..report.interactive.part import interactive_part, view_part
 from ..report.page import page_environment
 from ..results.numbers import euros, percent
 from .numbers import evaluated_numbers, key_of
@@ -267,7 +268,7 @@ class Tasks:
 
     def sheet(self, layout: Layout) -> bytes:
         """The mounting sheet, a PDF with a page for each unit."""
-        from ..jobs.sheet import mounting_sheet
+        from ..parts.sheet import mounting_sheet
 
         self._progress("tolerances", 0, 0)
         tolerances = find_tolerances(self.setting, layout.units, compute=self._compute)

@@ -22,6 +22,7 @@ from ..parts.coverage import coverage_section
 from ..parts.explanation import explanation_sections
 from ..parts.front import front_section
 from ..parts.margins import margins_section
+from ..parts.player import interactive_part
 from ..parts.private_ground import private_ground_section
 from ..parts.sampled_worlds import sampled_picture, sampled_section
 from ..parts.section import Picture, Section
@@ -34,7 +35,6 @@ from .beside import Beside, Part
 from .bill_of_materials import BillOfMaterials, bill_section, build_bill
 from .comparison import EXPERT, GREEDY, comparison_section, study_cases_section
 from .failures import failures_section
-from .interactive.part import interactive_part
 from .next_unit import next_unit_section
 from .positions import positions_section
 from .runs import build_heatmaps, cases_section, heatmaps_section, runs_section

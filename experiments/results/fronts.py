@@ -91,7 +91,7 @@ class RefinementRecord(Record, frozen=True, kw_only=True):
     moves: Annotated[tuple[MoveRecord, ...], says("What became of the units that changed.")]
     grid_candidates: Annotated[int, says("Candidate poses of the grid.", ge=0)]
     grid_is_proven: Annotated[bool, says("Whether the grid's layout is proven best.")]
-    poses_tried: Annotated[int, says("Poses beside the grid.", ge=0)]
+    poses_tried: Annotated[int, says("Poses between those of the grid.", ge=0)]
     rounds: Annotated[int, says("Rounds of the search.", ge=0)]
     seconds: Annotated[float, says("Time spent, in seconds.", ge=0)]
 

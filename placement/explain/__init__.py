@@ -5,12 +5,20 @@ them; ``unavoided`` says why runs are not avoided, ``agreement`` where detection
 differ, ``sensitivity`` what wrong assumptions do, ``tolerances`` what mounting errors do. ``pool``
 lists other sets that are as good, ``alternatives`` those that other priorities would choose, and
 ``front_runners`` picks one of several by the evaluator. ``conflicts`` finds the smallest set of
-``demands`` that no layout meets, with the search of ``feasible_sets``.
+demands that no layout meets, with the search of ``feasible_sets``.
 """
 
-from .conflicts import Conflict, build_separation, find_conflicts, find_refusal
+from .conflicts import (
+    Conflict,
+    Demand,
+    Relaxation,
+    Separation,
+    build_separation,
+    find_conflicts,
+    find_refusal,
+    relax,
+)
 from .contributions import Contribution, find_contributions
-from .demands import Demand, Relaxation, Separation, relax
 from .next_unit import NextUnit, find_next_unit
 from .other_sensors import OtherSensor, OtherSensors, find_other_sensors
 from .pool import Pool, PooledSet, find_pool

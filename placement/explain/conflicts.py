@@ -1,26 +1,439 @@
 """Conflicts: demands that contradict each other, and the least by which one must give way.
 
-The smallest conflict is found by implicit hitting sets: demands that cannot all be met have to hit
-the complement of every set that can. The smallest set that hits all complements known so far is
-asked for; either nothing meets it, and no smaller conflict exists, or what meets it shows another
+A problem is taken apart into demands, of which any part makes a problem again. The smallest
+conflict is found by implicit hitting sets: demands that cannot all be met have to hit the
+complement of every set that can. The smallest set that hits all complements known so far is asked
+for; either nothing meets it, and no smaller conflict exists, or what meets it shows another
 complement.
 """
 
 from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Literal
 
 import numpy as np
 
+from geometry.arrays import FloatArray, IntArray
 from geometry.clock import now_s
 from geometry.errors import InputError, Unquoted
 from geometry.scene import Scene
 
 from ..candidates import CandidatePose
-from ..optimiser import PlacementProblem
+from ..optimiser import Floor, Limits, PlacementProblem, floor_value, is_allowed
+from ..optimiser.tolerances import TOLERANCE
 from ..wishes import Wishes, build_limits
-from .demands import Demand, Relaxation, Separation, Wish, find_relaxation
 from .feasible_sets import Answer, Oracle
+
+# ---------- demands
+
+
+Kind = Literal[
+    "budget_units",
+    "budget_eur",
+    "floor",
+    "survive",
+    "capacity",
+    "separation",
+    "forced_sites",
+    "forbidden",
+    "forced",
+]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Demand:
+    """One of the pieces: it can be dropped, or relaxed, without the others.
+
+    Attributes
+    ----------
+    kind : str
+        "budget_units", "budget_eur"; "floor": one of them, without failures; "survive": that all
+        floors hold when units fail; "capacity": of all sites; "separation": rivals among the
+        sites; "forced_sites", "forbidden", "forced": all of them together.
+    floor : int, optional
+        Index of the floor.
+    """
+
+    kind: Kind
+    floor: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Separation:
+    """The effect of a least distance between units on the limits."""
+
+    distance_m: float  # pairs of sites that are nearer are rivals. [m]
+    pair_distance_m: FloatArray  # (n_pairs,): distances of the limits' rivals. [m]
+    site_capacity: IntArray  # (n_sites,): units that each site could carry without it
+
+
+class Wish:
+    """A placement problem that can be taken apart.
+
+    `separation` says where the rivals of its limits come from, if from a least distance. With
+    `keeps_forced`, forced poses are no demand but a fact, such as existing units.
+    """
+
+    def __init__(
+        self,
+        problem: PlacementProblem,
+        separation: Separation | None = None,
+        *,
+        keeps_forced: bool = False,
+    ) -> None:
+        self.problem, self.separation = problem, separation
+        self.keeps_forced = keeps_forced
+        self.demands = tuple(
+            demand
+            for demand in _list_demands(problem, separation)
+            if not (keeps_forced and demand.kind == "forced")
+        )
+        self.everything = frozenset(range(len(self.demands)))
+        self._limits: dict[frozenset[int], Limits] = {}
+
+    def part(self, active: Set[int]) -> PlacementProblem:
+        """The problem with some of the demands only; equal limits are one object."""
+        demands = self.demands
+        survives = any(demands[number].kind == "survive" for number in active)
+        floors = tuple(
+            floor if survives else replace(floor, n_failures=0) for floor in self._floors(active)
+        )
+        return replace(
+            self.problem, limits=self._limits_of(active), floors=floors, goal="best", survive=0
+        )
+
+    def met_by(self, poses: Sequence[int], active: Set[int]) -> frozenset[int]:
+        """Demands that a set of poses meets all at once, `active` ones among them if it meets them.
+
+        That floors hold when units fail counts as met where that is so for all floors that are
+        met without failures, or where it is asked for: then floors must hold so.
+        """
+        met = set()
+        asks_to_survive = any(self.demands[number].kind == "survive" for number in active)
+        holds_all, survive = True, None
+        for number, demand in enumerate(self.demands):
+            if demand.kind == "survive":
+                survive = number
+            elif demand.floor is None:
+                if is_allowed(self._limits_of({number}), poses):
+                    met.add(number)
+            else:
+                floor = self.problem.floors[demand.floor]
+                holds = self._holds(floor, poses)
+                holds_unfailed = self._holds(replace(floor, n_failures=0), poses)
+                holds_all &= holds or not holds_unfailed
+                if holds or (holds_unfailed and not asks_to_survive):
+                    met.add(number)
+        if survive is not None and (asks_to_survive or holds_all):
+            met.add(survive)
+        return frozenset(met)
+
+    def _holds(self, floor: Floor, poses: Sequence[int]) -> bool:
+        return floor_value(self.problem, floor, poses) >= floor.share - TOLERANCE
+
+    def _floors(self, active: Set[int]) -> list[Floor]:
+        indices = [self.demands[number].floor for number in sorted(active)]
+        return [self.problem.floors[index] for index in indices if index is not None]
+
+    def _limits_of(self, active: Set[int]) -> Limits:
+        key = frozenset(
+            number for number in active if self.demands[number].kind not in ("floor", "survive")
+        )
+        if key not in self._limits:
+            kinds = {self.demands[number].kind for number in key}
+            if self.keeps_forced:
+                kinds.add("forced")
+            self._limits[key] = _loosen(self.problem.limits, kinds, self.separation)
+        return self._limits[key]
+
+
+def _list_demands(problem: PlacementProblem, separation: Separation | None) -> tuple[Demand, ...]:
+    """All demands that bind something."""
+    limits = problem.limits
+    capacity = limits.site_capacity if separation is None else separation.site_capacity
+    per_site = np.bincount(limits.site_index, minlength=limits.n_sites)
+    is_there: dict[Kind, bool] = {
+        "budget_units": limits.budget_units is not None,
+        "budget_eur": limits.budget_eur is not None,
+        "capacity": bool((per_site > capacity).any()),
+        "separation": separation is not None or len(limits.rivals) > 0,
+        "forced_sites": bool(limits.is_forced_site.any()),
+        "forbidden": bool(limits.is_forbidden.any()),
+        "forced": bool(limits.is_forced.any()),
+    }
+    demands = [Demand(kind="floor", floor=index) for index in range(len(problem.floors))]
+    if any(floor.n_failures for floor in problem.floors):
+        demands.append(Demand(kind="survive"))
+    return (*demands, *(Demand(kind=kind) for kind, is_asked in is_there.items() if is_asked))
+
+
+def _loosen(limits: Limits, kinds: Set[Kind], separation: Separation | None) -> Limits:
+    """Limits of some kinds only."""
+    capacity = limits.site_capacity
+    if separation is not None and "separation" not in kinds:
+        capacity = separation.site_capacity
+    # One unit per site is what a separation asks for, whatever the sites could carry.
+    is_kept_apart = separation is not None and "separation" in kinds
+    if "capacity" not in kinds and not is_kept_apart:
+        capacity = np.full(limits.n_sites, limits.n_poses)
+    return replace(
+        limits,
+        site_capacity=capacity,
+        budget_units=limits.budget_units if "budget_units" in kinds else None,
+        budget_eur=limits.budget_eur if "budget_eur" in kinds else None,
+        is_forced=limits.is_forced & ("forced" in kinds),
+        is_forbidden=limits.is_forbidden & ("forbidden" in kinds),
+        is_forced_site=limits.is_forced_site & ("forced_sites" in kinds),
+        rivals=limits.rivals if "separation" in kinds else limits.rivals[:0],
+    )
+
+
+# ---------- relaxations
+
+
+_MAX_TRIALS = 40
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Relaxation:
+    """The least by which a demand gives way.
+
+    Attributes
+    ----------
+    demand : Demand
+        Which.
+    value : float
+        What can be had in place of its number: units, euros, share, failed units, units per site,
+        metres. NaN where it has none.
+    given_up : tuple of int
+        Of a demand that lists poses, sites or rivals: those that have to go. Poses, and rows of
+        the limits' rivals; sites for "forced_sites".
+    suffices : bool
+        Whether the whole wish can be met then; else only this conflict is settled.
+    is_least : bool
+        Proven: less does not do.
+    pose_index : tuple of int
+        A set of poses that does.
+    """
+
+    demand: Demand
+    value: float
+    given_up: tuple[int, ...]
+    suffices: bool
+    is_least: bool
+    pose_index: tuple[int, ...]
+
+
+def relax(
+    problem: PlacementProblem, relaxation: Relaxation, separation: Separation | None = None
+) -> PlacementProblem:
+    """The problem with one demand relaxed, all others as they were."""
+    kind, value = relaxation.demand.kind, relaxation.value
+    limits, items = problem.limits, list(relaxation.given_up)
+    if kind == "floor":
+        floors = list(problem.floors)
+        index = relaxation.demand.floor
+        assert index is not None
+        floors[index] = replace(floors[index], share=min(max(value, 0.0), 1.0))
+        return replace(problem, floors=tuple(floors))
+    if kind == "survive":
+        most = int(value)
+        return replace(
+            problem,
+            floors=tuple(replace(f, n_failures=min(f.n_failures, most)) for f in problem.floors),
+        )
+    if kind == "budget_units":
+        limits = replace(limits, budget_units=int(value))
+    elif kind == "budget_eur":
+        limits = replace(limits, budget_eur=value)
+    elif kind == "capacity":
+        limits = replace(limits, site_capacity=np.maximum(limits.site_capacity, int(value)))
+    elif kind == "separation":
+        limits = _bring_nearer(limits, value, items, separation)
+    else:
+        field = {
+            "forced": "is_forced",
+            "forbidden": "is_forbidden",
+            "forced_sites": "is_forced_site",
+        }[kind]
+        flags = getattr(limits, field).copy()
+        flags[items] = False
+        limits = replace(limits, **{field: flags})
+    return replace(problem, limits=limits)
+
+
+def _bring_nearer(
+    limits: Limits, distance_m: float, pairs: Sequence[int], separation: Separation | None
+) -> Limits:
+    """Limits with a smaller separation, or without some rivals where no distance is known."""
+    if separation is None:
+        return replace(limits, rivals=np.delete(limits.rivals, list(pairs), axis=0))
+    is_near = separation.pair_distance_m < distance_m
+    capacity = limits.site_capacity if distance_m > 0.0 else separation.site_capacity
+    return replace(limits, rivals=limits.rivals[is_near], site_capacity=capacity)
+
+
+def find_relaxation(
+    wish: Wish, oracle: Oracle, number: int, others: frozenset[int]
+) -> Relaxation | None:
+    """The least by which a demand has to give way so that others can be met, too.
+
+    The others can be met together. None if nothing was found in time; `suffices` is to be filled
+    in.
+    """
+    demand = wish.demands[number]
+    with_it, without = wish.part(others | {number}), wish.part(others)
+    if demand.kind == "budget_units":
+        asked = with_it.limits.budget_units or 0
+        return _of_value(demand, oracle.least_units(without, more_than=asked))
+    if demand.kind == "budget_eur":
+        asked_eur = with_it.limits.budget_eur or 0.0
+        return _of_value(demand, oracle.least_cost_eur(without, more_than_eur=asked_eur))
+    if demand.kind == "floor":
+        assert demand.floor is not None
+        floor = wish.problem.floors[demand.floor]
+        survives = any(wish.demands[other].kind == "survive" for other in others)
+        answer = oracle.most(
+            without, wish.problem.floor_measure(floor), floor.n_failures if survives else 0
+        )
+        return _of_value(demand, answer)
+    trial = _Trial(demand, with_it, oracle, _separation_among(wish, others))
+    if demand.kind == "survive":
+        most = max(floor.n_failures for floor in with_it.floors)
+        return trial.first([float(n) for n in range(most - 1, -1, -1)])
+    if demand.kind == "capacity":
+        limits = with_it.limits
+        per_site = np.bincount(limits.site_index, minlength=limits.n_sites)
+        least = int(limits.site_capacity.min()) + 1
+        return trial.first([float(n) for n in range(least, int(per_site.max()) + 1)])
+    if demand.kind == "separation" and wish.separation is not None:
+        distances = np.unique(wish.separation.pair_distance_m)
+        return trial.first([*distances[::-1].tolist(), 0.0])
+    return trial.fewest(_items(demand, with_it.limits), oracle.find(without))
+
+
+def _separation_among(wish: Wish, others: frozenset[int]) -> Separation | None:
+    """The demand of the separation where sites may also carry any number of units."""
+    separation = wish.separation
+    if separation is None or any(wish.demands[other].kind == "capacity" for other in others):
+        return separation
+    limits = wish.problem.limits
+    return replace(separation, site_capacity=np.full(limits.n_sites, limits.n_poses))
+
+
+def _of_value(demand: Demand, answer: Answer) -> Relaxation | None:
+    if answer.pose_index is None:
+        return None
+    return Relaxation(
+        demand=demand,
+        value=answer.value,
+        given_up=(),
+        suffices=False,
+        is_least=answer.is_proven,
+        pose_index=answer.pose_index,
+    )
+
+
+def _items(demand: Demand, limits: Limits) -> list[tuple[int, ...]]:
+    """The entries of a demand, in groups that belong together: all forbidden poses of a site."""
+    if demand.kind == "forced":
+        return [(pose,) for pose in np.flatnonzero(limits.is_forced).tolist()]
+    if demand.kind == "forced_sites":
+        return [(site,) for site in np.flatnonzero(limits.is_forced_site).tolist()]
+    if demand.kind == "separation":
+        return [(pair,) for pair in range(len(limits.rivals))]
+    forbidden = np.flatnonzero(limits.is_forbidden)
+    sites = limits.site_index[forbidden]
+    return [tuple(forbidden[sites == site].tolist()) for site in np.unique(sites)]
+
+
+class _Trial:
+    """Relaxations of one demand that are tried one after the other."""
+
+    def __init__(
+        self,
+        demand: Demand,
+        problem: PlacementProblem,
+        oracle: Oracle,
+        separation: Separation | None,
+    ) -> None:
+        self.demand, self.problem, self.oracle = demand, problem, oracle
+        self.separation = separation
+
+    def first(self, values: Sequence[float]) -> Relaxation | None:
+        """The first of some values, each looser than the one before, that can be met."""
+        low, high, best = 0, len(values), None
+        is_proven = True
+        while low < high:
+            middle = (low + high) // 2
+            tried = self._try(values[middle], ())
+            if tried.pose_index:
+                high, best = middle, tried
+            else:
+                low = middle + 1
+                is_proven &= tried.is_least
+        return None if best is None else replace(best, is_least=is_proven)
+
+    def fewest(self, items: Sequence[tuple[int, ...]], without: Answer) -> Relaxation | None:
+        """Fewest items that have to go; `without` is what can be had without all of them."""
+        if without.pose_index is None:
+            return None
+        enough = [item for item in items if self._is_violated(item, without.pose_index)]
+        best = self._relaxation(np.nan, enough, without.pose_index)
+        n_trials, is_proven = 0, True
+        for size in range(1, len(enough)):
+            for given_up in combinations(items, size):
+                if n_trials == _MAX_TRIALS or self.oracle.left_s() <= 0.0:
+                    return self._thinned(best, enough)
+                n_trials += 1
+                tried = self._try(np.nan, given_up)
+                if tried.pose_index:
+                    return replace(tried, is_least=is_proven)
+                is_proven &= tried.is_least
+        return replace(best, is_least=is_proven)
+
+    def _thinned(self, best: Relaxation, given_up: list[tuple[int, ...]]) -> Relaxation:
+        """No item that is given up could stay, as far as time goes; others might be fewer."""
+        for item in given_up.copy():
+            if self.oracle.left_s() <= 0.0:
+                break
+            fewer = [other for other in given_up if other != item]
+            tried = self._try(np.nan, fewer)
+            if tried.pose_index:
+                given_up, best = fewer, tried
+        return replace(best, is_least=False)
+
+    def _is_violated(self, item: tuple[int, ...], poses: tuple[int, ...]) -> bool:
+        """True if a set of poses is against an item of the demand."""
+        limits, kind = self.problem.limits, self.demand.kind
+        sites = set(limits.site_index[list(poses)].tolist())
+        if kind == "forced":
+            return not set(item) <= set(poses)
+        if kind == "forced_sites":
+            return not set(item) <= sites
+        if kind == "forbidden":
+            return not set(item).isdisjoint(poses)
+        return all(set(limits.rivals[pair].tolist()) <= sites for pair in item)
+
+    def _relaxation(
+        self, value: float, given_up: Sequence[tuple[int, ...]], poses: tuple[int, ...] = ()
+    ) -> Relaxation:
+        return Relaxation(
+            demand=self.demand,
+            value=value,
+            given_up=tuple(part for item in given_up for part in item),
+            suffices=False,
+            is_least=True,
+            pose_index=poses,
+        )
+
+    def _try(self, value: float, given_up: Sequence[tuple[int, ...]]) -> Relaxation:
+        """A relaxation; no poses if it cannot be met, and then whether that is proven."""
+        relaxation = self._relaxation(value, given_up)
+        answer = self.oracle.find(relax(self.problem, relaxation, self.separation))
+        return replace(relaxation, is_least=answer.is_proven, pose_index=answer.pose_index or ())
+
 
 # ---------- conflicts
 
@@ -57,9 +470,9 @@ def find_conflicts(
 ) -> tuple[Conflict, ...]:
     """Why no set of poses meets limits and floors.
 
-    With `keeps_forced`, forced poses are no demand but a fact, such as units that are
-    mounted already. `time_limit_s` is for all questions together; presolve always ends. Up to
-    `max_sets` sets are gone through one by one, more of them by models.
+    With `keeps_forced`, forced poses are no demand but a fact, such as existing units.
+    `time_limit_s` is for all questions together, presolve is finished in any case. Up to `max_sets`
+    sets are gone through one by one, more of them by models.
 
     A smallest conflict comes first, then a smallest one among the remaining demands, and so on: no
     two share a demand. There is none if the wish can be met, if it was not found out that it

@@ -1,4 +1,4 @@
-"""Whether any set of poses meets a wish, and how far one of its numbers has to give way."""
+"""Search for sets of poses that meet a wish, and for the least by which a number must give way."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -102,18 +102,18 @@ def _ratios(measure: Measure, is_avoided: BoolArray) -> FloatArray:
 
 
 def is_within(value: float | FloatArray, threshold: float) -> BoolArray:
-    """Whether values reach a threshold, rounding noise aside."""
+    """Mask of values that reach a threshold, rounding noise aside."""
     within: BoolArray = np.asarray(value) >= threshold - TOLERANCE * max(1.0, abs(threshold))
     return within
 
 
 def exceeds_clearly(value: float, other: float) -> bool:
-    """Whether a value is higher than another one by more than any rounding noise."""
+    """True if a value is higher than another one by more than any rounding noise."""
     return value > other + 1.0e-6 * max(1.0, abs(other))
 
 
 def site_counts(reduced: ReducedProblem, sets: IntArray) -> IntArray:
-    """How many of some sets have a unit at each site, (n_sets, n_units) -> (n_sites,)."""
+    """Number of sets with a unit at each site, (n_sets, n_units) -> (n_sites,)."""
     sites = np.sort(reduced.limits.site_index[sets], axis=1)
     is_first = np.ones(sites.shape, dtype=bool)
     is_first[:, 1:] = sites[:, 1:] != sites[:, :-1]
@@ -147,7 +147,7 @@ def choose_greedily(reduced: ReducedProblem) -> IntArray:
 
 
 def meets(reduced: ReducedProblem, units: IntArray) -> bool:
-    """Whether a set of poses is within the limits and reaches the floors."""
+    """True if a set of poses is within the limits and reaches the floors."""
     if not len(units) or not is_allowed(reduced.limits, units):
         return False
     return not _lacks_floors(reduced, units)
@@ -295,7 +295,7 @@ class Oracle:
     def most(self, problem: PlacementProblem, measure: Measure, n_failures: int) -> Answer:
         """The highest ratio left when the most painful units fail, within limits and floors.
 
-        `measure` is that of all runs; the problem's floors hold beside.
+        `measure` is that of all runs; the problem's floors hold, too.
         """
         if self._is_refused_at_once(problem):
             return _NONE
@@ -322,7 +322,7 @@ class Oracle:
         return replace(_found(reduced, units), is_proven=is_proven, value=value)
 
     def _is_refused_at_once(self, problem: PlacementProblem) -> bool:
-        """Whether limits contradict each other, or all poses together reach too little."""
+        """True if limits contradict each other, or all poses together reach too little."""
         limits = problem.limits
         try:
             check_limits(limits, problem.table.pose_ids)
@@ -381,7 +381,7 @@ def _found(reduced: ReducedProblem, units: IntArray) -> Answer:
 
 
 def _has_set(search: Search) -> bool:
-    """Whether a set that meets limits and floors has been found."""
+    """True if a set that meets limits and floors has been found."""
     return search.units is not None and search.shortfall == 0.0
 
 

@@ -373,7 +373,7 @@ def find_pool(
 
 
 def _bounded(reduced: ReducedProblem, most: float) -> ReducedProblem:
-    """Where few units or little money come first: no set has more than the solution."""
+    """The problem with no more units or money than the solution, where these come first."""
     limits = reduced.limits
     if reduced.objectives[0] is Objective.UNITS:
         n_units = int(np.floor(most + 1.0e-6))

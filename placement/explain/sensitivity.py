@@ -17,10 +17,11 @@ from geometry.errors import InputError, Unquoted
 from geometry.files import Table, load_toml, take_list, take_number, take_text
 from geometry.poses import Pose, wrap_deg
 from geometry.scene import Scene, containing_instance
-from scenarios.aeb import TIME_TOLERANCE_S, AebRule, is_in_time
+from scenarios.aeb import TIME_TOLERANCE_S, AebRule, is_in_time, last_brake_time_s
 from scenarios.runs import FrameAxis, find_onsets
 from scenarios.weights import weight_share
 
+from ..cache import CachedArrays, Fingerprints
 from ..candidates import CandidatePose
 from ..compute import DEFAULT_COMPUTE, Compute
 from ..detectors import GeometricDetector, PlanningDetector, ResponseDetector
@@ -29,7 +30,6 @@ from ..layout import Layout
 from ..optimiser.problem import Fusion
 from ..setting import Setting
 from ..visibility.build import Look, detected_frames
-from .other_brakes import find_last_brake_times
 
 # ---------- assumptions: what is varied, and to which values
 
@@ -379,25 +379,12 @@ def find_sensitivity(
     values = {one.name: _new_values(one, setting) for one in assumptions}
     asked = [(name, value) for name in (*_MOUNTING, *_DETECTOR) for value in values.get(name, ())]
     looks = {} if is_large else {key: _looks_at(units, *key, setting) for key in asked}
-    compute.progress(STAGE, 0, 0)
-    with threadpool_limits(1), ThreadPoolExecutor(compute.workers) as pool:
-        try:
-            brakes = pool.submit(
-                find_last_brake_times, setting, values.get("deceleration_mps2", ()), compute=compute
-            )
-            frames = detected_frames(
-                setting,
-                [*((unit, setting.table_detector) for unit in units), *chain(*looks.values())],
-                pool=pool,
-                compute=compute.within(STAGE),
-            )
-            axes = {
-                value: replace(setting.axis, last_brake_time_s=last_s)
-                for value, last_s in brakes.result().items()
-            }
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+    frames, axes = _detect_and_brake(
+        setting,
+        [*((unit, setting.table_detector) for unit in units), *chain(*looks.values())],
+        values.get("deceleration_mps2", ()),
+        compute,
+    )
     as_planned, *others = (
         Watched(units=units, detected=part, axis=setting.axis, rule=rule, fusion=fusion)
         for part in frames.reshape(-1, len(units), setting.axis.n_frames)
@@ -445,8 +432,70 @@ def find_sensitivity(
     )
 
 
+def _detect_and_brake(
+    setting: Setting, looks: Sequence[Look], decelerations_mps2: Sequence[float], compute: Compute
+) -> tuple[BoolArray, dict[float, FrameAxis]]:
+    """Frames detected in each look, and the axis with the brake times of each deceleration."""
+    compute.progress(STAGE, 0, 0)
+    with threadpool_limits(1), ThreadPoolExecutor(compute.workers) as pool:
+        try:
+            brakes = pool.submit(
+                find_last_brake_times, setting, decelerations_mps2, compute=compute
+            )
+            frames = detected_frames(
+                setting,
+                looks,
+                pool=pool,
+                compute=compute.within(STAGE),
+            )
+            axes = {
+                value: replace(setting.axis, last_brake_time_s=last_s)
+                for value, last_s in brakes.result().items()
+            }
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+    return frames, axes
+
+
 def _finite(value: float | None) -> float | None:
     return None if value is None or math.isinf(value) else value
+
+
+# ---------- other brakes
+
+
+_BRAKING = "place-rsus/braking/1"  # raise it whenever the same encounters give other brake times
+
+
+def find_last_brake_times(
+    setting: Setting, decelerations_mps2: Sequence[float], *, compute: Compute
+) -> dict[float, FloatArray]:
+    """Last brake time of every run, (n_runs,) each, by the deceleration [s]; cached."""
+    if not decelerations_mps2:
+        return {}
+    hashes = Fingerprints()
+    rules = {value: replace(setting.rule, deceleration_mps2=value) for value in decelerations_mps2}
+    names = {value: hashes.of(rule) for value, rule in rules.items()}
+    fingerprint = ""
+    if compute.cache_folder is not None:
+        fingerprint = hashes.of(_BRAKING, [run.encounter for run in setting.runs])
+    kept = CachedArrays(compute.cache_folder, "braking", kind=_BRAKING, fingerprint=fingerprint)
+    kept.add(
+        {
+            name: _last_brake_times_s(setting, rules[value])
+            for value, name in names.items()
+            if name not in kept.arrays
+        }
+    )
+    return {value: kept.arrays[name] for value, name in names.items()}
+
+
+def _last_brake_times_s(setting: Setting, rule: AebRule) -> FloatArray:
+    """Of every run, (n_runs,); runs that differ by weather alone share it."""
+    encounters = {id(run.encounter): run.encounter for run in setting.runs}
+    last_s = {key: last_brake_time_s(encounter, rule) for key, encounter in encounters.items()}
+    return np.array([last_s[id(run.encounter)] for run in setting.runs])
 
 
 # ---------- values, poses and detectors that are not the plan's

@@ -185,7 +185,7 @@ def _rays(eye_m: FloatArray, points_m: FloatRays, near_m: float) -> tuple[FloatR
 def _vehicle_shares(
     world: World, frame: int, rays: tuple[FloatRays, FloatRays]
 ) -> Iterator[tuple[str, FloatRays]]:
-    """How far along each ray each vehicle is first hit, in its own frame, and its name."""
+    """Share of each ray up to its first hit on a vehicle, and the vehicle's name."""
     vehicles = world.vehicles
     starts, ways = rays
     for row in vehicles.of_group(frame).tolist():

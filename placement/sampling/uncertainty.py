@@ -49,11 +49,16 @@ _UNIFORM_REACH = np.sqrt(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MountingErrors:
-    """How far off units are after installation."""
+    """Errors of units after installation.
 
-    # yaw_sd_deg, pitch_sd_deg, height_sd_m: standard deviations. Angles are normal, cut off at
-    # three of them; heights have three values that stand for a normal distribution. [deg], [deg],
-    # [m]
+    Attributes
+    ----------
+    yaw_sd_deg, pitch_sd_deg : float
+        Standard deviation, in degrees; errors are normal, cut off at three of them.
+    height_sd_m : float
+        Standard deviation, in metres; three values stand for a normal distribution.
+    """
+
     yaw_sd_deg: float = 0.0
     pitch_sd_deg: float = 0.0
     height_sd_m: float = 0.0

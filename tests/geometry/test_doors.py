@@ -38,7 +38,7 @@ EXCEPTIONS = {
     "experiments/city/answer.py": {"to_parquet"},
     "experiments/city/run.py": {"write_dataframe"},
     "experiments/figures/film.py": {"savefig"},
-    "experiments/jobs/sheet.py": {"savefig"},
+    "experiments/parts/sheet.py": {"savefig"},
     "experiments/parts/section.py": {"open"},
     "experiments/planner/tasks.py": {"ZipFile", "read_text"},
     "experiments/planner/server.py": {"open", "read_bytes", "read_text"},

@@ -34,12 +34,12 @@ def test_a_file_of_traffic_drives_by_in_sampled_worlds(
     assert code == 0
     summary = json.loads(out)
     moving = summary["sampled"]["moving"]
-    assert moving["source"] == "vans.csv"
-    assert moving["runs"] == 2 * summary["runs"]
-    assert 0 <= moving["left_out"] < moving["vehicles"]
+    assert summary["sampled"]["traffic_source"] == "vans.csv"
+    assert moving["n_runs"] == 2 * summary["runs"]
+    assert 0 <= moving["n_left_out"] < moving["n_vehicles"]
     with open("with/report.html", encoding="utf-8") as file:  # noqa: PTH123
         page = file.read()
-    said = f"{moving['left_out']} of {moving['vehicles']}"
+    said = f"{moving['n_left_out']} of {moving['n_vehicles']}"
     assert page.count(said) >= 2  # in the answer and among the assumptions
     assert "vehicles that drive by (vans.csv)" in page
     request.getfixturevalue("without_figures")

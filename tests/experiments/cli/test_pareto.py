@@ -92,7 +92,7 @@ def test_money_and_kept_units_and_the_text(run_pareto):
     rows = [line.split() for line in out.splitlines()]
     assert [row[0] for row in rows if row[-1:] == ["proven"]] == ["12", "13"]
     assert max(map(len, out.splitlines())) <= 80
-    assert "The 12 that hang there reach an APR of" in " ".join(out.split())
+    assert "The 12 existing units reach an APR of" in " ".join(out.split())
 
 
 # Bad input

@@ -6,8 +6,8 @@ import pytest
 from kept_backdrops import kept_backdrop
 
 from experiments.cli.sheet import sheet_text
-from experiments.jobs import sheet
-from experiments.jobs.sheet import SheetResult
+from experiments.parts import sheet
+from experiments.parts.sheet import SheetResult
 
 
 @pytest.fixture

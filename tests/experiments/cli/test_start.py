@@ -61,7 +61,7 @@ def test_a_command_loads_what_it_needs_and_nothing_else(commands, may_load):
     [
         ("experiments.jobs.verify", {"numpy", "scipy"}),
         (
-            "experiments.scene.run, experiments.jobs.sheet",
+            "experiments.scene.run, experiments.parts.sheet",
             {"numpy", "scipy", "shapely", "matplotlib"},
         ),
     ],

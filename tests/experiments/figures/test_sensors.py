@@ -18,8 +18,9 @@ from experiments.figures.sensors import (
     ground_rings,
     looking_words,
 )
-from experiments.jobs.sheet import _direction, _draw_plan, _tilt
-from experiments.report.interactive.records import field_lines, unit_records
+from experiments.parts.player import unit_records
+from experiments.parts.sheet import _direction, _draw_plan, _tilt
+from experiments.parts.view_3d import field_lines
 from experiments.report.units import unit_table
 from geometry.catalogue import load_cameras
 from geometry.lidar import load_lidars

@@ -97,7 +97,7 @@ def test_sampled_worlds_are_explained_and_lose_the_messages_asked_for(
     monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 3)
     question = Question(packet_loss=0.25)
     summary = place(tmp_path / "out", question=question, samples=2, pool=3, budget=2)
-    assert summary["sampled"]["uncertainty"]["messages"]["packet_loss"] == 0.25
+    assert summary["sampled"]["uncertainty"]["packet_loss"] == 0.25
     explained = summary["explained"]
     assert {entry["unit"] for entry in explained["not_avoided"]} <= {"", "U1", "U2"}
     assert [len(entry["units"]) for entry in explained["pool"]["sets"]] == [2, 2, 2]
@@ -170,7 +170,8 @@ def test_layouts_of_the_same_name_are_told_apart(small_study, tmp_path):
 
 def test_a_comparison_in_sampled_worlds_says_how_sure_it_is(small_study, tmp_path):
     summary = compare([named("two", 2), named("one", 1)], tmp_path / "out", samples=3)
-    gains = {gain["over"]: gain for gain in summary["sampled"]["gains"]}
+    pairs = summary["sampled"]["pairs"]
+    gains = {pair["second"]: pair for pair in pairs if pair["first"] == summary["name"]}
     assert list(gains) == ["one", "expert-2"]
     assert all(gain["low"] <= gain["mean"] <= gain["high"] for gain in gains.values())
     assert (tmp_path / "out/sampled_apr.png").exists()

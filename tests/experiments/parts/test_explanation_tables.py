@@ -96,12 +96,12 @@ def test_units_that_something_hangs_on_are_counted():
     each = explained(contributions=[first, first])
     assert contribution_sentences(each) == ["Each unit saves runs that no other one saves."]
     none = explained(contributions=[other, other])
-    assert contribution_sentences(none)[0].startswith("No run hangs on a single unit")
+    assert contribution_sentences(none)[0].startswith("No run depends on a single unit")
     assert "whichever fails, the other avoids all" in contribution_sentences(none)[0]
     more = explained(contributions=[other, other, other])
     assert "whichever fails, the others avoid all" in contribution_sentences(more)[0]
     one = explained(contributions=[first])
-    assert contribution_sentences(one) == ["Everything that is avoided hangs on this one unit."]
+    assert contribution_sentences(one) == ["Everything that is avoided depends on this one unit."]
     idle = other | {"without": other["without"] | {"apr": 0.0}}
     assert contribution_sentences(explained(contributions=[idle])) == ["This unit avoids nothing."]
     assert contribution_sentences(explained(contributions=[idle, idle])) == [
@@ -242,7 +242,7 @@ def test_a_terminal_shows_it_in_80_columns():
     for expected in (
         "a: only it saves 4 runs (r1, r2, r3 and 1 more), 40.0 points of the APR; without it what "
         "the other saves is confirmed 0.30 s later on average",
-        "b: no run hangs on it alone",
+        "b: no run depends on it alone",
         "r5, r6: never seen; for a hidden by wall-ne-1; would be saved by c",
         "r7: confirmed too late; for a too small",
         "and 5 more in summary.json",

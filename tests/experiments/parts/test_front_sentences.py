@@ -113,7 +113,7 @@ def test_kept_units_and_refused_numbers_are_told():
     points = (replace(TWO, units=12), replace(THREE, units=13), replace(FOUR, units=22))
     sentences = describe_units(front(*points), n_kept=12)
     assert sentences[0] == (
-        "The 12 that hang there reach an APR of 100.0 %, whichever single one fails."
+        "The 12 existing units reach an APR of 100.0 %, whichever single one fails."
     )
     assert sentences[1].startswith("The 13th unit buys 0.90 s")
     assert sentences[2].startswith("The 22nd unit buys")

@@ -73,8 +73,8 @@ def test_a_turned_unit_is_told_with_all_objectives_that_changed():
     )
     assert proof == (
         "No choice among the 5772 candidates of the grid is as good: that is proven. The bounds of "
-        "the refined layout hold for these and the 760 poses tried beside them, not for every pose "
-        "in between."
+        "the refined layout hold for these and the 760 poses tried between them, not for every "
+        "pose there is."
     )
 
 
@@ -120,7 +120,7 @@ def test_nothing_better_is_said_as_it_is():
     found = _refinement([_unit("U1")], [_unit("x")], BEFORE)
     assert not found.is_improved
     assert _sentences(found) == [
-        "Refinement tried 760 poses beside the 5772 candidates of the grid and found nothing "
+        "Refinement tried 760 poses between the 5772 candidates of the grid and found nothing "
         "better."
     ]
 

@@ -16,7 +16,7 @@ from placement.explain import (
     find_conflicts,
     relax,
 )
-from placement.explain.demands import Wish
+from placement.explain.conflicts import Wish
 from placement.optimiser import (
     PlacementProblem,
     cost_eur,

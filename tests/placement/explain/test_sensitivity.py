@@ -11,7 +11,7 @@ from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.detectors import load_detector, load_planning_detector
-from placement.explain import other_brakes as brakes_module
+from placement.explain import sensitivity as brakes_module
 from placement.explain.sensitivity import (
     MAX_LOOKED_FROM,
     RANGES,

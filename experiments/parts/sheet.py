@@ -156,8 +156,8 @@ def _mount(unit: CandidatePose, scene: Scene) -> str:
     (place,) = whereabouts(scene, unit.pose.position_m[None, :2])
     words = [text for text in (unit.site_id, kinds.get(unit.site_id), place) if text]
     assumed = assumed_sites(scene.notes).get(unit.site_id)
-    told = f"ASSUMED, look on site first: {assumed}" if assumed else ""
-    texts = (", ".join(words), told)
+    doubt = f"ASSUMED, look on site first: {assumed}" if assumed else ""
+    texts = (", ".join(words), doubt)
     return "\n".join(line for text in texts for line in textwrap.wrap(text, _LINE_LETTERS))
 
 
@@ -350,7 +350,7 @@ def run_sheet(
     Raises
     ------
     InputError
-        A unit hangs inside something, or `out` cannot be written.
+        A unit is inside something, or `out` cannot be written.
     """
     if out.is_dir():
         raise InputError("--out", Unquoted(f"{out}, a folder"), "a PDF file to write")

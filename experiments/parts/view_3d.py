@@ -1,29 +1,35 @@
 """The scene in three dimensions, as traces for plotly.js."""
 
+import base64
+import gzip
+import json
+import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from geometry.arrays import FloatArray, IntArray
-from geometry.catalogue import sensor_kind
-from geometry.scene import Scene
+from geometry.catalogue import Sensor, sensor_kind
+from geometry.lidar import LidarModel
+from geometry.poses import body_rotation
+from geometry.scene import Lane, Scene
 from geometry.terrain import Terrain, on_ground, terrain_of
-from placement.candidates import CandidatePose, above_ground
+from placement.candidates import CandidatePose, above_ground, is_ring
 from placement.layout import Layout
 
-from ...figures.axes import unit_labels
-from ...figures.plan import CLASS_STYLES
-from .records import (
-    COLOURS,
-    RANGE_M,
-    describe_unit,
-    field_lines,
-    lane_area,
-    road_area,
-    to_plotly_array,
-)
+from ..figures.axes import BLUE, GREEN, ORANGE, PINK, SKY, VERMILION, unit_labels
+from ..figures.plan import CLASS_STYLES
+from ..figures.sensors import ground_rings
 
+COLOURS = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY)
+DASHES = ("", "7 4", "7 3 1.5 3", "1.5 3")
+RANGE_M = 35.0
+_POINTS_PER_SIDE = 8
+_ABOVE_ROAD_M = 0.1  # or the road would hide parts of lines that lie on it
 MAX_TRIANGLES = 60_000
 _COLOURS = {"ground": "#ebe8e0", "lamp post": "#40404d"} | {
     name: str(style["facecolor"]) for name, style in CLASS_STYLES.items()
@@ -116,7 +122,7 @@ def _shown(
 def nearest_triangles(scene: Scene, middle_m: FloatArray, max_triangles: int) -> IntArray:
     """Triangles nearest to a point, in ascending order of their index.
 
-    Indices into ``scene.triangles``; how far a triangle is, is told by the box around it.
+    Indices into ``scene.triangles``; the distance of a triangle is that of the box around it.
     """
     n_triangles = len(scene.triangles)
     if n_triangles <= max_triangles:
@@ -175,7 +181,7 @@ def _mesh(name: str, colour: str, vertices_m: FloatArray, triangles: IntArray) -
 
 
 def _shades(corners_m: FloatArray) -> FloatArray:
-    """How bright triangles (n, 3, 3) are, 0 .. 1: flat ones most, walls by where they face.
+    """Brightness of triangles (n, 3, 3), 0 .. 1: flat ones most, walls by where they face.
 
     Which way a triangle winds does not matter.
     """
@@ -343,3 +349,178 @@ def _points(units: Sequence[CandidatePose], name: str) -> dict[str, Any]:
         "hoverinfo": "text",
         **{axis: positions[:, column].tolist() for column, axis in enumerate("xyz")},
     }
+
+
+# ---------- units
+
+
+def describe_unit(label: str, unit: CandidatePose) -> str:
+    """A unit in words, for hovering; its height is that above the plane z = 0."""
+    name = label if label == unit.id else f"{label}, {unit.id}"
+    return (
+        f"{name}: {sensor_kind(unit.sensor)} {unit.sensor.name}, "
+        f"{unit.pose.position_m[2]:.1f} m high" + (", scans all round" * is_ring(unit.sensor))
+    )
+
+
+def field_lines(
+    unit: CandidatePose, *, max_range_m: float, terrain: Terrain | None = None
+) -> list[FloatArray]:
+    """Lines that show a unit's field of view.
+
+    Each is (n, 3), in metres, world frame: the border, and the edges from the sensor to its
+    corners. Of a LiDAR that scans all round: where on the road its scan ends and begins, and four
+    of its lowest beams. World frame. [m]
+    """
+    foot_m = on_ground(unit.pose.position_m[:2], terrain) * [0.0, 0.0, 1.0]
+    level = replace(unit, pose=replace(unit.pose, position_m=unit.pose.position_m - foot_m))
+    rings = ground_rings(level, max_range_m=max_range_m) if is_ring(unit.sensor) else ()
+    borders = [on_ground(ring, terrain) + [0.0, 0.0, _ABOVE_ROAD_M] for ring in rings if len(ring)]
+    borders = borders or [view_border(unit, max_range_m=max_range_m, terrain=terrain)]
+    corners = borders[-1][:: len(borders[-1]) // 4]
+    return [
+        *(np.vstack([border, border[:1]]) for border in borders),
+        *(np.stack([unit.pose.position_m, corner]) for corner in corners),
+    ]
+
+
+def view_border(
+    unit: CandidatePose, *, max_range_m: float, terrain: Terrain | None = None
+) -> FloatArray:
+    """Ends of the rays through the border of a sensor's field of view.
+
+    Shape (32, 3), in order around the border; every eighth is a corner. Rays end at `max_range_m`,
+    or on the ground. World frame. [m]
+    """
+    directions = _border_directions(unit.sensor) @ (
+        body_rotation(unit.pose.yaw_deg, unit.pose.pitch_deg).T
+    )
+    if terrain is not None:
+        length = terrain.distances(unit.pose.position_m, directions, max_range_m=max_range_m)
+        return unit.pose.position_m + length[:, None] * directions
+    length = np.full(len(directions), max_range_m)
+    falls = directions[:, 2] < -1.0e-9
+    to_ground = -unit.pose.position_m[2] / directions[falls, 2]
+    length[falls] = np.minimum(length[falls], np.maximum(to_ground, 0.0))
+    ends: FloatArray = unit.pose.position_m + length[:, None] * directions
+    return ends
+
+
+def _border_directions(sensor: Sensor) -> FloatArray:
+    """Unit vectors around the border, from the upper left corner on, (32, 3). Body frame."""
+    step = np.linspace(-1.0, 1.0, _POINTS_PER_SIDE, endpoint=False)
+    one = np.ones_like(step)
+    across = np.concatenate([step, one, -step, -one])
+    down = np.concatenate([-one, step, one, -step])
+    half_width = math.radians(0.5 * sensor.horizontal_fov_deg)
+    half_height = math.radians(0.5 * sensor.vertical_fov_deg)
+    if isinstance(sensor, LidarModel):  # equal steps of angle
+        azimuth, elevation = -across * half_width, -down * half_height
+        directions: FloatArray = np.stack(
+            [
+                np.cos(elevation) * np.cos(azimuth),
+                np.cos(elevation) * np.sin(azimuth),
+                np.sin(elevation),
+            ],
+            axis=1,
+        )
+        return directions
+    directions = np.stack(
+        [np.ones_like(across), -across * math.tan(half_width), -down * math.tan(half_height)],
+        axis=1,
+    )
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return directions
+
+
+# ---------- roads
+
+
+def lane_area(lane: Lane) -> Any:
+    """Ground that a lane covers: a shapely polygon. World frame, metres."""
+    import shapely
+
+    return shapely.LineString(lane.centreline_m).buffer(0.5 * lane.width_m, cap_style="flat")
+
+
+def road_area(scene: Scene) -> Any:
+    """Lanes and the junction's inside: a shapely polygon or several. World frame, metres."""
+    import shapely
+
+    inside = shapely.make_valid(shapely.Polygon(scene.outline_m))
+    return shapely.union_all([inside, *(lane_area(lane) for lane in scene.lanes)])
+
+
+# ---------- values as text within a script
+
+
+_ESCAPES = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026"}
+
+
+def to_script_json(value: Any) -> str:
+    r"""A value as JSON that no name in it can break out of.
+
+    ASCII without ``<``, ``>`` and ``&``: U+2028, U+2029 and halves of surrogate pairs are escaped,
+    too.
+
+    References
+    ----------
+    .. [1] WHATWG, "HTML", section 4.12.1.3, "Restrictions for contents of script elements".
+
+    Examples
+    --------
+    >>> to_script_json({"a": "</script>"})
+    '{"a":"\\u003c/script\\u003e"}'
+    """
+    text = json.dumps(value, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    for sign, escaped in _ESCAPES.items():  # in JSON these stand in texts only
+        text = text.replace(sign, escaped)
+    return text
+
+
+def to_base64(array: NDArray[Any]) -> str:
+    """Bytes of an array, row by row, in base64."""
+    return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode()
+
+
+def to_plotly_array(values: ArrayLike, kind: str) -> dict[str, str]:
+    """An array as plotly.js reads it: kind and little-endian bytes in base64.
+
+    `kind` is "f4", "u2", "u4" and so on.
+    """
+    return {"dtype": kind, "bdata": to_base64(np.asarray(values).astype(f"<{kind}"))}
+
+
+# ---------- what the template needs
+
+
+_PLOTLY_PACKAGE = "plotly"
+
+
+def view_part(scene: Scene, layout: Layout | None, others: Sequence[Layout] = ()) -> dict[str, str]:
+    """Values for ``templates/view_3d.html.j2``, which stands alone, too; the layout may be None."""
+    view = view_record(scene, layout, others)
+    return {
+        "view_json": to_script_json(view),
+        "note": view["note"],
+        "plotly_gzip": packed_plotly(),
+    }
+
+
+@cache
+def packed_plotly() -> str:
+    """plotly.js as the page holds it, in base64 of gzip: a third of its size; may be empty."""
+    source = plotly_script()
+    # No time stamp, so that equal reports are equal files.
+    return base64.b64encode(gzip.compress(source.encode(), mtime=0)).decode() if source else ""
+
+
+def plotly_script() -> str:
+    """Source of plotly.js as the package plotly brings it; empty where it is not installed."""
+    try:
+        from plotly.offline import get_plotlyjs
+    except ModuleNotFoundError as error:
+        if error.name != _PLOTLY_PACKAGE:
+            raise
+        return ""
+    return str(get_plotlyjs())

@@ -1,71 +1,168 @@
-"""Runs as the player's script reads them: whole centimetres and milliseconds, packed bits."""
+"""The player: runs as its script reads them, in whole centimetres and milliseconds, packed bits."""
 
 import base64
-import json
-import math
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geometry.arrays import FloatArray
-from geometry.catalogue import Sensor, sensor_kind
+from geometry.arrays import FloatArray, IntArray
+from geometry.catalogue import sensor_kind
+from geometry.errors import InputError, Unquoted
 from geometry.footprints import footprint_corners
 from geometry.junction import build_junction
-from geometry.lidar import LidarModel
-from geometry.poses import body_rotation
 from geometry.scene import Lane, Scene, thing_footprint
-from geometry.terrain import Terrain, on_ground
 from placement.candidates import CandidatePose, above_ground, is_ring
 from placement.evaluation import Evaluation, Verdict
 from placement.layout import Layout
+from placement.setting import Setting
 from scenarios.runs import Run
 
-from ...figures.axes import BLUE, GREEN, ORANGE, PINK, SKY, VERMILION, describe_run, unit_labels
-from ...figures.plan import CLASS_STYLES
-from ...figures.sensors import ground_rings
-from ...figures.views import GroundViews
+from ..figures.axes import describe_run, unit_labels
+from ..figures.plan import CLASS_STYLES
+from ..figures.views import GroundViews
+from ..results.tables import margin_s
+from .view_3d import (
+    COLOURS,
+    DASHES,
+    describe_unit,
+    lane_area,
+    to_base64,
+    to_script_json,
+    view_part,
+)
 
-# ---------- values as text within a script
+# ---------- which runs are worth watching
 
 
-_ESCAPES = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026"}
+SHOWN_ABOVE = "shown above"
+LEAST_TIME = "least time to spare"
+NOT_AVOIDED = "not avoided"
+ONE_PER_CASE = "one of each case"
+ALL_OTHERS = "all others"
 
 
-def to_script_json(value: Any) -> str:
-    r"""A value as JSON that no name in it can break out of.
+def choose_runs(
+    evaluation: Evaluation, *, first_runs: Sequence[str] = (), max_runs: int = 24
+) -> list[tuple[int, str]]:
+    """Runs for the player, and why each is there.
 
-    ASCII without ``<``, ``>`` and ``&``: U+2028, U+2029 and halves of surrogate pairs are escaped,
-    too.
-
-    References
-    ----------
-    .. [1] WHATWG, "HTML", section 4.12.1.3, "Restrictions for contents of script elements".
-
-    Examples
-    --------
-    >>> to_script_json({"a": "</script>"})
-    '{"a":"\\u003c/script\\u003e"}'
+    Pairs of the index of a run, and one of ``SHOWN_ABOVE``, ``LEAST_TIME``, ``NOT_AVOIDED`` and
+    ``ONE_PER_CASE``, in this order. Each of the last three gets a third of what is left, or more
+    where the others do not need theirs. `first_runs` are ids of runs that come first; unknown ones
+    are left out. Raises InputError if `max_runs` is below 1.
     """
-    text = json.dumps(value, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
-    for sign, escaped in _ESCAPES.items():  # in JSON these stand in texts only
-        text = text.replace(sign, escaped)
-    return text
+    if max_runs < 1:
+        raise InputError("max_runs", max_runs, "at least 1")
+    axis = evaluation.axis
+    index_of = {run_id: index for index, run_id in enumerate(axis.run_ids)}
+    chosen = {
+        index_of[run_id]: SHOWN_ABOVE for run_id in dict.fromkeys(first_runs) if run_id in index_of
+    }
+    chosen = dict([*chosen.items()][:max_runs])
+    margin = margin_s(evaluation.rsu_all, axis)
+    is_avoided = evaluation.rsu_all.is_avoided
+    order: IntArray = np.argsort(margin, kind="stable")
+    order = order[np.argsort(axis.weight[order] <= 0.0, kind="stable")]  # without weight: last
+    missed = _cases_in_turn(order[~is_avoided[order]][::-1], axis.cases)
+    groups = {
+        LEAST_TIME: [int(index) for index in order[is_avoided[order]]],
+        NOT_AVOIDED: missed,
+        ONE_PER_CASE: _first_of_each(order, [*zip(axis.cases, axis.weathers, strict=True)]),
+    }
+    share = -(-(max_runs - len(chosen)) // len(groups))
+    for quota in (share, max_runs):
+        for group, members in groups.items():
+            free = [index for index in members if index not in chosen]
+            taken = sum(name == group for name in chosen.values())
+            for index in free[: min(quota - taken, max_runs - len(chosen))]:
+                chosen[index] = group
+    names = [SHOWN_ABOVE, *groups]
+    return sorted(chosen.items(), key=lambda item: names.index(item[1]))
 
 
-def to_base64(array: NDArray[Any]) -> str:
-    """Bytes of an array, row by row, in base64."""
-    return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode()
+def _first_of_each(order: IntArray, kinds: Sequence[object]) -> list[int]:
+    """The first run of each kind, kinds as they first appear among all runs."""
+    first: dict[object, int] = {}
+    for index in order:
+        first.setdefault(kinds[index], int(index))
+    return [first[kind] for kind in dict.fromkeys(kinds)]
 
 
-def to_plotly_array(values: ArrayLike, kind: str) -> dict[str, str]:
-    """An array as plotly.js reads it: kind and little-endian bytes in base64.
+def _cases_in_turn(order: IntArray, cases: Sequence[str]) -> list[int]:
+    """Runs so that one of each case comes before the second of any."""
+    seen: dict[str, int] = {}
+    ranks = []
+    for index in order:
+        seen[cases[index]] = seen.get(cases[index], 0) + 1
+        ranks.append(seen[cases[index]])
+    return [int(index) for index in order[np.argsort(ranks, kind="stable")]]
 
-    `kind` is "f4", "u2", "u4" and so on.
+
+# ---------- what the template needs
+
+
+_MAX_BYTES = 1_500_000  # of records: some four hundred runs of a dozen units
+
+
+def interactive_part(
+    setting: Setting,
+    evaluations: Mapping[str, Evaluation],
+    *,
+    max_runs: int = 24,
+    first_runs: Sequence[str] = (),
+) -> dict[str, Any] | None:
+    """Values for ``templates/interactive.html.j2``.
+
+    The first evaluation is the subject. Of the others, all units together are a row of the heatmap,
+    and sensors are in the 3-D view. At most `max_runs` runs stand out in the list; all others
+    follow as long as they fit.
+
+    "n_runs", "player_json", "view_json", "note" (what the 3-D view leaves out), "plotly_gzip"
+    (empty where the package plotly is missing: no 3-D view). None if no run has the frames that
+    were evaluated. Raises InputError if there is no evaluation, or `max_runs` is not positive.
     """
-    return {"dtype": kind, "bdata": to_base64(np.asarray(values).astype(f"<{kind}"))}
+    if not evaluations:
+        raise InputError("evaluations", Unquoted("none"), "at least one")
+    subject = next(iter(evaluations.values()))
+    by_id = {run.id: run for run in setting.runs}
+    chosen = choose_runs(subject, first_runs=first_runs, max_runs=max_runs)
+    outstanding = {index for index, _ in chosen}
+    others = [index for index in range(subject.axis.n_runs) if index not in outstanding]
+    records: list[dict[str, Any]] = []
+    n_bytes = 0
+    for index, group in [*chosen, *((index, ALL_OTHERS) for index in others)]:
+        run = by_id.get(subject.axis.run_ids[index])
+        if run is None or not all(is_playable(run, item) for item in evaluations.values()):
+            continue
+        if group == ALL_OTHERS and n_bytes > _MAX_BYTES:
+            break
+        records.append(run_record(run, evaluations, group=group))
+        n_bytes += len(to_script_json(records[-1]))
+    if not records:
+        return None
+    units_m = np.array([unit.pose.position_m[:2] for unit in subject.layout.units])
+    player = {
+        "plan": plan_record(setting.scene, units_m),
+        "units": [
+            record | {"view": view}
+            for record, view in zip(
+                unit_records(subject.layout, setting.scene),
+                view_paths(subject.layout.units, GroundViews(setting)),
+                strict=True,
+            )
+        ],
+        "parties": party_records(evaluations),
+        "runs": records,
+    }
+    other_layouts = [item.layout for item in [*evaluations.values()][1:]]
+    return {
+        "n_runs": len(records),
+        "n_all": subject.axis.n_runs,
+        "player_json": to_script_json(player),
+        **view_part(setting.scene, subject.layout, other_layouts),
+    }
 
 
 def pack_bits(bits: ArrayLike) -> str:
@@ -198,7 +295,7 @@ def _on_slope(run: Run) -> dict[str, Any]:
 
 
 def is_playable(run: Run, evaluation: Evaluation) -> bool:
-    """Whether an evaluation has the run on the very frames on which it is driven."""
+    """True if an evaluation has the run on the very frames on which it is driven."""
     axis = evaluation.axis
     if run.id not in axis.run_ids:
         return False
@@ -207,7 +304,7 @@ def is_playable(run: Run, evaluation: Evaluation) -> bool:
 
 
 def _last_place(run: Run) -> list[int] | None:
-    """Where the car is at the last moment to brake; None where no braking helps."""
+    """Place of the car at the last moment to brake; None where no braking helps."""
     if not np.isfinite(run.last_brake_time_s):
         return None
     motion = run.encounter.vut_motion
@@ -239,13 +336,6 @@ def _milliseconds(values_s: ArrayLike) -> Any:
 # ---------- units
 
 
-COLOURS = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY)
-DASHES = ("", "7 4", "7 3 1.5 3", "1.5 3")
-RANGE_M = 35.0
-_POINTS_PER_SIDE = 8
-_ABOVE_ROAD_M = 0.1  # or the road would hide parts of lines that lie on it
-
-
 def unit_records(layout: Layout, scene: Scene) -> list[dict[str, Any]]:
     """Units of a layout for the player: centimetres, tenths of a degree."""
     labels = unit_labels(layout)
@@ -266,85 +356,6 @@ def unit_records(layout: Layout, scene: Scene) -> list[dict[str, Any]]:
 def view_paths(units: Iterable[CandidatePose], views: GroundViews) -> list[str]:
     """Ground on which each unit can detect a road user, as SVG paths in centimetres."""
     return [svg_path(views.shape(unit)) for unit in units]
-
-
-def describe_unit(label: str, unit: CandidatePose) -> str:
-    """A unit in words, for hovering; its height is that above the plane z = 0."""
-    name = label if label == unit.id else f"{label}, {unit.id}"
-    return (
-        f"{name}: {sensor_kind(unit.sensor)} {unit.sensor.name}, "
-        f"{unit.pose.position_m[2]:.1f} m high" + (", scans all round" * is_ring(unit.sensor))
-    )
-
-
-def field_lines(
-    unit: CandidatePose, *, max_range_m: float, terrain: Terrain | None = None
-) -> list[FloatArray]:
-    """Lines that show a unit's field of view.
-
-    Each is (n, 3), in metres, world frame: the border, and the edges from the sensor to its
-    corners. Of a LiDAR that scans all round: where on the road its scan ends and begins, and four
-    of its lowest beams. World frame. [m]
-    """
-    foot_m = on_ground(unit.pose.position_m[:2], terrain) * [0.0, 0.0, 1.0]
-    level = replace(unit, pose=replace(unit.pose, position_m=unit.pose.position_m - foot_m))
-    rings = ground_rings(level, max_range_m=max_range_m) if is_ring(unit.sensor) else ()
-    borders = [on_ground(ring, terrain) + [0.0, 0.0, _ABOVE_ROAD_M] for ring in rings if len(ring)]
-    borders = borders or [view_border(unit, max_range_m=max_range_m, terrain=terrain)]
-    corners = borders[-1][:: len(borders[-1]) // 4]
-    return [
-        *(np.vstack([border, border[:1]]) for border in borders),
-        *(np.stack([unit.pose.position_m, corner]) for corner in corners),
-    ]
-
-
-def view_border(
-    unit: CandidatePose, *, max_range_m: float, terrain: Terrain | None = None
-) -> FloatArray:
-    """Where the rays through the border of a sensor's field of view end.
-
-    Shape (32, 3), in order around the border; every eighth is a corner. Rays end at `max_range_m`,
-    or on the ground. World frame. [m]
-    """
-    directions = _border_directions(unit.sensor) @ (
-        body_rotation(unit.pose.yaw_deg, unit.pose.pitch_deg).T
-    )
-    if terrain is not None:
-        length = terrain.distances(unit.pose.position_m, directions, max_range_m=max_range_m)
-        return unit.pose.position_m + length[:, None] * directions
-    length = np.full(len(directions), max_range_m)
-    falls = directions[:, 2] < -1.0e-9
-    to_ground = -unit.pose.position_m[2] / directions[falls, 2]
-    length[falls] = np.minimum(length[falls], np.maximum(to_ground, 0.0))
-    ends: FloatArray = unit.pose.position_m + length[:, None] * directions
-    return ends
-
-
-def _border_directions(sensor: Sensor) -> FloatArray:
-    """Unit vectors around the border, from the upper left corner on, (32, 3). Body frame."""
-    step = np.linspace(-1.0, 1.0, _POINTS_PER_SIDE, endpoint=False)
-    one = np.ones_like(step)
-    across = np.concatenate([step, one, -step, -one])
-    down = np.concatenate([-one, step, one, -step])
-    half_width = math.radians(0.5 * sensor.horizontal_fov_deg)
-    half_height = math.radians(0.5 * sensor.vertical_fov_deg)
-    if isinstance(sensor, LidarModel):  # equal steps of angle
-        azimuth, elevation = -across * half_width, -down * half_height
-        directions: FloatArray = np.stack(
-            [
-                np.cos(elevation) * np.cos(azimuth),
-                np.cos(elevation) * np.sin(azimuth),
-                np.sin(elevation),
-            ],
-            axis=1,
-        )
-        return directions
-    directions = np.stack(
-        [np.ones_like(across), -across * math.tan(half_width), -down * math.tan(half_height)],
-        axis=1,
-    )
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    return directions
 
 
 # ---------- the ground and what stands on it, as SVG paths
@@ -395,21 +406,6 @@ def plan_record(scene: Scene, unit_positions_m: FloatArray) -> dict[str, Any]:
         "crosswalks": _centimetres(scene.crosswalks_m),
         "arms": _arm_labels(scene, middle, half),
     }
-
-
-def lane_area(lane: Lane) -> Any:
-    """What a lane covers: a shapely polygon. World frame, metres."""
-    import shapely
-
-    return shapely.LineString(lane.centreline_m).buffer(0.5 * lane.width_m, cap_style="flat")
-
-
-def road_area(scene: Scene) -> Any:
-    """Lanes and the junction's inside: a shapely polygon or several. World frame, metres."""
-    import shapely
-
-    inside = shapely.make_valid(shapely.Polygon(scene.outline_m))
-    return shapely.union_all([inside, *(lane_area(lane) for lane in scene.lanes)])
 
 
 def _areas(lanes: Iterable[Lane], kind: str) -> Any:

@@ -15,8 +15,7 @@ from interactive_pages import (
 )
 from PIL import Image
 
-from experiments.report.interactive.part import interactive_part
-from experiments.report.interactive.records import unpack_bits
+from experiments.parts.player import interactive_part, unpack_bits
 
 pytestmark = pytest.mark.system
 

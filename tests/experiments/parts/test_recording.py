@@ -8,11 +8,10 @@ import pytest
 from oracles import naive_confirmed
 
 from experiments.cli.recording import recorded_placement_table, recording_table
-from experiments.jobs.recording import run_recorded_placement, run_recording
 from experiments.jobs.verify import run_verification
+from experiments.parts.recording import RecordedResult, run_recorded_placement, run_recording
 from experiments.progress import StageProgress
 from experiments.results.record import to_plain
-from experiments.results.recordings import RecordedResult
 from geometry.errors import InputError
 from placement.question import Question
 from placement.recordings import WrittenDrive, write_recording

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from interactive_pages import EVIL, build_evaluation, build_layout, page_around, with_evil_names
 
-from experiments.report.interactive.part import (
+from experiments.parts.player import (
     ALL_OTHERS,
     LEAST_TIME,
     NOT_AVOIDED,
@@ -20,18 +20,20 @@ from experiments.report.interactive.part import (
     SHOWN_ABOVE,
     choose_runs,
     interactive_part,
-    packed_plotly,
-    plotly_script,
-)
-from experiments.report.interactive.records import (
     pack_bits,
     plan_record,
+    unpack_bits,
+)
+from experiments.parts.view_3d import (
+    dashes,
+    nearest_triangles,
+    packed_plotly,
+    plotly_script,
     road_area,
     to_script_json,
-    unpack_bits,
     view_border,
+    view_record,
 )
-from experiments.report.interactive.view import dashes, nearest_triangles, view_record
 from geometry.errors import InputError
 from geometry.lidar import LidarModel
 from geometry.sensors import project_points
@@ -211,7 +213,7 @@ def test_far_triangles_are_left_out_and_that_is_said(small_setting, monkeypatch)
     whole = view_record(scene, build_layout(2))
     assert whole["note"] == ""
     assert sum("names" in trace for trace in whole["traces"]) == 5
-    monkeypatch.setattr("experiments.report.interactive.view.MAX_TRIANGLES", 400)
+    monkeypatch.setattr("experiments.parts.view_3d.MAX_TRIANGLES", 400)
     assert view_record(scene, build_layout(2))["note"].startswith("866 of the scene's 1266")
 
 
@@ -253,7 +255,7 @@ def test_every_run_can_be_watched_those_that_stand_out_first(small_setting, eval
 def test_runs_that_do_not_fit_are_left_out_but_never_those_that_stand_out(
     small_setting, evaluation, monkeypatch
 ):
-    monkeypatch.setattr("experiments.report.interactive.part._MAX_BYTES", 1)
+    monkeypatch.setattr("experiments.parts.player._MAX_BYTES", 1)
     part = interactive_part(small_setting, {"a": evaluation}, max_runs=3)
     assert (part["n_runs"], part["n_all"]) == (3, evaluation.axis.n_runs)
 
@@ -311,7 +313,7 @@ def test_two_hundred_units_fit_into_the_page(small_setting):
 
 
 def test_without_the_library_there_is_a_player_and_no_view(small_setting, evaluation, monkeypatch):
-    monkeypatch.setattr("experiments.report.interactive.part.packed_plotly", lambda: "")
+    monkeypatch.setattr("experiments.parts.view_3d.packed_plotly", lambda: "")
     page = page_around(interactive_part(small_setting, {"a": evaluation}))
     assert 'id="player-run"' in page
     assert "view-show" not in page
