@@ -5,7 +5,7 @@ import os
 import sys
 import time
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 from click.shell_completion import get_completion_class
@@ -25,12 +25,17 @@ from .place import cli
 from .plan import plan
 from .render import render
 from .retrofit import retrofit
-from .running import command_line
+from .running import Session, command_line
 from .scenarios import scenarios
 from .scene import scene
 from .sheet import sheet
 from .solve import solve
 from .verify import verify
+
+if TYPE_CHECKING:
+    from placement.question import Question
+
+    from ..results.scenes import SceneResult
 
 _EXIT_BAD_INPUT = 2
 _EXIT_UNEXPECTED = 70  # EX_SOFTWARE of BSD's sysexits.h
@@ -109,7 +114,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """
     os.environ["MPLBACKEND"] = "agg"  # no window is opened, whatever a user prefers elsewhere
     logging.basicConfig(handlers=[StderrLog()], format="place-rsus: %(message)s")
-    progress = StageProgress()
+    progress = Session(_import_map)
     code, message = 0, ""
     try:
         with ending_on_signals(progress):
@@ -140,6 +145,13 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     if message:
         tell(message, err=True)
     sys.exit(code)
+
+
+def _import_map(question: "Question", **options: Any) -> "tuple[str, SceneResult]":
+    """Import a junction of a map into the cache."""
+    from ..jobs.scene import import_into_cache
+
+    return import_into_cache(question, **options)
 
 
 def _unexpected(error: Exception, progress: StageProgress) -> str:

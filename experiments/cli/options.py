@@ -383,7 +383,7 @@ _verbose_option = option(
     callback=_be_verbose,
     section=PROGRAM,
     is_common=False,
-    help="Also tell sizes, bounds, files that are read, and seconds per stage.",
+    help="Print all of the answer; tell sizes, bounds, files that are read, and seconds too.",
 )
 _debug_option = option(
     "--debug",

@@ -3,7 +3,7 @@
 import os
 import shlex
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,9 +11,10 @@ import click
 
 from geometry.private_folders import user_cache_folder
 
+from ..parts import Part
 from ..progress import StageProgress, tell
 from ..results.numbers import several
-from .terminal import sentences
+from .terminal import answer_text, sentences
 
 _LEAST_BYTES = 2_000_000_000
 
@@ -24,8 +25,19 @@ if TYPE_CHECKING:
     from ..results.scenes import SceneResult
 
 
+class Session(StageProgress):
+    """The context object of all commands: progress, and the importer of maps.
+
+    It is handed in by the program, so that no command depends on all formats of maps.
+    """
+
+    def __init__(self, import_map: "Callable[..., tuple[str, SceneResult]]") -> None:
+        super().__init__()
+        self.import_map = import_map
+
+
 def begin(progress: StageProgress, question: "Question", *, quiet: bool) -> "Question":
-    """Show what happens from here on; the question, with a map imported and told of on stderr.
+    """Show what happens from here on; the question, with its map imported.
 
     Raises
     ------
@@ -43,11 +55,10 @@ def begin(progress: StageProgress, question: "Question", *, quiet: bool) -> "Que
 
     if has_scene(Path(question.scene)) and not map_options(question):
         return question
-    from ..jobs.scene import import_into_cache
-
-    folder, told = import_into_cache(question, cache=cache_folder(), progress=progress)
+    assert isinstance(progress, Session)
+    folder, found = progress.import_map(question, cache=cache_folder(), progress=progress)
     if not quiet:
-        tell(_imported_text(told, folder), err=True)
+        tell(_imported_text(found, folder), err=True)
     return replace(question, scene=folder, junction="", at="", sites="", driving_side="map")
 
 
@@ -105,6 +116,15 @@ def print_result(
 
     progress.stop()
     tell(to_json_text(result).rstrip() if as_json else text())
+
+
+def print_answer(
+    result: Any, progress: StageProgress, as_json: bool, parts: Callable[[], Iterable[Part]]
+) -> None:
+    """End a command that answers: in short, or with ``--verbose`` all of it."""
+    print_result(
+        result, progress, as_json, lambda: answer_text(parts(), is_verbose=progress.is_verbose)
+    )
 
 
 def cache_folder() -> Path:

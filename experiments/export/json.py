@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import is_dataclass
 
 import msgspec
 import numpy as np
@@ -17,7 +18,7 @@ from .formats import ExportFormat
 
 
 def to_json_text(document: object) -> str:
-    r"""JSON of records and plain values; numbers that JSON lacks (NaN, infinite) become null.
+    r"""JSON of values and records; numbers that JSON lacks (NaN, infinite) become null.
 
     Examples
     --------
@@ -29,7 +30,7 @@ def to_json_text(document: object) -> str:
 
 
 def _finite(value: object) -> object:
-    if isinstance(value, msgspec.Struct):
+    if isinstance(value, msgspec.Struct) or is_dataclass(value):
         return _finite(to_plain(value))
     if isinstance(value, Mapping):
         return {str(key): _finite(item) for key, item in value.items()}

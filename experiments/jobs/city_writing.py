@@ -21,7 +21,7 @@ from ..export.json import to_json, to_json_text
 from ..export.places import placed_records
 from ..figures.axes import to_png
 from ..figures.city import plot_city_front, plot_city_map
-from ..report.bill_of_materials import build_bill
+from ..parts.bill_of_materials import build_bill
 from ..report.city import MAX_ROWS, render_city_report, render_junction_page
 from ..results.city import (
     FRONT,

@@ -25,7 +25,9 @@ from placement.verification.recomputation import stage_values
 
 from ..export.csv import to_csv
 from ..export.geojson import to_geojson
-from ..report import bill_of_materials
+from ..parts import bill_of_materials
+from ..parts.comparison import GREEDY
+from ..parts.reading import StoredResult, load_result
 from ..results.csv_text import plain_cell
 from ..results.folders import (
     APR_FILE,
@@ -36,7 +38,6 @@ from ..results.folders import (
     changed_files,
     read_manifest,
 )
-from ..results.reading import StoredResult, load_result
 from ..results.record import to_plain
 from ..results.solutions import CheckRecord
 from ..results.tables import ALL
@@ -182,12 +183,12 @@ def _check_summary(
         ("gap", "apr", "gap"),
         ("spent_eur", "cost_eur", "objective"),
     ):
-        if stage in values and key in summary:
+        if stage in values and summary.get(key) is not None:
             expected[key] = getattr(values[stage], what)
     chosen = np.array([stored.pose_index])
     for failing in get_args(Failing):
         key, limits = f"apr_without_worst_{failing}", replace(problem.limits, failing=failing)
-        if "apr" in values and key in summary:
+        if "apr" in values and summary.get(key) is not None:
             (left,) = stage_values(replace(problem, limits=limits), _ONE_FAILED, chosen)
             expected[key] = float(left)
     # What a summary tells of units beyond the layout file, such as where they are in words.
@@ -303,10 +304,11 @@ def _check_ratios(result: StoredResult, found: FolderChecks) -> None:
     found.add(APR_FILE, wrong, f"{len(result.apr)} ratios follow from {RUNS_FILE}")
     summary = to_plain(result.summary)
     told = {summary["name"]: summary["evaluation"]}
-    if summary.get("baseline_name") and summary.get("baseline"):
-        told[summary["baseline_name"]] = summary["baseline"]
+    told |= {other["name"]: other["evaluation"] for other in summary.get("compared") or ()}
+    if summary.get("baseline"):
+        told[summary["baseline"]["name"]] = summary["baseline"]["evaluation"]
     if summary.get("greedy"):
-        told["greedy"] = summary["greedy"]
+        told[GREEDY] = summary["greedy"]["evaluation"]
     wrong = ""
     for name, evaluation in told.items():
         parties = {

@@ -119,6 +119,10 @@ def _load_summary(path: Path) -> Mapping[str, Any] | None:
         raise InputError(str(path), Unquoted(error), "JSON in UTF-8") from None
     if not isinstance(summary, dict):
         raise InputError(str(path), Unquoted("no object"), "a summary")
+    if "recording" not in summary:
+        from ..parts.reading import check_schema  # loads pandas
+
+        check_schema(summary, str(path))
     return summary
 
 

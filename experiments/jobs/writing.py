@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import msgspec
 from matplotlib.axes import Axes
@@ -22,11 +23,11 @@ from placement.verification.mounts import build_mounts
 from ..export.csv import to_csv
 from ..export.geojson import to_geojson
 from ..export.json import to_json, to_json_text
+from ..parts import bill_of_materials
+from ..parts.bill_of_materials import BillOfMaterials, bill_of_materials_csv, build_bill
+from ..parts.page import begin_tasks, write_report
+from ..parts.result import Result
 from ..progress import WRITING, StageProgress
-from ..report import bill_of_materials
-from ..report.beside import Beside
-from ..report.bill_of_materials import BillOfMaterials, bill_of_materials_csv, build_bill
-from ..report.page import begin_parts, write_report
 from ..results.csv_text import csv_text
 from ..results.folders import (
     APR_FILE,
@@ -36,13 +37,15 @@ from ..results.folders import (
     RUNS_FILE,
     new_result_folder,
 )
-from ..results.result import Result
 from ..results.tables import apr_table, runs_table
+from ..side_process import SideProcess
+
+_R = TypeVar("_R", bound=Result)
 
 
 def write_results(
     folder: Path,
-    result: Result,
+    result: _R,
     setting: Setting,
     evaluations: Mapping[str, Evaluation],
     *,
@@ -53,8 +56,8 @@ def write_results(
     recommended: Layout | None = None,
     bill: BillOfMaterials | None = None,
     sampled_figure: Axes | None = None,
-    beside: Beside | None = None,
-) -> Result:
+    side: SideProcess | None = None,
+) -> _R:
     """Fill a result folder; returns the result with its "seconds", all stages but the writing.
 
     Parameters
@@ -81,7 +84,7 @@ def write_results(
         Of the subject, where more is known of its costs than the scene tells.
     sampled_figure : Axes, optional
         Of the APR in sampled worlds.
-    beside : Beside, optional
+    side : SideProcess, optional
         A second process that helps to draw.
 
     Raises
@@ -91,8 +94,8 @@ def write_results(
     """
     progress(WRITING, 0, 0)
     result = msgspec.structs.replace(result, seconds=progress.seconds.copy())
-    if beside is not None:
-        begin_parts(beside, result, setting, evaluations)  # drawn while other files are written
+    if side is not None:
+        begin_tasks(side, result, setting, evaluations)  # drawn while other files are written
     subject = next(iter(evaluations.values()))
     layout = replace(subject.layout, scene_name=setting.scene.name)
     # The answer comes first: it is kept if anything that follows cannot be written.
@@ -135,7 +138,7 @@ def write_results(
             command=command,
             sampled_figure=sampled_figure,
             bill=bill,
-            beside=beside,
+            side=side,
         )
         result = msgspec.structs.replace(result, seconds=progress.finish())
         write_atomically(new / MARKER, to_json_text(result))

@@ -18,7 +18,7 @@ from placement.setting import Setting
 
 from ..export.json import to_json_text
 from ..figures.axes import describe_run
-from ..report.bill_of_materials import build_bill
+from ..parts.bill_of_materials import build_bill
 from ..report.interactive.records import plan_record, svg_path, to_base64, unit_records
 from ..results.evaluations import build_evaluation_record
 from ..results.numbers import euros, finite_or_none, percent

@@ -4,8 +4,6 @@ import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 
-from msgspec import UnsetType
-
 from placement.layout import Certificate, Stage
 from placement.optimiser import PlacementValue
 from placement.optimiser.front import Front, FrontPoint
@@ -132,7 +130,7 @@ def proof_sentences(front: Front) -> list[str]:
     return sentences
 
 
-def front_section(record: FrontRecord | UnsetType) -> Section | None:
+def front_section(record: FrontRecord | None) -> Section | None:
     """What each unit buys; None where the best was not what was asked for."""
     if not record:
         return None

@@ -3,7 +3,6 @@
 from operator import attrgetter
 
 from matplotlib.axes import Axes
-from msgspec import UnsetType
 
 from geometry.errors import InputError
 
@@ -323,7 +322,7 @@ def reason_rows(found: SensitivityRecord) -> list[list[str]]:
     ]
 
 
-def sensitivity_section(found: SensitivityRecord | UnsetType) -> Section | None:
+def sensitivity_section(found: SensitivityRecord | None) -> Section | None:
     """What becomes of the layout if an assumption is wrong; None where nothing was varied."""
     if not found:
         return None

@@ -10,7 +10,6 @@ from ..cache import cached_value
 from ..optimiser import (
     Effort,
     PlacementProblem,
-    PlacementValue,
     Solution,
     placement_value,
     presolve,
@@ -25,41 +24,51 @@ TIME_LIMIT_S = 10.0
 """Most time for each alternative: it is told of in passing."""
 
 
+LEAST_KEPT, MOST_GIVEN_UP = 0.05, 0.03
+"""A sturdier layout is offered where it keeps at least so much more for less APR than this."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ByRuns:
-    """A layout, and the best one if every run counted the same.
+    """The best layout if every run counted the same, on the detection table.
 
     Attributes
     ----------
-    pose_index : tuple of int
-        Rows of the table that avoid the most runs, as far as was found.
-    n_avoided, n_avoided_here : int
-        Runs that these avoid, and the layout itself, on the table.
+    units : tuple of str
+        Ids of the candidate poses that avoid the most runs, as far as was found.
+    runs_avoided : int
+        Runs that it avoids.
+    runs_avoided_here : int
+        Runs that the layout found avoids, before it was refined.
     is_proven : bool
-        Whether no set avoids more than `n_avoided`.
+        No layout is proven to avoid more.
     """
 
-    pose_index: tuple[int, ...]
-    n_avoided: int
-    n_avoided_here: int
+    units: tuple[str, ...]
+    runs_avoided: int
+    runs_avoided_here: int
     is_proven: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sturdier:
-    """The layout of which the most is left when any one unit fails.
+    """The layout that keeps the most when any one unit fails, on the detection table.
 
     Attributes
     ----------
-    pose_index : tuple of int
-        Rows of the table.
-    value, value_here : PlacementValue
-        What these are worth, and the layout itself.
+    units : tuple of str
+        Ids of the candidate poses.
+    apr, apr_one_failed : float
+        Its APR, and that when the unit that is needed most fails.
+    apr_here, apr_one_failed_here : float
+        Those of the layout found, before it was refined.
     """
 
-    pose_index: tuple[int, ...]
-    value: PlacementValue
-    value_here: PlacementValue
+    units: tuple[str, ...]
+    apr: float
+    apr_one_failed: float
+    apr_here: float
+    apr_one_failed_here: float
 
 
 def find_by_runs(
@@ -84,10 +93,11 @@ def find_by_runs(
         int(np.isfinite(run_margins_s(problem, rows)).sum())
         for rows in (pose_index, found.pose_index)
     )
+    rows = found.pose_index if there > here else pose_index
     return ByRuns(
-        pose_index=found.pose_index if there > here else tuple(pose_index),
-        n_avoided=max(here, there),
-        n_avoided_here=here,
+        units=_ids(problem, rows),
+        runs_avoided=max(here, there),
+        runs_avoided_here=here,
         is_proven=found.certificate.is_proven,
     )
 
@@ -101,17 +111,27 @@ def find_sturdier(
 ) -> Sturdier | None:
     """The layout that the APR that is left when a unit fails would choose, before all else.
 
-    None as for :func:`find_by_runs`, and of a single unit.
+    None as for :func:`find_by_runs`, of a single unit, and where it costs much or keeps little.
     """
     if not _is_plain(problem) or len(pose_index) < 2:
         return None
     survives = replace(problem, survive=1)
     found = _solve("sturdier", survives, pose_index, effort, cache_folder, n_stages=2)
+    there, here = (placement_value(problem, rows) for rows in (found.pose_index, pose_index))
+    kept, given_up = there.apr_one_failed - here.apr_one_failed, here.apr - there.apr
+    if given_up >= MOST_GIVEN_UP or kept < LEAST_KEPT:
+        return None
     return Sturdier(
-        pose_index=found.pose_index,
-        value=placement_value(problem, found.pose_index),
-        value_here=placement_value(problem, pose_index),
+        units=_ids(problem, found.pose_index),
+        apr=there.apr,
+        apr_one_failed=there.apr_one_failed,
+        apr_here=here.apr,
+        apr_one_failed_here=here.apr_one_failed,
     )
+
+
+def _ids(problem: PlacementProblem, rows: Sequence[int]) -> tuple[str, ...]:
+    return tuple(problem.table.pose_ids[row] for row in rows)
 
 
 def _is_plain(problem: PlacementProblem) -> bool:

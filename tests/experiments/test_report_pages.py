@@ -11,8 +11,8 @@ from partial_pages import blank_pictures, build_result
 from small_results import vary_few_assumptions
 
 from experiments.jobs import placement
+from experiments.parts.page import write_report
 from experiments.progress import StageProgress
-from experiments.report.page import write_report
 from placement.compute import Compute
 from placement.layout import Layout, layout_records
 from placement.question import Question

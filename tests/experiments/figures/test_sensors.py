@@ -19,8 +19,8 @@ from experiments.figures.sensors import (
     looking_words,
 )
 from experiments.jobs.sheet import _direction, _draw_plan, _tilt
+from experiments.parts.units import unit_table
 from experiments.report.interactive.records import field_lines, unit_records
-from experiments.report.units import unit_table
 from geometry.catalogue import load_cameras
 from geometry.lidar import load_lidars
 from geometry.poses import Pose
