@@ -11,6 +11,7 @@ import click
 from click.shell_completion import get_completion_class
 
 from ..progress import Interrupted, StageProgress, StderrLog, ending_on_signals, tell
+from ..results.numbers import several
 from .city import city
 from .compare import compare
 from .dataset import dataset
@@ -30,6 +31,7 @@ from .scenarios import scenarios
 from .scene import scene
 from .sheet import sheet
 from .solve import solve
+from .terminal import sentences
 from .verify import verify
 
 if TYPE_CHECKING:
@@ -147,11 +149,26 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     sys.exit(code)
 
 
-def _import_map(question: "Question", **options: Any) -> "tuple[str, SceneResult]":
-    """Import a junction of a map into the cache."""
+def _import_map(question: "Question", **options: Any) -> tuple[str, str]:
+    """Import a junction of a map into the cache: the folder, and what was imported in words."""
     from ..jobs.scene import import_into_cache
 
-    return import_into_cache(question, **options)
+    folder, found = import_into_cache(question, **options)
+    return folder, _imported_text(found, folder)
+
+
+def _imported_text(summary: "SceneResult", folder: str) -> str:
+    """Arms, sites and buildings that were imported, and where the scene lies."""
+    (junction,) = summary.junctions
+    side = "left" if summary.keeps_left else "right"
+    buildings = several(summary.buildings, "building", "buildings")
+    return "\n".join(
+        sentences(
+            f"Imported {junction.name}: {several(junction.arms, 'arm', 'arms')}, "
+            f"{several(summary.sites, 'site', 'sites')}, {buildings}; traffic "
+            f"keeps {side}. The scene is in {folder}."
+        )
+    )
 
 
 def _unexpected(error: Exception, progress: StageProgress) -> str:

@@ -13,8 +13,7 @@ from geometry.private_folders import user_cache_folder
 
 from ..parts import Part
 from ..progress import StageProgress, tell
-from ..results.numbers import several
-from .terminal import answer_text, sentences
+from .terminal import answer_text
 
 _LEAST_BYTES = 2_000_000_000
 
@@ -22,16 +21,15 @@ if TYPE_CHECKING:
     from placement.layout import Layout
     from placement.question import Question
 
-    from ..results.scenes import SceneResult
-
 
 class Session(StageProgress):
     """The context object of all commands: progress, and the importer of maps.
 
-    It is handed in by the program, so that no command depends on all formats of maps.
+    The importer is handed in by the program, so that no command depends on all formats of maps. It
+    returns the folder of the scene, and what was imported in words.
     """
 
-    def __init__(self, import_map: "Callable[..., tuple[str, SceneResult]]") -> None:
+    def __init__(self, import_map: Callable[..., tuple[str, str]]) -> None:
         super().__init__()
         self.import_map = import_map
 
@@ -56,24 +54,10 @@ def begin(progress: StageProgress, question: "Question", *, quiet: bool) -> "Que
     if has_scene(Path(question.scene)) and not map_options(question):
         return question
     assert isinstance(progress, Session)
-    folder, found = progress.import_map(question, cache=cache_folder(), progress=progress)
+    folder, words = progress.import_map(question, cache=cache_folder(), progress=progress)
     if not quiet:
-        tell(_imported_text(found, folder), err=True)
+        tell(words, err=True)
     return replace(question, scene=folder, junction="", at="", sites="", driving_side="map")
-
-
-def _imported_text(summary: "SceneResult", folder: str) -> str:
-    """What a map was cut down to on the way to an answer, and where that lies."""
-    (junction,) = summary.junctions
-    side = "left" if summary.keeps_left else "right"
-    buildings = several(summary.buildings, "building", "buildings")
-    return "\n".join(
-        sentences(
-            f"Imported {junction.name}: {several(junction.arms, 'arm', 'arms')}, "
-            f"{several(summary.sites, 'site', 'sites')}, {buildings}; traffic "
-            f"keeps {side}. The scene is in {folder}."
-        )
-    )
 
 
 def load_one_layout(names: Sequence[str], question: "Question | None" = None) -> "Layout":
