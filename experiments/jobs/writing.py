@@ -60,37 +60,15 @@ def write_results(
 ) -> _R:
     """Fill a result folder; returns the result with its "seconds", all stages but the writing.
 
-    Parameters
-    ----------
-    folder : Path
-        Replaced as a whole, or left as it was.
-    result : Result
-        Of the first layout.
-    setting : Setting
-        What the layouts were judged in.
-    evaluations : mapping of str to Evaluation
-        By display name; the first one is the subject.
-    command : str
-        Command line that makes the result again.
-    progress : StageProgress
-        Told what is on disk in the end.
-    placement : Placement, optional
-        Where the subject was found: its certificate is written, too.
-    candidates : sequence of CandidatePose
-        The rows of the table in which it was found.
-    recommended : Layout, optional
-        What the evaluator prefers to the subject.
-    bill : BillOfMaterials, optional
-        Of the subject, where more is known of its costs than the scene tells.
-    sampled_figure : Axes, optional
-        Of the APR in sampled worlds.
-    side : SideProcess, optional
-        A second process that helps to draw.
+    `folder` is replaced as a whole, or left as it was. The first of the evaluations, by display
+    name, is the subject. Where a placement found it, its certificate is written, too: `candidates`
+    are the rows of its table. `recommended` is what the evaluator prefers to the subject, `bill`
+    knows more of its costs than the scene, and `command` makes the result again.
 
     Raises
     ------
     InputError
-        Something cannot be written: names the folder where the answer is kept all the same.
+        Something cannot be written: names the folder where the answer is all the same.
     """
     progress(WRITING, 0, 0)
     result = msgspec.structs.replace(result, seconds=progress.seconds.copy())
@@ -107,25 +85,14 @@ def write_results(
     if recommended is not None:
         recommended = replace(recommended, scene_name=setting.scene.name)
         answer[RECOMMENDED_FILE] = to_json(recommended)
-    with _kept_elsewhere(folder, answer), new_result_folder(folder) as new:
+    with _saved_elsewhere(folder, answer), new_result_folder(folder) as new:
         for name, text in answer.items():
             write_atomically(new / name, text)
         if setting.scene.crs:  # else nobody knows where on earth it lies
             geojson = to_geojson(layout, setting.scene.crs, setting.scene)
             write_atomically(new / "layout.geojson", geojson)
         if placement is not None:
-            mounts = build_mounts(setting.scene, candidates)
-            document = build_certificate(
-                placement.problem,
-                placement.certificate,
-                pose_index=placement.pose_index,
-                units=layout_records(subject.layout),
-                presolve=placement.presolve,
-                seconds=placement.seconds,
-                versions=result.versions,
-                mounts=mounts,
-            )
-            save_certificate(new, document, placement.problem, mounts)
+            _write_certificate(new, placement, candidates, layout, setting, result)
         bill = bill or build_bill(layout, setting.scene)
         write_atomically(new / bill_of_materials.FILE_NAME, bill_of_materials_csv(bill))
         write_atomically(new / APR_FILE, csv_text(apr_table(evaluations)))
@@ -146,8 +113,30 @@ def write_results(
     return result
 
 
+def _write_certificate(
+    folder: Path,
+    placement: Placement,
+    candidates: Sequence[CandidatePose],
+    layout: Layout,
+    setting: Setting,
+    result: Result,
+) -> None:
+    mounts = build_mounts(setting.scene, candidates)
+    document = build_certificate(
+        placement.problem,
+        placement.certificate,
+        pose_index=placement.pose_index,
+        units=layout_records(layout),
+        presolve=placement.presolve,
+        seconds=placement.seconds,
+        versions=result.versions,
+        mounts=mounts,
+    )
+    save_certificate(folder, document, placement.problem, mounts)
+
+
 @contextmanager
-def _kept_elsewhere(folder: Path, answer: Mapping[str, str]) -> Iterator[None]:
+def _saved_elsewhere(folder: Path, answer: Mapping[str, str]) -> Iterator[None]:
     """Keep the answer among the system's temporary files if its folder cannot take even that."""
     try:
         yield

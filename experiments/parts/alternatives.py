@@ -10,8 +10,17 @@ from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.evaluation import Evaluation
 from placement.explain import Pool
-from placement.explain.alternatives import STAGE, ByRuns, Sturdier, find_by_runs, find_sturdier
-from placement.explain.front_runners import EQUAL_APR, Deciding, build_front_runner, recommend
+from placement.explain.alternatives import (
+    EQUAL_APR,
+    STAGE,
+    ByRuns,
+    Deciding,
+    Sturdier,
+    build_front_runner,
+    find_by_runs,
+    find_sturdier,
+    recommend,
+)
 from placement.explain.tolerances import MAX_UNITS, Standing, find_standing
 from placement.explain.tolerances import STAGE as TOLERANCES
 from placement.layout import Layout
