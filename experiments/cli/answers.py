@@ -4,8 +4,7 @@ Parts that are short fit on a screen together: what is not avoided, what to moun
 what it is compared with. With ``--verbose`` all are printed.
 """
 
-import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from geometry.whereabouts import compass_bearing_deg
@@ -20,7 +19,7 @@ from ..parts.study_cases import StudyCases
 from ..report.section import Table
 from ..results.evaluations import EvaluationRecord, PartyAprRecord
 from ..results.numbers import percent, several, shortened
-from ..results.record import StageRecord, UnitRecord
+from ..results.record import UnitRecord
 from .explanations import explanation_text, uncertainty_text
 
 _TOGETHER = "fused: in each frame, any of the units may detect"
@@ -64,7 +63,7 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
         ),
         Part(notes=result.assumed_prices),
         Part(words=[f"{proof.words(result)}."], is_short=True),
-        Part(table=_stages_table(result)),
+        Part(table=proof.table(result)),
         Part(
             title="Evaluated by full perception and emergency braking:",
             table=_summary_table(result, others, units, result.baselines),
@@ -200,7 +199,7 @@ def _said(sentences: Sequence[str]) -> list[Part]:
 
 
 def _head(result: Result) -> list[Part]:
-    """What matters most: what is not avoided, what is better, what was left out or assumed."""
+    """The head: runs that are not avoided, better layouts, what was left out or assumed."""
     reasons = [*result.driven[1 : 1 + _MOST_REASONS]]
     reasons = [*result.driven[1 : 1 + _MOST_REASONS]]
     n_reasons = len(result.driven) - 1 - len(reasons)
@@ -326,7 +325,7 @@ def unit_notes(units: Sequence[UnitRecord]) -> list[str]:
 
 
 def _cost(result: Result) -> str:
-    """What the sensors cost, and making their sites ready as far as a price is known."""
+    """Cost of the sensors, and of making their sites ready as far as it is known."""
     sensors = f"sensors {result.cost_eur:,.0f} EUR by the catalogue"
     if result.sites_eur is None:
         return f"{sensors}, without poles or mounting"
@@ -422,7 +421,7 @@ def _apr_table(parties: Mapping[str, _Apr]) -> Table:
 
 
 def failure_notes(evaluation: EvaluationRecord) -> list[str]:
-    """What is left of the APR of all units when the worst one, or the worst pole, fails."""
+    """APR of the others when the most needed unit, or pole, fails."""
     if len(evaluation.units) == 1:
         return []
     text = f"if the worst unit fails, the others have {percent(evaluation.apr_without_worst_unit)}"
@@ -430,39 +429,6 @@ def failure_notes(evaluation: EvaluationRecord) -> list[str]:
         share = percent(evaluation.apr_without_worst_site)
         text += f"; if the worst pole fails with all its units, {share}"
     return [f"{text}."]
-
-
-_OBJECTIVES: dict[str, tuple[str, Callable[[float], str]]] = {
-    "units": ("units", "{:.0f}".format),
-    "apr_survived": ("if the worst ones fail", percent),
-    "apr": ("accidents prevented", percent),
-    "apr_one_failed": ("if the worst one fails", percent),
-    "smallest_margin_s": ("smallest margin", "{:.3f} s".format),
-    "mean_margin_s": ("mean margin", "{:.3f} s".format),
-    "cost_eur": ("cost, EUR", "{:,.0f}".format),
-}
-
-
-def _stages_table(result: PlacementResult) -> Table:
-    """The objectives with their proof, a row each."""
-
-    def row(stage: StageRecord) -> list[str]:
-        label, shown = _OBJECTIVES[stage.name]
-        if result.failing == "site":
-            label = label.replace("one fails", "pole fails").replace("ones", "poles")
-        values = ("open" if v is None else shown(v) for v in (stage.objective, stage.bound))
-        return [label, *values, "proven" if stage.gap == 0.0 else _gap(stage.gap)]
-
-    return Table(
-        caption="Objectives",
-        columns=["on the detection table", "found", "bound", "gap"],
-        rows=[row(stage) for stage in result.stages],
-        numeric=range(1, 4),
-    )
-
-
-def _gap(gap: float | None) -> str:
-    return "open" if gap is None or not math.isfinite(gap) else f"{100.0 * gap:.2f} %"
 
 
 def _disagreements(found: Sequence[Disagreement]) -> list[str]:

@@ -172,15 +172,15 @@ def _imported_text(summary: "SceneResult", folder: str) -> str:
 
 
 def _unexpected(error: Exception, progress: StageProgress) -> str:
-    """What to say of an error that is ours, not the user's; its text is kept in a file."""
+    """Message of an error that is ours, not the user's; its text is saved in a file."""
     import platform  # these are hardly ever needed
     import tempfile
     import traceback
     from importlib.metadata import version
 
-    told = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+    said = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
     text = "".join(traceback.format_exception(error))
-    message = f"place-rsus: unexpected error in stage '{progress.stage}': {told}; {progress.kept}"
+    message = f"place-rsus: unexpected error in stage '{progress.stage}': {said}; {progress.kept}"
     report = (
         f"place-rsus {version('place-rsus')}, Python {platform.python_version()}, "
         f"{platform.platform()}\n{command_line()}\n\n{text}"
@@ -198,7 +198,7 @@ def _unexpected(error: Exception, progress: StageProgress) -> str:
 
 
 def _is_out_of_memory(error: Exception) -> bool:
-    """Whether memory or address space ran out, also while a library was loaded."""
+    """Memory or address space ran out, also while a library was loaded."""
     text = str(error).lower()
     is_unloaded = isinstance(error, ImportError) and (
         "failed to map segment" in text or "cannot allocate memory" in text

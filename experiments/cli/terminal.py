@@ -93,7 +93,7 @@ def _table_lines(shown: "Table", width: int) -> list[str]:
 
 
 def driven_lines(driven: Sequence[str], without_effect: Sequence[str] = ()) -> list[str]:
-    """What is driven of what is possible, first of all; below it the reasons of most runs.
+    """Lines about how many possible runs are driven, with the reasons of most others.
 
     Last what was asked for and changes nothing.
     """

@@ -98,7 +98,7 @@ _WORLDS_TOGETHER = 10
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Job:
-    """What all steps of a job need to know."""
+    """Values that all steps of a job need."""
 
     question: Question
     scene: Scene
@@ -157,7 +157,7 @@ class _Found:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Begun:
-    """What is computed in either process, while the main one goes on."""
+    """Tasks that either process computes, while the main one goes on."""
 
     what_if: Task[tuple[Sensitivity, ...]]
     standing: Task[Standing] | None
@@ -194,13 +194,7 @@ def run_placement(
         found = _find(job, plan, uncertainty)
         study = find_baseline(scene)
         proposed = compare_placement(found.placement, found.poses, job.setting, seed=compute.seed)
-        named = {
-            found.placement.layout.name: found.placement.layout,
-            GREEDY: found.placement.greedy,
-            EXPERT: proposed.expert,
-            **({} if study is None else {study.name: study}),
-        }
-        layouts = {name: layout for name, layout in named.items() if layout is not None}
+        layouts = _named_layouts(found.placement, proposed.expert, study)
         begun = _begin(job, found, [*layouts.values()])
         pool, explained = _explain(job, found)
         _begin_pictures(job, found.placement.layout, study)
@@ -254,6 +248,15 @@ def run_placement(
             sampled_figure=sampled_figure,
             side=job.side,
         )
+
+
+def _named_layouts(
+    placement: Placement, expert: Layout | None, study: Layout | None
+) -> dict[str, Layout]:
+    """Layouts to evaluate by display name, the one found first."""
+    layouts = {placement.layout.name: placement.layout, GREEDY: placement.greedy}
+    layouts |= {} if expert is None else {EXPERT: expert}
+    return layouts | ({} if study is None else {study.name: study})
 
 
 def _result(

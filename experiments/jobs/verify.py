@@ -65,7 +65,7 @@ _EXPECTED = (_CSV, bill_of_materials.FILE_NAME, "report.html")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FolderChecks:
-    """What was compared, and what could not be."""
+    """Comparisons that were made, and those that could not be."""
 
     checks: list[CheckRecord] = field(default_factory=list)
     not_checked: list[str] = field(default_factory=list)
@@ -78,7 +78,7 @@ class FolderChecks:
 def run_verification(
     folder: Path, *, scene: str = "", progress: StageProgress
 ) -> VerificationResult:
-    """Check a result folder: certificate, instance and layout, and every other file beside them.
+    """Check a result folder: certificate, instance and layout, and every other file.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def run_verification(
     scene : str
         Where the scene is that it was made in; empty: the study's junction, if it says so.
     progress : StageProgress
-        Is told the stages.
+        Shows the stages.
 
     Raises
     ------
@@ -112,16 +112,16 @@ def run_verification(
         on_stage=lambda stage: progress(stage, 0, 0),
     )
     progress("compare files", 0, 0)
-    beside = FolderChecks()
-    known = _check_scene(scene, mounts, layout, problem.table.pose_ids, beside)
+    checks = FolderChecks()
+    known = _check_scene(scene, mounts, layout, problem.table.pose_ids, checks)
     files = check_folder_files(folder, stored, problem, layout, summary, known)
     proofs = {proof.name: proof._asdict() for proof in found.proofs}
     return VerificationResult(
         folder=str(folder),
-        is_verified=found.passed and all(check.passed for check in (*beside.checks, *files.checks)),
+        is_verified=found.passed and all(check.passed for check in (*checks.checks, *files.checks)),
         checks=(
             *(CheckRecord(**check._asdict()) for check in found.checks),
-            *(*beside.checks, *files.checks),
+            *(*checks.checks, *files.checks),
         ),
         stages=tuple(
             VerifiedStageRecord(
@@ -141,7 +141,7 @@ def run_verification(
                 for proof in found.proofs
                 if proof.claims_optimum and proof.reason == stored.solver
             ),
-            *(*beside.not_checked, *files.not_checked),
+            *(*checks.not_checked, *files.not_checked),
         ),
         seconds=progress.finish(),
     )
@@ -156,7 +156,7 @@ def _load_layout(folder: Path, summary: Mapping[str, Any] | None) -> Layout | No
 
 
 def _load_summary(path: Path) -> Mapping[str, Any] | None:
-    """What the summary says; None if there is none."""
+    """The summary as plain values; None if there is none."""
     if not path.exists():
         return None
     text = read_text(path, "JSON")
@@ -304,7 +304,7 @@ def _check_summary(
     layout: Layout | None,
     found: FolderChecks,
 ) -> None:
-    """What the summary says that certificate, problem and layout say, too."""
+    """Compare the summary with certificate, problem and layout."""
     values = {stage.name: stage for stage in stored.stages}
     samples = problem.sample_index
     n_samples = 1 if samples is None else int(samples.max()) + 1
@@ -375,7 +375,7 @@ def _check_summary(
 
 
 def _agree(got: object, expected: object) -> bool:
-    """Whether two plain values are equal; numbers up to rounding, an infinite one is None."""
+    """Two plain values are equal; numbers up to rounding, an infinite one is None."""
     if isinstance(expected, Mapping):
         if not isinstance(got, Mapping):
             return False
@@ -549,7 +549,7 @@ def _check_exports(
 
 
 def _csv_difference(text: str, layout: Layout) -> str:
-    """What a table of units says otherwise than a layout; places in a map are not looked at."""
+    """Differences of a table of units from a layout; places in a map are not compared."""
     rows = list(csv.DictReader(io.StringIO(text)))
     records = layout_records(layout)
     if len(rows) != len(records):

@@ -17,7 +17,7 @@ from ..results.tables import groups_by_direction, groups_by_position, groups_by_
 
 
 def is_weighted(axis: FrameAxis) -> bool:
-    """Whether some runs count more than others."""
+    """Some runs count more than others."""
     return not np.allclose(axis.weight, axis.weight[0], rtol=1.0e-9, atol=0.0)
 
 
@@ -68,7 +68,7 @@ def apr_picture(evaluations: Mapping[str, Evaluation]) -> Picture:
 
 
 def alone_section(detailed: Mapping[str, Evaluation]) -> Section:
-    """What each unit of some layouts achieves by itself."""
+    """APR of each unit of some layouts by itself."""
     tables = [unit_apr_table(name, item) for name, item in detailed.items()]
     return Section("alone", "What each unit achieves alone", tables)
 
@@ -125,7 +125,7 @@ def apr_group_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
 
 
 def _parties(evaluations: Mapping[str, Evaluation]) -> list[tuple[str, Evaluation, Verdict]]:
-    """What the columns of a table of APR are about: head, evaluation, verdict."""
+    """Columns of a table of APR: head, evaluation, verdict."""
     subject = next(iter(evaluations.values()))
     parties = [
         *(

@@ -1,4 +1,4 @@
-"""What puts a placement in doubt: heavy runs, other priorities, the evaluator, mounting errors."""
+"""Doubts about a placement: heavy runs, other priorities, the evaluator, mounting errors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -265,7 +265,7 @@ def doubt_sentences(
     *,
     n_runs: int,
 ) -> list[str]:
-    """What would change the answer, a sentence or two each; nothing where nobody looked."""
+    """Sentences about what would change the answer; nothing where nobody looked."""
     return [
         *_heavy(heavy_runs),
         *([_by_runs(by_runs, n_runs)] if by_runs else []),

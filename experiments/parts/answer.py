@@ -66,7 +66,7 @@ def preferred(result: Result) -> list[str]:
 
 
 def doubts(result: Result) -> list[str]:
-    """What would change the answer."""
+    """Sentences about what would change the answer."""
     if not isinstance(result, PlacementResult):
         return doubt_sentences(result.heavy_runs, n_runs=result.runs)
     return doubt_sentences(
@@ -79,7 +79,7 @@ def doubts(result: Result) -> list[str]:
 
 
 def private_ground(result: Result) -> list[str]:
-    """What units see of private ground; of each layout where several are compared."""
+    """Private ground that units see; of each layout where several are compared."""
     others = result.compared if isinstance(result, ComparisonResult) else ()
     return private_ground_sentences(
         result.private_ground, {other.name: other.private_ground for other in others}
@@ -87,14 +87,14 @@ def private_ground(result: Result) -> list[str]:
 
 
 def refinement(result: Result) -> list[str]:
-    """What turning units between the poses of the grid changed; nothing where not asked for."""
+    """Gains of refinement between the poses of the grid; nothing where not asked for."""
     if not isinstance(result, PlacementResult) or result.refinement is None:
         return []
     return refinement_sentences(result.refinement)
 
 
 def uncertainty(result: Result) -> list[str]:
-    """What sampled worlds say; nothing where none were asked for."""
+    """The layout in sampled worlds; nothing where none were asked for."""
     if isinstance(result, EvaluationResult) or result.sampled is None:
         return []
     return uncertainty_sentences(result.sampled)
@@ -143,7 +143,7 @@ def _scores(others: Sequence[tuple[str, Evaluation]]) -> list[str]:
 
 
 def _failures(result: Result, subject: Evaluation) -> list[str]:
-    """What is left when a unit or a pole fails."""
+    """APR that remains when a unit or a pole fails."""
     left, of_site = (
         result.evaluation.apr_without_worst_unit,
         result.evaluation.apr_without_worst_site,
@@ -155,7 +155,7 @@ def _failures(result: Result, subject: Evaluation) -> list[str]:
 
 
 def _of_baselines(result: PlacementResult | ComparisonResult) -> list[str]:
-    """What an expert's rule and random layouts prevent, in short."""
+    """APR of an expert's rule and of random layouts, in short."""
     if result.baselines is None:
         return []
     clauses = []

@@ -17,7 +17,7 @@ from .result import EvaluationResult, PlacementResult, Result
 
 
 def assumption_sentences(result: Result) -> list[str]:
-    """What was assumed where the map of the junction leaves it open, the most important first.
+    """Assumptions where the map of the junction is silent, the most important first.
 
     Sites of which the same is assumed share a sentence.
     """
@@ -50,7 +50,7 @@ def _together(group: Sequence[Note]) -> str:
 
 
 def assumptions_section(result: Result, setting: Setting, layouts: Mapping[str, Layout]) -> Section:
-    """What the numbers rest on; layouts by display name."""
+    """Assumptions behind the numbers; layouts by display name."""
     terms = assumptions(result, setting, layouts)
     return Section("assumptions", "How it was computed", [Terms(terms)])
 
@@ -73,7 +73,7 @@ def again_section(result: Result, command: str) -> Section:
 def assumptions(
     result: Result, setting: Setting, layouts: Mapping[str, Layout]
 ) -> list[tuple[str, str]]:
-    """What the numbers rest on: pairs of term and text; layouts by display name."""
+    """Assumptions behind the numbers, as term and text; layouts by display name."""
     rule, axis = setting.rule, setting.axis
     frame_s = 1.0 / rule.frame_rate_hz
     terms = [

@@ -35,7 +35,7 @@ STAGE = "baselines"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Score:
-    """What a sensing party prevents, by the evaluator.
+    """APR and avoided runs of a sensing party, by the evaluator.
 
     Attributes
     ----------
@@ -146,7 +146,7 @@ class ExpertBaseline:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Baselines:
-    """What anybody would do without an optimiser, within the same limits.
+    """Layouts that need no optimiser, within the same limits.
 
     Attributes
     ----------
@@ -232,7 +232,7 @@ def compare_layout(layout: Layout, setting: Setting, *, compute: Compute) -> Pro
 
 
 def build_baselines(proposed: Proposed, expert: Evaluation | None, setting: Setting) -> Baselines:
-    """What they prevent; `expert` is that layout by the evaluator."""
+    """Their APR; `expert` is that layout by the evaluator."""
     random = proposed.random
     return Baselines(
         random=None if random is None else _random(random),
@@ -290,7 +290,7 @@ def _proposed(
 
 
 def words(found: Baselines | None, *, apr_found: float | None = None, n_units: int) -> list[str]:
-    """What random layouts and the expert's rule prevent, next to the APR of the layout found."""
+    """APR of random layouts and of the expert's rule, next to that of the layout found."""
     if found is None:
         return []
     sentences = []

@@ -43,9 +43,9 @@ class Item:
     kind : str
         What it is: "camera", "LiDAR", "lamp post" and so on.
     count : int
-        Sensors to buy; of a site: 1 if it is to be made ready, 0 if units hang there already.
+        Sensors to buy; of a site: 1 if it is to be made ready, 0 if it has units already.
     n_units : int
-        Units that are of this model, or hang at this site, with those that are there already.
+        Units of this model, or at this site, with those that are there already.
     price_eur : float or None
         Of one; None: unknown. [EUR]
     price_source : {"catalogue", "told", "assumption", ""}
@@ -73,7 +73,7 @@ class Item:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BillOfMaterials:
-    """What a layout takes.
+    """Sensors and sites that a layout needs, with their prices.
 
     Attributes
     ----------
@@ -103,11 +103,11 @@ def build_bill(
     site_cost_eur: float | None = None,
     kept_ids: Collection[str] = (),
 ) -> BillOfMaterials:
-    """What a layout takes.
+    """Sensors and sites that a layout needs.
 
-    A cost or price of 0 has never been told: that of a site is then assumed by its kind, from
+    A cost or price of 0 is unknown: that of a site is then assumed by its kind, from
     ``prices.toml``, unless `site_cost_eur` was said for every site. Units of
-    `kept_ids` hang there already: neither they nor their sites are paid for.
+    `kept_ids` exist already: neither they nor their sites are paid for.
     """
     to_make = [] if site_cost_eur is not None else _used_sites(layout, scene, kept_ids)
     to_buy = Counter(unit.sensor.name for unit in layout.units if unit.id not in kept_ids)
@@ -176,7 +176,7 @@ def _used_sites(layout: Layout, scene: Scene, kept_ids: Collection[str]) -> list
 
 
 def _told(price_eur: float) -> float | None:
-    """A price; None of 0, which stands where nobody has told one."""
+    """A price; None of 0, which means unknown."""
     return price_eur if price_eur > 0.0 else None
 
 
@@ -208,7 +208,7 @@ def bill_of_materials_csv(bill: BillOfMaterials) -> str:
 
 
 def bill_sentences(bill: BillOfMaterials) -> list[str]:
-    """What is known of the sum, and what is not."""
+    """The sum as far as it is known."""
     items = [*bill.sensors, *bill.sites]
     known = sum(item.sum_eur for item in items if item.sum_eur is not None)
     unknown = [item for item in items if item.sum_eur is None]
@@ -302,11 +302,11 @@ def bill_tables(bill: BillOfMaterials) -> list[Table]:
 
 
 def bill_section(bill: BillOfMaterials) -> Section:
-    """What has to be bought, as far as it is known, and what is not in the bill."""
+    """The bill, and what is not in it."""
     note = (
         "Prices are those of the sensor catalogue, for one outdoor unit with its housing; what "
-        "comes with this program are orders of magnitude. “Unknown” has not been told to this "
-        "program; it is not zero. Not in the bill:"
+        "comes with this program are orders of magnitude. “Unknown” is not zero."
+        " Not in the bill:"
     )
     blocks: list[Block] = [
         " ".join([*bill_sentences(bill), *bill.assumed]),

@@ -17,7 +17,7 @@ _MAX_RUNS = 4
 
 
 def failure_sentences(failures: Failures, labels: Mapping[str, str]) -> list[str]:
-    """What the failure of one unit, of two, and of a pole leaves; `labels` are names by id."""
+    """APR that remains if one unit, two, or a pole fail; `labels` are names by id."""
     whole, n_units = failures.none_failed, len(failures.one_failed)
     if n_units == 1:
         return [
@@ -33,14 +33,14 @@ def failure_sentences(failures: Failures, labels: Mapping[str, str]) -> list[str
 
 
 def _site_sentences(failures: Failures, labels: Mapping[str, str]) -> list[str]:
-    """What the failure of any one pole leaves."""
+    """APR that remains if any one pole fails."""
     if not failures.site_failed:
         return []
     shared = [item for item in failures.site_failed if len(item.unit_ids) > 1]
     if not shared:
-        return ["No two units hang on one pole: a pole that fails takes one unit with it."]
+        return ["No two units share a pole: a pole that fails takes one unit with it."]
     worst = failures.site_failed[0]
-    text = "A pole fails with all that hangs on it (power, a crash). "
+    text = "A pole fails with all its units (power, a crash). "
     if not worst.lost_run_ids:
         return [f"{text}Whichever one does, no run is lost."]
     n_lost = len(worst.lost_run_ids)
@@ -151,7 +151,7 @@ def site_table(failures: Sequence[Failure], labels: Mapping[str, str]) -> Table:
 
 
 def failures_section(evaluation: Evaluation, rule: AebRule, labels: Mapping[str, str]) -> Section:
-    """What is left if a unit fails, or two, or a pole with all its units.
+    """APR that remains if a unit fails, or two, or a pole with all its units.
 
     There is no table of pairs where it says nothing new, or where pairs are not looked at. `labels`
     are short names of the units, by id.

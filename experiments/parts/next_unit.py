@@ -1,4 +1,4 @@
-"""What one more unit, or another sensor at the same mounts, would gain."""
+"""Gains of one more unit, and of other sensors at the same mounts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -86,7 +86,7 @@ def build_exchanges(layout: Layout, found: OtherSensors) -> tuple[Exchange, ...]
 
 
 def next_unit_sentence(unit: NextUnit | None) -> str:
-    """What one more unit would buy; empty where none fits."""
+    """Gain of one more unit, in words; empty where none fits."""
     if unit is None:
         return ""
     how = "on the detection table, by greedy choice"
@@ -99,7 +99,7 @@ def next_unit_sentence(unit: NextUnit | None) -> str:
 
 
 def other_sensor_sentence(exchanges: Sequence[Exchange]) -> str:
-    """What another sensor in place of one of the units would buy; empty where none was tried."""
+    """Gain of another sensor in place of one of the units; empty where none was tried."""
     if not exchanges:
         return ""
     best = exchanges[0]

@@ -237,7 +237,7 @@ def _details(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tasks:
-    """What a second process may make of a report."""
+    """Pictures and sections of a report that a second process may make."""
 
     run_ids: list[str]  # of the heatmaps
     plans: Task[list[Picture]]

@@ -11,7 +11,7 @@ from .result import PlacementResult
 
 
 def words(result: PlacementResult) -> str:
-    """What is proven, in a sentence without its end."""
+    """The proof in a sentence without its full stop."""
     stages = result.stages
     among = f"{result.candidates} candidate poses"
     first = stages[0]
@@ -39,18 +39,22 @@ def section(result: PlacementResult) -> Section:
     proof = "Yes: every objective's gap is closed."
     if is_open:
         proof = f"Not in full: proven are all objectives but {', '.join(is_open)}."
-    table = Table(
+    note = (
+        f"Solver: {result.solver or NOTHING}. The proof holds for the detection table: for the "
+        "candidate poses that were tried, on the runs listed below. What is proven, no other "
+        "choice among them exceeds."
+    )
+    return Section("proof", "How good is it, and is that proven?", [proof, table(result), note])
+
+
+def table(result: PlacementResult) -> Table:
+    """A row per objective, in order."""
+    return Table(
         caption="Objectives in order: each is optimised without giving up any before it",
-        columns=["objective", "this layout", "no layout can exceed", "gap", "time (s)"],
+        columns=["on the detection table", "found", "bound", "gap", "time (s)"],
         rows=[[_label(stage.name, result), *_stage_row(stage)] for stage in result.stages],
         numeric=range(1, 5),
     )
-    note = (
-        f"Solver: {result.solver or NOTHING}. The proof holds for the detection table: for the "
-        "candidate poses that were tried, on the runs listed below. A gap of 0 % means that no "
-        "other choice among them is better."
-    )
-    return Section("proof", "How good is it, and is that proven?", [proof, table, note])
 
 
 def _label(name: str, result: PlacementResult) -> str:
@@ -67,11 +71,11 @@ def _stage_row(stage: StageRecord) -> list[str]:
             return number(value, 2)
         return f"{number(value, 3)} s" if stage.name.endswith("_s") else percent(value)
 
-    gap = stage.gap
+    gap = "open" if stage.gap is None or not math.isfinite(stage.gap) else percent(stage.gap)
     return [
         shown(stage.objective),
         shown(stage.bound),
-        NOTHING if gap is None or not math.isfinite(gap) else percent(gap),
+        "proven" if stage.gap == 0.0 else gap,
         number(stage.seconds, 1),
     ]
 

@@ -58,7 +58,7 @@ _A_WHOLE = "a whole file, as place-rsus has written it"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StoredResult:
-    """What a placement, an evaluation or a comparison has written to a folder.
+    """A folder that a placement, an evaluation or a comparison has written.
 
     Attributes
     ----------
@@ -230,6 +230,6 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _first_line(error: Exception) -> str:
-    """What a library says, short enough for one line."""
+    """Message of a library, short enough for one line."""
     lines = str(error).splitlines() or [type(error).__name__]
     return lines[0][:100]

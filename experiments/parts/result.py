@@ -43,7 +43,7 @@ from .study_cases import StudyCases
 
 
 class Answer(DrivesRecord, frozen=True, kw_only=True, tag_field="schema"):
-    """What all three have: a layout by the evaluator, and what was driven.
+    """Head of all three: a layout by the evaluator, and what was driven.
 
     A result is summary.json of a result folder, and what --json prints. Shares are 0 to 1. Names
     end in their unit; no ending: no unit. Parts that nobody asked for are null.

@@ -106,7 +106,7 @@ def latency_in_short(rule: AebRule, layouts: Sequence[Layout]) -> str:
 
 
 def cases_section(setting: Setting) -> Section:
-    """What is driven, and what was asked for and cannot be."""
+    """Cases that are driven, and those that cannot be."""
     note = [
         "Last moment: the latest time at which braking still avoids the impact, which would be at "
         "0; of each case's runs the earliest and the latest.",
@@ -132,7 +132,7 @@ def runs_section(evaluations: Mapping[str, Evaluation]) -> Section:
 def case_table(setting: Setting) -> Table:
     """The cases that are driven: what, how fast, from where, how late braking may begin.
 
-    A case's share of the weight is told where not every run counts the same.
+    There is a column of weights where not every run counts the same.
     """
     has_weights = is_weighted(setting.axis)
     every = dict.fromkeys(
@@ -198,9 +198,9 @@ def describe_hopeless(setting: Setting) -> list[str]:
 
 
 def describe_refusals(setting: Setting) -> list[str]:
-    """What was asked for and cannot be driven, in sentences; approaches share one with a reason.
+    """Sentences about what cannot be driven; approaches share one with a reason.
 
-    Away from the junction, where each position has other speeds, these are not told.
+    Away from the junction, where each position has other speeds, these are left out.
     """
     places: dict[tuple[str, tuple[float, ...], str], dict[str, list[str]]] = {}
     for refusal in setting.refusals:
@@ -209,13 +209,13 @@ def describe_refusals(setting: Setting) -> list[str]:
         speeds = refusal.speeds_kmh if refusal.position == AT_ZERO.name else ()
         of_reason = places.setdefault((refusal.case.name, speeds, refusal.reason), {})
         of_reason.setdefault(refusal.approach, []).append(refusal.position)
-    told = [
+    sentences = [
         f"{case} from the {describe_places(positions)}"
         + (f" at {', '.join(f'{speed:g}' for speed in speeds)} km/h" if speeds else "")
         + f": {reason.removesuffix('.')}."
         for (case, speeds, reason), positions in places.items()
     ]
-    return told + describe_limits(setting)
+    return sentences + describe_limits(setting)
 
 
 def runs_by_case(setting: Setting) -> dict[str, list[int]]:

@@ -30,7 +30,7 @@ STAGE = "study's cases"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StudyCases:
-    """The same layouts on the study's cases, as the study drives and reads them.
+    """Layouts on the study's cases, as the study drives and reads them.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ def build_study_cases(evaluations: Mapping[str, Evaluation]) -> StudyCases:
 
 
 def study_question(question: Question) -> Question:
-    """The same question about what the study drives, read as the study does.
+    """A question changed to what the study drives, read as the study does.
 
     That is its cases by day, at the junction alone, all speeds and approaches, each run alike; a
     track that is confirmed once lives for ever. Scene, sensors, detector, links and all else stay
@@ -86,7 +86,7 @@ def on_study_cases(
     build: Callable[[Question], Setting],
     compute: Compute,
 ) -> StudyCases | None:
-    """What layouts prevent in the study's cases, where these are a part of what was asked about.
+    """Score layouts on the study's cases, where these are a part of what was asked about.
 
     None at another junction than the study's, where some of its cases are left out, and where its
     runs are all that was asked about.
@@ -119,7 +119,7 @@ def on_study_cases(
 
 
 def _has_cases(question: Question) -> bool:
-    """Whether all cases of the study are asked about."""
+    """All cases of the study are asked about."""
     given = select_cases(question.cases, force=question.force).cases
     return {case.name for case in select_cases("study").cases} <= {case.name for case in given}
 
@@ -132,7 +132,7 @@ def score_on(
     *,
     compute: Compute,
 ) -> StudyCases:
-    """What layouts prevent in another setting; `rows` are its runs among those evaluated, if so."""
+    """Score layouts in another setting; `rows` are its runs among those evaluated, if so."""
     if rows is None or _depends_on_chance(asked, evaluations):
         layouts = [item.layout for item in evaluations.values()]
         found = evaluate_layouts(layouts, study, compute=compute.within(STAGE))
@@ -186,7 +186,7 @@ def _part(asked: Setting, rows: IntArray) -> Setting:
 
 
 def is_same_question(one: Setting, other: Setting) -> bool:
-    """Whether the same runs, in any order, count the same, and are avoided by the same rule."""
+    """Two settings have the same runs, in any order, with the same weights, and the same rule."""
     (names, weight), (other_names, other_weight) = (
         (np.sort(axis.run_ids), axis.weight[np.argsort(axis.run_ids)])
         for axis in (one.axis, other.axis)
@@ -224,7 +224,7 @@ def judge_again(
 
 
 def _depends_on_chance(setting: Setting, evaluations: Mapping[str, Evaluation]) -> bool:
-    """Whether what is seen in a frame depends on which other frames there are: on random draws."""
+    """Detections in a frame depend on which other frames there are: on random draws."""
     sensors = [unit.sensor for item in evaluations.values() for unit in item.layout.units]
     return not (
         isinstance(setting.detector, GeometricDetector)

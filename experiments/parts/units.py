@@ -28,7 +28,7 @@ _COLUMNS = (
 
 
 def units_section(layouts: Mapping[str, Layout], plans: Sequence[Picture], scene: Scene) -> Section:
-    """Where the units of layouts, by display name, hang and look, with a plan of each."""
+    """Places and directions of the units of layouts, by display name, with a plan of each."""
     is_beside = len(plans) > 1 and plans[0].width_in < WIDTH_IN
     is_flat = terrain_of(scene) is None
     where = "the road is at height 0" if is_flat else "height is that above the ground below"

@@ -20,7 +20,7 @@ _RAY_PACKAGES = {"open3d": ("open3d-cpu", "open3d"), "embree": ("embreex",)}
 
 
 class RefusalRecord(Record, frozen=True, kw_only=True):
-    """What the scene has no room for."""
+    """A case that the scene has no room for."""
 
     case: Annotated[str, says("Name of the case.")]
     approach: Annotated[str, says("Arm from which the vehicle would come.")]
@@ -37,7 +37,7 @@ class RefusalRecord(Record, frozen=True, kw_only=True):
 
 
 class DrivesRecord(Record, frozen=True, kw_only=True):
-    """What was driven, and what perceived it: fields of every result."""
+    """Runs that were driven, and how they were perceived: fields of every result."""
 
     cases: Annotated[tuple[str, ...], says("Names of the cases that were driven.")]
     weathers: Annotated[tuple[str, ...], says("Weathers that were driven in.")]
@@ -99,7 +99,7 @@ _FARTHEST_M = 300.0  # from there no camera of the catalogue sees a road user 40
 
 
 def _without_effect(setting: Setting) -> Iterator[str]:
-    """What was asked for and changes nothing: light, for a detector that knows none."""
+    """Wishes that change nothing: light, for a detector that knows none."""
     detector = setting.detector
     weathers = [name for name in dict.fromkeys(setting.axis.weathers) if name != "day"]
     if not weathers or not isinstance(detector, GeometricDetector):

@@ -94,5 +94,5 @@ def build_evaluation_record(evaluation: Evaluation, rule: AebRule) -> Evaluation
 
 
 def price_eur(evaluation: Evaluation) -> float:
-    """What the units of a layout cost by the catalogue, in EUR."""
+    """Price of the units of a layout by the catalogue, in EUR."""
     return sum(unit.sensor.price_eur for unit in evaluation.layout.units)

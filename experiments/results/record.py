@@ -167,7 +167,7 @@ def build_stage_records(certificate: Certificate) -> tuple[StageRecord, ...]:
 
 
 class LayoutValueRecord(Record, frozen=True, kw_only=True):
-    """What units are worth on the detection table."""
+    """Value of units on the detection table."""
 
     apr: Annotated[Share, says("APR on the detection table.")]
     apr_one_failed: Annotated[Share, says("APR if the unit that is needed most fails.")]

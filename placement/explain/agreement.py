@@ -79,7 +79,7 @@ def find_disagreements(
 def _find_disagreements(
     setting: Setting, detected: BoolArray, evaluation: Evaluation
 ) -> tuple[Disagreement, ...]:
-    """The same, found anew; `detected`, (n_units, n_frames), is what the table says."""
+    """Compare anew; `detected`, (n_units, n_frames), are rows of the table."""
     units = evaluation.layout.units
     on_table = dict(zip((unit.id for unit in units), detected, strict=True))
     found: list[Disagreement] = []

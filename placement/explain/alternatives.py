@@ -28,7 +28,7 @@ from ..optimiser.tolerances import TOLERANCE
 
 STAGE = "other priorities"
 TIME_LIMIT_S = 10.0
-"""Most time for each alternative: it is told of in passing."""
+"""Most time for each alternative: it is mentioned in passing."""
 
 
 LEAST_KEPT, MOST_GIVEN_UP = 0.05, 0.03
@@ -142,7 +142,7 @@ def _ids(problem: PlacementProblem, rows: Sequence[int]) -> tuple[str, ...]:
 
 
 def _is_plain(problem: PlacementProblem) -> bool:
-    """Whether the highest APR is asked for, in the world as planned, of a table of usual size."""
+    """The highest APR is asked for, in the world as planned, of a table of usual size."""
     is_best = problem.goal == "best" and problem.survive == 0
     return is_best and problem.sample_index is None and not is_large(problem)
 

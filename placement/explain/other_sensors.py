@@ -62,7 +62,7 @@ class OtherSensor:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OtherSensors:
-    """What other models would achieve at the mounts of a layout.
+    """Other models at the mounts of a layout.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ def find_other_sensors(
     may_look : function of poses, optional
         Which of them may be used, (n,) bool; by default all.
     compute : Compute
-        Threads, the seed of the layout's table, and who is told the progress.
+        Threads, the seed of the layout's table, and where progress is shown.
 
     Returns
     -------
@@ -138,7 +138,7 @@ def find_other_sensors(
 def _looks(
     units: Sequence[CandidatePose], models: Iterable[Sensor], kept: Collection[str]
 ) -> tuple[list[CandidatePose], IntArray, NDArray[np.object_]]:
-    """Poses to try, the first of each unit and model as it hangs; their units and models."""
+    """Poses to try, the first of each unit and model not turned; their units and models."""
     looks, owner, names = [], [], []
     for sensor in models:
         for index, unit in enumerate(units):

@@ -272,15 +272,15 @@ def test_a_case_without_weight_has_a_dash():
 
 
 @pytest.mark.parametrize(
-    ("gap", "words"), [(0.0, "proven"), (0.0056, "0.56 %"), (float("inf"), "open")]
+    ("gap", "words"), [(0.0, "proven"), (0.0056, "0.6 %"), (float("inf"), "open")]
 )
 def test_a_gap_is_proven_or_a_number_or_open(gap, words):
     (row,) = (
         line
         for line in placement_table(placement_summary(1, gap=gap), OUT).splitlines()
-        if line.startswith("  mean margin")
+        if line.startswith("  mean time to spare")
     )
-    assert row.endswith(f" {words}")
+    assert row.endswith(f" {words}       0.1")
 
 
 @pytest.mark.parametrize(
