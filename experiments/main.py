@@ -5,7 +5,7 @@ import os
 import sys
 import time
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 from click.shell_completion import get_completion_class
@@ -20,15 +20,22 @@ from .cli.option_names import with_option_names
 from .cli.pareto import pareto
 from .cli.place import cli
 from .cli.retrofit import retrofit
-from .cli.running import command_line
+from .cli.running import Session, command_line
 from .cli.scenarios import scenarios
 from .cli.sheet import sheet
 from .cli.solve import solve
+from .cli.terminal import sentences
 from .cli.verify import verify
 from .perception_lab.commands import dataset, detector, render
 from .planner.command import plan
 from .progress import Interrupted, StageProgress, StderrLog, ending_on_signals, tell
+from .results.numbers import several
 from .scene.command import scene
+
+if TYPE_CHECKING:
+    from placement.question import Question
+
+    from .scene.run import SceneResult
 
 _EXIT_BAD_INPUT = 2
 _EXIT_UNEXPECTED = 70  # EX_SOFTWARE of BSD's sysexits.h
@@ -107,7 +114,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """
     os.environ["MPLBACKEND"] = "agg"  # no window is opened, whatever a user prefers elsewhere
     logging.basicConfig(handlers=[StderrLog()], format="place-rsus: %(message)s")
-    progress = StageProgress()
+    progress = Session(_import_map)
     code, message = 0, ""
     try:
         with ending_on_signals(progress):
@@ -140,16 +147,38 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     sys.exit(code)
 
 
+def _import_map(question: "Question", **options: Any) -> tuple[str, str]:
+    """Import a junction of a map into the cache: the folder, and what was imported in words."""
+    from .scene.run import import_into_cache
+
+    folder, found = import_into_cache(question, **options)
+    return folder, _imported_text(found, folder)
+
+
+def _imported_text(summary: "SceneResult", folder: str) -> str:
+    """Arms, sites and buildings that were imported, and where the scene lies."""
+    (junction,) = summary.junctions
+    side = "left" if summary.keeps_left else "right"
+    buildings = several(summary.buildings, "building", "buildings")
+    return "\n".join(
+        sentences(
+            f"Imported {junction.name}: {several(junction.arms, 'arm', 'arms')}, "
+            f"{several(summary.sites, 'site', 'sites')}, {buildings}; traffic "
+            f"keeps {side}. The scene is in {folder}."
+        )
+    )
+
+
 def _unexpected(error: Exception, progress: StageProgress) -> str:
-    """What to say of an error that is ours, not the user's; its text is kept in a file."""
+    """Message of an error that is ours, not the user's; its text is saved in a file."""
     import platform  # these are hardly ever needed
     import tempfile
     import traceback
     from importlib.metadata import version
 
-    told = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+    said = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
     text = "".join(traceback.format_exception(error))
-    message = f"place-rsus: unexpected error in stage '{progress.stage}': {told}; {progress.kept}"
+    message = f"place-rsus: unexpected error in stage '{progress.stage}': {said}; {progress.kept}"
     report = (
         f"place-rsus {version('place-rsus')}, Python {platform.python_version()}, "
         f"{platform.platform()}\n{command_line()}\n\n{text}"
@@ -167,7 +196,7 @@ def _unexpected(error: Exception, progress: StageProgress) -> str:
 
 
 def _is_out_of_memory(error: Exception) -> bool:
-    """Whether memory or address space ran out, also while a library was loaded."""
+    """Memory or address space ran out, also while a library was loaded."""
     text = str(error).lower()
     is_unloaded = isinstance(error, ImportError) and (
         "failed to map segment" in text or "cannot allocate memory" in text

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 SCHEMA = "place-rsus/layout/1"
-RESULT_SCHEMA = "place-rsus/result/1"
+RESULT_SCHEMAS = tuple(f"place-rsus/{kind}/2" for kind in ("placement", "evaluation", "comparison"))
 """Of summary.json, which has the layout in the same words."""
 
 RESERVED_IDS = ("vut", "rsu_all", "vut_and_rsus", "vam", "all_sources")
@@ -335,10 +335,10 @@ def read_layout(
         raise InputError(where, Unquoted("JSON nested too deep"), "a layout") from None
     except ValueError as error:  # no JSON, no UTF-8, or a number of thousands of digits
         raise InputError(where, Unquoted(error), "JSON in UTF-8") from None
-    if isinstance(document, dict) and document.get("schema", SCHEMA) not in (SCHEMA, RESULT_SCHEMA):
-        raise InputError(
-            f"{where}: schema", document["schema"], f"{SCHEMA} or {RESULT_SCHEMA}, or none of it"
-        )
+    known = (SCHEMA, *RESULT_SCHEMAS)
+    if isinstance(document, dict) and document.get("schema", SCHEMA) not in known:
+        expected = f"{', '.join(known)}, or none of it"
+        raise InputError(f"{where}: schema", document["schema"], expected)
     if not isinstance(document, dict) or not isinstance(document.get("layout"), list):
         raise InputError(where, Unquoted("no list 'layout'"), 'an object {"layout": [units]}')
     own = _read_own_sensors(document.get("sensors", {}), f"{where}: sensors")

@@ -17,9 +17,9 @@ from PIL import Image
 from experiments.figures import dangers, plan
 from experiments.figures.axes import root_figure
 from experiments.parts import coverage, section
+from experiments.parts.result import KINDS, Result
 from experiments.parts.section import Bullets, Picture, Section, Table
 from experiments.report.page import page_environment
-from experiments.results.result import Result
 from experiments.scene import pictures
 
 
@@ -91,21 +91,22 @@ A_UNIT = {
 
 
 def build_result(name, layout=(A_UNIT,), **changes) -> Result:
-    """A result that says little: an evaluation, without what `changes` say."""
-    party = {"all": None, "by_case": {}}
-    parties = dict.fromkeys(("vut", "rsu_all", "vut_and_rsus"), party)
+    """A result that says little: an evaluation, without what `changes` say.
+
+    With parts that only a placement or a comparison has, it is one.
+    """
+    evaluation = _evaluation()
+    dangers = {"not_avoided": 0, "by_case": [], "by_position": []}
     plain = {
-        "schema": "place-rsus/result/1",
+        "schema": "place-rsus/evaluation/2",
         "name": name,
         "layout": list(layout),
         "cost_eur": 0.0,
-        "budget": None,
         "fusion": "any",
         "runs": 1,
-        **dict.fromkeys(("apr", "bound", "gap", "apr_without_worst_unit")),
-        "evaluation": {**parties, "units": {}, "apr_without_worst_unit": None},
-        "baseline": None,
-        "surrogate_disagreement": None,
+        "apr": None,
+        "evaluation": evaluation,
+        "dangers": dangers,
         "seconds": {},
         "versions": {},
         "cases": [],
@@ -114,8 +115,60 @@ def build_result(name, layout=(A_UNIT,), **changes) -> Result:
         "vut_sensors": [],
         "packet_loss": 0.0,
         "vam_rate": 0.0,
+        "track_memory_s": None,
         "not_driven": [],
         "possible_runs": 1,
         "driven": [],
     }
-    return msgspec.convert(plain | changes, Result)
+    plain |= changes
+    kinds = {kind: set(KINDS[kind].__struct_fields__) for kind in reversed(KINDS)}
+    kind = next(kind for kind in ("evaluation", *_KINDS) if set(changes) <= kinds[_schema(kind)])
+    if kind == "comparison":
+        plain = {"compared": [_compared("other")], "differences": []} | plain
+    if kind == "placement":
+        stage = {"name": "apr", "objective": 1.0, "bound": 1.0, "gap": 0.0, "seconds": 0.0}
+        plain = {
+            "goal": "best",
+            "budget": None,
+            "candidates": 1,
+            "presolve": "",
+            "stages": [stage],
+            "solver": "",
+            **dict.fromkeys(("bound", "gap", "apr_without_worst_site", "baseline")),
+            **dict.fromkeys(("spent_eur", "apr_without_worst_unit", "surrogate_disagreement"), 0.0),
+            "failing": "unit",
+            "greedy": _compared("greedy"),
+            "disagreements": [],
+            "explained": {
+                "contributions": [],
+                "not_avoided": [],
+                "runs_without_weight": 0,
+                "pool": None,
+            },
+            "baselines": {"random": None, "expert": None},
+        } | plain
+    return msgspec.convert(plain | {"schema": _schema(kind)}, KINDS[_schema(kind)])
+
+
+_KINDS = ("comparison", "placement")
+
+
+def _schema(kind):
+    return f"place-rsus/{kind}/2"
+
+
+def _evaluation():
+    party = {"all": None, "by_case": {}}
+    parties = dict.fromkeys(("vut", "rsu_all", "vut_and_rsus"), party)
+    return {**parties, "units": {}, "apr_without_worst_unit": None}
+
+
+def _compared(name):
+    return {
+        "name": name,
+        "layout": [A_UNIT],
+        "cost_eur": 0.0,
+        "evaluation": _evaluation(),
+        "runs_gained": [],
+        "runs_lost": [],
+    }

@@ -705,8 +705,8 @@ def _result_folders() -> Mapping[str, tuple[str, Files]]:
 
 
 def _read_result(path: Path) -> Any:
+    from experiments.parts.reading import load_result
     from experiments.results.folders import changed_files
-    from experiments.results.reading import load_result
 
     changed_files(path)
     return load_result(path)
@@ -1006,7 +1006,7 @@ READERS: Mapping[str, Reader] = {
         read=_read_result,
         seeds=_result_folders,
         covers=(
-            "experiments.results.reading.load_result",
+            "experiments.parts.reading.load_result",
             "experiments.results.folders.read_manifest",
             "experiments.results.folders.changed_files",
         ),

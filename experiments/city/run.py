@@ -36,8 +36,8 @@ from placement.setting import check_question
 from ..export.json import to_json, to_json_text
 from ..export.places import placed_records
 from ..figures.axes import to_png
+from ..parts.bill_of_materials import build_bill
 from ..progress import WRITING, StageProgress, follow_parent
-from ..report.bill_of_materials import build_bill
 from ..results.csv_text import csv_text
 from ..results.drives import versions
 from ..results.folders import LAYOUT_FILE, check_folder, sha256, write_files, write_manifest

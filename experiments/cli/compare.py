@@ -6,20 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-from msgspec import UNSET
 
 from placement.compute import Compute
 from placement.question import Question
 
 from ..progress import StageProgress
-from .evaluate import (
-    TOGETHER,
-    additions,
-    apr_lines,
-    baseline_lines,
-    study_cases_lines,
-    written,
-)
 from .options import (
     JUDGED,
     SectionedCommand,
@@ -27,15 +18,10 @@ from .options import (
     option,
     question_options,
 )
-from .running import begin, command_line, print_result
-from .terminal import sentences
+from .running import begin, command_line, print_answer
 
 if TYPE_CHECKING:
     from placement.layout import Layout
-
-    from ..results.baselines import ScoreRecord
-    from ..results.evaluations import PartyAprRecord
-    from ..results.result import Result
 
 
 @click.command(
@@ -95,7 +81,9 @@ def compare(
         command=command_line(),
         progress=progress,
     )
-    print_result(result, progress, as_json, lambda: comparison_text(result, out))
+    from .answers import comparison_parts
+
+    print_answer(result, progress, as_json, lambda: comparison_parts(result, out))
 
 
 def _by_folder(layouts: Sequence["Layout"], files: Sequence[str]) -> list["Layout"]:
@@ -110,34 +98,3 @@ def _by_folder(layouts: Sequence["Layout"], files: Sequence[str]) -> list["Layou
         else layout
         for layout, folder in zip(layouts, folders, strict=True)
     ]
-
-
-def comparison_text(result: "Result", out: Path | None) -> str:
-    """Layouts' results side by side, and the runs in which the first differs from each other."""
-    assert result.compared is not UNSET
-    parties: dict[str, PartyAprRecord | ScoreRecord] = {}
-    for name, evaluation in (
-        (result.name, result.evaluation),
-        *((other.name, other.evaluation) for other in result.compared),
-    ):
-        parties[name] = evaluation.rsu_all
-        parties[f"{name} and VUT"] = evaluation.vut_and_rsus
-    names = ", ".join(other.name for other in result.compared)
-    expert = result.baselines.expert if result.baselines else None
-    if expert is not None:
-        parties["expert rule"] = expert.score
-    lines = [
-        *additions(result),
-        *sentences(f"{result.name} against {names} on {result.runs} runs:"),
-        *apr_lines(parties | {"VUT alone": result.evaluation.vut}),
-        *sentences(f"each layout's units are {TOGETHER}.", indent=2),
-        *baseline_lines(result),
-        *study_cases_lines(result.study_cases),
-        "",
-    ]
-    for other in result.compared:
-        over = f" over {other.name}" if len(result.compared) > 1 else ""
-        for words, runs in (("gained", other.runs_gained), ("lost", other.runs_lost)):
-            head = f"runs {words}{over}:".ljust(len(f"runs gained{over}: "))
-            lines += sentences(", ".join(runs) or "none", head=head, indent=2, hanging=len(head))
-    return "\n".join([*lines, *written(out)])

@@ -55,7 +55,7 @@ class CacheState(msgspec.Struct, frozen=True):
 
 
 class Installation(msgspec.Struct, frozen=True):
-    """What ``--json`` prints; a version is None where a package is not installed.
+    """Content of ``--json``; a version is None where a package is not installed.
 
     Well: everything that is not an extra is there, and the cache can be written.
     """
@@ -96,7 +96,7 @@ def examine(cache_folder: Path) -> Installation:
 
 
 def doctor_text(summary: Installation) -> str:
-    """The same in words, at most 80 columns wide."""
+    """Report in words, at most 80 columns wide."""
     lines = [
         f"place-rsus {summary.version or '(not installed)'}, Python {summary.python}, "
         f"{summary.processors} processors",

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-from msgspec import UNSET
 
 from placement.compute import Compute
 from placement.question import Question
@@ -189,7 +188,7 @@ def _party_lines(parties: "Mapping[str, PartyLatency]") -> list[str]:
 
 
 def _own_latencies(summary: "LatencyResult") -> str:
-    own = {unit.id: unit.latency_s for unit in summary.layout if unit.latency_s is not UNSET}
+    own = {unit.id: unit.latency_s for unit in summary.layout if unit.latency_s is not None}
     if summary.vut_latency_s is not None:
         own["the VUT"] = summary.vut_latency_s
     note = "" if "the VUT" in own else " The VUT's own sensors take as long; see --vut-latency."

@@ -123,7 +123,7 @@ class WordedOption(click.Option):
         return typed
 
     def get_help_extra(self, ctx: click.Context) -> Any:
-        """What the help shows in brackets: the default, but no range."""
+        """Text in brackets in the help: the default, but no range."""
         extra = super().get_help_extra(ctx)
         extra.pop("range", None)
         return extra
@@ -145,7 +145,7 @@ def input_error(where: str, got: object, expected: str) -> Exception:
 
 
 def is_given(name: str) -> bool:
-    """Whether a parameter of the running command stands on the command line."""
+    """A parameter of the running command stands on the command line."""
     source = click.get_current_context().get_parameter_source(name)
     return source is ParameterSource.COMMANDLINE
 
@@ -387,7 +387,7 @@ _verbose_option = option(
     callback=_be_verbose,
     section=PROGRAM,
     is_common=False,
-    help="Also tell sizes, bounds, files that are read, and seconds per stage.",
+    help="Print all of the answer; tell sizes, bounds, files that are read, and seconds too.",
 )
 _debug_option = option(
     "--debug",
@@ -404,7 +404,7 @@ _quiet_option = option(
 
 
 def quiet_option(command: Callable[..., Any]) -> Callable[..., Any]:
-    """How much is told on stderr: ``--quiet`` (the command gets it), ``--verbose``, ``--debug``."""
+    """Options ``--quiet``, which the command gets, ``--verbose`` and ``--debug``."""
     return _quiet_option(_verbose_option(_debug_option(command)))
 
 

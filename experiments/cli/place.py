@@ -1,29 +1,13 @@
 """``place-rsus``: the best layout, proven, evaluated, compared with the study's, reported."""
 
-import math
-from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
-from msgspec import UNSET
 
 from placement.compute import Compute
 from placement.question import Question
 
 from ..progress import StageProgress
-from ..results.numbers import percent
-from .evaluate import (
-    TOGETHER,
-    additions,
-    announced,
-    apr_lines,
-    baseline_lines,
-    cost_lines,
-    failure_lines,
-    study_cases_lines,
-    unit_lines,
-)
 from .options import (
     JUDGED,
     PLANNED,
@@ -35,15 +19,7 @@ from .options import (
     question_options,
 )
 from .recording import check_recording_options, recorded_placement_table, recording_options
-from .running import begin, command_line, print_result
-from .terminal import sentences, table
-
-if TYPE_CHECKING:
-    from ..results.baselines import ScoreRecord
-    from ..results.evaluations import PartyAprRecord
-    from ..results.result import DisagreementRecord, Result
-
-_MAX_DISAGREEMENTS = 5
+from .running import begin, command_line, print_answer, print_result
 
 DEFAULT_OUT = Path("results/latest")
 
@@ -140,10 +116,11 @@ def cli(
         print_result(summary, progress, as_json, lambda: recorded_placement_table(summary, folder))
         return
     question = begin(progress, question, quiet=quiet)
-    from ..report.beside import drawing_beside
+    from ..jobs import READY
+    from ..side_process import side_process
 
     asks_much = not (is_given("cases") or question.speeds or question.approaches)
-    with drawing_beside(asks_much and compute.workers > 1) as beside:  # loads while this one does
+    with side_process(asks_much and compute.workers > 1, **READY) as side:  # loads meanwhile
         from ..jobs import placement
 
         result = placement.run_placement(
@@ -152,99 +129,8 @@ def cli(
             compute=compute,
             command=command_line(),
             progress=progress,
-            beside=beside,
+            side=side,
         )
-    print_result(result, progress, as_json, lambda: placement_text(result, out))
+    from .answers import placement_parts
 
-
-def placement_text(result: "Result", out: Path) -> str:
-    """The main job's result: units, proof, APR of all parties."""
-    evaluation, baseline = result.evaluation, result.baseline
-    assert result.stages is not UNSET
-    assert result.greedy is not UNSET
-    assert result.disagreements is not UNSET
-    stages = [
-        [
-            _label(stage.name, result),
-            _value(stage.name, stage.objective),
-            _value(stage.name, stage.bound),
-            "proven" if stage.gap == 0.0 else _gap(stage.gap),
-        ]
-        for stage in result.stages
-    ]
-    parties: dict[str, PartyAprRecord | ScoreRecord] = {
-        "these, fused": evaluation.rsu_all,
-        "with the VUT": evaluation.vut_and_rsus,
-        "VUT alone": evaluation.vut,
-        "greedy, fused": result.greedy.rsu_all,
-    }
-    if baseline is not None:
-        parties[f"{result.baseline_name} fused"] = baseline.rsu_all
-    expert = result.baselines.expert if result.baselines else None
-    if expert is not None:
-        parties["expert rule, fused"] = expert.score
-    lines = [
-        *additions(result),
-        f"Best {len(result.layout)} of {result.candidates} poses on {result.runs} runs "
-        f"(fusion {result.fusion}):",
-        *unit_lines(result.layout),
-        *cost_lines(result),
-        *sentences(*(result.assumed_prices or ()), indent=2, hanging=2),
-        "",
-        *table(["on the detection table", "found", "bound", "gap"], stages),
-        "",
-        "Evaluated by full perception and emergency braking:",
-        *apr_lines(parties | announced(evaluation)),
-        *sentences(f"{TOGETHER}; greedy: units chosen one by one.", indent=2),
-        *failure_lines(evaluation),
-        *baseline_lines(result),
-        *study_cases_lines(result.study_cases),
-        "",
-        f"Table and evaluator disagree on {percent(result.surrogate_disagreement)} of the runs.",
-        *_disagreements(result.disagreements),
-        f"Written to {out}: report.html and more.",
-    ]
-    return "\n".join(lines)
-
-
-def _seconds(value: float) -> str:
-    return f"{value:.3f} s"
-
-
-_OBJECTIVES: dict[str, tuple[str, Callable[[float], str]]] = {
-    "units": ("units", "{:.0f}".format),
-    "apr_survived": ("if the worst ones fail", percent),
-    "apr": ("accidents prevented", percent),
-    "apr_one_failed": ("if the worst one fails", percent),
-    "smallest_margin_s": ("smallest margin", _seconds),
-    "mean_margin_s": ("mean margin", _seconds),
-    "cost_eur": ("cost, EUR", "{:,.0f}".format),
-}
-
-
-def _label(name: str, result: "Result") -> str:
-    label = _OBJECTIVES[name][0]
-    by_site = result.failing is not UNSET
-    return label.replace("one fails", "pole fails").replace("ones", "poles") if by_site else label
-
-
-def _value(objective: str, value: float | None) -> str:
-    return "open" if value is None else _OBJECTIVES[objective][1](value)
-
-
-def _gap(gap: float | None) -> str:
-    return "open" if gap is None or not math.isfinite(gap) else f"{100.0 * gap:.2f} %"
-
-
-def _disagreements(disagreements: "Sequence[DisagreementRecord]") -> list[str]:
-    """One entry per unit and run that they see differently, the first few."""
-    lines = []
-    for entry in disagreements[:_MAX_DISAGREEMENTS]:
-        verdict = "table avoids" if entry.on_table else "evaluator avoids"
-        lines += sentences(
-            f"{entry.party} in {entry.run_id}: only the {verdict}; {entry.cause}",
-            indent=2,
-            hanging=2,
-        )
-    n_left = len(disagreements) - _MAX_DISAGREEMENTS
-    return lines + ([f"  and {n_left} more in summary.json"] if n_left > 0 else [])
+    print_answer(result, progress, as_json, lambda: placement_parts(result, out))

@@ -3,7 +3,7 @@
 import os
 import shlex
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,9 +11,9 @@ import click
 
 from geometry.private_folders import user_cache_folder
 
+from ..parts import Part
 from ..progress import StageProgress, tell
-from ..results.numbers import several
-from .terminal import sentences
+from .terminal import answer_text
 
 _LEAST_BYTES = 2_000_000_000
 
@@ -22,8 +22,20 @@ if TYPE_CHECKING:
     from placement.question import Question
 
 
+class Session(StageProgress):
+    """The context object of all commands: progress, and the importer of maps.
+
+    The importer is handed in by the program, so that no command depends on all formats of maps. It
+    returns the folder of the scene, and what was imported in words.
+    """
+
+    def __init__(self, import_map: Callable[..., tuple[str, str]]) -> None:
+        super().__init__()
+        self.import_map = import_map
+
+
 def begin(progress: StageProgress, question: "Question", *, quiet: bool) -> "Question":
-    """Show what happens from here on; the question, with a map imported and told of on stderr.
+    """Show what happens from here on; the question, with its map imported.
 
     Raises
     ------
@@ -41,27 +53,11 @@ def begin(progress: StageProgress, question: "Question", *, quiet: bool) -> "Que
 
     if has_scene(Path(question.scene)) and not map_options(question):
         return question
-    from importlib import import_module
-
-    program = import_module("experiments.scene.run")  # a program of its own
-    folder, told = program.import_into_cache(question, cache=cache_folder(), progress=progress)
+    assert isinstance(progress, Session)
+    folder, words = progress.import_map(question, cache=cache_folder(), progress=progress)
     if not quiet:
-        tell(_imported_text(told, folder), err=True)
+        tell(words, err=True)
     return replace(question, scene=folder, junction="", at="", sites="", driving_side="map")
-
-
-def _imported_text(summary: Any, folder: str) -> str:
-    """What a map was cut down to on the way to an answer, and where that lies."""
-    (junction,) = summary.junctions
-    side = "left" if summary.keeps_left else "right"
-    buildings = several(summary.buildings, "building", "buildings")
-    return "\n".join(
-        sentences(
-            f"Imported {junction.name}: {several(junction.arms, 'arm', 'arms')}, "
-            f"{several(summary.sites, 'site', 'sites')}, {buildings}; traffic "
-            f"keeps {side}. The scene is in {folder}."
-        )
-    )
 
 
 def load_one_layout(names: Sequence[str], question: "Question | None" = None) -> "Layout":
@@ -104,6 +100,15 @@ def print_result(
 
     progress.stop()
     tell(to_json_text(result).rstrip() if as_json else text())
+
+
+def print_answer(
+    result: Any, progress: StageProgress, as_json: bool, parts: Callable[[], Iterable[Part]]
+) -> None:
+    """End a command that answers: in short, or with ``--verbose`` all of it."""
+    print_result(
+        result, progress, as_json, lambda: answer_text(parts(), is_verbose=progress.is_verbose)
+    )
 
 
 def cache_folder() -> Path:

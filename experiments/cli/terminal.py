@@ -4,11 +4,16 @@ import re
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from io import StringIO
+from typing import TYPE_CHECKING
 
+from ..parts import Part
 from ..results.numbers import several
 
-WIDTH = 80
-"""Columns of a terminal; nothing is wider."""
+if TYPE_CHECKING:
+    from ..parts.section import Table
+
+WIDTH, SCREEN = 80, 100
+"""Columns of a terminal, and of the screen that an answer fits on."""
 _GAP = 2
 _MOST_REASONS = 5
 _HEAD_WIDTHS, _WIDEST_WORD = (12, 10, 8), 20
@@ -17,7 +22,9 @@ _NUMBER_AND_UNIT = re.compile(
 )
 
 
-def sentences(*texts: str, indent: int = 0, hanging: int = 0, head: str = "") -> list[str]:
+def sentences(
+    *texts: str, indent: int = 0, hanging: int = 0, head: str = "", width: int = WIDTH
+) -> list[str]:
     """Lines of paragraphs; an empty text gives none.
 
     Parameters
@@ -32,7 +39,7 @@ def sentences(*texts: str, indent: int = 0, hanging: int = 0, head: str = "") ->
         for text in texts
         for line in textwrap.wrap(
             _NUMBER_AND_UNIT.sub("\N{NO-BREAK SPACE}", head + text),
-            WIDTH,
+            width,
             initial_indent=" " * indent,
             subsequent_indent=" " * (indent + hanging),
             break_on_hyphens=False,
@@ -40,8 +47,53 @@ def sentences(*texts: str, indent: int = 0, hanging: int = 0, head: str = "") ->
     ]
 
 
+def answer_text(parts: Iterable[Part], *, is_verbose: bool) -> str:
+    """An answer on a screen of 100 columns; with `is_verbose` all of it, 80 columns wide."""
+    width = WIDTH if is_verbose else SCREEN
+    lines: list[str] = []
+    was_plain = True
+    for part in parts:
+        if part and (is_verbose or part.is_short):
+            is_plain = not (part.title or part.table or part.text)
+            lines += [] if (is_plain and was_plain) or not lines else [""]
+            lines += _part_lines(part, width)
+            was_plain = is_plain
+    return "\n".join(lines)
+
+
+def _part_lines(part: Part, width: int) -> list[str]:
+    indent = 2 if part.title else 0
+    return [
+        *sentences(part.title, width=width),
+        *sentences(*part.words, indent=indent, hanging=indent, width=width),
+        *([] if part.table is None else _table_lines(part.table, width)),
+        *sentences(*part.notes, indent=2, hanging=2, width=width),
+        *part.text.splitlines(),
+    ]
+
+
+def _table_lines(shown: "Table", width: int) -> list[str]:
+    """A table of a part: as it is where it fits."""
+    heads = list(shown.columns)
+    rows = [[str(cell) for cell in row] for row in shown.rows]
+    cells = zip(*([heads, *rows]), strict=True)
+    needed = sum(_GAP + max(map(len, column)) for column in cells)
+    has_text = len(heads) > 1 and len(heads) - 1 not in shown.numeric
+    if has_text:
+        last = [row.pop() for row in (heads, *rows)]
+        if needed > width:
+            below = [f"{last[0]} {text}" if text else "" for text in last[1:]]
+            return listing(heads, rows, below, width=width)
+        lines = zip(listing(heads, rows, width=width), last, strict=True)
+        return [f"{line}  {text}".rstrip() for line, text in lines]
+    if needed <= width:
+        return table(heads, rows, width=width)
+    columns = {head: [row[index] for row in rows] for index, head in enumerate(heads) if index}
+    return wide_table(heads[0], [row[0] for row in rows], columns, width=width)
+
+
 def driven_lines(driven: Sequence[str], without_effect: Sequence[str] = ()) -> list[str]:
-    """What is driven of what is possible, first of all; below it the reasons of most runs.
+    """Lines about how many possible runs are driven, with the reasons of most others.
 
     Last what was asked for and changes nothing.
     """
@@ -60,6 +112,7 @@ def table(
     n_left: int = 1,
     indent: int = 2,
     widths: Sequence[int | None] | None = None,
+    width: int = WIDTH,
 ) -> list[str]:
     """Lines of a table.
 
@@ -98,24 +151,28 @@ def table(
             )
         )
     output = StringIO()
-    Console(file=output, width=WIDTH - indent, color_system=None).print(shown)
+    Console(file=output, width=width - indent, color_system=None).print(shown)
     lines = (line.rstrip() for line in output.getvalue().splitlines())
     return [(" " * indent + line).rstrip() for line in lines]
 
 
 def listing(
-    heads: Sequence[str], rows: Sequence[Sequence[str]], below: Sequence[str] = ()
+    heads: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    below: Sequence[str] = (),
+    *,
+    width: int = WIDTH,
 ) -> list[str]:
     """A table in which nothing is cut.
 
     An id that is too long has a line of its own, and `below` stand texts under the rows.
     """
     widths = [max(len(row[column]) for row in (heads, *rows)) for column in range(1, len(heads))]
-    left = WIDTH - 2 - sum(widths) - 2 * len(widths)
+    left = width - 2 - sum(widths) - 2 * len(widths)
     first = min(max(len(row[0]) for row in (heads, *rows)), left)
 
     def line(head: str, cells: Sequence[str]) -> str:
-        ends = (f"  {cell:>{width}}" for cell, width in zip(cells, widths, strict=True))
+        ends = (f"  {cell:>{wide}}" for cell, wide in zip(cells, widths, strict=True))
         return f"  {head:<{first}}{''.join(ends)}".rstrip()
 
     lines = [line(heads[0], heads[1:])]
@@ -124,11 +181,13 @@ def listing(
         lines += [f"  {row[0]}"] if is_long else []
         lines.append(line("" if is_long else row[0], row[1:]))
         if below and below[index]:
-            lines += sentences(below[index], indent=4)
+            lines += sentences(below[index], indent=4, width=width)
     return lines
 
 
-def wide_table(head: str, rows: Sequence[str], columns: Mapping[str, Sequence[str]]) -> list[str]:
+def wide_table(
+    head: str, rows: Sequence[str], columns: Mapping[str, Sequence[str]], *, width: int = WIDTH
+) -> list[str]:
     """Lines of a table with many columns: as many side by side as fit, the others below.
 
     Parameters
@@ -142,17 +201,17 @@ def wide_table(head: str, rows: Sequence[str], columns: Mapping[str, Sequence[st
     """
     first = max(map(len, (head, *rows)))
     # The widest columns among those that need the fewest blocks.
-    blocks = min((_in_blocks(columns, first, widest) for widest in _HEAD_WIDTHS), key=len)
+    blocks = min((_in_blocks(columns, first, widest, width) for widest in _HEAD_WIDTHS), key=len)
     lines: list[str] = []
     for widths in blocks:
         cells = zip(rows, *(columns[name] for name in widths), strict=True)
         lines += [""] if lines else []
-        lines += table([head, *widths], cells, widths=[first, *widths.values()])
+        lines += table([head, *widths], cells, widths=[first, *widths.values()], width=width)
     return lines
 
 
 def _in_blocks(
-    columns: Mapping[str, Sequence[str]], first: int, widest: int
+    columns: Mapping[str, Sequence[str]], first: int, widest: int, most: int
 ) -> list[dict[str, int]]:
     """Widths of the columns that fit side by side, block by block.
 
@@ -165,7 +224,7 @@ def _in_blocks(
         width = max(*map(len, cells), min(longest_word, _WIDEST_WORD), min(len(head), widest))
         if width + _GAP > left:
             blocks.append({})
-            left = WIDTH - 2 - first
+            left = most - 2 - first
         blocks[-1][head] = width
         left -= width + _GAP
     return blocks

@@ -18,7 +18,7 @@ from .formats import ExportFormat
 
 
 def to_json_text(document: object) -> str:
-    r"""JSON of records and plain values; numbers that JSON lacks (NaN, infinite) become null.
+    r"""JSON of values and records; numbers that JSON lacks (NaN, infinite) become null.
 
     Examples
     --------

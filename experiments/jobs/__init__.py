@@ -1,1 +1,19 @@
-"""The work behind each command, from its options to its result."""
+"""Jobs: everything a command needs to be done, from its question to its result."""
+
+from typing import Any
+
+READY: dict[str, Any] = {
+    "modules": (
+        "experiments.parts.page",
+        "placement.explain.other_sensors",
+        "placement.explain.sensitivity",
+        "placement.visibility.projecting",  # the compiler
+        "placement.visibility.spreading",
+        "scipy.integrate",
+        "scipy.optimize",
+        "trimesh",
+    ),
+    "prepare": "placement.compile_ahead:compile_ahead",
+}
+"""What a second process loads while it has nothing to do, as its tasks will need it, and a function
+that compiles what the first process will need, where nothing was compiled yet."""

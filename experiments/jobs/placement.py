@@ -1,14 +1,15 @@
 """Placements, evaluations and comparisons: from a question to a folder of results."""
 
 import logging
-from collections.abc import Mapping, Sequence
-from contextlib import nullcontext
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain, count
 from pathlib import Path
+from typing import Any, TypeVar
 
-from msgspec import UNSET, UnsetType
+from matplotlib.axes import Axes
 from msgspec.structs import replace as replace_fields
 
 from geometry.catalogue import load_cameras
@@ -16,22 +17,26 @@ from geometry.errors import InputError
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
 from placement.cache import cached_value
+from placement.candidates import CandidatePose
 from placement.compute import Compute, silent
 from placement.evaluation import Evaluation, apr
 from placement.evaluator import evaluate_layouts
-from placement.explain import find_pool
+from placement.explain import OtherSensors, Pool, find_pool
 from placement.explain.other_sensors import STAGE as OTHER_SENSORS
 from placement.explain.other_sensors import find_other_sensors
 from placement.explain.sensitivity import STAGE as WHAT_IF
-from placement.explain.sensitivity import find_sensitivity, prepare_sensitivity
-from placement.ground import load_private_ground
+from placement.explain.sensitivity import Sensitivity, find_sensitivity, prepare_sensitivity
+from placement.explain.tolerances import Standing
+from placement.ground import PrivateGround, load_private_ground
 from placement.layout import Layout, check_layout, find_baseline
 from placement.optimiser.front import Front, front_below
 from placement.pipeline import Assembly, Placement, assemble, place
 from placement.prices import assumed_prices
 from placement.question import Question
-from placement.refinement.refine import refine
-from placement.sampling.out_of_sample import STAGE as OUT_OF_SAMPLE
+from placement.refinement.refine import Refinement, refine
+from placement.sampling.out_of_sample import (
+    STAGE as OUT_OF_SAMPLE,
+)
 from placement.sampling.out_of_sample import (
     FreshWorlds,
     judge_layouts,
@@ -41,47 +46,122 @@ from placement.sampling.out_of_sample import (
 from placement.sampling.uncertainty import Uncertainty, load_drawn
 from placement.setting import Setting, build_setting
 
+from ..parts.alternatives import (
+    begin_standing,
+    find_front_runners,
+    find_other_priorities,
+    leading_layouts,
+)
+from ..parts.baselines import build_baselines, compare_layout, compare_placement
+from ..parts.bill_of_materials import BillOfMaterials, build_bill
+from ..parts.comparison import EXPERT, GREEDY
 from ..parts.coverage import coverage_section
 from ..parts.front import describe_front
-from ..parts.sampled_worlds import plot_sampled_apr
-from ..progress import StageProgress
-from ..report.beside import Beside, Part, drawing_beside
-from ..report.bill_of_materials import build_bill
-from ..report.comparison import EXPERT, GREEDY
-from ..report.units import build_plans
-from ..results.baselines import (
-    StudyCasesRecord,
-    build_exchange_records,
-    build_next_unit_record,
+from ..parts.next_unit import build_exchanges
+from ..parts.result import (
+    ComparisonResult,
+    EvaluationResult,
+    PlacementResult,
+    build_comparison_result,
+    build_evaluation_result,
+    build_placement_result,
 )
+from ..parts.sampled_worlds import plot_sampled_apr
+from ..parts.study_cases import StudyCases, on_study_cases
+from ..parts.units import build_plans
+from ..progress import StageProgress
 from ..results.explanations import (
+    ExplainedRecord,
     PrivateGroundRecord,
     build_explained_record,
     build_private_ground_record,
 )
 from ..results.folders import check_result_folder, left_as_it_was
-from ..results.fronts import build_refinement_record
-from ..results.result import (
-    Result,
-    build_comparison_result,
-    build_layout_result,
-    build_placement_result,
-)
-from ..results.sampled_worlds import build_sampled_record
-from .alternatives import (
-    begin_standing,
-    build_recommendation,
-    leading_layouts,
-    other_priorities,
-)
-from .baselines import build_baselines_record, compare_layout, compare_placement
-from .study_cases import on_study_cases
+from ..results.fronts import FrontRecord, build_refinement_record
+from ..results.sampled_worlds import SampledRecord, build_sampled_record
+from ..side_process import SideProcess, Task, side_process
+from . import READY
 from .writing import write_results
 
 _log = logging.getLogger(__name__)
 
 MIN_FRESH_WORLDS = 60
 """Sampled worlds that a layout is judged in, at least: with fewer, intervals say little."""
+
+
+_LARGE_RUNS = 100
+"""With fewer, it takes longer to start a second process than to answer and draw."""
+_WORLDS_TOGETHER = 10
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Job:
+    """Values that all steps of a job need."""
+
+    question: Question
+    scene: Scene
+    setting: Setting
+    compute: Compute
+    progress: StageProgress
+    side: SideProcess
+
+    def on_wait(self, stage: str) -> Callable[[], None]:
+        """Shows the stage that is waited for."""
+        return partial(self.progress, stage, 0, 0)
+
+
+@contextmanager
+def _begin_job(
+    question: Question,
+    scene: Scene,
+    *,
+    setting: Setting | None = None,
+    compute: Compute,
+    progress: StageProgress,
+    side: SideProcess | None = None,
+    is_written: bool = True,
+) -> Iterator[_Job]:
+    """Begin a second process unless `side` has one, if there is much to do."""
+    if setting is None:
+        progress("setting", 0, 0)
+        setting = build_setting(question, scene, compute=compute)
+    is_large = compute.workers > 1 and len(setting.runs) >= _LARGE_RUNS
+    has_process = side is not None and side.exists
+    with side_process(is_written and is_large and not has_process, **READY) as begun:
+        chosen = side if side is not None and has_process else begun
+        chosen.share(setting)
+        yield _Job(
+            question=question,
+            scene=scene,
+            setting=setting,
+            compute=compute,
+            progress=progress,
+            side=chosen,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Found:
+    """The layout that was asked for, and how it was found.
+
+    `on_grid` is the placement before it was refined; `poses` are the rows of its table.
+    """
+
+    plan: Assembly
+    placement: Placement
+    on_grid: Placement
+    refinement: Refinement | None
+    poses: Sequence[CandidatePose]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Begun:
+    """Tasks that either process computes, while the main one goes on."""
+
+    what_if: Task[Sensitivity]
+    standing: Task[Standing] | None
+    other_sensors: Task[OtherSensors | None]
+    fresh: list[Task[FreshWorlds]] = field(default_factory=list)
 
 
 def run_placement(
@@ -91,11 +171,11 @@ def run_placement(
     compute: Compute,
     command: str,
     progress: StageProgress,
-    beside: Beside | None = None,
-) -> Result:
+    side: SideProcess | None = None,
+) -> PlacementResult:
     """Find, prove, evaluate and compare a layout, and write everything to `out`.
 
-    `beside` may have a second process, which was begun while this one was loading.
+    `side` may have a second process, which was begun while this one was loading.
 
     Raises
     ------
@@ -106,187 +186,166 @@ def run_placement(
     scene = load_scene(question.scene)
     progress.kept = left_as_it_was(out)
     plan = assemble(question, scene=scene, compute=compute)
-    setting, uncertainty = plan.setting, plan.uncertainty
-    assert uncertainty is not None
-    with (
-        nullcontext(beside)
-        if beside is not None and beside.has_process
-        else drawing_beside(_is_large(setting, compute))
-    ) as beside:
+    with _begin_job(
+        question, scene, setting=plan.setting, compute=compute, progress=progress, side=side
+    ) as job:
+        found = _find(job, plan)
         study = find_baseline(scene)
-
-        def report(stage: str, done: int, total: int) -> None:
-            cache = compute.cache_folder
-            if stage == "optimise" and cache is not None:
-                if any(cache.glob("table-*")):
-                    progress.kept += "; the detection table is kept for the next call"
-                # While this stage leaves a core idle.
-                beside.begin("other brakes", prepare_sensitivity, setting, compute=compute)
-            progress(stage, done, total)
-
-        placement = place(replace(plan, compute=replace(compute, progress=report)))
-        refinement, on_grid = None, placement
-        if question.refine:
-            refinement = refine(
-                setting,
-                placement,
-                plan.candidates,
-                solver=plan.effort,
-                compute=replace(compute, progress=report),
-            )
-            placement = refinement.placement
-        what_if = beside.begin(
-            WHAT_IF,
-            find_sensitivity,
-            setting,
-            placement.layout,
-            fusion=question.fusion,
-            compute=compute,
+        proposed = compare_placement(found.placement, found.poses, job.setting, seed=compute.seed)
+        layouts = _named_layouts(found.placement, proposed.expert, study)
+        begun = _begin(job, found, [*layouts.values()])
+        pool, explained = _explain(job, found)
+        _begin_pictures(job, found.placement.layout, study)
+        front = _front_below(job, found)
+        by_runs, sturdier = find_other_priorities(
+            found.on_grid, question, plan, compute=compute, progress=progress
         )
-        standing = begin_standing(beside, setting, placement.layout, question, compute)
-        asked = {unit.sensor.name: unit.sensor for unit in plan.candidates}
-        other_sensors = beside.begin(
-            OTHER_SENSORS,
-            find_other_sensors,
-            setting,
-            placement.layout.units,
-            models=[*{**load_cameras(), **asked}.values()],
-            kept=plan.wishes.existing,
-            fusion=question.fusion,
-            may_look=plan.may_look,
-            compute=compute,
+        leading = leading_layouts(found.on_grid, found.placement, found.poses, pool)
+        evaluations, among = _evaluate(job, found.placement, layouts, leading)
+        study_cases = _on_study_cases(job, evaluations)
+        front_runners, mounting, recommended = find_front_runners(
+            among, begun.standing, job.setting, question, compute=compute, progress=progress
         )
-        poses = plan.candidates if refinement is None else refinement.candidates
-        compared = compare_placement(placement, poses, setting, seed=compute.seed)
-        named = {
-            placement.layout.name: placement.layout,
-            GREEDY: placement.greedy,
-            EXPERT: compared.expert,
-            **({} if study is None else {study.name: study}),
-        }
-        layouts = {name: layout for name, layout in named.items() if layout is not None}
-        fresh = _begin_fresh_worlds(
-            beside, question, setting, [*layouts.values()], uncertainty, compute
-        )
-        progress("explain", 0, 0)
-        pool = None
-        if question.pool:
-            pool = find_pool(placement.problem, placement.pose_index, n_sets=question.pool)
-        explained = build_explained_record(placement, setting, poses, pool=pool, compute=compute)
-        subject = placement.layout
-        others = [] if study is None else [study]
-        beside.begin("plans", build_plans, setting, {subject.name: subject}, others)
-        beside.begin("coverage", coverage_section, scene, subject)
-        front = _front_below(placement, plan, compute, progress)
-        priorities = other_priorities(on_grid, question, plan, compute=compute, progress=progress)
-        leading = leading_layouts(on_grid, placement, poses, pool)
-        pooled = [layout for layout in leading if layout is not placement.greedy]
-        judged_all = evaluate_layouts([*layouts.values(), *pooled], setting, compute=compute)
-        verdicts = judged_all[: len(layouts)]
-        evaluations = dict(zip(layouts, verdicts, strict=True))
-        found, greedy = evaluations[placement.layout.name], evaluations[GREEDY]
-        baseline = None if study is None else evaluations[study.name]
-        next_unit = build_next_unit_record(placement, poses)
-        study_cases = _on_study_cases(question, scene, setting, evaluations, compute)
-        by_name = {item.layout.name: item for item in judged_all}
-        recommendation = build_recommendation(
-            [found, *(by_name[layout.name] for layout in leading)],
-            standing,
-            setting,
-            question,
-            compute=compute,
-            progress=progress,
-        )
-        exchanged = other_sensors.result(partial(progress, OTHER_SENSORS, 0, 0))
-        sensitivity = what_if.result(partial(progress, WHAT_IF, 0, 0))
         bill = build_bill(
-            placement.layout,
+            found.placement.layout,
             scene,
             site_cost_eur=question.site_cost_eur,
             kept_ids=plan.wishes.existing,
         )
-        result = build_placement_result(
-            placement, setting, found=found, greedy=greedy, baseline=baseline, compute=compute
-        )
-        result = replace_fields(
-            result,
-            **priorities,
-            **recommendation.fields,
+        result = _result(
+            job,
+            found,
+            evaluations,
+            begun,
+            study=None if study is None else evaluations[study.name],
             explained=explained,
-            sites_eur=UNSET if bill.sites_eur is None else bill.sites_eur,
-            assumed_prices=(
-                bill.assumed
-                if plan.wishes.prices is None
-                else assumed_prices(plan.wishes.prices, scene.sites)
-            ),
-            baselines=build_baselines_record(compared, evaluations.get(EXPERT), setting),
-            next_unit=UNSET if next_unit is None else next_unit,
-            other_sensors=(
-                UNSET if exchanged is None else build_exchange_records(placement.layout, exchanged)
-            ),
+            front=front,
+            by_runs=by_runs,
+            sturdier=sturdier,
+            front_runners=front_runners,
+            mounting=mounting,
             study_cases=study_cases,
-            front=(
-                UNSET
-                if front is None
-                else describe_front(
-                    front, placement.problem, poses, n_kept=len(plan.wishes.existing)
-                )
-            ),
-            sensitivity=sensitivity,
-            private_ground=(
-                UNSET
-                if plan.private_ground is None
-                else build_private_ground_record(placement.layout.units, scene, plan.private_ground)
-            ),
-            refinement=UNSET if refinement is None else build_refinement_record(refinement),
+            baselines=build_baselines(proposed, evaluations.get(EXPERT), job.setting),
+            sites_eur=bill.sites_eur,
+            assumed_prices=bill.assumed
+            if plan.wishes.prices is None
+            else assumed_prices(plan.wishes.prices, scene.sites),
         )
-        sampled_figure = None
-        if fresh:
-            judged = judge_layouts(
-                setting, [*layouts.values()], uncertainty, _look_at_fresh_worlds(fresh, progress)
-            )
-            sampled = build_sampled_record(
-                judged,
-                uncertainty,
-                tail=plan.wishes.tail,
-                seed=compute.seed,
-                planned_apr={item.layout.name: apr(item.rsu_all, item.axis) for item in verdicts},
-                chosen_apr={placement.layout.name: placement.certificate.stages[0].objective},
-                chosen_in=question.samples,
-            )
-            result = replace_fields(result, sampled=sampled)
-            sampled_figure = plot_sampled_apr(judged)
+        result, sampled_figure = _in_fresh_worlds(job, found, result, evaluations, begun.fresh)
         return write_results(
             out,
             result,
-            setting,
+            job.setting,
             evaluations,
             command=command,
             progress=progress,
-            placement=placement,
-            candidates=poses,
-            recommended=recommendation.layout,
+            placement=found.placement,
+            candidates=found.poses,
+            recommended=recommended,
             bill=bill,
             sampled_figure=sampled_figure,
-            beside=beside,
+            side=job.side,
         )
 
 
-_WORLDS_TOGETHER = 10
+def _named_layouts(
+    placement: Placement, expert: Layout | None, study: Layout | None
+) -> dict[str, Layout]:
+    """Layouts to evaluate by display name, the one found first."""
+    layouts = {placement.layout.name: placement.layout, GREEDY: placement.greedy}
+    layouts |= {} if expert is None else {EXPERT: expert}
+    return layouts | ({} if study is None else {study.name: study})
 
 
-def _begin_fresh_worlds(
-    beside: Beside,
-    question: Question,
-    setting: Setting,
-    layouts: Sequence[Layout],
-    uncertainty: Uncertainty,
-    compute: Compute,
-) -> list[Part[FreshWorlds]]:
-    """Layouts in fresh sampled worlds, some of these at a time; nothing if none are asked for."""
+def _result(
+    job: _Job,
+    found: _Found,
+    evaluations: Mapping[str, Evaluation],
+    begun: _Begun,
+    *,
+    study: Evaluation | None,
+    **parts: Any,
+) -> PlacementResult:
+    """All of the result, with what either process has computed meanwhile; `parts` by name."""
+    placement, layout = found.placement, found.placement.layout
+    exchanged = begun.other_sensors.result(job.on_wait(OTHER_SENSORS))
+    sensitivity = begun.what_if.result(job.on_wait(WHAT_IF))
+    return build_placement_result(
+        placement,
+        job.setting,
+        found=evaluations[layout.name],
+        greedy=evaluations[GREEDY],
+        baseline=study,
+        compute=job.compute,
+        sensitivity=sensitivity,
+        next_unit=placement.next_unit,
+        other_sensors=() if exchanged is None else build_exchanges(layout, exchanged),
+        private_ground=_private_ground(layout, job.scene, found.plan.private_ground),
+        refinement=found.refinement and build_refinement_record(found.refinement),
+        **parts,
+    )
+
+
+def _begin_pictures(job: _Job, layout: Layout, study: Layout | None) -> None:
+    """Begin the pictures of the report that need nothing but the layout."""
+    others = [] if study is None else [study]
+    job.side.begin("plans", build_plans, job.setting, {layout.name: layout}, others)
+    job.side.begin("coverage", coverage_section, job.scene, layout)
+
+
+def _find(job: _Job, plan: Assembly) -> _Found:
+    """Solve, and refine if asked to; the optimiser leaves the second process idle."""
+    question, compute, progress = job.question, job.compute, job.progress
+
+    def report(stage: str, done: int, total: int) -> None:
+        cache = compute.cache_folder
+        if stage == "optimise" and cache is not None:
+            if any(cache.glob("table-*")):
+                progress.kept += "; the detection table is cached for the next call"
+            job.side.begin("other brakes", prepare_sensitivity, job.setting, compute=compute)
+        progress(stage, done, total)
+
+    reporting = replace(compute, progress=report)
+    placement = place(replace(plan, compute=reporting))
+    refinement = None
+    if question.refine:
+        refinement = refine(
+            job.setting, placement, plan.candidates, solver=plan.effort, compute=reporting
+        )
+    return _Found(
+        plan=plan,
+        placement=placement if refinement is None else refinement.placement,
+        on_grid=placement,
+        refinement=refinement,
+        poses=plan.candidates if refinement is None else refinement.candidates,
+    )
+
+
+def _begin(job: _Job, found: _Found, layouts: Sequence[Layout]) -> _Begun:
+    """Begin what depends on the layout alone: the longest comes first."""
+    question, setting, compute, plan = job.question, job.setting, job.compute, found.plan
+    layout = found.placement.layout
+    what_if = job.side.begin(
+        WHAT_IF, find_sensitivity, setting, layout, fusion=question.fusion, compute=compute
+    )
+    standing = begin_standing(job.side, setting, layout, question, compute)
+    asked = {unit.sensor.name: unit.sensor for unit in plan.candidates}
+    other_sensors = job.side.begin(
+        OTHER_SENSORS,
+        find_other_sensors,
+        setting,
+        layout.units,
+        models=[*{**load_cameras(), **asked}.values()],
+        kept=plan.wishes.existing,
+        fusion=question.fusion,
+        may_look=plan.may_look,
+        compute=compute,
+    )
     n_worlds = max(question.samples, MIN_FRESH_WORLDS) if question.samples else 0
-    return [
-        beside.begin(
+    uncertainty = plan.uncertainty
+    assert uncertainty is not None  # assemble reads it with every question
+    fresh = [
+        job.side.begin(
             f"fresh worlds from {first}",
             look_at_fresh_worlds,
             setting,
@@ -299,39 +358,88 @@ def _begin_fresh_worlds(
         )
         for first in range(0, n_worlds, _WORLDS_TOGETHER)
     ]
+    return _Begun(what_if=what_if, standing=standing, other_sensors=other_sensors, fresh=fresh)
 
 
-def _look_at_fresh_worlds(
-    parts: Sequence[Part[FreshWorlds]], progress: StageProgress
-) -> list[FreshWorlds]:
-    """What came of them: the second process begins with the first, this one with the last."""
-    found: list[FreshWorlds] = []
-    for done, part in enumerate(reversed(parts)):
-        progress(OUT_OF_SAMPLE, done, len(parts))
-        found.insert(0, part.result())
-    return found
+def _explain(job: _Job, found: _Found) -> tuple[Pool | None, ExplainedRecord]:
+    job.progress("explain", 0, 0)
+    placement, n_sets = found.placement, job.question.pool
+    pool = find_pool(placement.problem, placement.pose_index, n_sets=n_sets) if n_sets else None
+    explained = build_explained_record(
+        placement, job.setting, found.poses, pool=pool, compute=job.compute
+    )
+    return pool, explained
 
 
-_LARGE_RUNS = 100
+def _evaluate(
+    job: _Job, placement: Placement, layouts: Mapping[str, Layout], leading: Sequence[Layout]
+) -> tuple[dict[str, Evaluation], list[Evaluation]]:
+    """Layouts by display name as the evaluator sees them; and those that lead, the one found first.
+
+    Together, for what is seen is the same for all.
+    """
+    pooled = [layout for layout in leading if layout is not placement.greedy]
+    judged = evaluate_layouts([*layouts.values(), *pooled], job.setting, compute=job.compute)
+    evaluations = dict(zip(layouts, judged[: len(layouts)], strict=True))
+    by_name = {item.layout.name: item for item in judged}
+    found = evaluations[placement.layout.name]
+    return evaluations, [found, *(by_name[layout.name] for layout in leading)]
 
 
-def _is_large(setting: Setting, compute: Compute) -> bool:
-    """Whether it takes longer to answer and draw than to start a process that helps to draw."""
-    return compute.workers > 1 and len(setting.runs) >= _LARGE_RUNS
+def _in_fresh_worlds(
+    job: _Job,
+    found: _Found,
+    result: PlacementResult,
+    evaluations: Mapping[str, Evaluation],
+    fresh: Sequence[Task[FreshWorlds]],
+) -> tuple[PlacementResult, Axes | None]:
+    """The result with the layouts in fresh sampled worlds, and their figure; if asked for.
+
+    The second process begins with the first worlds, this one with the last.
+    """
+    if not fresh:
+        return result, None
+    looked: list[FreshWorlds] = []
+    for done, task in enumerate(reversed(fresh)):
+        job.progress(OUT_OF_SAMPLE, done, len(fresh))
+        looked.insert(0, task.result())
+    placement, uncertainty = found.placement, found.plan.uncertainty
+    assert uncertainty is not None  # what the fresh worlds are drawn from
+    layouts = [item.layout for item in evaluations.values()]
+    judged = judge_layouts(job.setting, layouts, uncertainty, looked)
+    sampled = build_sampled_record(
+        judged,
+        uncertainty,
+        tail=found.plan.wishes.tail,
+        seed=job.compute.seed,
+        planned_apr=_planned_apr(evaluations.values()),
+        chosen_apr={placement.layout.name: placement.certificate.stages[0].objective},
+        chosen_in=job.question.samples,
+    )
+    return replace_fields(result, sampled=sampled), plot_sampled_apr(judged)
 
 
-def _front_below(
-    placement: Placement, plan: Assembly, compute: Compute, progress: StageProgress
-) -> Front | None:
+def _planned_apr(evaluations: Iterable[Evaluation]) -> dict[str, float]:
+    return {item.layout.name: apr(item.rsu_all, item.axis) for item in evaluations}
+
+
+def _private_ground(
+    layout: Layout, scene: Scene, private: PrivateGround | None
+) -> PrivateGroundRecord | None:
+    return None if private is None else build_private_ground_record(layout.units, scene, private)
+
+
+def _front_below(job: _Job, found: _Found) -> FrontRecord | None:
     """The best layout of each smaller size, too; None where the best was not what was asked."""
+    placement, plan, progress = found.placement, found.plan, job.progress
     problem, chosen = placement.problem, placement.pose_index
     if problem.goal != "best" or problem.survive:
         return None
     n_kept = len(plan.wishes.existing)
     if len(chosen) > max(n_kept, 1):
         progress("fewer units", 0, 0)
-    return cached_value(
-        compute.cache_folder,
+    front = cached_value(
+        job.compute.cache_folder,
         "front",
         lambda: front_below(
             problem,
@@ -346,28 +454,22 @@ def _front_below(
         made_from=(problem, chosen, placement.certificate, n_kept, plan.effort),
         is_worth_it=lambda front: front.is_proven,
     )
+    return describe_front(front, problem, found.poses, n_kept=n_kept)
 
 
-def _on_study_cases(
-    question: Question,
-    scene: Scene,
-    setting: Setting,
-    evaluations: Mapping[str, Evaluation],
-    compute: Compute,
-) -> StudyCasesRecord | UnsetType:
-    """The layouts on the study's cases; UNSET where these are asked about, or no arm has them."""
+def _on_study_cases(job: _Job, evaluations: Mapping[str, Evaluation]) -> StudyCases | None:
+    """The layouts on the study's cases; None where these are asked about, or no arm has them."""
     try:
-        record = on_study_cases(
-            question,
-            setting,
+        return on_study_cases(
+            job.question,
+            job.setting,
             evaluations,
-            build=lambda other: build_setting(other, scene, compute=compute),
-            compute=compute,
+            build=lambda other: build_setting(other, job.scene, compute=job.compute),
+            compute=job.compute,
         )
     except InputError as error:  # the words of the question are known to be right
         _log.info("the study's cases: %s", error)
-        return UNSET
-    return record or UNSET
+        return None
 
 
 def run_evaluation(
@@ -379,23 +481,35 @@ def run_evaluation(
     compute: Compute,
     command: str,
     progress: StageProgress,
-) -> Result:
+) -> EvaluationResult:
     """Evaluate a layout, and write a report if asked to.
 
     Raises
     ------
     InputError
-        A unit hangs underground or inside something, or `out` cannot be written.
+        A unit is mounted underground or inside something, or `out` cannot be written.
     """
-    return run_comparison(
-        question,
-        layouts=[layout],
-        no_look=no_look,
-        out=out,
-        compute=compute,
-        command=command,
-        progress=progress,
-    )
+    scene = load_scene(question.scene)
+    _check_out(out, progress)
+    with _begin_job(
+        question, scene, compute=compute, progress=progress, is_written=out is not None
+    ) as job:
+        (layout,) = _with_distinct_names([layout])
+        check_layout(layout, job.setting.scene)
+        private = load_private_ground(Path(no_look), job.setting.scene) if no_look else None
+        what_if = job.side.begin(WHAT_IF, find_sensitivity, job.setting, layout, compute=compute)
+        (evaluation,) = evaluate_layouts([layout], job.setting, compute=compute)
+        bill = build_bill(layout, scene, site_cost_eur=question.site_cost_eur)
+        evaluations = {layout.name: evaluation}
+        result = build_evaluation_result(
+            job.setting,
+            evaluation,
+            private_ground=_private_ground(layout, job.setting.scene, private),
+            sites_eur=bill.sites_eur,
+            assumed_prices=bill.assumed,
+            study_cases=None if out is None else _on_study_cases(job, evaluations),
+        )
+        return _finish(job, result, evaluations, what_if, bill, out=out, command=command)
 
 
 def run_comparison(
@@ -409,8 +523,8 @@ def run_comparison(
     compute: Compute,
     command: str,
     progress: StageProgress,
-) -> Result:
-    """Compare layouts on the same runs, or evaluate a single one; write a report if asked to.
+) -> ComparisonResult:
+    """Compare two layouts or more on the same runs; write a report if asked to.
 
     With samples, they are compared in so many sampled worlds, too: the same ones for all, so that
     differences have an interval.
@@ -418,86 +532,101 @@ def run_comparison(
     Raises
     ------
     InputError
-        A unit hangs underground or inside something, or `out` cannot be written.
+        A unit is mounted underground or inside something, or `out` cannot be written.
     """
     scene = load_scene(question.scene)
     drawn = load_drawn(replace(question, uncertainty=uncertainty), scene, n_samples=samples)
+    _check_out(out, progress)
+    with _begin_job(
+        question, scene, compute=compute, progress=progress, is_written=out is not None
+    ) as job:
+        setting = job.setting
+        layouts = _with_distinct_names(layouts)
+        for layout in layouts:
+            check_layout(layout, setting.scene)
+        private = load_private_ground(Path(no_look), setting.scene) if no_look else None
+        what_if = job.side.begin(WHAT_IF, find_sensitivity, setting, layouts[0], compute=compute)
+        proposed = compare_layout(layouts[0], setting, compute=compute)
+        everyone = layouts
+        if proposed is not None and proposed.expert is not None:
+            everyone = _with_distinct_names([*layouts, proposed.expert])
+        judged = evaluate_layouts(everyone, setting, compute=compute)
+        names = [layout.name for layout in layouts]
+        evaluations = dict(zip([*names, EXPERT], judged, strict=False))
+        sampled, figure = None, None
+        if samples:
+            sampled, figure = _in_worlds(job, everyone, judged, drawn, samples)
+        bill = build_bill(layouts[0], scene, site_cost_eur=question.site_cost_eur)
+        seen = [_private_ground(layout, setting.scene, private) for layout in layouts]
+        result = build_comparison_result(
+            setting,
+            judged[0],
+            judged[1 : len(layouts)],
+            of_others=seen[1:],
+            private_ground=seen[0],
+            sites_eur=bill.sites_eur,
+            assumed_prices=bill.assumed,
+            study_cases=_on_study_cases(job, evaluations),
+            baselines=proposed and build_baselines(proposed, evaluations.get(EXPERT), setting),
+            sampled=sampled,
+        )
+        return _finish(
+            job, result, evaluations, what_if, bill, out=out, command=command, figure=figure
+        )
+
+
+_R = TypeVar("_R", EvaluationResult, ComparisonResult)
+
+
+def _check_out(out: Path | None, progress: StageProgress) -> None:
     if out is not None:
         check_result_folder(out)
         progress.kept = left_as_it_was(out)
-    progress("setting", 0, 0)
-    setting = build_setting(question, scene, compute=compute)
-    layouts = _with_distinct_names(layouts)
-    for layout in layouts:
-        check_layout(layout, setting.scene)
-    with drawing_beside(out is not None and _is_large(setting, compute)) as beside:
-        what_if = beside.begin(WHAT_IF, find_sensitivity, setting, layouts[0], compute=compute)
-        private = load_private_ground(Path(no_look), setting.scene) if no_look else None
-        is_comparison = len(layouts) > 1
-        compared = compare_layout(layouts[0], setting, compute=compute) if is_comparison else None
-        if compared is not None and compared.expert is not None:
-            everyone = _with_distinct_names([*layouts, compared.expert])
-        else:
-            everyone = layouts
-        judged_all = evaluate_layouts(everyone, setting, compute=compute)
-        verdicts, of_expert = judged_all[: len(layouts)], judged_all[len(layouts) :]
-        seen: list[PrivateGroundRecord | UnsetType] = [
-            UNSET
-            if private is None
-            else build_private_ground_record(layout.units, setting.scene, private)
-            for layout in layouts
-        ]
-        bill = build_bill(layouts[0], scene, site_cost_eur=question.site_cost_eur)
-        if len(verdicts) == 1:
-            result = build_layout_result(setting, verdicts[0])
-        else:
-            result = build_comparison_result(
-                setting, verdicts[0], verdicts[1:], private_ground=seen[1:]
-            )
-        evaluations = {verdict.layout.name: verdict for verdict in verdicts}
-        evaluations |= dict(zip((EXPERT,), of_expert, strict=False))
-        result = replace_fields(
-            result,
-            sites_eur=UNSET if bill.sites_eur is None else bill.sites_eur,
-            assumed_prices=bill.assumed,
-            private_ground=seen[0],
-            baselines=UNSET
-            if compared is None
-            else build_baselines_record(compared, evaluations.get(EXPERT), setting),
-            study_cases=_on_study_cases(question, scene, setting, evaluations, compute)
-            if is_comparison or out is not None
-            else UNSET,
-        )
-        sampled_figure = None
-        if samples:
-            judged = out_of_sample_layouts(
-                setting,
-                everyone,
-                drawn,
-                n_samples=samples,
-                compute=compute,
-            )
-            planned = {item.layout.name: apr(item.rsu_all, item.axis) for item in judged_all}
-            sampled = build_sampled_record(
-                judged, drawn, tail=1.0, seed=compute.seed, planned_apr=planned
-            )
-            result = replace_fields(result, sampled=sampled)
-            sampled_figure = plot_sampled_apr(judged)
-        if out is None:
-            return replace_fields(result, seconds=progress.finish())
-        sensitivity = what_if.result(partial(progress, WHAT_IF, 0, 0))
-        result = replace_fields(result, sensitivity=sensitivity)
-        return write_results(
-            out,
-            result,
-            setting,
-            evaluations,
-            command=command,
-            progress=progress,
-            bill=bill,
-            sampled_figure=sampled_figure,
-            beside=beside,
-        )
+
+
+def _finish(
+    job: _Job,
+    result: _R,
+    evaluations: Mapping[str, Evaluation],
+    what_if: Task[Sensitivity],
+    bill: BillOfMaterials,
+    *,
+    out: Path | None,
+    command: str,
+    figure: Axes | None = None,
+) -> _R:
+    """The result with its seconds; in a folder, if asked for, with what wrong assumptions do."""
+    if out is None:
+        return replace_fields(result, seconds=job.progress.finish())
+    sensitivity = what_if.result(job.on_wait(WHAT_IF))
+    return write_results(
+        out,
+        replace_fields(result, sensitivity=sensitivity),
+        job.setting,
+        evaluations,
+        command=command,
+        progress=job.progress,
+        bill=bill,
+        sampled_figure=figure,
+        side=job.side,
+    )
+
+
+def _in_worlds(
+    job: _Job,
+    layouts: Sequence[Layout],
+    judged: Sequence[Evaluation],
+    drawn: Uncertainty,
+    samples: int,
+) -> tuple[SampledRecord, Axes]:
+    """Layouts in the same sampled worlds, and their figure; `judged` are they as planned."""
+    found = out_of_sample_layouts(
+        job.setting, layouts, drawn, n_samples=samples, compute=job.compute
+    )
+    record = build_sampled_record(
+        found, drawn, tail=1.0, seed=job.compute.seed, planned_apr=_planned_apr(judged)
+    )
+    return record, plot_sampled_apr(found)
 
 
 def _with_distinct_names(layouts: Sequence[Layout]) -> list[Layout]:

@@ -1,32 +1,83 @@
-"""``place-rsus verify``: check a folder of results without the optimiser."""
+"""Verification of a folder of results without the optimiser.
 
+The certificate is checked, and what it and the problem say is compared with every other file that
+says it, too. What cannot be compared with anything is named.
+"""
+
+import csv
+import io
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
+import numpy as np
+
+from geometry.arrays import BoolArray
 from geometry.errors import InputError, Unquoted
-from geometry.files import read_text
+from geometry.files import read_bytes, read_text
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
 from geometry.study_scene import STUDY, load_study_scene
 from placement.layout import Layout, layout_records, load_layout
-from placement.verification.certificates import CERTIFICATE_FILE, load_certificate
+from placement.optimiser import Failing, Objective, PlacementProblem, PresolveStatistics
+from placement.verification.certificates import (
+    CERTIFICATE_FILE,
+    StoredCertificate,
+    load_certificate,
+)
 from placement.verification.instances import INSTANCE_FILE, Mounts, load_stored_problem, scene_hash
+from placement.verification.recomputation import stage_values
 from placement.verification.verify import verify_certificate
 
+from ..export.csv import to_csv
+from ..export.geojson import to_geojson
+from ..parts import bill_of_materials
+from ..parts.comparison import GREEDY
+from ..parts.reading import StoredResult, check_schema, load_result
 from ..progress import StageProgress
-from ..results.folders import LAYOUT_FILE, MARKER
+from ..results.csv_text import plain_cell
+from ..results.folders import (
+    APR_FILE,
+    LAYOUT_FILE,
+    MANIFEST,
+    MARKER,
+    RUNS_FILE,
+    changed_files,
+    read_manifest,
+)
+from ..results.record import to_plain
 from ..results.solutions import CheckRecord, VerificationResult, VerifiedStageRecord
+from ..results.tables import ALL
 
 if TYPE_CHECKING:
-    from .folder_checks import FolderChecks
+    import pandas as pd
+
+_ONE_FAILED = Objective.APR_ONE_FAILED
+_TOLERANCE = 1.0e-9
+_COMPARED = {LAYOUT_FILE, MARKER, RUNS_FILE, APR_FILE, "certificate.json", "instance.npz"}
+_CSV, _GEOJSON = "layout.csv", "layout.geojson"
+_EXPECTED = (_CSV, bill_of_materials.FILE_NAME, "report.html")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FolderChecks:
+    """Comparisons that were made, and those that could not be."""
+
+    checks: list[CheckRecord] = field(default_factory=list)
+    not_checked: list[str] = field(default_factory=list)
+
+    def add(self, name: str, wrong: str, right: str) -> None:
+        """A check: what is wrong in words, or nothing; and what to say if all is right."""
+        self.checks.append(CheckRecord(name=name, passed=not wrong, detail=wrong or right))
 
 
 def run_verification(
     folder: Path, *, scene: str = "", progress: StageProgress
 ) -> VerificationResult:
-    """Check a result folder: certificate, instance and layout, and every other file beside them.
+    """Check a result folder: certificate, instance and layout, and every other file.
 
     Parameters
     ----------
@@ -35,15 +86,13 @@ def run_verification(
     scene : str
         Where the scene is that it was made in; empty: the study's junction, if it says so.
     progress : StageProgress
-        Is told the stages.
+        Shows the stages.
 
     Raises
     ------
     InputError
         There is no such folder, or a file in it is missing, damaged or no such file at all.
     """
-    from .folder_checks import FolderChecks, check_folder_files  # loads pandas
-
     if not folder.is_dir():
         raise InputError(str(folder), Unquoted("no folder"), "a folder with results")
     progress("read", 0, 0)
@@ -62,16 +111,16 @@ def run_verification(
         on_stage=lambda stage: progress(stage, 0, 0),
     )
     progress("compare files", 0, 0)
-    beside = FolderChecks()
-    known = _check_scene(scene, mounts, layout, problem.table.pose_ids, beside)
+    checks = FolderChecks()
+    known = _check_scene(scene, mounts, layout, problem.table.pose_ids, checks)
     files = check_folder_files(folder, stored, problem, layout, summary, known)
     proofs = {proof.name: proof._asdict() for proof in found.proofs}
     return VerificationResult(
         folder=str(folder),
-        is_verified=found.passed and all(check.passed for check in (*beside.checks, *files.checks)),
+        is_verified=found.passed and all(check.passed for check in (*checks.checks, *files.checks)),
         checks=(
             *(CheckRecord(**check._asdict()) for check in found.checks),
-            *(*beside.checks, *files.checks),
+            *(*checks.checks, *files.checks),
         ),
         stages=tuple(
             VerifiedStageRecord(
@@ -91,7 +140,7 @@ def run_verification(
                 for proof in found.proofs
                 if proof.claims_optimum and proof.reason == stored.solver
             ),
-            *(*beside.not_checked, *files.not_checked),
+            *(*checks.not_checked, *files.not_checked),
         ),
         seconds=progress.finish(),
     )
@@ -106,7 +155,7 @@ def _load_layout(folder: Path, summary: Mapping[str, Any] | None) -> Layout | No
 
 
 def _load_summary(path: Path) -> Mapping[str, Any] | None:
-    """What the summary says; None if there is none."""
+    """The summary as plain values; None if there is none."""
     if not path.exists():
         return None
     text = read_text(path, "JSON")
@@ -118,6 +167,8 @@ def _load_summary(path: Path) -> Mapping[str, Any] | None:
         raise InputError(str(path), Unquoted(error), "JSON in UTF-8") from None
     if not isinstance(summary, dict):
         raise InputError(str(path), Unquoted("no object"), "a summary")
+    if "recording" not in summary:
+        check_schema(summary, str(path))
     return summary
 
 
@@ -134,7 +185,7 @@ def _check_scene(
     mounts: Mounts | None,
     layout: Layout | None,
     pose_ids: tuple[str, ...],
-    found: "FolderChecks",
+    found: FolderChecks,
 ) -> Scene | None:
     """Compare the scene that is said with the one at hand; returns it if it is the same one."""
     if mounts is None:
@@ -167,3 +218,350 @@ def _check_scene(
     astray = mounts.misnamed(pose_ids, feet)
     found.add("scene as it stands", astray, f"SHA-256 {digest[:16]}.., and poses are at its sites")
     return scene
+
+
+def check_folder_files(
+    folder: Path,
+    stored: StoredCertificate,
+    problem: PlacementProblem,
+    layout: Layout | None,
+    summary: Mapping[str, Any] | None,
+    scene: Scene | None,
+) -> FolderChecks:
+    """Compare all files of a folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Of a placement.
+    stored, problem : StoredCertificate, PlacementProblem
+        Its certificate, and what that is about.
+    layout : Layout, optional
+        Its ``layout.json``; a recording has none.
+    summary : mapping, optional
+        Its ``summary.json``, if it has one.
+    scene : Scene, optional
+        What it was made in, if that is known to be the one.
+
+    Returns
+    -------
+    found : FolderChecks
+        Every check, and what there is nothing to compare with.
+
+    Raises
+    ------
+    InputError
+        ``SHA256SUMS`` is no such list, or a file cannot be read.
+    """
+    found = FolderChecks()
+    others = _check_manifest(folder, found)
+    if summary is None:
+        found.not_checked.append(f"what the optimisation said: there is no {MARKER}")
+    else:
+        _check_summary(summary, stored, problem, layout, found)
+    if layout is not None:
+        result = _load(folder, found)
+        if result is not None:
+            _check_runs(result.runs, problem, found)
+            _check_ratios(result, found)
+        missing = [name for name in _EXPECTED if name not in others]
+        if missing:
+            found.not_checked.append(f"{', '.join(missing)}: not there")
+        others -= _check_exports(folder, layout, scene, others, found)
+    others -= _COMPARED
+    if others:
+        found.not_checked.append(f"what {', '.join(sorted(others))} say")
+    found.not_checked.append(
+        f"who has made the folder: whoever changes files together with {MANIFEST} and all that "
+        "agrees with them is not found out"
+    )
+    return found
+
+
+def _check_manifest(folder: Path, found: FolderChecks) -> set[str]:
+    """Every file against its hash; returns the names of the files that are there."""
+    listed = read_manifest(folder)
+    changes = changed_files(folder)
+    names = {name for name in (listed or changes) if changes.get(name) != "missing"}
+    if not (folder / MANIFEST).exists():
+        found.not_checked.append(f"whether files were changed or lost: there is no {MANIFEST}")
+        return names
+    for name, change in changes.items():
+        found.add(f"file {name}", f"{change}, says {MANIFEST}", "")
+    if not changes:
+        found.add("files", "", f"{len(listed)} files, each as {MANIFEST} lists it")
+    return names | set(changes) - {name for name, change in changes.items() if change == "missing"}
+
+
+# ---------- summary.json
+
+
+def _check_summary(
+    summary: Mapping[str, Any],
+    stored: StoredCertificate,
+    problem: PlacementProblem,
+    layout: Layout | None,
+    found: FolderChecks,
+) -> None:
+    """Compare the summary with certificate, problem and layout."""
+    values = {stage.name: stage for stage in stored.stages}
+    samples = problem.sample_index
+    n_samples = 1 if samples is None else int(samples.max()) + 1
+    expected: dict[str, Any] = {
+        "layout": [dict(unit) for unit in stored.units],
+        "fusion": problem.fusion,
+        "candidates": problem.table.n_poses,
+        "solver": stored.solver,
+        "versions": dict(stored.versions),
+        "stages": [
+            {
+                "name": stage.name,
+                "objective": stage.objective,
+                "bound": stage.bound,
+                "gap": stage.gap if math.isfinite(stage.gap) else None,
+                "seconds": stage.seconds,
+            }
+            for stage in stored.stages
+        ],
+    }
+    if layout is not None:
+        expected |= {
+            "name": layout.name,
+            "goal": problem.goal,
+            "budget": problem.limits.budget_units,
+            "runs": problem.table.axis.n_runs // n_samples,
+            "cost_eur": sum(unit.sensor.price_eur for unit in layout.units),
+            "presolve": str(PresolveStatistics(**stored.presolve)),
+        }
+    for key, stage, what in (
+        ("apr", "apr", "objective"),
+        ("bound", "apr", "bound"),
+        ("gap", "apr", "gap"),
+        ("spent_eur", "cost_eur", "objective"),
+    ):
+        if stage in values and summary.get(key) is not None:
+            expected[key] = getattr(values[stage], what)
+    chosen = np.array([stored.pose_index])
+    for failing in get_args(Failing):
+        key, limits = f"apr_without_worst_{failing}", replace(problem.limits, failing=failing)
+        if "apr" in values and summary.get(key) is not None:
+            (left,) = stage_values(replace(problem, limits=limits), _ONE_FAILED, chosen)
+            expected[key] = float(left)
+    # What a summary tells of units beyond the layout file, such as where they are in words.
+    keys = [set(unit) for unit in stored.units]
+    told = dict(summary)
+    if isinstance(told.get("layout"), list) and len(told["layout"]) == len(keys):
+        told["layout"] = [
+            {key: unit[key] for key in unit if key in known} if isinstance(unit, dict) else unit
+            for unit, known in zip(told["layout"], keys, strict=True)
+        ]
+    wrong = [key for key, value in expected.items() if not _agree(told.get(key), value)]
+    for key in wrong:
+        got = summary.get(key, Unquoted("nothing"))
+        words = "another" if isinstance(expected[key], list | dict) else f"{got}, not"
+        known = "" if isinstance(expected[key], list | dict) else f" {expected[key]}"
+        found.add(f"{MARKER}: {key}", f"{words}{known} as the certificate has it", "")
+    if not wrong:
+        found.add(MARKER, "", f"{', '.join(expected)}: as the certificate has them")
+    found.not_checked.append(
+        "solver, presolved sizes, versions of programs and seconds: certificate.json and "
+        f"{MARKER} agree, but nothing else tells"
+    )
+    evaluated = {"evaluation", "baseline", "greedy", "schema"} if layout is not None else {"schema"}
+    rest = [key for key in summary if key not in {*expected, *evaluated} and summary[key]]
+    if rest:
+        found.not_checked.append(f"in {MARKER}: {', '.join(rest)}")
+
+
+def _agree(got: object, expected: object) -> bool:
+    """Two plain values are equal; numbers up to rounding, an infinite one is None."""
+    if isinstance(expected, Mapping):
+        if not isinstance(got, Mapping):
+            return False
+        return got.keys() == expected.keys() and all(_agree(got[k], expected[k]) for k in expected)
+    if isinstance(expected, list):
+        if not isinstance(got, list) or len(got) != len(expected):
+            return False
+        return all(_agree(one, other) for one, other in zip(got, expected, strict=True))
+    if isinstance(expected, float):
+        if not math.isfinite(expected):
+            return got is None
+        is_number = isinstance(got, int | float) and not isinstance(got, bool)
+        return is_number and abs(got - expected) <= _TOLERANCE * max(1.0, abs(expected))  # type: ignore[operator]
+    return type(got) is type(expected) and got == expected
+
+
+# ---------- tables
+
+
+def _load(folder: Path, found: FolderChecks) -> StoredResult | None:
+    try:
+        return load_result(folder)
+    except InputError as error:
+        found.add("tables", str(error).replace(f"{folder}/", ""), "")
+        return None
+
+
+def _check_runs(runs: "pd.DataFrame", problem: PlacementProblem, found: FolderChecks) -> None:
+    """Runs of the evaluator are those of the problem."""
+    if problem.sample_index is not None:
+        found.not_checked.append(f"runs in {RUNS_FILE}: the problem has those of sampled worlds")
+        return
+    axis = problem.table.axis
+    row_of = {name: row for row, name in enumerate(axis.run_ids)}
+    unknown = [name for name in runs["run"].unique() if name not in row_of]
+    if unknown or len(row_of) != runs["run"].nunique():
+        found.add(
+            RUNS_FILE, f"{unknown[0] if unknown else 'a run'} is not one of the problem's", ""
+        )
+        return
+    rows = runs["run"].map(row_of).to_numpy()
+    last_s = np.where(np.isfinite(axis.last_brake_time_s), axis.last_brake_time_s, np.nan)
+    columns: dict[str, Any] = {
+        "case": axis.cases,
+        "approach": axis.approaches,
+        "position": axis.positions,
+        "weather": axis.weathers,
+        "vut_speed_kmh": axis.vut_speed_kmh,
+        "weight": axis.weight,
+        "last_brake_time_s": last_s,
+    }
+    wrong = []
+    for name, values in columns.items():
+        got, expected = runs[name].to_numpy(), np.asarray(values)[rows]
+        if expected.dtype.kind == "f":
+            same = np.isclose(got.astype(float), expected, rtol=0.0, atol=1e-12, equal_nan=True)
+        else:
+            same = got == expected
+        wrong += [] if same.all() else [name]
+    text = f"another {', '.join(wrong)} than the problem has" if wrong else ""
+    found.add(RUNS_FILE, text, f"{axis.n_runs} runs and their weights, as in the problem")
+    found.not_checked.append(
+        f"detections, confirmations, margins and outcomes in {RUNS_FILE}: `place-rsus evaluate "
+        f"--layout {LAYOUT_FILE}` makes them anew"
+    )
+
+
+def _check_ratios(result: StoredResult, found: FolderChecks) -> None:
+    """Ratios in ``apr.csv`` and in the summary follow from the outcomes of the runs."""
+    outcomes = {
+        key: _Outcomes.of(table)
+        for key, table in result.runs.groupby(["layout", "party"], sort=False)
+    }
+    wrong = ""
+    for row in result.apr.to_dict("records"):
+        group = [str(row[name]) for name in _GROUPS]
+        ratio, n_runs, n_avoided = outcomes[row["layout"], row["party"]].in_group(group)
+        got = None if math.isnan(row["apr"]) else float(row["apr"])
+        if not _agree(got, ratio) or (n_runs, n_avoided) != (row["n_runs"], row["n_avoided"]):
+            words = ", ".join([row["layout"], row["party"], *(one for one in group if one != ALL)])
+            wrong = f"{words}: {got}, not {ratio}"
+            break
+    found.add(APR_FILE, wrong, f"{len(result.apr)} ratios follow from {RUNS_FILE}")
+    summary = to_plain(result.summary)
+    told = {summary["name"]: summary["evaluation"]}
+    told |= {other["name"]: other["evaluation"] for other in summary.get("compared") or ()}
+    if summary.get("baseline"):
+        told[summary["baseline"]["name"]] = summary["baseline"]["evaluation"]
+    if summary.get("greedy"):
+        told[GREEDY] = summary["greedy"]["evaluation"]
+    wrong = ""
+    for name, evaluation in told.items():
+        parties = {
+            key: evaluation[key]
+            for key in ("vut", "rsu_all", "vut_and_rsus", "vam", "all_sources")
+            if evaluation.get(key)
+        } | evaluation["units"]
+        for party, ratios in parties.items():
+            if (name, party) not in outcomes:
+                wrong = wrong or f"{name}, {party}: no runs of it in {RUNS_FILE}"
+                continue
+            of_party = outcomes[name, party]
+            groups = {("case", ALL): ratios["all"]}
+            for key in ("case", "position"):
+                told_by = ratios.get(f"by_{key}") or {}
+                groups |= {(key, word): ratio for word, ratio in told_by.items()}
+            for (key, word), ratio in groups.items():
+                group = [word if column == key else ALL for column in _GROUPS]
+                expected, _, _ = of_party.in_group(group)
+                if not _agree(ratio, expected):
+                    wrong = wrong or f"{name}, {party}, {word}: {ratio}, not {expected}"
+    found.add(f"{MARKER}: ratios", wrong, f"of {', '.join(told)}: they follow from {RUNS_FILE}")
+
+
+_GROUPS = ("case", "approach", "position", "weather", "vut_speed_kmh")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Outcomes:
+    """Runs of one party of one layout."""
+
+    words: tuple[Any, ...]  # by _GROUPS: arrays of texts
+    weight: Any
+    is_avoided: BoolArray
+
+    @classmethod
+    def of(cls, table: "pd.DataFrame") -> "_Outcomes":
+        speeds = [f"{speed:g}" for speed in table["vut_speed_kmh"]]
+        columns = [table[name].astype(str).to_numpy() for name in _GROUPS[:-1]]
+        return cls(
+            words=(*columns, np.array(speeds)),
+            weight=table["weight"].to_numpy(dtype=float),
+            is_avoided=table["is_avoided"].to_numpy(dtype=bool),
+        )
+
+    def in_group(self, group: Sequence[str]) -> tuple[float | None, int, int]:
+        """Ratio, runs and avoided ones of a group of words; no ratio without weight."""
+        mask = np.ones(len(self.weight), dtype=bool)
+        for words, word in zip(self.words, group, strict=True):
+            if word != ALL:
+                mask &= words == word
+        total = float(self.weight[mask].sum())
+        avoided = mask & self.is_avoided
+        ratio = float(self.weight[avoided].sum()) / total if total > 0.0 else None
+        return ratio, int(mask.sum()), int(avoided.sum())
+
+
+# ---------- the layout in other formats
+
+
+def _check_exports(
+    folder: Path, layout: Layout, scene: Scene | None, names: set[str], found: FolderChecks
+) -> set[str]:
+    """Other files with the layout say what ``layout.json`` says; returns those compared."""
+    compared = set()
+    if _CSV in names:
+        text = read_bytes(folder / _CSV).decode(errors="replace")
+        if scene is not None:
+            wrong = "" if text == to_csv(layout, scene) else f"another layout than {LAYOUT_FILE}"
+        else:
+            wrong = _csv_difference(text, layout)
+        found.add(_CSV, wrong, f"the units of {LAYOUT_FILE}")
+        compared.add(_CSV)
+    if _GEOJSON in names and scene is not None and scene.crs:
+        text = read_bytes(folder / _GEOJSON).decode(errors="replace")
+        same = text == to_geojson(layout, scene.crs, scene)
+        wrong = "" if same else f"another layout than {LAYOUT_FILE}"
+        found.add(_GEOJSON, wrong, f"the units of {LAYOUT_FILE}")
+        compared.add(_GEOJSON)
+    return compared
+
+
+def _csv_difference(text: str, layout: Layout) -> str:
+    """Differences of a table of units from a layout; places in a map are not compared."""
+    rows = list(csv.DictReader(io.StringIO(text)))
+    records = layout_records(layout)
+    if len(rows) != len(records):
+        return f"{len(rows)} units, not {len(records)}"
+    for row, record in zip(rows, records, strict=True):
+        for key, value in record.items():
+            got = plain_cell(row.get(key, ""))
+            same = got == value
+            if isinstance(value, float):
+                try:
+                    same = abs(float(got) - value) <= _TOLERANCE
+                except (TypeError, ValueError):
+                    same = False
+            if not same:
+                return f"{record['id']}: {key} {got}, not {value}"
+    return ""

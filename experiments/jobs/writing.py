@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import msgspec
 from matplotlib.axes import Axes
@@ -22,11 +23,11 @@ from placement.verification.instances import build_mounts
 from ..export.csv import to_csv
 from ..export.geojson import to_geojson
 from ..export.json import to_json, to_json_text
+from ..parts import bill_of_materials
+from ..parts.bill_of_materials import BillOfMaterials, bill_of_materials_csv, build_bill
+from ..parts.page import begin_tasks, write_report
+from ..parts.result import Result
 from ..progress import WRITING, StageProgress
-from ..report import bill_of_materials
-from ..report.beside import Beside
-from ..report.bill_of_materials import BillOfMaterials, bill_of_materials_csv, build_bill
-from ..report.page import begin_parts, write_report
 from ..results.csv_text import csv_text
 from ..results.folders import (
     APR_FILE,
@@ -36,13 +37,15 @@ from ..results.folders import (
     RUNS_FILE,
     new_result_folder,
 )
-from ..results.result import Result
 from ..results.tables import apr_table, runs_table
+from ..side_process import SideProcess
+
+_R = TypeVar("_R", bound=Result)
 
 
 def write_results(
     folder: Path,
-    result: Result,
+    result: _R,
     setting: Setting,
     evaluations: Mapping[str, Evaluation],
     *,
@@ -53,46 +56,24 @@ def write_results(
     recommended: Layout | None = None,
     bill: BillOfMaterials | None = None,
     sampled_figure: Axes | None = None,
-    beside: Beside | None = None,
-) -> Result:
+    side: SideProcess | None = None,
+) -> _R:
     """Fill a result folder; returns the result with its "seconds", all stages but the writing.
 
-    Parameters
-    ----------
-    folder : Path
-        Replaced as a whole, or left as it was.
-    result : Result
-        Of the first layout.
-    setting : Setting
-        What the layouts were judged in.
-    evaluations : mapping of str to Evaluation
-        By display name; the first one is the subject.
-    command : str
-        Command line that makes the result again.
-    progress : StageProgress
-        Told what is on disk in the end.
-    placement : Placement, optional
-        Where the subject was found: its certificate is written, too.
-    candidates : sequence of CandidatePose
-        The rows of the table in which it was found.
-    recommended : Layout, optional
-        What the evaluator prefers to the subject.
-    bill : BillOfMaterials, optional
-        Of the subject, where more is known of its costs than the scene tells.
-    sampled_figure : Axes, optional
-        Of the APR in sampled worlds.
-    beside : Beside, optional
-        A second process that helps to draw.
+    `folder` is replaced as a whole, or left as it was. The first of the evaluations, by display
+    name, is the subject. Where a placement found it, its certificate is written, too: `candidates`
+    are the rows of its table. `recommended` is what the evaluator prefers to the subject, `bill`
+    knows more of its costs than the scene, and `command` makes the result again.
 
     Raises
     ------
     InputError
-        Something cannot be written: names the folder where the answer is kept all the same.
+        Something cannot be written: names the folder where the answer is all the same.
     """
     progress(WRITING, 0, 0)
     result = msgspec.structs.replace(result, seconds=progress.seconds.copy())
-    if beside is not None:
-        begin_parts(beside, result, setting, evaluations)  # drawn while other files are written
+    if side is not None:
+        begin_tasks(side, result, setting, evaluations)  # drawn while other files are written
     subject = next(iter(evaluations.values()))
     layout = replace(subject.layout, scene_name=setting.scene.name)
     # The answer comes first: it is kept if anything that follows cannot be written.
@@ -104,25 +85,14 @@ def write_results(
     if recommended is not None:
         recommended = replace(recommended, scene_name=setting.scene.name)
         answer[RECOMMENDED_FILE] = to_json(recommended)
-    with _kept_elsewhere(folder, answer), new_result_folder(folder) as new:
+    with _saved_elsewhere(folder, answer), new_result_folder(folder) as new:
         for name, text in answer.items():
             write_atomically(new / name, text)
         if setting.scene.crs:  # else nobody knows where on earth it lies
             geojson = to_geojson(layout, setting.scene.crs, setting.scene)
             write_atomically(new / "layout.geojson", geojson)
         if placement is not None:
-            mounts = build_mounts(setting.scene, candidates)
-            document = build_certificate(
-                placement.problem,
-                placement.certificate,
-                pose_index=placement.pose_index,
-                units=layout_records(subject.layout),
-                presolve=placement.presolve,
-                seconds=placement.seconds,
-                versions=result.versions,
-                mounts=mounts,
-            )
-            save_certificate(new, document, placement.problem, mounts)
+            _write_certificate(new, placement, candidates, layout, setting, result)
         bill = bill or build_bill(layout, setting.scene)
         write_atomically(new / bill_of_materials.FILE_NAME, bill_of_materials_csv(bill))
         write_atomically(new / APR_FILE, csv_text(apr_table(evaluations)))
@@ -135,7 +105,7 @@ def write_results(
             command=command,
             sampled_figure=sampled_figure,
             bill=bill,
-            beside=beside,
+            side=side,
         )
         result = msgspec.structs.replace(result, seconds=progress.finish())
         write_atomically(new / MARKER, to_json_text(result))
@@ -143,8 +113,30 @@ def write_results(
     return result
 
 
+def _write_certificate(
+    folder: Path,
+    placement: Placement,
+    candidates: Sequence[CandidatePose],
+    layout: Layout,
+    setting: Setting,
+    result: Result,
+) -> None:
+    mounts = build_mounts(setting.scene, candidates)
+    document = build_certificate(
+        placement.problem,
+        placement.certificate,
+        pose_index=placement.pose_index,
+        units=layout_records(layout),
+        presolve=placement.presolve,
+        seconds=placement.seconds,
+        versions=result.versions,
+        mounts=mounts,
+    )
+    save_certificate(folder, document, placement.problem, mounts)
+
+
 @contextmanager
-def _kept_elsewhere(folder: Path, answer: Mapping[str, str]) -> Iterator[None]:
+def _saved_elsewhere(folder: Path, answer: Mapping[str, str]) -> Iterator[None]:
     """Keep the answer among the system's temporary files if its folder cannot take even that."""
     try:
         yield

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Part:
-    """A part of an answer, as a terminal prints it: heading, sentences, then a table.
+    """A part of an answer, as a terminal prints it.
 
     Attributes
     ----------
@@ -32,16 +32,23 @@ class Part:
     words : sequence of str
         Sentences, a paragraph each.
     table : Table, optional
-        Columns that are not numeric begin on the left.
+        Where it is too wide and its last column is text, that stands below each row; else columns
+        that do not fit stand in a further table below.
+    notes : sequence of str
+        Sentences below the table.
+    text : str
+        Further lines as they are.
     is_short : bool
-        Whether the part is printed without ``--verbose``, too.
+        Printed without ``--verbose``, too.
     """
 
     title: str = ""
     words: Sequence[str] = ()
     table: "Table | None" = None
+    notes: Sequence[str] = ()
+    text: str = ""
     is_short: bool = False
 
     def __bool__(self) -> bool:
-        """Whether there is anything to print."""
-        return bool(self.words or self.table)
+        """There is something to print."""
+        return bool(self.words or self.table or self.notes or self.text)

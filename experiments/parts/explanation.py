@@ -3,8 +3,6 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
-from msgspec import UnsetType
-
 from placement.explain import Reason, Unavoided
 from placement.optimiser.objectives import Objective
 
@@ -278,7 +276,7 @@ def site_table(pool: PoolRecord) -> Table:
 
 
 def explanation_sections(
-    explained: ExplainedRecord | UnsetType | None, labels: Mapping[str, str]
+    explained: ExplainedRecord | None, labels: Mapping[str, str]
 ) -> list[Section]:
     """Why these poses, what they miss, what else would do; none where nothing was optimised.
 

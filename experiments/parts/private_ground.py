@@ -2,11 +2,8 @@
 
 from collections.abc import Mapping
 
-from msgspec import UnsetType
-
 from ..results.explanations import PrivateGroundRecord
 from ..results.numbers import percent
-from ..results.result import Result
 from .section import Block, Section, Table
 
 
@@ -25,17 +22,15 @@ def private_ground_sentence(found: PrivateGroundRecord) -> str:
     return f"Of private ground, {'; '.join(seen)}."
 
 
-def private_ground_sentences(result: Result) -> list[str]:
-    """Sentences on a result; one for each layout where several are compared."""
-    if not result.private_ground:
+def private_ground_sentences(
+    found: PrivateGroundRecord | None, others: Mapping[str, PrivateGroundRecord | None]
+) -> list[str]:
+    """The same of a result; `others` are those of layouts compared with it, by name."""
+    if found is None:
         return []
     return [
-        private_ground_sentence(result.private_ground),
-        *(
-            f"{other.name}: {private_ground_sentence(other.private_ground)}"
-            for other in result.compared or ()
-            if other.private_ground
-        ),
+        private_ground_sentence(found),
+        *(f"{name}: {private_ground_sentence(other)}" for name, other in others.items() if other),
     ]
 
 
@@ -48,7 +43,7 @@ _MAX_NAMED = 6  # pairs of unit and area in a sentence
 
 
 def private_ground_section(
-    found: PrivateGroundRecord | UnsetType, labels: Mapping[str, str]
+    found: PrivateGroundRecord | None, labels: Mapping[str, str]
 ) -> Section | None:
     """Shares of private ground that units see, the most seen areas first; None without any.
 

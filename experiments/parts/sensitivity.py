@@ -3,7 +3,6 @@
 from operator import attrgetter
 
 from matplotlib.axes import Axes
-from msgspec import UnsetType
 
 from geometry.errors import InputError
 from placement.explain.sensitivity import Sensitivity, Varied, VariedAssumption, Worth
@@ -318,8 +317,8 @@ def reason_rows(found: Sensitivity) -> list[list[str]]:
     ]
 
 
-def sensitivity_section(found: Sensitivity | UnsetType | None) -> Section | None:
-    """The layout if an assumption is wrong; None where nothing was varied."""
+def sensitivity_section(found: Sensitivity | None) -> Section | None:
+    """What becomes of the layout if an assumption is wrong; None where nothing was varied."""
     if not found:
         return None
     blocks: list[Block] = [" ".join(sensitivity_sentences(found))]

@@ -18,9 +18,9 @@ from placement.setting import Setting
 
 from ..export.json import to_json_text
 from ..figures.axes import describe_run
+from ..parts.bill_of_materials import build_bill
 from ..parts.player import plan_record, svg_path, unit_records
 from ..parts.view_3d import to_base64
-from ..report.bill_of_materials import build_bill
 from ..results.evaluations import build_evaluation_record
 from ..results.numbers import euros, finite_or_none, percent
 from .plan import SCHEMA, Background, History, PlanState

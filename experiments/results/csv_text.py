@@ -41,7 +41,7 @@ def plain_cell(cell: Any) -> Any:
 
 
 def _is_like_formula(cell: Any) -> bool:
-    """Whether a text begins as formulas do; also one that has such an apostrophe already."""
+    """A text begins as formulas do; also one that has such an apostrophe already."""
     if not isinstance(cell, str) or len(cell) == 1:
         return False
     first = unicodedata.normalize("NFKC", cell.lstrip("'")[:1])  # also as wide as in Japanese

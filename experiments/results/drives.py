@@ -20,7 +20,7 @@ _RAY_PACKAGES = {"open3d": ("open3d-cpu", "open3d"), "embree": ("embreex",)}
 
 
 class RefusalRecord(Record, frozen=True, kw_only=True):
-    """What the scene has no room for."""
+    """A case that the scene has no room for."""
 
     case: Annotated[str, says("Name of the case.")]
     approach: Annotated[str, says("Arm from which the vehicle would come.")]
@@ -37,19 +37,35 @@ class RefusalRecord(Record, frozen=True, kw_only=True):
 
 
 class DrivesRecord(Record, frozen=True, kw_only=True):
-    """What was driven, and what perceived it: fields of every result."""
+    """Runs that were driven, and how they were perceived: fields of every result."""
 
-    cases: tuple[str, ...]
-    weathers: tuple[str, ...]
-    detector: str
-    vut_sensors: tuple[str, ...]
-    packet_loss: Share
-    vam_rate: Share
-    track_memory_s: float | None
-    not_driven: tuple[RefusalRecord, ...]
-    possible_runs: int
-    driven: tuple[str, ...]
-    without_effect: tuple[str, ...] = ()
+    cases: Annotated[tuple[str, ...], says("Names of the cases that were driven.")]
+    weathers: Annotated[tuple[str, ...], says("Weathers that were driven in.")]
+    detector: Annotated[str, says("What detects: name.")]
+    vut_sensors: Annotated[tuple[str, ...], says("Sensors of the vehicle under test.")]
+    packet_loss: Annotated[Share, says("Share of the units' messages that get lost.")]
+    vam_rate: Annotated[Share, says("Share of the road users that announce themselves.")]
+    track_memory_s: Annotated[
+        float | None,
+        says("How long a confirmed track lives without detections, in seconds; null: for ever."),
+    ]
+    not_driven: Annotated[
+        tuple[RefusalRecord, ...], says("What was asked for and has no room in the scene.")
+    ]
+    possible_runs: Annotated[
+        int,
+        says("These, and the runs that the junction has the roads for, but not the room.", ge=1),
+    ]
+    driven: Annotated[
+        tuple[str, ...],
+        says(
+            "How many of the possible runs are driven, what is missing, and why, in sentences; "
+            "empty where nothing is."
+        ),
+    ]
+    without_effect: Annotated[
+        tuple[str, ...], says("What was asked for and changes nothing, in sentences.")
+    ] = ()
 
 
 def build_drives_record(setting: Setting) -> DrivesRecord:
@@ -83,7 +99,7 @@ _FARTHEST_M = 300.0  # from there no camera of the catalogue sees a road user 40
 
 
 def _without_effect(setting: Setting) -> Iterator[str]:
-    """What was asked for and changes nothing: light, for a detector that knows none."""
+    """Wishes that change nothing: light, for a detector that knows none."""
     detector = setting.detector
     weathers = [name for name in dict.fromkeys(setting.axis.weathers) if name != "day"]
     if not weathers or not isinstance(detector, GeometricDetector):

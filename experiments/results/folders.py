@@ -65,7 +65,7 @@ def read_manifest(folder: Path) -> dict[str, str]:
 
 
 def changed_files(folder: Path) -> dict[str, str]:
-    """What is not as ``SHA256SUMS`` lists it: "missing", "changed" or "not listed", by file name.
+    """Files that are not as ``SHA256SUMS`` lists them: "missing", "changed" or "not listed".
 
     Raises
     ------
@@ -92,7 +92,7 @@ def sha256(path: Path) -> str:
 
 
 def _files(folder: Path) -> dict[str, Path]:
-    """What a folder and those below it hold, by relative name; empty folders count as well."""
+    """Files in a folder and those below it, by relative name; empty folders count as well."""
     return {
         path.relative_to(folder).as_posix(): path
         for path in sorted(folder.rglob("*"))
@@ -154,7 +154,7 @@ def new_result_folder(folder: Path) -> Iterator[Path]:
     ------
     temporary : Path
         Write here. If the block raises, `folder` stays as it was. What was written so far is kept
-        beside it if ``summary.json`` is among it, unless the user ends the program.
+        next to it if ``summary.json`` is among it, unless the user ends the program.
 
     Raises
     ------
@@ -273,7 +273,7 @@ def _exchange(first: Path, second: Path) -> bool:
 
 
 def _free_name(folder: Path, word: str) -> Path:
-    """A name beside a folder that nothing has yet: ``latest.unfinished``."""
+    """A free name next to a folder: ``latest.unfinished``."""
     stem = folder.name[:200]  # names have 255 bytes at most
     names = [f"{stem}.{word}", *(f"{stem}.{word}-{number}" for number in range(2, 1000))]
     return next(path for name in names if not (path := folder.with_name(name)).exists())
@@ -289,7 +289,7 @@ def remove_abandoned(parent: Path) -> None:
 
 
 def left_as_it_was(folder: Path) -> str:
-    """What is on disk as long as nothing has been written, in words."""
+    """State of the disk before anything is written, in words."""
     if (folder / MARKER).exists():
         return f"the earlier results in {folder} are unchanged"
     return f"nothing was written to {folder}"

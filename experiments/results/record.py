@@ -5,7 +5,7 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import msgspec
 import numpy as np
-from msgspec import UNSET, Meta, UnsetType
+from msgspec import Meta
 from msgspec.structs import replace
 
 from geometry.notes import assumed_sites
@@ -15,12 +15,12 @@ from placement.layout import Certificate, Layout, layout_records
 
 
 class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A part of a result. Each field says what it is; fields that are UNSET are not written.
+    """A part of a result. Each field says what it is; UNSET ones are not written.
 
     Attributes
     ----------
     schema_rules : mapping
-        What the JSON schema says of the keys beside their types, such as "oneOf".
+        Rules of the JSON schema about several keys, such as "oneOf".
     """
 
     schema_rules: ClassVar[dict[str, object]] = {}
@@ -85,7 +85,7 @@ def _plain_number(value: object) -> object:
     raise TypeError(f"{type(value).__name__}: no plain value")
 
 
-class UnitRecord(Record, frozen=True, kw_only=True):
+class UnitRecord(Record, frozen=True, kw_only=True, omit_defaults=True):
     """A mounted sensor, as in layout.json. World frame: x east, y north, z up, 0 on the road."""
 
     schema_rules: ClassVar[dict[str, object]] = {
@@ -98,47 +98,30 @@ class UnitRecord(Record, frozen=True, kw_only=True):
     z_m: Annotated[float, says("Above the road (of a slope: in the junction's middle), in metres.")]
     yaw_deg: Annotated[float, says("Counter-clockwise from east, in degrees.")]
     pitch_deg: Annotated[float, says("Positive up, in degrees.", ge=-90, le=90)]
-    camera: (
-        Annotated[str, says("Model of the catalogue or of layout.json; either this or lidar.")]
-        | UnsetType
-    ) = UNSET
-    lidar: (
-        Annotated[str, says("Model of the catalogue or of layout.json; either this or camera.")]
-        | UnsetType
-    ) = UNSET
-    fov_deg: (
-        Annotated[
-            float,
-            says(
-                "Horizontal field of view to which a varifocal lens is set, in degrees; missing: "
-                "as in the catalogue."
-            ),
-        ]
-        | UnsetType
-    ) = UNSET
-    latency_s: (
-        Annotated[float, says("Of this unit, in seconds; missing: that of the rule.", ge=0)]
-        | UnsetType
-    ) = UNSET
-    kind: Annotated[str, says("Of the site: lamp post, kerb and so on.")] | UnsetType = UNSET
-    place: (
-        Annotated[str, says("In words: corner, or arm and street; empty: unknown.")] | UnsetType
-    ) = UNSET
-    assumed: (
-        Annotated[str, says("What is assumed of the site; missing: the map has it where it is.")]
-        | UnsetType
-    ) = UNSET
-
-
-class NoteRecord(Record, frozen=True, kw_only=True):
-    """Something that the map leaves open, and what was assumed."""
-
-    kind: Annotated[str, says("What it is about: junction, sites, buildings and so on.")]
-    what: Annotated[str, says("What is assumed, or of which things.")]
-    why: Annotated[str, says("In words.")]
-    site_ids: Annotated[
-        tuple[str, ...], says("Sites that the map does not have, or not where they are.")
-    ] = ()
+    camera: Annotated[
+        str | None, says("Model of the catalogue or of layout.json; either this or lidar.")
+    ] = None
+    lidar: Annotated[
+        str | None, says("Model of the catalogue or of layout.json; either this or camera.")
+    ] = None
+    fov_deg: Annotated[
+        float | None,
+        says(
+            "Horizontal field of view to which a varifocal lens is set, in degrees; missing: as in "
+            "the catalogue."
+        ),
+    ] = None
+    latency_s: Annotated[
+        Annotated[float, Meta(ge=0)] | None,
+        says("Of this unit, in seconds; missing: that of the rule."),
+    ] = None
+    kind: Annotated[str | None, says("Of the site: lamp post, kerb and so on.")] = None
+    place: Annotated[str | None, says("In words: corner, or arm and street; empty: unknown.")] = (
+        None
+    )
+    assumed: Annotated[
+        str | None, says("What is assumed of the site; missing: the map has it where it is.")
+    ] = None
 
 
 class StageRecord(Record, frozen=True, kw_only=True):
@@ -170,9 +153,9 @@ def build_unit_records(layout: Layout, scene: Scene | None = None) -> tuple[Unit
     return tuple(
         replace(
             record,
-            kind=kinds.get(record.site, UNSET),
+            kind=kinds.get(record.site),
             place=place,
-            assumed=assumed.get(record.site, UNSET),
+            assumed=assumed.get(record.site),
         )
         for record, place in zip(records, places, strict=True)
     )
@@ -184,7 +167,7 @@ def build_stage_records(certificate: Certificate) -> tuple[StageRecord, ...]:
 
 
 class LayoutValueRecord(Record, frozen=True, kw_only=True):
-    """What units are worth on the detection table."""
+    """Value of units on the detection table."""
 
     apr: Annotated[Share, says("APR on the detection table.")]
     apr_one_failed: Annotated[Share, says("APR if the unit that is needed most fails.")]

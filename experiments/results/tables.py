@@ -63,7 +63,7 @@ def apr_table(evaluations: Mapping[str, Evaluation]) -> "pd.DataFrame":
     table : DataFrame
         Columns layout, party, case, approach, position, weather, vut_speed_kmh, apr, n_runs,
         n_avoided. "all" stands for every case, approach, position, weather or speed; a single
-        position, weather or speed has no rows of its own. Speeds are told of all approaches,
+        position, weather or speed has no rows of its own. Speeds are those of all approaches,
         positions and weathers together, positions of all weathers and speeds, either of all
         approaches or of all cases together. The ratio is missing where none of the runs has weight.
     """

@@ -3,9 +3,9 @@
 ``contributions`` takes one or two units away, ``next_unit`` adds one, ``other_sensors`` exchanges
 them; ``unavoided`` says why runs are not avoided, ``agreement`` where detection table and evaluator
 differ, ``sensitivity`` what wrong assumptions do, ``tolerances`` what mounting errors do. ``pool``
-lists other sets that are as good, ``alternatives`` those that other priorities would choose, and
-``front_runners`` picks one of several by the evaluator. ``conflicts`` finds the smallest set of
-demands that no layout meets, with the search of ``feasible_sets``.
+lists other sets that are as good, ``alternatives`` those that other priorities would choose, of
+which it picks one by the evaluator. ``conflicts`` finds the smallest set of
+``demands`` that no layout meets, with the search of ``feasible_sets``.
 """
 
 from .conflicts import (

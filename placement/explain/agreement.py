@@ -25,13 +25,27 @@ FUSED = "all, fused"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Disagreement:
-    """A run that one calls avoided, and the other does not."""
+    """A run that either detection table or evaluator calls avoided.
 
-    party: str  # id of a unit, or ``FUSED``
-    run_id: str  # which run
-    on_table: bool  # whether the detection table calls it avoided; the evaluator says the opposite
-    n_frames: int  # frames of the run before its last brake time in which they differ
-    cause: str  # what the evaluator sees in the first of them
+    Attributes
+    ----------
+    party : str
+        Id of a unit by itself, or "all, fused".
+    run_id : str
+        Which run.
+    on_table : bool
+        The detection table calls it avoided, and the evaluator does not; false: the opposite.
+    n_frames : int
+        Frames before the last moment to brake in which they differ.
+    cause : str
+        How the evaluator sees the road user in the first of them, in words.
+    """
+
+    party: str
+    run_id: str
+    on_table: bool
+    n_frames: int
+    cause: str
 
 
 def find_disagreements(
@@ -65,7 +79,7 @@ def find_disagreements(
 def _find_disagreements(
     setting: Setting, detected: BoolArray, evaluation: Evaluation
 ) -> tuple[Disagreement, ...]:
-    """The same, found anew; `detected`, (n_units, n_frames), is what the table says."""
+    """Compare anew; `detected`, (n_units, n_frames), are rows of the table."""
     units = evaluation.layout.units
     on_table = dict(zip((unit.id for unit in units), detected, strict=True))
     found: list[Disagreement] = []

@@ -1,65 +1,81 @@
-"""Layouts that other priorities choose: every run alike, or what is left when a unit fails."""
+"""Layouts that other priorities choose, and which of those that lead the evaluator prefers."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
+from scenarios.aeb import AebRule
+from scenarios.weights import weight_share
+
 from ..cache import cached_value
+from ..evaluation import Evaluation, apr_one_failed
+from ..layout import Layout
 from ..optimiser import (
     Effort,
     PlacementProblem,
-    PlacementValue,
     Solution,
     placement_value,
     presolve,
     run_margins_s,
     solve_placement,
 )
+from ..optimiser.problem import Fusion
 from ..optimiser.solve import is_large
 from ..optimiser.tolerances import TOLERANCE
 
 STAGE = "other priorities"
 TIME_LIMIT_S = 10.0
-"""Most time for each alternative: it is told of in passing."""
+"""Most time for each alternative: it is mentioned in passing."""
+
+
+LEAST_KEPT, MOST_GIVEN_UP = 0.05, 0.03
+"""A sturdier layout is offered where it keeps at least so much more for less APR than this."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ByRuns:
-    """A layout, and the best one if every run counted the same.
+    """The best layout if every run counted the same, on the detection table.
 
     Attributes
     ----------
-    pose_index : tuple of int
-        Rows of the table that avoid the most runs, as far as was found.
-    n_avoided, n_avoided_here : int
-        Runs that these avoid, and the layout itself, on the table.
+    units : tuple of str
+        Ids of the candidate poses that avoid the most runs, as far as was found.
+    runs_avoided : int
+        Runs that it avoids.
+    runs_avoided_here : int
+        Runs that the layout found avoids, before it was refined.
     is_proven : bool
-        Whether no set avoids more than `n_avoided`.
+        No layout is proven to avoid more.
     """
 
-    pose_index: tuple[int, ...]
-    n_avoided: int
-    n_avoided_here: int
+    units: tuple[str, ...]
+    runs_avoided: int
+    runs_avoided_here: int
     is_proven: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sturdier:
-    """The layout of which the most is left when any one unit fails.
+    """The layout that keeps the most when any one unit fails, on the detection table.
 
     Attributes
     ----------
-    pose_index : tuple of int
-        Rows of the table.
-    value, value_here : PlacementValue
-        What these are worth, and the layout itself.
+    units : tuple of str
+        Ids of the candidate poses.
+    apr, apr_one_failed : float
+        Its APR, and that when the unit that is needed most fails.
+    apr_here, apr_one_failed_here : float
+        Those of the layout found, before it was refined.
     """
 
-    pose_index: tuple[int, ...]
-    value: PlacementValue
-    value_here: PlacementValue
+    units: tuple[str, ...]
+    apr: float
+    apr_one_failed: float
+    apr_here: float
+    apr_one_failed_here: float
 
 
 def find_by_runs(
@@ -84,10 +100,11 @@ def find_by_runs(
         int(np.isfinite(run_margins_s(problem, rows)).sum())
         for rows in (pose_index, found.pose_index)
     )
+    rows = found.pose_index if there > here else pose_index
     return ByRuns(
-        pose_index=found.pose_index if there > here else tuple(pose_index),
-        n_avoided=max(here, there),
-        n_avoided_here=here,
+        units=_ids(problem, rows),
+        runs_avoided=max(here, there),
+        runs_avoided_here=here,
         is_proven=found.certificate.is_proven,
     )
 
@@ -101,21 +118,31 @@ def find_sturdier(
 ) -> Sturdier | None:
     """The layout that the APR that is left when a unit fails would choose, before all else.
 
-    None as for :func:`find_by_runs`, and of a single unit.
+    None as for :func:`find_by_runs`, of a single unit, and where it costs much or keeps little.
     """
     if not _is_plain(problem) or len(pose_index) < 2:
         return None
     survives = replace(problem, survive=1)
     found = _solve("sturdier", survives, pose_index, effort, cache_folder, n_stages=2)
+    there, here = (placement_value(problem, rows) for rows in (found.pose_index, pose_index))
+    kept, given_up = there.apr_one_failed - here.apr_one_failed, here.apr - there.apr
+    if given_up >= MOST_GIVEN_UP or kept < LEAST_KEPT:
+        return None
     return Sturdier(
-        pose_index=found.pose_index,
-        value=placement_value(problem, found.pose_index),
-        value_here=placement_value(problem, pose_index),
+        units=_ids(problem, found.pose_index),
+        apr=there.apr,
+        apr_one_failed=there.apr_one_failed,
+        apr_here=here.apr,
+        apr_one_failed_here=here.apr_one_failed,
     )
 
 
+def _ids(problem: PlacementProblem, rows: Sequence[int]) -> tuple[str, ...]:
+    return tuple(problem.table.pose_ids[row] for row in rows)
+
+
 def _is_plain(problem: PlacementProblem) -> bool:
-    """Whether the highest APR is asked for, in the world as planned, of a table of usual size."""
+    """The highest APR is asked for, in the world as planned, of a table of usual size."""
     is_best = problem.goal == "best" and problem.survive == 0
     return is_best and problem.sample_index is None and not is_large(problem)
 
@@ -142,3 +169,73 @@ def _solve(
         made_from=(problem, effort, rows, n_stages),
         is_worth_it=lambda solution: solution.certificate.is_proven,
     )
+
+
+# ---------- front-runners, by the evaluator
+
+EQUAL_APR = 0.001
+"""Front-runners whose shares differ by no more are equal: results print a tenth of a point."""
+
+Deciding = Literal["apr", "apr_one_failed", "mounting", "order"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrontRunner:
+    """A layout that leads on the detection table, by the evaluator.
+
+    Attributes
+    ----------
+    layout : Layout
+        Its units.
+    apr, apr_one_failed : float
+        All units together, and when the most needed one fails; 0 for a single unit. 0..1
+    """
+
+    layout: Layout
+    apr: float
+    apr_one_failed: float
+
+
+def build_front_runner(evaluation: Evaluation, rule: AebRule, *, fusion: Fusion) -> FrontRunner:
+    """A layout as the evaluator sees it, under the fusion that it was chosen with."""
+    axis = evaluation.axis
+    if fusion == "any":
+        apr = weight_share(evaluation.rsu_all.is_avoided, axis.weight)
+        return FrontRunner(
+            layout=evaluation.layout, apr=apr, apr_one_failed=apr_one_failed(evaluation, rule)
+        )
+    alone = np.array([unit.is_avoided for unit in evaluation.units.values()])
+    left = [np.delete(alone, unit, axis=0).any(axis=0) for unit in range(len(alone))]
+    return FrontRunner(
+        layout=evaluation.layout,
+        apr=weight_share(alone.any(axis=0), axis.weight),
+        apr_one_failed=min(weight_share(mask, axis.weight) for mask in left),
+    )
+
+
+def recommend(
+    runners: Sequence[FrontRunner], mounted_wrongly: Callable[[int], float]
+) -> tuple[int, Deciding]:
+    """Number of the front-runner to recommend, and what the first one was passed over for.
+
+    In this order: APR; APR when the most needed unit fails; APR that a usual error of mounting
+    leaves, which `mounted_wrongly` gives by number, asked only for those that are equal so far.
+    Differences up to ``EQUAL_APR`` are none. Of equals the first is recommended: "order".
+    """
+    left = list(range(len(runners)))
+    keys: tuple[tuple[Deciding, Callable[[int], float]], ...] = (
+        ("apr", lambda number: runners[number].apr),
+        ("apr_one_failed", lambda number: runners[number].apr_one_failed),
+        ("mounting", mounted_wrongly),
+    )
+    deciding: Deciding = "order"
+    for name, key in keys:
+        if len(left) == 1:
+            break
+        values = {number: key(number) for number in left}
+        most = max(values.values())
+        had_first = 0 in left
+        left = [number for number in left if values[number] >= most - EQUAL_APR]
+        if had_first and 0 not in left:
+            deciding = name
+    return left[0], deciding

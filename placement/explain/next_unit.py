@@ -1,4 +1,4 @@
-"""The unit that would gain most beside those of a layout, whatever the budget."""
+"""The unit that would gain most next to those of a layout, whatever the budget."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,18 +12,21 @@ from ..optimiser.limits import fitting
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NextUnit:
-    """One further unit beside a layout, on the detection table.
+    """The further unit that greedy choice would add, budgets aside, on the detection table.
 
     Attributes
     ----------
-    pose_index : int
-        Row of the table.
+    pose : str
+        Id of the candidate pose.
     apr : float
         Accident prevention ratio with it, 0..1.
+    gain : float
+        How much higher that is than without.
     """
 
-    pose_index: int
+    pose: str
     apr: float
+    gain: float
 
 
 def find_next_unit(
@@ -31,8 +34,8 @@ def find_next_unit(
 ) -> NextUnit | None:
     """The pose whose APR together with a layout is the highest, as greedy choice would go on.
 
-    Budgets do not count: it is what one more unit buys. Sites, rivals and wishes do. Another layout
-    of as many units may be better still.
+    Budgets do not count: this is what one more unit buys. Sites, rivals and wishes do. Another
+    layout of as many units may be better still.
 
     Parameters
     ----------
@@ -46,7 +49,7 @@ def find_next_unit(
     Returns
     -------
     next_unit : NextUnit or None
-        None where no pose fits beside the layout.
+        None where no further pose fits.
     """
     units = np.flatnonzero(np.isin(reduced.pose_index, pose_index))
     limits = replace(reduced.limits, budget_units=None, budget_eur=None)
@@ -55,4 +58,6 @@ def find_next_unit(
         return None
     ratios = reduced.measure.of(avoided_with_each(reduced, units)[free])
     row = int(reduced.pose_index[free[int(ratios.argmax())]])
-    return NextUnit(pose_index=row, apr=apr(problem, [*pose_index, row]))
+    with_it = apr(problem, [*pose_index, row])
+    gain = with_it - apr(problem, pose_index)
+    return NextUnit(pose=problem.table.pose_ids[row], apr=with_it, gain=gain)

@@ -23,7 +23,7 @@ from ..visibility.build import detected_frames
 
 STAGE = "other lenses"
 TURNS_DEG = (0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0)
-"""By how much a unit with another lens is turned: as it hangs first. [deg]"""
+"""By how much a unit with another lens is turned: as it is mounted first. [deg]"""
 N_ZOOMS = 3  # settings of a varifocal lens, in equal ratios
 _LEVEL_DEG = 0.0  # no lens is tilted up: there is nobody in the sky
 
@@ -46,7 +46,7 @@ class OtherSensor:
         All units that may be exchanged with it, turned one after the other, each for the most.
     apr_all : float
         Accident prevention ratio with these.
-    apr_as_they_hang : float
+    apr_not_turned : float
         Accident prevention ratio with all exchanged and none turned; of a varifocal lens at its
         widest.
     """
@@ -57,12 +57,12 @@ class OtherSensor:
     apr_one: float
     all: tuple[CandidatePose, ...]
     apr_all: float
-    apr_as_they_hang: float
+    apr_not_turned: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OtherSensors:
-    """What other models would achieve at the mounts of a layout.
+    """Other models at the mounts of a layout.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ def find_other_sensors(
     may_look : function of poses, optional
         Which of them may be used, (n,) bool; by default all.
     compute : Compute
-        Threads, the seed of the layout's table, and who is told the progress.
+        Threads, the seed of the layout's table, and where progress is shown.
 
     Returns
     -------
@@ -138,7 +138,7 @@ def find_other_sensors(
 def _looks(
     units: Sequence[CandidatePose], models: Iterable[Sensor], kept: Collection[str]
 ) -> tuple[list[CandidatePose], IntArray, NDArray[np.object_]]:
-    """Poses to try, the first of each unit and model as it hangs; their units and models."""
+    """Poses to try, the first of each unit and model not turned; their units and models."""
     looks, owner, names = [], [], []
     for sensor in models:
         for index, unit in enumerate(units):
@@ -162,7 +162,7 @@ def _settings(sensor: Sensor) -> list[Sensor]:
 
 
 def _poses(unit: CandidatePose, sensor: Sensor) -> list[Pose]:
-    """Where a unit with another sensor is tried to look, as it hangs first."""
+    """Poses to try of a unit with another sensor, the one that is mounted first."""
     pose = unit.pose
     raised_deg = pose.pitch_deg + 0.5 * (unit.sensor.vertical_fov_deg - sensor.vertical_fov_deg)
     raised_deg = max(pose.pitch_deg, min(raised_deg, _LEVEL_DEG))
@@ -191,8 +191,8 @@ def _exchange(
     alone = {unit: bench.apr({unit: rows}) for unit, rows in by_unit.items()}
     unit = max(alone, key=lambda one: float(alone[one].max()))
     chosen = {one: rows[:1] for one, rows in by_unit.items()}
-    as_they_hang = float(bench.apr(chosen)[0])
-    best = as_they_hang
+    not_turned = float(bench.apr(chosen)[0])
+    best = not_turned
     for one, rows in by_unit.items():
         ratios = bench.apr({**chosen, one: rows})
         if float(ratios.max()) > best:
@@ -205,7 +205,7 @@ def _exchange(
         apr_one=float(alone[unit].max()),
         all=tuple(looks[int(rows[0])] for rows in chosen.values()),
         apr_all=best,
-        apr_as_they_hang=as_they_hang,
+        apr_not_turned=not_turned,
     )
 
 

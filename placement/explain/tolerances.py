@@ -130,7 +130,7 @@ def find_standing(
     fusion: Fusion = "any",
     compute: Compute = DEFAULT_COMPUTE,
 ) -> Standing:
-    """What the usual errors of mounting cost a layout, one unit and one error at a time."""
+    """Cost of the usual errors of mounting, one unit and one error at a time."""
     errors = _find_errors(setting, units, _QUICK_STEPS, fusion=fusion, compute=compute)
     found = errors.tolerances()
     usual = [

@@ -14,9 +14,9 @@ from small_results import (
     vary_few_assumptions,
 )
 
-from experiments import main
-from experiments.jobs import baselines, placement, writing
-from experiments.report import beside
+from experiments import main, side_process
+from experiments.jobs import placement, writing
+from experiments.parts import baselines
 from geometry.poses import Pose
 from placement import candidates as poses
 from placement.candidates import CandidatePose
@@ -108,8 +108,8 @@ def run(capsys, tables, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path / "work")
     monkeypatch.setenv("PLACE_RSUS_CACHE", str(tables))
     # By its words alone the command begins a second process, which knows nothing of small scenes.
-    begin = beside.drawing_beside
-    monkeypatch.setattr(beside, "drawing_beside", lambda is_wanted: begin(False))
+    begin = side_process.side_process
+    monkeypatch.setattr(side_process, "side_process", lambda is_wanted, **ready: begin(False))
 
     def run_command(*arguments: object) -> tuple[int, str, str]:
         capsys.readouterr()

@@ -9,10 +9,11 @@ from interactive_pages import build_evaluation, build_layout
 from matplotlib.text import Text
 from partial_pages import build_result
 
-from experiments.cli.evaluate import evaluation_text
+from experiments.cli.answers import evaluation_parts
+from experiments.cli.terminal import answer_text
 from experiments.figures.evaluation import MAX_HEATMAP_UNITS, plot_heatmap, units_in_heatmap
 from experiments.figures.plan import MAX_LABELLED_UNITS, plot_plan
-from experiments.report.accidents import MAX_UNIT_COLUMNS, unit_apr_table
+from experiments.parts.accidents import MAX_UNIT_COLUMNS, unit_apr_table
 from experiments.results.numbers import percent
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
@@ -91,7 +92,7 @@ def result_of(n_units):
 @pytest.mark.parametrize(("n_units", "n_left"), [(24, 0), (26, 2), (200, 176)])
 @pytest.mark.parametrize("out", [Path("out"), None])
 def test_a_terminal_shows_the_units_of_the_highest_apr_and_counts_the_rest(n_units, n_left, out):
-    text = evaluation_text(result_of(n_units), out)
+    text = answer_text(evaluation_parts(result_of(n_units), out), is_verbose=True)
     units = set(re.findall(r"unit/\d+", text))
     assert units == {f"unit/{index}" for index in range(n_units - 24, n_units)}
     assert (f"and {n_left} more units" in text) == (n_left > 0)

@@ -16,8 +16,8 @@ from experiments.export.kml import to_kml
 from experiments.export.openscenario import to_openscenario
 from experiments.export.places import placed_records
 from experiments.parts.player import run_record
+from experiments.parts.units import unit_table
 from experiments.parts.view_3d import view_record
-from experiments.report.units import unit_table
 from geometry.errors import InputError
 from geometry.poses import Pose
 from geometry.scene_files import load_scene, save_scene

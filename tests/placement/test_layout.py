@@ -17,7 +17,7 @@ from geometry.sensors import CameraModel, with_fov
 from placement.candidates import CandidatePose
 from placement.layout import (
     RESERVED_IDS,
-    RESULT_SCHEMA,
+    RESULT_SCHEMAS,
     SCHEMA,
     Certificate,
     Layout,
@@ -296,10 +296,11 @@ def test_a_file_of_another_version_is_refused_and_not_guessed_at(tmp_path, schem
     path.write_text(json.dumps({"schema": schema, "layout": GOOD}))
     message = _message(load_layout, path)
     assert message.startswith(f"{path}: schema: got ")
-    assert message.endswith("expected place-rsus/layout/1 or place-rsus/result/1, or none of it")
+    known = (SCHEMA, *RESULT_SCHEMAS)
+    assert message.endswith(f"expected {', '.join(known)}, or none of it")
 
 
-@pytest.mark.parametrize("schema", [SCHEMA, RESULT_SCHEMA])
+@pytest.mark.parametrize("schema", [SCHEMA, *RESULT_SCHEMAS])
 def test_layouts_are_read_from_layout_files_and_from_results(tmp_path, schema):
     path = tmp_path / "a.json"
     path.write_text(json.dumps({"schema": schema, "layout": GOOD}))

@@ -24,21 +24,7 @@ UNIT = {
     "pitch_deg": -25.0,
     "camera": "carla-ncap-rgb",
 }
-KEYS = {
-    "layout",
-    "budget",
-    "fusion",
-    "runs",
-    "apr",
-    "bound",
-    "gap",
-    "apr_without_worst_unit",
-    "evaluation",
-    "baseline",
-    "surrogate_disagreement",
-    "seconds",
-    "versions",
-}
+KEYS = {"layout", "fusion", "runs", "apr", "evaluation", "dangers", "seconds", "versions"}
 STAGES = ("setting", "detection table", "optimise", "greedy", "evaluate", "write results")
 
 
@@ -325,12 +311,16 @@ def test_placement_prints_one_object_and_writes_a_report(run, few_runs, whole_pl
         "vut_and_rsus",
         "units",
         "apr_without_worst_unit",
+        "apr_without_worst_site",
+        "vam",
+        "all_sources",
     }
     assert set(summary["evaluation"]["units"]) == {unit["id"] for unit in summary["layout"]}
-    assert set(summary["baseline"]["units"]) == {f"RSU{number}" for number in range(12)}
-    for part in ("evaluation", "baseline"):
+    study = summary["baseline"]["evaluation"]
+    assert set(study["units"]) == {f"RSU{number}" for number in range(12)}
+    for evaluation in (summary["evaluation"], study):
         for party in ("vut", "rsu_all", "vut_and_rsus"):
-            ratios = summary[part][party]
+            ratios = evaluation[party]
             assert set(ratios["by_case"]) == {"CPNC-50", "CBNA", "CBLA"}
             assert all(
                 0.0 <= ratio <= 1.0 for ratio in (ratios["all"], *ratios["by_case"].values())
@@ -390,9 +380,14 @@ def test_printed_tables_fit_80_columns(run, small_study, layout_file, without_fi
         ["evaluate", "--layout", path],
         ["compare", path, "carlancap-12", "--layout", path],
     ):
-        code, out, err = run(*arguments, "--quiet")
+        code, short, err = run(*arguments, "--quiet")
         assert (code, err) == (0, "")
+        assert max(map(len, short.splitlines())) <= 100
+        assert len(short.splitlines()) <= 40
+        code, out, _ = run(*arguments, "--verbose")
+        assert code == 0
         assert max(map(len, out.splitlines()[1:])) <= 80  # the first line holds the name
+        assert len(out) > len(short)
         assert "100.0 %" in out
 
 
@@ -405,7 +400,7 @@ def test_layouts_of_one_name_are_named_by_their_folders(run, small_study, layout
     assert (code, err) == (0, "")
     summary = json.loads(out)
     home = Path(path).resolve().parent.name
-    assert [summary["name"], summary["baseline_name"]] == [f"mine of {home}", "mine of other"]
+    assert [summary["name"], summary["compared"][0]["name"]] == [f"mine of {home}", "mine of other"]
 
 
 def test_comparison_of_a_layout_with_itself_finds_no_difference(run, small_study, layout_file):
@@ -416,9 +411,10 @@ def test_comparison_of_a_layout_with_itself_finds_no_difference(run, small_study
     assert (code, err) == (0, "")
     summary = json.loads(out, parse_constant=pytest.fail)
     assert set(summary) >= KEYS
-    assert (summary["name"], summary["baseline_name"]) == ("mine", "mine (2)")
-    assert summary["evaluation"] == summary["baseline"]
-    assert summary["runs_gained"] == summary["runs_lost"] == []
+    (other,) = summary["compared"]
+    assert (summary["name"], other["name"]) == ("mine", "mine (2)")
+    assert summary["evaluation"] == other["evaluation"]
+    assert other["runs_gained"] == other["runs_lost"] == []
     assert "mine (2)" in Path("out/report.html").read_text()
 
 
@@ -537,7 +533,7 @@ def test_an_interruption_says_what_was_kept_and_leaves_nothing(
     assert (code, out) == (130, "")
     kept = "nothing was written to results/latest"
     if stage not in STAGES[:2]:
-        kept += "; the detection table is kept for the next call"
+        kept += "; the detection table is cached for the next call"
     assert err.splitlines()[-1] == f"place-rsus: interrupted in stage '{stage}': {kept}"
     assert os.listdir() == []  # noqa: PTH208
 

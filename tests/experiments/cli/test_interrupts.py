@@ -104,4 +104,4 @@ def test_a_table_that_is_done_is_kept_for_the_next_call(ends):
     # The table, the runs, and the proven answers: the best layout, the front below, what is lost.
     assert ends["evaluate"]["kept"].count(".npz") == 1
     assert ".msgpack" in ends["evaluate"]["kept"]
-    assert ends["evaluate"]["last"].endswith("; the detection table is kept for the next call\n")
+    assert ends["evaluate"]["last"].endswith("; the detection table is cached for the next call\n")

@@ -2,7 +2,7 @@
 
 import json
 
-from experiments.cli.evaluate import unit_lines
+from experiments.cli.answers import unit_notes
 from experiments.results.record import UnitRecord
 from placement.candidates import build_candidates, build_grid
 from placement.layout import load_carlancap_layout
@@ -51,9 +51,11 @@ def test_what_is_mounted_is_told_where_it_is_not_the_default():
         return UnitRecord(id=name, site="lamp", **pose, **model)
 
     wide, long = ({"camera": model} for model in list(COSTS_EUR)[:2])
-    assert unit_lines([unit("U1", **wide), unit("U2", **long), unit("U3", **long)])[-1].strip() == (
+    mixed = [unit("U1", **wide), unit("U2", **long), unit("U3", **long)]
+    assert unit_notes(mixed)[1:] == [
         "models: carla-ncap-rgb (U1); basler-aca1920-50gc-16mm (U2, U3)"
-    )
-    scanner = unit_lines([unit("U1", lidar="carla-ncap-lidar")])
-    assert scanner[-1] == "  models: carla-ncap-lidar (U1)"
-    assert len(unit_lines([unit("U1", **wide)])) == len(scanner) - 1
+    ]
+    assert unit_notes([unit("U1", lidar="carla-ncap-lidar")])[1:] == [
+        "models: carla-ncap-lidar (U1)"
+    ]
+    assert unit_notes([unit("U1", **wide)])[1:] == []

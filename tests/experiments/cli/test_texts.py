@@ -8,9 +8,13 @@ import msgspec
 import pytest
 from partial_pages import build_result
 
-from experiments.cli.compare import comparison_text
-from experiments.cli.evaluate import evaluation_text, failure_lines
-from experiments.cli.place import placement_text
+from experiments.cli.answers import (
+    comparison_parts,
+    evaluation_parts,
+    failure_notes,
+    placement_parts,
+)
+from experiments.cli.terminal import answer_text
 from experiments.results.evaluations import EvaluationRecord, PartyAprRecord
 from experiments.results.numbers import percent
 
@@ -38,16 +42,16 @@ def unit(unit_id):
     }
 
 
-def placement_table(summary, out):
-    return placement_text(build_result(**summary), out)
+def placement_table(summary, out, *, is_verbose=True):
+    return answer_text(placement_parts(build_result(**summary), out), is_verbose=is_verbose)
 
 
-def evaluation_table(summary, out):
-    return evaluation_text(build_result(**summary), out)
+def evaluation_table(summary, out, *, is_verbose=True):
+    return answer_text(evaluation_parts(build_result(**summary), out), is_verbose=is_verbose)
 
 
-def comparison_table(summary, out):
-    return comparison_text(build_result(**summary), out)
+def comparison_table(summary, out, *, is_verbose=True):
+    return answer_text(comparison_parts(build_result(**summary), out), is_verbose=is_verbose)
 
 
 def evaluation_summary(n_cases, ids, name="mine"):
@@ -58,7 +62,7 @@ def evaluation_summary(n_cases, ids, name="mine"):
         "cost_eur": 4000.0 * len(ids),
         "evaluation": {
             "units": {
-                unit_id: ratios(n_cases, 0.1 + 0.05 * index) for index, unit_id in enumerate(ids)
+                unit_id: ratios(n_cases, 0.1 + 0.02 * index) for index, unit_id in enumerate(ids)
             },
             "rsu_all": ratios(n_cases, 0.9),
             "vut_and_rsus": ratios(n_cases, 1.0),
@@ -78,8 +82,7 @@ def comparison_summary(n_cases, name="mine", other="carlancap-12", gained=(), lo
     }
     runs = {"runs_gained": list(gained), "runs_lost": list(lost)}
     return evaluation_summary(n_cases, ["U1"], name) | {
-        "baseline_name": other,
-        "baseline": baseline,
+        "differences": [],
         "compared": [
             {
                 "name": other,
@@ -93,10 +96,13 @@ def comparison_summary(n_cases, name="mine", other="carlancap-12", gained=(), lo
 
 
 def placement_summary(n_cases, ids=("U1", "U2", "U3"), gap=0.0):
-    return comparison_summary(n_cases) | {
+    found = comparison_summary(n_cases)
+    (baseline,) = found.pop("compared")
+    del found["differences"]
+    greedy = baseline["evaluation"] | {"rsu_all": ratios(n_cases, 0.7)}
+    return found | {
         "layout": [unit(unit_id) for unit_id in ids],
         "candidates": 5772,
-        "fusion": "any",
         "stages": [
             {"name": name, "objective": found, "bound": bound, "gap": gap_of, "seconds": 0.1}
             for name, found, bound, gap_of in (
@@ -106,8 +112,8 @@ def placement_summary(n_cases, ids=("U1", "U2", "U3"), gap=0.0):
                 ("mean_margin_s", 6.718, 6.756, gap),
             )
         ],
-        "greedy": {"layout": [unit("U1")], **comparison_summary(n_cases)["baseline"]}
-        | {"rsu_all": ratios(n_cases, 0.7)},
+        "baseline": baseline,
+        "greedy": baseline | {"name": "greedy-3", "evaluation": greedy},
         "surrogate_disagreement": 0.0004,
         "disagreements": [],
     }
@@ -157,8 +163,8 @@ def test_a_placement_shows_every_ratio_once_in_80_columns(n_cases):
         evaluation["rsu_all"],
         evaluation["vut_and_rsus"],
         evaluation["vut"],
-        summary["greedy"]["rsu_all"],
-        summary["baseline"]["rsu_all"],
+        summary["greedy"]["evaluation"]["rsu_all"],
+        summary["baseline"]["evaluation"]["rsu_all"],
     )
     assert "disagree on <0.1 % of the runs." in text
     assert "fused: in each frame, any of the units may detect; greedy: " in text
@@ -212,7 +218,7 @@ def test_a_comparison_shows_every_ratio_once_and_the_runs_that_differ(n_cases):
     summary = comparison_summary(n_cases, gained=gained)
     text = comparison_table(summary, OUT)
     assert all(len(line) <= 80 for line in text.splitlines())
-    evaluation, baseline = summary["evaluation"], summary["baseline"]
+    evaluation, baseline = summary["evaluation"], summary["compared"][0]["evaluation"]
     assert cells(text) == expected(
         evaluation["rsu_all"],
         evaluation["vut_and_rsus"],
@@ -221,7 +227,7 @@ def test_a_comparison_shows_every_ratio_once_and_the_runs_that_differ(n_cases):
         evaluation["vut"],
     )
     assert all(run in text for run in gained)
-    assert "  runs lost:   none" in text
+    assert "Runs lost:\n  none" in text
 
 
 @pytest.mark.parametrize(
@@ -231,8 +237,9 @@ def test_long_names_are_broken_not_cut(name):
     text = comparison_table(comparison_summary(13, name=name), OUT)
     lines = text.splitlines()
     assert all(len(line) <= 80 for line in lines)
-    title_end = next(index for index, line in enumerate(lines) if "240 runs:" in line)
-    heads = lines[title_end + 1 : next(i for i, line in enumerate(lines) if "all runs" in line)]
+    end = next(index for index, line in enumerate(lines) if "all runs" in line)
+    begin = max(index for index, line in enumerate(lines[:end]) if not line)
+    heads = lines[begin + 1 : end]
     first = len("  CBTAfs-100  ")
     cell = next(line for line in lines if "all runs" in line).index("%") + 1
     first_column = "".join(line[first:cell] for line in heads)
@@ -265,15 +272,15 @@ def test_a_case_without_weight_has_a_dash():
 
 
 @pytest.mark.parametrize(
-    ("gap", "words"), [(0.0, "proven"), (0.0056, "0.56 %"), (float("inf"), "open")]
+    ("gap", "words"), [(0.0, "proven"), (0.0056, "0.6 %"), (float("inf"), "open")]
 )
 def test_a_gap_is_proven_or_a_number_or_open(gap, words):
     (row,) = (
         line
         for line in placement_table(placement_summary(1, gap=gap), OUT).splitlines()
-        if line.startswith("  mean margin")
+        if line.startswith("  mean time to spare")
     )
-    assert row.endswith(f" {words}")
+    assert row.endswith(f" {words}       0.1")
 
 
 @pytest.mark.parametrize(
@@ -292,10 +299,31 @@ def test_what_is_left_after_a_failure_is_told_for_units_and_for_poles():
     share = PartyAprRecord(all=0.9, by_case={}, by_position={})
     shares = {"vut": share, "rsu_all": share, "vut_and_rsus": share}
     two = EvaluationRecord(**shares, units={"a": share, "b": share}, apr_without_worst_unit=0.625)
-    assert failure_lines(two) == ["  if the worst unit fails, the others have 62.5 %."]
+    assert failure_notes(two) == ["if the worst unit fails, the others have 62.5 %."]
     on_one_pole = msgspec.structs.replace(two, apr_without_worst_site=0.0)
-    assert " ".join(" ".join(failure_lines(on_one_pole)).split()) == (
+    assert failure_notes(on_one_pole) == [
         "if the worst unit fails, the others have 62.5 %; if the worst pole fails with all its "
         "units, 0.0 %."
-    )
-    assert failure_lines(msgspec.structs.replace(two, units={"a": share})) == []
+    ]
+    assert failure_notes(msgspec.structs.replace(two, units={"a": share})) == []
+
+
+@pytest.mark.parametrize("n_cases", [1, 25])
+def test_in_short_every_answer_fits_on_a_screen(n_cases):
+    """Of 100 columns and 40 lines, with where the rest is; what matters comes first."""
+    ids = [f"RSU{index}" for index in range(30)]
+    texts = [
+        placement_table(placement_summary(n_cases), OUT, is_verbose=False),
+        evaluation_table(evaluation_summary(n_cases, ids), OUT, is_verbose=False),
+        comparison_table(comparison_summary(n_cases), OUT, is_verbose=False),
+    ]
+    for text in texts:
+        lines = text.splitlines()
+        assert len(lines) <= 40
+        assert max(map(len, lines)) <= 100
+        assert lines[0] == "No run is left: all 240 are avoided."
+        assert lines[-1] == "--verbose prints why, APR by case, and all else."
+        assert f"Written to {OUT}: report.html and more." in lines
+        assert "VUT alone" in text
+    for words in ("Proven on the detection table", "greedy", "carlancap-12", "U1", "U2", "U3"):
+        assert words in texts[0]

@@ -20,8 +20,8 @@ from experiments.figures.sensors import (
 )
 from experiments.parts.player import unit_records
 from experiments.parts.sheet import _direction, _draw_plan, _tilt
+from experiments.parts.units import unit_table
 from experiments.parts.view_3d import field_lines
-from experiments.report.units import unit_table
 from geometry.catalogue import load_cameras
 from geometry.lidar import load_lidars
 from geometry.poses import Pose

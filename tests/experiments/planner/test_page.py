@@ -15,9 +15,9 @@ from shapely import box
 pytest.importorskip("starlette", reason="place-rsus[plan] is not installed")
 
 from experiments.export.json import to_json_text
+from experiments.parts.result import build_evaluation_record
 from experiments.planner.plan import Variant
 from experiments.results.numbers import percent
-from experiments.results.result import build_evaluation_record
 from geometry.frames import to_geographic
 from geometry.poses import Pose
 from placement.candidates import CandidatePose

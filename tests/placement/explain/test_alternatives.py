@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from small_tables import avoiding_problem
 
+from placement.explain import alternatives
 from placement.explain.alternatives import find_by_runs, find_sturdier
 from placement.optimiser import Effort, apr, apr_one_failed, run_margins_s, solve_placement
 
@@ -38,16 +39,30 @@ def test_the_layout_by_runs_avoids_as_many_as_any_pair(problem, chosen):
     found = find_by_runs(problem, chosen, effort=EFFORT)
     most = max(n_avoided(problem, rows) for rows in pairs(problem))
     assert found.is_proven
-    assert found.n_avoided == most == n_avoided(problem, found.pose_index)
-    assert found.n_avoided_here == n_avoided(problem, chosen) < most
+    rows = [problem.table.pose_ids.index(unit) for unit in found.units]
+    assert found.runs_avoided == most == n_avoided(problem, rows)
+    assert found.runs_avoided_here == n_avoided(problem, chosen) < most
 
 
-def test_the_sturdier_layout_keeps_as_much_as_any_pair(problem, chosen):
+def test_the_sturdier_layout_keeps_as_much_as_any_pair(problem, chosen, monkeypatch):
+    monkeypatch.setattr(alternatives, "MOST_GIVEN_UP", 1.0)
     found = find_sturdier(problem, chosen, effort=EFFORT)
     most = max(apr_one_failed(problem, rows) for rows in pairs(problem))
-    assert found.value.apr_one_failed == pytest.approx(most)
-    assert found.value_here.apr == pytest.approx(apr(problem, chosen))
-    assert found.value_here.apr_one_failed < most
+    assert found.apr_one_failed == pytest.approx(most)
+    assert found.apr_here == pytest.approx(apr(problem, chosen))
+    assert found.apr_one_failed_here < most
+
+
+def test_a_sturdier_layout_is_offered_where_it_keeps_much_for_little(problem, chosen, monkeypatch):
+    monkeypatch.setattr(alternatives, "MOST_GIVEN_UP", 1.0)
+    found = find_sturdier(problem, chosen, effort=EFFORT)
+    for name, limit in (
+        ("MOST_GIVEN_UP", found.apr_here - found.apr),
+        ("LEAST_KEPT", found.apr_one_failed - found.apr_one_failed_here + 1.0e-6),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setattr(alternatives, name, limit)
+            assert find_sturdier(problem, chosen, effort=EFFORT) is None
 
 
 def test_nobody_looks_where_there_is_nothing_to_compare(problem, chosen):

@@ -3,7 +3,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from placement.explain.front_runners import (
+from placement.explain.alternatives import (
     EQUAL_APR,
     FrontRunner,
     build_front_runner,

@@ -20,6 +20,8 @@ def test_no_other_further_unit_gains_more(problem):
     if best is None:
         assert all(ratio == pytest.approx(apr(problem, found)) for ratio in ratios)
         return
-    assert best.pose_index in others
-    assert best.apr == apr(problem, [*found, best.pose_index])
+    row = problem.table.pose_ids.index(best.pose)
+    assert row in others
+    assert best.apr == apr(problem, [*found, row])
+    assert best.gain == best.apr - apr(problem, found)
     assert best.apr == pytest.approx(max(ratios))

@@ -64,11 +64,11 @@ def test_other_sensors_prevent_what_the_optimiser_s_table_says(setting, fusion):
     said, layouts = [found.apr], [UNITS]
     for other in found.models:
         assert other.one.sensor.name == other.sensor.name
-        said += [other.apr_one, other.apr_all, other.apr_as_they_hang]
+        said += [other.apr_one, other.apr_all, other.apr_not_turned]
         exchanged = [other.one, UNITS[1]] if other.unit_index == 0 else [UNITS[0], other.one]
         hanging = [replace(pose, sensor=other.sensor) for pose in UNITS]
         layouts += [exchanged, other.all, hanging]
-        assert other.apr_all >= other.apr_as_they_hang
+        assert other.apr_all >= other.apr_not_turned
     assert said == pytest.approx(aprs_of(setting, layouts, fusion))
     ranked = [other.apr_one for other in found.models]
     assert ranked == sorted(ranked, reverse=True)
@@ -86,10 +86,10 @@ def test_units_turn_but_stay_where_they_hang(setting):
 
 
 def test_poses_that_must_not_look_are_left_out(setting):
-    def only_as_they_hang(poses):
+    def only_not_turned(poses):
         return np.array([pose.pose.yaw_deg in (0.0, -100.0) for pose in poses])
 
-    (other,) = find_other_sensors(setting, UNITS, models=[LONG], may_look=only_as_they_hang).models
+    (other,) = find_other_sensors(setting, UNITS, models=[LONG], may_look=only_not_turned).models
     assert {pose.pose.yaw_deg for pose in other.all} == {0.0, -100.0}
 
 

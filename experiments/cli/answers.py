@@ -1,0 +1,442 @@
+"""Answers of placements, evaluations and comparisons as lists of parts, for a terminal.
+
+Parts that are short fit on a screen together: what is not avoided, what to mount, the proof, and
+what it is compared with. With ``--verbose`` all are printed.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+from geometry.whereabouts import compass_bearing_deg
+from placement.candidates import load_candidate_grid
+from placement.explain.agreement import Disagreement
+
+from ..parts import Part, answer, baselines, dangers, next_unit, proof, study_cases
+from ..parts.assumptions import assumption_sentences
+from ..parts.baselines import Baselines, Score
+from ..parts.result import ComparisonResult, EvaluationResult, PlacementResult, Result
+from ..parts.section import Table
+from ..parts.study_cases import StudyCases
+from ..results.evaluations import EvaluationRecord, PartyAprRecord
+from ..results.numbers import percent, several, shortened
+from ..results.record import UnitRecord
+from .explanations import explanation_text, uncertainty_text
+
+_TOGETHER = "fused: in each frame, any of the units may detect"
+_MAX_UNITS, _MAX_SHORT_UNITS = 24, 12
+_NAME_WIDTH = 40
+_MOST_ASSUMED, _MOST_REASONS, _MAX_DISAGREEMENTS = 4, 5, 5
+_Apr = PartyAprRecord | Score
+
+
+# ---------- what a command prints
+
+
+def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
+    """The best layout, its proof, and what it is compared with."""
+    n_units = len(result.layout)
+    parties: dict[str, _Apr] = {"these, fused": result.evaluation.rsu_all}
+    parties |= {
+        "with the VUT": result.evaluation.vut_and_rsus,
+        "VUT alone": result.evaluation.vut,
+        "greedy, fused": result.greedy.evaluation.rsu_all,
+    }
+    if result.baseline is not None:
+        parties[f"{result.baseline.name} fused"] = result.baseline.evaluation.rsu_all
+    if result.baselines.expert is not None:
+        parties["expert rule, fused"] = result.baselines.expert.score
+    others = {"greedy": result.greedy.evaluation}
+    units = {"greedy": len(result.greedy.layout)}
+    if result.baseline is not None:
+        others[result.baseline.name] = result.baseline.evaluation
+        units[result.baseline.name] = len(result.baseline.layout)
+    further = f"{next_unit.next_unit_sentence(result.next_unit)}."
+    other_sensor = f"{next_unit.other_sensor_sentence(result.other_sensors)}."
+    return [
+        *_head(result),
+        Part(
+            title=f"Best {n_units} of {result.candidates} poses on {result.runs} runs "
+            f"(fusion {result.fusion}):",
+            table=_units_table(result.layout),
+            notes=[*unit_notes(result.layout), _cost(result)],
+            is_short=True,
+        ),
+        Part(notes=result.assumed_prices),
+        Part(words=[f"{proof.words(result)}."], is_short=True),
+        Part(table=proof.table(result)),
+        Part(
+            title="Evaluated by full perception and emergency braking:",
+            table=_summary_table(result, others, units, result.baselines),
+            notes=failure_notes(result.evaluation),
+            is_short=True,
+        ),
+        Part(
+            table=_apr_table(parties | _announced(result.evaluation)),
+            notes=[f"{_TOGETHER}; greedy: units chosen one by one."],
+        ),
+        Part(words=[] if further == "." else [further], is_short=True),
+        Part(words=[] if other_sensor == "." else [other_sensor]),
+        Part(words=answer.doubts(result), is_short=True),
+        *_explained(result),
+        _without_optimiser(result.baselines, apr_found=result.apr, n_units=n_units),
+        _study_part(result.study_cases),
+        Part(
+            words=[
+                f"Table and evaluator disagree on {percent(result.surrogate_disagreement)} of the "
+                "runs."
+            ],
+            notes=_disagreements(result.disagreements),
+        ),
+        _last(out),
+    ]
+
+
+def evaluation_parts(result: EvaluationResult, out: Path | None) -> list[Part]:
+    """One layout: its units and the APR of each; of many units, those of the highest APR."""
+    evaluation = result.evaluation
+    alone = list(evaluation.units.items())
+    if len(alone) > _MAX_UNITS:
+        alone.sort(key=lambda item: item[1].all or 0.0, reverse=True)
+    shown = dict(alone[:_MAX_UNITS])
+    n_left = len(alone) - len(shown)
+    place = "apr.csv" if out is not None else "apr.csv with --out"
+    more = f"and {n_left} more units, none of a higher APR by itself: in {place}"
+    units = [unit for unit in result.layout if unit.id in shown]
+    is_long = len(units) > _MAX_SHORT_UNITS
+    return [
+        *_head(result),
+        Part(
+            title=f"{result.name} on {result.runs} runs:",
+            table=_units_table(units),
+            notes=[*([more] if n_left else []), *unit_notes(units), _cost(result)],
+            is_short=not is_long,
+        ),
+        *_said([f"{result.name}: {len(result.layout)} units; {_cost(result)}."] if is_long else []),
+        Part(
+            title="Evaluated by full perception and emergency braking:",
+            table=_summary_table(result, {}, {}, None),
+            notes=failure_notes(evaluation),
+            is_short=True,
+        ),
+        Part(
+            table=_apr_table(
+                {
+                    **shown,
+                    "all, fused": evaluation.rsu_all,
+                    "with the VUT": evaluation.vut_and_rsus,
+                    "VUT alone": evaluation.vut,
+                    **_announced(evaluation),
+                }
+            ),
+            notes=[f"each unit by itself; {_TOGETHER}."],
+        ),
+        *_said(answer.doubts(result)),
+        *_said(answer.private_ground(result)),
+        _last(out),
+    ]
+
+
+def comparison_parts(result: ComparisonResult, out: Path | None) -> list[Part]:
+    """Layouts side by side, and the runs in which the first differs from each other."""
+    parties: dict[str, _Apr] = {}
+    for name, evaluation in (
+        (result.name, result.evaluation),
+        *((other.name, other.evaluation) for other in result.compared),
+    ):
+        parties[name] = evaluation.rsu_all
+        parties[f"{name} and VUT"] = evaluation.vut_and_rsus
+    if result.baselines and result.baselines.expert is not None:
+        parties["expert rule"] = result.baselines.expert.score
+    names = ", ".join(other.name for other in result.compared)
+    return [
+        *_head(result),
+        Part(
+            title=f"{result.name} against {names} on {result.runs} runs:",
+            table=_summary_table(
+                result,
+                {other.name: other.evaluation for other in result.compared},
+                {other.name: len(other.layout) for other in result.compared},
+                result.baselines,
+            ),
+            is_short=True,
+        ),
+        Part(
+            table=_apr_table(parties | {"VUT alone": result.evaluation.vut}),
+            notes=[f"each layout's units are {_TOGETHER}."],
+        ),
+        Part(
+            words=[
+                f"{result.name} avoids {len(other.runs_gained)} that {other.name} does not, and "
+                f"{other.name} avoids {len(other.runs_lost)} that {result.name} does not."
+                for other in result.compared
+            ],
+            is_short=True,
+        ),
+        *_said(answer.doubts(result)),
+        *_said(answer.private_ground(result)),
+        *_sampled(result),
+        _without_optimiser(result.baselines, n_units=len(result.layout)),
+        _study_part(result.study_cases),
+        *(
+            Part(title=f"Runs {words}{f' over {other.name}' if many else ''}:", words=[runs])
+            for many in [len(result.compared) > 1]
+            for other in result.compared
+            for words, runs in (
+                ("gained", ", ".join(other.runs_gained) or "none"),
+                ("lost", ", ".join(other.runs_lost) or "none"),
+            )
+        ),
+        _last(out),
+    ]
+
+
+# ---------- parts of several answers
+
+
+def _said(sentences: Sequence[str]) -> list[Part]:
+    """A part that is sentences, which all are short."""
+    return [Part(words=sentences, is_short=True)]
+
+
+def _head(result: Result) -> list[Part]:
+    """The head: runs that are not avoided, better layouts, what was left out or assumed."""
+    reasons = [*result.driven[1 : 1 + _MOST_REASONS]]
+    reasons = [*result.driven[1 : 1 + _MOST_REASONS]]
+    n_reasons = len(result.driven) - 1 - len(reasons)
+    if n_reasons > 0:
+        more = several(n_reasons, "more reason", "more reasons")
+        reasons.append(f"and {more} in the report's list")
+    return [
+        *_said(dangers.words(result.dangers, result.runs)),
+        *_said(answer.preferred(result)),
+        *_said([*result.driven[:1], *result.without_effect]),
+        Part(notes=reasons),
+        *assumption_parts(result),
+    ]
+
+
+def assumption_parts(result: Result) -> list[Part]:
+    """How much was assumed of the map; and the most important of it."""
+    assumed = assumption_sentences(result)
+    if not assumed:
+        return []
+    things = several(len(assumed), "thing is", "things are")
+    n_left = len(assumed) - _MOST_ASSUMED
+    return [
+        Part(words=[f"{things} assumed of the map."], is_short=True),
+        Part(
+            title="Assumed, for the map does not say it:",
+            words=assumed[:_MOST_ASSUMED],
+            notes=[f"and {n_left} more: in the report and `scene show`"] if n_left > 0 else [],
+        ),
+    ]
+
+
+def _explained(result: PlacementResult) -> list[Part]:
+    """Why these units, what each buys; what was asked for besides."""
+    return [
+        Part(title="What each unit buys:", words=result.front.sentences)
+        if result.front is not None
+        else Part(),
+        Part(text=explanation_text(result.explained)),
+        *_said(answer.private_ground(result)),
+        *_said(answer.refinement(result)),
+        *_sampled(result),
+    ]
+
+
+def _sampled(result: PlacementResult | ComparisonResult) -> list[Part]:
+    if result.sampled is None:
+        return []
+    return [
+        *_said(answer.uncertainty(result)[:1]),
+        Part(text=uncertainty_text(result.sampled)),
+    ]
+
+
+def _without_optimiser(
+    found: Baselines | None, *, apr_found: float | None = None, n_units: int
+) -> Part:
+    words = baselines.words(found, apr_found=apr_found, n_units=n_units)
+    return Part(title="Without an optimiser:", words=words) if words else Part()
+
+
+def _study_part(found: StudyCases | None) -> Part:
+    """Layouts on the study's cases."""
+    if found is None:
+        return Part()
+    return Part(
+        title="On the study's cases, as the study reads them, by the evaluator:",
+        table=study_cases.table(found),
+    )
+
+
+def _last(out: Path | None) -> Part:
+    """Where the rest is."""
+    written = [] if out is None else [f"Written to {out}: report.html and more."]
+    return Part(words=[*written, "--verbose prints why, APR by case, and all else."], is_short=True)
+
+
+# ---------- tables
+
+
+def _units_table(units: Sequence[UnitRecord]) -> Table:
+    """Units, where they are mounted and look."""
+    return Table(
+        caption="Units",
+        columns=["unit", "kind", "height m", "bearing", "tilt", "east m", "north m", "at"],
+        rows=[
+            [
+                unit.id,
+                unit.kind or "-",
+                f"{unit.z_m:.2f}",
+                f"{compass_bearing_deg(unit.yaw_deg):.1f}",
+                _tilt(unit.pitch_deg),
+                f"{unit.x_m:.2f}",
+                f"{unit.y_m:.2f}",
+                _where(unit),
+            ]
+            for unit in units
+        ],
+        numeric=range(1, 7),
+    )
+
+
+def _tilt(pitch_deg: float) -> str:
+    return f"{abs(pitch_deg):.1f} {'down' if pitch_deg < 0.0 else 'up'}" if pitch_deg else "level"
+
+
+def _where(unit: UnitRecord) -> str:
+    """The whole name of a unit's site, whether it is assumed, and where it is."""
+    site = f"{unit.site} (assumed)" if unit.assumed else unit.site
+    known = [text for text in (site, unit.place) if text]
+    return ", ".join(known)
+
+
+def unit_notes(units: Sequence[UnitRecord]) -> list[str]:
+    """How the table of units is to be read, and what they are, if not the default."""
+    units_of: dict[str, list[str]] = {}
+    for unit in units:
+        units_of.setdefault(unit.camera or unit.lidar or "", []).append(unit.id)
+    models = "; ".join(f"{model} ({', '.join(ids)})" for model, ids in units_of.items())
+    is_default = set(units_of) == {sensor.name for sensor in load_candidate_grid().sensors}
+    bearing = "bearing: degrees clockwise from north"
+    return [bearing] if is_default else [bearing, f"models: {models}"]
+
+
+def _cost(result: Result) -> str:
+    """Cost of the sensors, and of making their sites ready as far as it is known."""
+    sensors = f"sensors {result.cost_eur:,.0f} EUR by the catalogue"
+    if result.sites_eur is None:
+        return f"{sensors}, without poles or mounting"
+    n_sites = len({unit.site for unit in result.layout})
+    by = "by prices assumed for their kinds" if result.assumed_prices else "by their own prices"
+    sites = f"{several(n_sites, 'site', 'sites')} {result.sites_eur:,.0f} EUR {by}"
+    return f"cost: {result.cost_eur + result.sites_eur:,.0f} EUR: {sensors}, {sites}"
+
+
+def _summary_table(
+    result: Result,
+    others: Mapping[str, EvaluationRecord],
+    n_units: Mapping[str, int],
+    found: Baselines | None,
+) -> Table:
+    """A row per sensing party: APR, when the most needed unit fails, and on the study's cases."""
+    study = {} if result.study_cases is None else _shares(result.study_cases.parties)
+    evaluation = result.evaluation
+    rows = [
+        [
+            result.name,
+            str(len(result.layout)),
+            *_apr_and_failed(evaluation),
+            study.get(result.name),
+        ],
+        ["  with the VUT", "", percent(evaluation.vut_and_rsus.all), "", None],
+        ["VUT alone", "", percent(evaluation.vut.all), "", study.get("VUT alone")],
+        *(
+            [name, "", percent(party.all), "", None]
+            for name, party in _announced(evaluation).items()
+        ),
+    ]
+    for name, other in others.items():
+        rows.append([name, str(n_units[name]), *_apr_and_failed(other), study.get(name)])
+        if isinstance(result, ComparisonResult):
+            rows.append(["  with the VUT", "", percent(other.vut_and_rsus.all), "", None])
+    if found is not None and found.expert is not None:
+        expert = found.expert
+        failed = percent(expert.apr_without_worst_unit)
+        share = percent(expert.score.all)
+        name = "expert rule"
+        rows.append([name, str(len(expert.layout)), share, failed, study.get(name)])
+    if found is not None and found.random is not None:
+        name = f"random, mean of {found.random.layouts} on the table"
+        rows.append([name, str(found.random.units), percent(found.random.mean), "", None])
+    heads = ["", "units", "APR", "if one fails", "on the study's cases"]
+    n_columns = len(heads) if study else len(heads) - 1
+    return Table(
+        caption="APR",
+        columns=heads[:n_columns],
+        rows=[
+            [shortened(row[0] or "", _NAME_WIDTH), *(cell or "" for cell in row[1:n_columns])]
+            for row in rows
+        ],
+        numeric=range(1, n_columns),
+    )
+
+
+def _shares(parties: Iterable[Score]) -> dict[str, str]:
+    return {party.name: percent(party.all) for party in parties}
+
+
+def _apr_and_failed(evaluation: EvaluationRecord) -> tuple[str, str]:
+    return percent(evaluation.rsu_all.all), percent(evaluation.apr_without_worst_unit)
+
+
+def _announced(evaluation: EvaluationRecord) -> dict[str, PartyAprRecord]:
+    """Road users who announce themselves, where there are any."""
+    parties = {"VAM alone": evaluation.vam, "all and VAM": evaluation.all_sources}
+    return {name: party for name, party in parties.items() if party is not None}
+
+
+def _apr_table(parties: Mapping[str, _Apr]) -> Table:
+    """APR by case and by position along the arms: a row for each, a column per party."""
+    first = next(iter(parties.values()))
+    positions = list(first.by_position) if len(first.by_position) > 1 else []
+    return Table(
+        caption="APR",
+        columns=["APR", *parties],
+        rows=[
+            ["all runs", *(percent(party.all) for party in parties.values())],
+            *(
+                [case, *(percent(party.by_case[case]) for party in parties.values())]
+                for case in first.by_case
+            ),
+            *(
+                [f"at {at} m", *(percent(party.by_position.get(at)) for party in parties.values())]
+                for at in positions
+            ),
+        ],
+        numeric=range(1, 1 + len(parties)),
+    )
+
+
+def failure_notes(evaluation: EvaluationRecord) -> list[str]:
+    """APR of the others when the most needed unit, or pole, fails."""
+    if len(evaluation.units) == 1:
+        return []
+    text = f"if the worst unit fails, the others have {percent(evaluation.apr_without_worst_unit)}"
+    if evaluation.apr_without_worst_site is not None:
+        share = percent(evaluation.apr_without_worst_site)
+        text += f"; if the worst pole fails with all its units, {share}"
+    return [f"{text}."]
+
+
+def _disagreements(found: Sequence[Disagreement]) -> list[str]:
+    """Runs that table and evaluator see differently, the first few."""
+    lines = [
+        f"{one.party} in {one.run_id}: only the {'table' if one.on_table else 'evaluator'} "
+        f"avoids; {one.cause}"
+        for one in found[:_MAX_DISAGREEMENTS]
+    ]
+    n_left = len(found) - _MAX_DISAGREEMENTS
+    return lines + ([f"and {n_left} more in summary.json"] if n_left > 0 else [])

@@ -1,0 +1,220 @@
+"""Accidents prevented: APR of every sensing party, and of each unit alone."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from geometry.catalogue import sensor_kind
+from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, detected_share
+from placement.layout import Layout
+from scenarios.runs import FrameAxis
+
+from ..figures.axes import unit_labels
+from ..figures.evaluation import plot_apr_by_case
+from ..results.numbers import percent, several
+from ..results.tables import groups_by_direction, groups_by_position, groups_by_speed
+from .section import Block, Picture, Section, Table, build_picture
+
+
+def is_weighted(axis: FrameAxis) -> bool:
+    """Some runs count more than others."""
+    return not np.allclose(axis.weight, axis.weight[0], rtol=1.0e-9, atol=0.0)
+
+
+def count_sensors(layout: Layout) -> str:
+    """'1 camera', '2 cameras and 1 LiDAR' and so on."""
+    kinds = [sensor_kind(unit.sensor) for unit in layout.units]
+    return " and ".join(
+        several(kinds.count(kind), one, many)
+        for kind, one, many in (("camera", "camera", "cameras"), ("lidar", "LiDAR", "LiDARs"))
+        if kind in kinds
+    )
+
+
+# ---------- sections of the report
+
+
+def accidents_section(
+    evaluations: Mapping[str, Evaluation], picture: Picture, *, is_optimised: bool
+) -> Section:
+    """The accident prevention ratio of every sensing party; the first evaluation is the subject."""
+    axis = next(iter(evaluations.values())).axis
+    by_weight = ", by weight," if is_weighted(axis) else ""
+    apart = "; it does not use the detection table" if is_optimised else ""
+    meaning = (
+        f"The accident prevention ratio (APR) is the share of the runs{by_weight} in which the car "
+        "brakes early enough not to touch the pedestrian or cyclist. The numbers below come from "
+        "the evaluator, which renders every camera's image and every LiDAR's scan frame by "
+        f"frame{apart}."
+    )
+    blocks: list[Block] = [meaning, apr_table(evaluations), picture, *apr_group_tables(evaluations)]
+    return Section("accidents", "Accidents prevented", blocks)
+
+
+def apr_picture(evaluations: Mapping[str, Evaluation]) -> Picture:
+    """APR by case, shaded."""
+    table = apr_table(evaluations)
+    # The table's first columns: every layout, the car alone, the car with the subject.
+    n_drawn = len(evaluations) + 2
+    over_all = [*zip(table.columns[1:], table.rows[0][1:], strict=True)][:n_drawn]
+    return build_picture(
+        plot_apr_by_case(evaluations),
+        title="Accident prevention ratio by case",
+        caption="Numbers from the table above.",
+        alt="Shaded table. Over all runs: "
+        + "; ".join(f"{name} {share}" for name, share in over_all)
+        + ".",
+    )
+
+
+def alone_section(detailed: Mapping[str, Evaluation]) -> Section:
+    """APR of each unit of some layouts by itself."""
+    tables = [unit_apr_table(name, item) for name, item in detailed.items()]
+    return Section("alone", "What each unit achieves alone", tables)
+
+
+# ---------- tables
+
+
+def apr_table(evaluations: Mapping[str, Evaluation]) -> Table:
+    """APR of every sensing party; evaluations on the same runs, the first one is the subject.
+
+    A row for all runs, for each case, and for each weather where there are several. A column per
+    layout, for the car alone, for the car with each layout; where road users announce themselves,
+    for them alone and for all sources with each layout.
+    """
+    axis = next(iter(evaluations.values())).axis
+    verdicts = _parties(evaluations)
+    return Table(
+        caption=f"Accident prevention ratio by {_groups(axis, 'and')}",
+        columns=[_groups(axis, "or"), *(name for name, _, _ in verdicts)],
+        rows=_apr_rows([(item, verdict) for _, item, verdict in verdicts]),
+        numeric=range(1, 1 + len(verdicts)),
+    )
+
+
+def apr_group_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
+    """APR of the parties of :func:`apr_table` by speed, by where the car comes from, by position.
+
+    None where all runs have the same one.
+    """
+    verdicts = _parties(evaluations)
+    axis = verdicts[0][1].axis
+    along = groups_by_position(axis)
+    groupings = [
+        ("speed of the car", "speed (km/h)", groups_by_speed(axis)),
+        ("direction from which the car comes", "from", groups_by_direction(axis)),
+        ("place along the arms, in metres before (-) or behind (+) the junction", "at", along),
+    ]
+    return [
+        Table(
+            caption=f"Accident prevention ratio by {words}",
+            columns=[head, *(name for name, _, _ in verdicts)],
+            rows=[
+                [
+                    group,
+                    *(percent(apr(verdict, item.axis, mask)) for _, item, verdict in verdicts),
+                ]
+                for group, mask in groups
+            ],
+            numeric=range(1, 1 + len(verdicts)),
+        )
+        for words, head, groups in groupings
+        if len(groups) > 1
+    ]
+
+
+def _parties(evaluations: Mapping[str, Evaluation]) -> list[tuple[str, Evaluation, Verdict]]:
+    """Columns of a table of APR: head, evaluation, verdict."""
+    subject = next(iter(evaluations.values()))
+    parties = [
+        *(
+            (f"{name}: {count_sensors(item.layout)}", item, item.rsu_all)
+            for name, item in evaluations.items()
+        ),
+        ("car (VUT) alone", subject, subject.vut),
+        *((f"car (VUT) and {name}", item, item.vut_and_rsus) for name, item in evaluations.items()),
+    ]
+    # Who announces themselves does not depend on the layout.
+    if "vam" in subject.others:
+        parties.append(("road users' messages (VAM) alone", subject, subject.others["vam"]))
+    parties += [
+        (f"car (VUT), {name} and VAM", item, item.others["all_sources"])
+        for name, item in evaluations.items()
+        if "all_sources" in item.others
+    ]
+    return parties
+
+
+def unit_apr_table(name: str, evaluation: Evaluation) -> Table:
+    """APR of each unit of a layout by itself, with the rows of :func:`apr_table`.
+
+    The last row: in what share of the frames the unit detects. Of more than ``MAX_UNIT_COLUMNS``
+    units each is a row instead, the best first; a long table is to unfold.
+    """
+    labels = unit_labels(evaluation.layout)
+    units = evaluation.units.items()
+    detected = [percent(detected_share(verdict, evaluation.axis)) for _, verdict in units]
+    columns = [_groups(evaluation.axis, "or"), *(labels[unit_id] for unit_id, _ in units)]
+    caption = f"APR of each unit of {name} by itself"
+    rows = [
+        *_apr_rows([(evaluation, verdict) for _, verdict in units]),
+        ["frames in which it detects", *detected],
+    ]
+    if len(labels) > MAX_UNIT_COLUMNS:
+        caption += ", best first"
+        columns = ["unit", *(row[0] for row in rows)]
+        of_units = zip(units, zip(*(row[1:] for row in rows), strict=True), strict=True)
+        best_first = sorted(  # stable: as in the layout where two are alike
+            of_units, key=lambda pair: _rank(pair[0][1], evaluation.axis), reverse=True
+        )
+        rows = [[labels[unit_id], *cells] for (unit_id, _), cells in best_first]
+    return Table(
+        caption=caption,
+        columns=columns,
+        rows=rows,
+        numeric=range(1, len(columns)),
+        summary=caption if len(rows) > _MAX_FLAT_ROWS else "",
+    )
+
+
+MAX_UNIT_COLUMNS = 24
+"""Of more units, each is a row of the table of units by themselves."""
+_MAX_FLAT_ROWS = 40  # a longer table is to unfold
+
+
+def _rank(verdict: Verdict, axis: FrameAxis) -> tuple[float, float]:
+    return apr(verdict, axis), detected_share(verdict, axis)
+
+
+def _groups(axis: FrameAxis, conjunction: str) -> str:
+    return f"case {conjunction} weather" if several_weathers(axis) else "case"
+
+
+def several_weathers(axis: FrameAxis) -> list[str]:
+    """The weathers in the order in which they first appear; none where all runs have the same."""
+    weathers = list(dict.fromkeys(axis.weathers))
+    return weathers if len(weathers) > 1 else []
+
+
+def _apr_rows(verdicts: Sequence[tuple[Evaluation, Verdict]]) -> list[list[str]]:
+    axis = verdicts[0][0].axis
+    of_weather = np.array(axis.weathers)
+    by_case = [apr_by_case(verdict, item.axis) for item, verdict in verdicts]
+    return [
+        ["all runs", *(percent(apr(verdict, item.axis)) for item, verdict in verdicts)],
+        *(
+            [case, *(percent(shares[case]) for shares in by_case)]
+            for case in dict.fromkeys(axis.cases)
+        ),
+        *(
+            [
+                f"weather: {weather}",
+                *(
+                    percent(apr(verdict, item.axis, of_weather == weather))
+                    for item, verdict in verdicts
+                ),
+            ]
+            for weather in several_weathers(axis)
+        ),
+    ]

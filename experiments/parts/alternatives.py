@@ -1,0 +1,346 @@
+"""Doubts about a placement: heavy runs, other priorities, the evaluator, mounting errors."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from placement.candidates import CandidatePose
+from placement.compute import Compute
+from placement.evaluation import Evaluation
+from placement.explain import Pool
+from placement.explain.alternatives import (
+    EQUAL_APR,
+    STAGE,
+    ByRuns,
+    Deciding,
+    Sturdier,
+    build_front_runner,
+    find_by_runs,
+    find_sturdier,
+    recommend,
+)
+from placement.explain.tolerances import MAX_UNITS, Standing, find_standing
+from placement.explain.tolerances import STAGE as TOLERANCES
+from placement.layout import Layout
+from placement.optimiser import is_feasible
+from placement.pipeline import Assembly, Placement, pick_layout
+from placement.question import Question
+from placement.setting import Setting
+from scenarios.runs import FrameAxis
+
+from ..progress import StageProgress
+from ..results.folders import RECOMMENDED_FILE
+from ..results.numbers import count_runs, first_of, percent
+from ..results.record import UnitRecord, build_unit_records
+from ..side_process import SideProcess, Task
+
+HEAVY_SHARE = 0.02
+"""A run that counts more is named."""
+_MAX_HEAVY = 8
+_MAX_POOLED = 5
+
+# ---------- values
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HeavyRun:
+    """A run that counts much.
+
+    Attributes
+    ----------
+    run : str
+        Name of the run, as in runs.parquet.
+    share : float
+        Its part of the weight of all runs, 0..1.
+    """
+
+    run: str
+    share: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LeadingLayout:
+    """A layout that leads on the detection table, by the evaluator.
+
+    Attributes
+    ----------
+    name : str
+        Of the layout.
+    layout : tuple of UnitRecord
+        Its units.
+    apr, apr_one_failed : float
+        APR, and that when the unit that is needed most fails; 0 for a single unit.
+    mounting : Standing, optional
+        What errors of mounting cost; null: not asked for.
+    """
+
+    name: str
+    layout: tuple[UnitRecord, ...]
+    apr: float
+    apr_one_failed: float
+    mounting: Standing | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrontRunners:
+    """The layout found and others that lead, judged by the evaluator.
+
+    Attributes
+    ----------
+    recommended : str
+        Name of one of them; recommended.json has it if it is not the layout found.
+    decided_by : str
+        Why the layout found was passed over; order: it is the one recommended.
+    equal_within : float
+        Shares that differ by no more count as equal.
+    layouts : tuple of LeadingLayout
+        The layout found comes first.
+    """
+
+    recommended: str
+    decided_by: Deciding
+    equal_within: float = EQUAL_APR
+    layouts: tuple[LeadingLayout, ...]
+
+
+def find_heavy_runs(axis: FrameAxis) -> tuple[HeavyRun, ...]:
+    """Runs that count more than others and more than 2 %, to a tenth; the heaviest first."""
+    share = axis.weight / axis.weight.sum()
+    is_heavy = (np.round(share, 3) > HEAVY_SHARE) & (np.ptp(share) > 1.0e-9)
+    rows = np.flatnonzero(is_heavy)
+    return tuple(
+        HeavyRun(run=axis.run_ids[row], share=float(share[row]))
+        for row in rows[np.argsort(-share[rows], kind="stable")]
+    )
+
+
+def find_other_priorities(
+    placement: Placement,
+    question: Question,
+    plan: Assembly,
+    *,
+    compute: Compute,
+    progress: StageProgress,
+) -> tuple[ByRuns | None, Sturdier | None]:
+    """Layouts that other priorities choose from the same poses.
+
+    Weights that the user gave are meant: runs that count the same are not compared with them.
+    """
+    problem, chosen = placement.problem, placement.pose_index
+    progress(STAGE, 0, 0)
+    effort, cache = plan.effort, compute.cache_folder
+    by_runs = None
+    if question.weights in ("", "case"):
+        by_runs = find_by_runs(problem, chosen, effort=effort, cache_folder=cache)
+    return by_runs, find_sturdier(problem, chosen, effort=effort, cache_folder=cache)
+
+
+def begin_standing(
+    side: SideProcess, setting: Setting, layout: Layout, question: Question, compute: Compute
+) -> Task[Standing] | None:
+    """Begin to find what errors of mounting cost a layout; None where it has too many units."""
+    if len(layout.units) > MAX_UNITS:
+        return None
+    return side.begin(
+        TOLERANCES,
+        find_standing,
+        setting,
+        layout.units,
+        fusion=question.fusion,
+        compute=compute,
+    )
+
+
+def leading_layouts(
+    on_grid: Placement,
+    placement: Placement,
+    poses: Sequence[CandidatePose],
+    pool: Pool | None,
+) -> list[Layout]:
+    """Layouts that lead on the table behind the one found, the greedy one first.
+
+    None where it is not the highest APR that was asked for, or worlds were sampled: the evaluator's
+    world is the one as planned. `on_grid` is the placement before it was refined.
+    """
+    problem = placement.problem
+    if problem.goal != "best" or problem.survive or problem.sample_index is not None:
+        return []
+    layouts, known = [], {frozenset(placement.pose_index)}
+    greedy = frozenset(on_grid.greedy_index)
+    if greedy != frozenset(on_grid.pose_index) and is_feasible(on_grid.problem, [*greedy]):
+        layouts.append(on_grid.greedy)
+        known |= {greedy} if on_grid is placement else set()
+    for one in [] if pool is None else pool.sets:
+        if frozenset(one.pose_index) not in known and len(layouts) <= _MAX_POOLED:
+            layouts.append(pick_layout(poses, one.pose_index, f"pool-{len(layouts) + 1}"))
+    return layouts
+
+
+def find_front_runners(
+    evaluations: Sequence[Evaluation],
+    standing: Task[Standing] | None,
+    setting: Setting,
+    question: Question,
+    *,
+    compute: Compute,
+    progress: StageProgress,
+) -> tuple[FrontRunners | None, Standing | None, Layout | None]:
+    """Leading layouts by the evaluator, the layout found first, with what mounting errors cost it.
+
+    `standing` is that of the layout found; of others it is asked only where they are its equals.
+    The last value is the layout to recommend; None: the one found.
+    """
+    runners = [build_front_runner(one, setting.rule, fusion=question.fusion) for one in evaluations]
+    first = None if standing is None else standing.result(partial(progress, TOLERANCES, 0, 0))
+    known: list[Standing | None] = [first, *[None] * (len(runners) - 1)]
+
+    def mounted_wrongly(number: int) -> float:
+        if first is None:
+            return 0.0
+        found = known[number]
+        if found is None:
+            units = runners[number].layout.units
+            found = find_standing(setting, units, fusion=question.fusion, compute=compute)
+            known[number] = found
+        return found.worst.apr
+
+    number, decided_by = recommend(runners, mounted_wrongly)
+    if len(runners) == 1:
+        return None, first, None
+    found = FrontRunners(
+        recommended=runners[number].layout.name,
+        decided_by=decided_by,
+        layouts=tuple(
+            LeadingLayout(
+                name=one.layout.name,
+                layout=build_unit_records(one.layout),
+                apr=one.apr,
+                apr_one_failed=one.apr_one_failed,
+                mounting=mounting,
+            )
+            for one, mounting in zip(runners, known, strict=True)
+        ),
+    )
+    return found, first, runners[number].layout if number else None
+
+
+# ---------- words
+
+
+def recommended_sentences(found: FrontRunners | None, *, is_proven: bool) -> list[str]:
+    """Which layout the evaluator prefers; nothing where that is the one found."""
+    if found is None or found.decided_by == "order":
+        return []
+    first = found.layouts[0]
+    best = next(one for one in found.layouts if one.name == found.recommended)
+    left = f"{percent(best.apr_one_failed)} against {percent(first.apr_one_failed)}"
+    if found.decided_by == "apr":
+        why = f"APR {percent(best.apr)} against {percent(first.apr)}"
+        if len(first.layout) > 1:
+            why += f", and {left} if any one unit fails"
+    elif found.decided_by == "apr_one_failed":
+        why = f"the same APR, {percent(first.apr)}, and {left} if any one unit fails"
+    else:
+        assert best.mounting
+        assert first.mounting
+        why = (
+            "the same APR, and a unit mounted 1 degree or 5 cm off leaves "
+            f"{percent(best.mounting.worst.apr)} against {percent(first.mounting.worst.apr)}"
+        )
+    proof = "is proven best on the detection table" if is_proven else "is the best found"
+    return [
+        f"Recommended: {best.name}, in {RECOMMENDED_FILE}. The evaluator prefers it to "
+        f"{first.name}: {why}. All else here is about {first.name}, which {proof}."
+    ]
+
+
+def doubt_sentences(
+    heavy_runs: Sequence[HeavyRun],
+    by_runs: ByRuns | None = None,
+    sturdier: Sturdier | None = None,
+    mounting: Standing | None = None,
+    *,
+    n_runs: int,
+) -> list[str]:
+    """Sentences about what would change the answer; nothing where nobody looked."""
+    return [
+        *_heavy(heavy_runs),
+        *([_by_runs(by_runs, n_runs)] if by_runs else []),
+        *([_sturdier(sturdier)] if sturdier else []),
+        *([_mounting(mounting)] if mounting else []),
+    ]
+
+
+def _heavy(runs: Sequence[HeavyRun]) -> list[str]:
+    if not runs:
+        return []
+    low, high = percent(runs[-1].share), percent(runs[0].share)
+    shares = high if low == high else f"{low} to {high}"
+    names = first_of([one.run for one in runs], _MAX_HEAVY)
+    if len(runs) == 1:
+        return [f"One run alone counts {shares} of the APR: {names}."]
+    return [f"{len(runs)} runs count {shares} of the APR each: {names}."]
+
+
+def _by_runs(found: ByRuns, n_runs: int) -> str:
+    if found.runs_avoided == found.runs_avoided_here:
+        if found.is_proven:
+            return "If every run counted the same, no layout would be better than this one."
+        return (
+            "If every run counted the same, no better layout was found in the time for it; that "
+            "there is none is not proven."
+        )
+    best = "best" if found.is_proven else "better"
+    return (
+        f"If every run counted the same (--weights run), another layout would be {best}: it avoids "
+        f"{found.runs_avoided} of {count_runs(n_runs)}, this one {found.runs_avoided_here} (on the "
+        "detection table)."
+    )
+
+
+def _sturdier(found: Sturdier) -> str:
+    return (
+        f"More robust for {100.0 * max(found.apr_here - found.apr, 0.0):.1f} points of APR: "
+        f"--survive 1 gives {percent(found.apr)}, and {percent(found.apr_one_failed)} if any one "
+        f"unit fails, where this gives {percent(found.apr_here)} and "
+        f"{percent(found.apr_one_failed_here)} (on the detection table)."
+    )
+
+
+def _mounting(found: Standing) -> str:
+    aim = f"{found.aim_deg:g} {'degree' if found.aim_deg == 1.0 else 'degrees'}"
+    if found.aim_deg and found.height_m:
+        text = f"A unit may be {aim} off its aim or 5 cm too high or low, and no run is lost."
+    elif found.aim_deg:
+        text = (
+            f"A unit may be {aim} off its aim and no run is lost; 5 cm too high or low already "
+            "loses one."
+        )
+    elif found.height_m:
+        text = (
+            "Mount exactly: half a degree off the aim of a unit already loses a run; 5 cm too high "
+            "or low loses none."
+        )
+    else:
+        text = (
+            "Mount exactly: half a degree off the aim of a unit, or 5 cm too high or low, already "
+            "loses a run."
+        )
+    worst = found.worst
+    if not worst.lost_run_ids:
+        return text
+    size = f"{abs(worst.step):g} degree"
+    off = {
+        ("yaw", True): f"turned {size} to the left",
+        ("yaw", False): f"turned {size} to the right",
+        ("pitch", True): f"tilted {size} up",
+        ("pitch", False): f"tilted {size} down",
+        ("height", True): "5 cm too high",
+        ("height", False): "5 cm too low",
+    }[worst.kind, worst.step > 0.0]
+    return (
+        f"{text} At worst, 1 degree or 5 cm cost {count_runs(len(worst.lost_run_ids))}: with "
+        f"{worst.unit_id} {off} the APR is {percent(worst.apr)}."
+    )

@@ -1,0 +1,213 @@
+"""The answer of a placement, an evaluation or a comparison: its title, and its few sentences."""
+
+from collections.abc import Mapping, Sequence
+
+from geometry.arrays import BoolArray
+from geometry.whereabouts import street_names
+from placement.evaluation import Evaluation
+from placement.setting import Setting
+from scenarios.weights import weight_share
+
+from ..results.numbers import percent, several
+from . import dangers, proof
+from .accidents import count_sensors, is_weighted
+from .alternatives import doubt_sentences, recommended_sentences
+from .dangers import avoided_runs
+from .next_unit import next_unit_sentence
+from .private_ground import private_ground_sentences
+from .refinement import refinement_sentences
+from .result import ComparisonResult, EvaluationResult, PlacementResult, Result
+from .sampled_worlds import overtaken_sentences, uncertainty_sentences
+
+
+def title(result: Result, setting: Setting, evaluations: Mapping[str, Evaluation]) -> str:
+    """Heading: the question that a placement, an evaluation or a comparison answers."""
+    named = " / ".join(street_names(setting.scene).values())
+    streets = dict.fromkeys(filter(None, named.split(" / ")))
+    place = " / ".join(streets) or setting.scene.name
+    if isinstance(result, PlacementResult):
+        subject = next(iter(evaluations.values()))
+        return f"Where to mount {count_sensors(subject.layout)} at {place}"
+    if len(evaluations) > 1:
+        return f"Roadside sensors at {place}: {' and '.join(evaluations)} compared"
+    return f"Roadside sensors at {place}: {next(iter(evaluations))}"
+
+
+def words(result: Result, shown: Mapping[str, Evaluation]) -> list[str]:
+    """The headline of the report; evaluations by display name, the first one is the subject."""
+    subject = next(iter(shown.values()))
+    sentences = (
+        _of_placement(result, subject, list(shown.items())[1:])
+        if isinstance(result, PlacementResult)
+        else _of_others(result, shown)
+    )
+    return [
+        *result.driven[:1],
+        *result.without_effect,
+        *dangers.words(result.dangers, result.runs),
+        *preferred(result),
+        *(f"{sentence}." for sentence in sentences if sentence),
+        *doubts(result),
+        *private_ground(result),
+        *refinement(result),
+        *uncertainty(result),
+    ]
+
+
+def preferred(result: Result) -> list[str]:
+    """Other layouts that the evaluator or fresh sampled worlds prefer to the one found."""
+    if isinstance(result, EvaluationResult):
+        return []
+    found = []
+    if isinstance(result, PlacementResult):
+        is_proven = any(stage.name == "apr" and stage.gap == 0.0 for stage in result.stages)
+        found = recommended_sentences(result.front_runners, is_proven=is_proven)
+    return found + (overtaken_sentences(result.sampled) if result.sampled else [])
+
+
+def doubts(result: Result) -> list[str]:
+    """Sentences about what would change the answer."""
+    if not isinstance(result, PlacementResult):
+        return doubt_sentences(result.heavy_runs, n_runs=result.runs)
+    return doubt_sentences(
+        result.heavy_runs,
+        result.by_runs,
+        result.sturdier,
+        result.mounting,
+        n_runs=result.runs,
+    )
+
+
+def private_ground(result: Result) -> list[str]:
+    """Private ground that units see; of each layout where several are compared."""
+    others = result.compared if isinstance(result, ComparisonResult) else ()
+    return private_ground_sentences(
+        result.private_ground, {other.name: other.private_ground for other in others}
+    )
+
+
+def refinement(result: Result) -> list[str]:
+    """Gains of refinement between the poses of the grid; nothing where not asked for."""
+    if not isinstance(result, PlacementResult) or result.refinement is None:
+        return []
+    return refinement_sentences(result.refinement)
+
+
+def uncertainty(result: Result) -> list[str]:
+    """The layout in sampled worlds; nothing where none were asked for."""
+    if isinstance(result, EvaluationResult) or result.sampled is None:
+        return []
+    return uncertainty_sentences(result.sampled)
+
+
+def _of_placement(
+    result: PlacementResult, subject: Evaluation, others: Sequence[tuple[str, Evaluation]]
+) -> list[str]:
+    verb = "avoids" if len(subject.units) == 1 else "avoid"
+    how = ", each by itself," if result.fusion == "single" else ""
+    score = _score(avoided_runs(subject, result.fusion), subject)
+    parts = [
+        f"{count_sensors(subject.layout)}{how} {verb} {score}",
+        _of_car(subject),
+        *_scores(others),
+        *_of_baselines(result),
+    ]
+    last = (next_unit_sentence(result.next_unit), proof.words(result), *_failures(result, subject))
+    return ["; ".join(parts), ". ".join(part for part in last if part)]
+
+
+def _of_others(
+    result: EvaluationResult | ComparisonResult, shown: Mapping[str, Evaluation]
+) -> list[str]:
+    (name, subject), *others = shown.items()
+    baselines = _of_baselines(result) if isinstance(result, ComparisonResult) else []
+    return [
+        f"{name} ({count_sensors(subject.layout)}) avoids "
+        f"{_score(subject.rsu_all.is_avoided, subject)}; "
+        f"{_of_car(subject)}",
+        "; ".join([*_scores(others), *baselines]),
+        *_differences(name, subject, others),
+        *_failures(result, subject),
+    ]
+
+
+def _of_car(subject: Evaluation) -> str:
+    return f"the car by itself avoids {_score(subject.vut.is_avoided, subject)}"
+
+
+def _scores(others: Sequence[tuple[str, Evaluation]]) -> list[str]:
+    return [
+        f"{name} ({count_sensors(item.layout)}) avoids {_score(item.rsu_all.is_avoided, item)}"
+        for name, item in others
+    ]
+
+
+def _failures(result: Result, subject: Evaluation) -> list[str]:
+    """APR that remains when a unit or a pole fails."""
+    left, of_site = (
+        result.evaluation.apr_without_worst_unit,
+        result.evaluation.apr_without_worst_site,
+    )
+    failed = [] if left is None else [_one_failed(left, subject)]
+    if of_site is not None:
+        failed.append(f"If any one pole fails with all its units, {_reach(of_site, 'the others')}")
+    return failed
+
+
+def _of_baselines(result: PlacementResult | ComparisonResult) -> list[str]:
+    """APR of an expert's rule and of random layouts, in short."""
+    if result.baselines is None:
+        return []
+    clauses = []
+    expert, random = result.baselines.expert, result.baselines.random
+    if expert is not None:
+        clauses.append(
+            f"an expert's rule ({several(len(expert.layout), 'unit', 'units')} at corners, "
+            f"looking at the middle) {percent(expert.score.all)}"
+        )
+    if random is not None:
+        clauses.append(
+            f"random layouts {percent(random.mean)} on average (of {random.layouts}, on the "
+            "detection table)"
+        )
+    return clauses
+
+
+def _one_failed(left: float, subject: Evaluation) -> str:
+    if len(subject.units) == 1:
+        return "If this one unit fails, only the car itself is left"
+    return f"If any one unit fails, {_reach(left, 'the others')}"
+
+
+def _reach(left: float, who: str) -> str:
+    if left > 1.0 - 1.0e-9:
+        return f"{who} still avoid every run"
+    return f"{who} reach at least {percent(left)}"
+
+
+def _differences(
+    name: str, ours: Evaluation, others: Sequence[tuple[str, Evaluation]]
+) -> list[str]:
+    """The first layout against each of the others; those that are alike in one sentence."""
+    alike, sentences = [name], []
+    for other_name, theirs in others:
+        gained = int((ours.rsu_all.is_avoided & ~theirs.rsu_all.is_avoided).sum())
+        lost = int((theirs.rsu_all.is_avoided & ~ours.rsu_all.is_avoided).sum())
+        if not gained and not lost:
+            alike.append(other_name)
+            continue
+        sentences.append(
+            f"{name} avoids {gained} that {other_name} does not, "
+            f"and {other_name} avoids {lost} that {name} does not"
+        )
+    if len(alike) > 1:
+        names = f"{', '.join(alike[:-1])} and {alike[-1]}"
+        sentences.append(f"{names} avoid the same runs")
+    return sentences
+
+
+def _score(is_avoided: BoolArray, evaluation: Evaluation) -> str:
+    axis = evaluation.axis
+    by_weight = " by weight" if is_weighted(axis) else ""
+    share = percent(weight_share(is_avoided, axis.weight))
+    return f"{int(is_avoided.sum())} of {axis.n_runs} runs (APR{by_weight} {share})"

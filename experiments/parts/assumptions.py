@@ -1,0 +1,199 @@
+"""How a result was computed, and how to make it again: the last words of the report."""
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+
+from geometry.notes import Note
+from placement.layout import Layout
+from placement.setting import Radio, Setting
+from scenarios.aeb import AebRule
+
+from ..results.numbers import count_runs, joined, percent, several
+from .accidents import is_weighted
+from .result import EvaluationResult, PlacementResult, Result
+from .sampled_worlds import moving_sentence
+from .section import Block, Box, Code, Section, Table, Terms
+
+
+def assumption_sentences(result: Result) -> list[str]:
+    """Assumptions where the map of the junction is silent, the most important first.
+
+    Sites of which the same is assumed share a sentence.
+    """
+    groups: dict[tuple[str, ...], list[Note]] = {}
+    for index, one in enumerate(result.assumptions):
+        key = (one.kind, _NUMBER.sub("#", one.why)) if one.site_ids else (str(index),)
+        groups.setdefault(key, []).append(one)
+    return [_together(group) for group in groups.values()]
+
+
+_NUMBER = re.compile(r"\d+(?:\.\d+)?")
+_MAX_NAMES = 3
+
+
+def _together(group: Sequence[Note]) -> str:
+    """One sentence; of several with other numbers, these are the lowest and the highest."""
+    first = group[0]
+    if len(group) == 1:
+        return f"{first.what}: {first.why}."
+    numbers = [[float(word) for word in _NUMBER.findall(one.why)] for one in group]
+    ranges = [
+        f"{low:g}" if low == high else f"{low:g} to {high:g}"
+        for low, high in ((min(column), max(column)) for column in zip(*numbers, strict=True))
+    ]
+    why = _NUMBER.sub(lambda _match: ranges.pop(0), first.why)
+    names = [site_id for one in group for site_id in one.site_ids]
+    listed = ", ".join(names[:_MAX_NAMES])
+    more = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
+    return f"{len(names)} sites ({listed}{more}): {why}."
+
+
+def assumptions_section(result: Result, setting: Setting, layouts: Mapping[str, Layout]) -> Section:
+    """Assumptions behind the numbers; layouts by display name."""
+    terms = assumptions(result, setting, layouts)
+    return Section("assumptions", "How it was computed", [Terms(terms)])
+
+
+def again_section(result: Result, command: str) -> Section:
+    """The command line, how long it took, and with which programs."""
+    tables: list[Block] = []
+    if result.seconds:
+        seconds = [(stage, f"{value:.1f}") for stage, value in result.seconds.items()]
+        tables.append(
+            Table(caption="Time taken", columns=["stage", "seconds"], rows=seconds, numeric=[1])
+        )
+    if result.versions:
+        versions = [*result.versions.items()]
+        tables.append(Table(caption="Versions", columns=["what", "version"], rows=versions))
+    columns = Box("beside tables", [Box("", [table]) for table in tables])
+    return Section("again", "To make it again", [Code(command), columns])
+
+
+def assumptions(
+    result: Result, setting: Setting, layouts: Mapping[str, Layout]
+) -> list[tuple[str, str]]:
+    """Assumptions behind the numbers, as term and text; layouts by display name."""
+    rule, axis = setting.rule, setting.axis
+    frame_s = 1.0 / rule.frame_rate_hz
+    terms = [
+        (
+            "Runs",
+            f"{axis.n_runs} runs, {axis.n_frames} frames at {rule.frame_rate_hz:g} Hz. Every run "
+            "ends in an impact unless the car brakes. One frame falls on the moment of the impact.",
+        ),
+        ("Weights", _weights(setting)),
+        (
+            "Detection",
+            f"{setting.detector.description} The car itself looks with: "
+            f"{' and '.join(setting.vut_sensors)}.",
+        ),
+        (
+            "Confirmation",
+            f"{rule.n_confirmations} detected frames in a row, {frame_s:g} s apart.",
+        ),
+        ("Tracks", _tracks(rule)),
+        ("Latency", _latency(rule, layouts)),
+        (
+            "Braking",
+            f"{rule.deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO}, {_onset(rule.build_up_s)}, along "
+            "the car's path. The road user keeps going.",
+        ),
+        ("Avoided", "The outlines of car and road user on the road never touch."),
+        ("Weather", _weather(setting)),
+    ]
+    if setting.radio != Radio():
+        terms.append(("Radio", _radio(setting.radio)))
+    sampled = None if isinstance(result, EvaluationResult) else result.sampled
+    if sampled is not None and sampled.moving:
+        terms.append(("Traffic", f"{moving_sentence(sampled)}. {_MOVING}"))
+    terms.append(("Units together", _FUSIONS[result.fusion]))
+    if isinstance(result, PlacementResult) and result.budget is not None:
+        terms.append(("Budget", several(result.budget, "unit", "units") + "."))
+    return terms
+
+
+def _tracks(rule: AebRule) -> str:
+    """How long a confirmed road user stays known, and what the car brakes for."""
+    if math.isinf(rule.track_memory_s):
+        return (
+            "A road user who is confirmed once stays known for ever, however long nobody detects "
+            "them: the CarlaNCAP study's reading."
+        )
+    return (
+        f"A confirmed road user stays known for {rule.track_memory_s:g} s after each detection, "
+        "then must be confirmed anew. The car brakes only for one who is known at the last moment "
+        "to brake, less the latency. Time to spare counts from the confirmation of that track on."
+    )
+
+
+def _latency(rule: AebRule, layouts: Mapping[str, Layout]) -> str:
+    """The rule's latency, then the units that have another of their own, equal ones together."""
+    own = []
+    for name, layout in layouts.items():
+        unit_ids: dict[float, list[str]] = {}
+        for unit in layout.units:
+            if unit.latency(rule) != rule.latency_s:
+                unit_ids.setdefault(unit.latency(rule), []).append(unit.id)
+        of = f" of {name}" if len(layouts) > 1 else ""
+        own += [
+            f"{_all_or(ids, len(layout.units))}{of} {1000.0 * latency_s:g} ms"
+            for latency_s, ids in sorted(unit_ids.items())
+        ]
+    text = f"{1000.0 * rule.latency_s:g} ms for processing and communication"
+    return f"{text}; units with a latency of their own: {'; '.join(own)}." if own else f"{text}."
+
+
+def _all_or(unit_ids: Sequence[str], n_units: int) -> str:
+    return "every unit" if len(unit_ids) == n_units > 1 else joined(unit_ids)
+
+
+def _onset(build_up_s: float) -> str:
+    if build_up_s == 0.0:
+        return "constant from the onset"
+    return f"reached linearly {build_up_s:g} s after the onset"
+
+
+def _weights(setting: Setting) -> str:
+    axis = setting.axis
+    if not is_weighted(axis):
+        return "Every run counts the same."
+    counted = axis.weight[axis.weight > 0.0]
+    low, high = (percent(float(share)) for share in (counted.min(), counted.max()))
+    text = f"Runs count differently: from {low} to {high} of the whole each."
+    n_without = axis.n_runs - len(counted)
+    if n_without:
+        verb = "is" if n_without == 1 else "are"
+        text += f" {count_runs(n_without)} of weight 0 {verb} driven, but not counted."
+    return text
+
+
+def _weather(setting: Setting) -> str:
+    weathers = list(dict.fromkeys(run.weather for run in setting.runs))
+    text = f"{', '.join(weathers)}."
+    if weathers == ["day"]:
+        return text
+    return f"{text} It takes contrast from cameras and pulses from LiDARs."
+
+
+def _radio(links: Radio) -> str:
+    lost = f"{percent(links.packet_loss)} of all messages are lost, frame by frame."
+    if links.vam_rate == 0.0:
+        return lost
+    return (
+        f"{lost} {percent(links.vam_rate)} of the road users announce themselves (VRU awareness "
+        "messages), and the car trusts the position that they send."
+    )
+
+
+_MOVING = (
+    "In each sampled world, runs of one case, approach and position see the same traffic, with the "
+    "impact at the same moment. Vehicles more than 100 m from the middle of the junction are cut. "
+    "Who would touch what is parked, or come nearer to car or road user than the clearance, is "
+    "left out of that run. Where SUMO drives, its vehicles react to the car, which minds no lights."
+)
+
+_FUSIONS = {
+    "any": "A frame counts if any unit detects the road user in it.",
+    "single": "One unit must confirm the road user by itself.",
+}

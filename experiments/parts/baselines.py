@@ -1,0 +1,327 @@
+"""Layouts to compare with that need no optimiser: random ones, and an expert's rule of thumb."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from placement.baselines import Baselines as JudgedProposals
+from placement.baselines import RandomLayouts, judge_proposals, propose
+from placement.candidates import CandidatePose, build_candidates, load_candidate_grid
+from placement.compute import Compute
+from placement.evaluation import (
+    Evaluation,
+    Verdict,
+    apr,
+    apr_by_case,
+    apr_by_position,
+    apr_one_failed,
+)
+from placement.layout import Layout
+from placement.optimiser import apr as table_apr
+from placement.pipeline import Assembly, Placement, pick_layout
+from placement.sampling.out_of_sample import estimate_mean
+from placement.setting import Setting
+from placement.wishes import Wishes
+from scenarios.runs import FrameAxis
+
+from ..results.numbers import percent, several
+from ..results.record import UnitRecord, build_unit_records
+
+STAGE = "baselines"
+
+# ---------- values
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Score:
+    """APR and avoided runs of a sensing party, by the evaluator.
+
+    Attributes
+    ----------
+    name : str
+        Of the layout; or who else senses.
+    units : int
+        How many units it has; 0: the vehicle by itself.
+    runs_avoided : int
+        How many.
+    all : float, optional
+        APR over all runs, by weight.
+    by_case : dict of str to float
+        APR of each case, by its name; null where no run of it has weight.
+    by_position : dict of str to float
+        APR of each position along the arms; null where no run there has weight.
+    """
+
+    name: str
+    units: int
+    runs_avoided: int
+    all: float | None
+    by_case: dict[str, float | None]
+    by_position: dict[str, float | None]
+
+
+def build_score(name: str, verdict: Verdict, axis: FrameAxis, *, n_units: int) -> Score:
+    """APR and avoided runs of a sensing party."""
+    return Score(
+        name=name,
+        units=n_units,
+        runs_avoided=int(verdict.is_avoided.sum()),
+        all=apr(verdict, axis),
+        by_case={**apr_by_case(verdict, axis)},
+        by_position={**apr_by_position(verdict, axis)},
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RandomInWorlds:
+    """Mean of random layouts over the sampled worlds that the layout found was chosen in.
+
+    Attributes
+    ----------
+    worlds : int
+        How many.
+    mean, low, high : float
+        Mean APR of all random layouts over these worlds, and ends of its 95 % interval.
+    """
+
+    worlds: int
+    mean: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RandomBaseline:
+    """Layouts of candidate poses drawn at random within the limits, on the detection table.
+
+    Attributes
+    ----------
+    layouts, units : int
+        How many were drawn, and units of each.
+    mean, low, high : float
+        Mean APR; 5 % of them have no higher one than `low`, 5 % no lower one than `high`.
+    in_worlds : RandomInWorlds, optional
+        The mean over worlds; only with --samples.
+    """
+
+    layouts: int
+    units: int
+    mean: float
+    low: float
+    high: float
+    in_worlds: RandomInWorlds | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExpertBaseline:
+    """A camera per corner of the junction that looks at its middle.
+
+    Attributes
+    ----------
+    name : str
+        Of the layout.
+    layout : tuple of UnitRecord
+        The units.
+    corners : tuple of str
+        Corners that have a camera, by the arms next to them, in the order of choice.
+    cost_eur : float
+        Price of the units by the catalogue, without poles or mounting. [EUR]
+    on_table : float
+        APR on the detection table.
+    score : Score
+        By the evaluator.
+    apr_without_worst_unit : float, optional
+        APR by the evaluator if the unit that is needed most fails.
+    """
+
+    name: str
+    layout: tuple[UnitRecord, ...]
+    corners: tuple[str, ...]
+    cost_eur: float
+    on_table: float
+    score: Score
+    apr_without_worst_unit: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Baselines:
+    """Layouts that need no optimiser, within the same limits.
+
+    Attributes
+    ----------
+    random : RandomBaseline, optional
+        Drawn at random; null: none is within the limits.
+    expert : ExpertBaseline, optional
+        By rule of thumb; null: that is not within the limits, or there are no corners.
+    """
+
+    random: RandomBaseline | None
+    expert: ExpertBaseline | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Proposed:
+    """Random layouts and an expert's on the detection table.
+
+    Attributes
+    ----------
+    random : RandomLayouts, optional
+        None where no random layout is within the limits.
+    expert : Layout, optional
+        None where the rule of thumb is not within the limits.
+    corners : tuple of str
+        Corners at which it has a camera, in the order of choice.
+    expert_on_table : float
+        Its APR, 0..1.
+    """
+
+    random: RandomLayouts | None
+    expert: Layout | None
+    corners: tuple[str, ...]
+    expert_on_table: float
+
+
+def compare_placement(
+    placement: Placement, candidates: Sequence[CandidatePose], setting: Setting, *, seed: int
+) -> Proposed:
+    """Baselines of as many units as a layout found, within its limits, on its detection table."""
+    problem = placement.problem
+    proposals = propose(
+        problem.limits,
+        candidates,
+        setting.scene,
+        n_units=len(placement.pose_index),
+        rng=np.random.default_rng(seed),
+    )
+    found = judge_proposals(problem, proposals)
+    on_table = table_apr(problem, found.expert) if found.expert else 0.0
+    return _proposed(found, candidates, on_table)
+
+
+def compare_layout(layout: Layout, setting: Setting, *, compute: Compute) -> Proposed | None:
+    """Baselines of as many units as a given layout, of its sensors, within what the sites carry.
+
+    None where the scene's sites cannot carry as many. A detection table is built of the poses drawn
+    alone.
+    """
+    scene, n_units = setting.scene, len(layout.units)
+    if sum(site.capacity_units for site in scene.sites if site.use != "forbidden") < n_units:
+        return None
+    sensors = {unit.sensor: None for unit in layout.units}
+    grid = replace(load_candidate_grid(), sensors=tuple(sensors))
+    candidates = build_candidates(scene, grid)
+    wishes = Wishes(budget_units=n_units)
+    proposals = propose(
+        Assembly(setting=setting, candidates=candidates, wishes=wishes).limits,
+        candidates,
+        scene,
+        n_units=n_units,
+        rng=np.random.default_rng(compute.seed),
+    )
+    rows = proposals.rows
+    if not rows:
+        return None
+    compute.progress(STAGE, 0, 0)
+    drawn = [candidates[row] for row in rows]
+    problem = Assembly(
+        setting=setting, candidates=drawn, wishes=wishes, compute=compute.within(STAGE)
+    ).problem
+    found = judge_proposals(problem, proposals.among(rows))
+    on_table = table_apr(problem, found.expert) if found.expert else 0.0
+    return _proposed(found, drawn, on_table)
+
+
+def build_baselines(proposed: Proposed, expert: Evaluation | None, setting: Setting) -> Baselines:
+    """Their APR; `expert` is that layout by the evaluator."""
+    random = proposed.random
+    return Baselines(
+        random=None if random is None else _random(random),
+        expert=None
+        if expert is None
+        else ExpertBaseline(
+            name=expert.layout.name,
+            layout=build_unit_records(expert.layout),
+            corners=proposed.corners,
+            cost_eur=sum(unit.sensor.price_eur for unit in expert.layout.units),
+            on_table=round(proposed.expert_on_table, 12),
+            score=build_score(
+                expert.layout.name,
+                expert.rsu_all,
+                expert.axis,
+                n_units=len(expert.layout.units),
+            ),
+            apr_without_worst_unit=apr_one_failed(expert, setting.rule),
+        ),
+    )
+
+
+def _random(layouts: RandomLayouts) -> RandomBaseline:
+    """Mean and ends of their APR, without what summing up weights leaves over."""
+    by_world = layouts.mean_by_world
+    in_worlds = None
+    if len(by_world) > 1:
+        estimate = estimate_mean(np.clip(by_world, 0.0, 1.0))
+        in_worlds = RandomInWorlds(
+            worlds=len(by_world), mean=estimate.mean, low=estimate.low, high=estimate.high
+        )
+    return RandomBaseline(
+        layouts=len(layouts.apr),
+        units=layouts.n_units,
+        mean=round(layouts.mean, 12),
+        low=round(layouts.low, 12),
+        high=round(layouts.high, 12),
+        in_worlds=in_worlds,
+    )
+
+
+def _proposed(
+    found: JudgedProposals, candidates: Sequence[CandidatePose], on_table: float
+) -> Proposed:
+    rows = found.expert
+    return Proposed(
+        random=found.random,
+        expert=pick_layout(candidates, rows, f"expert-{len(rows)}") if rows else None,
+        corners=found.corners,
+        expert_on_table=on_table,
+    )
+
+
+# ---------- words
+
+
+def words(found: Baselines | None, *, apr_found: float | None = None, n_units: int) -> list[str]:
+    """APR of random layouts and of the expert's rule, next to that of the layout found."""
+    if found is None:
+        return []
+    sentences = []
+    random, expert = found.random, found.expert
+    if random is not None:
+        of_found = "" if apr_found is None else f" (the layout found: {percent(apr_found)})"
+        sentences.append(
+            f"Random: {random.layouts} layouts of {several(random.units, 'pose', 'poses')} drawn "
+            f"within the same limits have a mean APR of {percent(random.mean)} on the detection "
+            f"table{of_found}; 5 % of them have no more than {percent(random.low)}, 5 % no less "
+            f"than {percent(random.high)}."
+        )
+    if random is not None and random.in_worlds is not None:
+        worlds = random.in_worlds
+        sentences.append(
+            f"Over the {worlds.worlds} sampled worlds that the layout was chosen in, their mean is "
+            f"{percent(worlds.mean)} (95 % interval {percent(worlds.low)} to "
+            f"{percent(worlds.high)})."
+        )
+    if expert is not None:
+        corners = ", ".join(expert.corners)
+        sentences.append(
+            f"Expert rule: at each corner of the junction the nearest site, there the pose that "
+            f"looks at the middle the most directly; the corner whose camera prevents the most "
+            f"comes first ({corners or 'no corner fits'}). {percent(expert.on_table)} on the "
+            f"detection table, {percent(expert.score.all)} by the evaluator."
+        )
+        if len(expert.layout) < n_units:
+            sentences.append(
+                f"The expert's layout has {several(len(expert.layout), 'unit', 'units')}, not "
+                f"{n_units}: the rule knows one for each corner that fits."
+            )
+    return sentences

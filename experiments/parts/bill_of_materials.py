@@ -1,0 +1,337 @@
+"""Bill of materials: sensors by model, sites, what they cost as far as it is known."""
+
+from collections import Counter
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+from geometry.catalogue import sensor_kind
+from geometry.notes import assumed_sites
+from geometry.scene import Scene, Site
+from placement.layout import Layout
+from placement.prices import assumed_prices, load_prices
+
+from ..results.csv_text import csv_text
+from ..results.numbers import several
+from .section import Block, Bullets, Section, Table
+
+UNKNOWN = "unknown"
+FILE_NAME = "bill_of_materials.csv"
+NOT_IN_IT = (
+    "new poles and foundations",
+    "brackets, cables and junction boxes beyond what a site's cost covers",
+    "the computer that detects, the radio unit that sends to cars, and their housing",
+    "spare units",
+    "planning, permits, traffic management while mounting, the lift and the people",
+    "calibration and acceptance",
+    "electricity, data connection, cleaning, repair and replacement over the years",
+    "value added tax",
+)
+_KINDS = {"camera": "camera", "lidar": "LiDAR"}
+_NO_SITE = "no site of the scene"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Item:
+    """One line of the bill.
+
+    Attributes
+    ----------
+    part : str
+        "sensor" or "site".
+    name : str
+        The sensor's model, or the site's id.
+    kind : str
+        What it is: "camera", "LiDAR", "lamp post" and so on.
+    count : int
+        Sensors to buy; of a site: 1 if it is to be made ready, 0 if it has units already.
+    n_units : int
+        Units of this model, or at this site, with those that are there already.
+    price_eur : float or None
+        Of one; None: unknown. [EUR]
+    price_source : {"catalogue", "told", "assumption", ""}
+        Where the price comes from; empty: it is unknown.
+    assumed : str
+        What is assumed of a site that the map does not have where it is; empty: nothing.
+    """
+
+    part: str
+    name: str
+    kind: str
+    count: int
+    n_units: int
+    price_eur: float | None
+    price_source: str = ""
+    assumed: str = ""
+
+    @property
+    def sum_eur(self) -> float | None:
+        """Price of all; None where it is unknown, 0 where none is to buy."""
+        if self.count == 0:
+            return 0.0
+        return None if self.price_eur is None else self.count * self.price_eur
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BillOfMaterials:
+    """Sensors and sites that a layout needs, with their prices.
+
+    Attributes
+    ----------
+    sensors : tuple of Item
+        One per model.
+    sites : tuple of Item
+        One per site that is used, in the layout's order.
+    assumed : tuple of str
+        What is assumed of sites without a price, in sentences.
+    """
+
+    sensors: tuple[Item, ...]
+    sites: tuple[Item, ...]
+    assumed: tuple[str, ...] = ()
+
+    @property
+    def sites_eur(self) -> float | None:
+        """Price of all sites; None where one is unknown."""
+        sums = [item.sum_eur for item in self.sites]
+        return None if None in sums else sum(value for value in sums if value is not None)
+
+
+def build_bill(
+    layout: Layout,
+    scene: Scene,
+    *,
+    site_cost_eur: float | None = None,
+    kept_ids: Collection[str] = (),
+) -> BillOfMaterials:
+    """Sensors and sites that a layout needs.
+
+    A cost or price of 0 is unknown: that of a site is then assumed by its kind, from
+    ``prices.toml``, unless `site_cost_eur` was said for every site. Units of
+    `kept_ids` exist already: neither they nor their sites are paid for.
+    """
+    to_make = [] if site_cost_eur is not None else _used_sites(layout, scene, kept_ids)
+    to_buy = Counter(unit.sensor.name for unit in layout.units if unit.id not in kept_ids)
+    of_model = Counter(unit.sensor.name for unit in layout.units)
+    return BillOfMaterials(
+        sensors=tuple(
+            Item(
+                part="sensor",
+                name=name,
+                kind=_KINDS[sensor_kind(sensor)],
+                count=to_buy[name],
+                n_units=of_model[name],
+                price_eur=_told(sensor.price_eur),
+                price_source="catalogue" if sensor.price_eur > 0.0 else "",
+            )
+            for name, sensor in {unit.sensor.name: unit.sensor for unit in layout.units}.items()
+        ),
+        sites=_site_items(layout, scene, site_cost_eur, kept_ids),
+        assumed=assumed_prices(load_prices(), to_make),
+    )
+
+
+def _site_items(
+    layout: Layout,
+    scene: Scene,
+    site_cost_eur: float | None,
+    kept_ids: Collection[str],
+) -> tuple[Item, ...]:
+    doubts = assumed_sites(scene.notes)
+    sites = {site.id: site for site in scene.sites}
+    used: dict[str | None, list[str]] = {}
+    for unit in layout.units:
+        used.setdefault(unit.site_id if unit.site_id in sites else None, []).append(unit.id)
+    items = []
+    for site_id, unit_ids in used.items():
+        if site_id is None:
+            name, kind, price_eur, source = _NO_SITE, UNKNOWN, site_cost_eur, ""
+            # Nobody knows which of them share a mount.
+            count = sum(unit_id not in kept_ids for unit_id in unit_ids)
+        else:
+            name, kind = site_id, sites[site_id].kind
+            site = sites[site_id]
+            price_eur = load_prices().cost_eur(site) if site_cost_eur is None else site_cost_eur
+            source = "told" if site.cost_eur > 0.0 else "assumption"
+            count = int(not any(unit_id in kept_ids for unit_id in unit_ids))
+        items.append(
+            Item(
+                part="site",
+                name=name,
+                kind=kind,
+                count=count,
+                n_units=len(unit_ids),
+                price_eur=price_eur,
+                price_source=source if site_cost_eur is None else "told",
+                assumed=doubts.get(site_id or "", ""),
+            )
+        )
+    return tuple(items)
+
+
+def _used_sites(layout: Layout, scene: Scene, kept_ids: Collection[str]) -> list[Site]:
+    """Sites that have to be made ready."""
+    used = {unit.site_id for unit in layout.units}
+    used -= {unit.site_id for unit in layout.units if unit.id in kept_ids}
+    return [site for site in scene.sites if site.id in used]
+
+
+def _told(price_eur: float) -> float | None:
+    """A price; None of 0, which means unknown."""
+    return price_eur if price_eur > 0.0 else None
+
+
+# ---------- as a file
+
+
+def bill_of_materials_csv(bill: BillOfMaterials) -> str:
+    """The bill as CSV, a row per item; what is unknown is empty, and there is no row of sums."""
+    import pandas as pd
+
+    rows = [
+        {
+            "part": item.part,
+            "name": item.name,
+            "kind": item.kind,
+            "units": item.n_units,
+            "to_buy": item.count,
+            "price_eur": "" if item.price_eur is None else f"{item.price_eur:g}",
+            "sum_eur": "" if item.sum_eur is None else f"{item.sum_eur:g}",
+            "price_source": item.price_source,
+            "assumed": item.assumed,
+        }
+        for item in (*bill.sensors, *bill.sites)
+    ]
+    return csv_text(pd.DataFrame(rows))
+
+
+# ---------- in the report
+
+
+def bill_sentences(bill: BillOfMaterials) -> list[str]:
+    """The sum as far as it is known."""
+    items = [*bill.sensors, *bill.sites]
+    known = sum(item.sum_eur for item in items if item.sum_eur is not None)
+    unknown = [item for item in items if item.sum_eur is None]
+    if not unknown:
+        return [f"All lines together: {_euros(known)}."]
+    if len(unknown) == len(items):
+        return ["No price is known."]
+    what = " and ".join(
+        several(count, one, many)
+        for count, one, many in (
+            (sum(item.part == "sensor" for item in unknown), "sensor model", "sensor models"),
+            (
+                sum(item.count for item in unknown if item.part == "site"),
+                "mounting place",
+                "mounting places",
+            ),
+        )
+        if count
+    )
+    return [
+        f"At least {_euros(known)}: the sum of what is known. The price of {what} is unknown and "
+        "comes on top."
+    ]
+
+
+def bill_tables(bill: BillOfMaterials) -> list[Table]:
+    """Sensors by model, and sites; each with a row for all together."""
+    has_kept = any(item.count < item.n_units for item in bill.sensors)
+
+    def to_buy(count: int) -> list[str]:
+        return [str(count)] if has_kept else []
+
+    sensors = Table(
+        caption="Sensors",
+        columns=[
+            "model",
+            "kind",
+            "units",
+            *(["to buy"] if has_kept else []),
+            "price of one (EUR)",
+            "sum (EUR)",
+        ],
+        rows=[
+            *(
+                [
+                    item.name,
+                    item.kind,
+                    str(item.n_units),
+                    *to_buy(item.count),
+                    _or_unknown(item.price_eur),
+                    _or_unknown(item.sum_eur),
+                ]
+                for item in bill.sensors
+            ),
+            [
+                "all",
+                "",
+                str(sum(item.n_units for item in bill.sensors)),
+                *to_buy(sum(item.count for item in bill.sensors)),
+                "",
+                _total([item.sum_eur for item in bill.sensors]),
+            ],
+        ],
+        numeric=range(2, 6),
+    )
+    sites = Table(
+        caption="Sites",
+        columns=["site", "kind", "units", "making it ready (EUR)", "price"],
+        rows=[
+            *(
+                [
+                    f"{item.name} (assumed)" if item.assumed else item.name,
+                    item.kind,
+                    str(item.n_units),
+                    "there already" if item.count == 0 else _or_unknown(item.sum_eur),
+                    item.price_source,
+                ]
+                for item in bill.sites
+            ),
+            [
+                "all",
+                "",
+                str(sum(item.n_units for item in bill.sites)),
+                _total([item.sum_eur for item in bill.sites]),
+                "",
+            ],
+        ],
+        numeric=range(2, 4),
+    )
+    return [sensors, sites]
+
+
+def bill_section(bill: BillOfMaterials) -> Section:
+    """The bill, and what is not in it."""
+    note = (
+        "Prices are those of the sensor catalogue, for one outdoor unit with its housing; what "
+        "comes with this program are orders of magnitude. “Unknown” is not zero."
+        " Not in the bill:"
+    )
+    blocks: list[Block] = [
+        " ".join([*bill_sentences(bill), *bill.assumed]),
+        *bill_tables(bill),
+        note,
+        Bullets(NOT_IN_IT[1:] if bill.assumed else NOT_IN_IT),  # assumed costs are with poles
+    ]
+    return Section("bill", "Bill of materials", blocks)
+
+
+def _total(values: Sequence[float | None]) -> str:
+    """A sum; of what is known, where something is not."""
+    known = [value for value in values if value is not None]
+    if not known:
+        return UNKNOWN
+    return _amount(sum(known)) if len(known) == len(values) else f"≥ {_amount(sum(known))}"
+
+
+def _or_unknown(value: float | None) -> str:
+    return UNKNOWN if value is None else _amount(value)
+
+
+def _amount(value: float) -> str:
+    return f"{value:,.0f}" if value == round(value) else f"{value:,.2f}"
+
+
+def _euros(value: float) -> str:
+    return f"{_amount(value)} EUR"

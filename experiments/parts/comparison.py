@@ -1,0 +1,346 @@
+"""Layouts side by side: their worth, the runs on which they differ, how sure the difference is."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import msgspec
+import numpy as np
+
+from placement.evaluation import Evaluation, apr, apr_one_failed
+from scenarios.aeb import AebRule
+
+from ..results.evaluations import EvaluationRecord, build_evaluation_record, price_eur
+from ..results.explanations import PrivateGroundRecord
+from ..results.numbers import NOTHING, count_runs, number, or_nan, percent
+from ..results.record import UnitRecord, build_unit_records
+from ..results.sampled_worlds import SampledPairRecord, SampledRecord
+from ..results.tables import margin_s
+from .baselines import Baselines
+from .baselines import words as baseline_words
+from .sampled_worlds import is_open, plot_differences
+from .section import Block, Bullets, Section, Subheading, Table, build_picture
+
+GREEDY, EXPERT = "greedy", "expert rule"
+"""Display names of layouts to compare with: they appear in tables and bars only."""
+
+_MAX_DRAWN_PAIRS = 28  # of eight layouts; the table has all
+_MAX_SENTENCES = 6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Compared:
+    """Another layout on the same runs.
+
+    Attributes
+    ----------
+    name : str
+        Of the layout.
+    layout : tuple of UnitRecord
+        Its units.
+    cost_eur : float
+        Price of its units by the catalogue, without poles or mounting. [EUR]
+    evaluation : EvaluationRecord
+        By the evaluator.
+    runs_gained, runs_lost : tuple of str
+        Runs that the first layout avoids and this one does not, and the other way round.
+    private_ground : PrivateGroundRecord, optional
+        What its cameras see of private ground; only with --no-look.
+    """
+
+    name: str
+    layout: tuple[UnitRecord, ...]
+    cost_eur: float
+    evaluation: EvaluationRecord
+    runs_gained: tuple[str, ...]
+    runs_lost: tuple[str, ...]
+    private_ground: PrivateGroundRecord | None = None
+
+
+def build_compared(
+    subject: Evaluation,
+    other: Evaluation,
+    rule: AebRule,
+    private_ground: PrivateGroundRecord | None = None,
+) -> Compared:
+    """Another layout next to the first one, on the same runs."""
+    return Compared(
+        name=other.layout.name,
+        layout=build_unit_records(other.layout),
+        cost_eur=price_eur(other),
+        evaluation=build_evaluation_record(other, rule),
+        runs_gained=_only_first(subject, other),
+        runs_lost=_only_first(other, subject),
+        private_ground=private_ground,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Difference:
+    """Runs that only one of two layouts avoids, all units of each together.
+
+    Attributes
+    ----------
+    first, second : str
+        Names of the two layouts.
+    only_first, only_second : tuple of str
+        Runs that the first one alone avoids, and those of the second.
+    """
+
+    first: str
+    second: str
+    only_first: tuple[str, ...]
+    only_second: tuple[str, ...]
+
+
+def find_differences(evaluations: Mapping[str, Evaluation]) -> tuple[Difference, ...]:
+    """Which runs only one of two layouts avoids, for any two; evaluations by display name."""
+    return tuple(
+        Difference(
+            first=name,
+            second=other_name,
+            only_first=_only_first(one, other),
+            only_second=_only_first(other, one),
+        )
+        for (name, one), (other_name, other) in combinations(evaluations.items(), 2)
+    )
+
+
+def _only_first(one: Evaluation, other: Evaluation) -> tuple[str, ...]:
+    """Runs that the first of two layouts avoids and the second one does not."""
+    runs = np.array(one.axis.run_ids)
+    return tuple(runs[one.rsu_all.is_avoided & ~other.rsu_all.is_avoided].tolist())
+
+
+# ---------- tables and words
+
+
+def side_by_side_table(
+    evaluations: Mapping[str, Evaluation], rule: AebRule, baselines: Baselines | None = None
+) -> Table:
+    """A row per layout, by display name, and one of what random layouts prevent."""
+    return Table(
+        caption="The layouts side by side, all units of each together, by the evaluator",
+        columns=[
+            "layout",
+            "units",
+            "cost of the units (EUR)",
+            "APR",
+            "runs avoided",
+            "APR if the most needed unit fails",
+            "smallest time to spare (s)",
+        ],
+        rows=[
+            [
+                name,
+                str(len(item.layout.units)),
+                f"{sum(unit.sensor.price_eur for unit in item.layout.units):,.0f}",
+                percent(apr(item.rsu_all, item.axis)),
+                f"{int(item.rsu_all.is_avoided.sum())} of {item.axis.n_runs}",
+                percent(apr_one_failed(item, rule)),
+                number(_smallest_margin_s(item)),
+            ]
+            for name, item in evaluations.items()
+        ]
+        + _random_rows(baselines),
+        numeric=range(1, 7),
+    )
+
+
+def _random_rows(baselines: Baselines | None) -> list[list[str]]:
+    """The row of random layouts, whose APR is known on the detection table alone; or none."""
+    random = None if baselines is None else baselines.random
+    if random is None:
+        return []
+    name = f"random: mean of {random.layouts}, on the detection table"
+    return [[name, str(random.units), NOTHING, percent(random.mean), NOTHING, NOTHING, NOTHING]]
+
+
+def _smallest_margin_s(evaluation: Evaluation) -> float | None:
+    """Least time to spare in the runs that are avoided and count; None if there is none."""
+    verdict, axis = evaluation.rsu_all, evaluation.axis
+    margin = margin_s(verdict, axis)[verdict.is_avoided & (axis.weight > 0.0)]
+    return float(margin.min()) if len(margin) else None
+
+
+def difference_matrix(names: Sequence[str], differences: Sequence[Difference]) -> Table:
+    """How many runs the layout of a row avoids and that of a column does not."""
+    only: dict[tuple[str, str], int] = {}
+    for pair in differences:
+        only[pair.first, pair.second] = len(pair.only_first)
+        only[pair.second, pair.first] = len(pair.only_second)
+    return Table(
+        caption="Runs that the layout of the row avoids, and that of the column does not",
+        columns=["avoided by", *(f"not by {name}" for name in names)],
+        rows=[
+            [row, *(NOTHING if row == column else str(only[row, column]) for column in names)]
+            for row in names
+        ],
+        numeric=range(1, len(names) + 1),
+    )
+
+
+def difference_rows(differences: Sequence[Difference]) -> list[list[str]]:
+    """The runs themselves: a row for each layout that avoids any that another does not."""
+    return [
+        [ours, theirs, count_runs(len(runs)), ", ".join(runs)]
+        for pair in differences
+        for ours, theirs, runs in (
+            (pair.first, pair.second, pair.only_first),
+            (pair.second, pair.first, pair.only_second),
+        )
+        if runs
+    ]
+
+
+# ---------- in sampled worlds
+
+
+def significance_table(sampled: SampledRecord) -> Table:
+    """Every pair of layouts in the same sampled worlds: the one that avoids more comes first."""
+    return Table(
+        caption=f"Differences of the APR in the same {sampled.samples} sampled worlds",
+        columns=[
+            "layout",
+            "against",
+            "more in",
+            "the same in",
+            "less in",
+            "mean difference (points)",
+            "95 % interval (points)",
+            "is that sure?",
+        ],
+        rows=[
+            [
+                pair.first,
+                pair.second,
+                percent(pair.more_share),
+                percent(pair.equal_share),
+                percent(pair.less_share),
+                _points(pair.mean),
+                f"{_points(pair.low)} to {_points(pair.high)}",
+                "no sure difference" if is_open(pair) else "yes",
+            ]
+            for pair in map(_better_first, sampled.pairs)
+        ],
+        numeric=range(2, 7),
+    )
+
+
+def significance_sentences(sampled: SampledRecord) -> list[str]:
+    """The differences in words, the largest sure one first, and how they are to be read."""
+    pairs = [_better_first(pair) for pair in sampled.pairs]
+    sure = sorted((p for p in pairs if not is_open(p)), key=lambda p: -abs(or_nan(p.mean)))
+    sentences = [
+        f"{pair.first} prevents more accidents than {pair.second} in "
+        f"{percent(pair.more_share)} of the worlds, "
+        f"{_points(pair.mean)} points on average (95 % interval "
+        f"{_points(pair.low)} to {_points(pair.high)})."
+        for pair in sure[:_MAX_SENTENCES]
+    ]
+    if len(sure) > _MAX_SENTENCES:
+        sentences.append(f"So do {len(sure) - _MAX_SENTENCES} more pairs of the table.")
+    n_open = len(pairs) - len(sure)
+    if n_open == 1:
+        (pair,) = (p for p in pairs if is_open(p))
+        sentences.append(
+            f"Between {pair.first} and {pair.second} there is no sure difference (95 % "
+            f"interval {_points(pair.low)} to {_points(pair.high)} points)."
+        )
+    elif n_open:
+        sentences.append(f"Between the layouts of {n_open} pairs there is no sure difference.")
+    sentences.append(
+        "Paired on the same worlds: what is drawn hits all layouts alike, so that the difference "
+        "in each world counts, not the spread between worlds."
+    )
+    if len(pairs) > 1:
+        sentences.append(
+            "Each interval holds by itself: of twenty such, one may miss the true difference."
+        )
+    return sentences
+
+
+def _better_first(pair: SampledPairRecord) -> SampledPairRecord:
+    """A pair the way round in which the mean difference is not negative."""
+    if or_nan(pair.mean) >= 0.0:
+        return pair
+    return msgspec.structs.replace(
+        pair,
+        first=pair.second,
+        second=pair.first,
+        mean=-or_nan(pair.mean),
+        low=-or_nan(pair.high),
+        high=-or_nan(pair.low),
+        more_share=pair.less_share,
+        less_share=pair.more_share,
+    )
+
+
+def _points(share: float | None) -> str:
+    return number(100.0 * or_nan(share), 1)
+
+
+# ---------- the section of the report
+
+
+def section(
+    evaluations: Mapping[str, Evaluation],
+    rule: AebRule,
+    baselines: Baselines | None = None,
+    sampled: SampledRecord | None = None,
+    *,
+    apr_found: float | None = None,
+) -> Section | None:
+    """Layouts by display name side by side, the subject first; None where it stands alone.
+
+    `apr_found` is that of a layout found on the detection table.
+    """
+    if len(evaluations) < 2:
+        return None
+    n_units = len(next(iter(evaluations.values())).layout.units)
+    differences = find_differences(evaluations)
+    rows = difference_rows(differences)
+    sentences = baseline_words(baselines, apr_found=apr_found, n_units=n_units)
+    blocks: list[Block] = [
+        side_by_side_table(evaluations, rule, baselines),
+        *([Bullets(sentences)] if sentences else []),
+        Subheading("Which runs differ"),
+        difference_matrix(list(evaluations), differences),
+    ]
+    if rows:
+        blocks.append(
+            Table(
+                caption="Runs that only one of two layouts avoids",
+                columns=["avoided by", "not by", "how many", "which"],
+                rows=rows,
+                summary="The runs themselves",
+            )
+        )
+    else:
+        blocks.append("All layouts avoid the same runs.")
+    if sampled is not None and sampled.pairs:
+        blocks += _sampled_blocks(sampled)
+    return Section("comparison", "Side by side", blocks)
+
+
+def _sampled_blocks(sampled: SampledRecord) -> list[Block]:
+    table = significance_table(sampled)
+    blocks: list[Block] = [
+        Subheading("Is the difference sure?"),
+        Bullets(significance_sentences(sampled)),
+    ]
+    if len(sampled.pairs) <= _MAX_DRAWN_PAIRS:
+        blocks.append(
+            build_picture(
+                plot_differences([_better_first(pair) for pair in sampled.pairs]),
+                title="Differences in sampled worlds",
+                caption="Right of zero: the first one of the pair avoids more. An open dot: the "
+                "interval holds zero.",
+                alt="Dots with whiskers. "
+                + "; ".join(
+                    f"{row[0]} minus {row[1]}: {row[5]}, {row[6]} points" for row in table.rows
+                )
+                + ".",
+            )
+        )
+    return [*blocks, table]

@@ -1,0 +1,214 @@
+"""Where it is still dangerous: runs that nobody avoids, by case and place, and their map."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geometry.arrays import BoolArray
+from placement.evaluation import Evaluation
+from placement.setting import Setting
+from scenarios.positions import AT_ZERO, read_position
+from scenarios.runs import FrameAxis
+from scenarios.weights import weight_share
+
+from ..figures.axes import NARROW_IN, WIDTH_IN
+from ..figures.dangers import find_places, plot_dangers
+from ..results.numbers import count_runs, joined, percent
+from ..results.tables import RunGroup, groups_by_case, groups_by_direction, groups_by_position
+from .accidents import is_weighted
+from .section import Block, Box, Picture, Section, Table, build_picture
+
+_MAX_GROUPS = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DangerGroup:
+    """Some runs that are alike, and how many of them are not avoided.
+
+    Attributes
+    ----------
+    name : str
+        Of the case, or of the position along the arms.
+    runs, not_avoided : int
+        How many runs, and how many of them are not avoided.
+    """
+
+    name: str
+    runs: int
+    not_avoided: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Dangers:
+    """Runs that the units of the layout do not avoid, by the evaluator.
+
+    Attributes
+    ----------
+    not_avoided : int
+        How many of all runs.
+    by_case : tuple of DangerGroup
+        By case, the largest share of runs that are not avoided first.
+    by_position : tuple of DangerGroup
+        By position along the arms, in the same order; empty where there is but one.
+    """
+
+    not_avoided: int
+    by_case: tuple[DangerGroup, ...]
+    by_position: tuple[DangerGroup, ...]
+
+
+def avoided_runs(evaluation: Evaluation, fusion: str) -> BoolArray:
+    """Runs that the units of a layout avoid, (n_runs,) bool, as they were chosen to.
+
+    With fusion "single" some unit has to confirm by itself; else any may detect in each frame.
+    """
+    if fusion != "single":
+        return evaluation.rsu_all.is_avoided
+    alone: BoolArray = np.any([unit.is_avoided for unit in evaluation.units.values()], axis=0)
+    return alone
+
+
+def build_dangers(is_avoided: BoolArray, axis: FrameAxis) -> Dangers:
+    """Runs that are not avoided, counted by case and position; weights do not matter."""
+    positions = groups_by_position(axis)
+    return Dangers(
+        not_avoided=int((~is_avoided).sum()),
+        by_case=_groups(groups_by_case(axis), is_avoided),
+        by_position=_groups(positions, is_avoided) if len(positions) > 1 else (),
+    )
+
+
+def _groups(groups: Sequence[RunGroup], is_avoided: BoolArray) -> tuple[DangerGroup, ...]:
+    records = [
+        DangerGroup(name=name, runs=int(mask.sum()), not_avoided=int((mask & ~is_avoided).sum()))
+        for name, mask in groups
+    ]
+    # Stable: of equal shares the first group comes first.
+    return tuple(sorted(records, key=lambda group: -group.not_avoided / group.runs))
+
+
+# ---------- words
+
+
+def words(dangers: Dangers, n_runs: int) -> list[str]:
+    """How many runs are not avoided, and which: an answer begins with it."""
+    if not dangers.not_avoided:
+        return [f"No run is left: all {n_runs} are avoided."]
+    are = "is" if dangers.not_avoided == 1 else "are"
+    return [
+        f"{dangers.not_avoided} of {count_runs(n_runs)} {are} not avoided: "
+        f"{_most_left(dangers.by_case, 'in {}'.format, 'in other cases')}{_at_positions(dangers)}."
+    ]
+
+
+def _at_positions(dangers: Dangers) -> str:
+    """Where along the arms most are left; nothing where there is but one place."""
+    if not dangers.by_position:
+        return ""
+    return f". By place: {_most_left(dangers.by_position, position_words, 'elsewhere')}"
+
+
+def position_words(name: str) -> str:
+    """A position along the arms in words: "15 m before the junction" and the like."""
+    position = read_position(name, "position")
+    if position == AT_ZERO:
+        return "at the junction"
+    if position.distance_m == 0.0:
+        return "at the crosswalk ahead"
+    side = "beyond the crosswalk ahead" if position.is_behind else "before the junction"
+    return f"{position.distance_m:g} m {side}"
+
+
+def _most_left(groups: Sequence[DangerGroup], words_of: Callable[[str], str], others: str) -> str:
+    """The groups with the largest share that is left, and how many are left in all others."""
+    left = [group for group in groups if group.not_avoided]
+    words = [
+        f"{words_of(group.name)} {group.not_avoided} of {group.runs}"
+        for group in left[:_MAX_GROUPS]
+    ]
+    n_others = sum(group.not_avoided for group in left[_MAX_GROUPS:])
+    return joined([*words, *([f"{others} {n_others}"] if n_others else [])])
+
+
+# ---------- the section of the report
+
+
+def section(setting: Setting, shown: Mapping[str, Evaluation], *, fusion: str) -> Section:
+    """Which places stay dangerous; layouts by display name.
+
+    The first one, which was chosen with this fusion, is drawn, and so is the last one: that is what
+    it is compared with.
+    """
+    names = list(dict.fromkeys([next(iter(shown)), [*shown][-1]]))
+    avoided = {
+        name: avoided_runs(shown[name], fusion if order == 0 else "any")
+        for order, name in enumerate(names)
+    }
+    pictures = danger_pictures(setting, {name: shown[name] for name in names}, avoided)
+    by_weight = ", by weight," if is_weighted(setting.axis) else ""
+    note = (
+        "Every mark is a place where runs end in an impact if nobody brakes: impacts at most 6 m "
+        f"apart are one place. The number is the share of its runs{by_weight} that the units "
+        "avoid, in per cent; the darker, the more is left. At small white squares all are avoided. "
+        "Triangles are units, rings are sites that could carry some."
+    )
+    blocks: list[Block] = [note, Box("beside" if len(pictures) > 1 else "", pictures)]
+    if len(groups_by_position(setting.axis)) > 1:
+        blocks += [position_table(name, avoided[name], setting.axis) for name in names]
+    return Section("dangers", "Where it is still dangerous", blocks)
+
+
+def danger_pictures(
+    setting: Setting, shown: Mapping[str, Evaluation], avoided: Mapping[str, BoolArray]
+) -> list[Picture]:
+    """The junction from above with each of some layouts, narrower where there are several."""
+    places = find_places(setting)
+    pictures = []
+    for name, item in shown.items():
+        drawn = {
+            width_in: plot_dangers(
+                setting, item.layout, avoided[name], places=places, width_in=width_in
+            )
+            for width_in in ((NARROW_IN,) if len(shown) > 1 else (WIDTH_IN, NARROW_IN))
+        }
+        shares = [place.share_avoided(avoided[name], setting.axis.weight) for place in places]
+        n_left = sum(share < 1.0 for share in shares)
+        pictures.append(
+            build_picture(
+                drawn[max(drawn)],
+                narrow=drawn[NARROW_IN] if len(drawn) > 1 else None,
+                title=f"Where it is still dangerous with {name}",
+                caption=f"Places with runs that are not avoided: {n_left} of {len(places)}.",
+                alt=f"The junction from above: {len(places)} places, {n_left} of them with runs "
+                "that are not avoided. The tables below have the shares by position.",
+            )
+        )
+    return pictures
+
+
+def position_table(name: str, is_avoided: BoolArray, axis: FrameAxis) -> Table:
+    """Share of the runs that a layout avoids, by position along the arms and approach of the car.
+
+    A row for each position as the car passes them, with how many of its runs are avoided.
+    """
+    approaches = groups_by_direction(axis)
+    return Table(
+        caption=f"Where along the arms {name} avoids how much",
+        columns=["where", "APR", "runs avoided", *(f"from the {name}" for name, _ in approaches)],
+        rows=[
+            [
+                position_words(position),
+                _share(is_avoided, axis, at),
+                f"{int((is_avoided & at).sum())} of {int(at.sum())}",
+                *(_share(is_avoided, axis, at & of_approach) for _, of_approach in approaches),
+            ]
+            for position, at in groups_by_position(axis)
+        ],
+        numeric=range(1, 3 + len(approaches)),
+    )
+
+
+def _share(is_avoided: BoolArray, axis: FrameAxis, mask: BoolArray) -> str:
+    """Share of some runs, by weight; a dash where there are none."""
+    return percent(weight_share(is_avoided, axis.weight * mask))

@@ -1,0 +1,179 @@
+"""Failures of units and poles, in sentences and tables."""
+
+import math
+from collections.abc import Mapping, Sequence
+
+from placement.evaluation import Evaluation
+from placement.explain.failures import MAX_PAIR_UNITS, Failure, Failures, find_failures
+from scenarios.aeb import AebRule
+
+from ..results.numbers import NOTHING, count_runs, first_of, milliseconds, number, percent
+from .section import Section, Table
+
+MAX_ROWS = 12
+"""Rows of a table: beyond, only the worst are shown."""
+
+_MAX_RUNS = 4
+
+
+def failure_sentences(failures: Failures, labels: Mapping[str, str]) -> list[str]:
+    """APR that remains if one unit, two, or a pole fail; `labels` are names by id."""
+    whole, n_units = failures.none_failed, len(failures.one_failed)
+    if n_units == 1:
+        return [
+            f"There is one unit. If it fails, nothing is left of the {percent(whole.apr)} that it "
+            "prevents but what the car prevents by itself."
+        ]
+    return [
+        f"All {n_units} units together prevent {percent(whole.apr)}.",
+        *_one_sentences(failures, labels),
+        *_two_sentences(failures, labels),
+        *_site_sentences(failures, labels),
+    ]
+
+
+def _site_sentences(failures: Failures, labels: Mapping[str, str]) -> list[str]:
+    """APR that remains if any one pole fails."""
+    if not failures.site_failed:
+        return []
+    shared = [item for item in failures.site_failed if len(item.unit_ids) > 1]
+    if not shared:
+        return ["No two units share a pole: a pole that fails takes one unit with it."]
+    worst = failures.site_failed[0]
+    text = "A pole fails with all its units (power, a crash). "
+    if not worst.lost_run_ids:
+        return [f"{text}Whichever one does, no run is lost."]
+    n_lost = len(worst.lost_run_ids)
+    return [
+        f"{text}If that of {_names(worst, labels)} does, {percent(worst.apr)} are left and "
+        f"{count_runs(n_lost)} {_verb(n_lost)} lost; no other pole leaves less."
+    ]
+
+
+def _one_sentences(failures: Failures, labels: Mapping[str, str]) -> list[str]:
+    worst, n_units = failures.one_failed[0], len(failures.one_failed)
+    n_harmless = sum(not item.lost_run_ids for item in failures.one_failed)
+    if n_harmless == n_units:
+        text = "Whichever one fails, the others avoid every run that all avoid together"
+        least_s = min(item.smallest_margin_s for item in failures.one_failed)
+        if math.isnan(least_s):  # there is no such run
+            return [f"{text}."]
+        return [f"{text}; the least time to spare is then {milliseconds(least_s)}."]
+    text = (
+        f"If {_names(worst, labels)} fails, the others still prevent {percent(worst.apr)}; "
+        f"{count_runs(len(worst.lost_run_ids))} {_verb(len(worst.lost_run_ids))} lost. "
+        "No single failure leaves less."
+    )
+    if n_harmless:
+        text += f" {n_harmless} of the {n_units} units can fail by themselves and no run is lost."
+    return [text]
+
+
+def _two_sentences(failures: Failures, labels: Mapping[str, str]) -> list[str]:
+    n_units = len(failures.one_failed)
+    if not failures.two_failed:
+        return [f"Pairs are looked at for up to {MAX_PAIR_UNITS} units; there are {n_units}."]
+    if n_units == 2:
+        return ["If both fail, only the car itself is left."]
+    worst, n_pairs = failures.two_failed[0], len(failures.two_failed)
+    n_harmless = sum(not item.lost_run_ids for item in failures.two_failed)
+    if n_harmless == n_pairs:
+        return ["Any two may fail at once, and no run is lost."]
+    return [
+        f"Of two that fail at once, {_names(worst, labels)} matter most: {percent(worst.apr)} are "
+        f"left. {n_harmless} of the {n_pairs} pairs can fail and no run is lost."
+    ]
+
+
+def failure_table(
+    failures: Sequence[Failure], labels: Mapping[str, str], *, n_together: int
+) -> Table:
+    """A row per failure of one unit, or of two at once, the worst first.
+
+    It has at most ``MAX_ROWS`` rows; the caption says what is left out.
+    """
+    what, many = ("one unit fails", "units") if n_together == 1 else ("two units fail", "pairs")
+    caption = f"If {what}"
+    if len(failures) > MAX_ROWS:
+        caption += f": the {MAX_ROWS} worst of {len(failures)} {many}"
+    return Table(
+        caption=caption,
+        columns=[
+            "fails" if n_together == 1 else "fail",
+            "APR of the rest",
+            "smallest margin of the rest (ms)",
+            "runs lost",
+            "which",
+        ],
+        rows=[
+            [
+                _names(item, labels),
+                percent(item.apr),
+                number(1000.0 * item.smallest_margin_s, 0),
+                str(len(item.lost_run_ids)),
+                first_of(item.lost_run_ids, _MAX_RUNS) or NOTHING,
+            ]
+            for item in failures[:MAX_ROWS]
+        ],
+        numeric=range(1, 4),
+    )
+
+
+def site_table(failures: Sequence[Failure], labels: Mapping[str, str]) -> Table:
+    """A row per pole that fails with its units, the worst first, at most ``MAX_ROWS``."""
+    caption = "If one pole fails"
+    if len(failures) > MAX_ROWS:
+        caption += f": the {MAX_ROWS} worst of {len(failures)}"
+    rows = [
+        [
+            item.site_id,
+            _names(item, labels),
+            percent(item.apr),
+            number(1000.0 * item.smallest_margin_s, 0),
+            str(len(item.lost_run_ids)),
+            first_of(item.lost_run_ids, _MAX_RUNS) or NOTHING,
+        ]
+        for item in failures[:MAX_ROWS]
+    ]
+    return Table(
+        caption=caption,
+        columns=[
+            "pole",
+            "its units",
+            "APR of the rest",
+            "smallest margin of the rest (ms)",
+            "runs lost",
+            "which",
+        ],
+        rows=rows,
+        numeric=range(2, 5),
+    )
+
+
+def failures_section(evaluation: Evaluation, rule: AebRule, labels: Mapping[str, str]) -> Section:
+    """APR that remains if a unit fails, or two, or a pole with all its units.
+
+    There is no table of pairs where it says nothing new, or where pairs are not looked at. `labels`
+    are short names of the units, by id.
+    """
+    failures = find_failures(evaluation, rule)
+    tables = [failure_table(failures.one_failed, labels, n_together=1)]
+    if len(failures.two_failed) > 1:
+        tables.append(failure_table(failures.two_failed, labels, n_together=2))
+    if any(len(item.unit_ids) > 1 for item in failures.site_failed):
+        tables.append(site_table(failures.site_failed, labels))
+    note = (
+        "Roadside units only, from what the evaluator sees with each; what the car sees by itself "
+        "comes on top. A run is lost if all units together avoid it and those that are left do "
+        "not; the fastest ones are named first."
+    )
+    sentences = " ".join(failure_sentences(failures, labels))
+    return Section("failures", "If a unit or a pole fails", [sentences, *tables, note])
+
+
+def _names(failure: Failure, labels: Mapping[str, str]) -> str:
+    return " and ".join(labels.get(unit_id, unit_id) for unit_id in failure.unit_ids)
+
+
+def _verb(count: int) -> str:
+    return "is" if count == 1 else "are"

@@ -1,0 +1,122 @@
+"""The proof of a placement, and how far detection table and evaluator agree about it."""
+
+import math
+
+from placement.optimiser.objectives import Objective
+
+from ..results.numbers import NOTHING, number, or_nan, percent
+from ..results.record import StageRecord
+from .result import PlacementResult
+from .section import Block, Section, Table
+
+
+def words(result: PlacementResult) -> str:
+    """The proof in a sentence without its full stop."""
+    stages = result.stages
+    among = f"{result.candidates} candidate poses"
+    first = stages[0]
+    of_apr = next(stage for stage in stages if stage.name == "apr")
+    within = ""
+    if first.name in ("units", "cost_eur"):
+        what = "units" if first.name == "units" else "EUR"
+        least = (
+            "the least"
+            if first.gap == 0.0
+            else f"no choice needs less than {or_nan(first.bound):,.0f}"
+        )
+        within = f" With {first.objective:,.0f} {what} for what was asked, {least}:"
+    if of_apr.gap == 0.0:
+        return f"Proven on the detection table:{within} no choice among {among} has a higher APR"
+    return (
+        f"The best choice among {among} found in the time given:{within} on the detection table, "
+        f"no other can exceed an APR of {percent(of_apr.bound)}"
+    )
+
+
+def section(result: PlacementResult) -> Section:
+    """The optimiser's objectives with their proof."""
+    is_open = [_label(stage.name, result) for stage in result.stages if stage.gap != 0.0]
+    proof = "Yes: every objective's gap is closed."
+    if is_open:
+        proof = f"Not in full: proven are all objectives but {', '.join(is_open)}."
+    note = (
+        f"Solver: {result.solver or NOTHING}. The proof holds for the detection table: for the "
+        "candidate poses that were tried, on the runs listed below. What is proven, no other "
+        "choice among them exceeds."
+    )
+    return Section("proof", "How good is it, and is that proven?", [proof, table(result), note])
+
+
+def table(result: PlacementResult) -> Table:
+    """A row per objective, in order."""
+    return Table(
+        caption="Objectives in order: each is optimised without giving up any before it",
+        columns=["on the detection table", "found", "bound", "gap", "time (s)"],
+        rows=[[_label(stage.name, result), *_stage_row(stage)] for stage in result.stages],
+        numeric=range(1, 5),
+    )
+
+
+def _label(name: str, result: PlacementResult) -> str:
+    """Name of an objective; what fails is a pole where that was asked."""
+    label = Objective(name).label
+    return label.replace(" unit", " pole") if result.failing == "site" else label
+
+
+def _stage_row(stage: StageRecord) -> list[str]:
+    def shown(value: float | None) -> str:
+        if value is None or not math.isfinite(value):
+            return NOTHING
+        if stage.name in ("units", "cost_eur"):
+            return number(value, 2)
+        return f"{number(value, 3)} s" if stage.name.endswith("_s") else percent(value)
+
+    gap = "open" if stage.gap is None or not math.isfinite(stage.gap) else percent(stage.gap)
+    return [
+        shown(stage.objective),
+        shown(stage.bound),
+        "proven" if stage.gap == 0.0 else gap,
+        number(stage.seconds, 1),
+    ]
+
+
+# ---------- detection table and evaluator
+
+
+def agreement_section(result: PlacementResult) -> Section:
+    """How far detection table and evaluator differ."""
+    share = result.surrogate_disagreement
+    text = (
+        "The layout was chosen on a detection table, which looks at sample points on the road "
+        "user's surface. The evaluator renders every image instead. "
+    )
+    text += (
+        "For this layout both say the same of every run."
+        if share == 0.0
+        else f"They disagree on {percent(share)} of the runs whether this layout avoids it."
+    )
+    runs: Block = "Nor do they differ on any run for any unit by itself."
+    if result.disagreements:
+        runs = Table(
+            caption="Runs that only one of them calls avoided, for each unit by itself and for all "
+            "fused",
+            columns=[
+                "run",
+                "unit",
+                "avoided by the",
+                "frames that differ",
+                "what the evaluator sees in the first of them",
+            ],
+            rows=[
+                [
+                    entry.run_id,
+                    entry.party,
+                    "table" if entry.on_table else "evaluator",
+                    entry.n_frames,
+                    entry.cause,
+                ]
+                for entry in result.disagreements
+            ],
+            numeric=[3],
+        )
+    return Section("models", "Do the two models agree?", [text, runs])

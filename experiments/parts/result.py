@@ -1,0 +1,367 @@
+"""The three results that ``summary.json`` may hold: a placement, an evaluation, a comparison."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal, get_args
+
+import numpy as np
+from msgspec import Meta
+from msgspec.structs import asdict
+
+from geometry.arrays import BoolArray
+from geometry.notes import Note, assumptions
+from placement import optimiser
+from placement.compute import DEFAULT_COMPUTE, Compute
+from placement.evaluation import Evaluation
+from placement.explain import NextUnit
+from placement.explain.agreement import Disagreement, find_disagreements
+from placement.explain.alternatives import ByRuns, Sturdier
+from placement.explain.sensitivity import Sensitivity
+from placement.explain.tolerances import Standing
+from placement.optimiser import Failing, placement_value, run_margins_s
+from placement.pipeline import Placement
+from placement.setting import Setting
+
+from ..results.drives import DrivesRecord, build_drives_record, versions
+from ..results.evaluations import EvaluationRecord, build_evaluation_record, price_eur
+from ..results.explanations import ExplainedRecord, PrivateGroundRecord
+from ..results.fronts import FrontRecord, RefinementRecord
+from ..results.record import (
+    Share,
+    StageRecord,
+    UnitRecord,
+    build_stage_records,
+    build_unit_records,
+    says,
+)
+from ..results.sampled_worlds import SampledRecord
+from .alternatives import FrontRunners, HeavyRun, find_heavy_runs
+from .baselines import Baselines
+from .comparison import Compared, Difference, build_compared, find_differences
+from .dangers import Dangers, avoided_runs, build_dangers
+from .next_unit import Exchange
+from .study_cases import StudyCases
+
+
+class Answer(DrivesRecord, frozen=True, kw_only=True, tag_field="schema"):
+    """Head of all three: a layout by the evaluator, and what was driven.
+
+    A result is summary.json of a result folder, and what --json prints. Shares are 0 to 1. Names
+    end in their unit; no ending: no unit. Parts that nobody asked for are null.
+    """
+
+    name: Annotated[str, says("Of the layout.")]
+    layout: Annotated[
+        tuple[UnitRecord, ...],
+        says("The units of the layout found, evaluated, or compared with others.", min_length=1),
+    ]
+    cost_eur: Annotated[
+        float, says("Price of the units by the catalogue, in EUR, without poles or mounting.", ge=0)
+    ]
+    sites_eur: Annotated[
+        float | None,
+        says(
+            "Making their sites ready: their own prices, or those assumed by kind "
+            "(assumed_prices), in EUR; null: unknown."
+        ),
+    ] = None
+    assumed_prices: Annotated[
+        tuple[str, ...],
+        says(
+            "What is assumed of sites without a price, in sentences: of those used, or of all "
+            "where money counts."
+        ),
+    ] = ()
+    fusion: Annotated[
+        Literal["any", "single"],
+        says("any: in each frame any unit may detect; single: one unit has to confirm by itself."),
+    ]
+    runs: Annotated[int, says("Runs that every layout was evaluated on.", ge=1)]
+    apr: Annotated[
+        Share | None,
+        says(
+            "Accident prevention ratio: of a placement on the detection table, else by the "
+            "evaluator."
+        ),
+    ]
+    assumptions: Annotated[
+        tuple[Note, ...],
+        says("What the map of the junction leaves open and was assumed, what matters most first."),
+    ] = ()
+    evaluation: Annotated[EvaluationRecord, says("The layout by the evaluator.")]
+    dangers: Annotated[
+        Dangers,
+        says("Runs that the layout does not avoid, by the evaluator, and where they are."),
+    ]
+    heavy_runs: Annotated[
+        tuple[HeavyRun, ...],
+        says("Runs that count more than 2 % of the APR, and more than others; the heaviest first."),
+    ] = ()
+    study_cases: Annotated[
+        StudyCases | None,
+        says(
+            "The same layouts on the study's cases, by the evaluator; null where these are what "
+            "was asked about, or no arm carries them."
+        ),
+    ] = None
+    sensitivity: Annotated[
+        Sensitivity | None,
+        says("What becomes of the layout if an assumption is wrong; only where a folder is made."),
+    ] = None
+    private_ground: Annotated[
+        PrivateGroundRecord | None,
+        says("What cameras see of private ground; only with --no-look."),
+    ] = None
+    seconds: Annotated[
+        dict[str, Annotated[float, Meta(ge=0)]],
+        says("Time of each step, by its name, and in total, in seconds."),
+    ]
+    versions: Annotated[
+        dict[str, str], says("Versions of the programs that the numbers depend on, by name.")
+    ]
+
+
+class PlacementResult(Answer, frozen=True, kw_only=True, tag="place-rsus/placement/2"):
+    """The best layout found, with its proof, and what to compare it with."""
+
+    goal: Annotated[
+        Literal["best", "fewest", "cheapest"],
+        says("What was optimised: most accidents prevented, fewest units, or least money."),
+    ]
+    budget: Annotated[
+        Annotated[int, Meta(ge=0)] | None, says("Most units that were allowed; null: not limited.")
+    ]
+    candidates: Annotated[int, says("Candidate poses to choose from.", ge=1)]
+    presolve: Annotated[str, says("What dropped out before solving, in words.")]
+    stages: Annotated[
+        tuple[StageRecord, ...], says("Objectives in order, with their proof.", min_length=1)
+    ]
+    solver: Annotated[str, says("What the proof rests on: name and version.")]
+    bound: Annotated[
+        float | None,
+        says("APR that no layout can exceed, on the detection table; null: not looked for."),
+    ]
+    gap: Annotated[
+        float | None,
+        says("(bound - apr) / apr; 0: proven best; null: infinite, or not looked for."),
+    ]
+    spent_eur: Annotated[
+        float, says("Units, and sites once, as the optimiser counts them, in EUR.")
+    ]
+    apr_without_worst_unit: Annotated[
+        Share, says("APR if the unit that is needed most fails, on the detection table.")
+    ]
+    apr_without_worst_site: Annotated[
+        Share | None,
+        says(
+            "APR if the pole that is needed most fails with all its units, on the detection "
+            "table; null where no pole carries several."
+        ),
+    ]
+    failing: Annotated[
+        Literal["unit", "site"],
+        says("What fails at once where the optimiser asks: units, or poles (--survive site)."),
+    ]
+    greedy: Annotated[Compared, says("Units chosen one by one, for comparison.")]
+    baseline: Annotated[
+        Compared | None, says("The study's layout where it is its junction; null: none.")
+    ]
+    surrogate_disagreement: Annotated[
+        Share, says("Share of the runs on which detection table and evaluator disagree.")
+    ]
+    disagreements: Annotated[
+        tuple[Disagreement, ...], says("The runs on which they disagree, and why.")
+    ]
+    explained: Annotated[
+        ExplainedRecord, says("Why these units, what they miss, what else would do.")
+    ]
+    front: Annotated[
+        FrontRecord | None,
+        says(
+            "The best layout of each smaller size; null where something else than the best was "
+            "asked for."
+        ),
+    ] = None
+    next_unit: Annotated[
+        NextUnit | None,
+        says(
+            "What one more unit would gain on the detection table, chosen greedily, budgets "
+            "aside; null where none fits."
+        ),
+    ] = None
+    other_sensors: Annotated[
+        tuple[Exchange, ...],
+        says(
+            "Other models at the same mounts, on the detection table, the one that gains most "
+            "first; empty where no unit can be exchanged."
+        ),
+    ] = ()
+    baselines: Annotated[
+        Baselines, says("Random layouts and an expert's rule, with as many units.")
+    ]
+    by_runs: Annotated[
+        ByRuns | None, says("Whether the layout is the best, too, if every run counts the same.")
+    ] = None
+    sturdier: Annotated[
+        Sturdier | None,
+        says("What --survive 1 gives; null where that costs 3 points of APR or more."),
+    ] = None
+    mounting: Annotated[Standing | None, says("What errors of mounting cost.")] = None
+    front_runners: Annotated[
+        FrontRunners | None,
+        says("Which of the layouts that lead on the table the evaluator recommends."),
+    ] = None
+    refinement: Annotated[
+        RefinementRecord | None,
+        says("What turning units between the poses of the grid changed; only with --refine."),
+    ] = None
+    sampled: Annotated[
+        SampledRecord | None, says("APR in sampled worlds; only with --samples.")
+    ] = None
+
+
+class EvaluationResult(Answer, frozen=True, kw_only=True, tag="place-rsus/evaluation/2"):
+    """One layout by the evaluator."""
+
+
+class ComparisonResult(Answer, frozen=True, kw_only=True, tag="place-rsus/comparison/2"):
+    """A layout against others on the same runs."""
+
+    compared: Annotated[tuple[Compared, ...], says("The other layouts.", min_length=1)]
+    differences: Annotated[tuple[Difference, ...], says("For any two of the layouts.")]
+    baselines: Annotated[
+        Baselines | None,
+        says(
+            "Random layouts and an expert's rule, with as many units as the first layout; null "
+            "where the sites cannot carry as many."
+        ),
+    ] = None
+    sampled: Annotated[
+        SampledRecord | None, says("APR in sampled worlds; only with --samples.")
+    ] = None
+
+
+Result = PlacementResult | EvaluationResult | ComparisonResult
+KINDS: Mapping[str, type[Result]] = {
+    "place-rsus/placement/2": PlacementResult,
+    "place-rsus/evaluation/2": EvaluationResult,
+    "place-rsus/comparison/2": ComparisonResult,
+}
+
+
+def _answer(setting: Setting, evaluation: Evaluation) -> dict[str, Any]:
+    """Fields of an :class:`Answer` that follow from one layout by the evaluator."""
+    evaluated = build_evaluation_record(evaluation, setting.rule)
+    return {
+        "name": evaluation.layout.name,
+        "layout": build_unit_records(evaluation.layout, setting.scene),
+        "cost_eur": price_eur(evaluation),
+        "fusion": "any",
+        "runs": evaluation.axis.n_runs,
+        "apr": evaluated.rsu_all.all,
+        "assumptions": assumptions(setting.scene.notes),
+        "evaluation": evaluated,
+        "dangers": build_dangers(evaluation.rsu_all.is_avoided, evaluation.axis),
+        "heavy_runs": find_heavy_runs(evaluation.axis),
+        "seconds": {},
+        "versions": versions(),
+        **asdict(build_drives_record(setting)),
+    }
+
+
+def build_evaluation_result(
+    setting: Setting, evaluation: Evaluation, **parts: Any
+) -> EvaluationResult:
+    """One layout by the evaluator, with further `parts` by name; "seconds" is empty."""
+    return EvaluationResult(**_answer(setting, evaluation), **parts)
+
+
+def build_comparison_result(
+    setting: Setting,
+    subject: Evaluation,
+    others: Sequence[Evaluation],
+    *,
+    of_others: Sequence[PrivateGroundRecord | None] = (),
+    **parts: Any,
+) -> ComparisonResult:
+    """A layout against at least one other on the same runs, with further `parts` by name.
+
+    `of_others` is what each of the others sees of private ground.
+    """
+    compared = tuple(
+        build_compared(subject, other, setting.rule, private)
+        for other, private in zip(others, of_others or [None] * len(others), strict=True)
+    )
+    differences = find_differences({item.layout.name: item for item in (subject, *others)})
+    return ComparisonResult(
+        **_answer(setting, subject), compared=compared, differences=differences, **parts
+    )
+
+
+def build_placement_result(
+    placement: Placement,
+    setting: Setting,
+    *,
+    found: Evaluation,
+    greedy: Evaluation,
+    baseline: Evaluation | None,
+    compute: Compute = DEFAULT_COMPUTE,
+    **parts: Any,
+) -> PlacementResult:
+    """A placement by the optimiser and by the evaluator, with further `parts` by name."""
+    certificate, problem = placement.certificate, placement.problem
+    limits, rule = problem.limits, setting.rule
+    value = placement_value(problem, placement.pose_index)
+    units_fail, sites_fail = (
+        optimiser.apr_one_failed(
+            dataclasses.replace(problem, limits=dataclasses.replace(limits, failing=what)),
+            placement.pose_index,
+        )
+        for what in get_args(Failing)
+    )
+    n_sites = len(np.unique(limits.site_index[list(placement.pose_index)]))
+    apr_stage = next((stage for stage in certificate.stages if stage.name == "apr"), None)
+    answer = _answer(setting, found) | {
+        "fusion": problem.fusion,
+        "apr": _without_rounding(value.apr),
+        "dangers": build_dangers(avoided_runs(found, problem.fusion), found.axis),
+    }
+    return PlacementResult(
+        **answer,
+        goal=problem.goal,
+        budget=limits.budget_units,
+        candidates=problem.table.n_poses,
+        presolve=str(placement.presolve),
+        stages=build_stage_records(certificate),
+        solver=certificate.solver,
+        bound=None if apr_stage is None else _without_rounding(apr_stage.bound),
+        gap=None if apr_stage is None else apr_stage.gap,
+        spent_eur=value.cost_eur,
+        apr_without_worst_unit=_without_rounding(units_fail),
+        apr_without_worst_site=(
+            _without_rounding(sites_fail) if n_sites < len(placement.pose_index) else None
+        ),
+        failing=limits.failing,
+        greedy=build_compared(found, greedy, rule),
+        baseline=None if baseline is None else build_compared(found, baseline, rule),
+        surrogate_disagreement=float(np.mean(disagreeing_runs(placement, found))),
+        disagreements=find_disagreements(
+            setting, placement.nominal.table, found, placement.nominal_index, compute=compute
+        ),
+        **parts,
+    )
+
+
+def disagreeing_runs(placement: Placement, evaluation: Evaluation) -> BoolArray:
+    """Runs on which detection table and evaluator disagree about the layout found: (n_runs,) bool.
+
+    Both under the placement's own fusion.
+    """
+    on_table = np.isfinite(run_margins_s(placement.nominal, placement.nominal_index))
+    disagrees: BoolArray = on_table != avoided_runs(evaluation, placement.problem.fusion)
+    return disagrees
+
+
+def _without_rounding(value: float) -> float:
+    """Without what summing up many weights leaves over: all of them are 1."""
+    return round(value, 12)

@@ -1,0 +1,278 @@
+"""The runs: who sees the road user when in some of them, what is driven, and every outcome."""
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from placement.evaluation import Evaluation, Outcome, run_outcome
+from placement.layout import Layout
+from placement.setting import Setting
+from scenarios.aeb import AebRule
+from scenarios.positions import AT_ZERO
+
+from ..figures.axes import NARROW_IN, describe_run, unit_labels
+from ..figures.evaluation import plot_heatmap, units_in_heatmap
+from ..results.drives import describe_limits, describe_places
+from ..results.numbers import count_runs, number, percent
+from ..results.tables import margin_s
+from .accidents import is_weighted, several_weathers
+from .section import Block, Box, Bullets, Picture, Section, Subheading, Table, build_picture
+
+# ---------- who sees the road user when
+
+
+def build_heatmaps(
+    detailed: Mapping[str, Evaluation], run_indices: Sequence[int]
+) -> dict[str, list[Picture]]:
+    """Heatmaps of some runs, by the layout's display name."""
+    return {
+        name: [_heatmap(item, index) for index in run_indices] for name, item in detailed.items()
+    }
+
+
+def heatmaps_section(
+    heatmaps: Mapping[str, Sequence[Picture]], rule: AebRule, layouts: Sequence[Layout]
+) -> Section:
+    """Who detects the road user when, in a few runs."""
+    blocks: list[Block] = [
+        f"A few of the runs. A unit's detections count once it has detected the road user in "
+        f"{rule.n_confirmations} consecutive frames (white diamond). Braking begins "
+        f"{latency_in_short(rule, layouts)} later, and must begin at the last moment (dashed red "
+        "line) at the latest: the diamond must therefore lie at least so much to the left of the "
+        "line." + _lost_words(rule)
+    ]
+    for name, pictures in heatmaps.items():
+        if len(heatmaps) > 1:
+            blocks.append(Subheading(name))
+        blocks.append(Box("beside figures", pictures))
+    return Section("who-when", "Who sees the road user when", blocks)
+
+
+def _lost_words(rule: AebRule) -> str:
+    if math.isinf(rule.track_memory_s):
+        return ""
+    return (
+        f" Who is not detected for more than {rule.track_memory_s:g} s is lost and must be "
+        "confirmed anew: the diamond is of the track that is alive at the last moment, if one is."
+    )
+
+
+def _heatmap(evaluation: Evaluation, run_index: int) -> Picture:
+    axis, labels = evaluation.axis, unit_labels(evaluation.layout)
+    rows = {
+        "the VUT": evaluation.vut,
+        **{
+            labels[unit_id]: evaluation.units[unit_id]
+            for unit_id in units_in_heatmap(evaluation, [run_index])
+        },
+        "all RSUs": evaluation.rsu_all,
+    }
+    run = describe_run(axis, run_index)
+    last_moment = number(axis.last_brake_time_s[run_index])
+    confirmed = [
+        f"{name} at {number(verdict.confirmation_time_s[run_index], 1)} s"
+        if math.isfinite(verdict.confirmation_time_s[run_index])
+        else f"{name} never"
+        for name, verdict in rows.items()
+    ]
+    return build_picture(
+        plot_heatmap(evaluation, run_index, width_in=NARROW_IN),  # several stand side by side
+        title=run,
+        caption=f"Detections in each frame; the last moment to brake is at {last_moment} s.",
+        alt=f"Heatmap of {run}. Last moment to brake {last_moment} s. Confirmed by: "
+        + ", ".join(confirmed)
+        + ".",
+    )
+
+
+def latency_in_short(rule: AebRule, layouts: Sequence[Layout]) -> str:
+    """How long after a confirmation braking sets in.
+
+    Examples
+    --------
+    "25 ms"; with units of their own latency: "25 ms to 120 ms, by the unit's own latency,".
+    """
+    own_s = sorted(
+        {rule.latency_s, *(unit.latency(rule) for layout in layouts for unit in layout.units)}
+    )
+    if len(own_s) == 1:
+        return f"{1000.0 * own_s[0]:g} ms"
+    low_ms, high_ms = 1000.0 * own_s[0], 1000.0 * own_s[-1]
+    return f"{low_ms:g} ms to {high_ms:g} ms, by the unit's own latency,"
+
+
+# ---------- what is driven
+
+
+def cases_section(setting: Setting) -> Section:
+    """Cases that are driven, and those that cannot be."""
+    note = [
+        "Last moment: the latest time at which braking still avoids the impact, which would be at "
+        "0; of each case's runs the earliest and the latest.",
+        *describe_hopeless(setting),
+    ]
+    blocks: list[Block] = [" ".join(note), Box("cases", [case_table(setting)])]
+    refusals = describe_refusals(setting)
+    if refusals:
+        blocks += [Subheading("Not driven"), Bullets(refusals)]
+    return Section("cases", "What is driven", blocks)
+
+
+def runs_section(evaluations: Mapping[str, Evaluation]) -> Section:
+    """How every run ends."""
+    note = (
+        "Avoided, with the time to spare between the onset of braking and the last moment; or hit, "
+        "with the time by which braking comes too late. Lost again: confirmed early enough, but "
+        "not known any more at the last moment."
+    )
+    return Section("runs", "Every run", [note, run_table(evaluations)])
+
+
+def case_table(setting: Setting) -> Table:
+    """The cases that are driven: what, how fast, from where, how late braking may begin.
+
+    There is a column of weights where not every run counts the same.
+    """
+    has_weights = is_weighted(setting.axis)
+    every = dict.fromkeys(
+        [
+            *(run.approach for run in setting.runs),
+            *(refusal.approach for refusal in setting.refusals),
+        ]
+    )
+    rows = []
+    for name, indices in runs_by_case(setting).items():
+        runs = [setting.runs[index] for index in indices]
+        case = runs[0].case
+        approaches = dict.fromkeys(run.approach for run in runs)
+        last_s = [run.last_brake_time_s for run in runs if math.isfinite(run.last_brake_time_s)]
+        rows.append(
+            [
+                name,
+                case.title,
+                f"{case.vru.name}, {case.vru_speed_kmh:g}\N{NO-BREAK SPACE}km/h",
+                _steps(sorted({run.vut_speed_kmh for run in runs})),
+                "all" if len(approaches) == len(every) > 1 else ", ".join(approaches),
+                str(len(runs)),
+                *([percent(float(setting.axis.weight[indices].sum()))] if has_weights else []),
+                number(min(last_s, default=None)),
+                number(max(last_s, default=None)),
+            ]
+        )
+    columns = [
+        "case",
+        "what happens",
+        "road user",
+        "car (km/h)",
+        "from",
+        "runs",
+        *(["weight"] if has_weights else []),
+        "last moment, earliest (s)",
+        "latest (s)",
+    ]
+    return Table(
+        caption="Cases" + (f"; from all: {', '.join(every)}" if len(every) > 1 else ""),
+        columns=columns,
+        rows=rows,
+        numeric=range(5, len(columns)),
+    )
+
+
+def _steps(values: Sequence[float]) -> str:
+    """Ascending values: as a range where the steps between them are equal, else each."""
+    steps = np.diff(values)
+    if len(values) > 2 and np.allclose(steps, steps[0]):
+        return f"{values[0]:g} to {values[-1]:g} by {steps[0]:g}"
+    return ", ".join(f"{value:g}" for value in values)
+
+
+def describe_hopeless(setting: Setting) -> list[str]:
+    """Which cases have runs that no braking avoids, in sentences."""
+    sentences = []
+    for name, indices in runs_by_case(setting).items():
+        n_runs = sum(not math.isfinite(setting.runs[index].last_brake_time_s) for index in indices)
+        if n_runs:
+            sentences.append(f"In {count_runs(n_runs)} of {name} no braking avoids the impact.")
+    return sentences
+
+
+def describe_refusals(setting: Setting) -> list[str]:
+    """Sentences about what cannot be driven; approaches share one with a reason.
+
+    Away from the junction, where each position has other speeds, these are left out.
+    """
+    places: dict[tuple[str, tuple[float, ...], str], dict[str, list[str]]] = {}
+    for refusal in setting.refusals:
+        if refusal.limit_kmh is not None:
+            continue
+        speeds = refusal.speeds_kmh if refusal.position == AT_ZERO.name else ()
+        of_reason = places.setdefault((refusal.case.name, speeds, refusal.reason), {})
+        of_reason.setdefault(refusal.approach, []).append(refusal.position)
+    sentences = [
+        f"{case} from the {describe_places(positions)}"
+        + (f" at {', '.join(f'{speed:g}' for speed in speeds)} km/h" if speeds else "")
+        + f": {reason.removesuffix('.')}."
+        for (case, speeds, reason), positions in places.items()
+    ]
+    return sentences + describe_limits(setting)
+
+
+def runs_by_case(setting: Setting) -> dict[str, list[int]]:
+    """Indices of the runs of each case, in the order in which the cases first appear."""
+    indices: dict[str, list[int]] = {}
+    for index, run in enumerate(setting.runs):
+        indices.setdefault(run.case.name, []).append(index)
+    return indices
+
+
+def run_table(evaluations: Mapping[str, Evaluation]) -> Table:
+    """A row per run, those with the least time to spare first: hits come before the rest.
+
+    Evaluations by display name, on the same runs; the first one is the subject. Weather and weight
+    have a column where they differ.
+    """
+    subject = next(iter(evaluations.values()))
+    axis = subject.axis
+    verdicts = [*(item.rsu_all for item in evaluations.values()), subject.vut]
+    margins = [margin_s(verdict, axis) for verdict in verdicts]
+    has_weathers, has_weights = bool(several_weathers(axis)), is_weighted(axis)
+    rows = [
+        [
+            axis.run_ids[index],
+            *([axis.weathers[index]] if has_weathers else []),
+            *([percent(float(axis.weight[index]))] if has_weights else []),
+            number(axis.last_brake_time_s[index]),
+            *(
+                outcome(run_outcome(verdict, axis, int(index)), float(margin[index]))
+                for verdict, margin in zip(verdicts, margins, strict=True)
+            ),
+        ]
+        for index in np.argsort(margins[0], kind="stable")
+    ]
+    columns = [
+        "run",
+        *(["weather"] if has_weathers else []),
+        *(["weight"] if has_weights else []),
+        "last moment (s)",
+        *evaluations,
+        "VUT",
+    ]
+    n_hit = int((~subject.rsu_all.is_avoided).sum())
+    hits = f", {n_hit} of them hit" if n_hit else ""
+    return Table(
+        caption="Runs: case / from / speed in km/h" + (" / weather" if has_weathers else ""),
+        columns=columns,
+        rows=rows,
+        numeric=range(1, len(columns)),
+        summary=f"{len(rows)} runs{hits}: those with the least time to spare first",
+    )
+
+
+def outcome(words: Outcome, margin_s: float) -> str:
+    """How a run ends, with the time to spare or the time by which braking comes too late."""
+    if words == "avoided":
+        return f"avoided, {number(margin_s)} s"
+    if words == "lost again":
+        return "HIT, lost again"
+    return f"HIT, {number(-margin_s)} s late" if math.isfinite(margin_s) else "HIT, not confirmed"

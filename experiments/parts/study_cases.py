@@ -1,0 +1,272 @@
+"""The layouts on the study's cases, next to the question that was asked."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geometry.arrays import IntArray
+from geometry.catalogue import sensor_kind
+from placement.compute import Compute
+from placement.detectors.built_in import GeometricDetector
+from placement.evaluation import Evaluation
+from placement.evaluator import evaluate_layouts
+from placement.evaluator.evaluate import Judge, Seen, judge_layouts
+from placement.layout import find_baseline
+from placement.question import Question
+from placement.setting import Radio, Setting
+from scenarios.cases import ALL_SPEEDS, select_cases
+from scenarios.positions import AT_ZERO, pick_positions
+from scenarios.runs import build_frame_axis
+from scenarios.weights import weight_per_run
+
+from ..results.numbers import count_runs, percent
+from .baselines import Score, build_score
+from .section import Section, Table
+
+STAGE = "study's cases"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StudyCases:
+    """Layouts on the study's cases, as the study drives and reads them.
+
+    Attributes
+    ----------
+    runs : int
+        Runs of these cases.
+    parties : tuple of Score
+        The layouts, the first one first, and the vehicle by itself.
+    """
+
+    runs: int
+    parties: tuple[Score, ...]
+
+
+def build_study_cases(evaluations: Mapping[str, Evaluation]) -> StudyCases:
+    """Layouts by display name on the study's cases, and the VUT by itself."""
+    first = next(iter(evaluations.values()))
+    layouts = [
+        build_score(name, item.rsu_all, item.axis, n_units=len(item.layout.units))
+        for name, item in evaluations.items()
+    ]
+    return StudyCases(
+        runs=first.axis.n_runs,
+        parties=(*layouts, build_score("VUT alone", first.vut, first.axis, n_units=0)),
+    )
+
+
+def study_question(question: Question) -> Question:
+    """A question changed to what the study drives, read as the study does.
+
+    That is its cases by day, at the junction alone, all speeds and approaches, each run alike; a
+    track that is confirmed once lives for ever. Scene, sensors, detector, links and all else stay
+    as they were asked for.
+    """
+    return replace(
+        question,
+        cases="study",
+        along_arms="",
+        speeds="",
+        approaches="",
+        weather="day",
+        weights="",
+        force=False,
+        strict=False,
+        track_memory_s=math.inf,
+    )
+
+
+def on_study_cases(
+    question: Question,
+    asked: Setting,
+    evaluations: Mapping[str, Evaluation],
+    *,
+    build: Callable[[Question], Setting],
+    compute: Compute,
+) -> StudyCases | None:
+    """Score layouts on the study's cases, where these are a part of what was asked about.
+
+    None at another junction than the study's, where some of its cases are left out, and where its
+    runs are all that was asked about.
+
+    Parameters
+    ----------
+    question : Question
+        What was asked.
+    asked : Setting
+        What it led to, and the layouts were evaluated in.
+    evaluations : mapping of str to Evaluation
+        By display name. Where the same frames were looked at there, nobody looks again.
+    build : function of Question
+        Setting of a question at the same scene.
+    compute : Compute
+        Of further evaluations.
+
+    Raises
+    ------
+    InputError
+        No arm of the junction carries any of the study's cases.
+    """
+    if find_baseline(asked.scene) is None or not _has_cases(question):
+        return None
+    rows = study_rows(question, asked)
+    study = build(study_question(question)) if rows is None else _part(asked, rows)
+    if is_same_question(asked, study):
+        return None
+    return score_on(study, asked, rows, evaluations, compute=compute)
+
+
+def _has_cases(question: Question) -> bool:
+    """All cases of the study are asked about."""
+    given = select_cases(question.cases, force=question.force).cases
+    return {case.name for case in select_cases("study").cases} <= {case.name for case in given}
+
+
+def score_on(
+    study: Setting,
+    asked: Setting,
+    rows: IntArray | None,
+    evaluations: Mapping[str, Evaluation],
+    *,
+    compute: Compute,
+) -> StudyCases:
+    """Score layouts in another setting; `rows` are its runs among those evaluated, if so."""
+    if rows is None or _depends_on_chance(asked, evaluations):
+        layouts = [item.layout for item in evaluations.values()]
+        found = evaluate_layouts(layouts, study, compute=compute.within(STAGE))
+    else:
+        judge = Judge(study.runs, study.axis, study.rule)
+        found = judge_again([*evaluations.values()], rows, study, judge)
+    return build_study_cases(dict(zip(evaluations, found, strict=True)))
+
+
+def study_rows(question: Question, asked: Setting) -> IntArray | None:
+    """Rows of the study's runs among those asked about, (n_runs,), in the study's order.
+
+    None where the question leaves cases, speeds, approaches, daylight or the place at the junction
+    out: then the study's runs are not all there.
+    """
+    wanted = {case.name: case for case in select_cases("study").cases}
+    given = {case.name: case for case in select_cases(question.cases, force=question.force).cases}
+    is_whole = (
+        question.speeds.strip() in ("", ALL_SPEEDS)
+        and not question.approaches
+        and "day" in [word.strip() for word in question.weather.split(",")]
+        and AT_ZERO in pick_positions(question.along_arms, question.cases)
+        and all(
+            name in given and set(case.vut_speeds_kmh) <= set(given[name].vut_speeds_kmh)
+            for name, case in wanted.items()
+        )
+    )
+    if not is_whole:
+        return None
+    order = list(wanted)
+    rows = [
+        (order.index(run.case.name), row)
+        for row, run in enumerate(asked.runs)
+        if run.case.name in wanted
+        and run.vut_speed_kmh in wanted[run.case.name].vut_speeds_kmh
+        and (run.position, run.weather) == (AT_ZERO.name, "day")
+    ]
+    return np.array([row for _, row in sorted(rows)], dtype=np.int64) if rows else None
+
+
+def _part(asked: Setting, rows: IntArray) -> Setting:
+    """Some of the runs, each counting alike, with tracks that are never lost."""
+    runs = tuple(asked.runs[row] for row in rows)
+    return replace(
+        asked,
+        runs=runs,
+        axis=build_frame_axis(runs, weight_per_run(runs)),
+        rule=replace(asked.rule, track_memory_s=math.inf),
+        refusals=(),
+    )
+
+
+def is_same_question(one: Setting, other: Setting) -> bool:
+    """Two settings have the same runs, in any order, with the same weights, and the same rule."""
+    (names, weight), (other_names, other_weight) = (
+        (np.sort(axis.run_ids), axis.weight[np.argsort(axis.run_ids)])
+        for axis in (one.axis, other.axis)
+    )
+    return (
+        one.rule == other.rule
+        and np.array_equal(names, other_names)
+        and np.allclose(weight, other_weight, rtol=1.0e-9, atol=0.0)
+    )
+
+
+def judge_again(
+    evaluations: Sequence[Evaluation], rows: IntArray, part: Setting, judge: Judge
+) -> list[Evaluation]:
+    """Evaluations on some of their runs, by another braking rule.
+
+    `rows` are the runs of `part` among those evaluated. What was detected stays as it is.
+    """
+    axis, rule = evaluations[0].axis, part.rule
+    frames = np.concatenate([np.arange(axis.n_frames)[axis.frames_of(row)] for row in rows])
+    return judge_layouts(
+        judge,
+        [
+            Seen(
+                layout=item.layout,
+                units={
+                    unit.id: (item.units[unit.id].detected[frames], unit.latency(rule))
+                    for unit in item.layout.units
+                },
+                vut=(item.vut.detected[frames], rule.latency_s),
+            )
+            for item in evaluations
+        ],
+    )
+
+
+def _depends_on_chance(setting: Setting, evaluations: Mapping[str, Evaluation]) -> bool:
+    """Detections in a frame depend on which other frames there are: on random draws."""
+    sensors = [unit.sensor for item in evaluations.values() for unit in item.layout.units]
+    return not (
+        isinstance(setting.detector, GeometricDetector)
+        and setting.radio == Radio()
+        and setting.vut_sensors == ("camera",)
+        and all(sensor_kind(sensor) == "camera" for sensor in sensors)
+    )
+
+
+# ---------- the section of the report
+
+
+def section(record: StudyCases | None) -> Section | None:
+    """The layouts on the study's cases; None where these are what was asked about."""
+    if record is None:
+        return None
+    return Section("study-cases", "On the study's cases", [NOTE, table(record)])
+
+
+NOTE = (
+    "What the CarlaNCAP study drives, as it reads it: its cases by day, each at its one place, "
+    "every run alike, and a track that is confirmed once lives for ever. All else is as in the "
+    "question above. By the evaluator; layouts were not chosen for these runs."
+)
+
+
+def table(record: StudyCases) -> Table:
+    """APR of each layout and of the car by itself: a row for all runs, and for each case."""
+    cases = list(record.parties[0].by_case)
+    return Table(
+        caption=f"APR on the study's {count_runs(record.runs)}",
+        columns=["case", *(party.name for party in record.parties)],
+        rows=[
+            ["all runs", *(percent(party.all) for party in record.parties)],
+            [
+                "runs avoided",
+                *(f"{party.runs_avoided} of {record.runs}" for party in record.parties),
+            ],
+            *(
+                [case, *(percent(party.by_case[case]) for party in record.parties)]
+                for case in cases
+            ),
+        ],
+        numeric=range(1, 1 + len(record.parties)),
+    )

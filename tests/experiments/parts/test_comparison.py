@@ -1,0 +1,169 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from partial_pages import pictures_of, render_section, tables_of
+
+from experiments.export.json import to_json_text
+from experiments.parts.comparison import (
+    difference_matrix,
+    difference_rows,
+    find_differences,
+    section,
+    significance_sentences,
+    significance_table,
+)
+from experiments.results.sampled_worlds import build_sampled_record
+from geometry.poses import Pose
+from placement.candidates import CandidatePose
+from placement.evaluation import Evaluation, Verdict
+from placement.layout import Layout
+from placement.sampling.out_of_sample import SampledApr
+from placement.sampling.uncertainty import load_uncertainty
+
+NAMES = ("a $1_", "<b>", "c")
+
+
+@pytest.fixture
+def evaluation_of(frame_axis, camera):
+    axis = replace(frame_axis, last_brake_time_s=np.array([-0.1, -0.2, -0.1]))
+    pose = Pose(position_m=np.array([0.0, 0.0, 6.0]), yaw_deg=0.0)
+
+    def build(name, avoided, margin_s=0.05, n_units=1):
+        is_avoided = np.array(avoided, dtype=bool)
+        verdict = Verdict(
+            detected=np.zeros(axis.n_frames, dtype=bool),
+            confirmation_time_s=np.where(is_avoided, -0.2, np.inf),
+            onset_time_s=np.where(is_avoided, axis.last_brake_time_s - margin_s, np.inf),
+            is_avoided=is_avoided,
+        )
+        units = tuple(
+            CandidatePose(id=f"U{index}", site_id="", pose=pose, sensor=camera)
+            for index in range(n_units)
+        )
+        return Evaluation(
+            layout=Layout(name=name, units=units),
+            axis=axis,
+            vut=verdict,
+            units={unit.id: verdict for unit in units},
+            rsu_all=verdict,
+            vut_and_rsus=verdict,
+        )
+
+    return build
+
+
+@pytest.fixture
+def evaluations(evaluation_of):
+    avoided = ([1, 1, 0], [1, 0, 1], [0, 0, 0])
+    return {
+        name: evaluation_of(name, runs, n_units=number)
+        for number, (name, runs) in enumerate(zip(NAMES, avoided, strict=True), start=1)
+    }
+
+
+def sampled_of(evaluations, *aprs):
+    judged = [
+        SampledApr(
+            layout=item.layout, axis=item.axis, apr_by_sample=apr, avoided_share=np.ones(3) * 0.5
+        )
+        for item, apr in zip(evaluations.values(), aprs, strict=True)
+    ]
+    return build_sampled_record(judged, load_uncertainty(), tail=1.0, seed=0)
+
+
+@pytest.fixture
+def sampled(evaluations):
+    """The second is surely best; nothing is sure between the first and the third."""
+    return sampled_of(evaluations, [0.5, 0.6, 0.5, 0.4], [0.9, 0.8, 0.9, 0.4], [0.5, 0.5, 0.5, 0.5])
+
+
+def test_of_any_two_layouts_the_runs_that_only_one_avoids_are_named(evaluations):
+    found = find_differences(evaluations)
+    found = json.loads(to_json_text(found))
+    assert [(one["first"], one["second"]) for one in found] == [
+        ("a $1_", "<b>"), ("a $1_", "c"), ("<b>", "c"),
+    ]  # fmt: skip
+    assert found[0]["only_first"] == ["A/north/30"]
+    assert found[0]["only_second"] == ["B/north/20"]
+    assert found[1]["only_first"] == ["A/north/20", "A/north/30"]
+    assert found[1]["only_second"] == []
+
+
+def test_the_matrix_counts_row_not_column(evaluations):
+    table = difference_matrix(NAMES, find_differences(evaluations))
+    avoided = {name: item.rsu_all.is_avoided for name, item in evaluations.items()}
+    for row, name in zip(table.rows, NAMES, strict=True):
+        assert row[0] == name
+        for cell, other in zip(row[1:], NAMES, strict=True):
+            expected = int((avoided[name] & ~avoided[other]).sum())
+            assert cell == ("\N{EN DASH}" if name == other else str(expected))
+    assert len(difference_rows(find_differences(evaluations))) == 4
+
+
+def test_side_by_side_every_layout_has_its_own_numbers(evaluations, rule):
+    rows = tables_of(section(evaluations, rule))[0].rows
+    assert [row[0] for row in rows] == list(NAMES)
+    assert [row[1] for row in rows] == ["1", "2", "3"]
+    price = next(iter(evaluations.values())).layout.units[0].sensor.price_eur
+    assert [row[2] for row in rows] == [f"{n * price:,.0f}" for n in (1, 2, 3)]
+    assert [row[3] for row in rows] == ["75.0 %", "75.0 %", "0.0 %"]
+    assert [row[4] for row in rows] == ["2 of 3", "2 of 3", "0 of 3"]
+    assert [row[6] for row in rows] == ["0.05", "0.05", "\N{EN DASH}"]
+
+
+def test_the_better_one_comes_first_in_the_table(sampled):
+    rows = significance_table(sampled).rows
+    pairs = {(row[0], row[1]): row for row in rows}
+    assert ("<b>", "a $1_") in pairs
+    row = pairs["<b>", "a $1_"]
+    assert row[2:5] == ["75.0 %", "25.0 %", "0.0 %"]
+    gain = np.array([0.4, 0.2, 0.4, 0.0])
+    assert row[5] == f"{100.0 * gain.mean():.1f}"
+    half = 3.182446 * gain.std(ddof=1) / 2.0  # Student's t, 3 degrees of freedom
+    low, high = (100.0 * (gain.mean() + side * half) for side in (-1.0, 1.0))
+    assert row[6] == f"{low:.1f} to {high:.1f}".replace("-", "\N{MINUS SIGN}")
+
+
+def test_what_is_sure_is_said_in_words(evaluations):
+    sampled = sampled_of(
+        evaluations, [0.5, 0.6, 0.5, 0.4], [0.9, 0.9, 0.8, 0.8], [0.5, 0.5, 0.5, 0.5]
+    )
+    sentences = significance_sentences(sampled)
+    assert sentences[0].startswith(
+        "<b> prevents more accidents than a $1_ in 100.0 % of the worlds, 35.0 points on average"
+    )
+    assert any("Between a $1_ and c there is no sure difference" in one for one in sentences)
+    assert any(one.startswith("Paired on the same worlds") for one in sentences)
+    rows = {(row[0], row[1]): row[7] for row in significance_table(sampled).rows}
+    assert rows["<b>", "a $1_"] == "yes"
+    assert rows["a $1_", "c"] == "no sure difference"
+
+
+def test_the_section_shows_all_and_escapes_names(evaluations, sampled, rule):
+    part = section(evaluations, rule, sampled=sampled)
+    page = render_section(part)
+    assert "&lt;b&gt;" in page
+    assert "<b>" not in page
+    assert page.count("<img") == 1
+    assert 'alt="Dots with whiskers.' in page
+    plain = render_section(section(evaluations, rule))
+    assert "Which runs differ" in plain
+    assert "<img" not in plain
+
+
+def test_layouts_that_agree_and_a_layout_alone(evaluation_of, rule):
+    twins = {name: evaluation_of(name, [1, 0, 0]) for name in ("x", "y")}
+    page = render_section(section(twins, rule))
+    assert "All layouts avoid the same runs." in page
+    assert section({"x": twins["x"]}, rule) is None
+
+
+def test_of_many_layouts_the_table_alone_is_shown(evaluation_of, rule):
+    many = {f"l{index}": evaluation_of(f"l{index}", [1, 0, 0]) for index in range(9)}
+    generator = np.random.default_rng(0)
+    sampled = sampled_of(many, *generator.uniform(0.2, 0.9, size=(9, 5)))
+    part = section(many, rule, sampled=sampled)
+    assert len(tables_of(part)[-1].rows) == 36
+    assert pictures_of(part) == []

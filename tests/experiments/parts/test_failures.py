@@ -1,0 +1,177 @@
+import math
+from itertools import combinations
+
+import numpy as np
+import pytest
+from partial_pages import render_section, tables_of
+
+from experiments.parts.failures import (
+    MAX_ROWS,
+    failure_sentences,
+    failure_table,
+    failures_section,
+    site_table,
+)
+from experiments.results.numbers import NOTHING
+from geometry.poses import Pose
+from placement.candidates import CandidatePose
+from placement.evaluation import Evaluation, Verdict
+from placement.explain.failures import Failure, Failures, find_failures
+from placement.layout import Layout
+
+LABELS = {"A": "#1", "B": "#2", "C": "#3"}
+
+
+def left(unit_ids, apr, lost=(), margin_s=0.25):
+    return Failure(
+        unit_ids=tuple(unit_ids),
+        apr=apr,
+        smallest_margin_s=margin_s,
+        lost_run_ids=tuple(lost),
+    )
+
+
+def build_failures(one, two=(), apr=1.0):
+    return Failures(none_failed=left("", apr), one_failed=tuple(one), two_failed=tuple(two))
+
+
+def test_one_unit_leaves_nothing():
+    (sentence,) = failure_sentences(build_failures([left("A", 0.0, ["r"], math.nan)]), LABELS)
+    assert sentence.startswith("There is one unit. If it fails, nothing is left of the 100.0 %")
+
+
+def test_units_that_can_fail_without_a_loss_are_told_so():
+    failures = build_failures([left("A", 1.0), left("B", 1.0)], [left("AB", 0.0, ["r"])])
+    space = "\N{NO-BREAK SPACE}"
+    assert failure_sentences(failures, LABELS) == [
+        "All 2 units together prevent 100.0 %.",
+        "Whichever one fails, the others avoid every run that all avoid together; the least time "
+        f"to spare is then 250{space}ms.",
+        "If both fail, only the car itself is left.",
+    ]
+
+
+def test_the_smallest_margin_told_is_that_of_all_failures_whatever_comes_first():
+    failures = build_failures([left("A", 0.9, margin_s=0.5), left("B", 0.9, margin_s=0.1)], apr=0.9)
+    assert "then 100" in failure_sentences(failures, LABELS)[1]
+
+
+def test_where_nothing_is_avoided_there_is_no_time_to_spare():
+    failures = build_failures([left(name, 0.0, margin_s=math.nan) for name in "AB"], apr=0.0)
+    assert failure_sentences(failures, LABELS)[1].endswith("all avoid together.")
+
+
+def test_the_worst_unit_and_pair_are_named_by_their_labels():
+    failures = build_failures(
+        [left("B", 0.75, ["r", "s"]), left("A", 1.0), left("C", 1.0)],
+        [left("BC", 0.5, ["r", "s", "t"]), left("AB", 0.75, ["r"]), left("AC", 1.0)],
+    )
+    _, one, two = failure_sentences(failures, LABELS)
+    assert one == (
+        "If #2 fails, the others still prevent 75.0 %; 2 runs are lost. No single failure leaves "
+        "less. 2 of the 3 units can fail by themselves and no run is lost."
+    )
+    assert two == (
+        "Of two that fail at once, #2 and #3 matter most: 50.0 % are left. 1 of the 3 pairs can "
+        "fail and no run is lost."
+    )
+
+
+def test_a_table_lists_the_first_runs_and_says_how_many_are_left_out():
+    table = failure_table(
+        [left("A", 0.5, [f"run{index}" for index in range(6)]), left("B", 0.0, (), math.nan)],
+        LABELS,
+        n_together=1,
+    )
+    assert table.caption == "If one unit fails"
+    assert table.rows == [
+        ["#1", "50.0 %", "250", "6", "run0, run1, run2, run3 and 2 more"],
+        ["#2", "0.0 %", NOTHING, "0", NOTHING],
+    ]
+
+
+def test_of_many_failures_the_worst_are_shown_and_it_is_told():
+    units = [left([f"U{index}"], index / 200.0) for index in range(200)]
+    table = failure_table(units, {}, n_together=1)
+    assert table.caption == f"If one unit fails: the {MAX_ROWS} worst of 200 units"
+    assert [row[0] for row in table.rows] == [f"U{index}" for index in range(MAX_ROWS)]
+    pairs = [left(["a", "b"], 0.5)] * 13
+    assert failure_table(pairs, {}, n_together=2).caption.endswith("12 worst of 13 pairs")
+    assert any(
+        "up to 12 units; there are 200" in sentence
+        for sentence in failure_sentences(build_failures(units), {})
+    )
+
+
+@pytest.fixture
+def build(frame_axis, camera):
+    def build_evaluation(ids):
+        frames = np.ones((len(ids), frame_axis.n_frames), dtype=bool)
+        nothing = np.zeros(frame_axis.n_runs)
+
+        def verdict(detected):
+            return Verdict(
+                detected=detected,
+                confirmation_time_s=nothing,
+                onset_time_s=nothing,
+                is_avoided=nothing > 0.0,
+            )
+
+        pose = Pose(position_m=[0.0, 0.0, 7.0], yaw_deg=0.0)
+        return Evaluation(
+            layout=Layout(
+                name="mine",
+                units=tuple(
+                    CandidatePose(id=name, site_id="", pose=pose, sensor=camera) for name in ids
+                ),
+            ),
+            axis=frame_axis,
+            vut=verdict(frames[0]),
+            units={name: verdict(row) for name, row in zip(ids, frames, strict=True)},
+            rsu_all=verdict(frames[0]),
+            vut_and_rsus=verdict(frames[0]),
+        )
+
+    return build_evaluation
+
+
+@pytest.mark.parametrize(("n_units", "n_tables"), [(1, 1), (2, 1), (3, 2), (13, 1)])
+def test_the_part_has_a_table_of_pairs_where_it_says_something(build, rule, n_units, n_tables):
+    ids = [f"<b>{index}" for index in range(n_units)]
+    evaluation = build(ids)
+    part = failures_section(evaluation, rule, {})
+    tables = tables_of(part)
+    assert len(tables) == n_tables
+    if n_units == 3:
+        expected = {" and ".join(pair) for pair in combinations(ids, 2)}
+        assert {row[0] for row in tables[1].rows} == expected
+    assert part.blocks[0] == " ".join(failure_sentences(find_failures(evaluation, rule), {}))
+    page = render_section(part)
+    assert "<b>" not in page
+    assert page.count("<table>") == n_tables
+    assert "&lt;b&gt;0" in page
+
+
+def test_a_pole_with_two_units_is_told_beside_the_units():
+    pole = Failure(
+        unit_ids=("A", "B"), apr=0.25, smallest_margin_s=0.1, lost_run_ids=("r1",), site_id="lamp 7"
+    )
+    alone = Failure(
+        unit_ids=("C",), apr=1.0, smallest_margin_s=0.1, lost_run_ids=(), site_id="lamp 8"
+    )
+    units = [left(name, 1.0) for name in "ABC"]
+    failures = Failures(
+        none_failed=left("", 1.0), one_failed=units, two_failed=(), site_failed=(pole, alone)
+    )
+    assert failure_sentences(failures, LABELS)[-1] == (
+        "A pole fails with all that hangs on it (power, a crash). If that of #1 and #2 does, 25.0 %"
+        " are left and 1 run is lost; no other pole leaves less."
+    )
+    assert [row[:3] for row in site_table(failures.site_failed, LABELS).rows] == [
+        ["lamp 7", "#1 and #2", "25.0 %"],
+        ["lamp 8", "#3", "100.0 %"],
+    ]
+    unshared = Failures(
+        none_failed=left("", 1.0), one_failed=units, two_failed=(), site_failed=(alone,)
+    )
+    assert "No two units hang on one pole" in failure_sentences(unshared, LABELS)[-1]

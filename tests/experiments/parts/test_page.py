@@ -1,0 +1,589 @@
+import base64
+import html
+import math
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import msgspec
+import numpy as np
+import pytest
+from msgspec.structs import replace as replace_fields
+from partial_pages import blank_pictures, build_result
+
+from experiments.figures.evaluation import pick_heatmap_runs
+from experiments.parts.page import render_report, write_report
+from experiments.results.numbers import percent
+from experiments.results.record import StageRecord
+from experiments.results.tables import margin_s
+from geometry.errors import InputError
+from geometry.study_scene import load_study_scene
+from placement.candidates import CandidatePose
+from placement.evaluation import Evaluation, Verdict, apr
+from placement.layout import Layout, layout_records, load_carlancap_layout
+from placement.question import Question
+from placement.setting import build_setting
+from scenarios.aeb import is_in_time, live_confirmation_time_s
+from scenarios.runs import Refusal, build_frame_axis
+
+VOID = {"source", "meta", "img", "br", "hr", "link", "input"}
+COMMAND = "place-rsus --budget 2 --out 'a <folder>'"
+EVIL = "<script>alert(1)</script>"
+
+
+class Page(HTMLParser):
+    """Checks that tags close in order; collects tags, images and text."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.open, self.tags, self.images, self.text = [], [], [], ""
+        self.feed(page)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append((tag, dict(attributes)))
+        if tag == "img":
+            self.images.append(dict(attributes))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if not {"style", "script"} & set(self.open):
+            self.text += data
+
+    @property
+    def words(self):
+        return " ".join(self.text.split())
+
+
+@pytest.fixture(scope="module")
+def setting():
+    return build_setting(
+        Question(cases="CPNC-50,CBNA,CBLA", along_arms="0", weights="run"), load_study_scene()
+    )
+
+
+def build_evaluation(setting, layout, *, seed, share=0.9):
+    axis, rule = setting.axis, setting.rule
+    rng = np.random.default_rng(seed)
+
+    def verdict(detected):
+        confirmation = np.array(
+            [
+                live_confirmation_time_s(
+                    detected[axis.frames_of(index)],
+                    axis.time_s[axis.frames_of(index)],
+                    until_s=np.inf,
+                    rule=rule,
+                )
+                for index in range(axis.n_runs)
+            ]
+        )
+        return Verdict(
+            detected=detected,
+            confirmation_time_s=confirmation,
+            onset_time_s=confirmation + rule.latency_s,
+            is_avoided=is_in_time(confirmation, axis.last_brake_time_s, latency_s=rule.latency_s),
+        )
+
+    detected = rng.random((len(layout.units) + 1, axis.n_frames)) < share
+    # Nobody sees some runs, so that not everything is avoided.
+    detected &= np.repeat(
+        rng.random((len(detected), axis.n_runs)) < 0.7, np.diff(axis.run_start), axis=1
+    )
+    return Evaluation(
+        layout=layout,
+        axis=axis,
+        vut=verdict(detected[0]),
+        units={unit.id: verdict(row) for unit, row in zip(layout.units, detected[1:], strict=True)},
+        rsu_all=verdict(detected[1:].any(axis=0)),
+        vut_and_rsus=verdict(detected.any(axis=0)),
+    )
+
+
+@pytest.fixture(scope="module")
+def evaluations(setting):
+    baseline = load_carlancap_layout()
+    found = Layout(
+        name="found",
+        units=tuple(
+            CandidatePose(
+                id=f"{unit.site_id}/7m/{index}",
+                site_id=unit.site_id,
+                pose=unit.pose,
+                sensor=unit.sensor,
+            )
+            for index, unit in enumerate(baseline.units[:2])
+        ),
+    )
+    greedy = Layout(name="greedy", units=baseline.units[2:4])
+    return {
+        layout.name: build_evaluation(setting, layout, seed=seed)
+        for seed, layout in enumerate([found, greedy, baseline])
+    }
+
+
+def plain_result(evaluation, **changes):
+    parts = {
+        "runs": evaluation.axis.n_runs,
+        "seconds": {"evaluation": 1.25},
+        "versions": {"place-rsus": "0.1.0"},
+    }
+    layout = evaluation.layout
+    return build_result(layout.name, layout_records(layout), **(parts | changes))
+
+
+@pytest.fixture(scope="module")
+def placement_result(evaluations):
+    result = plain_result(
+        evaluations["found"],
+        budget=2,
+        candidates=4032,
+        apr=0.97,
+        bound=0.97,
+        gap=0.0,
+        apr_without_worst_unit=0.8125,
+        stages=[
+            {"name": "apr", "objective": 0.97, "bound": 0.97, "gap": 0.0, "seconds": 2.5},
+            {
+                "name": "smallest_margin_s",
+                "objective": 0.0,
+                "bound": 0.5,
+                "gap": None,
+                "seconds": 60.0,
+            },
+        ],
+        solver="HiGHS 1.15.1",
+        surrogate_disagreement=2 / 104,
+    )
+    evaluation = replace_fields(result.evaluation, apr_without_worst_unit=0.75)
+    return replace_fields(result, evaluation=evaluation)
+
+
+@pytest.fixture(scope="module")
+def placement_page(placement_result, setting, evaluations):
+    return render_report(placement_result, setting, evaluations, command=COMMAND)
+
+
+@pytest.fixture(scope="module")
+def comparison_page(setting, evaluations):
+    pair = {name: evaluations[name] for name in ("found", "carlancap-12")}
+    with blank_pictures():
+        return render_report(plain_result(pair["found"]), setting, pair, command=COMMAND)
+
+
+@pytest.fixture(scope="module")
+def evaluation_page(setting, evaluations):
+    one = {"found": evaluations["found"]}
+    with blank_pictures():
+        return render_report(plain_result(one["found"]), setting, one, command=COMMAND)
+
+
+@pytest.fixture(params=["placement_page", "comparison_page", "evaluation_page"])
+def page(request):
+    return request.getfixturevalue(request.param)
+
+
+def test_page_is_well_formed_and_stands_alone(page):
+    parsed = Page(page)
+    assert len(page.encode()) < 8_000_000
+    # plotly.js names its home in comments; tests/experiments/test_interactive_pages.py sees to it
+    # that a browser asks for nothing.
+    assert not re.search(r"https?://|//\w+\.\w+", _without_scripts(page))
+    tags = {tag for tag, _ in parsed.tags}
+    assert not tags & {"link", "iframe", "object", "base", "form"}
+    for _, attributes in parsed.tags:
+        assert not any(name.startswith("on") for name in attributes)
+        for name in ("src", "href"):
+            assert attributes.get(name, "data:").startswith(("data:", "#"))
+
+
+def _without_scripts(page):
+    return re.sub(r"<script\b.*?</script>", "", page, flags=re.S)
+
+
+def test_page_has_a_language_a_title_and_one_main_heading(page):
+    tags = Page(page).tags
+    assert ("html", {"lang": "en"}) in tags
+    assert ("meta", {"charset": "utf-8"}) in tags
+    assert [tag for tag, _ in tags].count("h1") == 1
+    assert [tag for tag, _ in tags].count("title") == 1
+
+
+def test_every_figure_is_a_png_with_an_alt_text(page):
+    images = Page(page).images
+    assert len(images) >= 5
+    for image in images:
+        assert len(image["alt"]) > 40
+        data = base64.b64decode(image["src"].removeprefix("data:image/png;base64,"))
+        assert data.startswith(b"\x89PNG")
+    assert len({image["src"] for image in images}) == len(images)
+
+
+def test_every_table_has_a_caption_and_scoped_headers(page):
+    tags = Page(page).tags
+    names = [tag for tag, _ in tags]
+    assert names.count("caption") == names.count("table") == names.count("thead")
+    assert all(attributes.get("scope") in ("col", "row") for tag, attributes in tags if tag == "th")
+
+
+def test_every_unit_and_every_run_appears(page, setting):
+    words = Page(page).words
+    for unit in ("corner-se/7m/0", "corner-ne/7m/1"):
+        assert unit in words
+    rows = re.findall(r'<th scope="row">(?:CBNA|CBLA|CPNC-50)/\w+/\d+</th>', page)
+    assert len(rows) == setting.axis.n_runs
+
+
+def test_placement_page_opens_with_the_answer(placement_page, evaluations):
+    words = Page(placement_page).words
+    found, baseline = evaluations["found"], evaluations["carlancap-12"]
+    n_avoided = int(found.rsu_all.is_avoided.sum())
+    assert 0 < n_avoided < 104  # else this test is worth little
+    assert (
+        f"2 cameras avoid {n_avoided} of 104 runs "
+        f"(APR {100.0 * apr(found.rsu_all, found.axis):.1f} %); the car by itself avoids "
+        f"{int(found.vut.is_avoided.sum())} of 104 runs "
+        f"(APR {100.0 * apr(found.vut, found.axis):.1f} %); "
+        f"carlancap-12 (12 cameras) avoids {int(baseline.rsu_all.is_avoided.sum())} of 104 runs "
+        f"(APR {100.0 * apr(baseline.rsu_all, found.axis):.1f} %). "
+        "Proven on the detection table: no choice among 4032 candidate poses has a higher APR. "
+        "If any one unit fails, the others reach at least 75.0 %."
+    ) in words
+
+
+def test_placement_page_shows_the_certificate(placement_page):
+    words = Page(placement_page).words
+    assert "Not in full: proven are all objectives but smallest time to spare." in words
+    assert "HiGHS 1.15.1" in words
+    assert "97.0 %" in words
+    assert "They disagree on 1.9 % of the runs" in words
+
+
+@pytest.mark.usefixtures("with_blank_pictures")
+def test_open_gap_is_not_called_proven(placement_result, setting, evaluations):
+    stages = [{"name": "apr", "objective": 0.9, "bound": 0.95, "gap": 0.055556, "seconds": 60.0}]
+    page = render_report(
+        replace_fields(placement_result, stages=(msgspec.convert(stages[0], StageRecord),)),
+        setting,
+        {"found": evaluations["found"]},
+        command=COMMAND,
+    )
+    words = Page(page).words
+    assert "on the detection table, no other can exceed an APR of 95.0 %." in words
+    assert "Proven on the detection table" not in words
+
+
+@pytest.mark.usefixtures("with_blank_pictures")
+def test_each_by_itself_where_one_unit_must_confirm(placement_result, setting, evaluations):
+    found = evaluations["found"]
+    page = render_report(
+        replace_fields(placement_result, fusion="single"),
+        setting,
+        {"found": found},
+        command=COMMAND,
+    )
+    n_avoided = int(np.any([unit.is_avoided for unit in found.units.values()], axis=0).sum())
+    assert f"2 cameras, each by itself, avoid {n_avoided} of 104 runs" in Page(page).words
+
+
+def test_page_without_optimisation_leaves_its_parts_out(evaluation_page, comparison_page):
+    for page in (evaluation_page, comparison_page):
+        words = Page(page).words
+        for part in (
+            "proven",
+            "Solver",
+            "detection table",
+            "disagree",
+            "candidate poses",
+            "Budget",
+        ):
+            assert part not in words
+
+
+def test_comparison_shows_both_layouts(comparison_page, evaluations):
+    parsed = Page(comparison_page)
+    ours, theirs = (evaluations[name].rsu_all.is_avoided for name in ("found", "carlancap-12"))
+    assert (
+        f"found avoids {int((ours & ~theirs).sum())} that carlancap-12 does not, "
+        f"and carlancap-12 avoids {int((theirs & ~ours).sum())} that found does not."
+    ) in parsed.words
+    plans = [image for image in parsed.images if image["alt"].startswith("Plan")]
+    heatmaps = [image for image in parsed.images if image["alt"].startswith("Heatmap")]
+    assert (len(plans), len(heatmaps)) == (2, 6)
+    assert all(f"RSU{index}" in parsed.words for index in range(12))
+
+
+@pytest.mark.usefixtures("with_blank_pictures")
+def test_names_are_escaped(setting, evaluations):
+    unit = load_carlancap_layout().units[0]
+    layout = Layout(
+        name=EVIL,
+        units=(CandidatePose(id=f'"{EVIL}', site_id=EVIL, pose=unit.pose, sensor=unit.sensor),),
+    )
+    evaluation = build_evaluation(setting, layout, seed=7)
+    result = plain_result(evaluation, versions={EVIL: EVIL}, seconds={EVIL: 1.0})
+    page = render_report(
+        result, setting, {EVIL: evaluation, "b": evaluations["found"]}, command=EVIL
+    )
+    plain = _without_scripts(page)
+    assert "<script" not in plain
+    parsed = Page(plain)
+    assert parsed.text.count(EVIL) > 5
+    assert page.count("<script") == page.count("</script>")
+
+
+@pytest.mark.usefixtures("with_blank_pictures")
+def test_runs_to_draw_can_be_chosen(setting, evaluations):
+    one = {"found": evaluations["found"]}
+    page = render_report(
+        plain_result(one["found"]),
+        setting,
+        one,
+        command=COMMAND,
+        heatmap_runs=["CPNC-50/east/55", "CBLA/west/50"],
+    )
+    alts = [image["alt"] for image in Page(page).images if image["alt"].startswith("Heatmap")]
+    assert [alt.split(".")[0] for alt in alts] == [
+        "Heatmap of CPNC-50 from the east at 55 km/h",
+        "Heatmap of CBLA from the west at 50 km/h",
+    ]
+
+
+def test_unknown_run_is_named(setting, evaluations):
+    with pytest.raises(InputError) as caught:
+        render_report(
+            build_result("any"), setting, evaluations, command="", heatmap_runs=["CPNC-50/east/56"]
+        )
+    assert str(caught.value) == "heatmap run: got 'CPNC-50/east/56'; expected the id of a run"
+
+
+@pytest.mark.usefixtures("with_blank_pictures")
+def test_write_report_writes_the_page(tmp_path, setting, evaluations, evaluation_page):
+    one = {"found": evaluations["found"]}
+    path = write_report(tmp_path, plain_result(one["found"]), setting, one, command=COMMAND)
+    assert path == tmp_path / "report.html"
+    assert path.read_text(encoding="utf-8") == evaluation_page
+
+
+def table_rows(page, caption):
+    """Cells of the table with this caption, head first."""
+    (table,) = [
+        text
+        for text in re.findall(r"<table>.*?</table>", page, re.DOTALL)
+        if f"<caption>{caption}" in text
+    ]
+    return [
+        [html.unescape(cell) for cell in re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row, re.DOTALL)]
+        for row in re.findall(r"<tr>.*?</tr>", table, re.DOTALL)
+    ]
+
+
+def page_of(setting, layout, *, seed=5):
+    evaluation = build_evaluation(setting, layout, seed=seed)
+    page = render_report(plain_result(evaluation), setting, {"found": evaluation}, command=COMMAND)
+    return page, evaluation
+
+
+@pytest.fixture(scope="module")
+def layout():
+    return Layout(name="found", units=load_carlancap_layout().units[:1])
+
+
+def with_weights(setting, weight):
+    return replace(setting, axis=replace(setting.axis, weight=weight))
+
+
+def test_every_case_is_listed_with_its_runs_and_last_moments(evaluation_page, setting):
+    head, *rows = table_rows(evaluation_page, "Cases; from all: east, north, west, south<")
+    assert "weight" not in head
+    assert [row[0] for row in rows] == ["CPNC-50", "CBNA", "CBLA"]
+    for name, title, who, speeds, approaches, n_runs, earliest, latest in rows:
+        runs = [run for run in setting.runs if run.case.name == name]
+        case = runs[0].case
+        assert (title, who) == (case.title, f"{case.vru.name}, {case.vru_speed_kmh:g}\xa0km/h")
+        driven = [run.vut_speed_kmh for run in runs]
+        assert speeds == f"{min(driven):g} to {max(driven):g} by 5"
+        assert set(driven) == set(np.arange(min(driven), max(driven) + 5.0, 5.0))
+        assert approaches == "all"
+        assert int(n_runs) == len(runs)
+        last_s = [run.last_brake_time_s for run in runs]
+        for text, value in ((earliest, min(last_s)), (latest, max(last_s))):
+            assert text == f"{value:.2f}".replace("-", "\N{MINUS SIGN}")
+
+
+@pytest.mark.usefixtures("with_blank_pictures")
+def test_a_case_that_some_approaches_do_not_carry_names_the_others(setting, layout):
+    keeps = [
+        not (run.case.name == "CBNA" and run.approach in ("north", "west"))
+        and not (run.case.name == "CBLA" and run.vut_speed_kmh not in (25.0, 60.0))
+        for run in setting.runs
+    ]
+    runs = tuple(run for run, kept in zip(setting.runs, keeps, strict=True) if kept)
+    axis = build_frame_axis(runs, np.full(len(runs), 1.0 / len(runs)))
+    _, *rows = table_rows(page_of(replace(setting, runs=runs, axis=axis), layout)[0], "Cases")
+    by_case = {row[0]: (row[3], row[4]) for row in rows}
+    assert by_case == {
+        "CPNC-50": ("20 to 60 by 5", "all"),
+        "CBNA": ("20 to 60 by 5", "east, south"),
+        "CBLA": ("25, 60", "all"),
+    }
+
+
+@pytest.mark.usefixtures("with_blank_pictures")
+def test_what_no_braking_avoids_is_told(setting, layout):
+    runs = tuple(
+        replace(run, last_brake_time_s=-math.inf) if run.id == "CBNA/east/60" else run
+        for run in setting.runs
+    )
+    hopeless = replace(setting, runs=runs, axis=build_frame_axis(runs, setting.axis.weight))
+    page, _ = page_of(hopeless, layout)
+    assert "In 1 run of CBNA no braking avoids the impact." in Page(page).words
+    assert "inf" not in "".join(table_rows(page, "Cases")[2])
+    assert "no braking avoids" not in Page(page_of(setting, layout)[0]).words
+
+
+@pytest.mark.usefixtures("with_blank_pictures")
+def test_what_is_not_driven_is_told_with_its_reason(setting, layout, evaluation_page):
+    cbna, cbla = (
+        next(run.case for run in setting.runs if run.case.name == name) for name in ("CBNA", "CBLA")
+    )
+    refusals = (
+        Refusal(case=cbna, approach="north", speeds_kmh=(20.0, 25.0), reason="no lane <here>"),
+        Refusal(case=cbna, approach="west", speeds_kmh=(20.0, 25.0), reason="no lane <here>"),
+        Refusal(case=cbna, approach="west", speeds_kmh=(30.0,), reason="too short"),
+        Refusal(case=cbla, approach="south", speeds_kmh=(50.0,), reason="too short"),
+    )
+    page, _ = page_of(replace(setting, refusals=refusals), layout)
+    words = Page(page).words
+    assert (
+        "Not driven CBNA from the north and west at 20, 25 km/h: no lane <here>. "
+        "CBNA from the west at 30 km/h: too short. CBLA from the south at 50 km/h: too short."
+    ) in words
+    assert "Not driven" not in Page(evaluation_page).words
+
+
+def test_equal_weights_are_told_and_take_no_column(evaluation_page):
+    words = Page(evaluation_page).words
+    assert "Every run counts the same." in words
+    assert "by weight" not in words
+    assert table_rows(evaluation_page, "Runs")[0][:2] == ["run", "last moment (s)"]
+
+
+@pytest.mark.usefixtures("with_blank_pictures")
+def test_unequal_weights_are_told_by_case_and_run(setting, layout):
+    is_counted = np.array([run.case.name != "CBNA" for run in setting.runs])
+    weight = np.where(is_counted, np.arange(1.0, len(is_counted) + 1.0), 0.0)
+    weight /= weight.sum()
+    weighted = with_weights(setting, weight)
+    page, evaluation = page_of(weighted, layout)
+    words = Page(page).words
+    assert "is the share of the runs, by weight, in which the car brakes" in words
+    assert f"(APR by weight {percent(apr(evaluation.rsu_all, weighted.axis))})" in words
+    lightest = percent(weight[weight > 0.0].min())
+    assert f"from {lightest} to {percent(weight.max())} of the whole each." in words
+    assert f"{int((~is_counted).sum())} runs of weight 0 are driven, but not counted." in words
+    head, *rows = table_rows(page, "Cases")
+    share = {row[0]: row[head.index("weight")] for row in rows}
+    for name in ("CPNC-50", "CBNA", "CBLA"):
+        of_case = np.array([run.case.name == name for run in setting.runs])
+        assert share[name] == percent(float(weight[of_case].sum()))
+    head, *rows = table_rows(page, "Runs")
+    index_of = {run.id: index for index, run in enumerate(setting.runs)}
+    assert all(row[head.index("weight")] == percent(weight[index_of[row[0]]]) for row in rows)
+    apr_of = {row[0]: row[1:] for row in table_rows(page, "Accident prevention ratio by case")}
+    assert apr_of["CBNA"] == ["\N{EN DASH}"] * 3
+
+
+def test_runs_that_are_hit_come_first_and_are_counted(evaluation_page, evaluations):
+    head, *rows = table_rows(evaluation_page, "Runs")
+    outcomes = [row[head.index("found")].split(",")[0] for row in rows]
+    n_hit = int((~evaluations["found"].rsu_all.is_avoided).sum())
+    assert 0 < n_hit < len(rows)
+    assert outcomes == ["HIT"] * n_hit + ["avoided"] * (len(rows) - n_hit)
+    assert f"{len(rows)} runs, {n_hit} of them hit: " in Page(evaluation_page).words
+
+
+@pytest.mark.usefixtures("with_blank_pictures")
+def test_several_weathers_are_told_and_have_a_column(evaluation_page):
+    question = Question(cases="CBLA", along_arms="0", approaches="east", weather="day,night")
+    setting = build_setting(question, load_study_scene())
+    page, _ = page_of(setting, Layout(name="found", units=load_carlancap_layout().units[:1]))
+    words = Page(page).words
+    assert "day, night. It takes contrast from cameras and pulses from LiDARs." in words
+    head, *rows = table_rows(page, "Runs")
+    assert head[1] == "weather"
+    assert {row[1] for row in rows} == {"day", "night"}
+    assert all(("/night" in row[0]) == (row[1] == "night") for row in rows)
+    assert "weather" not in table_rows(evaluation_page, "Runs")[0]
+    assert "It takes contrast" not in Page(evaluation_page).words
+
+
+@pytest.mark.usefixtures("with_blank_pictures")
+def test_announcements_are_in_the_table_and_not_said_to_be_in_the_figure(setting, evaluations):
+    found = evaluations["found"]
+    others = {"vam": found.vut, "all_sources": found.vut_and_rsus}
+    announced = {"found": replace(found, others=others), "greedy": evaluations["greedy"]}
+    page = render_report(plain_result(found), setting, announced, command=COMMAND)
+    head, over_all, *_ = table_rows(page, "Accident prevention ratio by case<")
+    assert head[-2:] == ["road users' messages (VAM) alone", "car (VUT), found and VAM"]
+    shares = [percent(apr(verdict, found.axis)) for verdict in others.values()]
+    assert over_all[-2:] == shares
+    (alt,) = [
+        image["alt"] for image in Page(page).images if image["alt"].startswith("Shaded table")
+    ]
+    drawn = "; ".join(
+        f"{name} {share}" for name, share in zip(head[1:5], over_all[1:5], strict=True)
+    )
+    assert head[4] == "car (VUT) and found"
+    assert alt == f"Shaded table. Over all runs: {drawn}."
+
+
+@pytest.mark.usefixtures("with_blank_pictures")
+def test_latency_of_a_unit_is_told(setting, layout):
+    slow = replace(layout, units=(replace(layout.units[0], latency_s=0.1),))
+    assert "latency of their own: RSU0 100 ms." in Page(page_of(setting, slow)[0]).words
+
+
+@pytest.mark.usefixtures("with_blank_pictures")
+def test_braking_and_the_moment_of_the_frames_are_told(setting, layout, evaluation_page):
+    words = Page(evaluation_page).words
+    assert "constant from the onset" in words
+    assert "One frame falls on the moment of the impact." in words
+    question = Question(cases="CBLA", along_arms="0", approaches="east", build_up_s=0.3)
+    slow = build_setting(question, load_study_scene())
+    words = Page(page_of(slow, layout)[0]).words
+    assert "reached linearly 0.3 s after the onset" in words
+
+
+def test_heatmaps_are_of_the_studys_runs_where_they_are_driven(setting, evaluations):
+    study = ("CPNC-50/east/55", "CBNA/east/60", "CBLA/east/50")
+    assert pick_heatmap_runs(setting, evaluations["found"]) == study
+
+
+def test_heatmaps_are_otherwise_of_the_hardest_runs_that_count_each_of_another_case(layout):
+    question = Question(cases="CPNC-50,CPLA-50,CPNCO-50,CPTAfs-50,CBTAfo-50", along_arms="0")
+    setting = build_setting(question, load_study_scene())
+    evaluation = build_evaluation(setting, layout, seed=5)
+    first, *others = pick_heatmap_runs(setting, evaluation)
+    assert first == "CPNC-50/east/55"
+    margin = margin_s(evaluation.rsu_all, setting.axis)
+    by_id = dict(zip(setting.axis.run_ids, margin, strict=True))
+    cases = [run_id.split("/")[0] for run_id in others]
+    assert len({"CPNC-50", *cases}) == 3
+    left = [by_id[run_id] for run_id in by_id if not run_id.startswith("CPNC-50")]
+    assert by_id[others[0]] == min(left)
+    for case, run_id in zip(cases, others, strict=True):
+        assert by_id[run_id] == min(by_id[i] for i in by_id if i.startswith(f"{case}/"))
+    # What does not count is not drawn.
+    weight = np.array([case != cases[0] for case in setting.axis.cases], dtype=float)
+    uncounted = replace(setting.axis, weight=weight / weight.sum())
+    picked = pick_heatmap_runs(
+        replace(setting, axis=uncounted), replace(evaluation, axis=uncounted)
+    )
+    assert not any(run_id.startswith(f"{cases[0]}/") for run_id in picked)
+    assert len(picked) == 3

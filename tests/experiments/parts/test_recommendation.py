@@ -1,0 +1,56 @@
+"""The evaluator's choice among the layouts that lead, written beside the one found."""
+
+import json
+
+import pytest
+
+from experiments.parts import alternatives
+from placement.layout import load_layout
+from placement.optimiser import Effort
+
+
+def test_what_the_evaluator_recommends_is_written_and_what_is_proven_still_verified(
+    small_study, run, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(alternatives, "recommend", lambda runners, mounted_wrongly: (1, "apr"))
+    out = tmp_path / "out"
+    command = ("--budget", 2, "--pool", 3, "--out", out, "--workers", 2)
+    code, told, _ = run(*command, "--verbose")
+    assert code == 0
+    summary = json.loads((out / "summary.json").read_text())
+    found = summary["front_runners"]
+    names = [one["name"] for one in found["layouts"]]
+    assert names[0] == summary["name"] == load_layout(out / "layout.json").name == "best-2"
+    recommended = load_layout(out / "recommended.json")
+    assert recommended.name == found["recommended"] == names[1] != "best-2"
+    sentence = f"Recommended: {names[1]}, in recommended.json."
+    assert sentence in told
+    assert sentence in (out / "report.html").read_text()
+    assert 0 < told.index("Recommended:") < told.index("What each unit buys")
+    assert summary["mounting"]["worst"]["unit_id"] in {"U1", "U2"}
+    code, verified, _ = run("verify", out, "--quiet")
+    assert code == 0, verified
+
+
+@pytest.mark.usefixtures("small_study")
+def test_where_the_layout_found_is_recommended_nothing_is_written_beside_it(
+    run, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(alternatives, "recommend", lambda runners, mounted_wrongly: (0, "order"))
+    code, told, _ = run("--budget", 2, "--out", tmp_path / "out", "--workers", 2)
+    assert code == 0
+    assert not (tmp_path / "out/recommended.json").exists()
+    assert "Recommended:" not in told
+
+
+@pytest.mark.parametrize(("weights", "asks"), [("", True), ("case", True), ("run", False)])
+def test_weights_that_somebody_chose_are_meant(weights, asks, monkeypatch):
+    asked = []
+    monkeypatch.setattr(alternatives, "find_by_runs", lambda *given, **options: asked.append(1))
+    monkeypatch.setattr(alternatives, "find_sturdier", lambda *given, **options: None)
+    nothing = type("Nothing", (), {"problem": None, "pose_index": (), "cache_folder": None})
+    question = type("Asked", (), {"weights": weights, "effort": Effort()})
+    alternatives.find_other_priorities(
+        nothing, question, question, compute=nothing, progress=lambda *given: None
+    )
+    assert bool(asked) == asks

@@ -1,0 +1,274 @@
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from experiments.export.json import to_json_text
+from experiments.parts.result import (
+    build_comparison_result,
+    build_evaluation_result,
+    disagreeing_runs,
+)
+from experiments.results.drives import DrivesRecord, build_drives_record, versions
+from experiments.results.evaluations import build_evaluation_record
+from geometry.poses import Pose
+from geometry.study_scene import load_study_scene
+from placement.candidates import CandidatePose
+from placement.detection_table import DetectionTable
+from placement.detectors import load_detector
+from placement.evaluation import Evaluation, Verdict
+from placement.layout import Layout
+from placement.optimiser import Limits, PlacementProblem
+from placement.setting import Radio
+from scenarios.aeb import load_aeb_rule
+from scenarios.runs import FrameAxis, Refusal
+
+RULE = load_aeb_rule()
+N_RUNS = 49  # 49 times 1/49 is not 1 in floating point, when added one by one
+
+
+@pytest.fixture
+def axis():
+    """Runs of one frame each, of equal weight, in two cases."""
+    return FrameAxis(
+        run_ids=tuple(f"{'AB'[run % 2]}/north/{run}" for run in range(N_RUNS)),
+        cases=tuple("AB"[run % 2] for run in range(N_RUNS)),
+        approaches=("north",) * N_RUNS,
+        weathers=("day",) * N_RUNS,
+        vut_speed_kmh=np.full(N_RUNS, 20.0),
+        weight=np.full(N_RUNS, 1.0 / N_RUNS),
+        last_brake_time_s=np.full(N_RUNS, -0.1),
+        run_start=np.arange(N_RUNS + 1),
+        time_s=np.zeros(N_RUNS),
+    )
+
+
+@pytest.fixture
+def evaluation_of(axis, camera):
+    """Builds an evaluation of a layout whose one unit avoids the first n runs."""
+
+    def build(n_avoided: int, name: str = "mine") -> Evaluation:
+        avoided = np.arange(N_RUNS) < n_avoided
+        verdict = Verdict(
+            detected=avoided,
+            confirmation_time_s=np.where(avoided, -1.0, np.inf),
+            onset_time_s=np.where(avoided, -1.0, np.inf),
+            is_avoided=avoided,
+        )
+        unit = CandidatePose(
+            id="A",
+            site_id="",
+            pose=Pose(position_m=np.array([0.0, 0.0, 6.0]), yaw_deg=0.0, pitch_deg=0.0),
+            sensor=camera,
+        )
+        return Evaluation(
+            layout=Layout(name=name, units=(unit,)),
+            axis=axis,
+            vut=verdict,
+            units={"A": verdict},
+            rsu_all=verdict,
+            vut_and_rsus=verdict,
+        )
+
+    return build
+
+
+def setting_of(axis, *refusals):
+    return SimpleNamespace(
+        scene=load_study_scene(),
+        axis=axis,
+        runs=[
+            SimpleNamespace(
+                case=SimpleNamespace(name=name, vru=SimpleNamespace(class_name="pedestrian")),
+                approach=approach,
+            )
+            for name, approach in zip(axis.cases, axis.approaches, strict=True)
+        ],
+        refusals=refusals,
+        detector=load_detector(),
+        vut_sensors=("camera", "lidar"),
+        radio=Radio(packet_loss=0.25, vam_rate=0.5),
+        rule=RULE,
+    )
+
+
+@pytest.fixture
+def setting(axis):
+    return setting_of(axis)
+
+
+def plain(record):
+    """As JSON has it."""
+    return json.loads(to_json_text(record))
+
+
+def test_all_runs_avoided_is_exactly_one_and_none_is_zero(evaluation_of):
+    for n_avoided, ratio in ((N_RUNS, 1.0), (0, 0.0)):
+        summary = plain(build_evaluation_record(evaluation_of(n_avoided), RULE))
+        ratios = {
+            "all": ratio,
+            "by_case": {"A": ratio, "B": ratio},
+            "by_position": {"0": ratio},
+        }
+        assert summary == {
+            "vut": ratios,
+            "rsu_all": ratios,
+            "vut_and_rsus": ratios,
+            "units": {"A": ratios},
+            "apr_without_worst_unit": 0.0,  # there is but one
+            **dict.fromkeys(("apr_without_worst_site", "vam", "all_sources")),
+        }
+
+
+def test_ratios_are_shares_of_the_runs(setting, evaluation_of):
+    summary = plain(build_evaluation_result(setting, evaluation_of(7)))
+    assert summary["apr"] == pytest.approx(7 / N_RUNS, abs=1e-15)
+    assert summary["evaluation"]["rsu_all"]["by_case"] == {
+        "A": pytest.approx(4 / 25, abs=1e-15),
+        "B": pytest.approx(3 / 24, abs=1e-15),
+    }
+
+
+def test_an_evaluation_and_a_comparison_have_the_same_head(setting, evaluation_of):
+    single = plain(build_evaluation_result(setting, evaluation_of(3)))
+    both = plain(build_comparison_result(setting, evaluation_of(3), [evaluation_of(5, "other")]))
+    assert set(both) - set(single) == {"compared", "differences", "baselines", "sampled"}
+    assert set(single) <= set(both)
+    assert single.pop("schema") == "place-rsus/evaluation/2"
+    assert both.pop("schema") == "place-rsus/comparison/2"
+    assert {key: both[key] for key in single} == single
+
+
+def test_comparison_lists_the_runs_that_differ(setting, evaluation_of):
+    more, less = evaluation_of(5, "more"), evaluation_of(3, "less")
+    differing = ["B/north/3", "A/north/4"]
+    better, worse = (
+        plain(build_comparison_result(setting, more, [less])),
+        plain(build_comparison_result(setting, less, [more])),
+    )
+    (other,), (one,) = better["compared"], worse["compared"]
+    assert (other["runs_gained"], other["runs_lost"]) == (differing, [])
+    assert (one["runs_gained"], one["runs_lost"]) == ([], differing)
+    assert other["evaluation"] == plain(build_evaluation_record(less, RULE))
+    assert (better["name"], other["name"]) == ("more", "less")
+
+
+def test_a_summary_is_plain_json(setting, evaluation_of):
+    text = to_json_text(build_comparison_result(setting, evaluation_of(5), [evaluation_of(3)]))
+    assert "NaN" not in text
+    assert "Infinity" not in text
+
+
+def test_versions_name_what_the_numbers_depend_on():
+    found = versions()
+    assert {"place-rsus", "python", "cvxpy", "highspy", "numpy", "scipy", "trimesh"} < set(found)
+    assert sum(name.startswith("rays: ") for name in found) == 1
+
+
+def test_drives_are_cases_weathers_perception_and_what_is_not_driven(axis):
+    refusal = Refusal(
+        case=SimpleNamespace(name="C"), approach="north", speeds_kmh=(20.0, 25.0), reason="no room"
+    )
+    axis = replace(axis, weathers=("night", "day") + ("night",) * (N_RUNS - 2))
+    setting = setting_of(axis, refusal)
+    assert json.loads(to_json_text(build_drives_record(setting))) == {
+        "cases": ["A", "B"],
+        "weathers": ["night", "day"],
+        "detector": "geometric",
+        "vut_sensors": ["camera", "lidar"],
+        "packet_loss": 0.25,
+        "vam_rate": 0.5,
+        "track_memory_s": None,
+        "not_driven": [
+            {
+                "case": "C",
+                "approach": "north",
+                "position": "0",
+                "speeds_kmh": [20.0, 25.0],
+                "reason": "no room",
+                "is_possible": True,
+            }
+        ],
+        # Two speeds in two weathers.
+        "possible_runs": N_RUNS + 4,
+        "driven": [
+            f"{N_RUNS} of {N_RUNS + 4} possible runs could be driven: no C at all.",
+            "4 runs: no room (C from the north).",
+        ],
+        "without_effect": [
+            "Night changes nothing for cameras here: the geometric detector knows no light. "
+            "--detector response does."
+        ],
+    }
+
+
+def test_fog_and_other_detectors_are_not_said_to_change_nothing(axis):
+    def said(detector="geometric", *weathers):
+        changed = replace(axis, weathers=weathers + ("day",) * (N_RUNS - len(weathers)))
+        setting = setting_of(changed)
+        setting.detector = load_detector(detector)
+        return build_drives_record(setting).without_effect
+
+    assert said("geometric", "fog") == said("response", "night") == said() == ()
+    (text,) = said("geometric", "night", "rain", "fog")
+    assert text.startswith("Night and rain change nothing for cameras here:")
+
+
+def test_a_result_says_what_was_driven(evaluation_of, axis):
+    setting = setting_of(axis)
+    drives = build_drives_record(setting)
+    result = build_comparison_result(setting, evaluation_of(3), [evaluation_of(5, "other")])
+    for name in DrivesRecord.__struct_fields__:
+        assert getattr(result, name) == getattr(drives, name)
+    assert drives.not_driven == ()
+
+
+def test_disagreement_is_judged_under_the_fusion_asked_for(evaluation_of, rule):
+    axis = FrameAxis(
+        run_ids=("A/north/20",),
+        cases=("A",),
+        approaches=("north",),
+        weathers=("day",),
+        vut_speed_kmh=np.array([20.0]),
+        weight=np.array([1.0]),
+        last_brake_time_s=np.array([-0.2]),
+        run_start=np.array([0, 4]),
+        time_s=np.array([-0.7, -0.6, -0.5, -0.4]),
+    )
+    # Two units that confirm together only.
+    frames = np.array([[True, True, False, False], [False, False, True, True]])
+    table = DetectionTable(
+        pose_ids=("A", "B"), axis=axis, packed=np.packbits(frames, axis=1, bitorder="little")
+    )
+
+    def verdict(is_avoided: bool) -> Verdict:
+        return Verdict(
+            detected=np.ones(4, dtype=bool),
+            confirmation_time_s=np.array([-0.5 if is_avoided else np.inf]),
+            onset_time_s=np.array([-0.5 if is_avoided else np.inf]),
+            is_avoided=np.array([is_avoided]),
+        )
+
+    evaluation = replace(
+        evaluation_of(0),
+        axis=axis,
+        units={"A": verdict(False), "B": verdict(False)},
+        rsu_all=verdict(True),
+    )
+    for fusion in ("any", "single"):
+        problem = PlacementProblem(
+            table=table,
+            limits=Limits(
+                site_index=np.array([0, 1]), site_capacity=np.array([1, 1]), budget_units=2
+            ),
+            fusion=fusion,
+            rule=rule,
+        )
+        placement = SimpleNamespace(
+            problem=problem, pose_index=(0, 1), nominal=problem, nominal_index=(0, 1)
+        )
+        assert disagreeing_runs(placement, evaluation).tolist() == [False]
+        other = replace(evaluation, rsu_all=verdict(False), units={"A": verdict(True)})
+        assert disagreeing_runs(placement, other).tolist() == [True]
