@@ -12,7 +12,7 @@ from placement.city.choose import CityChoice, choose, city_front
 from placement.city.fronts import Options, stack_bounds, stack_fronts
 from placement.city.phases import Phases, plan_phases
 from placement.layout import Layout
-from placement.optimiser.tolerances import TOLERANCE
+from placement.optimiser.steering import TOLERANCE
 from placement.question import Question
 
 from ..results.city import (

@@ -9,7 +9,7 @@ from msgspec import UnsetType
 from placement.layout import Certificate, Stage
 from placement.optimiser import PlacementValue
 from placement.optimiser.front import Front, FrontPoint
-from placement.optimiser.tolerances import COST_TOLERANCE_EUR, TOLERANCE
+from placement.optimiser.steering import COST_TOLERANCE_EUR, TOLERANCE
 
 from ..figures.front import plot_front
 from ..results.fronts import FrontPointRecord, FrontRecord

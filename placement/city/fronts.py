@@ -9,7 +9,7 @@ import numpy as np
 from geometry.arrays import FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
 
-from ..optimiser.tolerances import COST_TOLERANCE_EUR, TOLERANCE
+from ..optimiser.steering import COST_TOLERANCE_EUR, TOLERANCE
 
 # ---------- one junction
 

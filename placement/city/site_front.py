@@ -15,7 +15,6 @@ from math import comb
 import numpy as np
 
 from geometry.arrays import IntArray
-from geometry.clock import now_s
 
 from ..detection_table import DetectionTable
 from ..optimiser import Effort, Limits, PlacementProblem, presolve
@@ -24,7 +23,8 @@ from ..optimiser.front import pareto_front, without_margins
 from ..optimiser.greedy import extend_greedily, forced_units, improve, to_full
 from ..optimiser.objectives import Objective
 from ..optimiser.presolve import ReducedProblem
-from ..optimiser.search import Search
+from ..optimiser.stages import Search
+from ..optimiser.steering import deadline_in
 from .fronts import Steps, value_at
 
 _MAX_SETS = 12_000
@@ -293,6 +293,6 @@ def _improved(
     for index, value in enumerate(values):
         if value[0].exceeds(values[best][0]):
             best = index
-    limit = Search(plain, end_s=0.0).limit
-    end_s = now_s() + effort.time_limit_s
-    return to_full(plain, improve(plain, sets[best], limit, end_s=end_s))
+    limit = Search(plain).limit
+    deadline = deadline_in(effort.time_limit_s)
+    return to_full(plain, improve(plain, sets[best], limit, deadline=deadline))

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from geometry.arrays import FloatArray, float_array, freeze
 from geometry.errors import InputError, Unquoted
 
-from ..optimiser.tolerances import ROUNDING
+from ..optimiser.steering import ROUNDING
 
 # ---------- instances
 

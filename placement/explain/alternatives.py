@@ -18,7 +18,7 @@ from ..optimiser import (
     solve_placement,
 )
 from ..optimiser.solve import is_large
-from ..optimiser.tolerances import TOLERANCE
+from ..optimiser.steering import TOLERANCE
 
 STAGE = "other priorities"
 TIME_LIMIT_S = 10.0

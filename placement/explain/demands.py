@@ -10,7 +10,7 @@ import numpy as np
 from geometry.arrays import FloatArray, IntArray
 
 from ..optimiser import Floor, Limits, PlacementProblem, floor_value, is_allowed
-from ..optimiser.tolerances import TOLERANCE
+from ..optimiser.steering import TOLERANCE
 from .feasible_sets import Answer, Oracle
 
 # ---------- demands
