@@ -28,7 +28,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from geometry.arrays import FloatArray, IntArray
+from geometry.arrays import BoolArray, FloatArray, IntArray
 
 from .bitsets import union_apr
 from .greedy import forced_units
@@ -77,6 +77,10 @@ class Rows(NamedTuple):
     chain: IntArray
     last: IntArray  # how many of its first windows
     weight: FloatArray
+
+    def of(self, some: IntArray | BoolArray | slice) -> "Rows":
+        """Some of the rows."""
+        return Rows(self.chain[some], self.last[some], self.weight[some])
 
 
 def run_rows(reduced: ReducedProblem) -> Rows:
@@ -172,18 +176,19 @@ def find_root(
     )
     is_alone = is_covered_by(reduced, union, rows)
     reached = float(rows.weight[is_alone].sum())
-    rows = Rows(*(field[~is_alone] for field in rows))
+    rows = rows.of(~is_alone)
     # To begin with, the frames that fewest poses see; what is picked counts far more.
     seen = np.bitwise_count(detections.columns).sum(axis=1) / (1.0e3 * max(reduced.n_poses, 1))
     price = PRICE_START * rows.weight
     best: Root | None = None
     for number in range(ASK_ROUNDS):
-        coverers = coverers_of(reduced, rows, union, seen)
+        scale = max(float(seen.max(initial=0.0)), TINY)
+        coverers = coverers_of(reduced, rows, union, np.round(seen / scale, SHARE_DIGITS))
         index, row = distinct_rows(coverers, workers=reduced.workers)
         root = Root(
             covers=transposed(coverers[index], reduced.n_poses, workers=reduced.workers),
             weight=np.bincount(row, weights=rows.weight, minlength=len(index)),
-            price=np.bincount(row, weights=price, minlength=len(index)),
+            price=np.bincount(row, weights=price, minlength=len(index)).astype(np.float64),
             reached=reached,
             limit=np.inf,
             share=np.zeros(reduced.n_poses),
@@ -222,9 +227,8 @@ def coverers_of(
     from .walk_kernels import ask_for_least_seen, cover_rows
 
     detections = reduced.detections
-    scale = max(float(seen.max(initial=0.0)), TINY)
     asked = np.empty(len(detections.chains.window), dtype=np.int64)
-    ask_for_least_seen(detections.chains, union, np.round(seen / scale, SHARE_DIGITS), asked)
+    ask_for_least_seen(detections.chains, np.unique(rows.chain), union, seen, asked)
     is_poses = columns is None
     columns = detections.columns if columns is None else columns
     coverers = np.empty((len(rows.chain), columns.shape[1]), dtype=np.uint64)
@@ -237,13 +241,14 @@ def coverers_of(
     return coverers
 
 
-def is_covered_by(reduced: ReducedProblem, union: WordArray, rows: Rows) -> np.ndarray:
-    """Rows of which a union of frames sees a live window, (n_rows,) bool."""
+def is_covered_by(reduced: ReducedProblem, union: WordArray, rows: Rows) -> BoolArray:
+    """Rows of which a union of frames sees a live window, (n_rows,)."""
     from .bit_kernels import first_live_windows
 
     first = np.empty((1, reduced.n_chains), dtype=np.int64)
     first_live_windows(union[None, :], reduced.chains, first)
-    return np.asarray(first[0][rows.chain] < rows.last)
+    is_covered: BoolArray = first[0][rows.chain] < rows.last
+    return is_covered
 
 
 def reward_of(n_units: int, n_failures: int) -> FloatArray:
@@ -425,7 +430,7 @@ def _relaxed(root: Root, core: IntArray, share: FloatArray) -> tuple[FloatArray,
     )
     duals = np.zeros(len(most))
     duals[:n_rows] = scale * root.price
-    reached = np.minimum(covers @ share, 1.0)
+    reached = np.minimum(np.asarray(covers @ share), 1.0)
     solver.warm_start(x=np.concatenate([share, reached]), y=duals)
     result = solver.solve(raise_error=False)
     price = np.nan_to_num(np.asarray(result.y))[:n_rows] / scale

@@ -35,7 +35,6 @@ from .steering import (
     MAX_LIKE_POSES,
     MAX_PAIR_UNITS,
     NEAR,
-    NEAR_WORLDS,
     ROUNDING,
     TOGETHER,
     Deadline,
@@ -67,7 +66,6 @@ def walk_by_pairs(
             reduced,
             units,
             walk_from=lambda need, _: walk.again(need),
-            ahead=NEAR_WORLDS,
             on_better=on_better,
         )
         return search.find(deadline)
@@ -138,16 +136,16 @@ class PairWalk:
 
         An empty block says that nothing was found for a while. The order is left to chance.
         """
-        if self.n_units == 2:
-            first, work = self.member.tolist(), self._beside_pose
-        else:
-            first, work = range(len(self.size)), self._beside_class
-        workers, left = self.reduced.workers, iter(first)
+        is_pair = self.n_units == 2
+        left = iter(self.member.tolist() if is_pair else range(len(self.size)))
+        workers = self.reduced.workers
         waiting: set[Future[IntArray]] = set()
         with ThreadPoolExecutor(workers) as threads:
             while not deadline.is_over:
                 while len(waiting) < 2 * workers and (one := next(left, None)) is not None:
-                    waiting.add(threads.submit(work, one))
+                    waiting.add(
+                        threads.submit(self._beside_pose if is_pair else self._beside_class, one)
+                    )
                 if not waiting:
                     self.is_finished = True
                     return
@@ -168,7 +166,7 @@ class PairWalk:
         """Sets of a class and two of those from it on that reach the need."""
         union = self.classes.words[one]
         is_open = ~is_covered_by(self.reduced, union, self.rows)
-        rows = Rows(*(field[is_open] for field in self.rows))
+        rows = self.rows.of(is_open)
         behind = np.arange(one, len(self.size))
         place = np.column_stack(np.triu_indices(len(behind)))
         pairs = behind[place]
@@ -180,7 +178,7 @@ class PairWalk:
         fits &= (sites[:, 0] != sites[:, 1]) | (capacity[sites[:, 0]] >= 2)
         fits &= (pairs[:, 0] != pairs[:, 1]) | (self.size[pairs[:, 0]] >= 2)
         pairs = self._losing_little(self.classes, union, rows, pairs[fits])
-        hard = Rows(*(field[:HARD_ROWS] for field in rows))
+        hard = rows.of(slice(HARD_ROWS))
         pairs = self._losing_little(self.poses, union, hard, self._members_of(pairs))
         members = self.member[self.start[one] : self.start[one] + self.size[one]]
         found = [np.empty((0, 3), dtype=np.int64)]
@@ -198,9 +196,9 @@ class PairWalk:
         """Pairs of poses that may lose little beside a pose: at the hardest runs, then at all."""
         union = self.poses.words[member]
         is_open = ~is_covered_by(self.reduced, union, self.rows)
-        rows = Rows(*(field[is_open] for field in self.rows))
+        rows = self.rows.of(is_open)
         for n_rows in (HARD_ROWS, len(rows.chain)):
-            some = Rows(*(field[:n_rows] for field in rows))
+            some = rows.of(slice(n_rows))
             if len(pairs) > FEW_PAIRS:
                 pairs = self._losing_little(self.poses, union, some, pairs)
         return pairs
@@ -215,7 +213,8 @@ class PairWalk:
         first = self.member[self.start[pairs[row, 0]] + one]
         second = self.member[self.start[pairs[row, 1]] + other]
         is_once = (pairs[row, 0] != pairs[row, 1]) | (first < second)
-        return np.column_stack([first, second])[is_once]
+        of_poses: IntArray = np.column_stack([first, second])[is_once]
+        return of_poses
 
     def _losing_little(
         self, units: _Units, union: WordArray, rows: Rows, pairs: IntArray
@@ -240,7 +239,8 @@ class PairWalk:
         limits = self.reduced.limits
         sites = limits.site_index[sets]
         n_there = (sites[:, :, None] == sites[:, None, :]).sum(axis=2)
-        return sets[(n_there <= limits.site_capacity[sites]).all(axis=1)]
+        fitting: IntArray = sets[(n_there <= limits.site_capacity[sites]).all(axis=1)]
+        return fitting
 
     def _keep(self, sets: IntArray) -> IntArray:
         """Sets that reach the need."""
@@ -255,14 +255,14 @@ class PairWalk:
 def _hardest_first(reduced: ReducedProblem) -> tuple[Rows, WordArray]:
     """Rows of all runs, those first in which sets are likely to lose most; who avoids each."""
     rows = run_rows(reduced)
-    rows = Rows(*(field[rows.weight > 0.0] for field in rows))
+    rows = rows.of(rows.weight > 0.0)
     union = np.zeros(reduced.words.shape[1], dtype=np.uint64)
     units = _Units(words=reduced.words, columns=reduced.detections.columns)
     alone = _coverers(reduced, units, union, rows)[0]
     share = unpack_words(alone, reduced.n_poses).mean(axis=1)
     # Two more poses are likely to lose what many poses lose.
     order = np.argsort(-rows.weight * (1.0 - share) ** TOGETHER, kind="stable")
-    return Rows(*(field[order] for field in rows)), alone[order]
+    return rows.of(order), alone[order]
 
 
 def _coverers(
@@ -304,14 +304,14 @@ def _classes(
         here = np.flatnonzero(usable & (site_index == site))
         for alike in np.array_split(here, -(-len(here) // MAX_LIKE_POSES)):
             of_poses = bits[alike] * np.sqrt(weight)
-            number = np.zeros(len(alike), dtype=np.int64)
+            number: IntArray = np.zeros(len(alike), dtype=np.int64)
             if len(alike) > CLASS_POSES:
                 size = (of_poses**2).sum(axis=1)
                 apart = size[:, None] + size - 2.0 * of_poses @ of_poses.T
                 apart = np.sqrt(np.maximum(apart, 0.0))[np.triu_indices(len(alike), 1)]
                 tree = linkage(apart, "ward")
-                number = fcluster(tree, -(-len(alike) // CLASS_POSES), "maxclust") - 1
-                number = np.unique(number, return_inverse=True)[1]
+                of_tree = fcluster(tree, -(-len(alike) // CLASS_POSES), "maxclust")
+                number = np.unique(of_tree, return_inverse=True)[1]
             class_of[alike] = n_classes + number
             n_classes += int(number.max()) + 1
     value, most = bits @ weight, np.zeros(n_classes)

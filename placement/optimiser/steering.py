@@ -163,8 +163,6 @@ FEW_PAIRS = 200
 """Pairs of poses beside a class that are valued with each of its poses at once."""
 TOGETHER = 16
 """A run is hard if so many poses drawn at random are likely to lose it together."""
-NEAR_WORLDS = 1.0e-3
-"""Of sampled worlds, what is proven at least before ties are met: 0.1 points of the APR."""
 
 
 # ---------- effort, threads, the clock

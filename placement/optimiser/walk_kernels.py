@@ -18,14 +18,16 @@ from .problem import Chains, WordArray
 
 
 @kernel
-def ask_for_least_seen(chains: Chains, union: WordArray, seen: FloatArray, asked: IntArray) -> None:
-    """Ask every window for the frame, or tail, that a union lacks and that is seen least.
+def ask_for_least_seen(
+    chains: Chains, some: IntArray, union: WordArray, seen: FloatArray, asked: IntArray
+) -> None:
+    """Ask the windows of some chains for the frame, or tail, that a union lacks and is seen least.
 
     `seen`, (n_frames,), is how much of each frame is seen; `asked`, (n_links,), becomes the frame
     of each window, -1 where the union lacks nothing.
     """
     window_frames, window, start, tail_frame, tail_links, tail_start = chains
-    for chain in range(len(start) - 1):
+    for chain in some:
         tail, last_tail, least_tail = tail_start[chain], tail_start[chain + 1], -1
         # Windows of the chain, the last one first: the earlier, the more tails are needed.
         for link in range(start[chain + 1] - start[chain] - 1, -1, -1):
