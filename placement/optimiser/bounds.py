@@ -45,6 +45,7 @@ from .steering import (
     FAILURE_PRICES,
     FIRST_STEPS,
     LATER_STEPS,
+    MAX_CELLS,
     MEMORY,
     NEVER,
     OSQP_OVERRELAXATION,
@@ -185,10 +186,13 @@ def find_root(
         scale = max(float(seen.max(initial=0.0)), TINY)
         coverers = coverers_of(reduced, rows, union, np.round(seen / scale, SHARE_DIGITS))
         index, row = distinct_rows(coverers, workers=reduced.workers)
+        of_rows, of_price = np.zeros(len(index)), np.zeros(len(index))
+        np.add.at(of_rows, row, rows.weight)
+        np.add.at(of_price, row, price)
         root = Root(
             covers=transposed(coverers[index], reduced.n_poses, workers=reduced.workers),
-            weight=np.bincount(row, weights=rows.weight, minlength=len(index)),
-            price=np.bincount(row, weights=price, minlength=len(index)).astype(np.float64),
+            weight=of_rows,
+            price=of_price,
             reached=reached,
             limit=np.inf,
             share=np.zeros(reduced.n_poses),
@@ -307,29 +311,27 @@ def failure_limit(
     return limit
 
 
-def relaxed_limit(
-    reduced: ReducedProblem,
-    worth: Objective,
-    *,
-    n_units: int | None = None,
-    deadline: Deadline = NEVER,
-) -> float:
-    """No set of so many units, by default as many as allowed, is worth more.
+def relax(
+    reduced: ReducedProblem, worth: Objective, *, deadline: Deadline = NEVER
+) -> tuple[float, FloatArray | None]:
+    """Upper bound of all sets within the limits, and shares of poses near a relaxed solution.
 
     `worth` is ``Objective.APR``, or ``Objective.MEAN_MARGIN`` for the sum of weights times margins.
     Limits of units, sites and money hold; other wishes are left out, which only makes the bound
-    higher.
+    higher. Infinite, and no shares, where that takes too long.
     """
-    n_units = reduced.limits.max_units if n_units is None else n_units
+    n_units = reduced.limits.max_units
     if not len(reduced.weight) or n_units < 1:
-        return 0.0
+        return 0.0, None
     rows = run_rows(reduced) if worth is Objective.APR else margin_rows(reduced)
-    root = find_root(reduced, rows, n_units=n_units, deadline=deadline)
-    limit = polished(root).limit
+    if len(rows.chain) * reduced.n_poses > MAX_CELLS:
+        return np.inf, None
+    root = polished(find_root(reduced, rows, n_units=n_units, deadline=deadline))
+    limit = root.limit
     if worth is Objective.APR:  # all poses together are a limit, too
         everything = np.bitwise_or.reduce(reduced.words, axis=0, keepdims=True)
         limit = min(rounded_down(reduced, limit), float(union_apr(reduced, everything)[0]))
-    return limit
+    return limit, root.share
 
 
 def rounded_down(reduced: ReducedProblem, limit: float) -> float:

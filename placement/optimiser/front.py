@@ -386,6 +386,7 @@ def pareto_front(
     # Points of a large instance are solved one by one, each from a pool of promising poses.
     if reduced is None and (effort.solver == "exact" or not is_large(problem)):
         reduced = presolve(widest, workers=effort.workers)
+    reduced = None if reduced is None else reduced.with_workers(effort.workers)
     largest = None if reduced is None else largest_values(reduced, stages)
     full = replace(limits, budget_units=None).max_units
     points: list[FrontPoint] = []

@@ -135,7 +135,14 @@ class ReducedProblem:
     @property
     def last(self) -> IntArray:
         """Windows of its chain that end in time for each run, (n_runs,)."""
-        return (self.margin_s > -np.inf).sum(axis=1)
+        last: IntArray = (self.margin_s > -np.inf).sum(axis=1)
+        return last
+
+    def with_workers(self, workers: int) -> "ReducedProblem":
+        """The same problem on so many threads."""
+        if workers == self.workers:
+            return self
+        return replace(self, detections=replace(self.detections, workers=workers))
 
     def with_goal(self, goal: Goal) -> "ReducedProblem":
         """The same problem for another goal."""

@@ -222,7 +222,9 @@ def solve_placement(
         starts = starts if found is None else [*starts, np.array(found.pose_index)]
     if reduced is None and effort.solver != "exact" and is_large(problem):
         return _solve_large(problem, effort, deadline, on_stage)
-    reduced = presolve(problem, workers=effort.workers) if reduced is None else reduced
+    if reduced is None:
+        reduced = presolve(problem, workers=effort.workers)
+    reduced = reduced.with_workers(effort.workers)
     check_reach(problem, reduced)
     search = Search(reduced, deadline=deadline, is_exact=effort.is_exact)
     search.start([_units_of(reduced, poses) for poses in starts])

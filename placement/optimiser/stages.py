@@ -16,7 +16,7 @@ from .bitsets import (
     union_margins_s,
     unions_of,
 )
-from .bounds import Root, failure_limit, find_root, relaxation_text, relaxed_limit, run_rows
+from .bounds import Root, failure_limit, find_root, relax, relaxation_text, run_rows
 from .greedy import extend_greedily, improve, search_from_many_starts
 from .limits import Limits, are_allowed, is_allowed, price_step_eur
 from .model import Cut, first_cuts, solve_window_model, solver_text, violated_cuts
@@ -103,14 +103,18 @@ class Search:
         gains = [largest.get(objective, 0.0) for objective in reduced.objectives]
         return SetValues(reduced.objectives, np.array([0.0, *gains]))
 
-    def start(self, starts: Sequence[IntArray] = ()) -> None:
-        """Find a first set, from some to begin with; there may be none that reaches the floors."""
+    def start(self, starts: Sequence[IntArray] = (), *, chance: FloatArray | None = None) -> None:
+        """Find a good set, from some to begin with; there may be none that reaches the floors.
+
+        Others are drawn by a `chance`, (n_poses,), such as their shares in a relaxed solution.
+        """
         uses_root = can_walk(self.reduced) and not goes_by_pairs(self.reduced)
+        shares = (lambda: self.root.share) if uses_root else None
         units = search_from_many_starts(
             self.reduced,
             self.limit,
             starts=starts,
-            chance=(lambda: self.root.share) if uses_root else None,
+            chance=shares if chance is None else lambda: chance,
             deadline=self.deadline.of("first set"),
         )
         if units is not None:
@@ -371,8 +375,12 @@ class Stages:
         """
         if self.effort.solver == "greedy" or self.search.deadline.is_over:
             return np.inf
-        self.search.proofs[relaxation_text()] = None
-        return relaxed_limit(reduced, worth, deadline=self.search.deadline.of("relaxation"))
+        search = self.search
+        limit, share = relax(reduced, worth, deadline=search.deadline.of("relaxation"))
+        search.proofs[relaxation_text()] = None
+        if share is not None and reduced is search.reduced and worth is Objective.APR:
+            search.start([self._units()], chance=share)
+        return limit
 
     def _bound_failed(self, n_failures: int, limit: float) -> float:
         """No layout that holds the stages before keeps a higher APR when its worst units fail."""

@@ -285,7 +285,7 @@ def test_what_may_be_missing_is_none(problem, tmp_path):
         ({"unit_cost_eur": np.array([1.0, np.inf, 1.0])}, "unit_cost_eur: got"),
         ({"site_index": np.array([0, 1, 2])}, r"site_index: got \[0, 1, 2\]; expected sites 0..1"),
         ({"site_capacity": np.array([-1, 2])}, "site_capacity: got"),
-        ({"budget_units": np.array(0)}, "--budget: got 0"),
+        ({"budget_units": np.array(0)}, "budget: got 0"),
         ({"budget_eur": np.array(np.nan)}, "--budget-cost: got nan"),
         ({"fusion": np.array("both")}, "--fusion: got 'both'; expected one of any, single"),
         ({"goal": np.array("most")}, "goal: got 'most'"),
