@@ -177,7 +177,9 @@ class PairWalk:
         fits = needed <= capacity[self.class_site[one]]
         fits &= (sites[:, 0] != sites[:, 1]) | (capacity[sites[:, 0]] >= 2)
         fits &= (pairs[:, 0] != pairs[:, 1]) | (self.size[pairs[:, 0]] >= 2)
-        pairs = self._losing_little(self.classes, union, rows, pairs[fits])
+        pairs = pairs[fits]
+        for n_rows in (HARD_ROWS, len(rows.chain)):  # hard runs say most, and are few
+            pairs = self._losing_little(self.classes, union, rows.of(slice(n_rows)), pairs)
         hard = rows.of(slice(HARD_ROWS))
         pairs = self._losing_little(self.poses, union, hard, self._members_of(pairs))
         members = self.member[self.start[one] : self.start[one] + self.size[one]]
