@@ -34,7 +34,7 @@ _TIME_LIMIT_S = 20.0
 def compile_ahead() -> None:
     """Compile what optimiser and evaluator need, unless that was done before on this machine."""
     from .evaluator.pixels import see
-    from .optimiser.cover_kernels import grow
+    from .optimiser.walk_kernels import grow
 
     if is_compiled(grow) and is_compiled(see):
         return

@@ -23,7 +23,7 @@ settings.register_profile("place-rsus-few", deadline=None, max_examples=8)
 settings.register_profile("thorough", deadline=None, max_examples=30)
 settings.load_profile("place-rsus")
 MANY = ("geometry", "scenarios", "optimiser")
-COMPILES = ("tests/experiments/cli/test_cli.py", "tests/placement/optimiser/test_set_tree.py")
+COMPILES = ("tests/experiments/cli/test_cli.py", "tests/placement/optimiser/test_walk.py")
 NEEDS_NO_KERNELS = ("tests/scenarios/", "tests/geometry/")
 # The first test that compiles is told so, on a new machine: whichever that is, and however quiet.
 logging.getLogger("geometry.kernels").setLevel(logging.ERROR)

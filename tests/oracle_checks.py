@@ -26,8 +26,7 @@ def check(problem: PlacementProblem, solver: str) -> None:
         if solver not in SOLVERS:
             patch.setattr("placement.optimiser.stages.best_of_few", lambda *_, **__: (None, False))
         if solver == "models":
-            patch.setattr("placement.optimiser.search.can_walk", lambda _: False)
-            patch.setattr("placement.optimiser.stages.can_enumerate", lambda *_: False)
+            patch.setattr("placement.optimiser.stages.can_walk", lambda _: False)
         effort = Effort(solver=solver if solver in SOLVERS else "exact", time_limit_s=600.0)
         try:
             solution = solve_placement(problem, effort=effort)

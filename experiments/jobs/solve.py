@@ -18,7 +18,7 @@ from placement.optimiser import (
     cost_eur,
     solve_placement,
 )
-from placement.optimiser.model import SolverName
+from placement.optimiser.steering import SolverName
 from placement.verification.instances import load_problem
 
 from ..progress import WRITING, StageProgress

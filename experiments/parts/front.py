@@ -23,7 +23,7 @@ from placement.compute import Compute
 from placement.optimiser import PlacementProblem, PlacementValue, apr_one_failed
 from placement.optimiser.cost_front import cost_front
 from placement.optimiser.front import Front, FrontPoint, StageChoice, pareto_front
-from placement.optimiser.tolerances import COST_TOLERANCE_EUR, TOLERANCE
+from placement.optimiser.steering import COST_TOLERANCE_EUR, TOLERANCE
 from placement.pipeline import Assembly, assemble
 from placement.prices import assumed_prices, load_prices
 from placement.question import Question

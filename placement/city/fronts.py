@@ -8,7 +8,6 @@ from math import comb
 import numpy as np
 
 from geometry.arrays import FloatArray, IntArray, freeze
-from geometry.clock import now_s
 from geometry.errors import InputError, Unquoted
 
 from ..detection_table import DetectionTable
@@ -18,8 +17,8 @@ from ..optimiser.front import pareto_front, without_margins
 from ..optimiser.greedy import extend_greedily, forced_units, improve, to_full
 from ..optimiser.objectives import Objective
 from ..optimiser.presolve import ReducedProblem
-from ..optimiser.search import Search
-from ..optimiser.tolerances import COST_TOLERANCE_EUR, TOLERANCE
+from ..optimiser.stages import Search
+from ..optimiser.steering import COST_TOLERANCE_EUR, TOLERANCE, deadline_in
 
 # ---------- one junction
 
@@ -502,6 +501,6 @@ def _improved(
     for index, value in enumerate(values):
         if value[0].exceeds(values[best][0]):
             best = index
-    limit = Search(plain, end_s=0.0).limit
-    end_s = now_s() + effort.time_limit_s
-    return to_full(plain, improve(plain, sets[best], limit, end_s=end_s))
+    limit = Search(plain).limit
+    deadline = deadline_in(effort.time_limit_s)
+    return to_full(plain, improve(plain, sets[best], limit, deadline=deadline))

@@ -134,7 +134,12 @@ def solve_junction(
 
     def effort() -> Effort:
         left_s = max(end_s - now_s(), _LEAST_OPTIMISER_S)
-        return Effort(solver=question.solver, gap=question.gap, time_limit_s=_SHARE * left_s)
+        return Effort(
+            solver=question.solver,
+            gap=question.gap,
+            time_limit_s=_SHARE * left_s,
+            workers=compute.workers,
+        )
 
     rule = replace(load_candidate_grid(is_coarse=True), sensors=wishes.grid.sensors)
     extra = () if existing is None else existing.units

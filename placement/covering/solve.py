@@ -31,7 +31,7 @@ from geometry.errors import InputError, Unquoted
 
 from ..layout import relative_gap
 from ..memory import check_fits
-from ..optimiser.tolerances import ROUNDING, common_step, settle
+from ..optimiser.steering import ROUNDING, common_step, settle
 
 # ---------- instances
 

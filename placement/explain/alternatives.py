@@ -24,7 +24,7 @@ from ..optimiser import (
 )
 from ..optimiser.problem import Fusion
 from ..optimiser.solve import is_large
-from ..optimiser.tolerances import TOLERANCE
+from ..optimiser.steering import TOLERANCE
 
 STAGE = "other priorities"
 TIME_LIMIT_S = 10.0

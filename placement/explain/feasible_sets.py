@@ -16,19 +16,19 @@ from ..optimiser.bitsets import (
     avoided_with_each,
     build_values,
     costs_with_each_eur,
+    least_left_with_each,
     left_after_failures,
     set_values,
     union_margins_s,
 )
-from ..optimiser.enumeration import best_of_few
-from ..optimiser.failures import least_left_with_each
 from ..optimiser.greedy import forced_units, improve, to_full
 from ..optimiser.limits import fitting
 from ..optimiser.objectives import Objective
 from ..optimiser.problem import Measure, Requirement
-from ..optimiser.search import Search
 from ..optimiser.solve import check_limits
-from ..optimiser.tolerances import COST_TOLERANCE_EUR, TOLERANCE
+from ..optimiser.stages import Search
+from ..optimiser.steering import COST_TOLERANCE_EUR, TOLERANCE, Deadline
+from ..optimiser.walk import best_of_few
 
 _MAX_REMEMBERED = 4_000_000  # numbers: 32 MB
 _BLOCK_RUNS = 32
@@ -362,14 +362,14 @@ class Oracle:
 
     def _search(self, reduced: ReducedProblem, aim: Requirement | None = None) -> Search:
         """A search that begins with a set found quickly, of the time left a part."""
-        end_s = now_s() + _SHARE_OF_TIME * max(self.left_s(), 0.0)
-        search = Search(reduced, end_s=end_s)
+        deadline = Deadline(now_s() + _SHARE_OF_TIME * max(self.left_s(), 0.0))
+        search = Search(reduced, deadline=deadline)
         floors = reduced.floors if aim is None else (*reduced.floors, aim)
         units = choose_greedily(replace(reduced, floors=floors))
         if len(units) and is_allowed(reduced.limits, units):
             search.keep(units)
             if len(units) <= _FEW_UNITS:  # exchanges take long for more
-                search.keep(improve(reduced, units, search.limit, end_s=end_s))
+                search.keep(improve(reduced, units, search.limit, deadline=deadline))
         return search
 
 

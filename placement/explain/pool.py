@@ -22,7 +22,7 @@ from ..optimiser.bitsets import SetValues, concatenate_values, set_values, value
 from ..optimiser.greedy import extend_greedily, forced_units
 from ..optimiser.limits import are_allowed, is_allowed
 from ..optimiser.objectives import Objective
-from ..optimiser.tolerances import COST_TOLERANCE_EUR
+from ..optimiser.steering import COST_TOLERANCE_EUR
 from .feasible_sets import QuickRows, exceeds_clearly, is_within, presolve_undominated, site_counts
 
 # ---------- every set

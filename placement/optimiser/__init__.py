@@ -1,22 +1,22 @@
-"""From a detection table to the best poses, proven.
+"""From a detection table to the best poses, proven: four rungs, each where the one before ends.
 
 ``problem`` says what is asked and what a set of poses is worth, ``objectives`` in which order sets
-are compared, ``limits`` what may be mounted together.
-``presolve`` drops what does not matter; ``bitsets`` values many sets at once. ``greedy`` finds good
-sets quickly, and ``enumeration`` goes through all sets that may be better. ``set_tree`` lays
-detections out and prices runs, ``cover_tree`` walks through all sets that reach an APR, also when
-units fail; ``tied_sets`` chooses among those that tie. Modules called ``.._kernels`` are machine
-code. Bounds come from ``bounds`` (Lagrangian), ``relaxation`` (subgradient steps and OSQP),
-``window_cover`` (branch and bound) and ``model`` (HiGHS), and ``promises`` says what they mean for
-sets. ``stages`` takes the objectives in order with ``search``. ``solve`` calls it all, says which
-wish cannot be met, and solves tables that are too large for models. ``threads`` shares work out.
-``front`` and ``cost_front`` say what more units or more money buy. ``tolerances`` says which values
-are equal, and how far a solver's bound can be believed.
+are compared, ``limits`` what may be mounted together, ``steering`` how hard to try: it has all
+numbers that steer, the threads, and how the time is split. ``bitsets`` values many sets at once.
+
+1. ``presolve`` drops what does not matter; ``greedy`` finds good sets by greedy choice and swaps.
+2. ``bounds``: the Lagrangian bound, by subgradient steps and OSQP.
+3. ``walk``: all sets of so many units that may be as good, and the best of those that tie;
+   ``pairs`` does it where worlds are sampled.
+4. ``model``: HiGHS, for money, floors, forced units and all that is still open.
+
+``stages`` takes the objectives in order, rung by rung. ``solve`` calls it all, says which wish
+cannot be met, and solves tables that are too large. ``front`` and ``cost_front`` say what more
+units or more money buy. Modules called ``.._kernels`` are compiled by Numba.
 """
 
 from .greedy import solve_greedy
 from .limits import Failing, Limits, cost_eur, is_allowed
-from .model import Effort
 from .objectives import Goal, Objective
 from .presolve import PresolveStatistics, ReducedProblem, presolve
 from .problem import (
@@ -34,6 +34,7 @@ from .problem import (
     run_margins_s,
 )
 from .solve import Solution, UnmetError, solve_placement
+from .steering import Effort
 
 __all__ = [
     "Effort",

@@ -2,22 +2,21 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
+from itertools import combinations, takewhile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
-from .failures import least_left, least_left_with_each
-from .limits import cost_eur, costs_eur
+from .limits import Limits, cost_eur, costs_eur
 from .objectives import Objective
 from .presolve import ReducedProblem, unpack_words
 from .problem import Measure, WordArray
-from .threads import share_out
-from .tolerances import TOLERANCE
+from .steering import DECIMALS, FEW_PARTNERS, TOLERANCE, share_out
 
-_DECIMALS = 8  # differences below are rounding noise
+# ---------- values that are compared stage by stage
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,12 +66,12 @@ class SetValues:
 
     def descending(self) -> IntArray:
         """Order of the sets, the best first."""
-        order: IntArray = np.lexsort(-self.gains.round(_DECIMALS).T[::-1])
+        order: IntArray = np.lexsort(-self.gains.round(DECIMALS).T[::-1])
         return order
 
     def ties_or_beats(self, other: "SetValues") -> BoolArray:
         """Which sets are at least as good as a single other one."""
-        difference = self.gains.round(_DECIMALS) - other.gains.round(_DECIMALS)
+        difference = self.gains.round(DECIMALS) - other.gains.round(DECIMALS)
         first = (difference != 0.0).argmax(axis=1)
         reaches: BoolArray = difference[np.arange(len(difference)), first] >= 0.0
         return reaches
@@ -109,12 +108,15 @@ class BestSet:
             self.units, self.values = sets[row], values[row]
 
 
+# ---------- values of sets
+
+
 def union_margins_s(reduced: ReducedProblem, unions: WordArray) -> FloatArray:
     """Margins of all runs given which frames are seen: (n_sets, n_words) -> (n_sets, n_runs).
 
     Minus infinity where a run is not avoided.
     """
-    from .frame_kernels import first_live_windows
+    from .bit_kernels import first_live_windows
 
     first = np.empty((len(unions), reduced.n_chains), dtype=np.int64)
 
@@ -123,7 +125,7 @@ def union_margins_s(reduced: ReducedProblem, unions: WordArray) -> FloatArray:
             np.ascontiguousarray(unions[begin:end]), reduced.chains, first[begin:end]
         )
 
-    share_out(look, len(unions))
+    share_out(look, len(unions), workers=reduced.workers)
     margin: FloatArray = reduced.margin_s[
         np.arange(len(reduced.weight)), first[:, reduced.run_chain]
     ]
@@ -154,60 +156,79 @@ def left_after_failures(
     return least_left(reduced.limits, sets, n_failures, value)
 
 
-def keep_apr(
-    reduced: ReducedProblem, sets: IntArray, least: float, *, with_failures: bool = False
-) -> BoolArray:
-    """Which sets of poses have an APR of at least so much, (n_sets,).
+# ---------- failures: by sites, several units may fail at once, those of one pole
 
-    With failures: whichever unit fails. Only where the APR is a weighted mean over all runs. Most
-    sets that lose too much are found out at a few runs.
+
+def least_left(
+    limits: Limits, sets: IntArray, n_failures: int, value: Callable[[IntArray], FloatArray]
+) -> FloatArray:
+    """Smallest value that sets keep when so many units, or sites, of each fail, (n_sets,).
+
+    `value` is that of sets, (n_sets, any) -> (n_sets,); nothing is worth 0. Failing more never
+    leaves more, so that it is enough to let the sites of any n of the units fail: that is at most n
+    sites, and any n sites that carry units are among them.
     """
-    lost = (reduced.margin_s == -np.inf) * reduced.weight[:, None]
-    most = reduced.measure.limit - least
-    return _lose_little(reduced, sets, lost, most, with_failures=with_failures)
+    n_units = sets.shape[1]
+    if n_failures > n_units:
+        return np.zeros(len(sets))
+    smallest = np.full(len(sets), np.inf)
+    for failed in combinations(range(n_units), n_failures):
+        if limits.failing == "unit" or not failed:
+            left = value(np.delete(sets, failed, axis=1))
+        else:
+            left = _value_without_sites(limits, sets, failed, value)
+        smallest = np.minimum(smallest, left)
+    return smallest
 
 
-def may_keep_margins(
-    reduced: ReducedProblem, sets: IntArray, *, smallest_s: float, total_s: float
-) -> BoolArray:
-    """Which sets of poses may reach a smallest and a weighted total margin, (n_sets,).
-
-    All that do reach them are among these, up to rounding; most that do not are found out at a few
-    runs.
-    """
-    is_avoided = reduced.margin_s > -np.inf
-    worth = np.where(is_avoided, reduced.margin_s, 0.0) * reduced.weight[:, None]
-    best = worth.max(axis=1, keepdims=True)
-    is_too_small = is_avoided & (reduced.margin_s < smallest_s) & (reduced.weight[:, None] > 0.0)
-    lost = np.where(is_too_small, np.inf, best - worth)
-    most = float(best.sum()) - total_s + TOLERANCE
-    return _lose_little(reduced, sets, lost, most, with_failures=False)
-
-
-def _lose_little(
-    reduced: ReducedProblem,
+def _value_without_sites(
+    limits: Limits,
     sets: IntArray,
-    lost: FloatArray,
-    most: float,
-    *,
-    with_failures: bool,
-) -> BoolArray:
-    """Which sets lose no more than so much; `lost` is by run and first live window."""
-    from .frame_kernels import lose_little
+    failed: tuple[int, ...],
+    value: Callable[[IntArray], FloatArray],
+) -> FloatArray:
+    sites = limits.site_index[sets]
+    works: BoolArray = np.ones(sets.shape, dtype=bool)
+    for unit in failed:
+        works &= sites != sites[:, unit : unit + 1]
+    # Units that fail are replaced by one that works: each set keeps its size, and sees no more.
+    first = np.take_along_axis(sets, works.argmax(axis=1)[:, None], axis=1)
+    return np.where(works.any(axis=1), value(np.where(works, sets, first)), 0.0)
 
-    of_chain = np.zeros((reduced.n_chains, lost.shape[1]))
-    np.add.at(of_chain, reduced.run_chain, lost)
-    kept = np.empty(len(sets), dtype=bool)
-    lose_little(
-        reduced.words,
-        np.ascontiguousarray(sets),
-        with_failures,
-        reduced.chains,
-        of_chain,
-        most,
-        kept,
-    )
-    return kept
+
+def least_left_with_each(
+    limits: Limits,
+    units: IntArray,
+    n_failures: int,
+    *,
+    poses: IntArray,
+    with_each: Callable[[IntArray], FloatArray],
+    alone: Callable[[IntArray], float],
+) -> FloatArray:
+    """Smallest value that a set with each of some poses keeps when so many fail, (n_poses,).
+
+    `with_each` is the value of a set with each of the poses, (n_poses,), `alone` that of a set.
+    """
+    at = np.arange(len(units)) if limits.failing == "unit" else limits.site_index[units]
+    groups = np.unique(at)
+    if n_failures > len(groups):
+        return np.zeros(len(poses))
+    smallest = np.full(len(poses), np.inf)
+    for failed in combinations(groups.tolist(), n_failures):
+        rest = units[~np.isin(at, failed)]
+        left = with_each(rest)
+        if limits.failing == "site":  # those that join a site that fails are lost with it
+            is_lost = np.isin(limits.site_index[poses], failed)
+            if is_lost.any():
+                left = np.where(is_lost, alone(rest), left)
+        smallest = np.minimum(smallest, left)
+    if n_failures:  # the pose that has joined may be among those that fail
+        for failed in combinations(groups.tolist(), n_failures - 1):
+            smallest = np.minimum(smallest, alone(units[~np.isin(at, failed)]))
+    return smallest
+
+
+# ---------- all objectives
 
 
 def set_values(
@@ -239,7 +260,7 @@ def values_with_each(reduced: ReducedProblem, units: IntArray) -> SetValues:
         _margins_with_each(reduced, units),
         n_units=len(units) + 1,
         cost=costs_with_each_eur(reduced, units),
-        left=lambda measure, n_failures: _left_with_each(reduced, measure, n_failures, units),
+        left=partial(_left_by, reduced, units),
     )
 
 
@@ -295,34 +316,35 @@ def build_values(
     values: dict[Objective, Callable[[], FloatArray]],
 ) -> SetValues:
     """Values in the order of a problem's objectives, as far as there is a function for them."""
-    lacking: FloatArray | float = 0.0
-    for floor in reduced.floors:
-        short = floor.least - TOLERANCE - left(floor.measure, floor.n_failures)
-        lacking = lacking + np.maximum(short, 0.0)
+    lacking = _lacking(reduced, left)
     objectives = tuple(objective for objective in reduced.objectives if objective in values)
     columns = [
         -values[objective]() if objective.is_minimised else values[objective]()
         for objective in objectives
     ]
     gains = np.empty((len(columns[0]), 1 + len(columns)))
-    gains[:, 0] = -np.asarray(lacking)
+    gains[:, 0] = -lacking
     gains[:, 1:] = np.column_stack(columns)
     return SetValues(objectives, gains)
 
 
-def best_set(reduced: ReducedProblem, sets: IntArray) -> IntArray:
-    """First set of poses whose value no other one exceeds: (n_sets, n_units) -> (n_units,)."""
-    if not reduced.floors and reduced.objectives[0] is Objective.APR:
-        share = union_apr(reduced, unions_of(reduced, sets))
-        # Failures are costly to go through: only sets with the best APR need it.
-        sets = sets[share >= share.max() - TOLERANCE]
-    best: IntArray = sets[set_values(reduced, sets).best_row()]
-    return best
+def _lacking(
+    reduced: ReducedProblem, left: Callable[[Measure, int], FloatArray]
+) -> FloatArray | float:
+    """What sets lack to the floors, summed."""
+    lacking: FloatArray | float = 0.0
+    for floor in reduced.floors:
+        short = floor.least - TOLERANCE - left(floor.measure, floor.n_failures)
+        lacking = lacking + np.maximum(short, 0.0)
+    return lacking
+
+
+# ---------- a set together with each pose: bits along the poses, 64 sets to a word
 
 
 def avoided_with_each(reduced: ReducedProblem, units: IntArray) -> BoolArray:
     """Runs that a set of poses together with each pose in turn avoids, (n_poses, n_runs)."""
-    in_time = (reduced.margin_s > -np.inf).sum(axis=1)
+    in_time = reduced.last
     first = _first_with_each(reduced, units)
     avoided = np.empty((len(in_time), reduced.n_poses), dtype=bool)
 
@@ -330,14 +352,50 @@ def avoided_with_each(reduced: ReducedProblem, units: IntArray) -> BoolArray:
         for run in range(begin, end):
             np.less(first[reduced.run_chain[run]], in_time[run], out=avoided[run])
 
-    share_out(compare, len(in_time))
+    share_out(compare, len(in_time), workers=reduced.workers)
     return avoided.T
 
 
-def _left_with_each(
-    reduced: ReducedProblem, measure: Measure, n_failures: int, units: IntArray
+def shares_with_each(
+    reduced: ReducedProblem, units: IntArray, measure: Measure | None = None
 ) -> FloatArray:
-    """What a set with each pose in turn still reaches when its worst units fail, (n_poses,)."""
+    """APR of a set together with each pose in turn, (n_poses,); by default by the own measure."""
+    from .bit_kernels import add_weights_with_each
+
+    measure = reduced.measure if measure is None else measure
+    if not measure.is_mean:
+        return measure.of(avoided_with_each(reduced, units))
+    union = unions_of(reduced, units[None, :])
+    alone = union_margins_s(reduced, union)[0] > -np.inf
+    runs = np.flatnonzero(~alone & (measure.weight > 0.0))
+    is_seen, last = unpack_words(union[0], reduced.n_frames), reduced.last
+    parts: dict[int, FloatArray] = {}
+
+    def add(begin: int, end: int) -> None:
+        parts[begin] = np.zeros(reduced.n_poses)
+        add_weights_with_each(
+            reduced.detections.columns,
+            is_seen,
+            reduced.chains,
+            reduced.run_chain,
+            last,
+            measure.weight,
+            runs[begin:end],
+            parts[begin],
+        )
+
+    share_out(add, len(runs), workers=reduced.workers)
+    total = np.full(reduced.n_poses, measure.weight[alone].sum())
+    for begin in sorted(parts):
+        total += parts[begin]
+    return total
+
+
+def left_with_each(
+    reduced: ReducedProblem, units: IntArray, n_failures: int, measure: Measure | None = None
+) -> FloatArray:
+    """APR that a set with each pose keeps when its worst units fail, (n_poses,)."""
+    measure = reduced.measure if measure is None else measure
 
     def alone(left: IntArray) -> float:
         margin_s = union_margins_s(reduced, unions_of(reduced, left[None, :]))
@@ -348,9 +406,53 @@ def _left_with_each(
         units,
         n_failures,
         poses=np.arange(reduced.n_poses),
-        with_each=lambda left: measure.of(avoided_with_each(reduced, left)),
+        with_each=lambda left: shares_with_each(reduced, left, measure),
         alone=alone,
     )
+
+
+def best_with_each(reduced: ReducedProblem, units: IntArray, poses: IntArray) -> IntArray:
+    """The best set of `units` and one of some poses, at least one; of equal ones the first.
+
+    Objective by objective only the best poses are looked at further, so that what takes long is
+    computed for few.
+    """
+    for find, tolerance in _quick_stages(reduced, units):
+        if len(poses) <= FEW_PARTNERS:
+            break
+        value = find()[poses]
+        poses = poses[value >= value.max() - tolerance]
+    if len(poses) > FEW_PARTNERS:
+        row = values_with_each(reduced, units)[poses].best_row()
+        return np.append(units, poses[row])
+    sets = np.column_stack([np.tile(units, (len(poses), 1)), poses])
+    best: IntArray = sets[set_values(reduced, sets).best_row()]
+    return best
+
+
+def _quick_stages(
+    reduced: ReducedProblem, units: IntArray
+) -> list[tuple[Callable[[], FloatArray], float]]:
+    """Functions that find the gains of the first objectives with each pose, before margins."""
+    quick: dict[Objective, Callable[[], FloatArray]] = {
+        Objective.UNITS: lambda: np.zeros(reduced.n_poses),  # all sets have as many
+        Objective.COST: lambda: -costs_with_each_eur(reduced, units),
+        Objective.APR_SURVIVED: lambda: left_with_each(reduced, units, reduced.survive),
+        Objective.APR: lambda: shares_with_each(reduced, units),
+        Objective.APR_ONE_FAILED: lambda: left_with_each(reduced, units, 1),
+    }
+    objectives = takewhile(quick.__contains__, reduced.objectives)
+    stages = [(quick[objective], objective.tolerance) for objective in objectives]
+    if reduced.floors:
+        left = partial(_left_by, reduced, units)
+        stages.insert(0, (lambda: -np.asarray(_lacking(reduced, left)), TOLERANCE))
+    return stages
+
+
+def _left_by(
+    reduced: ReducedProblem, units: IntArray, measure: Measure, n_failures: int
+) -> FloatArray:
+    return left_with_each(reduced, units, n_failures, measure)
 
 
 def _margins_with_each(reduced: ReducedProblem, units: IntArray) -> FloatArray:
@@ -362,13 +464,13 @@ def _margins_with_each(reduced: ReducedProblem, units: IntArray) -> FloatArray:
         for run in range(begin, end):
             margin[:, run] = reduced.margin_s[run][first[reduced.run_chain[run]]]
 
-    share_out(look_up, len(reduced.weight))
+    share_out(look_up, len(reduced.weight), workers=reduced.workers)
     return margin
 
 
 def _first_with_each(reduced: ReducedProblem, units: IntArray) -> NDArray[np.int32]:
     """First live window of each chain for a set together with each pose, (n_chains, n_poses)."""
-    from .frame_kernels import first_live_with_each
+    from .bit_kernels import first_live_with_each
 
     is_seen = unpack_words(unions_of(reduced, units[None, :])[0], reduced.n_frames)
     first = np.empty((reduced.n_chains, reduced.n_poses), dtype=np.int32)  # it may be large
@@ -376,5 +478,5 @@ def _first_with_each(reduced: ReducedProblem, units: IntArray) -> NDArray[np.int
     def look(begin: int, end: int) -> None:
         first_live_with_each(reduced.detections.columns, is_seen, reduced.chains, begin, end, first)
 
-    share_out(look, reduced.n_chains)
+    share_out(look, reduced.n_chains, workers=reduced.workers)
     return first

@@ -1,579 +1,440 @@
-"""Weighted best-of coverage: what is proven about many poses when each run counts its best one.
+"""Second rung: the Lagrangian bound of all sets of so many units, polished by OSQP.
 
-Rows r are demands (runs, their weight multiplied in), v[c, r] >= 0 is what pose c alone is worth
-in row r, and a set S is worth
+A set avoids a run only if one of its poses sees a certain frame of one of the run's windows, or a
+certain tail of it; any frame or tail of each window may be *asked for*. Every choice makes the
+problem a maximal covering problem of no lower value, in which a pose *covers* a run. Prices p >= 0
+on runs bound all sets of a maximal covering problem,
 
-    f(S) = sum over r of max(reached[r], max of v[c, r] over c in S),
+    f(S) <= sum over r of max(0, w[r] - p[r]) + max over S of sum over c in S of sum of p[r] over r
+            that c covers,
 
-the p-median problem turned round (Cornuejols, Fisher, Nemhauser 1977); with v of 0 and 1 the MCLP.
-f is monotone and submodular. Where runs are confirmed by several units together, v from the
-first frame of each window (:func:`first_seen_values`) makes f a limit of the true value.
+(Cornuejols, Fisher, Nemhauser 1977), and the second part separates by poses. Money has a price,
+too: with mu, poses are worth mu times their price less, and the budget is worth mu times itself.
+Subgradient steps lower the bound; OSQP solves the linear relaxation on the poses that gain most,
+and its multipliers are prices. Whatever it returns proves nothing by itself: the formula does.
+Then windows are asked for the frame or tail that the poses picked so far see least, again and
+again.
+
+Margins are rows, too: to see a window or one before it is worth by how much its margin exceeds the
+next one's. What is left when N of K units fail is no more than what is left on average, and of the
+ways to fail the share C(K - n, N - n) / C(K, N) takes all n poses that cover a run: a concave
+reward G(n) takes the place of G(1) = 1, and the same prices bound it.
 """
 
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from importlib.metadata import version
+from math import comb
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
-from scenarios.aeb import AebRule
-from scenarios.runs import FrameAxis
+from geometry.arrays import BoolArray, FloatArray, IntArray
 
+from .bitsets import union_apr
+from .greedy import forced_units
 from .limits import Limits
-from .problem import WordArray, tails_behind, timely_windows_end
-from .tolerances import COST_TOLERANCE_EUR, ROUNDING
+from .objectives import Objective
+from .presolve import ReducedProblem, distinct_rows, transposed, unpack_words
+from .problem import WordArray
+from .steering import (
+    ASK_ROUNDS,
+    CORE_BITS,
+    CORE_POSES,
+    COST_TOLERANCE_EUR,
+    DEFLECTION,
+    FAILURE_PRICES,
+    FIRST_STEPS,
+    LATER_STEPS,
+    MAX_CELLS,
+    MEMORY,
+    NEVER,
+    OSQP_OVERRELAXATION,
+    OSQP_PENALTY,
+    OSQP_REGULARISATION,
+    OSQP_TOLERANCE,
+    PATIENCE,
+    POLISH_ROUNDS,
+    POLISH_STEPS,
+    POLISH_WAY,
+    PRICE_START,
+    ROUNDING,
+    SETTLED,
+    SHARE_DIGITS,
+    SMALL_SHARE,
+    SOLVER_TOLERANCE,
+    STEP_CUT,
+    STEP_LENGTH,
+    TINY,
+    Deadline,
+    share_out,
+)
 
-# ---------- supply
+# ---------- rows of the covering problem
 
 
-_MAX_LINES = 60  # of the search for the price of money: it ends long before
+class Rows(NamedTuple):
+    """What is worth something: to see one of the first windows of a chain, each (n_rows,)."""
+
+    chain: IntArray
+    last: IntArray  # how many of its first windows
+    weight: FloatArray
+
+    def of(self, some: IntArray | BoolArray | slice) -> "Rows":
+        """Some of the rows."""
+        return Rows(self.chain[some], self.last[some], self.weight[some])
 
 
-class Pick(NamedTuple):
-    """The most that a choice can be worth, and what it consists of."""
+def run_rows(reduced: ReducedProblem) -> Rows:
+    """A row for each run, with its weight."""
+    return Rows(reduced.run_chain, reduced.last, reduced.weight)
 
-    limit: float  # no feasible set is worth more
-    poses: IntArray  # (n,): poses that are chosen, in whole or in part
-    shares: FloatArray  # (n,): how much of each, 0..1; all 1 without a budget of money
+
+def margin_rows(reduced: ReducedProblem) -> Rows:
+    """Rows whose covered sum is that of weights times margins: a row for each window in time."""
+    margin = np.where(reduced.margin_s > -np.inf, reduced.margin_s, 0.0)
+    step = np.maximum(margin[:, :-1] - margin[:, 1:], 0.0) * reduced.weight[:, None]
+    run, link = np.nonzero(step)
+    return Rows(reduced.run_chain[run], link + 1, step[run, link])
+
+
+# ---------- sets that may be chosen
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Supply:
-    """Units, room at the sites, and money."""
+class Choice:
+    """How many poses may join those that are forced, and where."""
 
-    max_units: int  # at most so many poses
-    site_index: IntArray  # (n_poses,): site of every pose
-    site_capacity: IntArray  # (n_sites,): units that each site can carry
-    # (n_poses,): of each pose [EUR].
-    unit_cost_eur: FloatArray = None  # type: ignore[assignment]  # filled in below
-    # (n_sites,): once for each site that carries units [EUR].
-    site_cost_eur: FloatArray = None  # type: ignore[assignment]
-    # All units and sites together; by default as much as one wants [EUR].
-    budget_eur: float = np.inf
-    # Each (n,): one pose of each at least must be chosen. They are disjoint, and each stands at
-    # one site.
-    groups: tuple[IntArray, ...] = ()
-
-    def __post_init__(self) -> None:
-        for field, size in (
-            ("unit_cost_eur", len(self.site_index)),
-            ("site_cost_eur", len(self.site_capacity)),
-        ):
-            cost = getattr(self, field)
-            cost = np.zeros(size) if cost is None else np.array(cost, dtype=np.float64)
-            if cost.shape != (size,) or not (cost >= 0.0).all():
-                raise ValueError(f"{field}: got {cost}; expected {size} costs, at least 0")
-            object.__setattr__(self, field, freeze(cost))
-
-    @property
-    def money_eur(self) -> float:
-        """The budget and what sums of prices may err by."""
-        return self.budget_eur + COST_TOLERANCE_EUR
-
-    @property
-    def n_poses(self) -> int:
-        """Number of poses."""
-        return len(self.site_index)
-
-    @property
-    def prices_eur(self) -> FloatArray:
-        """Of each pose, with its share of a site that is full, (n_poses,): no set costs less."""
-        room = np.maximum(self.site_capacity, 1)
-        prices: FloatArray = self.unit_cost_eur + (self.site_cost_eur / room)[self.site_index]
-        return prices
-
-    def of_poses(self, poses: IntArray) -> "Supply":
-        """The same for some of the poses; groups lose those that are not among them."""
-        place = np.full(self.n_poses, -1)
-        place[poses] = np.arange(len(poses))
-        groups = [place[group] for group in self.groups]
-        return replace(
-            self,
-            site_index=self.site_index[poses],
-            unit_cost_eur=self.unit_cost_eur[poses],
-            groups=tuple(group[group >= 0] for group in groups),
-        )
-
-    def with_units(self, max_units: int) -> "Supply":
-        """The same for another number of units."""
-        return replace(self, max_units=max_units)
-
-    def with_groups(self, groups: tuple[IntArray, ...]) -> "Supply":
-        """The same with other groups."""
-        return replace(self, groups=groups)
-
-    def cost_eur(self, poses: IntArray) -> float:
-        """What a set costs."""
-        sites = np.unique(self.site_index[poses])
-        return float(self.unit_cost_eur[poses].sum() + self.site_cost_eur[sites].sum())
-
-    def allows(self, poses: IntArray) -> bool:
-        """Whether a set is feasible."""
-        at_site = np.bincount(self.site_index[poses], minlength=len(self.site_capacity))
-        return (
-            len(np.unique(poses)) == len(poses) <= self.max_units
-            and bool((at_site <= self.site_capacity).all())
-            and self.cost_eur(poses) <= self.money_eur
-            and all(np.isin(group, poses).any() for group in self.groups)
-        )
-
-    def allows_each(self, sets: IntArray) -> BoolArray:
-        """Which sets of distinct poses are feasible: (n_sets, n_units) -> (n_sets,)."""
-        sites = self.site_index[sets]
-        same = sites[:, :, None] == sites[:, None, :]
-        can = (same.sum(axis=2) <= self.site_capacity[sites]).all(axis=1)
-        is_first = ~np.tril(same, k=-1).any(axis=2)
-        cost = self.unit_cost_eur[sets].sum(axis=1)
-        cost += np.where(is_first, self.site_cost_eur[sites], 0.0).sum(axis=1)
-        can_each: BoolArray = can & (cost <= self.money_eur) & (sets.shape[1] <= self.max_units)
-        return can_each
-
-    def extra_cost_eur(self, poses: IntArray) -> FloatArray:
-        """What each pose would cost on top of a set, (n_poses,)."""
-        due = self.site_cost_eur.copy()
-        due[self.site_index[poses]] = 0.0
-        cost: FloatArray = self.unit_cost_eur + due[self.site_index]
-        return cost
-
-    def has_room(self, poses: IntArray) -> BoolArray:
-        """Which poses can join a feasible set, (n_poses,)."""
-        if len(poses) >= self.max_units:
-            return np.zeros(self.n_poses, dtype=bool)
-        at_site = np.bincount(self.site_index[poses], minlength=len(self.site_capacity))
-        can: BoolArray = (at_site < self.site_capacity)[self.site_index]
-        if np.isfinite(self.budget_eur):
-            can &= self.extra_cost_eur(poses) <= self.money_eur - self.cost_eur(poses)
-        can[poses] = False
-        return can
-
-    def pick(self, worth: FloatArray) -> Pick:
-        """Most that a set can be worth if the worth of its poses, (n_poses,), adds up.
-
-        Poses without positive worth are left out, unless a group needs them. Without money this is
-        the best set itself (greedy choice is best in a matroid). With money it is the value of the
-        relaxation in which poses may be had in parts and a site costs each of its units ``cost /
-        capacity``. It is minus infinity if a group is empty or units are fewer than groups.
-
-        Money has a price mu: whatever it is, ``mu budget + max sum of (worth - mu price)`` is a
-        limit, convex in mu and made of straight lines. The lowest point is found by meeting the
-        line that falls there and the one that rises, which ends at the point itself.
-        """
-        if len(self.groups) > self.max_units or not all(map(len, self.groups)):
-            return Pick(-np.inf, np.empty(0, dtype=np.int64), np.empty(0))
-        free = self._pick_units(worth)
-        if not np.isfinite(self.budget_eur):
-            return Pick(float(worth[free].sum()), free, np.ones(len(free)))
-        prices = self.prices_eur
-
-        def line(mu: float) -> tuple[IntArray, float, float]:
-            """Best set at a price of money, its worth, the money it leaves."""
-            poses = self._pick_units(worth - mu * prices) if mu > 0.0 else free
-            return poses, float(worth[poses].sum()), self.money_eur - float(prices[poses].sum())
-
-        falling = line(0.0)
-        if falling[2] >= 0.0:
-            return Pick(falling[1], falling[0], np.ones(len(falling[0])))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = np.where((prices > 0.0) & (worth > 0.0), worth / prices, 0.0)
-        highest = float(ratio.max(initial=0.0))
-        rising = line(highest * (1.0 + ROUNDING))
-        if rising[2] < 0.0:  # rounding: nothing that costs is worth it
-            return Pick(falling[1], falling[0], np.ones(len(falling[0])))
-        limit = np.inf
-        for _ in range(_MAX_LINES):
-            mu = (rising[1] - falling[1]) / (falling[2] - rising[2])
-            meeting = falling[1] + mu * falling[2]
-            newest = line(mu)
-            limit = min(limit, newest[1] + mu * newest[2])
-            if limit <= meeting + 1e-12 * abs(meeting):
-                break
-            if newest[2] < 0.0:
-                falling = newest
-            else:
-                rising = newest
-        part = rising[2] / (rising[2] - falling[2])
-        poses, where = np.unique(np.concatenate([falling[0], rising[0]]), return_inverse=True)
-        weights = np.repeat([part, 1.0 - part], [len(falling[0]), len(rising[0])])
-        shares: FloatArray = np.bincount(where, weights=weights, minlength=len(poses)).astype(float)
-        return Pick(limit, poses, shares)
-
-    def _pick_units(self, worth: FloatArray) -> IntArray:
-        """Best set by units, sites and groups alone: of each group the best, then the worthiest.
-
-        Where groups take part it may need more than the sites can carry: worth more than it can.
-        """
-        first = [int(group[worth[group].argmax()]) for group in self.groups]
-        room = self.site_capacity.copy()
-        room[self.site_index[first]] -= 1
-        n_look, n_poses = 4 * self.max_units + 16, len(worth)
-        while True:
-            if n_look < n_poses:
-                look = np.argpartition(-worth, n_look)[:n_look]
-            else:
-                look = np.arange(n_poses)
-            look = look[np.argsort(-worth[look], kind="stable")]
-            left, chosen = room.copy(), first.copy()
-            for pose, site in zip(look.tolist(), self.site_index[look].tolist(), strict=True):
-                if len(chosen) >= self.max_units or not worth[pose] > 0.0:
-                    return np.array(chosen, dtype=np.int64)
-                if left[site] > 0 and pose not in first:
-                    left[site] -= 1
-                    chosen.append(pose)
-            if n_look >= n_poses or len(chosen) >= self.max_units:
-                return np.array(chosen, dtype=np.int64)
-            n_look *= 8
+    n_units: int  # at most so many
+    room: IntArray  # (n_sites,): places left at each site
+    is_open: IntArray  # (n_poses,): 1 if the pose may join
+    # (n_poses,): share of the money left that a pose takes, at least; empty if money is no limit.
+    cost: FloatArray
+    site: IntArray  # (n_poses,)
 
 
-def build_supply(limits: Limits) -> Supply:
-    """Supply by the limits of units, sites and money; wishes and rivals are left out."""
-    return Supply(
-        max_units=limits.max_units,
-        site_index=limits.site_index,
-        site_capacity=limits.site_capacity,
-        unit_cost_eur=limits.unit_cost_eur,
-        site_cost_eur=limits.site_cost_eur,
-        budget_eur=np.inf if limits.budget_eur is None else limits.budget_eur,
+def build_choice(limits: Limits, n_units: int) -> Choice:
+    """What may join the forced poses of sets of so many units; other wishes are left out."""
+    forced = np.flatnonzero(limits.is_forced)
+    at_site = np.bincount(limits.site_index[forced], minlength=limits.n_sites)
+    cost = np.empty(0)
+    if limits.budget_eur is not None:
+        spent = limits.unit_cost_eur[forced].sum() + limits.site_cost_eur[at_site > 0].sum()
+        left = max(limits.budget_eur - float(spent), 0.0) + COST_TOLERANCE_EUR
+        # A site is paid once: full, each of its units pays a share.
+        of_site = np.where(at_site > 0, 0.0, limits.site_cost_eur)
+        of_site = of_site / np.maximum(limits.site_capacity, 1)
+        cost = (limits.unit_cost_eur + of_site[limits.site_index]) / left
+    return Choice(
+        n_units=max(n_units - len(forced), 0),
+        room=np.maximum(limits.site_capacity - at_site, 0),
+        is_open=(~limits.is_forced & ~limits.is_forbidden).astype(np.int64),
+        cost=cost,
+        site=limits.site_index,
     )
 
 
-# ---------- coverage
-
-
-ValueArray = NDArray[np.float32] | NDArray[np.float64]
-
-_BLOCK_VALUES = 1 << 18  # differences of so many values at a time stay in the cache
-_WORTH_THREADS = 1 << 21  # values: with fewer, threads take longer to start than to work
+# ---------- the bound
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Coverage:
-    """Poses to choose from, and what each is worth in every row."""
+class Root:
+    """A covering problem of no lower value than the windows', and prices on its rows."""
 
-    values: ValueArray  # (n_poses, n_rows): v[c, r], at least 0; never copied
-    supply: Supply  # which sets are feasible
-    # (n_rows,): what units that stand already are worth; by default 0.
-    reached: FloatArray | None = None
+    covers: WordArray  # (n_poses, n_row_words): rows that each pose covers
+    weight: FloatArray  # (n_rows,): rows that the same poses cover are one
+    price: FloatArray  # (n_rows,)
+    reached: float  # what the forced poses are worth, in none of the rows
+    limit: float  # no set is worth more
+    share: FloatArray  # (n_poses,): how often each pose was picked of late
+    choice: Choice
 
-    def __post_init__(self) -> None:
-        reached = np.zeros(self.n_rows) if self.reached is None else self.reached
-        if self.supply.n_poses != self.n_poses:
-            raise ValueError(f"supply: {self.supply.n_poses} poses; expected {self.n_poses}")
-        object.__setattr__(self, "reached", reached.astype(self.values.dtype))
+    def gains(self, price: FloatArray | None = None) -> FloatArray:
+        """Sum of the prices of what each pose covers, by default the own, (n_poses,)."""
+        from .walk_kernels import weigh_bytes, weights_of
 
-    @property
-    def n_poses(self) -> int:
-        """Number of poses."""
-        return len(self.values)
-
-    @property
-    def n_rows(self) -> int:
-        """Number of rows."""
-        return int(self.values.shape[1])
-
-    @property
-    def floor(self) -> ValueArray:
-        """`reached`, of the same kind as the values, (n_rows,)."""
-        assert self.reached is not None
-        return self.reached
-
-    def of_poses(self, poses: IntArray) -> "Coverage":
-        """The same for some of the poses: copies their values."""
-        return Coverage(
-            values=self.values[poses], supply=self.supply.of_poses(poses), reached=self.reached
-        )
-
-    def with_units(self, max_units: int) -> "Coverage":
-        """The same for another number of units, on the same values."""
-        return Coverage(
-            values=self.values, supply=self.supply.with_units(max_units), reached=self.reached
-        )
-
-    def level(self, poses: IntArray) -> ValueArray:
-        """What a set reaches in every row, (n_rows,)."""
-        level: ValueArray = self.values[poses].max(axis=0, initial=0.0)
-        return np.maximum(level, self.floor)
-
-    def value(self, poses: IntArray) -> float:
-        """What a set is worth, f(S)."""
-        return float(self.level(poses).sum(dtype=np.float64))
+        price = self.price if price is None else price
+        n_words = self.covers.shape[1]
+        table, used = np.zeros((8 * n_words, 256)), np.empty(8 * n_words, dtype=np.int64)
+        padded = np.zeros(64 * n_words)
+        padded[: len(price)] = price
+        n_used = weigh_bytes(padded, np.full(n_words, ~np.uint64(0)), table, used)
+        gain = np.empty(len(self.covers))
+        weights_of(self.covers.view(np.uint8), table, used, n_used, gain)
+        return gain
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Bound:
-    """A limit that multipliers prove."""
+def find_root(
+    reduced: ReducedProblem, rows: Rows, *, n_units: int, deadline: Deadline = NEVER
+) -> Root:
+    """Ask for the frames, window by window, that bound sets of so many units best.
 
-    limit: float  # no feasible set is worth more
-    multipliers: ValueArray  # (n_rows,): lambda, as it was used: at least what is reached already
-    worth: FloatArray  # (n_poses,): rho: what each pose has beyond lambda, summed over the rows
-    pick: Pick  # the poses whose worth makes the limit
-
-
-def gains(
-    values: ValueArray, level: ValueArray, poses: IntArray | None = None, *, workers: int = 1
-) -> FloatArray:
-    """What poses have beyond a level: sum over r of max(0, v[c, r] - level[r]), (n,).
-
-    By default of all poses. The sum is taken in float64 and is exact but for the rounding of
-    differences. It never grows with the level, not even by rounding.
+    Windows are asked for the frame, or the tail, that the poses picked so far see least, again and
+    again, and the best round is taken. It ends at the deadline, but completes the first round.
     """
-    n_poses = len(values) if poses is None else len(poses)
-    result = np.empty(n_poses)
-    step = max(1, _BLOCK_VALUES // max(1, values.shape[1]))
-
-    def work(start: int) -> None:
-        part = slice(start, start + step)
-        over = (values[part] if poses is None else values[poses[part]]) - level
-        np.maximum(over, 0.0, out=over)
-        over.sum(axis=1, dtype=np.float64, out=result[part])
-
-    starts = range(0, n_poses, step)
-    if workers == 1 or n_poses * values.shape[1] < _WORTH_THREADS:
-        for start in starts:
-            work(start)
-    else:
-        with ThreadPoolExecutor(workers) as pool:
-            list(pool.map(work, starts))
-    return result
-
-
-def prove(coverage: Coverage, multipliers: ValueArray, *, workers: int = 1) -> Bound:
-    """Limit of the value of all feasible sets, from any multipliers lambda, (n_rows,).
-
-    ``sum of lambda + max over feasible S of the sum of rho in S`` holds whatever lambda is: for
-    every row ``max over S of v[c, r] <= lambda[r] + sum over S of max(0, v[c, r] - lambda[r])``,
-    and the second part separates by poses. The Lagrangian dual of the p-median problem (Cornuejols,
-    Fisher, Nemhauser 1977); its lowest value is that of the LP relaxation. Rounding errs towards a
-    higher limit.
-    """
-    level = np.maximum(multipliers.astype(coverage.values.dtype), coverage.floor)
-    worth = gains(coverage.values, level, workers=workers)
-    worth *= 1.0 + 2.0 * np.finfo(coverage.values.dtype).eps  # more than differences err by
-    pick = coverage.supply.pick(worth)
-    return Bound(
-        limit=float(level.sum(dtype=np.float64)) + pick.limit,
-        multipliers=level,
-        worth=worth,
-        pick=pick,
+    detections, choice = reduced.detections, build_choice(reduced.limits, n_units)
+    union = np.bitwise_or.reduce(
+        detections.words[forced_units(reduced)], axis=0, initial=np.uint64(0)
     )
+    is_alone = is_covered_by(reduced, union, rows)
+    reached = float(rows.weight[is_alone].sum())
+    rows = rows.of(~is_alone)
+    # To begin with, the frames that fewest poses see; what is picked counts far more.
+    seen = np.bitwise_count(detections.columns).sum(axis=1) / (1.0e3 * max(reduced.n_poses, 1))
+    price = PRICE_START * rows.weight
+    best: Root | None = None
+    for number in range(ASK_ROUNDS):
+        scale = max(float(seen.max(initial=0.0)), TINY)
+        coverers = coverers_of(reduced, rows, union, np.round(seen / scale, SHARE_DIGITS))
+        index, row = distinct_rows(coverers, workers=reduced.workers)
+        of_rows, of_price = np.zeros(len(index)), np.zeros(len(index))
+        np.add.at(of_rows, row, rows.weight)
+        np.add.at(of_price, row, price)
+        root = Root(
+            covers=transposed(coverers[index], reduced.n_poses, workers=reduced.workers),
+            weight=of_rows,
+            price=of_price,
+            reached=reached,
+            limit=np.inf,
+            share=np.zeros(reduced.n_poses),
+            choice=choice,
+        )
+        steps = LATER_STEPS if number else FIRST_STEPS
+        root = tightened(root, reward_of(choice.n_units, 0), n_steps=steps)
+        is_settled = best is not None and root.limit > best.limit * (1.0 - SETTLED)
+        if best is None or root.limit < best.limit:
+            best = root
+        if (is_settled and number > 2) or deadline.is_over:
+            break
+        total = np.maximum(root.weight[row], TINY)
+        price = root.price[row] * (rows.weight / total)
+        used = np.flatnonzero(root.share > SMALL_SHARE)
+        of_used = unpack_words(detections.words[used], reduced.n_frames)
+        seen = seen + np.minimum(root.share[used] @ of_used, 1.0)
+    assert best is not None
+    return best
 
 
-def can_matter(coverage: Coverage, bound: Bound, need: float) -> BoolArray:
-    """Poses that a set worth more than `need` may contain, (n_poses,): reduced-cost fixing.
-
-    A set with pose c is worth at most ``sum of lambda + rho[c]`` and the best K - 1 others, in
-    which the room that c takes and the money that it costs are neglected.
-    """
-    supply = coverage.supply
-    fixed = float(bound.multipliers.sum(dtype=np.float64))
-    fewer = supply.with_units(supply.max_units - 1)
-    limit = np.full(coverage.n_poses, fewer.pick(bound.worth).limit)
-    for number, group in enumerate(supply.groups):
-        others = supply.groups[:number] + supply.groups[number + 1 :]
-        limit[group] = fewer.with_groups(others).pick(bound.worth).limit
-    mask: BoolArray = fixed + limit + bound.worth > need
-    return mask
-
-
-_BLOCK_WORDS = 1 << 18  # 2 MB: what is worked on stays in the cache
-_SHARE_DIGITS = 3  # shares that differ by less are equal
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TimelyWindows:
-    """Windows of consecutive frames that end in time, for runs where there are any."""
-
-    run_index: IntArray  # (n_rows,): runs of the axis with weight and at least one such window
-    first_frame: IntArray  # (n_rows,): frame of the axis at which the run's first window begins
-    n_windows: IntArray  # (n_rows,): windows of each run; window k begins at first_frame + k
-    # (n_rows, largest n_windows + 1): margin if window k is the first one seen; 0 from k =
-    # n_windows on: none [s].
-    margin_s: FloatArray
-    n_confirmations: int  # frames of a window
-    # (n_rows, largest n_windows): of how many frames behind a window one must be seen, lest the
-    # track is lost; -1: of none, since it lives until the last moment.
-    tail_frames: IntArray
-
-
-def timely_windows(axis: FrameAxis, rule: AebRule) -> TimelyWindows:
-    """Find the windows of a frame axis that end in time."""
-    ends, run, margin = timely_windows_end(axis, rule)
-    run_index, first, n_windows = np.unique(run, return_index=True, return_counts=True)
-    margin_s = np.zeros((len(run_index), n_windows.max(initial=0) + 1))
-    row = np.repeat(np.arange(len(run_index)), n_windows)
-    window = np.arange(len(ends)) - first[row]
-    margin_s[row, window] = margin
-    tail_frames = np.full((len(run_index), margin_s.shape[1] - 1), -1)
-    behind, last = tails_behind(axis, rule, ends, run)
-    of_tails = np.searchsorted(ends, behind)
-    tail_frames[row[of_tails], window[of_tails]] = last - behind
-    return TimelyWindows(
-        run_index=run_index,
-        first_frame=ends[first] - (rule.n_confirmations - 1),
-        n_windows=n_windows,
-        margin_s=margin_s,
-        n_confirmations=rule.n_confirmations,
-        tail_frames=tail_frames,
-    )
-
-
-def first_seen_index(
-    packed: NDArray[np.uint8], windows: TimelyWindows, *, frames: slice | IntArray, workers: int = 1
-) -> NDArray[np.uint16]:
-    """First window of each run of which each pose sees certain frames, (n_poses, n_rows).
-
-    It is the window's number within the run, n_windows if there is none. `packed` has V[c, f], the
-    lowest bit first. `frames` says which frames of a window must be seen: a slice stands for the
-    same ones of every window, an array has one for each, see :func:`hardest_frames`. With all of
-    them, ``slice(None)``, the track must live until the last moment, too: of the tails behind this
-    window and all later ones a frame must be seen. Raises ValueError if no frame counts, or one
-    that no window has.
-    """
-    index = np.empty((len(packed), len(windows.run_index)), dtype=np.uint16)
-
-    def keep(rows: slice, found: IntArray) -> None:
-        index[rows] = found.T
-
-    _go_through(packed, windows, frames, keep, workers)
-    return index
-
-
-def first_seen_values(
-    packed: NDArray[np.uint8],
-    windows: TimelyWindows,
-    worth: FloatArray,
+def coverers_of(
+    reduced: ReducedProblem,
+    rows: Rows,
+    union: WordArray,
+    seen: FloatArray,
     *,
-    frames: slice | IntArray,
-    out: NDArray[np.float32] | None = None,
-    workers: int = 1,
-) -> NDArray[np.float32]:
-    """What each pose alone is worth in each run, v[c, r] rounded up, (n_poses, n_rows).
+    columns: WordArray | None = None,
+) -> WordArray:
+    """Poses that cover each row beside a union of frames, (n_rows, n_pose_words).
 
-    `worth`, (n_rows, largest n_windows + 1), is that of a run if window k is the first one seen; it
-    must not grow with k, and the last entry is for runs that are not seen. With all frames the
-    values are exact where one unit must confirm alone. With one frame of each window the largest
-    value of the chosen poses is a limit of what they reach together: where a window is seen as a
-    whole, one of them sees that frame of it. For the rest see :func:`first_seen_index`.
+    What the union sees is not asked for. Of the frames and tails that are missing, each window is
+    asked for the one that is `seen`, (n_frames,), least. `columns` are those of other units than
+    the poses.
     """
-    if worth.shape != windows.margin_s.shape:
-        raise ValueError(f"worth: got {worth.shape}; expected {windows.margin_s.shape}")
-    values = np.empty((len(packed), len(worth)), dtype=np.float32) if out is None else out
-    table = worth.astype(np.float32)
-    is_less = table < worth  # rounded up instead: a limit stays one
-    table[is_less] = np.nextafter(table[is_less], np.float32(np.inf))
-    start = (np.arange(len(worth)) * worth.shape[1])[:, None]
+    from .walk_kernels import ask_for_least_seen, cover_rows
 
-    def keep(rows: slice, found: IntArray) -> None:
-        values[rows] = table.ravel()[start + found].T
+    detections = reduced.detections
+    asked = np.empty(len(detections.chains.window), dtype=np.int64)
+    ask_for_least_seen(detections.chains, np.unique(rows.chain), union, seen, asked)
+    is_poses = columns is None
+    columns = detections.columns if columns is None else columns
+    coverers = np.empty((len(rows.chain), columns.shape[1]), dtype=np.uint64)
+    start = detections.chains.start
 
-    _go_through(packed, windows, frames, keep, workers)
-    return values
+    def cover(begin: int, end: int) -> None:
+        cover_rows(columns, start, asked, rows.chain, rows.last, begin, end, coverers)
+
+    share_out(cover, len(rows.chain), workers=reduced.workers if is_poses else 1)
+    return coverers
 
 
-def hardest_frames(seen_share: FloatArray, windows: TimelyWindows) -> IntArray:
-    """Of each window the frame that is seen least, for :func:`first_seen_values`.
+def is_covered_by(reduced: ReducedProblem, union: WordArray, rows: Rows) -> BoolArray:
+    """Rows of which a union of frames sees a live window, (n_rows,)."""
+    from .bit_kernels import first_live_windows
 
-    `seen_share`, (n_frames,), is how much of each frame a relaxed solution sees, 0..1. Values are
-    limits whichever frame is asked for; the one that is seen least promises least.
+    first = np.empty((1, reduced.n_chains), dtype=np.int64)
+    first_live_windows(union[None, :], reduced.chains, first)
+    is_covered: BoolArray = first[0][rows.chain] < rows.last
+    return is_covered
+
+
+def reward_of(n_units: int, n_failures: int) -> FloatArray:
+    """What a row is worth on average by the number of units that cover it, (n_units + 2,)."""
+    return np.array([_share_left(n, n_units, n_failures) for n in range(n_units + 2)])
+
+
+def _share_left(n_covering: int, n_units: int, n_failures: int) -> float:
+    """Of the ways in which units fail, the share that leaves one of the covering units."""
+    if n_covering == 0:
+        return 0.0
+    if n_covering > n_failures or n_units < n_failures:
+        return 1.0
+    n_lost = comb(max(n_units - n_covering, 0), n_failures - n_covering)
+    return 1.0 - n_lost / comb(n_units, n_failures)
+
+
+def tightened(root: Root, reward: FloatArray, *, n_steps: int) -> Root:
+    """Better prices for a root by subgradient steps; without steps, what its prices prove."""
+    from .walk_kernels import tighten_prices
+
+    choice, price, share = root.choice, root.price.copy(), np.zeros(len(root.covers))
+    limit = tighten_prices(
+        root.covers.view(np.uint8),
+        choice.site,
+        choice.room,
+        choice.is_open,
+        choice.cost,
+        root.weight,
+        reward,
+        choice.n_units,
+        price,
+        n_steps,
+        np.array([STEP_LENGTH, STEP_CUT, DEFLECTION, MEMORY, PATIENCE]),
+        share,
+    )
+    share *= choice.n_units / max(float(share.sum()), TINY)
+    limit = (root.reached + limit) * (1.0 + ROUNDING)
+    return replace(root, price=price, limit=limit, share=share)
+
+
+def failure_limit(
+    root: Root, n_failures: int, least: float, *, deadline: Deadline = NEVER
+) -> float:
+    """No set that is worth `least` keeps more when units fail, nor is worth more without failures.
+
+    At the deadline it ends with the best limit so far.
     """
-    window = np.minimum(np.arange(windows.margin_s.shape[1] - 1), windows.n_windows[:, None] - 1)
-    frame = windows.first_frame[:, None] + window
-    shares = [seen_share[frame + offset] for offset in range(windows.n_confirmations)]
-    frames: IntArray = np.argmin(np.round(np.stack(shares), _SHARE_DIGITS), axis=0)
-    return frames
+    limit, n_units = root.limit, root.choice.n_units
+    for amount in FAILURE_PRICES if n_failures else ():
+        if deadline.is_over:
+            break
+        reward = reward_of(n_units, n_failures) + amount * reward_of(n_units, 0)
+        trial = tightened(root, reward, n_steps=FIRST_STEPS)
+        limit = min(limit, trial.limit - amount * least)
+    return limit
 
 
-def _go_through(
-    packed: NDArray[np.uint8],
-    windows: TimelyWindows,
-    frames: slice | IntArray,
-    keep: Callable[[slice, IntArray], None],
-    workers: int,
-) -> None:
-    """Call `keep` with the indices, (n_rows, n_poses), of a few poses at a time."""
-    every = range(windows.n_confirmations)
-    if isinstance(frames, slice):
-        is_possible = len(every[frames]) > 0
-    else:
-        shape = (len(windows.run_index), windows.margin_s.shape[1] - 1)
-        is_possible = frames.shape == shape and bool(np.isin(frames, every).all())
-    if not is_possible:
-        raise ValueError(f"frames: got {frames}; expected some of {windows.n_confirmations}")
-    n_poses = max(64, _BLOCK_WORDS // max(1, len(windows.run_index)))
+def relax(
+    reduced: ReducedProblem, worth: Objective, *, deadline: Deadline = NEVER
+) -> tuple[float, FloatArray | None]:
+    """Upper bound of all sets within the limits, and shares of poses near a relaxed solution.
 
-    def work(start: int) -> None:
-        rows = slice(start, start + n_poses)
-        keep(rows, _first_seen(_by_word(packed[rows]), windows, frames))
-
-    with ThreadPoolExecutor(workers) as pool:
-        list(pool.map(work, range(0, len(packed), n_poses)))
-
-
-def _by_word(packed: NDArray[np.uint8]) -> WordArray:
-    """Words of 64 frames, an empty one at the end: (n_words + 1, n_poses) uint64."""
-    n_words = -(-packed.shape[1] // 8)
-    padded = np.zeros((len(packed), 8 * (n_words + 1)), dtype=np.uint8)
-    padded[:, : packed.shape[1]] = packed
-    return np.ascontiguousarray(padded.view("<u8").T)
-
-
-def _first_seen(words: WordArray, windows: TimelyWindows, frames: slice | IntArray) -> IntArray:
-    """Index of the first window of each run, (n_rows, n_poses)."""
-    index = np.repeat(windows.n_windows[:, None], words.shape[1], axis=1)
-    n_rounds = -(-int(windows.n_windows.max(initial=0)) // 64)
-    asks_for_tails = frames == slice(None) if isinstance(frames, slice) else False
-    asks_for_tails &= bool((windows.tail_frames >= 0).any())
-    is_held = np.full(index.shape if asks_for_tails else (0, 0), ~np.uint64(0))
-    for first_window in range(64 * (n_rounds - 1), -1, -64):
-        longer = np.flatnonzero(windows.n_windows > first_window)
-        begin = windows.first_frame[longer] + first_window
-        if isinstance(frames, slice):
-            offsets = range(windows.n_confirmations)[frames]
-            seen = _words_from(words, begin + offsets[0])
-            for offset in offsets[1:]:
-                seen &= _words_from(words, begin + offset)
-        else:
-            asked = frames[longer, first_window : first_window + 64]
-            seen = np.zeros((len(longer), words.shape[1]), dtype=np.uint64)
-            for offset in range(windows.n_confirmations):
-                of_window = _by_word(np.packbits(asked == offset, axis=1, bitorder="little"))[0]
-                seen |= _words_from(words, begin + offset) & of_window[:, None]
-        if asks_for_tails:
-            part = windows.tail_frames[longer, first_window : first_window + 64]
-            lost = _lost_windows(words, begin + windows.n_confirmations, part)
-            seen &= ~lost & is_held[longer]
-            is_held[longer] &= np.where(lost != 0, np.uint64(0), ~np.uint64(0))
-        n_left = np.minimum(windows.n_windows[longer] - first_window, 64).astype(np.uint64)
-        seen &= (~np.uint64(0) >> (np.uint64(64) - n_left))[:, None]
-        lowest = np.bitwise_count(~seen & (seen - np.uint64(1)))  # 64 if no bit is set
-        index[longer] = np.where(lowest < 64, first_window + lowest.astype(np.int64), index[longer])
-    return index
-
-
-def _lost_windows(words: WordArray, behind: IntArray, tail_frames: IntArray) -> WordArray:
-    """Which of some 64 windows of each run are no later than one whose tail is not seen.
-
-    `behind` is the frame behind the first of them, (n,), `tail_frames`, (n, up to 64), is as in
-    :class:`TimelyWindows`: (n, n_poses) uint64.
+    `worth` is ``Objective.APR``, or ``Objective.MEAN_MARGIN`` for the sum of weights times margins.
+    Limits of units, sites and money hold; other wishes are left out, which only makes the bound
+    higher. Infinite, and no shares, where that takes too long.
     """
-    seen = np.zeros((len(behind), words.shape[1]), dtype=np.uint64)
-    last = 64 * (len(words) - 1) - 1  # nothing behind it counts
-    for offset in range(int(tail_frames.max(initial=0))):
-        counts = _by_word(np.packbits(tail_frames > offset, axis=1, bitorder="little"))[0]
-        seen |= _words_from(words, np.minimum(behind + offset, last)) & counts[:, None]
-    lost: WordArray
-    lost = _by_word(np.packbits(tail_frames >= 0, axis=1, bitorder="little"))[0][:, None] & ~seen
-    for shift in (1, 2, 4, 8, 16, 32):  # the highest bit that is set, and all below
-        lost |= lost >> np.uint64(shift)
-    return lost
+    n_units = reduced.limits.max_units
+    if not len(reduced.weight) or n_units < 1:
+        return 0.0, None
+    rows = run_rows(reduced) if worth is Objective.APR else margin_rows(reduced)
+    if len(rows.chain) * reduced.n_poses > MAX_CELLS:
+        return np.inf, None
+    root = polished(find_root(reduced, rows, n_units=n_units, deadline=deadline))
+    limit = root.limit
+    if worth is Objective.APR:  # all poses together are a limit, too
+        everything = np.bitwise_or.reduce(reduced.words, axis=0, keepdims=True)
+        limit = min(rounded_down(reduced, limit), float(union_apr(reduced, everything)[0]))
+    return limit, root.share
 
 
-def _words_from(words: WordArray, first_frame: IntArray) -> WordArray:
-    """The 64 frames from some frame on, a row for each: (n, n_poses) uint64."""
-    word, bit = np.divmod(first_frame, 64)
-    bit = bit.astype(np.uint64)[:, None]
-    # numpy shifts everything out where the shift is 64.
-    result: WordArray = (words[word] >> bit) | (words[word + 1] << (np.uint64(64) - bit))
-    return result
+def rounded_down(reduced: ReducedProblem, limit: float) -> float:
+    """An upper bound of the APR; where all runs weigh the same, a whole number of them."""
+    step = reduced.measure.step
+    if step:
+        limit = float(np.floor(limit / step + SOLVER_TOLERANCE)) * step
+    return min(limit, reduced.measure.limit)
+
+
+# ---------- OSQP
+
+
+def relaxation_text() -> str:
+    """What the bounds rest on, for a certificate."""
+    return f"Lagrangian relaxation with OSQP {version('osqp')}"
+
+
+def polished(root: Root) -> Root:
+    """Prices near those of the linear relaxation; the limit never rises.
+
+    OSQP is handed the poses that gain most. Prices that suit these are wrong for others: the best
+    point on the way to them is taken, and poses that gain too much at their end join the core.
+    """
+    n_units, best, share = root.choice.n_units, root, root.share
+    if not len(root.weight) or n_units < 1:
+        return root
+    reward = reward_of(n_units, 0)
+    n_bits = np.bitwise_count(root.covers).sum(axis=1)
+    n_core = min(CORE_POSES, int(CORE_BITS / max(float(n_bits.mean()), 1.0)))
+    core = np.union1d(_worthiest(root.gains(), n_core), np.flatnonzero(share > SMALL_SHARE))
+    for _ in range(POLISH_ROUNDS):
+        price, of_core = _relaxed(best, core, share[core])
+        share = np.zeros(len(root.covers))
+        share[core] = of_core
+        before = best
+        for way in POLISH_WAY:
+            between = (1.0 - way) * before.price + way * price
+            trial = tightened(replace(best, price=between), reward, n_steps=0)
+            if trial.limit < best.limit:
+                best = replace(trial, share=share)
+        if best.limit > before.limit * (1.0 - SETTLED):
+            break
+        for of_root in (best.price, price):
+            core = np.union1d(core, _worthiest(root.gains(of_root), n_core // 4))
+    return best
+
+
+def _worthiest(gain: FloatArray, n_poses: int) -> IntArray:
+    return np.sort(np.argsort(-gain, kind="stable")[:n_poses])
+
+
+def _relaxed(root: Root, core: IntArray, share: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Multipliers of rows and shares of poses, x, in the linear relaxation on some poses.
+
+    Maximise sum of w a - epsilon / 2 sum of x ** 2 such that a[r] <= sum of x over poses that cover
+    r, sum of x <= K, per site <= room, money <= what is left, 0 <= a, x <= 1.
+    """
+    import osqp
+    from scipy import sparse
+
+    choice, n_rows, n_core = root.choice, len(root.weight), len(core)
+    scale = 1.0 / float(root.weight.max())
+    covers = sparse.csc_matrix(unpack_words(root.covers[core], n_rows).T.astype(np.float64))
+    sites, site = np.unique(choice.site[core], return_inverse=True)
+    of_choice = [np.ones((1, n_core)), (np.arange(len(sites))[:, None] == site).astype(np.float64)]
+    upper = [[choice.n_units], choice.room[sites]]
+    if len(choice.cost):
+        of_choice.append(choice.cost[core][None, :])
+        upper.append([1.0])
+    choices = sparse.csc_matrix(np.concatenate(of_choice))
+    matrix = sparse.vstack(
+        [
+            sparse.hstack([-covers, sparse.eye(n_rows)]),
+            sparse.hstack([choices, sparse.csc_matrix((choices.shape[0], n_rows))]),
+            sparse.eye(n_core + n_rows),
+        ],
+        "csc",
+    )
+    is_open = choice.is_open[core].astype(np.float64)
+    most = np.concatenate([np.zeros(n_rows), *upper, is_open, np.ones(n_rows)])
+    least = np.full(len(most), -np.inf)
+    least[-(n_core + n_rows) :] = 0.0
+    quadratic = np.concatenate([np.full(n_core, OSQP_REGULARISATION), np.zeros(n_rows)])
+    solver = osqp.OSQP()
+    solver.setup(
+        sparse.diags(quadratic, format="csc"),
+        np.concatenate([np.zeros(n_core), -scale * root.weight]),
+        matrix,
+        least,
+        most,
+        verbose=False,
+        eps_abs=OSQP_TOLERANCE,
+        eps_rel=OSQP_TOLERANCE,
+        rho=OSQP_PENALTY,
+        alpha=OSQP_OVERRELAXATION,
+        max_iter=POLISH_STEPS,
+    )
+    duals = np.zeros(len(most))
+    duals[:n_rows] = scale * root.price
+    reached = np.minimum(np.asarray(covers @ share), 1.0)
+    solver.warm_start(x=np.concatenate([share, reached]), y=duals)
+    result = solver.solve(raise_error=False)
+    price = np.nan_to_num(np.asarray(result.y))[:n_rows] / scale
+    shares = np.clip(np.nan_to_num(np.asarray(result.x)[:n_core]), 0.0, 1.0)
+    return np.clip(price, 0.0, root.weight), shares

@@ -22,13 +22,19 @@ from .front import (
 )
 from .greedy import to_full
 from .limits import Limits
-from .model import Effort
 from .objectives import Objective
 from .presolve import ReducedProblem, presolve
 from .problem import Floor, PlacementProblem, Requirement
 from .solve import UnmetError, build_stage, check_floors, check_limits, check_reach
 from .stages import Stages
-from .tolerances import COST_TOLERANCE_EUR, TOLERANCE
+from .steering import (
+    COST_TOLERANCE_EUR,
+    LEAST_S,
+    TOLERANCE,
+    Deadline,
+    Effort,
+    deadline_in,
+)
 
 # ---------- price levels
 
@@ -103,7 +109,6 @@ def _sums(prices: Iterable[int], most: int) -> list[set[int]] | None:
 
 DEFAULT_MAX_POINTS = 40
 _ASKED = "APR"  # what a point asks for, in place of a wish
-_SHARES = 2  # a point may take this part of the time that is left: most leave some of it
 
 
 def cost_front(
@@ -135,7 +140,7 @@ def cost_front(
         raise InputError("max_points", max_points, "at least 1")
     effort = Effort() if effort is None else effort
     check_limits(problem.limits, problem.table.pose_ids)
-    reduced = presolve(problem)
+    reduced = presolve(problem, workers=effort.workers)
     check_reach(problem, reduced)
     weight = reduced.weight[reduced.weight > 0.0]
     if not len(weight):
@@ -145,7 +150,7 @@ def cost_front(
         reduced=reduced,
         stages=stages,
         effort=effort,
-        end_s=now_s() + effort.time_limit_s,
+        deadline=deadline_in(effort.time_limit_s),
         step=float(weight.min()) if step_apr is None else step_apr,
         largest=largest_values(reduced, "first") or {},
         levels_eur=price_levels_eur(problem.limits),
@@ -211,7 +216,7 @@ class _Climb:
     reduced: ReducedProblem
     stages: StageChoice
     effort: Effort
-    end_s: float
+    deadline: Deadline
     step: float
     largest: dict[Objective, float]
     levels_eur: FloatArray | None
@@ -331,8 +336,8 @@ class _Climb:
         )
 
     def _effort(self) -> Effort:
-        left_s = max(self.end_s - now_s(), 1.0e-3)
-        return replace(self.effort, time_limit_s=left_s / _SHARES)
+        left_s = max(self.deadline.of("point of a front").left_s(), LEAST_S)
+        return replace(self.effort, time_limit_s=left_s)
 
 
 def _within(limits: Limits, cost_eur: float) -> Limits:

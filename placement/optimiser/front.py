@@ -18,13 +18,10 @@ from geometry.errors import InputError, Unquoted
 
 from ..layout import Certificate, Stage
 from .bitsets import set_values, union_apr
-from .enumeration import best_affordable
 from .greedy import improve, to_full
-from .model import Effort
 from .objectives import VALUE_OBJECTIVES, Objective
 from .presolve import PresolveStatistics, ReducedProblem, presolve
 from .problem import PlacementProblem, PlacementValue, is_better, placement_value
-from .search import Search
 from .solve import (
     Solution,
     UnmetError,
@@ -36,8 +33,15 @@ from .solve import (
     is_large,
     solve_placement,
 )
-from .stages import Stages
-from .tolerances import COST_TOLERANCE_EUR, TOLERANCE
+from .stages import Search, Stages
+from .steering import (
+    COST_TOLERANCE_EUR,
+    LEAST_S,
+    TOLERANCE,
+    Deadline,
+    Effort,
+    deadline_in,
+)
 
 # ---------- fronts
 
@@ -117,8 +121,8 @@ def check_front(problem: PlacementProblem, stages: StageChoice) -> None:
     if stages not in ("first", "all"):
         raise InputError("stages", stages, "first or all")
     for option, is_asked in (
-        ("--target", problem.goal != "best"),
-        ("--survive", problem.survive != 0),
+        ("target", problem.goal != "best"),
+        ("survive", problem.survive != 0),
     ):
         if is_asked:
             raise InputError(option, Unquoted("it with a front"), "neither: a front has every APR")
@@ -170,7 +174,7 @@ def largest_values(reduced: ReducedProblem, stages: StageChoice) -> dict[Objecti
     if stages == "all":
         if not reduced.measure.is_mean:
             return None
-        most = Search(reduced, end_s=0.0).limit
+        most = Search(reduced).limit
         for objective in (Objective.SMALLEST_MARGIN, Objective.MEAN_MARGIN):
             limits[objective] = float(most.of(objective))
     return limits
@@ -212,9 +216,6 @@ def tightened(stage: Stage, bound: float) -> Stage:
 # ---------- one point
 
 
-_SETS_PER_SECOND = 50_000  # measured: several times as many
-
-
 def look_around(
     problem: PlacementProblem,
     reduced: ReducedProblem,
@@ -232,8 +233,8 @@ def look_around(
     check_limits(problem.limits, problem.table.pose_ids)
     search = Search(
         reduced if stages == "all" else without_margins(reduced),
-        end_s=now_s() + effort.time_limit_s,
-        uses_models=effort.solver in ("auto", "exact"),
+        deadline=deadline_in(effort.time_limit_s),
+        is_exact=effort.is_exact,
     )
     starts = [_to_reduced(reduced, start)] if len(start) else []
     for units in starts:
@@ -261,8 +262,6 @@ def prove_point(
     and in no certificate.
     """
     solver = Stages(problem, search, effort)
-    if problem.limits.budget_eur is not None and search.limit.exceeds(search.row):
-        solver.is_complete = _look_through(search) or None
     records = []
     for objective, find_bound in solver.plan():
         is_cost = objective is Objective.COST
@@ -279,9 +278,9 @@ def prove_point(
             break
     units = search.units
     assert units is not None  # the caller has seen to it
-    if stages == "first" and search.left_s() > 0.0:
+    if stages == "first" and not search.deadline.is_over:
         full = replace(reduced, limits=search.reduced.limits).with_goal("best")
-        units = _polished(full, units, end_s=search.end_s)
+        units = _polished(full, units, deadline=search.deadline)
     pose_index = to_full(reduced, units)
     return FrontPoint(
         units=len(pose_index),
@@ -312,21 +311,6 @@ def _to_reduced(reduced: ReducedProblem, pose_index: Sequence[int]) -> IntArray:
     return np.searchsorted(reduced.pose_index, np.sort(np.array(pose_index, dtype=np.int64)))
 
 
-def _look_through(search: Search) -> bool:
-    """Go through all sets within the money, if they are few; whether that was done."""
-    if not search.uses_models:
-        return False
-    max_sets = int(_SETS_PER_SECOND * max(search.left_s(), 0.0))
-    # Where the best set lacks something to a floor, others with a lower APR may do.
-    least_apr = search.value.apr if search.shortfall == 0.0 else 0.0
-    units, is_complete = best_affordable(search.reduced, least_apr=least_apr, max_sets=max_sets)
-    if units is not None:
-        search.keep(units)
-    if is_complete:
-        search.proofs["exhaustive enumeration"] = None
-    return is_complete
-
-
 def _least_cost_eur(search: Search, fewer: FrontPoint | None) -> float:
     """No layout that is as good in all other stages costs less, given the best with fewer units.
 
@@ -347,10 +331,10 @@ def _least_cost_eur(search: Search, fewer: FrontPoint | None) -> float:
     return more_eur if differs else min(more_eur, fewer.value.cost_eur)
 
 
-def _polished(reduced: ReducedProblem, units: IntArray, *, end_s: float) -> IntArray:
+def _polished(reduced: ReducedProblem, units: IntArray, *, deadline: Deadline) -> IntArray:
     """A set after a local search for better margins and lower cost; no worse in any stage."""
-    limit = Search(reduced, end_s=0.0).limit
-    better = improve(reduced, units, limit, end_s=end_s)
+    limit = Search(reduced).limit
+    better = improve(reduced, units, limit, deadline=deadline)
     after, before = (set_values(reduced, sets[None, :])[0] for sets in (better, units))
     return better if after.exceeds(before) else units
 
@@ -359,7 +343,6 @@ def _polished(reduced: ReducedProblem, units: IntArray, *, end_s: float) -> IntA
 
 
 DEFAULT_MAX_UNITS = 8
-_SHARES = 2  # a point may take this part of the time that is left: most leave some of it
 
 
 def pareto_front(
@@ -392,17 +375,18 @@ def pareto_front(
     """
     check_front(problem, stages)
     effort = Effort() if effort is None else effort
-    end_s = now_s() + effort.time_limit_s
+    deadline = deadline_in(effort.time_limit_s)
     limits = problem.limits
     first = max(min_units, int(limits.is_forced.sum()), 1)
     if not 1 <= first <= max_units:
-        raise InputError("--max", max_units, f"a number of units, at least {first}")
+        raise InputError("max", max_units, f"a number of units, at least {first}")
     check_limits(replace(limits, budget_units=None), problem.table.pose_ids)
     # Poses that are dominated while many units are chosen are dominated while fewer are.
     widest = replace(problem, limits=replace(limits, budget_units=max_units))
     # Points of a large instance are solved one by one, each from a pool of promising poses.
     if reduced is None and (effort.solver == "exact" or not is_large(problem)):
-        reduced = presolve(widest)
+        reduced = presolve(widest, workers=effort.workers)
+    reduced = None if reduced is None else reduced.with_workers(effort.workers)
     largest = None if reduced is None else largest_values(reduced, stages)
     full = replace(limits, budget_units=None).max_units
     points: list[FrontPoint] = []
@@ -413,8 +397,8 @@ def pareto_front(
         if points and (settled is not None or units > full):
             points.append(replace(points[-1], units=units))  # as good, and as well proven
             continue
-        left_s = max(end_s - now_s(), 1.0e-3) / min(max_units + 1 - units, _SHARES)
-        share = replace(effort, time_limit_s=left_s)
+        of_point = deadline if units == max_units else deadline.of("point of a front")
+        share = replace(effort, time_limit_s=max(of_point.left_s(), LEAST_S))
         fewer = points[-1] if points else None
         at_point = replace(problem, limits=replace(limits, budget_units=units))
         try:
@@ -429,7 +413,7 @@ def pareto_front(
         if on_point is not None:
             on_point(points[-1])
     if error is not None and not points:
-        option = "--max" if error.where == "--budget" else error.where
+        option = "max" if error.where == "budget" else error.where
         raise UnmetError(option, error.got, error.expected)
     if settled is None and full <= max_units and points[-1].is_proven:
         settled = max(points[0].units, full)

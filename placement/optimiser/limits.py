@@ -9,9 +9,9 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
 
-from .tolerances import COST_TOLERANCE_EUR, ROUNDING
+from .steering import COST_TOLERANCE_EUR, ROUNDING
 
-_CENTS, _MAX_CENTS = 100.0, 2.0**53
+_CENTS, _MAX_CENTS = 100.0, 2.0**53  # of which float64 knows each
 
 Failing = Literal["unit", "site"]
 """What fails at once: a unit, or a site (a pole) with everything that it carries."""
@@ -106,9 +106,9 @@ class Limits:
         if units is not None:
             is_whole = isinstance(units, int) and not isinstance(units, bool)
             if not (is_whole and units >= 1):
-                raise InputError("--budget", units, "a whole number of units, at least 1")
+                raise InputError("budget", units, "a whole number of units, at least 1")
         if money is not None and not 0.0 <= money < np.inf:
-            raise InputError("--budget-cost", money, "euros, at least 0")
+            raise InputError("budget_cost", money, "euros, at least 0")
 
     @property
     def n_poses(self) -> int:

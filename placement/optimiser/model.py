@@ -1,4 +1,4 @@
-"""The placement model, one function per family of constraints, and its solution by HiGHS.
+"""Fourth rung: the placement model, one function per family of constraints, solved by HiGHS.
 
 x_c = 1: pose c is chosen. y_f: frame f is seen; so is a tail, which is a frame here. z_w: window w
 is seen as a whole. a_k: one of the windows of a chain up to its k-th link is live; run r is avoided
@@ -11,28 +11,33 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Literal
+from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.errors import InputError
 
+from .bitsets import union_margins_s, unions_of
 from .limits import Limits
 from .objectives import Objective
 from .presolve import ReducedProblem
-from .problem import Measure, Requirement
-from .tolerances import COST_TOLERANCE_EUR, HELD_SLACK, SOLVER_SUM, TOLERANCE
+from .problem import Measure, Requirement, WordArray
+from .steering import (
+    COST_TOLERANCE_EUR,
+    HELD_SLACK,
+    LONGEST_S,
+    SOLVER_SUM,
+    TIME_SHARES,
+    TOLERANCE,
+)
 
 if TYPE_CHECKING:
     import cvxpy as cp
     import scipy.sparse as sp
-
-
-_LONGEST_S = 1.0e6  # eleven days
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,7 +70,7 @@ def run_solver(problem: cp.Problem, *, time_limit_s: float, gap: float = 0.0) ->
         try:
             problem.solve(
                 solver="HIGHS",
-                time_limit=min(max(time_limit_s, 0.0), _LONGEST_S),
+                time_limit=min(max(time_limit_s, 0.0), LONGEST_S),
                 mip_rel_gap=gap,
                 mip_abs_gap=0.0,
             )
@@ -79,39 +84,6 @@ def run_solver(problem: cp.Problem, *, time_limit_s: float, gap: float = 0.0) ->
         is_finished=problem.status == cp.OPTIMAL,
         bound=-info.mip_dual_bound,  # cvxpy minimises the negative
     )
-
-
-SolverName = Literal["auto", "exact", "relax", "greedy"]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Effort:
-    """How hard to try.
-
-    Attributes
-    ----------
-    solver : {"auto", "exact", "relax", "greedy"}
-        "greedy": search only, bounded by what all poses together reach; "relax": the bounds of
-        relaxations, too; "exact": mixed-integer models and enumeration, too, until the time is up;
-        "auto": the same, but relaxations alone where the instance is too large for models.
-    time_limit_s : float
-        For all stages together; presolve and the first layout are finished in any case. When it is
-        up, the best layout found is kept and the gaps say what is not proven. [s]
-    gap : float
-        Relative gap at which a stage counts as settled.
-    """
-
-    solver: SolverName = "auto"
-    time_limit_s: float = 60.0
-    gap: float = 0.0
-
-    def __post_init__(self) -> None:
-        if self.solver not in ("auto", "exact", "relax", "greedy"):
-            raise InputError("--solver", self.solver, "one of auto, exact, relax, greedy")
-        if not self.time_limit_s > 0.0:
-            raise InputError("--time-limit", self.time_limit_s, "seconds, more than 0")
-        if not 0.0 <= self.gap < 1.0:
-            raise InputError("--gap", self.gap, "a share, 0 <= gap < 1")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -397,7 +369,7 @@ def solve_window_model(
     problem = cp.Problem(cp.Maximize(goal), constraints)
     sign = -1.0 if objective is not None and objective.is_minimised else 1.0
     spent_s = time.monotonic() - begun_s
-    if spent_s > 0.5 * time_limit_s:
+    if spent_s > TIME_SHARES["model stated"] * time_limit_s:
         return MilpResult(units=None, bound=sign * np.inf, is_finished=False)
     answer = run_solver(problem, time_limit_s=time_limit_s - spent_s)
     return MilpResult(
@@ -440,3 +412,110 @@ def _incidence(group: IntArray, n_groups: int) -> sp.csr_array:
     return sp.csr_array(
         (np.ones(len(group)), (group, np.arange(len(group)))), shape=(n_groups, len(group))
     )
+
+
+# ---------- cuts: failures, which no row of the model speaks of
+
+
+Fails = Callable[[WordArray], BoolArray]
+
+
+def first_cuts(reduced: ReducedProblem, requirement: Requirement) -> list[Cut]:
+    """Cuts that hold from the start: enough must see stabbing frames and tails of every run.
+
+    Only where no run may be lost with any unit. Tails count that all windows of a run need.
+    """
+    if not (requirement.needs_all and requirement.n_failures):
+        return []
+    counted = np.flatnonzero(requirement.measure.weight > 0.0)
+    links = last_links(reduced, min_margin_s=requirement.min_margin_s)[counted]
+    cuts = []
+    last = np.unique(links[links >= 0])
+    chains = np.searchsorted(reduced.chains.start, last, "right") - 1
+    for chain, link in zip(chains, last - reduced.chains.start[chains], strict=True):
+        frames, n_links = reduced.tails(int(chain))
+        for frame in frames[n_links > link]:
+            sees = (reduced.words[:, frame >> 6] >> np.uint64(frame & 63)) & np.uint64(1)
+            cuts.append(Cut(is_counted=sees != 0, n_units=requirement.n_failures + 1))
+    for phase in range(reduced.window_frames.shape[1]):
+        enters = entering_poses(reduced, phase).toarray() > 0.0
+        for start, link in zip(reduced.chains.start[chains], last, strict=True):
+            cuts.append(
+                Cut(
+                    is_counted=np.logical_or.reduce(enters[start : link + 1], axis=0),
+                    n_units=requirement.n_failures + 1,
+                )
+            )
+    return cuts
+
+
+def violated_cuts(
+    reduced: ReducedProblem, units: IntArray, requirements: Sequence[Requirement]
+) -> list[Cut]:
+    """Cuts that a set of poses violates; none if and only if it meets all requirements."""
+    cuts = []
+    for requirement in requirements:
+        fails = _fails_requirement(reduced, requirement)
+        n_units = requirement.n_failures + 1
+        is_unit = reduced.limits.failing == "unit"
+        at = np.arange(len(units)) if is_unit else reduced.limits.site_index[units]
+        groups = np.unique(at)
+        n_left = max(len(groups) - requirement.n_failures, 0)
+        for left in combinations(groups.tolist(), n_left):
+            union = unions_of(reduced, units[np.isin(at, left)][None, :])[0]
+            if not fails(union[None, :])[0]:
+                continue
+            if requirement.needs_all:
+                cuts += [
+                    _cut(reduced, union, _fails_run(reduced, run, requirement), n_units=n_units)
+                    for run in _lost_runs(reduced, union, requirement)
+                ]
+            else:
+                cuts.append(_cut(reduced, union, fails, n_units=n_units))
+    return cuts
+
+
+def _lost_runs(reduced: ReducedProblem, union: WordArray, requirement: Requirement) -> list[int]:
+    """Of every chain, the lost run with the fewest windows: the hardest to avoid."""
+    margin = union_margins_s(reduced, union[None, :])[0]
+    is_lost = ~requirement.counts_run(margin) & (requirement.measure.weight > 0.0)
+    last = last_links(reduced, min_margin_s=requirement.min_margin_s)
+    hardest = []
+    for chain in np.unique(reduced.run_chain[is_lost]):
+        runs = np.flatnonzero(is_lost & (reduced.run_chain == chain))
+        hardest.append(int(runs[np.argmin(last[runs])]))
+    return hardest
+
+
+def _fails_requirement(reduced: ReducedProblem, requirement: Requirement) -> Fails:
+    def fails(unions: WordArray) -> BoolArray:
+        reached = requirement.reached(union_margins_s(reduced, unions))
+        result: BoolArray = reached < requirement.least - TOLERANCE
+        return result
+
+    return fails
+
+
+def _fails_run(reduced: ReducedProblem, run: int, requirement: Requirement) -> Fails:
+    def fails(unions: WordArray) -> BoolArray:
+        return ~requirement.counts_run(union_margins_s(reduced, unions)[:, run])
+
+    return fails
+
+
+def _cut(reduced: ReducedProblem, union: WordArray, fails: Fails, *, n_units: int) -> Cut:
+    """Cut from a set that fails, enlarged until every further pose would end that."""
+    words = reduced.words
+    waiting = np.flatnonzero((words & ~union).any(axis=1))
+    while len(waiting) > 0:
+        waiting = waiting[fails(union | words[waiting])]
+        # Those that add least come first: more of them fit in.
+        n_new = np.bitwise_count(words[waiting] & ~union).sum(axis=1, dtype=np.int64)
+        waiting = waiting[np.argsort(n_new, kind="stable")]
+        grown = np.bitwise_or.accumulate(words[waiting], axis=0) | union
+        n_fit = int(fails(grown).sum())
+        if n_fit > 0:
+            union = grown[n_fit - 1]
+        waiting = waiting[n_fit:]
+    outside: BoolArray = np.logical_or.reduce((words & ~union) != 0, axis=1)
+    return Cut(is_counted=outside, n_units=n_units)

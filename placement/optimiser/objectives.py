@@ -7,7 +7,7 @@ objective is its value, such as "apr_one_failed".
 from enum import StrEnum
 from typing import Literal
 
-from .tolerances import COST_TOLERANCE_EUR, TOLERANCE
+from .steering import COST_TOLERANCE_EUR, TOLERANCE
 
 Goal = Literal["best", "fewest", "cheapest"]
 

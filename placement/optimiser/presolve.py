@@ -12,7 +12,6 @@ window has fewer tails, one that is not seen ends all windows of the run up to s
 """
 
 from collections import Counter
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -35,13 +34,16 @@ from .problem import (
     tails_behind,
     timely_windows_end,
 )
-from .threads import WORKERS, share_out
-from .tolerances import COST_TOLERANCE_EUR
+from .steering import (
+    COST_TOLERANCE_EUR,
+    LOOKED_WORDS,
+    MANY_ROWS,
+    MAX_CELLS,
+    WORKERS,
+    share_out,
+)
 
 PackedArray = WordArray | NDArray[np.uint8]
-_MAX_CELLS = 1 << 28  # poses x merged frames: models take some bytes for each
-_MAX_LOOKED = 256  # words by which poses are told that see less
-_MANY_ROWS = 1 << 12  # so many are worth threads
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,13 +85,12 @@ class Detections:
     n_frames: int  # merged frames
     words: WordArray  # (n_poses, n_words): bits V[c, f] along the merged frames, lowest bit first
     chains: Chains  # of windows, and of what keeps them alive
+    workers: int = WORKERS  # threads for all that is computed with them
 
     @cached_property
     def columns(self) -> WordArray:
-        """V[c, f] with bits along the poses, (n_frames, ceil(n_poses / 64)); turned round once."""
-        columns = np.empty((self.n_frames, -(-len(self.words) // 64)), dtype=np.uint64)
-        _turn(self.words, np.arange(len(self.words)), np.arange(self.n_frames), columns)
-        return columns
+        """V[c, f] with bits along the poses, (n_frames, ceil(n_poses / 64)); transposed once."""
+        return transposed(self.words, self.n_frames, workers=self.workers)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -131,9 +132,26 @@ class ReducedProblem:
         return self.detections.chains
 
     @property
+    def workers(self) -> int:
+        """Threads for all that is computed on it."""
+        return self.detections.workers
+
+    @property
     def weight(self) -> FloatArray:
         """Weights of the runs, (n_runs,)."""
         return self.measure.weight
+
+    @property
+    def last(self) -> IntArray:
+        """Windows of its chain that end in time for each run, (n_runs,)."""
+        last: IntArray = (self.margin_s > -np.inf).sum(axis=1)
+        return last
+
+    def with_workers(self, workers: int) -> "ReducedProblem":
+        """The same problem on so many threads."""
+        if workers == self.workers:
+            return self
+        return replace(self, detections=replace(self.detections, workers=workers))
 
     def with_goal(self, goal: Goal) -> "ReducedProblem":
         """The same problem for another goal."""
@@ -163,7 +181,7 @@ class ReducedProblem:
     @property
     def can_unpack(self) -> bool:
         """Whether models and relaxations may look at all detections one by one."""
-        return self.n_poses * self.n_frames <= _MAX_CELLS
+        return self.n_poses * self.n_frames <= MAX_CELLS
 
     def detected(self) -> BoolArray:
         """V[c, f] on the merged frames, (n_poses, n_frames)."""
@@ -187,7 +205,9 @@ def unpack_words(words: WordArray, n_bits: int) -> BoolArray:
     return np.unpackbits(packed, axis=-1, count=n_bits, bitorder="little").view(np.bool_)
 
 
-def presolve(problem: PlacementProblem) -> ReducedProblem:
+def presolve(
+    problem: PlacementProblem, *, workers: int = WORKERS, drops_dominated: bool = True
+) -> ReducedProblem:
     """Reduce a placement problem without changing the best value of any stage.
 
     At least one best set of poses of the full problem is left. Repeated until no pose drops out:
@@ -198,9 +218,14 @@ def presolve(problem: PlacementProblem) -> ReducedProblem:
     * A tail is needless where the next one of its run is seen by no other poses.
     * A window is dominated if an earlier window of its run needs no other frames and no tail that
       it does not need, too, or ensures.
-    * Poses that the money does not suffice for, and dominated ones, see :func:`is_dominated`.
+    * Poses that the money does not suffice for, and dominated ones, see :func:`is_dominated`:
+      unless `drops_dominated` is False, or only the worst worlds count. There the smallest margin
+      may fall when more is seen: a run that is avoided in another world, too, adds nothing to
+      their APR, but its margin counts.
+
+    All that is computed on the reduced problem takes `workers` threads.
     """
-    windows = _Windows(problem)
+    windows = _Windows(problem, workers)
     limits = problem.limits
     usable = (limits.site_capacity[limits.site_index] > 0) & ~limits.is_forbidden
     if limits.budget_eur is not None:
@@ -212,22 +237,21 @@ def presolve(problem: PlacementProblem) -> ReducedProblem:
         price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
         is_kept[np.flatnonzero(usable)[np.argmin(price[usable])]] = True
     usable = (usable & is_kept) | limits.is_forced
-    # Where only the worst worlds count, the smallest margin may fall when more is seen: a run that
-    # is avoided in another world, too, adds nothing to their APR, but its margin counts.
-    is_monotone = windows.measure.is_mean
+    drops_dominated &= windows.measure.is_mean
     while True:
         poses = np.flatnonzero(usable)
         reduced = windows.reduce(poses)
         is_wished = reduced.limits.is_forced
         is_wished = is_wished | limits.is_forced_site[reduced.limits.site_index]
         is_needless = ~_have_bits(reduced.words) & ~is_wished
-        left = np.flatnonzero(~is_needless)
-        is_needless[left] = is_dominated(
-            reduced.words[left] if is_needless.any() else reduced.words,
-            reduced.limits.of_poses(left),
-            max_units=limits.max_units,
-            may_see=None if is_monotone else _settled_frames(reduced, left),
-        )
+        if drops_dominated:
+            left = np.flatnonzero(~is_needless)
+            is_needless[left] = is_dominated(
+                reduced.words[left] if is_needless.any() else reduced.words,
+                reduced.limits.of_poses(left),
+                max_units=limits.max_units,
+                workers=workers,
+            )
         if len(poses):  # a layout has a unit, even where none avoids anything: the cheapest then
             price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
             is_needless[np.argmin(price[poses])] = False
@@ -241,15 +265,12 @@ def is_dominated(
     limits: Limits,
     *,
     max_units: int,
-    may_see: Callable[[IntArray], WordArray] | None = None,
+    workers: int = WORKERS,
 ) -> BoolArray:
     """Poses without which some best set remains, whatever the stage.
 
     `words`, (n_poses, n_words): what each pose sees. `max_units`: no set has more units. Returns
-    (n_poses,): may be dropped, all together. `may_see` tells what a dominator of each of some poses
-    may see, by default anything: where more runs avoided may be worse, what the pose sees and
-    frames of those runs alone that it avoids by itself. In its place the dominator then avoids the
-    same runs, no later.
+    (n_poses,): may be dropped, all together.
 
     Pose d dominates pose c if it sees all that c sees, costs no more and is bound by nothing that c
     is not: at the same site its price decides; elsewhere its site may have to be paid, too, and
@@ -268,7 +289,7 @@ def is_dominated(
     replacement is replaced in turn, each time by a pose earlier in one fixed order (more seen,
     cheaper, index), which ends.
     """
-    from .presolve_kernels import find_dominated
+    from .bit_kernels import find_dominated
 
     n_poses, n_words = words.shape
     count = np.empty(n_poses, dtype=np.int64)
@@ -276,7 +297,7 @@ def is_dominated(
     def count_bits(begin: int, end: int) -> None:
         count[begin:end] = np.bitwise_count(words[begin:end]).sum(axis=1, dtype=np.int64)
 
-    share_out(count_bits, n_poses)
+    share_out(count_bits, n_poses, workers=workers)
     order = np.lexsort((limits.unit_cost_eur, -count))
     sites, price = limits.site_index[order], limits.unit_cost_eur[order]
     is_bound_site = limits.is_forced_site.copy()
@@ -285,75 +306,42 @@ def is_dominated(
         is_bound_site |= limits.site_capacity > 1
     elsewhere = price + limits.site_cost_eur[sites]
     elsewhere[is_bound_site[sites]] = np.inf
-    looked = np.arange(0, n_words, -(-n_words // _MAX_LOOKED) or 1)
+    looked = np.arange(0, n_words, -(-n_words // LOOKED_WORDS) or 1)
     columns = np.ascontiguousarray(words[np.ix_(order, looked)].T)
     dominated = np.zeros(n_poses, dtype=bool)
 
-    def look_at(poses: IntArray, most: WordArray) -> None:
-        def look(begin: int) -> None:
-            find_dominated(
-                words,
-                order,
-                looked,
-                columns,
-                poses,
-                most,
-                sites,
-                price,
-                elsewhere,
-                price + COST_TOLERANCE_EUR,
-                ~is_bound_site[sites],
-                limits.site_capacity,
-                max_units,
-                begin,
-                WORKERS,
-                dominated,
-            )
+    def look(begin: int) -> None:
+        find_dominated(
+            words,
+            order,
+            looked,
+            columns,
+            sites,
+            price,
+            elsewhere,
+            price + COST_TOLERANCE_EUR,
+            ~is_bound_site[sites],
+            limits.site_capacity,
+            max_units,
+            begin,
+            workers,
+            dominated,
+        )
 
-        with ThreadPoolExecutor(WORKERS) as threads:
-            list(threads.map(look, range(WORKERS)))
-
-    look_at(np.arange(n_poses), np.empty((0, n_words), dtype=np.uint64))
-    if may_see is not None and dominated.any():  # few, or none: it takes long for each
-        poses = np.flatnonzero(dominated)
-        look_at(poses, may_see(order[poses]))
+    with ThreadPoolExecutor(workers) as threads:
+        list(threads.map(look, range(workers)))
     result = np.zeros(n_poses, dtype=bool)
     result[order] = dominated
     return result & ~limits.is_forced
 
 
-def _settled_frames(reduced: ReducedProblem, poses: IntArray) -> Callable[[IntArray], WordArray]:
-    """What finds the frames that each pose sees, or that only runs need which it avoids alone."""
-
-    def find(some: IntArray) -> WordArray:
-        from .frame_kernels import first_live_windows
-        from .presolve_kernels import let_settled
-
-        n_common = np.full(reduced.n_chains, np.iinfo(np.int64).max)
-        np.minimum.at(n_common, reduced.run_chain, (reduced.margin_s > -np.inf).sum(axis=1))
-        settled = np.full((len(some), reduced.words.shape[1]), ~np.uint64(0))
-
-        def look(begin: int, end: int) -> None:
-            first = np.empty((1, reduced.n_chains), dtype=np.int64)
-            for row in range(begin, end):
-                words = reduced.words[poses[some[row]]][None, :]
-                first_live_windows(words, reduced.chains, first)
-                let_settled(first[0], n_common, reduced.chains, settled[row])
-                settled[row] |= words[0]
-
-        share_out(look, len(some), few=WORKERS)
-        return settled
-
-    return find
-
-
 class _Windows:
     """Windows of a problem that end in time, and their tails, as columns over the poses."""
 
-    def __init__(self, problem: PlacementProblem) -> None:
-        from .presolve_kernels import join_ranges
+    def __init__(self, problem: PlacementProblem, workers: int) -> None:
+        from .bit_kernels import join_ranges
 
-        self.problem = problem
+        self.problem, self.workers = problem, workers
         self.measure = problem.measure()
         self.floor_measures = [problem.floor_measure(floor) for floor in problem.floors]
         axis, rule = problem.table.axis, problem.rule
@@ -366,7 +354,7 @@ class _Windows:
         # (n_used + n_tails, n_words): who sees each frame, and each tail
         self.columns = np.empty((len(used) + len(last), -(-len(packed) // 64)), dtype=np.uint64)
         self.n_used = len(used)
-        _turn(packed, np.arange(len(packed)), used, self.columns)
+        _transpose(packed, np.arange(len(packed)), used, self.columns, workers)
         # Those between frames that are used are used.
         tail_begin = np.searchsorted(used, self.tail_end, side="right")
         tail_until = np.searchsorted(used, last, side="right")
@@ -376,7 +364,7 @@ class _Windows:
             tails = self.columns[self.n_used :]
             join_ranges(self.columns, tail_begin[part], tail_until[part], tails[part])
 
-        share_out(join, len(last))
+        share_out(join, len(last), workers=workers)
         if problem.fusion == "single":
             self._let_each_confirm_alone()
 
@@ -400,13 +388,13 @@ class _Windows:
 
     def reduce(self, poses: IntArray) -> ReducedProblem:
         """The problem on some poses, all of them kept."""
-        from .presolve_kernels import thin_out
+        from .bit_kernels import thin_out
 
         problem, axis = self.problem, self.problem.table.axis
         is_pose = np.zeros(64 * self.columns.shape[1], dtype=bool)
         is_pose[poses] = True
         mask = pack_words(is_pose)
-        first, frame = distinct_rows(self.columns, mask)
+        first, frame = distinct_rows(self.columns, mask, workers=self.workers)
         frames, tail_frame = frame[: self.n_used][self.frames], frame[self.n_used :]
         is_seen = _have_bits(self.columns, mask)[first]
 
@@ -431,12 +419,12 @@ class _Windows:
         order = _once_in_each_run(of_tail, tail_frame, n_links)
         tail_frame, n_links, of_tail = tail_frame[order], n_links[order], of_tail[order]
 
-        first_set, window = distinct_rows(sets.astype(np.uint64))
+        first_set, window = distinct_rows(sets.astype(np.uint64), workers=self.workers)
         is_needed = np.zeros(len(first), dtype=bool)
         is_needed[sets] = is_needed[tail_frame] = True
         kept = np.flatnonzero(is_needed)
         words = np.empty((len(poses), -(-len(kept) // 64)), dtype=np.uint64)
-        _turn(self.columns, first[kept], poses, words)
+        _transpose(self.columns, first[kept], poses, words, self.workers)
         begin = np.searchsorted(of_run, np.arange(len(run_index) + 1))
         tail_begin = np.searchsorted(of_tail, np.arange(len(run_index) + 1))
         tail_frame = np.searchsorted(kept, tail_frame)
@@ -463,7 +451,9 @@ class _Windows:
             ),
             objectives=problem.objectives,
             survive=problem.survive,
-            detections=Detections(n_frames=len(kept), words=words, chains=chains),
+            detections=Detections(
+                n_frames=len(kept), words=words, chains=chains, workers=self.workers
+            ),
             run_chain=run_chain,
             margin_s=margin_s,
             statistics=PresolveStatistics(
@@ -483,7 +473,7 @@ class _Windows:
 
     def _is_needless(self, mask: WordArray) -> BoolArray:
         """Tails that are seen whenever the next one of their run is, which ends more windows."""
-        from .presolve_kernels import lack_nothing
+        from .bit_kernels import lack_nothing
 
         is_needless = np.zeros(len(self.tail_run), dtype=bool)
         lack_nothing(self.columns[self.n_used :], mask, is_needless)
@@ -491,9 +481,11 @@ class _Windows:
         return is_needless
 
 
-def distinct_rows(rows: WordArray, mask: WordArray | None = None) -> tuple[IntArray, IntArray]:
+def distinct_rows(
+    rows: WordArray, mask: WordArray | None = None, *, workers: int
+) -> tuple[IntArray, IntArray]:
     """First of the rows that are equal within a mask, and the number among them of each row."""
-    from .presolve_kernels import mix_rows, number_rows
+    from .bit_kernels import mix_rows, number_rows
 
     if mask is None:
         mask = np.full(rows.shape[1], ~np.uint64(0))
@@ -502,7 +494,7 @@ def distinct_rows(rows: WordArray, mask: WordArray | None = None) -> tuple[IntAr
     def mix(begin: int, end: int) -> None:
         mix_rows(rows[begin:end], mask, mixed[begin:end])
 
-    share_out(mix, len(rows), few=_MANY_ROWS)
+    share_out(mix, len(rows), workers=workers, few=MANY_ROWS)
     slots = np.full(1 << (2 * len(rows)).bit_length(), -1)
     n_distinct = number_rows(rows, mask, mixed, slots, number)
     return slots[:n_distinct].copy(), number
@@ -510,26 +502,35 @@ def distinct_rows(rows: WordArray, mask: WordArray | None = None) -> tuple[IntAr
 
 def _have_bits(rows: WordArray, mask: WordArray | None = None) -> BoolArray:
     """Which rows have any bit within a mask."""
-    from .presolve_kernels import have_bits
+    from .bit_kernels import have_bits
 
     has_bits = np.empty(len(rows), dtype=bool)
     have_bits(rows, np.full(rows.shape[1], ~np.uint64(0)) if mask is None else mask, has_bits)
     return has_bits
 
 
-def _turn(rows: PackedArray, chosen: IntArray, bits: IntArray, turned: WordArray) -> None:
-    """Some bits of chosen rows, bits along the rows: the first rows of `turned`, (n, n_words)."""
-    from .presolve_kernels import turn_chosen
+def _transpose(
+    rows: PackedArray, chosen: IntArray, bits: IntArray, columns: WordArray, workers: int
+) -> None:
+    """Some bits of chosen rows, bits along the rows: the first rows of `columns`, (n, n_words)."""
+    from .bit_kernels import transpose_chosen
 
     rows = np.ascontiguousarray(rows).view(np.uint8)
     rows.flags.writeable = False  # as tables are: there is one kernel for both
     place = np.full(8 * rows.shape[1], -1)
     place[bits] = np.arange(len(bits))
 
-    def turn(begin: int, end: int) -> None:
-        turn_chosen(rows, chosen[64 * begin : 64 * end], place, turned[:, begin:end])
+    def transpose(begin: int, end: int) -> None:
+        transpose_chosen(rows, chosen[64 * begin : 64 * end], place, columns[:, begin:end])
 
-    share_out(turn, turned.shape[1], few=WORKERS)
+    share_out(transpose, columns.shape[1], workers=workers, few=workers)
+
+
+def transposed(words: WordArray, n_bits: int, *, workers: int) -> WordArray:
+    """The first bits of all rows as rows with bits along the rows, (n_bits, ceil(n_rows / 64))."""
+    columns = np.empty((n_bits, -(-len(words) // 64)), dtype=np.uint64)
+    _transpose(words, np.arange(len(words)), np.arange(n_bits), columns, workers)
+    return columns
 
 
 def _as_sets(frames: IntArray) -> IntArray:

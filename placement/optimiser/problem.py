@@ -16,7 +16,7 @@ from scenarios.runs import FrameAxis, live_confirmation_times_s
 from ..detection_table import DetectionTable
 from .limits import Limits, cost_eur, is_allowed
 from .objectives import VALUE_OBJECTIVES, Goal, Objective, objectives_in_order
-from .tolerances import TOLERANCE, common_step
+from .steering import TOLERANCE, common_step
 
 # ---------- the accident prevention ratio
 
@@ -163,7 +163,7 @@ class Floor:
     Attributes
     ----------
     name : str
-        Who asks for it, such as "--target", for messages.
+        Who asks for it, such as "target", for messages.
     share : float
         The ratio, 0..1.
     is_counted : (n_runs,) bool, optional
@@ -181,7 +181,7 @@ class Floor:
         if not 0.0 <= self.share <= 1.0:
             raise InputError(self.name, self.share, "a share of the runs, 0 to 1")
         if self.n_failures < 0:
-            raise InputError("--survive", self.n_failures, "units that may fail, at least 0")
+            raise InputError("survive", self.n_failures, "units that may fail, at least 0")
 
     def __repr__(self) -> str:
         return f"Floor({self.name!r}, {self.share:g}, {self.n_failures} failures)"
@@ -233,11 +233,11 @@ class PlacementProblem:
         if (self.table.axis.last_brake_time_s == np.inf).any():
             raise InputError("last_brake_time_s", np.inf, "a time, or minus infinity")
         if self.fusion not in get_args(Fusion):
-            raise InputError("--fusion", self.fusion, "one of " + ", ".join(get_args(Fusion)))
+            raise InputError("fusion", self.fusion, "one of " + ", ".join(get_args(Fusion)))
         if self.goal not in get_args(Goal):
             raise InputError("goal", self.goal, "one of " + ", ".join(get_args(Goal)))
         if self.survive < 0:
-            raise InputError("--survive", self.survive, "units that may fail, at least 0")
+            raise InputError("survive", self.survive, "units that may fail, at least 0")
         for floor in self.floors:
             counted = floor.is_counted
             if counted is not None and counted.shape != (self.table.axis.n_runs,):

@@ -1,8 +1,7 @@
-"""Layouts with proofs: wishes are checked, stages solved in order, large instances by their pool.
+"""Layouts with proofs: wishes are checked, then stages solved in order, rung by rung.
 
-A table that is too large for models is gone through once, to see what each pose alone promises in
-every run. On these promises, prices for poses bound every layout there is, and tell which poses
-can matter. Among those the layout is sought on the real windows.
+Of a table that is too large, all poses are bounded by relaxation alone. Their prices also say which
+poses gain most: among those the layout is sought.
 """
 
 import logging
@@ -11,25 +10,32 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geometry.arrays import FloatArray, IntArray
+from geometry.arrays import IntArray
 from geometry.clock import now_s
 from geometry.errors import InputError, Unquoted
 
 from ..detection_table import DetectionTable
 from ..layout import Certificate, Stage, relative_gap
 from .bitsets import left_after_failures, union_margins_s
-from .bounds import Coverage, TimelyWindows, build_supply, first_seen_values, timely_windows
-from .greedy import lazy_greedy, swap, to_full
+from .bounds import find_root, polished, relaxation_text, rounded_down, run_rows
+from .greedy import to_full
 from .limits import Limits, cost_eur
-from .model import Effort
 from .objectives import Objective
 from .presolve import PresolveStatistics, ReducedProblem, presolve
-from .problem import Measure, PlacementProblem, objective_values, run_margins_s
-from .relaxation import Columns, generate_columns, polish, relaxation_text
-from .search import Search
-from .stages import Stages
-from .threads import WORKERS
-from .tolerances import COST_TOLERANCE_EUR, ROUNDING, TOLERANCE
+from .problem import Measure, PlacementProblem, objective_values
+from .stages import Search, Stages
+from .steering import (
+    COST_TOLERANCE_EUR,
+    LEAST_S,
+    MAX_BITS,
+    POOL_POSES,
+    TOLERANCE,
+    Deadline,
+    Effort,
+    deadline_in,
+)
+
+_log = logging.getLogger(__name__)
 
 # ---------- wishes that cannot be met
 
@@ -72,14 +78,14 @@ def check_limits(limits: Limits, pose_ids: Sequence[str]) -> None:
     for one, other in limits.rivals:
         if must_carry[one] and must_carry[other]:
             raise UnmetError(
-                "--separation",
+                "separation",
                 Unquoted("two sites nearer than that which must both carry units"),
                 "one of them at most",
             )
     n_needed = len(forced) + int((limits.is_forced_site & (at_site == 0)).sum())
     if limits.budget_units is not None and n_needed > limits.budget_units:
         raise UnmetError(
-            "--budget",
+            "budget",
             limits.budget_units,
             f"at least {n_needed}, the units that are forced or stand at forced sites",
         )
@@ -91,7 +97,7 @@ def check_limits(limits: Limits, pose_ids: Sequence[str]) -> None:
     if not len(forced):
         needed, what = float(price[usable].min()), "the price of the cheapest unit with its site"
     if needed > limits.budget_eur + COST_TOLERANCE_EUR:
-        raise UnmetError("--budget-cost", limits.budget_eur, f"at least {needed:.2f} EUR, {what}")
+        raise UnmetError("budget_cost", limits.budget_eur, f"at least {needed:.2f} EUR, {what}")
 
 
 def check_reach(problem: PlacementProblem, reduced: ReducedProblem) -> None:
@@ -150,66 +156,12 @@ def _rounded_down(share: float) -> str:
     return f"{np.floor(share * 1.0e4) / 1.0e4:g}"
 
 
-# ---------- large instances
-
-
-MAX_BITS = 1_000_000_000
-"""Detections in a table that is still solved as a whole."""
-_POOL = 400
-_UNIT_SHARE = 0.6  # of the time: sites that fail are first taken for units
-_BLOCK_POSES = 1 << 14
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Outlook:
-    """What can be known of a large instance without solving it."""
-
-    pool: IntArray  # (n,): promising poses, forced ones among them
-    sets: tuple[IntArray, ...]  # sets that promise most, of the whole problem
-    apr: float  # no layout within units, sites and money has a higher APR
-    # Nor a larger sum of weights times margins; infinite where that was not asked [s].
-    margins_s: float
+# ---------- large tables
 
 
 def is_large(problem: PlacementProblem) -> bool:
     """Whether a problem is better not solved as a whole."""
     return problem.table.n_poses * problem.table.axis.n_frames > MAX_BITS
-
-
-def look_out(
-    problem: PlacementProblem,
-    *,
-    has_margins: bool = True,
-    on_step: Callable[[str], None] | None = None,
-) -> Outlook:
-    """Bound all poses, and pick the promising ones.
-
-    The problem's measure is a mean. Wishes are left out, which only makes bounds higher. To bound
-    margins, too, takes another pass through the table.
-    """
-    windows = timely_windows(problem.table.axis, problem.rule)
-    weight = problem.table.axis.weight[windows.run_index]
-    last = np.arange(windows.margin_s.shape[1]) < windows.n_windows[:, None]
-    worths: list[FloatArray] = [np.where(last, weight[:, None], 0.0)]
-    if has_margins:
-        worths.append(np.where(last, np.maximum(windows.margin_s, 0.0), 0.0) * weight[:, None])
-    limits, sets = [], []
-    pools = [np.flatnonzero(problem.limits.is_forced)]
-    for number, worth in enumerate(worths):
-        if on_step is not None:
-            on_step("margins of all poses" if number else "all poses")
-        chosen, columns = _promise(_coverage(problem, windows, worth))
-        limits.append(columns.bound.limit)
-        best_first = np.argsort(-columns.bound.worth[columns.pool], kind="stable")
-        pools += [chosen, columns.pool[best_first[:_POOL]]]
-        sets.append(chosen)
-    pool = np.unique(np.concatenate(pools))
-    return Outlook(
-        pool=pool[~problem.limits.is_forbidden[pool]],
-        sets=tuple(sets),
-        apr=min(limits[0], 1.0),
-        margins_s=limits[1] if has_margins else np.inf,
-    )
 
 
 def of_pool(problem: PlacementProblem, pool: IntArray) -> PlacementProblem:
@@ -224,52 +176,6 @@ def of_pool(problem: PlacementProblem, pool: IntArray) -> PlacementProblem:
         ),
         limits=problem.limits.of_poses(pool),
     )
-
-
-def _coverage(problem: PlacementProblem, windows: TimelyWindows, worth: FloatArray) -> Coverage:
-    limits = problem.limits
-    frames = slice(0, 1) if problem.fusion == "any" else slice(None)
-    values = first_seen_values(problem.table.packed, windows, worth, frames=frames, workers=WORKERS)
-    values[limits.is_forbidden] = 0.0
-    return Coverage(values=values, supply=build_supply(limits))
-
-
-def _promise(coverage: Coverage) -> tuple[IntArray, Columns]:
-    """A set that promises much, and the bound of all."""
-    chosen = lazy_greedy(coverage, workers=WORKERS)
-    columns = generate_columns(coverage, chosen, improve=polish, workers=WORKERS)
-    better = swap(coverage, chosen, pool=columns.pool)
-    if coverage.value(better) <= coverage.value(chosen) * (1.0 + ROUNDING):
-        return chosen, columns
-    columns = generate_columns(
-        coverage,
-        better,
-        multipliers=columns.bound.multipliers.astype(np.float64),
-        improve=polish,
-        workers=WORKERS,
-    )
-    return better, columns
-
-
-def margin_limits_s(problem: PlacementProblem) -> FloatArray:
-    """Margins of all runs with every allowed pose mounted, (n_runs,); minus infinity: not avoided.
-
-    With fusion "single", no less than what any one pose reaches.
-    """
-    table, limits = problem.table, problem.limits
-    everything = np.zeros(table.packed.shape[1], dtype=np.uint8)
-    for start in range(0, table.n_poses, _BLOCK_POSES):
-        rows = slice(start, start + _BLOCK_POSES)
-        allowed = table.packed[rows][~limits.is_forbidden[rows]]
-        everything |= np.bitwise_or.reduce(allowed, axis=0)
-    one = DetectionTable(pose_ids=("all",), axis=table.axis, packed=everything[None, :])
-    alone = replace(
-        problem, table=one, limits=Limits(site_index=np.array([0]), site_capacity=np.array([1]))
-    )
-    return run_margins_s(alone, [0])
-
-
-_log = logging.getLogger(__name__)
 
 
 # ---------- stages in order
@@ -307,18 +213,20 @@ def solve_placement(
     time given.
     """
     effort = Effort() if effort is None else effort
-    end_s = now_s() + effort.time_limit_s
+    deadline = deadline_in(effort.time_limit_s)
     check_limits(problem.limits, problem.table.pose_ids)
     if problem.limits.failing == "site":
-        found = _solve_as_if_units_failed(problem, effort, starts, on_stage)
+        found = _solve_as_if_units_failed(problem, effort, deadline, starts, on_stage)
         if found is not None and _are_apart(problem.limits, found.pose_index):
             return found
         starts = starts if found is None else [*starts, np.array(found.pose_index)]
     if reduced is None and effort.solver != "exact" and is_large(problem):
-        return _solve_large(problem, effort, on_stage)
-    reduced = presolve(problem) if reduced is None else reduced
+        return _solve_large(problem, effort, deadline, on_stage)
+    if reduced is None:
+        reduced = presolve(problem, workers=effort.workers)
+    reduced = reduced.with_workers(effort.workers)
     check_reach(problem, reduced)
-    search = Search(reduced, end_s=end_s, uses_models=effort.solver in ("auto", "exact"))
+    search = Search(reduced, deadline=deadline, is_exact=effort.is_exact)
     search.start([_units_of(reduced, poses) for poses in starts])
     check_floors(problem, search)
     stages = Stages(problem, search, effort)
@@ -342,6 +250,7 @@ def solve_placement(
 def _solve_as_if_units_failed(
     problem: PlacementProblem,
     effort: Effort,
+    deadline: Deadline,
     starts: Sequence[IntArray],
     on_stage: Callable[[str], None] | None,
 ) -> Solution | None:
@@ -352,7 +261,8 @@ def _solve_as_if_units_failed(
     is far quicker to find: a pose may be replaced by one at another site.
     """
     by_unit = replace(problem, limits=replace(problem.limits, failing="unit"))
-    effort = replace(effort, time_limit_s=_UNIT_SHARE * effort.time_limit_s)
+    left_s = max(deadline.of("as if units failed").left_s(), LEAST_S)
+    effort = replace(effort, time_limit_s=left_s)
     try:
         return solve_placement(by_unit, effort=effort, starts=starts, on_stage=on_stage)
     except UnmetError:  # what is told of sites is more, or there was too little time
@@ -371,30 +281,43 @@ def _units_of(reduced: ReducedProblem, poses: IntArray) -> IntArray:
 
 
 def _solve_large(
-    problem: PlacementProblem, effort: Effort, on_stage: Callable[[str], None] | None
+    problem: PlacementProblem,
+    effort: Effort,
+    deadline: Deadline,
+    on_stage: Callable[[str], None] | None,
 ) -> Solution:
-    """The best among promising poses, bounded by what all poses promise."""
-    end_s = now_s() + effort.time_limit_s
-    bounds_margins = problem.tail == 1.0
-    outlook = look_out(problem, has_margins=bounds_margins, on_step=on_stage)
-    pool = outlook.pool
-    places = [np.searchsorted(pool, poses) for poses in outlook.sets]
+    """The best among promising poses, bounded by the relaxation of all."""
+    if on_stage is not None:
+        on_stage("all poses")
+    every = presolve(problem, workers=effort.workers, drops_dominated=False)
+    most = Search(every)
+    apr, chosen = every.measure.limit, np.arange(0)
+    if len(every.weight):
+        root = find_root(
+            every,
+            run_rows(every),
+            n_units=every.limits.max_units,
+            deadline=deadline.of("relaxation"),
+        )
+        root = polished(root)
+        apr = min(rounded_down(every, root.limit), apr)
+        chosen = np.argsort(-root.gains(), kind="stable")[:POOL_POSES]
+    pool = np.union1d(every.pose_index[chosen], np.flatnonzero(problem.limits.is_forced))
+    usable = (problem.limits.site_capacity[problem.limits.site_index] > 0)[pool]
+    pool = pool[usable & ~problem.limits.is_forbidden[pool]]
+    pool = pool if len(pool) else every.pose_index
     part = of_pool(problem, pool)
     found = solve_placement(
         part,
-        presolve(part),
-        effort=replace(effort, solver="greedy", time_limit_s=max(end_s - now_s(), 1.0e-3)),
-        starts=places,
+        presolve(part, workers=effort.workers),
+        effort=replace(effort, solver="greedy", time_limit_s=max(deadline.left_s(), LEAST_S)),
         on_stage=on_stage,
     )
-    all_margins = margin_limits_s(problem)
-    apr = float(problem.measure().of(all_margins > -np.inf))
-    largest_s = mean_s = float(all_margins.max())
-    if bounds_margins:
-        apr = min(apr, outlook.apr)
-        value = {stage.name: stage.objective for stage in found.certificate.stages}
-        if value[Objective.APR] > 0.0:
-            mean_s = min(mean_s, outlook.margins_s / value[Objective.APR])
+    largest_s = mean_s = float(most.margin_limit_s.max(initial=0.0))
+    value = {stage.name: stage.objective for stage in found.certificate.stages}
+    if problem.tail == 1.0 and value[Objective.APR] > 0.0:
+        total_s = float(every.weight @ np.maximum(most.margin_limit_s, 0.0))
+        mean_s = min(mean_s, total_s / value[Objective.APR])
     bounds = {
         Objective.UNITS: 1.0,
         Objective.COST: 0.0,

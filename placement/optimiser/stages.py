@@ -1,33 +1,223 @@
-"""The objectives one by one: better sets, and how much better one could be."""
+"""The objectives one by one: better sets, and how much better one could be, rung by rung."""
 
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from geometry.arrays import IntArray
-from geometry.clock import now_s
+from geometry.arrays import BoolArray, FloatArray, IntArray
 
-from .bitsets import left_after_failures, set_values
-from .enumeration import best_of_all, best_of_few
-from .limits import are_allowed, price_step_eur
-from .model import Effort
-from .objectives import Objective
+from .bitsets import (
+    SetValues,
+    left_after_failures,
+    no_values,
+    set_values,
+    union_margins_s,
+    unions_of,
+)
+from .bounds import Root, failure_limit, find_root, relax, relaxation_text, run_rows
+from .greedy import extend_greedily, improve, search_from_many_starts
+from .limits import Limits, are_allowed, is_allowed, price_step_eur
+from .model import Cut, first_cuts, solve_window_model, solver_text, violated_cuts
+from .objectives import VALUE_OBJECTIVES, Objective
+from .pairs import goes_by_pairs, walk_by_pairs
 from .presolve import ReducedProblem
-from .problem import PlacementProblem, Requirement
-from .promises import best_beyond, can_cover, can_enumerate, cover_windows, relaxed_limit
-from .relaxation import relaxation_text
-from .search import Search
-from .tolerances import COST_TOLERANCE_EUR, SOLVER_TOLERANCE, TOLERANCE, settle
+from .problem import PlacementProblem, PlacementValue, Requirement
+from .steering import (
+    COST_TOLERANCE_EUR,
+    FEW_SETS_PER_SECOND,
+    MAX_FEW_SETS,
+    MAX_SETS_OF_MONEY,
+    NEAR,
+    NEVER,
+    SOLVER_TOLERANCE,
+    STEP_UP,
+    TOLERANCE,
+    Deadline,
+    Effort,
+    settle,
+)
+from .walk import SetWalk, Tied, TieSearch, best_of_few, best_of_tied, can_walk
 
-_COVER_SHARE = 0.5  # of the time left
-_WALK_SHARE = 0.6  # of the time left
-_PAIRS_SHARE = 0.9
-_SETS_PER_SECOND = 30_000  # enumeration; measured: two to three times as many
-_MAX_FEW_SETS = 60_000  # of all sizes, when every one is valued in full
-_SETS_KEPT_PER_SECOND = 200_000  # that lose too much; measured: twice as many
-_MAX_SETS = 400_000  # beyond, models are quicker
+# ---------- the best set so far
+
+
+class Search:
+    """The incumbent, the best set of poses so far, and what the proofs rest on."""
+
+    def __init__(
+        self, reduced: ReducedProblem, *, deadline: Deadline = NEVER, is_exact: bool = True
+    ) -> None:
+        self.reduced = reduced
+        self.deadline = deadline
+        self.is_exact = is_exact  # whether walks and models may be used
+        self.proofs: dict[str, None] = {}
+        everything = np.bitwise_or.reduce(reduced.words, axis=0, keepdims=True)
+        self.margin_limit_s: FloatArray = union_margins_s(reduced, everything)[0]
+        self.units: IntArray | None = None
+        self.nothing_meets_all = False  # proven that no set meets limits and floors
+        self.row = no_values(reduced)
+        self._cuts: dict[tuple[float, ...], list[Cut]] = {}
+        self._root: tuple[ReducedProblem, Root] | None = None
+
+    @property
+    def root(self) -> Root:
+        """Prices on runs for sets of as many units as allowed."""
+        if self._root is None or self._root[0] is not self.reduced:
+            root = find_root(
+                self.reduced,
+                run_rows(self.reduced),
+                n_units=self.reduced.limits.max_units,
+                deadline=self.deadline,
+            )
+            self._root = self.reduced, root
+        return self._root[1]
+
+    @property
+    def value(self) -> PlacementValue:
+        """Value of the best set."""
+        return PlacementValue(*(float(self.row.of(objective)) for objective in VALUE_OBJECTIVES))
+
+    @property
+    def shortfall(self) -> float:
+        """What the best set lacks to the floors, summed."""
+        return float(self.row.lacking)  # infinite where there is no set
+
+    @property
+    def limit(self) -> SetValues:
+        """What all poses together reach where everything is avoided: no set is better."""
+        reduced = self.reduced
+        largest: dict[Objective, float] = {}
+        if len(reduced.weight):
+            all_runs, most = reduced.measure.limit, reduced.limits.max_units
+            largest = {
+                Objective.APR_SURVIVED: all_runs if most > reduced.survive else 0.0,
+                Objective.APR: all_runs,
+                Objective.APR_ONE_FAILED: all_runs if most > 1 else 0.0,
+                Objective.SMALLEST_MARGIN: float(self.margin_limit_s.min()),
+                Objective.MEAN_MARGIN: float(
+                    np.average(self.margin_limit_s, weights=reduced.weight)
+                ),
+            }
+        gains = [largest.get(objective, 0.0) for objective in reduced.objectives]
+        return SetValues(reduced.objectives, np.array([0.0, *gains]))
+
+    def start(self, starts: Sequence[IntArray] = (), *, chance: FloatArray | None = None) -> None:
+        """Find a good set, from some to begin with; there may be none that reaches the floors.
+
+        Others are drawn by a `chance`, (n_poses,), such as their shares in a relaxed solution.
+        """
+        uses_root = can_walk(self.reduced) and not goes_by_pairs(self.reduced)
+        shares = (lambda: self.root.share) if uses_root else None
+        units = search_from_many_starts(
+            self.reduced,
+            self.limit,
+            starts=starts,
+            chance=shares if chance is None else lambda: chance,
+            deadline=self.deadline.of("first set"),
+        )
+        if units is not None:
+            self.keep(units)
+        if self.shortfall > 0.0:
+            self.nothing_meets_all = self.look_for(None, ()) == -np.inf
+
+    def restrict(self, limits: Limits) -> None:
+        """Look for the best set within tighter limits, which the best so far meets."""
+        self.reduced = replace(self.reduced, limits=limits).with_goal("best")
+        units = self.units
+        self.units = None
+        again = search_from_many_starts(
+            self.reduced, self.limit, deadline=self.deadline.of("first set")
+        )
+        for found in (units, again):
+            if found is not None:
+                self.keep(found)
+
+    def avoided(self) -> BoolArray:
+        """Runs that the best set avoids, (n_runs,)."""
+        assert self.units is not None
+        union = unions_of(self.reduced, self.units[None, :])
+        is_avoided: BoolArray = union_margins_s(self.reduced, union)[0] > -np.inf
+        return is_avoided
+
+    def keep(self, units: IntArray) -> bool:
+        """Take a set if it is better than the best so far; whether it was."""
+        row = set_values(self.reduced, units[None, :])[0]
+        if self.units is not None and not row.exceeds(self.row):
+            return False
+        self.units, self.row = units, row
+        return True
+
+    def offer(self, units: IntArray) -> None:
+        """Take a set after completing and improving it, if it is better then."""
+        if not is_allowed(self.reduced.limits, units):
+            return
+        self.keep(units)
+        self.keep(improve(self.reduced, units, self.limit, deadline=self.deadline))
+        extended = extend_greedily(self.reduced, units)
+        if len(extended) > len(units) and is_allowed(self.reduced.limits, extended):
+            self.keep(improve(self.reduced, extended, self.limit, deadline=self.deadline))
+
+    def look_for(
+        self,
+        objective: Objective | None,
+        requirements: Sequence[Requirement],
+        reduced: ReducedProblem | None = None,
+    ) -> float:
+        """Look for the best set that meets requirements beside the floors; keep it if it is better.
+
+        Without an objective, any set that meets them. Sets of another problem on the same poses,
+        `reduced`, are not kept. Returns a bound: no set that meets the requirements has a better
+        objective; the worst infinity if there is none, the best one if nothing is known.
+        """
+        problem = self.reduced if reduced is None else reduced
+        demands = (*problem.floors, *requirements)
+        is_minimised = objective is not None and objective.is_minimised
+        bound = -np.inf if is_minimised else np.inf
+        cuts = [cut for demand in demands for cut in self._cuts_of(problem, demand)]
+        while self.is_exact and problem.can_unpack and not self.deadline.is_over:
+            self.proofs[solver_text()] = None
+            result = solve_window_model(
+                problem,
+                objective,
+                requirements=demands,
+                cuts=cuts,
+                time_limit_s=self.deadline.left_s(),
+            )
+            if result.units is None and result.is_finished:
+                return np.inf if is_minimised else -np.inf
+            better = max if is_minimised else min
+            bound = better(bound, result.bound)
+            if result.units is None:
+                break
+            found: list[Cut] = []
+            for demand in demands:
+                new = violated_cuts(problem, result.units, [demand])
+                self._cuts_of(problem, demand).extend(new)
+                found += new
+            if not found:
+                if reduced is None:
+                    self.offer(result.units)
+                break
+            cuts += found
+        return bound
+
+    def _cuts_of(self, problem: ReducedProblem, requirement: Requirement) -> list[Cut]:
+        """Cuts that hold for all sets that meet a requirement, to be added to."""
+        key = (
+            float(id(requirement.measure)),
+            requirement.least,
+            requirement.min_margin_s,
+            float(requirement.n_failures),
+            float(requirement.sums_margins),
+        )
+        if key not in self._cuts:
+            self._cuts[key] = first_cuts(problem, requirement)
+        return self._cuts[key]
+
+
+# ---------- stages
 
 
 class Stages:
@@ -40,7 +230,6 @@ class Stages:
         self.held: list[Requirement] = []
         self.apr_limit = search.reduced.measure.limit
         self.is_complete: bool | None = None  # not tried yet
-        self.has_enumerated: bool | None = None
         # By the failures to be survived: no set exceeds it; infinite where nothing is known.
         self.walk_limit: defaultdict[int, float] = defaultdict(lambda: np.inf)
 
@@ -95,21 +284,16 @@ class Stages:
     def bound_apr(self) -> float:
         """No layout has a higher APR."""
         search = self.search
-        if not self._is_settled(search.value.apr, self.apr_limit):
-            if (
-                self._is_complete()
-                or self._walk(0)
-                or self._beats_all_promises(Objective.APR, search.value.apr)
-            ):
-                self.apr_limit = search.value.apr
-            else:
-                limit = min(self.apr_limit, self.walk_limit[0])
-                self.apr_limit = self._settle(search.value.apr, limit, self.apr_limit)
-                promised = self._promised(Objective.APR)
-                self.apr_limit = self._settle(search.value.apr, promised, self.apr_limit)
-                if not self._is_settled(search.value.apr, self.apr_limit):
-                    bound = search.look_for(Objective.APR, self.held)
-                    self.apr_limit = self._settle(search.value.apr, bound, self.apr_limit)
+        rungs: list[Callable[[], float]] = [
+            lambda: search.value.apr if self._is_complete() or self._walk(0) else np.inf,
+            lambda: self.walk_limit[0],
+            lambda: self._relaxed(search.reduced, Objective.APR),
+            lambda: search.look_for(Objective.APR, self.held),
+        ]
+        for bound in rungs:
+            if self._is_settled(search.value.apr, self.apr_limit):
+                break
+            self.apr_limit = self._settle(search.value.apr, bound(), self.apr_limit)
         self._hold(Requirement(measure=search.reduced.measure, least=search.value.apr))
         return self.apr_limit
 
@@ -126,7 +310,7 @@ class Stages:
         limit = self._smallest_margin_limit_s()
         if self._is_settled(search.value.smallest_margin_s, limit):
             return self._hold_margin(limit)
-        if self._is_complete() or self._enumerate():
+        if self._is_complete():
             return self._hold_margin(search.value.smallest_margin_s)
         margins = reduced.margin_s
         candidates = np.unique(margins[margins <= limit + TOLERANCE])
@@ -159,14 +343,12 @@ class Stages:
             limit = min(limit, total_s / search.value.apr)
         if self._is_settled(search.value.mean_margin_s, limit):
             return limit
-        if self._is_complete() or self._enumerate():
+        if self._is_complete():
             return search.value.mean_margin_s
         if search.value.apr == 0.0:  # what is avoided at least is not known: sums bound no mean
             return limit
-        value = search.value.mean_margin_s * self._avoided_weight()
-        if self._beats_all_promises(Objective.MEAN_MARGIN, value):
-            return search.value.mean_margin_s
-        limit = min(limit, self._promised(Objective.MEAN_MARGIN) / search.value.apr)
+        total_s = self._relaxed(search.reduced, Objective.MEAN_MARGIN)
+        limit = min(limit, total_s / search.value.apr)
         if self._is_settled(search.value.mean_margin_s, limit):
             return limit
         bound = search.look_for(Objective.MEAN_MARGIN, self.held)
@@ -179,8 +361,6 @@ class Stages:
         if cost <= least + COST_TOLERANCE_EUR or self._is_complete():
             return cost
         total_s = search.value.mean_margin_s * self._avoided_weight()
-        if self._no_smaller_set_does(total_s):
-            return search.value.cost_eur
         mean = Requirement(measure=search.reduced.measure, least=total_s, sums_margins=True)
         bound = search.look_for(Objective.COST, [*self.held, mean])
         return max(least, self._settled_from_below(search.value.cost_eur, bound))
@@ -188,82 +368,19 @@ class Stages:
     def _avoided_weight(self) -> float:
         return float(self.search.reduced.weight @ self.search.avoided())
 
-    def _promised(self, worth: Objective) -> float:
-        """What no set can be worth more than, by relaxation; infinite where that is not asked."""
-        reduced = self.search.reduced
-        if self.effort.solver == "greedy" or (
-            worth is Objective.APR and not reduced.measure.is_mean
-        ):
-            return np.inf
-        if can_cover(self.problem, reduced) and self.search.left_s() > 0.0:
-            return self._covered(reduced, worth)
-        if not reduced.can_unpack:
-            return np.inf
-        limit = relaxed_limit(reduced, worth)
-        self.search.proofs[relaxation_text()] = None
-        return limit
+    def _relaxed(self, reduced: ReducedProblem, worth: Objective) -> float:
+        """What no set can be worth more than, by relaxation; infinite where that is not asked.
 
-    def _covered(self, reduced: ReducedProblem, worth: Objective) -> float:
-        """What no set can be worth more than, on the windows; a better set on the way is kept."""
+        The mean over the worst worlds is no higher than that over all.
+        """
+        if self.effort.solver == "greedy" or self.search.deadline.is_over:
+            return np.inf
         search = self.search
-        branches = worth is Objective.APR and search.uses_models
-        cover, limit = cover_windows(
-            self.problem,
-            reduced,
-            worth,
-            time_limit_s=_COVER_SHARE * search.left_s(),
-            branches=branches,
-        )
+        limit, share = relax(reduced, worth, deadline=search.deadline.of("relaxation"))
         search.proofs[relaxation_text()] = None
-        if cover.n_nodes:
-            search.proofs["branch and bound"] = None
-        if worth is Objective.APR and reduced is search.reduced:
-            search.offer(cover.poses)
+        if share is not None and reduced is search.reduced and worth is Objective.APR:
+            search.start([self._units()], chance=share)
         return limit
-
-    def _beats_all_promises(self, worth: Objective, value: float) -> bool:
-        """Look through all sets that may be worth more than the best; whether that was possible."""
-        search = self.search
-        reduced = search.reduced
-        n_units = reduced.limits.max_units - int(reduced.limits.is_forced.sum())
-        is_possible = search.uses_models and search.left_s() > 0.0 and reduced.measure.is_mean
-        if not (is_possible and can_enumerate(reduced, n_units)):
-            return False
-        need = value + (1.0 if worth is Objective.APR else -1.0) * TOLERANCE
-        units, is_complete = best_beyond(
-            reduced, worth, need, n_units=n_units, known=search.row, left_s=search.left_s
-        )
-        if units is not None:
-            search.keep(units)
-        if is_complete:
-            search.proofs["exhaustive enumeration"] = None
-        return is_complete
-
-    def _no_smaller_set_does(self, total_margin_s: float) -> bool:
-        """Whether, at equal prices, no set with one unit less is as good in all stages before."""
-        search = self.search
-        reduced = search.reduced
-        limits = reduced.limits
-        n_units = len(self._units()) - 1 - int(limits.is_forced.sum())
-        is_uniform = not (limits.site_cost_eur.any() or limits.is_forced.any())
-        is_uniform = is_uniform and np.ptp(limits.unit_cost_eur) == 0.0
-        if not (is_uniform and search.uses_models and can_enumerate(reduced, n_units)):
-            return False
-        if search.left_s() <= 0.0:
-            return False
-        units, is_complete = best_beyond(
-            reduced,
-            Objective.MEAN_MARGIN,
-            total_margin_s - TOLERANCE,
-            n_units=n_units,
-            known=search.row,
-            left_s=search.left_s,
-        )
-        if not is_complete:
-            return False
-        search.proofs["exhaustive enumeration"] = None
-        # keep() takes it only if it is as good as the best set, and cheaper.
-        return units is None or not search.keep(units)
 
     def _bound_failed(self, n_failures: int, limit: float) -> float:
         """No layout that holds the stages before keeps a higher APR when its worst units fail."""
@@ -300,16 +417,11 @@ class Stages:
                 is_forced_site=np.zeros_like(reduced.limits.is_forced_site),
             ),
         )
-        if can_cover(self.problem, fewer) and search.left_s() > 0.0:
-            limit = self._settle(self._left(n_failures), self._covered(fewer, Objective.APR), limit)
-        elif search.sets is not None and search.sets.goes_by_pairs and n_left > 1:
-            limit = self._settle(
-                self._left(n_failures), self._best_of_fewer(fewer, n_failures), limit
-            )
+        bound = self._relaxed(fewer, Objective.APR)
+        limit = self._settle(self._left(n_failures), bound, limit)
         if not self._is_settled(self._left(n_failures), limit):
             bound = search.look_for(Objective.APR, (), fewer)
             limit = self._settle(self._left(n_failures), bound, limit)
-        step = 2.0 * TOLERANCE
         all_runs = reduced.measure.limit
         if limit >= all_runs - TOLERANCE > self._left(n_failures) and reduced.measure.is_mean:
             demand = Requirement(measure=reduced.measure, least=all_runs, n_failures=n_failures)
@@ -318,31 +430,13 @@ class Stages:
         while self._left(n_failures) < limit - TOLERANCE:
             before = self._left(n_failures)
             demand = Requirement(
-                measure=reduced.measure, least=before + step, n_failures=n_failures
+                measure=reduced.measure, least=before + STEP_UP, n_failures=n_failures
             )
             if search.look_for(None, [*self.held, demand]) == -np.inf:
                 return before
             if self._left(n_failures) <= before + TOLERANCE:
                 return limit  # time is up
         return limit
-
-    def _best_of_fewer(self, fewer: ReducedProblem, n_failures: int) -> float:
-        """No set of as many units as are left when some fail has a higher APR."""
-        search = self.search
-        assert search.sets is not None
-        if not search.uses_models or search.left_s() <= 0.0:
-            return np.inf
-        sets = search.sets.with_limits(fewer.limits)
-        left = self._units()[:-n_failures]
-        tied = sets.tied(
-            sets.climb(sets.fill(left), end_s=search.end_s),
-            n_failures=0,
-            least_apr=None,
-            end_s=now_s() + _WALK_SHARE * search.left_s(),
-            on_better=lambda units: units,
-        )
-        search.proofs["branch and bound"] = None
-        return tied.limit
 
     def _left(self, n_failures: int) -> float:
         search = self.search
@@ -417,11 +511,14 @@ class Stages:
         search = self.search
         if self.is_complete is None:
             self.is_complete = False
-            if self.effort.solver in ("auto", "exact"):
+            if self.effort.is_exact:
+                deadline = search.deadline.of("few sets")
+                has_money = search.reduced.limits.budget_eur is not None
+                most = MAX_SETS_OF_MONEY if has_money else MAX_FEW_SETS
                 units, self.is_complete = best_of_few(
                     search.reduced,
-                    max_sets=min(self._max_sets(), _MAX_FEW_SETS),
-                    end_s=search.end_s,
+                    max_sets=min(most, int(deadline.left_s() * FEW_SETS_PER_SECOND)),
+                    deadline=deadline,
                 )
                 if units is not None:
                     search.keep(units)
@@ -436,57 +533,56 @@ class Stages:
         few sets are best, the best of them all is best in every stage that comes.
         """
         search = self.search
-        sets = search.sets
-        if sets is None or not search.uses_models or search.left_s() <= 0.0:
+        reduced = search.reduced
+        n_forced = int(reduced.limits.is_forced.sum())
+        if not can_walk(reduced) or not search.is_exact or search.deadline.is_over:
             return False
-        holds_apr = n_failures > 0 and not self.problem.survive
-
-        def better(units: IntArray) -> IntArray:
-            search.keep(sets.climb(units, end_s=search.end_s))
-            return self._units()
-
-        # Nothing else bounds drawn detections; the APR that is left is bounded by fewer units.
-        if sets.goes_by_pairs and n_failures and not search.reduced.can_unpack:
+        if goes_by_pairs(reduced):
+            if n_failures:  # nothing but ties that were met tells of failures
+                return False
+            tied = walk_by_pairs(
+                reduced,
+                self._units(),
+                deadline=search.deadline.of("worlds"),
+                on_better=self._improved,
+            )
+        elif not reduced.measure.is_mean or (n_forced and n_failures):
             return False
-        share = _PAIRS_SHARE if sets.goes_by_pairs else _WALK_SHARE
-        tied = sets.tied(
-            self._units(),
-            n_failures=n_failures,
-            least_apr=search.value.apr if holds_apr else None,
-            end_s=now_s() + share * search.left_s(),
-            on_better=better,
-        )
+        else:
+            tied = self._find_tied(n_failures)
         search.proofs["branch and bound"] = None
         self.walk_limit[n_failures] = tied.limit
-        if tied.sets is not None:
-            best = sets.best_of(tied.sets, n_failures=n_failures, value=tied.value)
-            if best is not None:
-                search.keep(best)
-            self.is_complete = True
+        self._take_tied(tied, n_failures)
         return tied.is_finished
 
-    def _enumerate(self) -> bool:
-        """Go through all sets that could be better, if they are few; whether that was done."""
-        search, reduced, problem = self.search, self.search.reduced, self.problem
-        if self.has_enumerated is None:
-            self.has_enumerated = False
-            is_apr_proven = search.value.apr >= self.apr_limit - TOLERANCE
-            is_plain = reduced.limits.is_plain and reduced.measure.is_mean
-            is_plain = is_plain and not (problem.floors or problem.survive)
-            is_plain = is_plain and reduced.limits.failing == "unit"
-            is_full = len(self._units()) == reduced.limits.max_units
-            if is_apr_proven and is_plain and is_full and search.uses_models:
-                best = best_of_all(
-                    reduced,
-                    self._units(),
-                    known=search.row,
-                    max_sets=int(max(search.left_s(), 0.0) * _SETS_KEPT_PER_SECOND),
-                )
-                self.has_enumerated = best is not None
-                if best is not None:
-                    search.keep(best)
-                    search.proofs["exhaustive enumeration"] = None
-        return self.has_enumerated
+    def _find_tied(self, n_failures: int) -> Tied:
+        """Ties by a walk through the covering problem; the APR itself may be held already."""
+        search = self.search
+        reduced, root = search.reduced, search.root
+        holds_apr = n_failures > 0 and not self.problem.survive
+        return TieSearch(
+            reduced,
+            self._units(),
+            walk_from=lambda need, left: SetWalk(
+                reduced, root, need=need, n_failures=n_failures, left=left
+            ),
+            limit=lambda least, deadline: failure_limit(root, n_failures, least, deadline=deadline),
+            ahead=NEAR * self._left(n_failures) if n_failures else 0.0,
+            n_failures=n_failures,
+            least_apr=search.value.apr if holds_apr else None,
+            on_better=self._improved,
+        ).find(search.deadline.of("walk"))
 
-    def _max_sets(self) -> int:
-        return max(0, min(_MAX_SETS, int(self.search.left_s() * _SETS_PER_SECOND)))
+    def _improved(self, units: IntArray) -> IntArray:
+        """The best set so far after a set that may be better was improved by exchanges."""
+        search = self.search
+        search.keep(improve(search.reduced, units, search.limit, deadline=search.deadline))
+        return self._units()
+
+    def _take_tied(self, tied: Tied, n_failures: int) -> None:
+        if tied.sets is None:
+            return
+        best = best_of_tied(self.search.reduced, tied.sets, n_failures=n_failures, value=tied.value)
+        if best is not None:
+            self.search.keep(best)
+        self.is_complete = True

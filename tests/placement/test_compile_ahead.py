@@ -16,11 +16,11 @@ STEPS = ("place", "front_below", "evaluate_layouts")
 COMPILED = """
 from geometry.kernels import is_compiled
 from placement.evaluator import pixels
-from placement.optimiser import cover_kernels, frame_kernels, pair_kernels, root_kernels
+from placement.optimiser import bit_kernels, walk_kernels
 from placement.compile_ahead import compile_ahead
 
-kernels = [pixels.see, cover_kernels.grow, cover_kernels.spell_out, pair_kernels.cover_beside,
-           frame_kernels.first_live_with_each, root_kernels.tighten_prices]
+kernels = [pixels.see, walk_kernels.grow, walk_kernels.spell_out, walk_kernels.cover_rows,
+           bit_kernels.add_weights_with_each, walk_kernels.tighten_prices]
 assert not any(map(is_compiled, kernels))
 compile_ahead()
 print(sum(map(is_compiled, kernels)), "of", len(kernels))

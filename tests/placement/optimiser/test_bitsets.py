@@ -2,14 +2,17 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from problems import questions
 
 from placement.optimiser import PlacementProblem
 from placement.optimiser.bitsets import (
     avoided_with_each,
-    keep_apr,
+    best_with_each,
     left_after_failures,
-    may_keep_margins,
+    left_with_each,
     set_values,
+    shares_with_each,
+    union_apr,
     union_margins_s,
     unions_of,
     values_with_each,
@@ -64,23 +67,32 @@ def test_margins_are_those_of_the_first_window_that_is_whole_and_has_all_its_tai
             assert margins[run] == reduced.margin_s[run, first]
 
 
-@given(reduced_problems_and_sets(), st.floats(0.0, 1.0), st.floats(-0.5, 3.0))
-def test_sets_are_left_out_early_only_if_they_lose_too_much(drawn, least, smallest_s):
-    reduced, sets = drawn
-    if not reduced.measure.is_mean or not len(sets):
+@given(st.from_type(PlacementProblem), st.data())
+def test_quick_shares_with_each_pose_are_those_of_the_sets_one_by_one(problem, data):
+    reduced = presolve(problem)
+    if reduced.n_poses == 0:
         return
-    left = left_after_failures(reduced, reduced.measure, 1, sets)
-    kept = keep_apr(reduced, sets, least, with_failures=True)
-    is_clear = np.abs(left - least) > 1e-9
-    np.testing.assert_array_equal(kept[is_clear], (left >= least)[is_clear])
+    n_units = data.draw(st.integers(0, min(3, reduced.n_poses - 1)))
+    units = np.arange(n_units)
+    others = np.arange(n_units, reduced.n_poses)
+    sets = np.column_stack([np.tile(units, (len(others), 1)), others])
+    shares = union_apr(reduced, unions_of(reduced, sets))
+    assert shares_with_each(reduced, units)[others] == pytest.approx(shares, abs=1e-12)
+    for n_failures in (1, 2):
+        left = left_after_failures(reduced, reduced.measure, n_failures, sets)
+        quick = left_with_each(reduced, units, n_failures)[others]
+        assert quick == pytest.approx(left, abs=1e-12)
 
-    margin = union_margins_s(reduced, unions_of(reduced, sets))
-    is_avoided = (margin > -np.inf) & (reduced.weight > 0.0)
-    total = np.where(margin > -np.inf, margin, 0.0) @ reduced.weight
-    smallest = np.where(is_avoided, margin, np.inf).min(axis=1, initial=np.inf)
-    need = float(np.median(total)) - 1e-9
-    reaches = (total >= need) & (smallest >= smallest_s)
-    may = may_keep_margins(reduced, sets, smallest_s=smallest_s, total_s=need)
-    assert may[reaches].all()
-    is_clear = (np.abs(total - need) > 1e-6) & (np.abs(smallest - smallest_s) > 1e-6)
-    np.testing.assert_array_equal(may[is_clear], reaches[is_clear])
+
+@given(questions(), st.booleans())
+def test_the_best_set_with_one_more_pose_is_the_best_of_all_such_sets(problem, is_quick):
+    reduced = presolve(problem)
+    if reduced.n_poses < 2:
+        return
+    units, others = np.arange(1), np.arange(1, reduced.n_poses)
+    sets = np.column_stack([np.zeros(len(others), dtype=np.int64), others])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("placement.optimiser.bitsets.FEW_PARTNERS", 0 if is_quick else 32)
+        found = best_with_each(reduced, units, others)
+    values = set_values(reduced, np.vstack([sets, found]))
+    assert not values[values.best_row()].exceeds(values[len(sets)])

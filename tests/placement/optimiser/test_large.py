@@ -1,9 +1,7 @@
 """The way of large instances, taken on small ones."""
 
-from dataclasses import replace
 from itertools import combinations
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -15,7 +13,6 @@ from placement.optimiser import (
     placement_value,
     solve_placement,
 )
-from placement.optimiser.solve import look_out, margin_limits_s
 
 
 @given(problem=st.from_type(PlacementProblem))
@@ -40,24 +37,3 @@ def test_all_poses_are_bounded_by_what_they_promise(problem: PlacementProblem) -
     for name in ("apr_one_failed", "mean_margin_s"):
         assert stages[name].bound >= max(getattr(other, name) for other in as_good) - 1e-6
     assert "relaxation of all" in solution.certificate.solver
-
-
-@given(problem=st.from_type(PlacementProblem))
-def test_forced_poses_are_in_the_pool_and_forbidden_ones_are_not(problem: PlacementProblem) -> None:
-    n_poses = problem.table.n_poses
-    is_forced, is_forbidden = np.arange(n_poses) == 0, np.arange(n_poses) == n_poses - 1
-    if n_poses < 2:
-        return
-    limits = replace(problem.limits, is_forced=is_forced, is_forbidden=is_forbidden)
-    pool = look_out(replace(problem, limits=limits)).pool
-    assert 0 in pool
-    assert n_poses - 1 not in pool
-
-
-@given(problem=st.from_type(PlacementProblem))
-def test_no_pose_has_more_to_spare_than_all_together(problem: PlacementProblem) -> None:
-    limit = margin_limits_s(problem)
-    for pose in range(problem.table.n_poses):
-        value = placement_value(problem, [pose])
-        assert value.smallest_margin_s <= max(limit.max(), 0.0) + 1e-9
-        assert value.apr <= problem.measure().of(limit > -np.inf) + 1e-9

@@ -15,9 +15,9 @@ from placement.optimiser import (
     placement_value,
     presolve,
 )
+from placement.optimiser.bit_kernels import mix_rows, number_rows, transpose, transpose_chosen
 from placement.optimiser.bitsets import set_values
 from placement.optimiser.presolve import is_dominated, pack_words, unpack_words
-from placement.optimiser.presolve_kernels import mix_rows, number_rows, turn_chosen, turn_round
 
 ANY_PROBLEM = st.from_type(PlacementProblem)
 BestValue = Callable[[PlacementProblem, Iterable[int]], PlacementValue]
@@ -51,7 +51,7 @@ def test_packing_words_loses_nothing(n_bits: int, seed: int) -> None:
 def test_a_table_turned_round_has_the_same_bits(n_rows: int, n_bytes: int, seed: int) -> None:
     rows = np.random.default_rng(seed).integers(0, 256, (n_rows, n_bytes), dtype=np.uint8)
     columns = np.empty((8 * n_bytes, -(-n_rows // 64)), dtype=np.uint64)
-    turn_round(rows, columns)
+    transpose(rows, columns)
     bits = np.unpackbits(rows, axis=1, bitorder="little").view(bool)
     np.testing.assert_array_equal(unpack_words(columns, n_rows), bits.T)
 
@@ -67,7 +67,7 @@ def test_part_of_a_table_turned_round_has_its_bits(
     place = np.full(8 * n_bytes, -1)
     place[left] = rng.permutation(len(left))
     columns = np.empty((len(left), -(-n_chosen // 64)), dtype=np.uint64)
-    turn_chosen(rows, chosen, place, columns)
+    transpose_chosen(rows, chosen, place, columns)
     bits = np.unpackbits(rows, axis=1, bitorder="little").view(bool)
     np.testing.assert_array_equal(
         unpack_words(columns[place[left]], n_chosen), bits[np.ix_(chosen, left)].T

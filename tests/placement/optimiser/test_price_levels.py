@@ -10,7 +10,7 @@ from small_tables import avoiding_problem
 
 from placement.optimiser import PlacementProblem, cost_eur, is_allowed
 from placement.optimiser.cost_front import level_at_least_eur, level_beyond_eur, price_levels_eur
-from placement.optimiser.enumeration import affordable_sets
+from placement.optimiser.walk import allowed_sets as all_sets_within
 
 
 def allowed_sets(problem: PlacementProblem) -> list[tuple[int, ...]]:
@@ -42,7 +42,7 @@ def test_affordable_sets_are_all_that_the_limits_allow(
     problem: PlacementProblem, max_sets: int
 ) -> None:
     expected = allowed_sets(problem)
-    sizes = affordable_sets(problem.limits, max_sets=max_sets)
+    sizes = all_sets_within(problem.limits, max_sets=max_sets)
     if sizes is None:
         assert len(expected) > max_sets
         return

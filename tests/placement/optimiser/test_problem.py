@@ -99,13 +99,13 @@ def change_problem(problem: PlacementProblem, change: dict[str, Any]) -> None:
     [
         (
             {"budget_units": 0},
-            "--budget: got 0; expected a whole number of units, at least 1",
+            "budget: got 0; expected a whole number of units, at least 1",
         ),
         (
             {"budget_units": 2.5},
-            "--budget: got 2.5; expected a whole number of units, at least 1",
+            "budget: got 2.5; expected a whole number of units, at least 1",
         ),
-        ({"fusion": "all"}, "--fusion: got 'all'; expected one of any, single"),
+        ({"fusion": "all"}, "fusion: got 'all'; expected one of any, single"),
         ({"site_index": np.array([0, 2])}, "site_index: got [0, 2]; expected sites 0..1"),
         (
             {"site_capacity": np.array([1, -1])},

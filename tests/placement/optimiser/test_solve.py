@@ -22,7 +22,7 @@ from placement.optimiser import (
     solve_placement,
 )
 from placement.optimiser.presolve import ReducedProblem
-from placement.optimiser.tolerances import settle
+from placement.optimiser.steering import settle
 
 ANY_PROBLEM = st.from_type(PlacementProblem)
 BestValue = Callable[[PlacementProblem, Iterable[int]], PlacementValue]
@@ -56,9 +56,9 @@ def test_bounds_from_a_poor_start_still_match_brute_force(
 ) -> None:
     # Heuristic and enumeration solve small tables outright; without them the MILPs have to.
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("placement.optimiser.search.solve_heuristically", first_units)
-        patch.setattr("placement.optimiser.search.improve", keep_units)
-        patch.setattr("placement.optimiser.stages.best_of_all", lambda *_, **__: None)
+        patch.setattr("placement.optimiser.stages.search_from_many_starts", first_units)
+        patch.setattr("placement.optimiser.stages.improve", keep_units)
+        patch.setattr("placement.optimiser.stages.can_walk", lambda _: False)
         patch.setattr("placement.optimiser.stages.best_of_few", lambda *_, **__: (None, False))
         solution = solve_placement(problem)
     best = best_value(problem, range(problem.table.n_poses))
@@ -117,7 +117,7 @@ def test_an_apr_of_0_in_the_worst_worlds_proves_no_margin(solver: str) -> None:
     table = replace(problem.table, axis=axis)
     worlds = replace(problem, table=table, sample_index=np.array([0, 1, 1]), tail=0.5)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("placement.optimiser.search.solve_heuristically", first_units)
+        patch.setattr("placement.optimiser.stages.search_from_many_starts", first_units)
         solution = solve_placement(worlds, effort=Effort(solver=solver))
     for stage in solution.certificate.stages[2:4]:
         assert stage.bound == pytest.approx(0.175)
@@ -139,7 +139,7 @@ def test_nothing_is_proven_that_a_solvers_error_may_hide() -> None:
 
 
 def test_effort_says_what_a_time_limit_is() -> None:
-    with pytest.raises(InputError, match=r"--time-limit: got 0\.0; expected seconds, more than 0"):
+    with pytest.raises(InputError, match=r"time_limit: got 0\.0; expected seconds, more than 0"):
         Effort(time_limit_s=0.0)
 
 

@@ -10,24 +10,19 @@ from hypothesis import strategies as st
 from problems import questions
 
 from geometry.arrays import IntArray
-from geometry.clock import now_s
 from placement.detection_table import DetectionTable
-from placement.optimiser import Limits, PlacementProblem, presolve, tied_sets
+from placement.optimiser import Limits, PlacementProblem, presolve
 from placement.optimiser.bitsets import left_after_failures, set_values, union_apr, unions_of
-from placement.optimiser.cover_tree import SetWalk, widest_poses
+from placement.optimiser.bounds import failure_limit, find_root, run_rows
+from placement.optimiser.greedy import improve
 from placement.optimiser.limits import are_allowed
 from placement.optimiser.presolve import ReducedProblem
-from placement.optimiser.set_tree import (
-    avoided_runs,
-    build_links,
-    find_root,
-    first_seen,
-)
-from placement.optimiser.tied_sets import SetSearch, can_walk
+from placement.optimiser.stages import Search
+from placement.optimiser.steering import NEVER, Deadline
+from placement.optimiser.walk import SetWalk, TieSearch, best_of_tied, can_walk, widest_poses
 from scenarios.aeb import load_aeb_rule
 from scenarios.runs import FrameAxis
 
-END_S = np.inf
 ANY_PROBLEM = st.from_type(PlacementProblem)
 
 
@@ -38,42 +33,6 @@ def all_sets(reduced: ReducedProblem, n_units: int) -> IntArray:
 
 def as_tuples(sets: IntArray) -> list[tuple[int, ...]]:
     return sorted(tuple(sorted(units)) for units in sets.tolist())
-
-
-@given(problem=ANY_PROBLEM)
-def test_chains_tell_which_runs_a_set_avoids(problem: PlacementProblem) -> None:
-    reduced = presolve(problem)
-    n_units = reduced.limits.max_units
-    if not len(reduced.weight) or reduced.n_poses < n_units:
-        return
-    sets, links = all_sets(reduced, n_units), build_links(reduced)
-    share = avoided_runs(links, first_seen(links, sets)) @ reduced.weight
-    assert share == pytest.approx(union_apr(reduced, unions_of(reduced, sets)))
-    for unit in range(n_units):
-        others = unions_of(reduced, np.delete(sets, unit, axis=1))
-        share = avoided_runs(links, first_seen(links, sets, left_out=unit)) @ reduced.weight
-        assert share == pytest.approx(union_apr(reduced, others))
-    laid_out = build_links(reduced)
-    assert laid_out.layout.n_phases > 0  # from here on they are looked at by chains
-    for unit in range(-1, n_units):
-        first = (first_seen(some, sets, left_out=unit) for some in (links, laid_out))
-        np.testing.assert_array_equal(*first)
-
-
-@given(problem=questions(), seed=st.integers(0, 99))
-def test_shares_with_each_pose_are_those_of_the_sets(problem: PlacementProblem, seed: int) -> None:
-    reduced = presolve(problem)
-    if not can_walk(reduced):
-        return
-    search, every = SetSearch(reduced), np.arange(reduced.n_poses)
-    rng = np.random.default_rng(seed)
-    units = rng.choice(every, size=seed % reduced.limits.max_units, replace=False)
-    sets = np.column_stack([np.tile(units, (len(every), 1)), every])
-    assert search.shares_with_each(units) == pytest.approx(search.shares(sets))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tied_sets, "_FEW_POSES", 0)
-        some = every[seed % 2 :: 2]
-        assert search.shares_with_each(units, some) == pytest.approx(search.shares(sets[some]))
 
 
 @given(problem=ANY_PROBLEM, n_failures=st.integers(0, 2), place=st.floats(0.0, 1.0))
@@ -91,24 +50,15 @@ def test_a_walk_meets_every_set_that_meets_its_needs(
     left = left_after_failures(reduced, reduced.measure, n_failures, sets)
     need = float(np.quantile(share, place, method="nearest"))
     left_need = float(np.quantile(left, place, method="nearest"))
-    links = build_links(reduced)
-    root = find_root(links, reduced.limits, reduced.weight, n_units=n_units)
-    walk = SetWalk(
-        links,
-        reduced.limits,
-        reduced.weight,
-        root,
-        n_units=n_units,
-        need=need,
-        n_failures=n_failures,
-        left=left_need,
-    )
-    met = np.concatenate([np.empty((0, n_units), dtype=np.int64), *walk.blocks(END_S)])
+    root = find_root(reduced, run_rows(reduced), n_units=n_units)
+    walk = SetWalk(reduced, root, need=need, n_failures=n_failures, left=left_need)
+    met = np.concatenate([np.empty((0, n_units), dtype=np.int64), *walk.blocks(NEVER)])
     meets = (share >= need - 1e-9) & ((n_failures == 0) | (left >= left_need - 1e-9))
     assert walk.is_finished
     assert root.limit >= share.max() - 1e-9
     if meets.any():
-        assert walk.root_limit >= (left if n_failures else share)[meets].max() - 1e-9
+        limit = failure_limit(root, n_failures, need)
+        assert limit >= (left if n_failures else share)[meets].max() - 1e-9
     if n_failures < 2:
         assert as_tuples(met) == as_tuples(sets[meets])
     else:
@@ -116,11 +66,50 @@ def test_a_walk_meets_every_set_that_meets_its_needs(
         assert len(set(as_tuples(met))) == len(met)
 
 
-@given(problem=questions(), at_once=st.booleans())
+@given(problem=questions())
+def test_a_walk_with_forced_poses_meets_every_allowed_set(problem: PlacementProblem) -> None:
+    plain = replace(problem.limits, budget_eur=None, rivals=None, is_forced_site=None)
+    reduced = presolve(replace(problem, limits=plain, floors=(), goal="best", survive=0, tail=1.0))
+    n_units = reduced.limits.max_units
+    if not can_walk(reduced):
+        return
+    sets = all_sets(reduced, n_units)
+    if not len(sets):
+        return
+    share = union_apr(reduced, unions_of(reduced, sets))
+    need = float(np.median(share))
+    root = find_root(reduced, run_rows(reduced), n_units=n_units)
+    assert root.limit >= share.max() - 1e-9
+    walk = SetWalk(reduced, root, need=need)
+    met = np.concatenate([np.empty((0, n_units), dtype=np.int64), *walk.blocks(NEVER)])
+    assert walk.is_finished
+    assert as_tuples(met) == as_tuples(sets[share >= need - 1e-9])
+
+
+def tie_search(
+    reduced: ReducedProblem, units: IntArray, n_failures: int, *, ahead: float = 0.0
+) -> TieSearch:
+    root = find_root(reduced, run_rows(reduced), n_units=reduced.limits.max_units)
+    limit = Search(reduced).limit
+    return TieSearch(
+        reduced,
+        units,
+        walk_from=lambda need, left: SetWalk(
+            reduced, root, need=need, n_failures=n_failures, left=left
+        ),
+        limit=lambda least, deadline: failure_limit(root, n_failures, least, deadline=deadline),
+        ahead=ahead,
+        n_failures=n_failures,
+        on_better=lambda units: improve(reduced, units, limit),
+    )
+
+
+@given(problem=questions(), ahead=st.sampled_from([0.0, 0.01, 0.3]))
 def test_the_best_of_the_tied_sets_is_the_best_of_all(
-    problem: PlacementProblem, at_once: bool
+    problem: PlacementProblem, ahead: float
 ) -> None:
-    reduced = presolve(replace(problem, floors=(), goal="best"))
+    limits = replace(problem.limits, is_forced=None)
+    reduced = presolve(replace(problem, limits=limits, floors=(), goal="best", tail=1.0))
     if not can_walk(reduced):
         return
     sizes = [all_sets(reduced, n) for n in range(1, reduced.limits.max_units + 1)]
@@ -132,21 +121,11 @@ def test_the_best_of_the_tied_sets_is_the_best_of_all(
     for value in values:
         row = value[value.best_row()]
         best = row if row.exceeds(best) else best
-    search = SetSearch(reduced)
-    assert search.apr_limit >= max(search.shares(sets).max() for sets in sizes) - 1e-9
-    with pytest.MonkeyPatch.context() as patch:
-        if not at_once:  # as where that takes too long
-            patch.setattr(tied_sets, "_AT_ONCE_SHARE", 0.0)
-        tied = search.tied(
-            sizes[-1][0],
-            n_failures=reduced.survive,
-            least_apr=None,
-            end_s=END_S,
-            on_better=lambda units: search.climb(units, end_s=END_S),
-        )
+    n_failures = reduced.survive
+    tied = tie_search(reduced, sizes[-1][0], n_failures, ahead=ahead).find(NEVER)
     assert tied.is_finished
     assert tied.sets is not None
-    found = search.best_of(tied.sets, n_failures=reduced.survive, value=tied.value)
+    found = best_of_tied(reduced, tied.sets, n_failures=n_failures, value=tied.value)
     assert found is not None
     np.testing.assert_allclose(set_values(reduced, found[None, :]).gains[0], best.gains, atol=2e-9)
 
@@ -177,7 +156,7 @@ def test_ties_that_an_earlier_part_of_the_walk_met_are_not_lost() -> None:
         sample_index=np.array([0, 1, 1]),
     )
     check = test_the_best_of_the_tied_sets_is_the_best_of_all
-    check.hypothesis.inner_test(problem=problem, at_once=False)  # type: ignore[attr-defined]
+    check.hypothesis.inner_test(problem=problem, ahead=0.3)  # type: ignore[attr-defined]
 
 
 @given(problem=ANY_PROBLEM)
@@ -185,17 +164,15 @@ def test_a_walk_without_time_proves_nothing_but_its_limit(problem: PlacementProb
     reduced = presolve(problem)
     if not can_walk(reduced):
         return
-    search = SetSearch(reduced)
     sets = all_sets(reduced, reduced.limits.max_units)
     if not len(sets):
         return
-    tied = search.tied(
-        sets[0], n_failures=0, least_apr=None, end_s=now_s(), on_better=lambda units: units
-    )
+    shares = union_apr(reduced, unions_of(reduced, sets))
+    tied = tie_search(reduced, sets[0], 0).find(Deadline(-np.inf))
     assert not tied.is_finished
     assert tied.sets is None
-    assert tied.value == pytest.approx(search.shares(sets[:1])[0])
-    assert tied.limit >= search.shares(sets).max() - 1e-9
+    assert tied.value == pytest.approx(shares[0])
+    assert tied.limit >= shares.max() - 1e-9
 
 
 @given(data=st.data(), n_poses=st.integers(1, 12), n_rows=st.integers(1, 10))

@@ -1,0 +1,556 @@
+"""Numba kernels on bits: transposing them, equal and dominated rows, live windows of sets of poses.
+
+There is one layout of detections: a row of 64-bit words for each pose, bits along the merged
+frames, lowest bit first; and its transpose, a row for each frame, bits along the poses. All
+functions work on plain arrays; :mod:`placement.optimiser.presolve` says what they hold.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.kernels import kernel
+
+from .problem import Chains, WordArray
+
+ByteArray = NDArray[np.uint8]
+
+_N_TOGETHER = 16  # words transposed at a time: a line of memory or two
+_N_LOOK = 24  # words of a pose by which others are found out that see less
+
+# ---------- transposing
+
+
+@kernel
+def lowest_bit(word: np.uint64) -> int:
+    """Place of the lowest bit of a word that is not 0."""
+    lowest = word & (~word + np.uint64(1))
+    place = 0
+    if lowest & np.uint64(0xFFFFFFFF00000000):
+        place += 32
+    if lowest & np.uint64(0xFFFF0000FFFF0000):
+        place += 16
+    if lowest & np.uint64(0xFF00FF00FF00FF00):
+        place += 8
+    if lowest & np.uint64(0xF0F0F0F0F0F0F0F0):
+        place += 4
+    if lowest & np.uint64(0xCCCCCCCCCCCCCCCC):
+        place += 2
+    if lowest & np.uint64(0xAAAAAAAAAAAAAAAA):
+        place += 1
+    return place
+
+
+@kernel
+def transpose_blocks(block: WordArray) -> None:
+    """Exchange rows and bits of each column, (64, n).
+
+    Blocks of 64 x 64 bits are turned by exchanging their quarters, down to single bits (Warren,
+    Hacker's Delight, 7-3).
+    """
+    width, mask, n_words = 32, np.uint64(0x00000000FFFFFFFF), np.uint64(block.shape[1])
+    while width:
+        shift = np.uint64(width)
+        for begin in range(0, 64, 2 * width):
+            for one in range(begin, begin + width):
+                for word in range(n_words):
+                    swapped = ((block[one, word] >> shift) ^ block[one + width, word]) & mask
+                    block[one, word] ^= swapped << shift
+                    block[one + width, word] ^= swapped
+        width >>= 1
+        mask ^= mask << np.uint64(width)
+
+
+@kernel
+def transpose(rows: ByteArray, columns: WordArray) -> None:
+    """Bits along the rows of a table as bits along its columns.
+
+    (n_rows, n_bytes) -> (8 n_bytes, n_words), n_words * 64 >= n_rows; lowest bits come first.
+    """
+    transpose_chosen(rows, np.arange(len(rows)), np.arange(8 * rows.shape[1]), columns)
+
+
+@kernel
+def transpose_chosen(
+    rows: ByteArray, chosen: IntArray, place: IntArray, columns: WordArray
+) -> None:
+    """The same of some rows of a table, and of some of its columns.
+
+    `chosen`, (n,), are rows; `place`, (8 n_bytes,), says which row of `columns`, (n_left, n_words),
+    becomes of each bit, or is negative.
+    """
+    block = np.empty((64, _N_TOGETHER), dtype=np.uint64)
+    n_rows, n_bytes, n_words = len(chosen), rows.shape[1], columns.shape[1]
+    for begin in range(0, n_words, _N_TOGETHER):
+        n_together = min(_N_TOGETHER, n_words - begin)
+        for first in range(0, n_bytes, 8):
+            n_there = min(8, n_bytes - first)
+            for lane in range(n_together):
+                word = begin + lane
+                n_in_block = max(0, min(64, n_rows - 64 * word))
+                for bit in range(n_in_block, 64):
+                    block[bit, lane] = 0
+                for bit in range(n_in_block):
+                    row = rows[chosen[64 * word + bit]]
+                    if n_there == 8:  # the compiler makes one load of these
+                        value = (
+                            np.uint64(row[first])
+                            | np.uint64(row[first + 1]) << np.uint64(8)
+                            | np.uint64(row[first + 2]) << np.uint64(16)
+                            | np.uint64(row[first + 3]) << np.uint64(24)
+                            | np.uint64(row[first + 4]) << np.uint64(32)
+                            | np.uint64(row[first + 5]) << np.uint64(40)
+                            | np.uint64(row[first + 6]) << np.uint64(48)
+                            | np.uint64(row[first + 7]) << np.uint64(56)
+                        )
+                    else:
+                        value = np.uint64(0)
+                        for byte in range(n_there):
+                            value |= np.uint64(row[first + byte]) << np.uint64(8 * byte)
+                    block[bit, lane] = value
+            transpose_blocks(block)
+            for bit in range(8 * n_there):
+                column = place[8 * first + bit]
+                if column >= 0:
+                    for lane in range(n_together):
+                        columns[column, begin + lane] = block[bit, lane]
+
+
+# ---------- rows of bits
+
+
+@kernel
+def join_ranges(rows: WordArray, begin: IntArray, end: IntArray, joined: WordArray) -> None:
+    """Bits that are set in one of the rows begin .. end - 1: (n_rows, n) -> (n_ranges, n)."""
+    for place in range(len(begin)):
+        joined[place] = 0
+        for row in range(begin[place], end[place]):
+            for word in range(rows.shape[1]):
+                joined[place, word] |= rows[row, word]
+
+
+@kernel
+def have_bits(rows: WordArray, kept: WordArray, has_bits: BoolArray) -> None:
+    """Whether rows have any of the bits in `kept`, (n_words,)."""
+    for row in range(len(rows)):
+        has_bits[row] = False
+        for word in range(rows.shape[1]):
+            if rows[row, word] & kept[word]:
+                has_bits[row] = True
+                break
+
+
+@kernel
+def lack_nothing(rows: WordArray, kept: WordArray, lacks_nothing: BoolArray) -> None:
+    """Whether rows but the last have all the bits in `kept`, (n_words,), that the next one has."""
+    for row in range(len(rows) - 1):
+        lacks_nothing[row] = True
+        for word in range(rows.shape[1]):
+            if rows[row + 1, word] & ~rows[row, word] & kept[word]:
+                lacks_nothing[row] = False
+                break
+
+
+@kernel
+def mix_rows(rows: WordArray, kept: WordArray, mixed: WordArray) -> None:
+    """A number for each row, equal for rows that are equal within `kept`, (n_words,)."""
+    for row in range(len(rows)):
+        value = np.uint64(0x9E3779B97F4A7C15)
+        for word in range(rows.shape[1]):
+            value = (value ^ (rows[row, word] & kept[word])) * np.uint64(0xFF51AFD7ED558CCD)
+            value ^= value >> np.uint64(32)
+        mixed[row] = value
+
+
+@kernel
+def number_rows(
+    rows: WordArray, kept: WordArray, mixed: WordArray, slots: IntArray, number: IntArray
+) -> int:
+    """Number distinct rows by their first appearance; how many there are.
+
+    Only the bits in `kept`, (n_words,), count; `mixed` are what :func:`mix_rows` makes of them.
+    `slots`, a power of two of -1, more than rows, is working space: what becomes of it are the
+    first rows with each number, behind one another.
+    """
+    first = np.empty(len(rows), dtype=np.int64)
+    n_distinct, n_slots = 0, len(slots)
+    for row in range(len(rows)):
+        slot = np.int64(mixed[row] & np.uint64(n_slots - 1))
+        while slots[slot] >= 0:
+            other = first[slots[slot]]
+            is_equal = mixed[row] == mixed[other]
+            for word in range(rows.shape[1]):
+                if not is_equal:
+                    break
+                is_equal = (rows[row, word] ^ rows[other, word]) & kept[word] == 0
+            if is_equal:
+                break
+            slot = (slot + 1) & (n_slots - 1)
+        if slots[slot] < 0:
+            slots[slot] = n_distinct
+            first[n_distinct] = row
+            n_distinct += 1
+        number[row] = slots[slot]
+    for place in range(n_distinct):
+        slots[place] = first[place]
+    return n_distinct
+
+
+@kernel
+def find_dominated(
+    words: WordArray,
+    order: IntArray,
+    looked: IntArray,
+    columns: WordArray,
+    site: IntArray,
+    price: FloatArray,
+    elsewhere: FloatArray,
+    affordable: FloatArray,
+    may_move: BoolArray,
+    capacity: IntArray,
+    max_units: int,
+    begin: int,
+    step: int,
+    dominated: BoolArray,
+) -> None:
+    """Poses whose dominators other units cannot use up.
+
+    Poses come in the order of dominance, but for the rows of `words`, which `order` gives. Every
+    `step`-th of them from `begin` on is looked at. `columns`, (n_looked, n_poses), are some of the
+    words, `looked`, by which most poses that see less are found out. A dominator costs no more than
+    `affordable`, by its `price` at the same site, `elsewhere` at another one, if the pose
+    `may_move` there.
+    """
+    n_words = words.shape[1]
+    needed, has_bits = np.empty(n_words, dtype=np.int64), np.empty(len(looked), dtype=np.int64)
+    above = np.empty(len(words), dtype=np.int64)
+    at_site = np.zeros(len(capacity), dtype=np.int64)
+    # Poses that may be dropped.
+    for pose in range(begin, len(words), step):
+        row, own, n_blockers, n_needed, n_above, n_look = order[pose], site[pose], 0, 0, 0, 0
+        at_site[:] = 0
+        dominated[pose] = capacity[own] <= 0 or max_units <= 0
+        if dominated[pose]:
+            continue
+        # Poses before it that cost no more; those that see little more come first.
+        for other in range(pose - 1, -1, -1):
+            if (site[other] == own and price[other] <= affordable[pose]) or (
+                may_move[pose] and elsewhere[other] <= affordable[pose]
+            ):
+                above[n_above] = other
+                n_above += 1
+        for number in range(len(looked)):
+            if columns[number, pose]:
+                has_bits[n_look] = number
+                n_look += 1
+        # Some of the pose's words: those that lack a bit of one of them are no dominators.
+        for number in range(min(_N_LOOK, n_look)):
+            column, n_left = columns[has_bits[number * n_look // min(_N_LOOK, n_look)]], 0
+            for rank in range(n_above):
+                above[n_left] = above[rank]
+                n_left += column[pose] & ~column[above[rank]] == 0
+            n_above = n_left
+        if n_above == 0:
+            continue
+        # Words in which the pose sees anything.
+        for word in range(n_words):
+            if words[row, word]:
+                needed[n_needed] = word
+                n_needed += 1
+        # Those that are left, compared word by word, until other units could not use them all up.
+        for rank in range(n_above):
+            other = above[rank]
+            there = site[other]
+            if at_site[there] >= capacity[there]:
+                continue
+            is_above = True
+            for number in range(n_needed):
+                word = needed[number]
+                if words[row, word] & ~words[order[other], word]:
+                    is_above = False
+                    before = number // 2  # where others fail, too
+                    needed[number], needed[before] = needed[before], word
+                    break
+            if is_above:
+                at_site[there] += 1
+                n_blockers += 1
+                dominated[pose] = at_site[own] >= capacity[own] or n_blockers > max_units - 1
+                if dominated[pose]:
+                    break
+
+
+@kernel
+def thin_out(
+    sets: IntArray,
+    set_start: IntArray,
+    tail_frame: IntArray,
+    tail_start: IntArray,
+    n_links: IntArray,
+    is_kept: BoolArray,
+) -> None:
+    """Windows of runs that are not dominated, and how many of them need each tail.
+
+    `sets`, (n_windows, n_frames), are the frames of windows, run by run, ascending in time;
+    `n_links` says how many windows of its run need each tail, and becomes the number of those kept
+    that do.
+    """
+    for run in range(len(set_start) - 1):
+        begin, end = set_start[run], set_start[run + 1]
+        for tail in range(tail_start[run], tail_start[run + 1]):
+            # A window that needs the very frame that a tail is, too, is never without the tail.
+            while n_links[tail] > 0 and has_entry(
+                sets[begin + n_links[tail] - 1], tail_frame[tail]
+            ):
+                n_links[tail] -= 1
+        for window in range(begin, end):
+            # Windows before this one need a tail that this one neither needs nor ensures.
+            first = 0
+            for tail in range(tail_start[run], tail_start[run + 1]):
+                n_before = n_links[tail]
+                if first < n_before <= window - begin and not has_entry(
+                    sets[window], tail_frame[tail]
+                ):
+                    first = n_before
+            is_kept[window] = True
+            for earlier in range(begin + first, window):
+                is_part = True
+                for frame in sets[earlier]:
+                    is_part &= has_entry(sets[window], frame)
+                if is_part:
+                    is_kept[window] = False
+                    break
+        for tail in range(tail_start[run], tail_start[run + 1]):
+            n_kept = 0
+            for window in range(begin, begin + n_links[tail]):
+                n_kept += is_kept[window]
+            n_links[tail] = n_kept
+
+
+@kernel
+def has_entry(entries: IntArray, entry: int) -> bool:
+    """Whether a number is among others."""
+    is_there = False
+    for other in entries:
+        is_there |= other == entry
+    return is_there
+
+
+# ---------- live windows
+
+
+@kernel
+def look_through(
+    union: WordArray,
+    window_frames: IntArray,
+    window: IntArray,
+    start: IntArray,
+    tail_frame: IntArray,
+    tail_links: IntArray,
+    tail_start: IntArray,
+    order: IntArray,
+    lost: FloatArray,
+    most_lost: float,
+    first: IntArray,
+) -> int:
+    """First live windows of chains in some order, until too much is lost: how many that took.
+
+    ``lost[g, k]`` is what is lost in chain g if the k-th of its windows is the first live one of a
+    union of merged frames; it has no rows if nothing can be lost. ``first[g]`` is the number of the
+    chain's windows where none is live.
+    """
+    total = 0.0
+    for rank in range(len(order)):
+        chain = order[rank]
+        place, end = start[chain], start[chain + 1]
+        for tail in range(tail_start[chain], tail_start[chain + 1]):
+            frame = tail_frame[tail]
+            if (union[frame >> 6] >> np.uint64(frame & 63)) & np.uint64(1) == 0:
+                place += tail_links[tail]
+                break
+        while place < end:
+            is_seen = np.uint64(1)
+            for number in range(window_frames.shape[1]):
+                frame = window_frames[window[place], number]
+                is_seen &= union[frame >> 6] >> np.uint64(frame & 63)
+            if is_seen:
+                break
+            place += 1
+        first[chain] = place - start[chain]
+        if len(lost):
+            total += lost[chain, first[chain]]
+            if total > most_lost:
+                return rank
+    return len(order)
+
+
+@kernel
+def first_live_windows(unions: WordArray, chains: Chains, first: IntArray) -> None:
+    """First live window of each chain for each union of merged frames, (n_unions, n_chains)."""
+    order, nothing = np.arange(len(chains.start) - 1), np.empty((0, 0))
+    for row in range(len(unions)):
+        look_through(
+            unions[row],
+            chains.window_frames,
+            chains.window,
+            chains.start,
+            chains.tail_frame,
+            chains.tail_links,
+            chains.tail_start,
+            order,
+            nothing,
+            0.0,
+            first[row],
+        )
+
+
+@kernel
+def first_live_with_each(
+    columns: WordArray,
+    is_seen: BoolArray,
+    chains: Chains,
+    begin: int,
+    end: int,
+    first: NDArray[np.int32],
+) -> None:
+    """First live window of chains begin .. end - 1 for a set with each pose: (n_chains, n_poses).
+
+    `columns` has bits along the poses, (n_frames, n_words), `is_seen` (n_frames,) what the set sees
+    by itself.
+    """
+    window_frames, window, start, tail_frame, tail_links, tail_start = chains
+    n_words, n_poses = columns.shape[1], first.shape[1]
+    every = ~np.uint64(0)
+    # Row t: poses with which the first t tails of the chain are seen, those that most windows need.
+    most = 0
+    for chain in range(begin, end):
+        most = max(most, tail_start[chain + 1] - tail_start[chain])
+    held = np.empty((most + 1, n_words), dtype=np.uint64)
+    held[0] = every
+    left = np.empty(n_words, dtype=np.uint64)  # poses with which no window has been live so far
+    live = np.empty(n_words, dtype=np.uint64)  # those with which a window is
+    for chain in range(begin, end):
+        tail, n_tails = tail_start[chain], tail_start[chain + 1] - tail_start[chain]
+        for number in range(n_tails):
+            frame = tail_frame[tail + number]
+            for word in range(n_words):
+                seen = every if is_seen[frame] else columns[frame, word]
+                held[number + 1, word] = held[number, word] & seen
+        n_links = start[chain + 1] - start[chain]
+        first[chain] = n_links
+        left[:] = every
+        if n_poses & 63:
+            left[n_words - 1] = (np.uint64(1) << np.uint64(n_poses & 63)) - np.uint64(1)
+        for link in range(n_links):
+            while n_tails > 0 and tail_links[tail + n_tails - 1] <= link:
+                n_tails -= 1
+            # Frame by frame the compiler takes several words at a time.
+            for word in range(n_words):
+                live[word] = left[word] & held[n_tails, word]
+            for frame in window_frames[window[start[chain] + link]]:
+                if not is_seen[frame]:
+                    for word in range(n_words):
+                        live[word] &= columns[frame, word]
+            for word in range(n_words):
+                left[word] &= ~live[word]
+                new = live[word]
+                while new != 0:
+                    first[chain, 64 * word + lowest_bit(new)] = link
+                    new &= new - np.uint64(1)
+
+
+@kernel
+def avoid_with_each(
+    columns: WordArray,
+    is_seen: BoolArray,
+    chains: Chains,
+    chain: int,
+    last: int,
+    space: WordArray,
+    avoided: WordArray,
+    part: WordArray,
+) -> None:
+    """Poses with which a set avoids a run, and that see a piece that it is missing, (n_words,).
+
+    A live window among the first `last` of the chain avoids it. `is_seen`, (n_frames,), is what the
+    set sees by itself; `part` is not looked for if it has no words. `space`, (2, n_words), is for
+    poses with which all tails so far are seen, and with which one window is live.
+    """
+    window_frames, window, start, tail_frame, tail_links, tail_start = chains
+    n_words, has_part, every = columns.shape[1], len(part) > 0, ~np.uint64(0)
+    held, live = space[0], space[1]
+    held[:], avoided[:], part[:] = every, 0, 0
+    tail, last_tail = tail_start[chain], tail_start[chain + 1]
+    # Windows of the run, the last one in time first: the earlier, the more tails are needed.
+    for link in range(last - 1, -1, -1):
+        while tail < last_tail and tail_links[tail] > link:
+            frame = tail_frame[tail]
+            tail += 1
+            if not is_seen[frame]:
+                for word in range(n_words):
+                    held[word] &= columns[frame, word]
+                if has_part:
+                    for word in range(n_words):
+                        part[word] |= columns[frame, word]
+        for word in range(n_words):
+            live[word] = held[word]
+        for frame in window_frames[window[start[chain] + link]]:
+            if not is_seen[frame]:
+                for word in range(n_words):
+                    live[word] &= columns[frame, word]
+                if has_part:
+                    for word in range(n_words):
+                        part[word] |= columns[frame, word]
+        for word in range(n_words):
+            avoided[word] |= live[word]
+
+
+@kernel
+def add_weights_with_each(
+    columns: WordArray,
+    is_seen: BoolArray,
+    chains: Chains,
+    run_chain: IntArray,
+    last: IntArray,
+    weight: FloatArray,
+    runs: IntArray,
+    total: FloatArray,
+) -> None:
+    """Add the weight of each of some runs to all poses with which a set avoids it, (n_poses,).
+
+    The first ``last[r]`` windows of chain ``run_chain[r]`` are those of run r; the rest is as for
+    :func:`avoid_with_each`.
+    """
+    n_words = columns.shape[1]
+    space, avoided = np.empty((2, n_words), dtype=np.uint64), np.empty(n_words, dtype=np.uint64)
+    no_part = np.empty(0, dtype=np.uint64)
+    for number in range(len(runs)):
+        run = runs[number]
+        avoid_with_each(
+            columns, is_seen, chains, run_chain[run], last[run], space, avoided, no_part
+        )
+        # Bits that are set, 64 poses at a time.
+        for word in range(n_words):
+            left = avoided[word]
+            while left != 0:
+                pose = 64 * word + lowest_bit(left)
+                if pose < len(total):
+                    total[pose] += weight[run]
+                left &= left - np.uint64(1)
+
+
+@kernel
+def avoid_beside(
+    columns: WordArray,
+    is_seen: BoolArray,
+    chains: Chains,
+    row_chain: IntArray,
+    row_last: IntArray,
+    alone: WordArray,
+    part: WordArray,
+) -> None:
+    """Units that avoid each row beside a set, and that see a missing piece, (n_rows, n_words)."""
+    space = np.empty((2, columns.shape[1]), dtype=np.uint64)
+    for row in range(len(row_chain)):
+        avoid_with_each(
+            columns, is_seen, chains, row_chain[row], row_last[row], space, alone[row], part[row]
+        )

@@ -1,0 +1,323 @@
+"""Third rung where worlds are sampled: sets of two or three units, a class of poses and a pair.
+
+Where detections are drawn, that a pose sees the frame which a window is asked for says little:
+hardly any run is out of reach of a pose. It says much more when another unit is known, since what
+that one sees is not asked for any more. So poses of a site that avoid much the same runs are a
+*class*, as good as all of them together. Classes are gone through, each with those behind it:
+
+* Of the pieces, frames and tails, that are missing in a window, one unit of the pair sees the one
+  that fewest see; and one sees all that are missing in some window, or both see some. Both are bits
+  along the runs: most pairs of classes lose too much by them, then most pairs of poses, at the
+  hardest runs.
+* Sets of what remains are valued on the windows.
+
+A walk that ends has met every set that reaches the need. The mean over the worst worlds is no
+higher than that over all, which bounds it.
+"""
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from copy import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geometry.arrays import BoolArray, FloatArray, IntArray
+
+from .bitsets import shares_with_each, union_apr, unions_of
+from .bounds import Rows, coverers_of, is_covered_by, run_rows
+from .presolve import ReducedProblem, transposed, unpack_words
+from .problem import WordArray
+from .steering import (
+    CLASS_POSES,
+    FEW_PAIRS,
+    HARD_ROWS,
+    MAX_LIKE_POSES,
+    MAX_PAIR_UNITS,
+    NEAR,
+    ROUNDING,
+    TOGETHER,
+    Deadline,
+)
+from .walk import Tied, TieSearch, lost_by_chain
+
+
+def goes_by_pairs(reduced: ReducedProblem) -> bool:
+    """Whether worlds are sampled, and sets so small that pairs are gone through."""
+    limits = reduced.limits
+    is_small = 2 <= limits.max_units <= MAX_PAIR_UNITS
+    return len(reduced.measure.sample_weight) > 1 and is_small and not limits.is_forced.any()
+
+
+def walk_by_pairs(
+    reduced: ReducedProblem,
+    units: IntArray,
+    *,
+    deadline: Deadline,
+    on_better: Callable[[IntArray], IntArray],
+) -> Tied:
+    """All sets as good as the best, by their mean over all worlds, as far as the time goes.
+
+    Where only the worst worlds count, no more than an upper bound: that of the mean.
+    """
+    if reduced.measure.is_mean:
+        walk = PairWalk(reduced, need=0.0)
+        search = TieSearch(
+            reduced,
+            units,
+            walk_from=lambda need, _: walk.again(need),
+            on_better=on_better,
+        )
+        return search.find(deadline)
+    value = float(union_apr(reduced, unions_of(reduced, units[None, :]))[0])
+    of_all = replace(reduced, measure=replace(reduced.measure, tail=1.0))
+    walk = PairWalk(of_all, need=value * (1.0 + NEAR))
+    for block in walk.blocks(deadline):
+        if len(block):
+            walk.raise_needs(float(union_apr(of_all, unions_of(of_all, block)).max()))
+    limit = walk.need if walk.is_finished else reduced.measure.limit
+    return Tied(sets=None, value=value, limit=max(limit, value), is_finished=False)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Units:
+    """Poses, or classes of poses."""
+
+    words: WordArray  # (n, n_frame_words): what each sees, as bits along the frames
+    columns: WordArray  # (n_frames, n_words): the same as bits along the units
+
+
+class PairWalk:
+    """A walk through all sets of two or three units whose mean over all worlds reaches `need`.
+
+    Sites' capacities hold; other limits do not count.
+    """
+
+    def __init__(self, reduced: ReducedProblem, *, need: float) -> None:
+        self.reduced, self.need = reduced, need
+        self.n_units = reduced.limits.max_units
+        self.total = float(reduced.weight.sum())
+        self.is_finished = False  # whether all sets were gone through
+        limits, detections = reduced.limits, reduced.detections
+        self.usable = ~limits.is_forbidden & (limits.site_capacity > 0)[limits.site_index]
+        self.rows, avoided = _hardest_first(reduced)
+        self.seen = np.bitwise_count(detections.columns).sum(axis=1).astype(np.float64)
+        self.lost = lost_by_chain(reduced)
+        chains = self.rows.chain
+        self.order = chains[np.sort(np.unique(chains, return_index=True)[1])]
+        self.class_of = _classes(limits.site_index, self.usable, avoided, self.rows.weight)
+        self.member = np.argsort(self.class_of, kind="stable")[np.sum(self.class_of < 0) :]
+        self.size = np.bincount(self.class_of[self.member])
+        self.start = np.cumsum(self.size) - self.size
+        words = np.zeros((len(self.size), reduced.words.shape[1]), dtype=np.uint64)
+        np.bitwise_or.at(words, self.class_of[self.member], reduced.words[self.member])
+        columns = transposed(words, reduced.n_frames, workers=reduced.workers)
+        self.classes = _Units(words=words, columns=columns)
+        self.poses = _Units(words=reduced.words, columns=detections.columns)
+        self.class_site = limits.site_index[self.member[self.start]]
+
+    def again(self, need: float) -> "PairWalk":
+        """The same walk from its beginning for another need."""
+        walk = copy(self)
+        walk.need, walk.is_finished = need, False
+        return walk
+
+    def raise_needs(self, need: float, left: float = 0.0) -> None:
+        """Ask for more from here on; nothing is asked of what is `left` when units fail."""
+        self.need = max(self.need, need)
+
+    @property
+    def may_lose(self) -> float:
+        """Weight of runs that a set may lose."""
+        return self.total - self.need + ROUNDING * max(self.total, 1.0)
+
+    def blocks(self, deadline: Deadline) -> Iterator[IntArray]:
+        """Sets that reach the need, many at a time, until the deadline.
+
+        An empty block says that nothing was found for a while. The order is left to chance.
+        """
+        is_pair = self.n_units == 2
+        left = iter(self.member.tolist() if is_pair else range(len(self.size)))
+        workers = self.reduced.workers
+        waiting: set[Future[IntArray]] = set()
+        with ThreadPoolExecutor(workers) as threads:
+            while not deadline.is_over:
+                while len(waiting) < 2 * workers and (one := next(left, None)) is not None:
+                    waiting.add(
+                        threads.submit(self._beside_pose if is_pair else self._beside_class, one)
+                    )
+                if not waiting:
+                    self.is_finished = True
+                    return
+                done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+                for future in done:
+                    yield future.result()
+            for future in waiting:
+                future.cancel()
+
+    def _beside_pose(self, pose: int) -> IntArray:
+        """Pairs of a pose and later ones that reach the need."""
+        share = shares_with_each(self.reduced, np.array([pose]))
+        later = np.flatnonzero((self.total - share <= self.may_lose) & self.usable)
+        later = later[later > pose]
+        return self._within_sites(np.column_stack([np.full(len(later), pose), later]))
+
+    def _beside_class(self, one: int) -> IntArray:
+        """Sets of a class and two of those from it on that reach the need."""
+        union = self.classes.words[one]
+        is_open = ~is_covered_by(self.reduced, union, self.rows)
+        rows = self.rows.of(is_open)
+        behind = np.arange(one, len(self.size))
+        place = np.column_stack(np.triu_indices(len(behind)))
+        pairs = behind[place]
+        sites = self.class_site[pairs]
+        capacity = self.reduced.limits.site_capacity
+        is_same = sites == self.class_site[one]
+        needed = 1 + is_same.sum(axis=1)
+        fits = needed <= capacity[self.class_site[one]]
+        fits &= (sites[:, 0] != sites[:, 1]) | (capacity[sites[:, 0]] >= 2)
+        fits &= (pairs[:, 0] != pairs[:, 1]) | (self.size[pairs[:, 0]] >= 2)
+        pairs = pairs[fits]
+        for n_rows in (HARD_ROWS, len(rows.chain)):  # hard runs say most, and are few
+            pairs = self._losing_little(self.classes, union, rows.of(slice(n_rows)), pairs)
+        hard = rows.of(slice(HARD_ROWS))
+        pairs = self._losing_little(self.poses, union, hard, self._members_of(pairs))
+        members = self.member[self.start[one] : self.start[one] + self.size[one]]
+        found = [np.empty((0, 3), dtype=np.int64)]
+        for member in members:
+            left = pairs
+            if len(left) > FEW_PAIRS:  # the class is too wide: its poses see much less
+                left = self._beside_member(int(member), left)
+            sets = np.column_stack([np.full(len(left), member), left])
+            # Two or three of the class itself: once, in ascending order.
+            is_later = (self.class_of[sets[:, 1:]] != one) | (sets[:, 1:] > sets[:, :1])
+            found.append(self._keep(self._within_sites(sets[is_later.all(axis=1)])))
+        return np.concatenate(found)
+
+    def _beside_member(self, member: int, pairs: IntArray) -> IntArray:
+        """Pairs of poses that may lose little beside a pose: at the hardest runs, then at all."""
+        union = self.poses.words[member]
+        is_open = ~is_covered_by(self.reduced, union, self.rows)
+        rows = self.rows.of(is_open)
+        for n_rows in (HARD_ROWS, len(rows.chain)):
+            some = rows.of(slice(n_rows))
+            if len(pairs) > FEW_PAIRS:
+                pairs = self._losing_little(self.poses, union, some, pairs)
+        return pairs
+
+    def _members_of(self, pairs: IntArray) -> IntArray:
+        """All pairs of poses, one of each class of some pairs, (n, 2); of one class, ascending."""
+        sizes = self.size[pairs]
+        count = sizes.prod(axis=1)
+        row = np.repeat(np.arange(len(pairs)), count)
+        number = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
+        one, other = np.divmod(number, np.maximum(sizes[row, 1], 1))
+        first = self.member[self.start[pairs[row, 0]] + one]
+        second = self.member[self.start[pairs[row, 1]] + other]
+        is_once = (pairs[row, 0] != pairs[row, 1]) | (first < second)
+        of_poses: IntArray = np.column_stack([first, second])[is_once]
+        return of_poses
+
+    def _losing_little(
+        self, units: _Units, union: WordArray, rows: Rows, pairs: IntArray
+    ) -> IntArray:
+        """Pairs of units, (n, 2), that may lose little of some rows beside a union."""
+        from .walk_kernels import lost_by_pairs, weigh_bytes
+
+        if not len(pairs) or not len(rows.chain):
+            return pairs
+        bits = _cover_beside(self.reduced, units, union, rows, self.seen)
+        n_words = bits[0].shape[1]
+        padded = np.zeros(64 * n_words)
+        padded[: len(rows.weight)] = rows.weight
+        table, used = np.zeros((8 * n_words, 256)), np.empty(8 * n_words, dtype=np.int64)
+        every = np.full(n_words, ~np.uint64(0))
+        weigh_bytes(padded, every, table, used)
+        lost = np.empty(len(pairs))
+        lost_by_pairs(*bits, table, self.may_lose, pairs, lost)
+        return pairs[lost <= self.may_lose]
+
+    def _within_sites(self, sets: IntArray) -> IntArray:
+        limits = self.reduced.limits
+        sites = limits.site_index[sets]
+        n_there = (sites[:, :, None] == sites[:, None, :]).sum(axis=2)
+        fitting: IntArray = sets[(n_there <= limits.site_capacity[sites]).all(axis=1)]
+        return fitting
+
+    def _keep(self, sets: IntArray) -> IntArray:
+        """Sets that reach the need."""
+        from .walk_kernels import keep_sets
+
+        kept = np.zeros(len(sets), dtype=bool)
+        reduced, order = self.reduced, self.order.copy()
+        keep_sets(reduced.words, reduced.chains, self.lost, order, sets, self.may_lose, kept)
+        return sets[kept]
+
+
+def _hardest_first(reduced: ReducedProblem) -> tuple[Rows, WordArray]:
+    """Rows of all runs, those first in which sets are likely to lose most; who avoids each."""
+    rows = run_rows(reduced)
+    rows = rows.of(rows.weight > 0.0)
+    union = np.zeros(reduced.words.shape[1], dtype=np.uint64)
+    units = _Units(words=reduced.words, columns=reduced.detections.columns)
+    alone = _coverers(reduced, units, union, rows)[0]
+    share = unpack_words(alone, reduced.n_poses).mean(axis=1)
+    # Two more poses are likely to lose what many poses lose.
+    order = np.argsort(-rows.weight * (1.0 - share) ** TOGETHER, kind="stable")
+    return rows.of(order), alone[order]
+
+
+def _coverers(
+    reduced: ReducedProblem, units: _Units, union: WordArray, rows: Rows
+) -> tuple[WordArray, WordArray]:
+    """Units that avoid each row beside a union, and that see a piece of it that is missing."""
+    from .bit_kernels import avoid_beside
+
+    is_seen = unpack_words(union, reduced.n_frames)
+    shape = len(rows.chain), units.columns.shape[1]
+    alone, part = np.empty(shape, dtype=np.uint64), np.empty(shape, dtype=np.uint64)
+    avoid_beside(units.columns, is_seen, reduced.chains, rows.chain, rows.last, alone, part)
+    return alone, part
+
+
+def _cover_beside(
+    reduced: ReducedProblem, units: _Units, union: WordArray, rows: Rows, seen: FloatArray
+) -> tuple[WordArray, WordArray, WordArray]:
+    """Rows as bits, (n_units, n_row_words), as ``walk_kernels.lost_by_pairs`` takes them."""
+    alone, part = _coverers(reduced, units, union, rows)
+    may = coverers_of(reduced, rows, union, seen, columns=units.columns)
+    return tuple(  # type: ignore[return-value]
+        transposed(of_rows, len(units.words), workers=1) for of_rows in (alone, may, part)
+    )
+
+
+def _classes(
+    site_index: IntArray, usable: BoolArray, avoided: WordArray, weight: FloatArray
+) -> IntArray:
+    """Class of each pose, the best classes first; -1: not usable (Ward 1963).
+
+    `avoided`, (n_rows, n_words), says which poses avoid each row.
+    """
+    from scipy.cluster.hierarchy import fcluster, linkage
+
+    class_of, n_classes = np.full(len(site_index), -1), 0
+    bits = unpack_words(avoided, len(site_index)).T
+    for site in np.unique(site_index[usable]):
+        here = np.flatnonzero(usable & (site_index == site))
+        for alike in np.array_split(here, -(-len(here) // MAX_LIKE_POSES)):
+            of_poses = bits[alike] * np.sqrt(weight)
+            number: IntArray = np.zeros(len(alike), dtype=np.int64)
+            if len(alike) > CLASS_POSES:
+                size = (of_poses**2).sum(axis=1)
+                apart = size[:, None] + size - 2.0 * of_poses @ of_poses.T
+                apart = np.sqrt(np.maximum(apart, 0.0))[np.triu_indices(len(alike), 1)]
+                tree = linkage(apart, "ward")
+                of_tree = fcluster(tree, -(-len(alike) // CLASS_POSES), "maxclust")
+                number = np.unique(of_tree, return_inverse=True)[1]
+            class_of[alike] = n_classes + number
+            n_classes += int(number.max()) + 1
+    value, most = bits @ weight, np.zeros(n_classes)
+    np.maximum.at(most, class_of[usable], value[usable])
+    place = np.empty(n_classes, dtype=np.int64)
+    place[np.argsort(-most, kind="stable")] = np.arange(n_classes)
+    return np.where(class_of < 0, -1, place[class_of])

@@ -1,0 +1,289 @@
+"""All numbers that steer the optimiser: tolerances, shares of the time, sizes, steps; and threads.
+
+No other module of this package has such numbers. Three kinds must not be mixed up: what counts as
+equal is part of what "best" means; what rounding or a solver may err by says how far a bound can be
+believed; all others change how long an answer takes and how good it is when the time is up, never
+whether a proof holds.
+"""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from geometry.arrays import FloatArray
+from geometry.clock import now_s
+from geometry.errors import InputError
+
+# ---------- ties: what counts as equal
+
+TOLERANCE = 1.0e-9
+"""Shares and times that differ by no more count as equal: they carry rounding noise."""
+COST_TOLERANCE_EUR = 1.0e-6
+"""Sums of prices that differ by no more are equal."""
+
+# ---------- how far a computed number can be believed
+
+ROUNDING = 1.0e-9
+"""Relative: sums of float64 values in another order, and exchanges that gain no more than that."""
+SOLVER_TOLERANCE = 1.0e-6
+"""HiGHS meets rows, whole numbers and gaps up to this, relative to the sums it is handed."""
+SOLVER_SUM = 1.0e4
+"""What an objective's coefficients are scaled to in sum: HiGHS's tolerances are absolute."""
+HELD_SLACK = 1.0e-3
+"""Of the mean weight: rows that hold an earlier stage are relaxed by it, well above HiGHS's own
+tolerance. Asking for a sum to the last digit made it call feasible problems infeasible. Answers are
+checked exactly anyway."""
+TINY = 1.0e-300
+"""Keeps a sum of nothing from being divided by."""
+MOST_STEPS = 1.0e5
+"""A step between values is told from a solver's error where no value is more steps than this."""
+STEP_UP = 2.0 * TOLERANCE
+"""Added to a value to ask for more than that, where values have no common step."""
+DECIMALS = 8
+"""Values are rounded to so many places where they are sorted: what is below is rounding noise."""
+
+# ---------- time
+
+TIME_SHARES = {
+    "first set": 0.1,  # searches settle early; what they miss is found by the walk
+    "few sets": 0.5,  # a tenth of that suffices for the sizes below
+    "walk": 0.6,  # what it leaves is for the relaxation and HiGHS
+    "worlds": 0.9,  # nothing else bounds drawn detections as well
+    "relaxation": 0.5,  # settles within seconds
+    "as if units failed": 0.6,  # where sites fail; in most cases that is the answer
+    "point of a front": 0.5,  # most points leave some of it to those after them
+    "model stated": 0.5,  # HiGHS is handed a model in as long again
+}
+"""Share of the time left that a step may take, by step."""
+LONGEST_S = 1.0e6
+"""HiGHS is given no more: eleven days."""
+LEAST_S = 1.0e-3
+"""Left to a step when the time is up, so that every answer has a layout."""
+WALK_WORK = 30_000_000
+"""Bytes that a walk looks at between two looks at the clock: some hundredths of a second."""
+SPELL_S = 0.1
+"""Time of a thread for sets that are valued, between two looks at the clock. [s]"""
+
+# ---------- sizes up to which a method is used
+
+MAX_BITS = 1_000_000_000
+"""Detections in a table that is still solved as a whole: 125 MB, presolved in seconds."""
+MAX_CELLS = 1 << 28
+"""Poses x merged frames in a model of HiGHS: it takes some bytes for each."""
+MAX_FEW_SETS, MAX_SETS_OF_MONEY = 60_000, 1_000_000
+"""Sets that are valued one by one: a second or two; more where money is short, as no walk does."""
+FEW_SETS_PER_SECOND = 30_000
+"""Measured: two to three times as many; where less time is left, fewer sets are few."""
+MAX_GROWN_SETS = 20_000_000
+"""Sets whose limits are looked at to find out how many are allowed."""
+MAX_WALK_UNITS = 16
+"""A walk through sets of more units does not end."""
+MAX_PAIR_UNITS = 3
+"""Units of sets that are gone through pair by pair: two or three."""
+MAX_TIED = 100_000
+"""Sets that tie and are kept, to choose among them in later stages."""
+POOL_POSES = 400
+"""Of a large table, the poses among which a layout is looked for: those that gain most."""
+BLOCK_SETS = 1 << 12
+"""Sets that are valued at a time: their margins stay in the cache."""
+BLOCK_POSES = 1 << 14
+"""Rows of a large table that are gone through at a time."""
+FEW_TASKS = 64
+"""What is less is not worth threads."""
+MANY_ROWS = 1 << 12
+"""Rows whose hashes are worth threads."""
+
+# ---------- presolve
+
+LOOKED_WORDS = 256
+"""Words of poses, evenly spread, by which most that see less are found out."""
+
+# ---------- first sets
+
+SEED = 1
+"""Of restarts."""
+N_RESTARTS = 40
+"""At most so many; they end after one more than units without a better set."""
+FEW_PARTNERS = 32
+"""Poses that are valued in all objectives one by one; for more, bits along the poses are faster."""
+
+# ---------- Lagrangian bound
+
+PRICE_START = 0.3
+"""First price of a row, as a share of its weight: near what it is at the end."""
+STEP_LENGTH = 0.7
+"""First step, as a share of the way to a bound of 0 (Polyak's rule with that target)."""
+DEFLECTION = 0.7
+"""Share of the last direction that is carried over (Camerini, Fratta, Maffioli 1975)."""
+STEP_CUT = 0.6
+"""Steps are cut by it after so many without a better bound:"""
+PATIENCE = 6
+MEMORY = 0.97
+"""Share of what was picked before, in averages that tend to a relaxed solution."""
+FIRST_STEPS, LATER_STEPS = 250, 120
+"""Steps of the first round, and of rounds that begin with good prices."""
+ASK_ROUNDS = 8
+"""Rounds in which windows are asked for the frame that is seen least; most settle before."""
+SETTLED = 1.0e-5
+"""Relative: a round that lowers the bound by less is the last one."""
+SHARE_DIGITS = 3
+"""Frames whose shares agree to so many places are seen alike: the first is asked for."""
+SMALL_SHARE = 1.0e-3
+"""Poses with less are no part of a relaxed solution."""
+FAILURE_PRICES = (0.0, 0.3, 1.0, 3.0)
+"""Prices of the whole APR that are tried where units fail: the best is near one of them."""
+CORE_POSES, CORE_BITS = 500, 100_000
+"""OSQP is handed so many poses, fewer if these cover more rows: its factor grows with them."""
+POLISH_ROUNDS, POLISH_STEPS = 4, 300
+"""Cores, each with those poses that were too good for the one before; OSQP's steps in each."""
+POLISH_WAY = (0.2, 0.4, 0.6, 0.8, 1.0)
+"""Points between old and new prices that are tried (in-out separation, Ben-Ameur, Neto 2007)."""
+OSQP_REGULARISATION = 1.0e-3
+"""Makes the relaxed solution unique, as OSQP's steps like it; the bound is repaired anyway."""
+OSQP_TOLERANCE, OSQP_PENALTY, OSQP_OVERRELAXATION = 1.0e-5, 1.0, 1.8
+"""Measured: two to five times fewer steps than with OSQP's own."""
+
+# ---------- walks
+
+NEAR = 0.009
+"""Relative: where ties are many, it is first proven that no set is better by more than that."""
+STOP_DEPTH = 2
+"""Nodes of this depth are handed out to threads."""
+OUT_SETS = 1 << 8
+"""Sets of classes that a walk finds before they are valued."""
+CLASS_POSES, MAX_LIKE_POSES = 12, 2000
+"""Poses of a class, on average, where worlds are sampled; how many are compared in one go."""
+HARD_ROWS = 512
+"""Runs by which pairs of poses are found out that lose too much: those in which most is lost."""
+FEW_PAIRS = 200
+"""Pairs of poses beside a class that are valued with each of its poses at once."""
+TOGETHER = 16
+"""A run is hard if so many poses drawn at random are likely to lose it together."""
+
+
+# ---------- effort, threads, the clock
+
+
+SolverName = Literal["auto", "exact", "relax", "greedy"]
+WORKERS = os.cpu_count() or 1
+"""Threads by default."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Effort:
+    """How hard to try.
+
+    Attributes
+    ----------
+    solver : {"auto", "exact", "relax", "greedy"}
+        "greedy": search only, bounded by what all poses together reach; "relax": the bounds of
+        relaxations, too; "exact": walks and mixed-integer models, too, until the time is up;
+        "auto": the same, but of a table that is too large the most promising poses alone.
+    time_limit_s : float
+        For all stages together; presolve and the first layout are finished in any case. When it is
+        up, the best layout found is kept and the gaps say what is not proven. [s]
+    gap : float
+        Relative gap at which a stage counts as settled.
+    workers : int
+        Threads, at least 1; by default one per processor. They change no result that is proven.
+    """
+
+    solver: SolverName = "auto"
+    time_limit_s: float = 60.0
+    gap: float = 0.0
+    workers: int = WORKERS
+
+    def __post_init__(self) -> None:
+        if self.solver not in ("auto", "exact", "relax", "greedy"):
+            raise InputError("solver", self.solver, "one of auto, exact, relax, greedy")
+        if not self.time_limit_s > 0.0:
+            raise InputError("time_limit", self.time_limit_s, "seconds, more than 0")
+        if not 0.0 <= self.gap < 1.0:
+            raise InputError("gap", self.gap, "a share, 0 <= gap < 1")
+        if self.workers < 1:
+            raise InputError("workers", self.workers, "threads, at least 1")
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether walks and models may prove what relaxations do not."""
+        return self.solver in ("auto", "exact")
+
+
+@dataclass(frozen=True, slots=True)
+class Deadline:
+    """The instant of `geometry.clock` at which an answer is due, and how the time is split."""
+
+    end_s: float
+
+    def left_s(self) -> float:
+        """Time left, in seconds; not negative."""
+        return max(self.end_s - now_s(), 0.0)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether no time is left."""
+        return now_s() >= self.end_s
+
+    def of(self, step: str) -> "Deadline":
+        """Deadline of a step, one of :data:`TIME_SHARES`."""
+        return Deadline(now_s() + TIME_SHARES[step] * self.left_s())
+
+
+def deadline_in(seconds: float) -> Deadline:
+    """Deadline in so many seconds."""
+    return Deadline(now_s() + seconds)
+
+
+NEVER = Deadline(np.inf)
+
+
+def share_out(
+    work: Callable[[int, int], None], count: int, *, workers: int, few: int = FEW_TASKS
+) -> None:
+    """Call ``work(begin, end)`` for parts of 0 .. `count`, one in each thread.
+
+    What is less than `few` is done at once. Kernels let other threads run.
+    """
+    if count < few or workers == 1:
+        work(0, count)
+        return
+    bounds = [count * number // workers for number in range(workers + 1)]
+    with ThreadPoolExecutor(workers) as threads:
+        list(threads.map(work, bounds[:-1], bounds[1:]))
+
+
+# ---------- arithmetic of bounds
+
+
+def common_step(amounts: FloatArray) -> float:
+    """What non-negative amounts are whole multiples of: the least of them; 0 where they are not.
+
+    Nor is there a step where the amounts sum up to more than :data:`MOST_STEPS` of it.
+
+    Examples
+    --------
+    >>> common_step(np.array([0.25, 0.0, 0.75])), common_step(np.array([0.25, 0.6]))
+    (0.25, 0.0)
+    """
+    positive = amounts[amounts > 0.0]
+    if not len(positive) or positive.sum() > MOST_STEPS * positive.min():
+        return 0.0
+    count = positive / positive.min()
+    is_whole = np.abs(count - count.round()) <= ROUNDING * count
+    return float(positive.min()) if is_whole.all() else 0.0
+
+
+def settle(value: float, bound: float, limit: float, *, step: float = 0.0) -> float:
+    """Upper bound of a stage from what a solver says; `limit` holds without it.
+
+    All possible values are whole multiples of `step`, where that is not 0: then a bound proves the
+    value that it exceeds by less than a step. Else it proves the value that it equals.
+    """
+    error = SOLVER_TOLERANCE * max(1.0, abs(value))
+    if bound < value - error:
+        return limit  # the solver errs: a set with this value is at hand
+    return value if bound <= value + max(TOLERANCE, step - error) else min(limit, bound)

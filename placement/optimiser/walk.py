@@ -1,0 +1,551 @@
+"""Third rung: all sets of so many units that lose little, and the best of those that tie.
+
+As in :mod:`placement.optimiser.bounds`, a set avoids a run only if one of its poses *covers* it,
+and runs that the same poses cover are one row. Of the poses at a site, most cover no row that
+another one there does not cover: a *class* is a pose that is widest in this sense with those below
+it. Every set of poses is one of each of so many classes, some of them perhaps several times. So the
+walk is one through sets of classes, each as good as its widest pose:
+
+* It asks which class covers the row that fewest cover. Where hardly anything may be lost, that
+  leaves few classes at every node. When they have been tried, the row is lost.
+* With m units to come, the m best classes at most cover what is not covered yet, and m - N of them
+  if N units to come fail, or m - N + 1 if one of the chosen fails, which loses what it covers
+  alone. The gains are weighed by the rows' weights, and by Lagrangian prices.
+
+What remains is spelled out: sets of poses, one of each class, valued on the windows, where poses of
+a class that is not settled yet see together. A walk that ends has met every set.
+
+The stages after the APR choose among sets that tie. Where few do, they are all valued, and every
+later stage is proven at once. Where they are many, the APR that is left when units fail is asked
+for in the walk, too; few sets are best in both.
+"""
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass
+from itertools import combinations
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from geometry.arrays import BoolArray, FloatArray, IntArray
+
+from .bitsets import (
+    BestSet,
+    left_after_failures,
+    set_values,
+    shares_with_each,
+    union_apr,
+    unions_of,
+)
+from .bounds import Root, rounded_down
+from .greedy import forced_units
+from .limits import Limits, are_allowed, costs_eur
+from .objectives import Objective
+from .presolve import ReducedProblem, transposed, unpack_words
+from .steering import (
+    BLOCK_SETS,
+    COST_TOLERANCE_EUR,
+    MANY_ROWS,
+    MAX_GROWN_SETS,
+    MAX_TIED,
+    MAX_WALK_UNITS,
+    NEVER,
+    OUT_SETS,
+    ROUNDING,
+    SOLVER_TOLERANCE,
+    SPELL_S,
+    STEP_UP,
+    STOP_DEPTH,
+    TOLERANCE,
+    WALK_WORK,
+    Deadline,
+    deadline_in,
+)
+
+if TYPE_CHECKING:
+    from .walk_kernels import Walk
+
+
+def can_walk(reduced: ReducedProblem) -> bool:
+    """Whether best sets have as many units as allowed or are parts of such: no floors or money."""
+    limits = reduced.limits
+    n_forced = int(limits.is_forced.sum())
+    return (
+        limits.budget_eur is None
+        and not (limits.is_forced_site.any() or len(limits.rivals) or reduced.floors)
+        and not reduced.objectives[0].is_minimised
+        and len(reduced.weight) > 0
+        and max(2, n_forced + 1) <= limits.max_units <= min(MAX_WALK_UNITS, reduced.n_poses)
+        and not (n_forced and reduced.survive)
+    )
+
+
+# ---------- all sets, where they are few
+
+
+def best_of_few(
+    reduced: ReducedProblem, *, max_sets: int, deadline: Deadline = NEVER
+) -> tuple[IntArray | None, bool]:
+    """Best of all allowed sets, of any size, where they are few.
+
+    Gives up if there are more than `max_sets`, or at the deadline. The units are None if no set is
+    allowed or it gave up at once; the flag says whether all sets were gone through.
+    """
+    sizes = allowed_sets(reduced.limits, max_sets=max_sets)
+    if sizes is None:
+        return None, False
+    best, least = BestSet(), -np.inf
+    is_by_apr = reduced.objectives[0] is Objective.APR and not reduced.floors
+    for sets in sizes:
+        for begin in range(0, len(sets), BLOCK_SETS):
+            if deadline.is_over:
+                return best.units, False
+            part = sets[begin : begin + BLOCK_SETS]
+            if is_by_apr:  # all else takes longer, and matters for few
+                share = union_apr(reduced, unions_of(reduced, part))
+                least = max(least, float(share.max()) - TOLERANCE)
+                part = part[share >= least]
+            if len(part):
+                best.offer(part, set_values(reduced, part))
+    return best.units, True
+
+
+def allowed_sets(limits: Limits, *, max_sets: int) -> list[IntArray] | None:
+    """All sets within limits, by their size: those that are forced and 0, 1, 2, .. others.
+
+    None if there are more than `max_sets` sets, or too many to find out.
+    """
+    forced = np.flatnonzero(limits.is_forced)
+    poses = np.flatnonzero(~limits.is_forbidden & ~limits.is_forced)
+    grown, sizes, n_sets = forced[None, :], [], 0
+    for n_units in range(len(forced), limits.max_units + 1):
+        if n_units:
+            sets = grown[are_allowed(limits, grown)]
+            n_sets += len(sets)
+            if n_sets > max_sets:
+                return None
+            sizes.append(np.sort(sets, axis=1))
+        if n_units == limits.max_units or not len(grown):
+            break
+        if len(grown) * len(poses) > max(MANY_ROWS, min(MAX_GROWN_SETS, 100 * max_sets)):
+            return None
+        # A later pose than the last one: every set comes up once.
+        is_later = np.ones((len(grown), len(poses)), dtype=bool)
+        if n_units > len(forced):
+            is_later = poses[None, :] > grown[:, -1:]
+        row, later = np.nonzero(is_later)
+        grown = np.column_stack([grown[row], poses[later]])
+        grown = grown[_may_grow(limits, grown)]
+    return sizes
+
+
+def _may_grow(limits: Limits, sets: IntArray) -> BoolArray:
+    """Which sets fit into sites and money; what is forced may still be missing."""
+    sites = limits.site_index[sets]
+    n_there = (sites[:, :, None] == sites[:, None, :]).sum(axis=2)
+    fits: BoolArray = (n_there <= limits.site_capacity[sites]).all(axis=1)
+    if limits.budget_eur is not None:
+        fits &= costs_eur(limits, sets) <= limits.budget_eur + COST_TOLERANCE_EUR
+    return fits
+
+
+# ---------- the walk
+
+
+class SetWalk:
+    """A walk through all sets of so many units that reach `need`, also when units fail.
+
+    With failures, `left` is what must remain of any `n_failures` of them; sets are checked exactly
+    for one failure, and for more only by bounds. Forced poses are in every set; sites' capacities
+    hold; other limits do not count.
+    """
+
+    def __init__(
+        self,
+        reduced: ReducedProblem,
+        root: Root,
+        *,
+        need: float,
+        n_failures: int = 0,
+        left: float = 0.0,
+    ) -> None:
+        from .walk_kernels import Covers
+
+        self.reduced, self.root, self.n_failures = reduced, root, n_failures
+        self.forced, choice = forced_units(reduced), root.choice
+        self.base = np.bitwise_or.reduce(reduced.words[self.forced], axis=0, initial=np.uint64(0))
+        self.n_units, self.capacity = choice.n_units, choice.room
+        self.total = float(reduced.weight.sum())
+        usable = (choice.is_open > 0) & (choice.room > 0)[choice.site]
+        rows = unpack_words(root.covers, len(root.weight))
+        widest, class_of = widest_poses(rows, choice.site, usable)
+        self.member = np.argsort(class_of, kind="stable")[np.count_nonzero(class_of < 0) :]
+        size = np.bincount(class_of[class_of >= 0], minlength=len(widest))
+        self.start = np.cumsum([0, *size])
+        self.of_class = np.zeros((len(widest), reduced.words.shape[1]), dtype=np.uint64)
+        np.bitwise_or.at(self.of_class, class_of[self.member], reduced.words[self.member])
+        covers = root.covers[widest]
+        self.covers = Covers(
+            covers=covers,
+            coverers=transposed(covers, len(root.weight), workers=reduced.workers),
+            rows=covers.view(np.uint8),
+            weight=root.weight,
+            price=np.minimum(root.price, root.weight),
+            site=choice.site[widest],
+            copies=np.minimum(size, choice.room[choice.site[widest]]),
+        )
+        self.lost = lost_by_chain(reduced)
+        self.order = _hardest_first(reduced, self.lost, root)
+        self.may_lose = np.zeros(2)
+        self.is_finished = False  # whether all sets were gone through
+        self.raise_needs(need, left)
+
+    def raise_needs(self, need: float, left: float = 0.0) -> None:
+        """Ask for more from here on."""
+        self.may_lose[:] = [self.total - need, self.total - left]
+        self.may_lose += ROUNDING * max(self.total, 1.0)
+
+    def blocks(self, deadline: Deadline) -> Iterator[IntArray]:
+        """Sets that meet the needs, many at a time, until the deadline.
+
+        An empty block says that nothing was found for a while. All threads walk, each behind some
+        node near the root at a time: the order of the sets is left to chance.
+        """
+        if self.n_units == 1:
+            yield self._alone()
+            return
+        spare: list[_Task] = []
+        tasks = self._tasks(spare)
+        workers = self.reduced.workers
+        waiting: set[Future[tuple[_Task, list[IntArray]]]] = set()
+        with ThreadPoolExecutor(workers) as threads:
+            while not deadline.is_over:
+                while len(waiting) < 2 * workers and (task := next(tasks, None)) is not None:
+                    waiting.add(threads.submit(task.go_on))
+                if not waiting:
+                    self.is_finished = True
+                    return
+                done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+                for future in done:
+                    task, found = future.result()
+                    if task.is_done:
+                        spare.append(task)
+                    else:
+                        waiting.add(threads.submit(task.go_on))
+                    yield self._with_forced(found)
+
+    def _with_forced(self, found: list[IntArray]) -> IntArray:
+        sets = np.concatenate([np.empty((0, self.n_units), dtype=np.int64), *found])
+        return np.column_stack([np.tile(self.forced, (len(sets), 1)), sets])
+
+    def _alone(self) -> IntArray:
+        """Sets of the forced poses and one more that lose little."""
+        share = shares_with_each(self.reduced, self.forced)
+        share[~np.isin(np.arange(len(share)), self.member)] = -np.inf
+        self.is_finished = True
+        return self._with_forced([np.flatnonzero(self.total - share <= self.may_lose[0])[:, None]])
+
+    def _tasks(self, spare: "list[_Task]") -> "Iterator[_Task]":
+        """The nodes near the root, one after the other; tasks that are done are taken again."""
+        from .walk_kernels import AT_STOP, DONE, grow
+
+        stop = max(min(STOP_DEPTH, self.n_units - 2), 1)
+        scout = _Task(self)
+        while True:
+            state = grow(self.covers, scout.walk, self.n_failures, stop, WALK_WORK, scout.out)
+            if state == DONE:
+                return
+            if state == AT_STOP:
+                task = spare.pop() if spare else _Task(self)
+                task.begin_at(scout.walk)
+                yield task
+                scout.walk.where[0] -= 1
+                scout.walk.where[1] = 0
+
+
+class _Task:
+    """A walk behind a node, and the sets of classes it is about to spell out."""
+
+    def __init__(self, owner: SetWalk) -> None:
+        from .walk_kernels import Walk
+
+        self.owner, self.is_done, self.is_walked = owner, False, False
+        self.waiting: list[IntArray] = []  # to be spelled out
+        self.order = owner.order.copy()
+        n_units, (n_poses, n_words) = owner.n_units, owner.covers.covers.shape
+        of_rows = (n_units + 1, n_words)
+        self.out = np.empty((OUT_SETS, n_units), dtype=np.int64)
+        self.walk = Walk(
+            where=np.array([0, 1, 0, 0, 0]),
+            may_lose=owner.may_lose,
+            chosen=np.zeros(n_units, dtype=np.int64),
+            once=np.zeros(of_rows, dtype=np.uint64),
+            twice=np.zeros(of_rows, dtype=np.uint64),
+            gone=np.zeros(of_rows, dtype=np.uint64),
+            lost=np.zeros(n_units + 1),
+            is_open=np.ones((n_units + 1, n_poses), dtype=bool),
+            room=np.tile(owner.capacity, (n_units + 1, 1)),
+            queue=np.zeros((n_units, n_poses), dtype=np.int64),
+            n_queued=np.zeros(n_units, dtype=np.int64),
+            position=np.zeros(n_units, dtype=np.int64),
+            gain=np.zeros(n_poses),
+            beside=np.zeros(n_poses),
+            table=np.zeros((8 * n_words, 256)),
+            used=np.zeros(8 * n_words, dtype=np.int64),
+            best=np.zeros(n_units, dtype=np.int64),
+        )
+
+    def begin_at(self, walk: "Walk") -> None:
+        """Begin behind the node that another walk stands at."""
+        depth = int(walk.where[0])
+        self.is_done = self.is_walked = False
+        self.walk.where[:] = depth, 1, 0, 0, depth
+        self.walk.chosen[:depth] = walk.chosen[:depth]
+        for name in ("once", "twice", "gone", "lost", "is_open", "room"):
+            getattr(self.walk, name)[depth] = getattr(walk, name)[depth]
+
+    def go_on(self) -> "tuple[_Task, list[IntArray]]":
+        """Spell out for a while what was found, then walk on."""
+        from .walk_kernels import DONE, grow
+
+        owner = self.owner
+        found: list[IntArray] = []
+        stop = deadline_in(SPELL_S)
+        while self.waiting and not stop.is_over:
+            found += self._spell_out(self.waiting.pop())
+        if not self.waiting and not self.is_walked:
+            self.walk.where[2] = 0
+            state = grow(owner.covers, self.walk, owner.n_failures, -1, WALK_WORK, self.out)
+            self.is_walked = state == DONE
+            self.waiting = [np.sort(classes) for classes in self.out[: self.walk.where[2]]]
+        self.is_done = self.is_walked and not self.waiting
+        return self, found
+
+    def _spell_out(self, classes: IntArray) -> list[IntArray]:
+        from .walk_kernels import spell_out
+
+        owner = self.owner
+        place, found = np.append(np.full(len(classes), -1), 0), []
+        while place[-1] >= 0:
+            sets = np.empty((256, len(classes)), dtype=np.int64)
+            n_found = spell_out(
+                owner.reduced.words,
+                owner.of_class,
+                owner.base,
+                owner.start,
+                owner.member,
+                owner.reduced.chains,
+                owner.lost,
+                self.order,
+                owner.may_lose,
+                owner.n_failures > 0,
+                classes,
+                place,
+                sets,
+            )
+            found.append(sets[:n_found])
+        return found
+
+
+def widest_poses(
+    rows: BoolArray, site_index: IntArray, usable: BoolArray
+) -> tuple[IntArray, IntArray]:
+    """Poses that cover what no other one at their site covers, and the class of each pose.
+
+    `rows`, (n_poses, n_rows), says what each covers. Classes are numbered as the widest poses are;
+    -1: not usable.
+    """
+    widest, class_of, n_classes = [], np.full(len(rows), -1), 0
+    for site in np.unique(site_index[usable]):
+        poses = np.flatnonzero(usable & (site_index == site))
+        poses = poses[np.argsort(-rows[poses].sum(axis=1), kind="stable")]
+        covers = rows[poses].astype(np.float32)
+        above = covers @ covers.T >= covers.sum(axis=1)[:, None] - 0.5
+        first = above.argmax(axis=1)  # a wider one, or the first of those as wide
+        is_widest = first == np.arange(len(poses))
+        place = np.cumsum(is_widest) - 1
+        # The first above is widest itself: what is above it would come before.
+        class_of[poses] = n_classes + place[first]
+        widest.append(poses[is_widest])
+        n_classes += int(is_widest.sum())
+    return np.concatenate([np.empty(0, dtype=np.int64), *widest]), class_of
+
+
+def lost_by_chain(reduced: ReducedProblem) -> FloatArray:
+    """Weight of runs that are lost by chain and first live window, (n_chains, longest + 1)."""
+    longest = int(np.diff(reduced.chains.start).max(initial=0))
+    lost = np.zeros((reduced.n_chains, longest + 1))
+    for chain, last, weight in zip(reduced.run_chain, reduced.last, reduced.weight, strict=True):
+        lost[chain, last:] += weight
+    return lost
+
+
+def _hardest_first(reduced: ReducedProblem, lost: FloatArray, root: Root) -> IntArray:
+    """Chains in the order of what the worthiest poses lose in them."""
+    from .bit_kernels import first_live_windows
+
+    best = np.argsort(-root.gains(), kind="stable")[:256]
+    first = np.empty((len(best), reduced.n_chains), dtype=np.int64)
+    first_live_windows(reduced.words[best], reduced.chains, first)
+    mean = lost[np.arange(reduced.n_chains), first].mean(axis=0)
+    order: IntArray = np.argsort(-mean, kind="stable")
+    return order
+
+
+# ---------- sets that tie
+
+
+class SomeWalk(Protocol):
+    """A walk through all sets that meet needs, which may be raised on the way."""
+
+    is_finished: bool  # whether all sets were gone through
+
+    def blocks(self, deadline: Deadline) -> Iterator[IntArray]:
+        """Sets, many at a time, until the deadline."""
+
+    def raise_needs(self, need: float, left: float = 0.0) -> None:
+        """Ask for more from here on."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Tied:
+    """Sets that tie at the best value of a stage."""
+
+    sets: IntArray | None  # (n, n_units): all of them; None: too many, or not all were looked at
+    value: float  # the best that was found
+    limit: float  # no set exceeds it
+    is_finished: bool  # whether the value is proven
+
+
+class TieSearch:
+    """Looks for all sets as good as the best, by the APR when units fail, 0 for none.
+
+    `units` is the best set so far; `walk_from` begins a walk for what whole sets must reach, and
+    what must be left of them; `limit` bounds all sets that reach so much. Where `ahead` is not 0,
+    it is first proven that no set is better by that. `least_apr` is what the whole set must reach,
+    by default what must be left. `on_better` takes better sets and returns what they were improved
+    to.
+    """
+
+    def __init__(
+        self,
+        reduced: ReducedProblem,
+        units: IntArray,
+        *,
+        walk_from: "Callable[[float, float], SomeWalk]",
+        limit: Callable[[float, Deadline], float] | None = None,
+        ahead: float = 0.0,
+        n_failures: int = 0,
+        least_apr: float | None = None,
+        on_better: Callable[[IntArray], IntArray] = lambda units: units,
+    ) -> None:
+        self.reduced, self.walk_from, self.limit = reduced, walk_from, limit
+        self.n_failures, self.least_apr, self.on_better = n_failures, least_apr, on_better
+        self.best = float(self._value_of(np.sort(units)[None, :])[0])
+        self.ahead = ahead
+        self.tied: list[IntArray] = []
+        self.has_all = True
+
+    def find(self, deadline: Deadline) -> Tied:
+        """Prove the best value, as far as the time goes, then meet all ties.
+
+        It takes much less to prove that nothing is better by a step, where values are so far apart,
+        or by a little, than to meet all ties.
+        """
+        step = (1.0 - SOLVER_TOLERANCE) * self.reduced.measure.step
+        is_near = self.ahead > 0.0
+        ahead = self.ahead if is_near else step
+        if deadline.is_over:
+            return self._unproven(self.reduced.measure.limit)
+        limit = self.reduced.measure.limit
+        if self.limit is not None:
+            need = self.best if self.least_apr is None else self.least_apr
+            limit = min(limit, rounded_down(self.reduced, self.limit(need, deadline)))
+        is_proven = False
+        if ahead > 0.0 and (not is_near or limit >= self.best + ahead):
+            if not self._walk(deadline, ahead):
+                return self._unproven(limit)
+            is_proven = not is_near
+            limit = min(limit, rounded_down(self.reduced, self.best + ahead))
+            if deadline.is_over:
+                return self._unproven(self.best if is_proven else limit, is_finished=is_proven)
+        is_finished = self._walk(deadline, 0.0, is_proven=is_proven)
+        is_proven |= is_finished
+        sets = np.unique(np.sort(np.concatenate(self.tied), axis=1), axis=0)
+        return Tied(
+            sets=sets if is_finished and self.has_all else None,
+            value=self.best,
+            limit=self.best if is_proven else max(limit, self.best),
+            is_finished=is_proven,
+        )
+
+    def _unproven(self, limit: float, *, is_finished: bool = False) -> Tied:
+        limit = max(limit, self.best)
+        return Tied(sets=None, value=self.best, limit=limit, is_finished=is_finished)
+
+    def _value_of(self, sets: IntArray) -> FloatArray:
+        if not self.n_failures:
+            return union_apr(self.reduced, unions_of(self.reduced, sets))
+        return left_after_failures(self.reduced, self.reduced.measure, self.n_failures, sets)
+
+    def _needs(self, need: float) -> tuple[float, float]:
+        """What whole sets must reach, and what must be left of them."""
+        return need if self.least_apr is None else self.least_apr, need
+
+    def _walk(self, deadline: Deadline, ahead: float, *, is_proven: bool = False) -> bool:
+        """Take better sets, and where nothing more is asked for all that tie; whether it ended."""
+        need, left = self._needs(self.best + ahead)
+        walk = self.walk_from(need, left)
+        if not ahead:
+            n_units = self.reduced.limits.max_units
+            self.tied, self.has_all = [np.empty((0, n_units), dtype=np.int64)], True
+        for block in walk.blocks(deadline):
+            value, block = self._within(block)
+            if len(block) and value.max() > self.best + TOLERANCE:
+                better = self.on_better(block[value.argmax()])
+                of_better = float(self._value_of(np.sort(better)[None, :])[0])
+                self.best = max(float(value.max()), of_better)
+                walk.raise_needs(*self._needs(self.best + ahead))
+                self.tied, self.has_all = self.tied[:1], True
+            if ahead or not self.has_all:
+                continue
+            self.tied.append(block[value >= self.best - TOLERANCE])
+            self.has_all = sum(map(len, self.tied)) <= MAX_TIED
+            if not self.has_all:
+                if is_proven:
+                    return False
+                step = (1.0 - SOLVER_TOLERANCE) * self.reduced.measure.step
+                walk.raise_needs(*self._needs(self.best + max(step, STEP_UP)))
+        return walk.is_finished
+
+    def _within(self, block: IntArray) -> tuple[FloatArray, IntArray]:
+        """Values of the sets of a block that reach what whole sets must."""
+        if self.least_apr is not None and len(block):
+            share = union_apr(self.reduced, unions_of(self.reduced, block))
+            block = block[share >= self.least_apr - TOLERANCE]
+        return self._value_of(block), block
+
+
+def best_of_tied(
+    reduced: ReducedProblem, sets: IntArray, *, n_failures: int, value: float
+) -> IntArray | None:
+    """Best of tied sets and of their parts that tie with them; None if there is none.
+
+    A part is as good in the first stages only if a whole set is that has room for one more.
+    """
+    best = BestSet()
+    while len(sets) and sets.shape[1] > 0:
+        for start in range(0, len(sets), BLOCK_SETS):
+            part = sets[start : start + BLOCK_SETS]
+            part = part[are_allowed(reduced.limits, part)]
+            best.offer(part, set_values(reduced, part))
+        fewer = sets.shape[1] - 1
+        if not fewer:
+            break
+        places = combinations(range(sets.shape[1]), fewer)
+        smaller = np.concatenate([sets[:, list(place)] for place in places])
+        smaller = np.unique(np.sort(smaller, axis=1), axis=0)
+        left = left_after_failures(reduced, reduced.measure, n_failures, smaller)
+        sets = smaller[left >= value - TOLERANCE]
+    return best.units

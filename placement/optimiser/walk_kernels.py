@@ -1,0 +1,709 @@
+"""Numba kernels of the covering problem: what is asked for, prices, the walk, and what it leaves.
+
+All functions work on plain arrays; :mod:`placement.optimiser.bounds` and
+:mod:`placement.optimiser.walk` say what they hold.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.kernels import kernel
+
+from .bit_kernels import ByteArray, look_through, lowest_bit
+from .problem import Chains, WordArray
+
+# ---------- what is asked for, and who covers it
+
+
+@kernel
+def ask_for_least_seen(
+    chains: Chains, some: IntArray, union: WordArray, seen: FloatArray, asked: IntArray
+) -> None:
+    """Ask the windows of some chains for the frame, or tail, that a union lacks and is seen least.
+
+    `seen`, (n_frames,), is how much of each frame is seen; `asked`, (n_links,), becomes the frame
+    of each window, -1 where the union lacks nothing.
+    """
+    window_frames, window, start, tail_frame, tail_links, tail_start = chains
+    for chain in some:
+        tail, last_tail, least_tail = tail_start[chain], tail_start[chain + 1], -1
+        # Windows of the chain, the last one first: the earlier, the more tails are needed.
+        for link in range(start[chain + 1] - start[chain] - 1, -1, -1):
+            while tail < last_tail and tail_links[tail] > link:
+                frame = tail_frame[tail]
+                tail += 1
+                if (union[frame >> 6] >> np.uint64(frame & 63)) & np.uint64(1):
+                    continue
+                if least_tail < 0 or seen[frame] < seen[least_tail]:
+                    least_tail = frame
+            least = -1
+            for frame in window_frames[window[start[chain] + link]]:
+                if (union[frame >> 6] >> np.uint64(frame & 63)) & np.uint64(1):
+                    continue
+                if least < 0 or seen[frame] < seen[least]:
+                    least = frame
+            if least_tail >= 0 and (least < 0 or seen[least_tail] < seen[least]):
+                least = least_tail
+            asked[start[chain] + link] = least
+
+
+@kernel
+def cover_rows(
+    columns: WordArray,
+    start: IntArray,
+    asked: IntArray,
+    row_chain: IntArray,
+    row_last: IntArray,
+    begin: int,
+    end: int,
+    coverers: WordArray,
+) -> None:
+    """Poses that see what one of a row's windows is asked for, (n_rows, n_words).
+
+    Rows begin .. end - 1 are looked at; row r has the first ``row_last[r]`` windows of chain
+    ``row_chain[r]``. `columns`, (n_frames, n_words), has bits along the poses.
+    """
+    for row in range(begin, end):
+        first = start[row_chain[row]]
+        before = -2
+        coverers[row] = 0
+        for link in range(first, first + row_last[row]):
+            frame = asked[link]
+            if frame == before:  # neighbours are often asked for the same
+                continue
+            before = frame
+            for word in range(columns.shape[1]):
+                coverers[row, word] |= columns[frame, word] if frame >= 0 else ~np.uint64(0)
+
+
+# ---------- prices
+
+
+@kernel
+def weigh_bytes(weight: FloatArray, rows: WordArray, table: FloatArray, used: IntArray) -> int:
+    """What each byte of bits along rows is worth, (n_bytes, 256), if only some rows count.
+
+    Bytes that are worth something are written to `used`; how many they are. Sums over bits become
+    sums over bytes (Arlazarov, Dinic, Kronrod, Faradzev 1970).
+    """
+    n_used = 0
+    for place in range(len(table)):
+        counted = (rows[place >> 3] >> np.uint64(8 * (place & 7))) & np.uint64(0xFF)
+        if counted == 0:
+            continue
+        used[n_used] = place
+        n_used += 1
+        of_byte = table[place]
+        of_byte[0] = 0.0
+        for bit in range(8):
+            is_counted = (counted >> np.uint64(bit)) & np.uint64(1)
+            amount = weight[8 * place + bit] if is_counted else 0.0
+            for value in range(1 << bit):
+                of_byte[value + (1 << bit)] = of_byte[value] + amount
+    return n_used
+
+
+@kernel
+def weight_of(covers: ByteArray, table: FloatArray, used: IntArray, n_used: int) -> float:
+    """What a pose's bits along rows are worth, by a table of bytes."""
+    total = 0.0
+    for number in range(n_used):
+        place = used[number]
+        total += table[place, covers[place]]
+    return total
+
+
+@kernel
+def weights_of(
+    covers: ByteArray, table: FloatArray, used: IntArray, n_used: int, total: FloatArray
+) -> None:
+    """What the bits of each pose are worth, (n_poses,), by a table of bytes."""
+    for pose in range(len(covers)):
+        total[pose] = weight_of(covers[pose], table, used, n_used)
+
+
+@kernel
+def pick_best(
+    gain: FloatArray, site: IntArray, room: IntArray, n_units: int, picked: IntArray
+) -> tuple[float, int]:
+    """Poses that gain most and have room at their sites: their sum and number."""
+    total, n_picked = 0.0, 0
+    for _ in range(n_units):
+        best, most = -1, 0.0
+        for place in range(len(gain)):
+            if gain[place] > most:
+                here = site[place]
+                left = room[here]
+                for earlier in range(n_picked):
+                    if picked[earlier] == place:
+                        left = 0
+                    elif site[picked[earlier]] == here:
+                        left -= 1
+                if left > 0:
+                    best, most = place, gain[place]
+        if best < 0:
+            break
+        picked[n_picked] = best
+        n_picked += 1
+        total += most
+    return total, n_picked
+
+
+@kernel
+def pick_affordable(
+    gain: FloatArray,
+    cost: FloatArray,
+    site: IntArray,
+    room: IntArray,
+    n_units: int,
+    picked: IntArray,
+) -> tuple[float, int]:
+    """Upper bound of what poses gain that have room and cost no more than 1, and some of them.
+
+    Any price of money bounds it: what the best poses gain beyond their price, and the price itself.
+    The lowest bound is convex in the price; it is looked for by halving.
+    """
+    total, n_picked = pick_best(gain, site, room, n_units, picked)
+    if len(cost) == 0:
+        return total, n_picked
+    spent = 0.0
+    for number in range(n_picked):
+        spent += cost[picked[number]]
+    if spent <= 1.0:
+        return total, n_picked
+    low, high, beyond = 0.0, total, np.empty(len(gain))
+    for _ in range(16):  # prices of money
+        middle = 0.5 * (low + high)
+        for pose in range(len(gain)):
+            beyond[pose] = gain[pose] - middle * cost[pose]
+        of_poses, n_picked = pick_best(beyond, site, room, n_units, picked)
+        total = min(total, of_poses + middle)
+        spent = 0.0
+        for number in range(n_picked):
+            spent += cost[picked[number]]
+        if spent > 1.0:
+            low = middle
+        else:
+            high = middle
+    return total, n_picked
+
+
+@kernel
+def row_limit(reward: FloatArray, weight: float, n_units: int, price: float) -> tuple[float, int]:
+    """Most that a row is worth after paying for each unit that covers it; how many do."""
+    most, units = weight * reward[0], 0
+    for number in range(1, n_units + 1):
+        value = weight * reward[number] - number * price
+        if value > most:
+            most, units = value, number
+    return most, units
+
+
+@kernel
+def tighten_prices(
+    covers: ByteArray,
+    site: IntArray,
+    room: IntArray,
+    is_open: IntArray,
+    cost: FloatArray,
+    weight: FloatArray,
+    reward: FloatArray,
+    n_units: int,
+    price: FloatArray,
+    n_steps: int,
+    steering: FloatArray,
+    share: FloatArray,
+) -> float:
+    """Lower the bound of sets of so many units by subgradient steps on the prices of rows.
+
+    `covers`, (n_poses, n_bytes), has a bit for each row, lowest first. Poses that are open may be
+    chosen; each takes `cost` of the money, if that has entries. `steering` has the first length of
+    a step, what steps are cut by, the share of the last direction that is carried over, that of
+    what was picked before, and the steps without a better bound after which they are cut. Returns
+    the bound; `price` becomes what proves it, and `share` how often each pose was picked of late.
+    """
+    length, cut, deflection, memory, patience = steering
+    n_rows, n_poses, best, idle = len(price), len(share), np.inf, 0
+    best_price = np.empty(n_rows)
+    slope, units = np.zeros(n_rows), np.zeros(n_rows, dtype=np.int64)
+    gain, picked = np.empty(n_poses), np.empty(max(n_units, 1), dtype=np.int64)
+    table, used = np.empty((covers.shape[1], 256)), np.empty(covers.shape[1], dtype=np.int64)
+    every = np.empty(-(-covers.shape[1] // 8), dtype=np.uint64)
+    every[:] = ~np.uint64(0)
+    for row in range(n_rows, 64 * len(every)):  # padding behind the rows
+        every[row >> 6] &= ~(np.uint64(1) << np.uint64(row & 63))
+    for step in range(n_steps + 1):
+        # The bound at these prices: what rows are worth beyond them, and the best poses.
+        total = 0.0
+        for row in range(n_rows):
+            most = weight[row] * (reward[1] - reward[0])
+            price[row] = min(max(price[row], 0.0), most)
+            value, units[row] = row_limit(reward, weight[row], n_units, price[row])
+            total += value
+        n_used = weigh_bytes(price, every, table, used)
+        for pose in range(n_poses):
+            gain[pose] = weight_of(covers[pose], table, used, n_used) if is_open[pose] else 0.0
+        of_poses, n_picked = pick_affordable(gain, cost, site, room, n_units, picked)
+        total += of_poses
+        for pose in range(n_poses):
+            share[pose] *= memory
+        for number in range(n_picked):
+            share[picked[number]] += 1.0 - memory
+        if total < best * (1.0 - 1.0e-12):
+            best, idle = total, 0
+            for row in range(n_rows):
+                best_price[row] = price[row]
+        else:
+            idle += 1
+        if step == n_steps:
+            break
+        if idle > patience:
+            for row in range(n_rows):
+                price[row], slope[row] = best_price[row], 0.0
+            length, idle = length * cut, 0
+            continue
+        # A step against the slope: poses that cover the row less the units it would pay for.
+        steepness = 0.0
+        for row in range(n_rows):
+            rise = -float(units[row])
+            for number in range(n_picked):
+                rise += (covers[picked[number], row >> 3] >> (row & 7)) & 1
+            slope[row] = rise + deflection * slope[row]
+            steepness += slope[row] * slope[row]
+        if steepness < 1.0e-12:
+            break
+        for row in range(n_rows):
+            price[row] -= length * total / steepness * slope[row]
+    for row in range(n_rows):
+        price[row] = best_price[row]
+    return best
+
+
+# ---------- the walk
+
+
+DONE, PAUSED, FULL, AT_STOP = 0, 1, 2, 3
+
+
+class Covers(NamedTuple):
+    """What stays the same during a walk."""
+
+    covers: WordArray  # (n_poses, n_row_words): rows that each pose covers
+    coverers: WordArray  # (n_rows, n_pose_words): poses that cover each row
+    rows: ByteArray  # (n_poses, n_bytes): `covers` by bytes, lowest bits first
+    weight: FloatArray  # (n_rows,)
+    price: FloatArray  # (n_rows,): at most the weight
+    site: IntArray  # (n_poses,)
+    copies: IntArray  # (n_poses,): how often a pose may be chosen
+
+
+class Walk(NamedTuple):
+    """Where a walk stands; arrays have a place for each depth."""
+
+    # (5,): depth; whether its node is new; sets found; bytes looked at; depth behind which the
+    # walk began.
+    where: IntArray
+    may_lose: FloatArray  # (2,): weight of rows that all units, and all but the failed, may lose
+    chosen: IntArray  # (n_units,)
+    once: WordArray  # (n_units + 1, n_row_words): rows that a unit covers
+    twice: WordArray  # the same, that two do
+    gone: WordArray  # the same, that nothing covers any more
+    lost: FloatArray  # (n_units + 1,): what those weigh
+    is_open: BoolArray  # (n_units + 1, n_poses): candidates
+    room: IntArray  # (n_units + 1, n_sites)
+    queue: IntArray  # (n_units, n_poses): candidates that are tried, one after the other
+    n_queued: IntArray  # (n_units,)
+    position: IntArray  # (n_units,)
+    gain: FloatArray  # (n_poses,): working space
+    beside: FloatArray  # (n_poses,): working space
+    table: FloatArray  # (n_bytes, 256): working space
+    used: IntArray  # (n_bytes,): working space
+    best: IntArray  # (n_units,): working space
+
+
+@kernel
+def add_gains(
+    covers: Covers,
+    weight: FloatArray,
+    rows: WordArray,
+    walk: Walk,
+    gain: FloatArray,
+) -> float:
+    """Add to each candidate what it covers of some rows; what they weigh."""
+    is_open = walk.is_open[walk.where[0]]
+    n_used = weigh_bytes(weight, rows, walk.table, walk.used)
+    for pose in range(len(gain)):
+        if is_open[pose]:
+            gain[pose] += weight_of(covers.rows[pose], walk.table, walk.used, n_used)
+            walk.where[3] += n_used
+    walk.where[3] += 64 * n_used
+    total = 0.0
+    for word in range(len(rows)):
+        left = rows[word]
+        while left:
+            total += weight[64 * word + lowest_bit(left)]
+            left &= left - np.uint64(1)
+    return total
+
+
+@kernel
+def drop_hopeless(
+    gain: FloatArray, is_open: BoolArray, n_more: int, need: float, best: IntArray
+) -> bool:
+    """Drop candidates that cannot gain enough with others; whether some are left.
+
+    `n_more` candidates together have to gain `need`; with none to choose nothing is dropped.
+    """
+    if n_more <= 0:
+        return need <= 0.0
+    most, least = 0.0, 0.0
+    for number in range(n_more):
+        highest, pose = -1.0, -1
+        for other in range(len(gain)):
+            if is_open[other] and gain[other] > highest:
+                is_new = True
+                for before in range(number):
+                    is_new &= best[before] != other
+                if is_new:
+                    highest, pose = gain[other], other
+        if pose < 0:
+            break
+        best[number], least = pose, highest
+        most += highest
+    if most < need:
+        return False
+    # Whatever is not among the best takes the place of the last of them.
+    for pose in range(len(gain)):
+        if is_open[pose] and gain[pose] < least and most - least + gain[pose] < need:
+            is_open[pose] = False
+    return True
+
+
+@kernel
+def count_bits(word: np.uint64) -> int:
+    """Number of bits of a word (Warren, Hacker's Delight, 5-1)."""
+    pairs = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
+    fours = (pairs & np.uint64(0x3333333333333333)) + (
+        (pairs >> np.uint64(2)) & np.uint64(0x3333333333333333)
+    )
+    eights = (fours + (fours >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
+    return int((eights * np.uint64(0x0101010101010101)) >> np.uint64(56))
+
+
+@kernel
+def give_up_rows(covers: Covers, walk: Walk, rows: WordArray) -> int:
+    """Find the rows that are not covered, those lost that nothing can cover; the hardest of them.
+
+    That is the row which fewest candidates cover; -1 if all are covered.
+    """
+    depth = walk.where[0]
+    once, gone = walk.once[depth], walk.gone[depth]
+    candidates = np.zeros(covers.coverers.shape[1], dtype=np.uint64)
+    for pose in range(walk.is_open.shape[1]):
+        if walk.is_open[depth, pose]:
+            candidates[pose >> 6] |= np.uint64(1) << np.uint64(pose & 63)
+    hardest, fewest = -1, len(walk.gain) + 1
+    rows[:] = 0
+    for row in range(len(covers.weight)):
+        word, mask = row >> 6, np.uint64(1) << np.uint64(row & 63)
+        if (once[word] | gone[word]) & mask:
+            continue
+        n_covering = 0
+        for place in range(len(candidates)):
+            n_covering += count_bits(candidates[place] & covers.coverers[row, place])
+        if n_covering == 0:
+            gone[word] |= mask
+            walk.lost[depth] += covers.weight[row]
+            continue
+        rows[word] |= mask
+        if n_covering < fewest:
+            hardest, fewest = row, n_covering
+    return hardest
+
+
+@kernel
+def look_at_node(covers: Covers, walk: Walk, n_failures: int) -> bool:
+    """Bound the node at hand, drop candidates that cannot help, queue some; whether any is left.
+
+    Those queued cover the row that fewest cover, best first. When they have been tried, that row is
+    lost, and the node is looked at again.
+    """
+    depth = walk.where[0]
+    left = len(walk.chosen) - depth
+    is_open, gain, beside = walk.is_open[depth], walk.gain, walk.beside
+    rows = np.empty(walk.once.shape[1], dtype=np.uint64)
+    hardest = give_up_rows(covers, walk, rows)
+    walk.n_queued[depth] = walk.position[depth] = 0
+    lost = walk.lost[depth]
+    if lost > walk.may_lose[0]:
+        return False
+    gain[:] = 0.0
+    total = lost + add_gains(covers, covers.price, rows, walk, gain)
+    if not drop_hopeless(gain, is_open, left, total - walk.may_lose[0], walk.best):
+        return False
+    gain[:] = 0.0
+    total = lost + add_gains(covers, covers.weight, rows, walk, gain)
+    if not drop_hopeless(gain, is_open, left, total - walk.may_lose[0], walk.best):
+        return False
+    if n_failures > 0:
+        # Units fail that are still to come; or one of those chosen, and others to come.
+        need = total - walk.may_lose[1]
+        if not drop_hopeless(gain, is_open, left - n_failures, need, walk.best):
+            return False
+        for number in range(depth):
+            of_unit = covers.covers[walk.chosen[number]]
+            for word in range(len(rows)):
+                rows[word] = of_unit[word] & ~walk.twice[depth, word]
+            for pose in range(len(gain)):
+                beside[pose] = gain[pose]
+            need = total + add_gains(covers, covers.weight, rows, walk, beside) - walk.may_lose[1]
+            if not drop_hopeless(beside, is_open, left - n_failures + 1, need, walk.best):
+                return False
+    queue, n_queued, is_any = walk.queue[depth], 0, False
+    for pose in range(len(gain)):
+        if not is_open[pose]:
+            continue
+        is_any = True
+        if hardest >= 0 and (covers.rows[pose, hardest >> 3] >> (hardest & 7)) & 1 == 0:
+            continue
+        place = n_queued
+        while place > 0 and gain[queue[place - 1]] < gain[pose]:
+            queue[place] = queue[place - 1]
+            place -= 1
+        queue[place] = pose
+        n_queued += 1
+    walk.n_queued[depth] = n_queued
+    return is_any
+
+
+@kernel
+def grow(
+    covers: Covers, walk: Walk, n_failures: int, stop: int, max_work: int, out: IntArray
+) -> int:
+    """Go on with a walk through all sets that lose little, until `max_work` or `out` is full.
+
+    Sets are written to `out`, (n, n_units). Nodes of depth `stop` are not looked into: the walk
+    pauses at each.
+    """
+    n_poses, n_units = walk.is_open.shape[1], len(walk.chosen)
+    begun, base = walk.where[3], walk.where[4]
+    while walk.where[0] >= base:
+        depth = walk.where[0]
+        if walk.where[3] - begun > max_work:
+            return PAUSED
+        if walk.where[1] == 1:
+            if depth == stop:
+                return AT_STOP
+            walk.where[1] = 0
+            if not look_at_node(covers, walk, n_failures):
+                walk.where[0] -= 1
+                continue
+        place = walk.position[depth]
+        if place == walk.n_queued[depth]:
+            walk.where[1] = 1  # none of these candidates any more
+            continue
+        pose = walk.queue[depth, place]
+        walk.chosen[depth] = pose
+        if depth + 1 == n_units:
+            if walk.where[2] == len(out):
+                return FULL
+            for unit in range(n_units):
+                out[walk.where[2], unit] = walk.chosen[unit]
+            walk.where[2] += 1
+            walk.position[depth] += 1
+            walk.is_open[depth, pose] = False
+            continue
+        walk.position[depth] += 1
+        after = depth + 1
+        for other in range(n_poses):
+            walk.is_open[after, other] = walk.is_open[depth, other]
+        walk.is_open[depth, pose] = False
+        n_same = 0
+        for unit in range(after):
+            n_same += walk.chosen[unit] == pose
+        if n_same >= covers.copies[pose]:
+            walk.is_open[after, pose] = False
+        here = covers.site[pose]
+        for site in range(walk.room.shape[1]):
+            walk.room[after, site] = walk.room[depth, site]
+        walk.room[after, here] -= 1
+        if walk.room[after, here] <= 0:
+            for other in range(n_poses):
+                if covers.site[other] == here:
+                    walk.is_open[after, other] = False
+        for word in range(walk.once.shape[1]):
+            of_pose = covers.covers[pose, word]
+            walk.twice[after, word] = walk.twice[depth, word] | (walk.once[depth, word] & of_pose)
+            walk.once[after, word] = walk.once[depth, word] | of_pose
+            walk.gone[after, word] = walk.gone[depth, word]
+        walk.lost[after] = walk.lost[depth]
+        walk.where[0] = after
+        walk.where[1] = 1
+    return DONE
+
+
+# ---------- sets of poses of the classes that a walk has found
+
+
+@kernel
+def can_keep(
+    bits: WordArray,
+    base: WordArray,
+    chains: Chains,
+    lost: FloatArray,
+    order: IntArray,
+    may_lose: FloatArray,
+    with_failures: bool,
+    union: WordArray,
+    first: IntArray,
+) -> bool:
+    """Whether units, (n_units, n_words), lose little beside a base, also without each of them.
+
+    ``lost[g, k]`` is what is lost in chain g if the k-th of its windows is the first live one.
+    Chains are looked at in `order`; those at which units fail come earlier the next time.
+    """
+    window_frames, window, start, tail_frame, tail_links, tail_start = chains
+    n_units = len(bits)
+    # All units together, then all but each one of them.
+    for failed in range(n_units, -1 if with_failures else n_units - 1, -1):
+        for word in range(len(union)):
+            union[word] = base[word]
+        for unit in range(n_units):
+            if unit != failed:
+                for word in range(len(union)):
+                    union[word] |= bits[unit, word]
+        rank = look_through(
+            union,
+            window_frames,
+            window,
+            start,
+            tail_frame,
+            tail_links,
+            tail_start,
+            order,
+            lost,
+            may_lose[0] if failed == n_units else may_lose[1],
+            first,
+        )
+        if rank < len(order):
+            before = rank // 2  # nearer to the front, not all the way: some fail by chance
+            order[rank], order[before] = order[before], order[rank]
+            return False
+    return True
+
+
+@kernel
+def spell_out(
+    words: WordArray,
+    of_class: WordArray,
+    base: WordArray,
+    start: IntArray,
+    member: IntArray,
+    chains: Chains,
+    lost: FloatArray,
+    order: IntArray,
+    may_lose: FloatArray,
+    with_failures: bool,
+    classes: IntArray,
+    place: IntArray,
+    out: IntArray,
+) -> int:
+    """Sets of poses, one of each class in its place, that lose little; how many were written.
+
+    `words` and `of_class` are what poses, and all poses of each class, see. `place`, (n_units +
+    1,), is where the search stands: the members looked at, and the number of units that are
+    settled; it comes back with -1 there when all sets were seen.
+    """
+    n_units, n_words = len(classes), words.shape[1]
+    bits = np.empty((n_units, n_words), dtype=np.uint64)
+    union, first = np.empty(n_words, dtype=np.uint64), np.empty(len(lost), dtype=np.int64)
+    unit, n_found = place[n_units], 0
+    for number in range(n_units):
+        bits[number] = words[member[place[number]]] if number < unit else of_class[classes[number]]
+    if unit == 0 and place[0] < start[classes[0]]:
+        place[0] = start[classes[0]]
+        if not can_keep(bits, base, chains, lost, order, may_lose, with_failures, union, first):
+            unit = -1
+    # A member of the class of one unit after the other; units behind see what their class sees.
+    while unit >= 0:
+        if place[unit] == start[classes[unit] + 1]:
+            bits[unit] = of_class[classes[unit]]
+            unit -= 1
+            if unit >= 0:
+                place[unit] += 1
+            continue
+        if n_found == len(out):
+            break
+        bits[unit] = words[member[place[unit]]]
+        if not can_keep(bits, base, chains, lost, order, may_lose, with_failures, union, first):
+            place[unit] += 1
+        elif unit + 1 == n_units:
+            for number in range(n_units):
+                out[n_found, number] = member[place[number]]
+            n_found += 1
+            place[unit] += 1
+        else:
+            is_same = classes[unit + 1] == classes[unit]
+            place[unit + 1] = place[unit] + 1 if is_same else start[classes[unit + 1]]
+            unit += 1
+    place[n_units] = unit
+    return n_found
+
+
+# ---------- pairs, where worlds are sampled
+
+
+@kernel
+def lost_by_pairs(
+    alone: WordArray,
+    may: WordArray,
+    part: WordArray,
+    table: FloatArray,
+    may_lose: float,
+    pairs: IntArray,
+    lost: FloatArray,
+) -> None:
+    """What pairs of units, (n, 2), lose at least, (n,); counted until it is too much.
+
+    Bits along the rows, (n_units, n_row_words): `alone` where a unit avoids the row beside the
+    others, `may` where it sees the piece that is asked for, `part` where it sees one that is
+    missing. A pair may avoid a row only if one sees what is asked for, and one avoids it alone or
+    both see a part. `table` has what the bits of each byte weigh.
+    """
+    for number in range(len(pairs)):
+        one, other, total = pairs[number, 0], pairs[number, 1], 0.0
+        # 64 rows at a time, the hardest first.
+        for word in range(alone.shape[1]):
+            covered = alone[one, word] | alone[other, word] | (part[one, word] & part[other, word])
+            left = ~(covered & (may[one, word] | may[other, word]))
+            place = 8 * word
+            while left:
+                total += table[place, left & np.uint64(0xFF)]
+                left >>= np.uint64(8)
+                place += 1
+            if total > may_lose:
+                break
+        lost[number] = total
+
+
+@kernel
+def keep_sets(
+    words: WordArray,
+    chains: Chains,
+    lost: FloatArray,
+    order: IntArray,
+    sets: IntArray,
+    may_lose: float,
+    kept: BoolArray,
+) -> None:
+    """Which sets of poses, (n_sets, n_units), lose no more than so much, see :func:`can_keep`."""
+    n_words = words.shape[1]
+    base, union = np.zeros(n_words, dtype=np.uint64), np.empty(n_words, dtype=np.uint64)
+    bits = np.empty((sets.shape[1], n_words), dtype=np.uint64)
+    first, limits = np.empty(len(lost), dtype=np.int64), np.array([may_lose, may_lose])
+    for number in range(len(sets)):
+        for unit in range(sets.shape[1]):
+            bits[unit] = words[sets[number, unit]]
+        kept[number] = can_keep(bits, base, chains, lost, order, limits, False, union, first)

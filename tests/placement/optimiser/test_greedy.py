@@ -1,0 +1,120 @@
+"""First sets: greedy choice, swaps, and searches from many starts, against all sets."""
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from problems import questions
+
+from placement.optimiser import PlacementProblem, presolve, solve_greedy
+from placement.optimiser.bitsets import set_values
+from placement.optimiser.greedy import (
+    extend_greedily,
+    forced_units,
+    improve,
+    search_from_many_starts,
+    to_full,
+)
+from placement.optimiser.limits import is_allowed
+from placement.optimiser.stages import Search
+from placement.optimiser.steering import Deadline
+
+
+@given(problem=questions())
+def test_greedy_choice_adds_the_pose_that_makes_the_best_set(problem: PlacementProblem) -> None:
+    reduced = presolve(replace(problem, floors=(), goal="best"))
+    units = forced_units(reduced)
+    if reduced.n_poses <= len(units) or reduced.limits.max_units <= len(units):
+        return
+    one_more = replace(reduced.limits, budget_units=len(units) + 1)
+    extended = extend_greedily(replace(reduced, limits=one_more), units)
+    if len(extended) == len(units):
+        return
+    value = set_values(reduced, extended[None, :])[0]
+    for pose in np.setdiff1d(np.arange(reduced.n_poses), units):
+        trial = np.append(units, pose)
+        if is_allowed(reduced.limits, trial) and is_allowed(reduced.limits, extended):
+            assert not set_values(reduced, trial[None, :])[0].exceeds(value)
+
+
+@given(problem=questions(), seed=st.integers(0, 99))
+def test_no_exchange_and_no_removal_improves_an_improved_set(
+    problem: PlacementProblem, seed: int
+) -> None:
+    reduced = presolve(problem)
+    units = extend_greedily(reduced, forced_units(reduced))
+    if not is_allowed(reduced.limits, units):
+        return
+    before = set_values(reduced, units[None, :])[0]
+    better = improve(reduced, units, Search(reduced).limit)
+    value = set_values(reduced, better[None, :])[0]
+    assert not before.exceeds(value)
+    assert is_allowed(reduced.limits, better)
+    if not Search(reduced).limit.exceeds(value):
+        return
+    free = better[~reduced.limits.is_forced[better]]
+    for unit in free:
+        rest = better[better != unit]
+        others = [rest, *(np.append(rest, pose) for pose in range(reduced.n_poses))]
+        for trial in others:
+            if is_allowed(reduced.limits, trial):
+                assert not set_values(reduced, trial[None, :])[0].exceeds(value)
+
+
+@given(problem=questions())
+def test_a_search_is_never_worse_than_its_starts_and_greedy_choice(
+    problem: PlacementProblem,
+) -> None:
+    reduced = presolve(problem)
+    limit = Search(reduced).limit
+    starts = [
+        np.array(poses)
+        for poses in combinations(range(reduced.n_poses), 1)
+        if is_allowed(reduced.limits, np.array(poses))
+    ]
+    found = search_from_many_starts(reduced, limit, starts=starts[:1])
+    greedy = extend_greedily(reduced, forced_units(reduced))
+    if found is None:
+        assert not is_allowed(reduced.limits, greedy)
+        return
+    assert is_allowed(reduced.limits, found)
+    value = set_values(reduced, found[None, :])[0]
+    for units in [*starts[:1], greedy]:
+        if is_allowed(reduced.limits, units):
+            assert not set_values(reduced, units[None, :])[0].exceeds(value)
+
+
+@given(problem=questions())
+def test_the_first_start_is_completed_when_the_time_is_up(problem: PlacementProblem) -> None:
+    reduced = presolve(problem)
+    greedy = extend_greedily(reduced, forced_units(reduced))
+    late = search_from_many_starts(reduced, Search(reduced).limit, deadline=Deadline(-np.inf))
+    if is_allowed(reduced.limits, greedy):
+        assert late is not None
+        assert sorted(late) == sorted(greedy)
+    else:
+        assert late is None
+
+
+@given(problem=st.from_type(PlacementProblem), seed=st.integers(0, 9))
+def test_poses_without_a_chance_are_drawn_only_by_greedy_choice(
+    problem: PlacementProblem, seed: int
+) -> None:
+    reduced = presolve(problem)
+    chance = np.zeros(reduced.n_poses)
+    chance[: 1 + seed % reduced.n_poses] = 1.0
+    limit = Search(reduced).limit
+    found = search_from_many_starts(reduced, limit, chance=lambda: chance)
+    assert found is not None
+    assert to_full(reduced, found) == tuple(sorted(to_full(reduced, found)))
+
+
+def test_greedy_search_gives_rows_of_the_table_in_order() -> None:
+    from small_tables import avoiding_problem
+
+    problem = avoiding_problem(["110", "011", "100"], budget_units=2)
+    assert solve_greedy(problem) == (0, 1)
+    assert solve_greedy(problem, presolve(problem)) == pytest.approx((0, 1))

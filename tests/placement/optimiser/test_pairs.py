@@ -1,0 +1,105 @@
+"""Sets of two or three units that are gone through pair by pair, against all sets."""
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from placement.optimiser import PlacementProblem, presolve
+from placement.optimiser.bitsets import union_apr, unions_of
+from placement.optimiser.limits import are_allowed
+from placement.optimiser.pairs import PairWalk, goes_by_pairs, walk_by_pairs
+from placement.optimiser.presolve import ReducedProblem
+from placement.optimiser.steering import NEVER, Deadline
+
+ANY_PROBLEM = st.from_type(PlacementProblem)
+
+
+def all_sets(reduced: ReducedProblem, n_units: int) -> np.ndarray:
+    numbers = np.array(list(combinations(range(reduced.n_poses), n_units)), dtype=np.int64)
+    return numbers[are_allowed(reduced.limits, numbers.reshape(-1, n_units))]
+
+
+def in_two_worlds(problem: PlacementProblem) -> PlacementProblem:
+    """Every other run in the second world, where that leaves both with weight."""
+    index = np.arange(problem.table.axis.n_runs) % 2
+    weight = np.bincount(index, weights=problem.table.axis.weight, minlength=2)
+    return replace(problem, sample_index=index) if (weight > 0.0).all() else problem
+
+
+@given(
+    problem=ANY_PROBLEM,
+    place=st.floats(0.0, 1.0),
+    class_poses=st.sampled_from([1, 2, 12]),
+    few=st.sampled_from([0, 200]),
+)
+def test_a_walk_by_pairs_meets_every_set_that_reaches_the_need(
+    problem: PlacementProblem, place: float, class_poses: int, few: int
+) -> None:
+    reduced = presolve(problem)
+    n_units = reduced.limits.max_units
+    if not 2 <= n_units <= 3 or not len(reduced.weight) or reduced.n_poses < n_units:
+        return
+    sets = all_sets(reduced, n_units)
+    if not len(sets):
+        return
+    share = union_apr(reduced, unions_of(reduced, sets))
+    need = float(np.quantile(share, place, method="nearest"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("placement.optimiser.pairs.CLASS_POSES", class_poses)
+        patch.setattr("placement.optimiser.pairs.FEW_PAIRS", few)
+        walk = PairWalk(reduced, need=need)
+        met = np.concatenate([np.empty((0, n_units), dtype=np.int64), *walk.blocks(NEVER)])
+    assert walk.is_finished
+    found = sorted(tuple(sorted(units)) for units in met.tolist())
+    assert found == sorted(map(tuple, sets[share >= need - 1e-9].tolist()))
+
+
+@given(problem=ANY_PROBLEM)
+def test_a_walk_for_more_meets_the_sets_that_reach_more(problem: PlacementProblem) -> None:
+    reduced = presolve(problem)
+    n_units = reduced.limits.max_units
+    if not 2 <= n_units <= 3 or not len(reduced.weight) or reduced.n_poses < n_units:
+        return
+    sets = all_sets(reduced, n_units)
+    if not len(sets):
+        return
+    share = union_apr(reduced, unions_of(reduced, sets))
+    first = PairWalk(reduced, need=0.0)
+    list(first.blocks(NEVER))
+    again = first.again(float(share.max()))
+    met = np.concatenate([np.empty((0, n_units), dtype=np.int64), *again.blocks(NEVER)])
+    assert len(met) == (share >= share.max() - 1e-9).sum()
+    again.raise_needs(0.0)
+    assert again.need == share.max()  # needs never fall
+
+
+@given(problem=ANY_PROBLEM, tail=st.sampled_from([1.0, 0.5]))
+def test_worlds_are_proven_by_their_mean_and_bounded_by_it(
+    problem: PlacementProblem, tail: float
+) -> None:
+    reduced = presolve(replace(in_two_worlds(problem), tail=tail))
+    if not goes_by_pairs(reduced) or not len(reduced.weight):
+        return
+    n_units = reduced.limits.max_units
+    if reduced.n_poses < n_units:
+        return
+    sets = all_sets(reduced, n_units)
+    if not len(sets):
+        return
+    share = union_apr(reduced, unions_of(reduced, sets))
+    tied = walk_by_pairs(reduced, sets[0], deadline=NEVER, on_better=lambda units: units)
+    assert tied.limit >= share.max() - 1e-9
+    if tail == 1.0:
+        assert tied.is_finished
+        assert tied.value == pytest.approx(share.max())
+        assert tied.sets is not None
+        assert len(tied.sets) == (share >= share.max() - 1e-9).sum()
+    late = walk_by_pairs(
+        reduced, sets[0], deadline=Deadline(-np.inf), on_better=lambda units: units
+    )
+    assert not late.is_finished
+    assert late.limit >= share.max() - 1e-9
