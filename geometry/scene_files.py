@@ -249,9 +249,7 @@ def _read_scene_file(folder: Path, *, shown: Path) -> _FolderScene:
     """``scene.toml`` of a folder, with format and version checked first."""
     path, where = folder / SCENE_FILE, f"{shown}/{SCENE_FILE}"
     if not path.is_file():
-        raise InputError(
-            str(shown), Unquoted(f"no {SCENE_FILE}"), "a folder with an imported scene"
-        )
+        raise InputError(str(shown), Unquoted(f"no {SCENE_FILE}"), "a folder of an imported scene")
     _check_bytes(path, where)
     table = load_toml(path)
     if table.get("format") != FORMAT:
