@@ -59,7 +59,7 @@ def load_scene(
     ----------
     source : str or Path
         Nothing or "town05": the junction of the CarlaNCAP study. A folder or .zip file that
-        ``place-rsus scene import`` has written. Or a map with roads, such as "city.osm" or
+        :func:`save_scene` has written. Or a map with roads, such as "city.osm" or
         "city.xodr", of which one junction is cut out.
     junction : str
         Id, streets or "latitude,longitude" of the junction in a map; by default the one with the
@@ -249,7 +249,7 @@ def _read_scene_file(folder: Path, *, shown: Path) -> _FolderScene:
     """``scene.toml`` of a folder, with format and version checked first."""
     path, where = folder / SCENE_FILE, f"{shown}/{SCENE_FILE}"
     if not path.is_file():
-        raise InputError(str(shown), Unquoted(f"no {SCENE_FILE}"), "a folder of `scene import`")
+        raise InputError(str(shown), Unquoted(f"no {SCENE_FILE}"), "a folder of an imported scene")
     _check_bytes(path, where)
     table = load_toml(path)
     if table.get("format") != FORMAT:

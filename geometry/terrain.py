@@ -133,7 +133,7 @@ def terrain_of(scene: Scene) -> Terrain | None:
     )
     if not is_grid:
         got = Unquoted(f"{len(nodes)} nodes that are no grid")
-        expected = "a plane z = 0, or heights on a grid as place-rsus scene import writes them"
+        expected = "a plane z = 0, or heights on a grid, as imported scenes have them"
         raise InputError(f"{scene.name}: ground", got, expected)
     height_m = nodes[order, 2].reshape(len(north_m), len(east_m))
     return Terrain(east_m=east_m, north_m=north_m, height_m=height_m)

@@ -231,7 +231,6 @@ class WayAcross:
     """The way along a lane, through the junction, and along a lane by which it is left."""
 
     way: Way  # its stations count from the mouth of the lane that leads out
-    # the lanes
     entry: Lane
     leaving: Lane
     begin_m: float  # station at which the first lane begins

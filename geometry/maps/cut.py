@@ -340,7 +340,7 @@ def _lanes(
             )
     return found, [
         lane
-        for name in (ends.keys() & begins.keys()) - mapped
+        for name in sorted((ends.keys() & begins.keys()) - mapped)
         for lane in _straight_on(ends[name], begins[name])
     ]
 

@@ -226,7 +226,7 @@ def _listed(surveyed: Sequence[Surveyed]) -> str:
             label += " at " * bool(label) + ",".join(f"{value:.8g}" for value in one.position)
         words.append(f"{one.junction.id} ({label})" if label else one.junction.id)
     left = len(surveyed) - len(words)
-    return ", ".join(words) + (f" and {left} more: place-rsus scene show FILE" if left else "")
+    return ", ".join(words) + (f" and {left} more" if left else "")
 
 
 def _in_map(source: SourceMap, at: tuple[float, float]) -> FloatArray:

@@ -19,6 +19,7 @@ from .georeferences import WGS84, horizontal_crs, transform
 from .gis_files import Feature, Features, read_features
 
 if TYPE_CHECKING:
+    from pyproj import CRS
     from shapely.geometry.base import BaseGeometry
 
 
@@ -196,15 +197,8 @@ def read_place(values: Mapping[str, Any], where: str, crs: str) -> FloatArray:
 
 
 def _geojson_rows(path: Path, crs: str) -> Iterator[_Row]:
-    from pyproj.exceptions import ProjError
-
     table = read_features(path)
-    try:
-        declared = horizontal_crs(table.crs)
-    except ProjError:
-        declared = None
-    if declared is None:
-        raise InputError(f"{path}: crs", table.crs[:80], "a code that pyproj knows")
+    declared = _declared_crs(table, str(path))
     if len(table.features) > _MAX_SITES:
         raise InputError(str(path), Unquoted(f"{len(table.features):,} features"), "fewer")
     known: dict[str, str] = {}
@@ -226,6 +220,18 @@ def _geojson_rows(path: Path, crs: str) -> Iterator[_Row]:
                 values.setdefault("z", feature.geometry.z)
         yield feature.where, values
     tell_unknown((name for feature in table.features for name in feature.values), known, path)
+
+
+def _declared_crs(table: Features, where: str) -> "CRS":
+    from pyproj.exceptions import ProjError
+
+    try:
+        declared = horizontal_crs(table.crs)
+    except ProjError:
+        declared = None
+    if declared is None:
+        raise InputError(f"{where}: crs", table.crs[:80], "a code that pyproj knows")
+    return declared
 
 
 def _projected(x: float, y: float, source: str, crs: str, where: str) -> dict[str, float]:
@@ -459,18 +465,12 @@ def _point(feature: Feature, table: Features, crs: str) -> FloatArray:
 
 def _in_crs(feature: Feature, table: Features, crs: str) -> "BaseGeometry":
     import shapely
-    from pyproj.exceptions import ProjError
 
     assert feature.geometry is not None
     if not crs:
         got = Unquoted(f"coordinates in {table.crs[:80] or 'an unknown system'}")
         raise InputError(feature.where, got, "a map that says where on earth it lies: `crs`")
-    try:
-        declared = horizontal_crs(table.crs)
-    except ProjError:
-        declared = None
-    if declared is None:
-        raise InputError(f"{feature.where}: crs", table.crs[:80], "a code that pyproj knows")
+    declared = _declared_crs(table, feature.where)
     moved: BaseGeometry = shapely.transform(
         shapely.force_2d(feature.geometry),
         lambda points: transform(points, declared.to_wkt(), crs),

@@ -201,7 +201,6 @@ class SourceMap:
     crs: str
     source_crs: str = ""  # the one that the file itself uses, such as "EPSG:4326"
     heights: Heights = "above ground"  # zero of the z axis
-    # the objects of the map
     lanes: tuple[MapLane, ...] = ()
     # lanes through junctions, each from the end of a lane to the start of another; both their
     # junctions are the one through which they lead. None: the map does not have them.

@@ -99,7 +99,7 @@ def test_ground_that_is_no_grid_is_refused():
         terrain_of(replace(scene, vertices_m=vertices))
     assert str(error.value) == (
         "town05: ground: got 4 nodes that are no grid; expected a plane z = 0, or heights on a "
-        "grid as place-rsus scene import writes them"
+        "grid, as imported scenes have them"
     )
 
 

@@ -192,7 +192,7 @@ def test_a_junction_that_cannot_be_done_is_a_row_with_its_reason(tiny, here, tmp
     result = run(tiny / "tiny.osm", tmp_path / "new", search=replace(SEARCH, sites=str(sites)))
     reasons = [one.reason for one in result.junctions]
     assert sum(map(bool, reasons)) == result.not_done == 2
-    assert any("--sites: got" in reason for reason in reasons)
+    assert any("sites: got" in reason for reason in reasons)
     part = percent(result.stages[0].objective)
     of_all = percent(result.stages[0].objective / 3.0)
     assert f": {of_all} of the accidents at all of them are prevented" in result.sentences[0]
