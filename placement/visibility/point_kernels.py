@@ -320,6 +320,17 @@ def _box_part(
 
 
 @kernel
+def _sides(limits: Array, camera: int) -> tuple[Any, Any, Any, Any]:
+    """Left, top, right and bottom of what one camera of the lanes shows."""
+    return (
+        limits[_LEFT + camera],
+        limits[_TOP + camera],
+        limits[_RIGHT + camera],
+        limits[_BOTTOM + camera],
+    )
+
+
+@kernel
 def box_bodies(
     points: Array,
     hull: Array,
@@ -347,15 +358,13 @@ def box_bodies(
     are. Pairs of a camera and an entry go to `plain` and `part` (n, 2); of plain ones, the one box
     of all that is visible goes to `plain_px` (n, 4), of the others those of the visible points and
     of all go to `part_px` (n, 8), and the share of the body inside the image to `inside_share`
-    (n,). Of a body that the image cuts off, only the points inside the image count. Pairs whose
-    visible box is not `min_height_px` high are left out.
+    (n,). Pairs whose visible box is not `min_height_px` high are left out.
     """
     limits, some = np.empty(5 * LANES, np.float32), np.empty(5 * LANES, np.float32)
     box = np.empty(8, np.float32)
     near, lens = np.empty(n_cameras + 1, np.int64), np.zeros(_N_NUMBERS * LANES, np.float32)
-    n_points = points.shape[2]
-    every_point = np.ones(n_points, np.bool_)
-    every = np.empty((-(-n_points // LANES), 3 * LANES), np.float32)
+    every_point = np.ones(points.shape[2], np.bool_)
+    every = np.empty((-(-points.shape[2] // LANES), 3 * LANES), np.float32)
     seen = np.empty_like(every)
     zero, least_px = np.float32(0.0), _least(min_height_px)
     n_plain = n_part = 0
@@ -369,8 +378,7 @@ def box_bodies(
             _project_into_all(hull, view, eye, lens, min_depth_m, limits)
             for j in range(n):
                 camera = near[first + j]
-                left, top = limits[_LEFT + j], limits[_TOP + j]
-                right, bottom = limits[_RIGHT + j], limits[_BOTTOM + j]
+                left, top, right, bottom = _sides(limits, j)
                 width = lens[_HALF_WIDTH + j] + lens[_HALF_WIDTH + j]
                 height = lens[_HALF_HEIGHT + j] + lens[_HALF_HEIGHT + j]
                 is_behind = limits[_DEPTH + j] <= min_depth_m
@@ -398,8 +406,7 @@ def box_bodies(
                 part_px[n_part] = box
                 if is_behind:  # next to and behind the lens points are not projected as bodies are
                     _project_into_all(points, view, eye, lens, min_depth_m, some)
-                    left, top = some[_LEFT + j], some[_TOP + j]
-                    right, bottom = some[_RIGHT + j], some[_BOTTOM + j]
+                    left, top, right, bottom = _sides(some, j)
                 share = _share_inside(left, top, right, bottom, width, height)
                 inside_share[n_part] = share if is_cut else 1.0
                 n_part += 1
