@@ -39,7 +39,7 @@ from ..setting import Links, Setting
 from .surroundings import build_surroundings, draw_index, load_vut_camera, load_vut_lidar
 
 if TYPE_CHECKING:
-    from .pictures import PictureSource
+    from .pictures import FrameCamera, PictureSource
 
 # ---------- frames in which the VRU is detected, by every unit and by the VUT itself
 
@@ -239,13 +239,12 @@ class _Watcher:
         self, evidence: Evidence, source: "PictureSource", unit: CandidatePose | None
     ) -> Evidence:
         """Evidence with pictures for the detector: whole ones, or crops around the road user."""
-        if unit is None:
-            crops = source.crops(self._mount, evidence.amodal_px)
-            return replace(evidence, picture=source.from_vut(self._mount), crops=crops)
-        assert isinstance(unit.sensor, CameraModel)
-        crops = source.crops((unit.pose, unit.sensor), evidence.amodal_px)
-        picture = source.from_roadside(unit.pose, unit.sensor)
-        return replace(evidence, picture=picture, crops=crops)
+        camera: FrameCamera = self._mount
+        if unit is not None:
+            assert isinstance(unit.sensor, CameraModel)
+            camera = unit.pose, unit.sensor
+        crops = source.crops(camera, evidence.amodal_px)
+        return replace(evidence, picture=source.pictures(camera), crops=crops)
 
 
 @contextmanager

@@ -56,7 +56,7 @@ def _is_any_near(
     The rows that it reaches lie between the tangents from the eye; next to and behind the lens it
     may reach any.
     """
-    for j in range(LANES):
+    for j in range(LANES):  # cameras in the lanes
         right = x * lens[_X0 + j] + y * lens[_Y0 + j] + z * lens[_Z0 + j]
         down = x * lens[_X1 + j] + y * lens[_Y1 + j] + z * lens[_Z1 + j]
         ahead = x * lens[_X2 + j] + y * lens[_Y2 + j] + z * lens[_Z2 + j]
@@ -98,7 +98,7 @@ def find_views(
     The others are as for :func:`box_bodies`.
     """
     is_near, least_px = np.empty(LANES, np.bool_), _least(min_height_px)
-    for view in range(len(middle)):
+    for view in range(len(middle)):  # views, and blocks of cameras until one is near
         x = np.float32(middle[view, 0] - eye[0])
         y = np.float32(middle[view, 1] - eye[1])
         z = np.float32(middle[view, 2] - eye[2])
@@ -122,7 +122,7 @@ def _project_into_all(
     for j in range(LANES):
         limits[_LEFT + j] = limits[_TOP + j] = limits[_DEPTH + j] = _FAR
         limits[_RIGHT + j] = limits[_BOTTOM + j] = -_FAR
-    for point in range(0, points.shape[2], 2):
+    for point in range(0, points.shape[2], 2):  # points, two at a time, in all cameras at once
         other_point = min(point + 1, points.shape[2] - 1)
         x, a = points[view, 0, point] - ex, points[view, 0, other_point] - ex
         y, b = points[view, 1, point] - ey, points[view, 1, other_point] - ey
@@ -161,7 +161,7 @@ def _set_out(points: Array, view: int, eye: Array, shown: Array, offsets: Array)
     Of those that are `shown` (n_points,); returns how many blocks they fill.
     """
     count = 0
-    for point in range(points.shape[2]):
+    for point in range(points.shape[2]):  # points that are shown go to the next free lane
         if shown[point]:
             for axis in range(3):
                 offset = points[view, axis, point] - eye[axis]
@@ -202,7 +202,7 @@ def _box_points(
     for j in range(LANES):
         limits[_LEFT + j] = limits[_TOP + j] = _FAR
         limits[_RIGHT + j] = limits[_BOTTOM + j] = -_FAR
-    for block in range(len(offsets)):
+    for block in range(len(offsets)):  # points, as many at a time as there are lanes
         offset = offsets[block]
         for j in range(LANES):
             x, y, z = offset[j], offset[LANES + j], offset[2 * LANES + j]
@@ -368,7 +368,7 @@ def box_bodies(
     seen = np.empty_like(every)
     zero, least_px = np.float32(0.0), _least(min_height_px)
     n_plain = n_part = 0
-    for entry in range(len(view_of_entry)):
+    for entry in range(len(view_of_entry)):  # bodies that are seen from the mount
         view = view_of_entry[entry]
         n_every = n_seen = -1  # blocks of points; not yet set out
         n_near = _find_near(middle, radius, eye, view, lenses, n_cameras, least_px, near)
@@ -421,7 +421,7 @@ def pack_frames(
 
     A frame whose entry is -1 shows nothing.
     """
-    for row in range(len(packed)):
+    for row in range(len(packed)):  # sensors and frames
         for frame in range(len(entry_of_frame)):
             entry = entry_of_frame[frame]
             if entry >= 0 and detected[row, weather_of_frame[frame], entry]:
