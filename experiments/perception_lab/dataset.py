@@ -427,23 +427,30 @@ def _coco(
             if x_max <= x_min or y_max <= y_min:
                 continue
             share = np.broadcast_to(seen.visible_share, len(seen))[start + frame]
-            annotations.append(
-                {
-                    "id": len(annotations) + 1,
-                    "image_id": len(images),
-                    "category_id": 1 + int(_is_cyclist(setting.runs[index])),
-                    "bbox": [x_min, y_min, x_max - x_min, y_max - y_min],
-                    "area": (x_max - x_min) * (y_max - y_min),
-                    "iscrowd": 0,
-                    "visible_share": float(share),
-                }
-            )
+            category = 1 + int(_is_cyclist(setting.runs[index]))
+            box_px = (x_min, y_min, x_max, y_max)
+            annotation = _annotation(len(annotations) + 1, len(images), category, box_px)
+            annotations.append(annotation | {"visible_share": float(share)})
     categories = [{"id": number, "name": name} for number, name in enumerate(_COCO_CLASSES, 1)]
     return {
         "info": {"description": f"place-rsus dataset of {record.scene}"},
         "images": images,
         "annotations": annotations,
         "categories": categories,
+    }
+
+
+def _annotation(
+    number: int, image_id: int, category_id: int, box_px: tuple[float, float, float, float]
+) -> dict[str, Any]:
+    x_min, y_min, x_max, y_max = box_px
+    return {
+        "id": number,
+        "image_id": image_id,
+        "category_id": category_id,
+        "bbox": [x_min, y_min, x_max - x_min, y_max - y_min],
+        "area": (x_max - x_min) * (y_max - y_min),
+        "iscrowd": 0,
     }
 
 
@@ -456,17 +463,9 @@ def _add_vehicles(out: Path) -> None:
         return
     for image in coco["images"]:
         labels, _ = read_labels((out / image["file_name"]).with_suffix(".txt"), form)
-        for x_min, y_min, x_max, y_max in (label.box_px for label in labels):
-            coco["annotations"].append(
-                {
-                    "id": len(coco["annotations"]) + 1,
-                    "image_id": image["id"],
-                    "category_id": number,
-                    "bbox": [x_min, y_min, x_max - x_min, y_max - y_min],
-                    "area": (x_max - x_min) * (y_max - y_min),
-                    "iscrowd": 0,
-                }
-            )
+        for label in labels:
+            numbers = (len(coco["annotations"]) + 1, image["id"], number)
+            coco["annotations"].append(_annotation(*numbers, label.box_px))
     coco["categories"].append({"id": number, "name": "vehicle"})
     write_atomically(path, json.dumps(coco))
 

@@ -32,9 +32,9 @@ from placement.detectors.fitting import (
     gather_sightings,
 )
 from placement.detectors.network import ImageBoxes, NetworkDetector, kind_of_name, vru_boxes
-from placement.evaluator import build_surroundings, load_vut_camera
+from placement.evaluator import VutCamera, build_surroundings, load_vut_camera
 from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
-from placement.evaluator.pictures import PictureSource
+from placement.evaluator.pictures import FrameCamera, PictureSource
 from placement.layout import Layout, check_layout
 from placement.question import Question
 from placement.recordings import Recording, load_format, read_recording
@@ -221,25 +221,18 @@ def _look(
     source = PictureSource(setting.scene, setting.runs, seed=compute.seed)
     least_px, by_crops = network.min_box_height_px, network.looks_at_crops
     views: list[tuple[Evidence, PictureOfFrame, Crops | None]] = []
-    cameras = [unit for unit in layout.units if isinstance(unit.sensor, CameraModel)]
-    for number, unit in enumerate(cameras):
-        progress("label", number, len(cameras) + 1)
-        assert isinstance(unit.sensor, CameraModel)
-        evidence = perceive_from_roadside(
-            surroundings, unit.pose, unit.sensor, min_height_px=least_px
-        )
-        views.append(
-            (
-                evidence,
-                source.from_roadside(unit.pose, unit.sensor),
-                source.crops((unit.pose, unit.sensor), evidence.amodal_px) if by_crops else None,
-            )
-        )
-    progress("label", len(cameras), len(cameras) + 1)
-    mount = load_vut_camera()
-    evidence = perceive_from_vut(surroundings, mount, min_height_px=least_px)
-    crops = source.crops(mount, evidence.amodal_px) if by_crops else None
-    views.append((evidence, source.from_vut(mount), crops))
+    cameras: list[FrameCamera] = [
+        (unit.pose, unit.sensor) for unit in layout.units if isinstance(unit.sensor, CameraModel)
+    ]
+    cameras.append(load_vut_camera())
+    for number, camera in enumerate(cameras):
+        progress("label", number, len(cameras))
+        if isinstance(camera, VutCamera):
+            evidence = perceive_from_vut(surroundings, camera, min_height_px=least_px)
+        else:
+            evidence = perceive_from_roadside(surroundings, *camera, min_height_px=least_px)
+        crops = source.crops(camera, evidence.amodal_px) if by_crops else None
+        views.append((evidence, source.pictures(camera), crops))
     rng = np.random.default_rng([compute.seed, len(views)])
     shares = _share_out(
         wish.pictures, [int((box_height_px(one.visible_px) > 0.0).sum()) for one, *_ in views]

@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError, Unquoted
 from geometry.files import load_toml, take_number
 from geometry.image_boxes import box_height_px
 from geometry.lidar import LidarModel, load_lidar_detection
-from geometry.poses import Pose, wrap_deg
+from geometry.poses import wrap_deg
 from geometry.sensors import CameraModel
 from geometry.weather import pick_weather
 from scenarios.aeb import AebRule, has_contact
@@ -39,7 +39,7 @@ from ..setting import Radio, Setting
 from .surroundings import build_surroundings, draw_index, load_vut_camera, load_vut_lidar
 
 if TYPE_CHECKING:
-    from .pictures import PictureSource
+    from .pictures import FrameCamera, PictureSource
 
 # ---------- frames in which the VRU is detected, by every unit and by the VUT itself
 
@@ -153,6 +153,10 @@ class _Watcher:
         self, units: Mapping[UnitKey, CandidatePose], *, with_vut: bool
     ) -> tuple[dict[UnitKey, Evidence], dict[UnitKey, BoolArray]]:
         """Evidence of cameras, and the frames in which LiDARs detect."""
+        from . import perceive
+
+        seed, around, mount = self._seed, self._surroundings, self._mount
+        least_px = self._setting.detector.min_box_height_px
         n_frames = self._setting.axis.n_frames
         parts = np.array_split(np.arange(n_frames), min(_VUT_JOBS, n_frames))
         looks: dict[UnitKey, Future[Evidence]] = {}
@@ -160,14 +164,32 @@ class _Watcher:
         by_vut: list[Future[Evidence]] = []
         with _pool(self._compute.workers) as pool:
             if with_vut and "camera" in self._setting.vut_sensors:
-                by_vut = [pool.submit(self._look_from_vut, frames) for frames in parts]
+                by_vut = [
+                    pool.submit(
+                        lambda frames: perceive.perceive_from_vut(
+                            around.take(frames), mount, min_height_px=least_px
+                        ),
+                        frames,
+                    )
+                    for frames in parts
+                ]
             if with_vut and "lidar" in self._setting.vut_sensors:
-                scans[VUT_KEY] = pool.submit(self._scan_from_vut)
+                rng = build_rng(seed, VUT_KEY, "lidar")
+                scans[VUT_KEY] = pool.submit(
+                    perceive.scan_from_vut, around, mount, load_vut_lidar(), rng
+                )
             for key, unit in units.items():
                 if isinstance(unit.sensor, LidarModel):
-                    scans[key] = pool.submit(self._scan, key, unit.pose, unit.sensor)
+                    scans[key] = pool.submit(
+                        perceive.scan_from_roadside,
+                        *(around, unit.pose, unit.sensor, build_rng(seed, key)),
+                    )
                 else:
-                    looks[key] = pool.submit(self._look, unit.pose, unit.sensor)
+                    looks[key] = pool.submit(
+                        perceive.perceive_from_roadside,
+                        *(around, unit.pose, unit.sensor),
+                        min_height_px=least_px,
+                    )
             jobs: list[Future[Any]] = [*by_vut, *looks.values(), *scans.values()]
             for n_done, future in enumerate(as_completed(jobs), start=1):
                 future.result()
@@ -217,38 +239,12 @@ class _Watcher:
         self, evidence: Evidence, source: "PictureSource", unit: CandidatePose | None
     ) -> Evidence:
         """Evidence with pictures for the detector: whole ones, or crops around the road user."""
-        if unit is None:
-            crops = source.crops(self._mount, evidence.amodal_px)
-            return replace(evidence, picture=source.from_vut(self._mount), crops=crops)
-        assert isinstance(unit.sensor, CameraModel)
-        crops = source.crops((unit.pose, unit.sensor), evidence.amodal_px)
-        picture = source.from_roadside(unit.pose, unit.sensor)
-        return replace(evidence, picture=picture, crops=crops)
-
-    def _look(self, pose: Pose, camera: CameraModel) -> Evidence:
-        from .perceive import perceive_from_roadside
-
-        least_px = self._setting.detector.min_box_height_px
-        return perceive_from_roadside(self._surroundings, pose, camera, min_height_px=least_px)
-
-    def _look_from_vut(self, frames: IntArray) -> Evidence:
-        from .perceive import perceive_from_vut
-
-        least_px = self._setting.detector.min_box_height_px
-        return perceive_from_vut(
-            self._surroundings.take(frames), self._mount, min_height_px=least_px
-        )
-
-    def _scan(self, key: UnitKey, pose: Pose, lidar: LidarModel) -> BoolArray:
-        from .perceive import scan_from_roadside
-
-        return scan_from_roadside(self._surroundings, pose, lidar, build_rng(self._seed, key))
-
-    def _scan_from_vut(self) -> BoolArray:
-        from .perceive import scan_from_vut
-
-        rng = build_rng(self._seed, VUT_KEY, "lidar")
-        return scan_from_vut(self._surroundings, self._mount, load_vut_lidar(), rng)
+        camera: FrameCamera = self._mount
+        if unit is not None:
+            assert isinstance(unit.sensor, CameraModel)
+            camera = unit.pose, unit.sensor
+        crops = source.crops(camera, evidence.amodal_px)
+        return replace(evidence, picture=source.pictures(camera), crops=crops)
 
 
 @contextmanager

@@ -38,6 +38,8 @@ from ..layout import Layout
 from .surroundings import VutCamera, load_vut_camera, load_vut_lidar, vut_pitch_deg
 
 PictureOfFrame = Callable[[int], Image]
+FrameCamera = VutCamera | tuple[Pose, CameraModel]
+"""The VUT's own camera, or a fixed one."""
 
 _CROP_SIDES_PX = (64, 96, 128, 160)
 _ROOM = 0.625  # share of a crop that a road user may take up; for larger ones the scale is less
@@ -68,22 +70,17 @@ class PictureSource:
         """Draw no more: whoever asks for another picture is stopped."""
         self._is_closed = True
 
-    def from_roadside(self, pose: Pose, camera: CameraModel) -> PictureOfFrame:
-        """Pictures of a fixed camera: from a frame of all runs, end to end, to its image."""
-        return lambda frame: self._draw(frame, pose, camera, with_vut=True)
-
-    def from_vut(self, mount: VutCamera) -> PictureOfFrame:
-        """Pictures of the VUT's own camera; see :meth:`from_roadside`."""
+    def pictures(self, camera: FrameCamera) -> PictureOfFrame:
+        """Pictures of a camera: from a frame of all runs, end to end, to its image."""
 
         def picture(frame: int) -> Image:
-            run, index = self._find(frame)
-            pose = vut_camera_pose(mount, run, index)
-            return self._draw(frame, pose, mount.camera, with_vut=False)
+            pose, model = _placed(camera, *self._find(frame))
+            return self._draw(frame, pose, model, with_vut=not isinstance(camera, VutCamera))
 
         return picture
 
-    def crops(self, camera: VutCamera | tuple[Pose, CameraModel], boxes_px: FloatArray) -> "Crops":
-        """Crops by the VUT's camera, or by a fixed one, around the road user's boxes (n, 4)."""
+    def crops(self, camera: FrameCamera, boxes_px: FloatArray) -> "Crops":
+        """Crops of a camera's pictures around the road user's boxes (n, 4)."""
         return Crops(self, camera, boxes_px)
 
     def _find(self, frame: int) -> tuple[Run, int]:
@@ -221,7 +218,7 @@ class Crops:
     def __init__(
         self,
         source: PictureSource,
-        camera: VutCamera | tuple[Pose, CameraModel],
+        camera: FrameCamera,
         boxes_px: FloatArray,
     ) -> None:
         self._source, self._camera, self._boxes_px = source, camera, boxes_px
@@ -263,10 +260,7 @@ class Crops:
                 yield frame, self._source._draw_crop(frame, views[frame], still)
 
     def _view(self, run: Run, index: int, frame: int) -> _View:
-        if isinstance(self._camera, VutCamera):
-            pose, camera = vut_camera_pose(self._camera, run, index), self._camera.camera
-        else:
-            pose, camera = self._camera
+        pose, camera = _placed(self._camera, run, index)
         box_px = self._boxes_px[frame]
         size_px = float((box_px[2:] - box_px[:2]).max())
         scale = max(1, int(np.ceil(size_px / (_ROOM * _CROP_SIDES_PX[-1]))))
@@ -278,6 +272,13 @@ class Crops:
             run, index, pose, camera, box_px, 0.5 * side_px * scale
         )
         return _View(pose, camera, box_px, side_px, scale, shows_vut, is_fixed)
+
+
+def _placed(camera: FrameCamera, run: Run, index: int) -> tuple[Pose, CameraModel]:
+    """Pose and model of a camera in a frame of a run."""
+    if isinstance(camera, VutCamera):
+        return vut_camera_pose(camera, run, index), camera.camera
+    return camera
 
 
 def _around(windows: Sequence[Window]) -> Window:

@@ -267,7 +267,7 @@ def find_crop(image: Image, hull: FloatArray, min_height_px: float) -> tuple[Win
     half_width, half_height = 0.5 * image.width_px, 0.5 * image.height_px
     n_left, n_right, n_above, n_below, n_behind = 0, 0, 0, 0, 0
     nearest = np.inf
-    for row in range(n):
+    for row in range(n):  # corners of the hull
         # The planes through the lens and the image's edges: they also hold behind the lens.
         across, down, depth = hull[row, 0], hull[row, 1], hull[row, 2]
         n_left += -image.focal_px * across > half_width * depth
@@ -282,7 +282,7 @@ def find_crop(image: Image, hull: FloatArray, min_height_px: float) -> tuple[Win
             return (0, 0, 0, 0), 0.0
         return (0, 0, image.width_px, image.height_px), 0.0
     x_min, x_max, y_min, y_max = np.inf, -np.inf, np.inf, -np.inf
-    for row in range(n):
+    for row in range(n):  # all of them ahead: project them
         scale = image.focal_px / hull[row, 2]
         x, y = half_width + scale * hull[row, 0], half_height + scale * hull[row, 1]
         x_min, x_max = min(x_min, x), max(x_max, x)
@@ -437,7 +437,7 @@ def _draw_all(
     image: Image, points: FloatArray, triangles: IntArray, box: Window, depth_m: FloatArray
 ) -> int:
     """Depths of the whole VRU in the pixels of its box; gives the number of pixels."""
-    for pixel in range(len(depth_m)):
+    for pixel in range(len(depth_m)):  # nothing is drawn yet
         depth_m[pixel] = np.inf
     draw(image, points, triangles, box, depth_m)
     n_pixels = 0
@@ -452,7 +452,7 @@ def _measure(depth_m: FloatArray, window: Window, found: FloatArray, row: int) -
     width, height = window[2] - window[0], window[3] - window[1]
     x_min, y_min, x_max, y_max = width, height, 0, 0
     n_pixels = 0
-    for y in range(height):
+    for y in range(height):  # pixels of the window
         for x in range(width):
             if depth_m[y * width + x] < np.inf:
                 n_pixels += 1
@@ -487,7 +487,7 @@ def _set_beam(
     normal[3, 1], normal[3, 2] = 1.0, (half_height - box[3]) / image.focal_px
     normal[4, 2], normal[4, 3] = 1.0, -farthest_m
     normal[5, 2], normal[5, 3] = -1.0, _least_depth(image, box)
-    for plane in range(_N_PLANES):
+    for plane in range(_N_PLANES):  # planes of the beam, taken into the body's frame
         constant = normal[plane, 3]
         for axis in range(3):
             planes[plane, axis] = 0.0
@@ -504,7 +504,7 @@ def _is_outside(
     """True if a node's box lies outside of one of the planes, or of the heights of a beam."""
     if high[node, 2] <= low_m or low[node, 2] >= high_m:
         return True
-    for plane in range(_N_PLANES):
+    for plane in range(_N_PLANES):  # the corner of the box that is least outside of each
         value = planes[plane, 3]
         for axis in range(3):
             normal = planes[plane, axis]
@@ -626,7 +626,7 @@ def _see_past_vehicles(
     `depth_m` is not yet drawn; `left_m` is room for as many pixels.
     """
     farthest_m, lowest_m, highest_m = depths
-    for frame in range(sights.frame_start[sight], sights.frame_start[sight + 1]):
+    for frame in range(sights.frame_start[sight], sights.frame_start[sight + 1]):  # and vehicles
         is_hidden = False
         for row in range(sights.vehicle_start[frame], sights.vehicle_start[frame + 1]):
             kind = sights.vehicle_kind[row]

@@ -1,10 +1,10 @@
 """Everything that can be seen in the frames of some runs."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from importlib.resources import files
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -64,7 +64,11 @@ class Surroundings:
 
     def take(self, frames: IntArray) -> "Surroundings":
         """Keep some frames, by index."""
-        return replace(self, **{name: getattr(self, name)[frames] for name in _PER_FRAME})
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        per_frame: dict[str, Any] = {
+            name: one for name, one in values.items() if isinstance(one, np.ndarray)
+        }
+        return replace(self, **{name: one[frames] for name, one in per_frame.items()})
 
     def contrast(self, distance_m: FloatArray) -> FloatArray:
         """Contrast of the VRU at a distance in every frame's weather, (n_frames,)."""
@@ -73,22 +77,6 @@ class Surroundings:
             frames = self.weather_index == index
             contrast[frames] = weather.contrast * weather.transmission(distance_m[frames])
         return contrast
-
-
-_PER_FRAME = (
-    "static_index",
-    "vru_index",
-    "sight_index",
-    "static_poses",
-    "vru_poses",
-    "vut_poses",
-    "vut_pitch_deg",
-    "traffic_index",
-    "traffic_poses",
-    "draw_index",
-    "vru_class",
-    "weather_index",
-)
 
 
 def build_surroundings(

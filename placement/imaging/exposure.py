@@ -102,7 +102,7 @@ def _curve(shoulder: float) -> NDArray[np.uint8]:
 def _mark_edges(radiance: FloatRays, contrast: np.float32, is_edge: BoolArray) -> None:
     """Mark neighbours whose green differs by more than a share of their sum."""
     height, width = is_edge.shape
-    for row in range(height):
+    for row in range(height):  # pixels, each with its right and its lower neighbour
         for column in range(width):
             here = radiance[row, column, 1]
             if column + 1 < width:
@@ -128,7 +128,7 @@ def _expose(
     """Photon noise (variance = mean), that of the amplifier, and the curve to sRGB."""
     steps = np.float32(_STEPS / _BRIGHTEST)
     last = np.float32(_STEPS - 1)
-    for row in range(radiance.shape[0]):
+    for row in range(radiance.shape[0]):  # pixels, and the three colours of each
         for column in range(radiance.shape[1]):
             for colour in range(3):
                 light = radiance[row, column, colour] * scale

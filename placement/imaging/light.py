@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from itertools import pairwise
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -25,37 +25,14 @@ _FILE = "lamps.toml"
 _AHEAD_M = 0.03  # headlights shine from just before the body
 
 
-class Lamp(Protocol):
-    """A small source of light."""
-
-    @property
-    def position_m(self) -> FloatArray:
-        """Where it is, (3,), world frame, in metres."""
-
-    @property
-    def colour(self) -> FloatArray:
-        """Linear red, green, blue, (3,); luminance 1."""
-
-    @property
-    def reach_m(self) -> float:
-        """Farther away, in metres, its light does not count."""
-
-    @property
-    def radius_m(self) -> float:
-        """Of the lit area, in metres."""
-
-    def intensity_cd(self, directions: FloatRays) -> FloatRays:
-        """Luminous intensity (n,) in candela along unit vectors (3, n) of the world frame."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StreetLamp:
     """A lamp that shines straight down, evenly within a cone."""
 
-    position_m: FloatArray
-    colour: FloatArray
-    reach_m: float
-    radius_m: float
+    position_m: FloatArray  # (3,), world frame
+    colour: FloatArray  # (3,): linear red, green, blue; luminance 1
+    reach_m: float  # farther away its light does not count
+    radius_m: float  # of the lit area
     flux_lm: float  # all its light
     inner_deg: float  # full intensity up to here from straight down
     outer_deg: float  # nothing but the spill from here on
@@ -69,7 +46,7 @@ class StreetLamp:
         return self.flux_lm / (2.0 * math.pi * (cone + 2.0 * self.spill))
 
     def intensity_cd(self, directions: FloatRays) -> FloatRays:
-        """See :class:`Lamp`."""
+        """Luminous intensity (n,) in candela along unit vectors (3, n) of the world frame."""
         inner, outer = self._cosines
         share: FloatRays = (directions[2] + np.float32(outer)) * np.float32(1.0 / (outer - inner))
         np.clip(share, 0.0, 1.0, out=share)
@@ -85,7 +62,7 @@ class StreetLamp:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HeadLamp:
-    """A low beam."""
+    """A low beam; the first four are as of :class:`StreetLamp`."""
 
     position_m: FloatArray
     colour: FloatArray
@@ -95,7 +72,7 @@ class HeadLamp:
     beam: Mapping[str, float]  # [head_lamp] of data/lamps.toml
 
     def intensity_cd(self, directions: FloatRays) -> FloatRays:
-        """See :class:`Lamp`."""
+        """Luminous intensity (n,) in candela along unit vectors (3, n) of the world frame."""
         beam = self.beam
         ahead, aside, up = self.R_world_lamp.T.astype(np.float32) @ directions
         is_ahead = ahead > 0.05
@@ -117,6 +94,9 @@ class HeadLamp:
             is_ahead, above + np.float32(beam["peak_cd"] - beam["above_cd"]) * share, np.float32(0)
         )
         return intensity
+
+
+Lamp = StreetLamp | HeadLamp
 
 
 def build_street_lamps(scene: Scene) -> tuple[StreetLamp, ...]:

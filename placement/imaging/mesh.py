@@ -169,17 +169,14 @@ class _MovedCaster:
         self._caster, self._shift = caster, shift
 
     def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
-        """See :class:`geometry.raycast.RayCaster`."""
         return self._caster.is_blocked(origins_m + self._shift, vectors_m)
 
     def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
-        """See :class:`geometry.raycast.RayCaster`."""
         return self._caster.first_hit(origins_m + self._shift, vectors_m)
 
     def first_triangle(
         self, origins_m: FloatRays, vectors_m: FloatRays
     ) -> tuple[FloatRays, IntArray]:
-        """See :class:`geometry.raycast.RayCaster`."""
         return self._caster.first_triangle(origins_m + self._shift, vectors_m)
 
 
@@ -190,20 +187,17 @@ class _TwoCasters:
         self._first, self._second, self._n_first = first, second, n_first
 
     def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
-        """See :class:`geometry.raycast.RayCaster`."""
         blocked = self._first.is_blocked(origins_m, vectors_m)
         free = np.flatnonzero(~blocked)
         blocked[free] = self._second.is_blocked(origins_m[free], vectors_m[free])
         return blocked
 
     def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
-        """See :class:`geometry.raycast.RayCaster`."""
         return self.first_triangle(origins_m, vectors_m)[0]
 
     def first_triangle(
         self, origins_m: FloatRays, vectors_m: FloatRays
     ) -> tuple[FloatRays, IntArray]:
-        """See :class:`geometry.raycast.RayCaster`."""
         share, triangle = self._first.first_triangle(origins_m, vectors_m)
         other_share, other = self._second.first_triangle(origins_m, vectors_m)
         is_nearer = other_share < share

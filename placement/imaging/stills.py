@@ -379,7 +379,7 @@ def _meets(
     dx, dy, dz = box[0] - px, box[1] - py, box[2] - pz
     cos, sin = box[3], box[4]
     near, far = 0.0, most
-    for axis in range(3):
+    for axis in range(3):  # the two faces of the box across each of its axes
         if axis == 0:
             middle, way = cos * dx + sin * dy, cos * vx + sin * vy
         elif axis == 1:
@@ -412,7 +412,7 @@ def _around(
     """Middle and radius of a sphere around what a block of pixels sees; the sky is at `sky_m`."""
     low_x = low_y = low_z = math.inf
     high_x = high_y = high_z = -math.inf
-    for row in range(rows[0], rows[1]):
+    for row in range(rows[0], rows[1]):  # pixels of the block
         for column in range(columns[0], columns[1]):
             depth = float(depth_m[row, column])
             if math.isinf(depth):
@@ -441,12 +441,12 @@ def _is_changed(
 ) -> bool:
     """True if one of the possible boxes is seen in a pixel, or throws a shadow there."""
     x, y, z = vx * depth, vy * depth, vz * depth
-    for index in range(len(boxes)):
+    for index in range(len(boxes)):  # boxes that may be seen there
         if possible[index, 0] and _meets(boxes[index], 0.0, 0.0, 0.0, vx, vy, vz, depth):
             return True
     if math.isinf(depth):
         return False
-    for index in range(len(boxes)):
+    for index in range(len(boxes)):  # boxes that may hide the sun, or a lamp
         if possible[index, 1] and _meets(
             boxes[index], x, y, z, to_sun[0], to_sun[1], to_sun[2], math.inf
         ):
@@ -484,13 +484,13 @@ def _mark(
         sky_m = max(sky_m, 1.01 * away)
     # Of each box: may it be seen, hide the sun, hide each lamp?
     possible = np.empty((n_boxes, 2 + n_lamps), dtype=np.bool_)
-    for top in range(0, changed.shape[0], _BLOCK_PX):
+    for top in range(0, changed.shape[0], _BLOCK_PX):  # blocks of pixels
         bottom = min(top + _BLOCK_PX, changed.shape[0])
         for first in range(0, changed.shape[1], _BLOCK_PX):
             last = min(first + _BLOCK_PX, changed.shape[1])
             x, y, z, radius = _around(depth_m, right, ahead, (top, bottom), (first, last), sky_m)
             n_possible = 0
-            for index in range(n_boxes):
+            for index in range(n_boxes):  # as a whole, by spheres around block and box
                 box = boxes[index]
                 possible[index, 0] = _may_meet(box, x, y, z, -x, -y, -z, radius)
                 possible[index, 1] = to_sun[2] > 0.0 and _may_meet(
@@ -505,7 +505,7 @@ def _mark(
                     n_possible += possible[index, way]
             if n_possible == 0:
                 continue
-            for row in range(top, bottom):
+            for row in range(top, bottom):  # then pixel by pixel
                 for column in range(first, last):
                     changed[row, column] = _is_changed(
                         float(ahead[row, 0]) + right[column, 0],
@@ -529,7 +529,7 @@ def _mark_lit(
     heads: FloatArray,
 ) -> None:
     """Mark pixels that are not changed and lie before a headlight, in its reach."""
-    for row in range(lit.shape[0]):
+    for row in range(lit.shape[0]):  # pixels, and the headlights that may reach each
         for column in range(lit.shape[1]):
             depth = float(depth_m[row, column])
             if changed[row, column] or math.isinf(depth):
@@ -556,7 +556,7 @@ def _mark_mirrored(
 ) -> None:
     """Mark pixels whose mirrored ray meets a box."""
     width = len(right)
-    for number in range(len(mirrors)):
+    for number in range(len(mirrors)):  # pixels with a mirrored ray, and the boxes
         pixel = mirrors[number]
         if changed[pixel]:
             continue

@@ -56,7 +56,7 @@ def _is_any_near(
     The rows that it reaches lie between the tangents from the eye; next to and behind the lens it
     may reach any.
     """
-    for j in range(LANES):
+    for j in range(LANES):  # cameras in the lanes
         right = x * lens[_X0 + j] + y * lens[_Y0 + j] + z * lens[_Z0 + j]
         down = x * lens[_X1 + j] + y * lens[_Y1 + j] + z * lens[_Z1 + j]
         ahead = x * lens[_X2 + j] + y * lens[_Y2 + j] + z * lens[_Z2 + j]
@@ -98,7 +98,7 @@ def find_views(
     The others are as for :func:`box_bodies`.
     """
     is_near, least_px = np.empty(LANES, np.bool_), _least(min_height_px)
-    for view in range(len(middle)):
+    for view in range(len(middle)):  # views, and blocks of cameras until one is near
         x = np.float32(middle[view, 0] - eye[0])
         y = np.float32(middle[view, 1] - eye[1])
         z = np.float32(middle[view, 2] - eye[2])
@@ -122,7 +122,7 @@ def _project_into_all(
     for j in range(LANES):
         limits[_LEFT + j] = limits[_TOP + j] = limits[_DEPTH + j] = _FAR
         limits[_RIGHT + j] = limits[_BOTTOM + j] = -_FAR
-    for point in range(0, points.shape[2], 2):
+    for point in range(0, points.shape[2], 2):  # points, two at a time, in all cameras at once
         other_point = min(point + 1, points.shape[2] - 1)
         x, a = points[view, 0, point] - ex, points[view, 0, other_point] - ex
         y, b = points[view, 1, point] - ey, points[view, 1, other_point] - ey
@@ -161,7 +161,7 @@ def _set_out(points: Array, view: int, eye: Array, shown: Array, offsets: Array)
     Of those that are `shown` (n_points,); returns how many blocks they fill.
     """
     count = 0
-    for point in range(points.shape[2]):
+    for point in range(points.shape[2]):  # points that are shown go to the next free lane
         if shown[point]:
             for axis in range(3):
                 offset = points[view, axis, point] - eye[axis]
@@ -202,7 +202,7 @@ def _box_points(
     for j in range(LANES):
         limits[_LEFT + j] = limits[_TOP + j] = _FAR
         limits[_RIGHT + j] = limits[_BOTTOM + j] = -_FAR
-    for block in range(len(offsets)):
+    for block in range(len(offsets)):  # points, as many at a time as there are lanes
         offset = offsets[block]
         for j in range(LANES):
             x, y, z = offset[j], offset[LANES + j], offset[2 * LANES + j]
@@ -320,6 +320,17 @@ def _box_part(
 
 
 @kernel
+def _sides(limits: Array, camera: int) -> tuple[Any, Any, Any, Any]:
+    """Left, top, right and bottom of what one camera of the lanes shows."""
+    return (
+        limits[_LEFT + camera],
+        limits[_TOP + camera],
+        limits[_RIGHT + camera],
+        limits[_BOTTOM + camera],
+    )
+
+
+@kernel
 def box_bodies(
     points: Array,
     hull: Array,
@@ -347,19 +358,17 @@ def box_bodies(
     are. Pairs of a camera and an entry go to `plain` and `part` (n, 2); of plain ones, the one box
     of all that is visible goes to `plain_px` (n, 4), of the others those of the visible points and
     of all go to `part_px` (n, 8), and the share of the body inside the image to `inside_share`
-    (n,). Of a body that the image cuts off, only the points inside the image count. Pairs whose
-    visible box is not `min_height_px` high are left out.
+    (n,). Pairs whose visible box is not `min_height_px` high are left out.
     """
     limits, some = np.empty(5 * LANES, np.float32), np.empty(5 * LANES, np.float32)
     box = np.empty(8, np.float32)
     near, lens = np.empty(n_cameras + 1, np.int64), np.zeros(_N_NUMBERS * LANES, np.float32)
-    n_points = points.shape[2]
-    every_point = np.ones(n_points, np.bool_)
-    every = np.empty((-(-n_points // LANES), 3 * LANES), np.float32)
+    every_point = np.ones(points.shape[2], np.bool_)
+    every = np.empty((-(-points.shape[2] // LANES), 3 * LANES), np.float32)
     seen = np.empty_like(every)
     zero, least_px = np.float32(0.0), _least(min_height_px)
     n_plain = n_part = 0
-    for entry in range(len(view_of_entry)):
+    for entry in range(len(view_of_entry)):  # bodies that are seen from the mount
         view = view_of_entry[entry]
         n_every = n_seen = -1  # blocks of points; not yet set out
         n_near = _find_near(middle, radius, eye, view, lenses, n_cameras, least_px, near)
@@ -369,8 +378,7 @@ def box_bodies(
             _project_into_all(hull, view, eye, lens, min_depth_m, limits)
             for j in range(n):
                 camera = near[first + j]
-                left, top = limits[_LEFT + j], limits[_TOP + j]
-                right, bottom = limits[_RIGHT + j], limits[_BOTTOM + j]
+                left, top, right, bottom = _sides(limits, j)
                 width = lens[_HALF_WIDTH + j] + lens[_HALF_WIDTH + j]
                 height = lens[_HALF_HEIGHT + j] + lens[_HALF_HEIGHT + j]
                 is_behind = limits[_DEPTH + j] <= min_depth_m
@@ -398,8 +406,7 @@ def box_bodies(
                 part_px[n_part] = box
                 if is_behind:  # next to and behind the lens points are not projected as bodies are
                     _project_into_all(points, view, eye, lens, min_depth_m, some)
-                    left, top = some[_LEFT + j], some[_TOP + j]
-                    right, bottom = some[_RIGHT + j], some[_BOTTOM + j]
+                    left, top, right, bottom = _sides(some, j)
                 share = _share_inside(left, top, right, bottom, width, height)
                 inside_share[n_part] = share if is_cut else 1.0
                 n_part += 1
@@ -414,7 +421,7 @@ def pack_frames(
 
     A frame whose entry is -1 shows nothing.
     """
-    for row in range(len(packed)):
+    for row in range(len(packed)):  # sensors and frames
         for frame in range(len(entry_of_frame)):
             entry = entry_of_frame[frame]
             if entry >= 0 and detected[row, weather_of_frame[frame], entry]:

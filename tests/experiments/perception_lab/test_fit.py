@@ -236,11 +236,9 @@ def test_a_network_is_shown_the_frames_that_its_labels_are_of(tmp_path, monkeypa
         def __init__(self, *args, **values):
             self.n_views = 0
 
-        def from_roadside(self, *args):
+        def pictures(self, *args):
             view, self.n_views = self.n_views, self.n_views + 1
             return lambda row: np.array([[[view, row // 256, row % 256]]], dtype=np.uint8)
-
-        from_vut = from_roadside
 
     monkeypatch.setattr(job, "PictureSource", Numbered)
     network = NetworkDetector(
@@ -306,8 +304,7 @@ def test_a_network_for_crops_is_shown_crops_and_now_and_then_whole_pictures(monk
             )
 
     whole_picture = np.zeros((270, 480, 3), dtype=np.uint8)
-    for name in ("from_roadside", "from_vut"):
-        monkeypatch.setattr(job.PictureSource, name, lambda *_: lambda row: whole_picture)
+    monkeypatch.setattr(job.PictureSource, "pictures", lambda *_: lambda row: whole_picture)
     study = load_carlancap_layout()
     camera = replace(study.units[2].sensor, width_px=480, height_px=270)
     layout = replace(study, units=(replace(study.units[2], sensor=camera),))

@@ -58,10 +58,10 @@ def seen(scene, camera):
         if from_vut:
             mount = replace(load_vut_camera(), camera=camera)
             evidence = perceive_from_vut(surroundings, mount)
-            return source.crops(mount, evidence.amodal_px), source.from_vut(mount), evidence
+            return source.crops(mount, evidence.amodal_px), source.pictures(mount), evidence
         evidence = perceive_from_roadside(surroundings, POSE, camera)
         crops = source.crops((POSE, camera), evidence.amodal_px)
-        return crops, source.from_roadside(POSE, camera), evidence
+        return crops, source.pictures((POSE, camera)), evidence
 
     return look
 

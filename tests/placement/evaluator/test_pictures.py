@@ -200,16 +200,16 @@ def test_pictures_are_those_of_the_run_and_frame_that_lie_at_an_index(last_frame
         (2 * N_FRAMES - 1, second, N_FRAMES - 1),
     ):
         by_rsu = render(scene, run, frame, POSE, tiny, compute=Compute(seed=5))
-        assert np.array_equal(source.from_roadside(POSE, tiny)(index), by_rsu)
+        assert np.array_equal(source.pictures((POSE, tiny))(index), by_rsu)
         pose = vut_camera_pose(mount, run, frame)
         by_vut = render(scene, run, frame, pose, tiny, compute=Compute(seed=5), with_vut=False)
-        assert np.array_equal(source.from_vut(mount)(index), by_vut)
+        assert np.array_equal(source.pictures(mount)(index), by_vut)
 
 
 def test_each_run_is_drawn_behind_its_own_obstruction(last_frames, scene, tiny):
     (hidden,) = last_frames(PEDESTRIAN, n_frames=1)
     free = replace(hidden, obstruction=())
-    picture = PictureSource(scene, [hidden, free, hidden], seed=0).from_roadside(POSE, tiny)
+    picture = PictureSource(scene, [hidden, free, hidden], seed=0).pictures((POSE, tiny))
     assert np.array_equal(picture(1), render(scene, free, 0, POSE, tiny))
     assert np.array_equal(picture(0), picture(2))
     assert not np.array_equal(picture(0), picture(1))
