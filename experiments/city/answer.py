@@ -92,7 +92,8 @@ def fronts_table(records: Iterable[CityFrontRecord]) -> bytes:
     rows = []
     for record in records:
         head = {"junction": record.id, "name": record.name, "map": record.map}
-        for point, layout in zip(record.points, record.layouts, strict=True):
+        layouts = record.layouts or ((),) * len(record.points)  # none: the file is damaged
+        for point, layout in zip(record.points, layouts, strict=True):
             poses = " ".join(unit.id for unit in layout)
             rows.append(head | asdict(point) | {"layout": poses, "reason": ""})
         if not record.points:
