@@ -203,9 +203,9 @@ class Tasks:
                 _answer("The cheapest that keeps this", adviser.cheapest(units), costs="in all")
             ]
         if request == "why-not":
-            beside, instead = adviser.why_not(units, site)
+            one_more, instead = adviser.why_not(units, site)
             return [
-                _answer(f"One more unit at {site}", beside, costs="more"),
+                _answer(f"One more unit at {site}", one_more, costs="more"),
                 _answer(f"The best {len(units)} with {site}", instead, costs="in all"),
             ]
         raise InputError("request", request, "one of " + ", ".join(_REQUESTS))
