@@ -11,6 +11,7 @@ from experiments.planner.session import Session
 from experiments.planner.tasks import Cancelled, TaskError, Tasks, Work
 from geometry.errors import InputError
 from placement import candidates as poses
+from placement.compute import Compute
 from placement.question import Question
 
 
@@ -51,9 +52,8 @@ class InThread:
 
 
 def small_work(folder, **asked):
-    return Work(
-        question=Question(**asked), scratch=folder, cache=folder, seed=0, workers=2, rays="auto"
-    )
+    compute = Compute(workers=2, cache_folder=folder)
+    return Work(question=Question(**asked), scratch=folder, compute=compute)
 
 
 def small_session(folder, setting, *, variants=(), asked=None, **given):

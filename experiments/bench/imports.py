@@ -1,7 +1,7 @@
-"""Map files from import to placement: ``python -m experiments.bench.imports FOLDER``.
+"""Map files from import to runs: ``python -m experiments.bench.imports FOLDER``.
 
 Writes ``imports.md`` and a plan of each junction: arms, lanes, things, sites, runs, share of the
-possible runs that is driven, APR, seconds. Files without roads - buildings, city models - are put
+possible runs that is driven, seconds. Files without roads - buildings, city models - are put
 at a junction of another file, between its north and its east arm: their real place is not known.
 """
 
@@ -27,10 +27,6 @@ from geometry.maps.importing import (
 )
 from geometry.maps.junctions import choose_junction
 from geometry.maps.source_map import SourceMap
-from placement.compute import Compute
-from placement.evaluation import apr
-from placement.evaluator import evaluate_layout
-from placement.pipeline import assemble, place
 from placement.question import Question
 from placement.setting import Setting, build_setting
 from scenarios.staging import BENDS, ON_ROAD, lateral_acceleration_mps2
@@ -38,14 +34,13 @@ from scenarios.staging import BENDS, ON_ROAD, lateral_acceleration_mps2
 from ..figures.axes import to_png
 from ..scene.pictures import plot_scene_plan
 
-_WORKERS = 2
 _NO_MAPS = ("_16mm.json", "_8mm.json", ".boundary.geojson")  # calibrations, outlines
 _BESIDE_M = 14.0  # from the middle of the junction to the corner of the houses
 _HEADS = (
     *("file", "junction", "arms", "lanes", "things", "sites", "of them kerb", "runs"),
     *("driven of possible", "driven of all", "no kerb", "too fast for bends"),
     *("largest to the side (m/s²)", "most often refused"),
-    *("APR of the car", "APR of the units", "proven", "read and cut (s)", "place and judge (s)"),
+    *("read and cut (s)", "lay runs (s)"),
 )
 
 
@@ -66,26 +61,22 @@ class _Task(NamedTuple):
     metavar="NAME",
     help="Road map in FOLDER beside whose junction files without roads are put.",
 )
-@click.option("--budget", default=2, show_default=True, help="Units to place; 0: only import.")
 @click.option("--junctions", default=1, show_default=True, help="Largest junctions of each file.")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("results"), show_default=True)
-def main(folder: Path, beside: str, budget: int, junctions: int, out: Path) -> None:
-    """Import every map file below FOLDER, place units at its largest junctions, judge them."""
+def main(folder: Path, beside: str, junctions: int, out: Path) -> None:
+    """Import every map file below FOLDER, and lay the default runs at its largest junctions."""
     pictures = out / "imports"
     pictures.mkdir(parents=True, exist_ok=True)
     rows, notes = [], []
     for task in _tasks(folder, beside):
         try:
-            for row in _run(task, budget, junctions, pictures):
+            for row in _run(task, junctions, pictures):
                 rows.append(row)
                 click.echo(f"{task.name}: {row}")
         except InputError as error:
             notes.append(f"* {task.name}: {error}".replace(f"{folder}/", ""))
             click.echo(notes[-1])
-    command = (
-        f"uv run python -m experiments.bench.imports FOLDER --budget {budget} "
-        f"--junctions {junctions}"
-    )
+    command = f"uv run python -m experiments.bench.imports FOLDER --junctions {junctions}"
     text = _page(rows, notes, command)
     (out / "imports.md").write_text(text, encoding="utf-8")
 
@@ -118,7 +109,7 @@ def _beside(source: SourceMap, roads: Path) -> tuple[float, float]:
     return east, north
 
 
-def _run(task: _Task, budget: int, n_junctions: int, pictures: Path) -> Iterator[list[str]]:
+def _run(task: _Task, n_junctions: int, pictures: Path) -> Iterator[list[str]]:
     """A row for each of the largest junctions; the first one's plan is drawn."""
     reading = ReadingOptions(offset_m=task.offset_m)
     ids = [""]
@@ -132,10 +123,10 @@ def _run(task: _Task, budget: int, n_junctions: int, pictures: Path) -> Iterator
         if not number:
             stem = task.name.replace(" ", "-").replace(".", "-")
             (pictures / f"{stem}.png").write_bytes(to_png(plot_scene_plan(imported.scene)))
-        yield _row(task, imported, budget, cut_s)
+        yield _row(task, imported, cut_s)
 
 
-def _row(task: _Task, imported: ImportedScene, budget: int, cut_s: float) -> list[str]:
+def _row(task: _Task, imported: ImportedScene, cut_s: float) -> list[str]:
     scene = imported.scene
     began_s = time.perf_counter()
     setting = build_setting(Question(), scene)
@@ -151,7 +142,6 @@ def _row(task: _Task, imported: ImportedScene, budget: int, cut_s: float) -> lis
         str(sum(site.kind == "kerb" for site in scene.sites)),
         str(setting.axis.n_runs),
         *_driven(setting),
-        *(_place(setting, budget) if budget else ["-"] * 3),
         f"{cut_s:.1f}",
         f"{time.perf_counter() - began_s:.1f}",
     ]
@@ -178,21 +168,9 @@ def _driven(setting: Setting) -> tuple[str, ...]:
     return *(f"{100.0 * share:.0f} %" for share in shares), f"{most_mps2:.1f}", (most or ["-"])[0]
 
 
-def _place(setting: Setting, budget: int) -> list[str]:
-    """APR of the VUT alone and of the units that are placed, and whether these are proven best."""
-    compute = Compute(workers=_WORKERS)
-    placement = place(assemble(Question(budget=budget), setting=setting, compute=compute))
-    evaluation = evaluate_layout(placement.layout, setting, compute=compute)
-    return [
-        f"{100.0 * apr(evaluation.vut, setting.axis):.1f} %",
-        f"{100.0 * apr(evaluation.rsu_all, setting.axis):.1f} %",
-        "yes" if placement.certificate.is_proven else "no",
-    ]
-
-
 def _page(rows: Sequence[Sequence[str]], notes: Sequence[str], command: str) -> str:
     lines = [
-        "# Maps that others made, from file to placement",
+        "# Maps that others made, from file to runs",
         "",
         f"Made by `{command}`, at the largest junctions of each file, the default cases, the "
         "default camera; plans of the largest in `imports/`. Driven: the share of the runs, each "
@@ -210,7 +188,7 @@ def _page(rows: Sequence[Sequence[str]], notes: Sequence[str], command: str) -> 
         *("| " + " | ".join(row) + " |" for row in rows),
     ]
     if notes:
-        lines += ["", "Without a placement:", "", *notes]
+        lines += ["", "Without runs:", "", *notes]
     return "\n".join(lines) + "\n"
 
 

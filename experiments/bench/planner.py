@@ -187,15 +187,7 @@ def _serve(setting: Setting, question: Question, variant: Variant, folder: Path)
     """Serve the page of a plan from a folder for the session's files; gives its address."""
     from ..planner.server import RunningServer
 
-    compute = Compute()
-    work = Work(
-        question=question,
-        scratch=folder,
-        cache=None,
-        seed=0,
-        workers=compute.workers,
-        rays=compute.rays,
-    )
+    work = Work(question=question, scratch=folder, compute=Compute())
     plan = Plan(variants=(variant,))
     server = RunningServer(lambda: Session(work, setting, plan=plan), host="127.0.0.1", port=0)
     server.start()

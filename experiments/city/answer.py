@@ -45,39 +45,23 @@ Amount = Annotated[float, Meta(ge=0)]
 
 
 class CityFrontRecord(Record, frozen=True, kw_only=True):
-    """``front.json``: what a junction may get, or why there is nothing.
-
-    Attributes
-    ----------
-    key : str
-        Hash of all that it was made from.
-    id, name, map, scene : str
-        Of the junction in its map, the streets that meet, the map's file, the scene.
-    reason : str
-        Why there is no front; empty: there is one.
-    is_final : bool
-        False where another try may end otherwise: a worker died, or time was up.
-    front, layouts
-        The front, and the layout of each point, with the units that are mounted already.
-    seconds : dict of float
-        Processor time by stage. [s]
-    """
+    """``front.json``: what a junction may get, or why there is nothing."""
 
     schema: str = SCHEMA
-    key: str
+    key: str  # hash of all that it was made from
     id: str
-    name: str
+    name: str  # streets that meet
     map: str
     scene: str
-    reason: str = ""
-    is_final: bool = True
+    reason: str = ""  # why there is no front
+    is_final: bool = True  # False where another try may end otherwise
     front: JunctionFront | None = None
-    layouts: tuple[tuple[UnitRecord, ...], ...] = ()
+    layouts: tuple[tuple[UnitRecord, ...], ...] = ()  # of each point, with the existing units
     sites: Count = 0
     poses: Count = 0
     runs: Count = 0
     frames: Count = 0
-    seconds: dict[str, float] = msgspec.field(default_factory=dict)
+    seconds: dict[str, float] = msgspec.field(default_factory=dict)  # processor time by stage
     peak_memory_mib: Amount
     notes: tuple[str, ...] = ()
 
@@ -107,7 +91,8 @@ def fronts_table(records: Iterable[CityFrontRecord]) -> bytes:
     rows = []
     for record in records:
         head = {"junction": record.id, "name": record.name, "map": record.map}
-        for point, layout in zip(record.points, record.layouts, strict=True):
+        layouts = record.layouts or ((),) * len(record.points)  # none: the file is damaged
+        for point, layout in zip(record.points, layouts, strict=True):
             poses = " ".join(unit.id for unit in layout)
             rows.append(head | asdict(point) | {"layout": poses, "reason": ""})
         if not record.points:
@@ -131,22 +116,12 @@ class CityEntry(Record, frozen=True, kw_only=True):
 
 
 class CityManifest(Record, frozen=True, kw_only=True):
-    """``manifest.json``: which city a folder is of, and what has been computed.
-
-    Attributes
-    ----------
-    crs : str
-        Of `bounds`; empty: the maps' own.
-    bounds : tuple of float
-        West, south, east and north of the junctions.
-    junctions : tuple of CityEntry
-        Those that are done.
-    """
+    """``manifest.json``: which city a folder is of, and the junctions that are done."""
 
     schema: str = SCHEMA
     maps: tuple[CityMapRecord, ...]
-    crs: str
-    bounds: tuple[float, float, float, float]
+    crs: str  # of the bounds; empty: the maps' own
+    bounds: tuple[float, float, float, float]  # west, south, east and north of all junctions
     junctions: tuple[CityEntry, ...] = ()
 
 
@@ -166,43 +141,25 @@ def load_manifest(path: Path) -> CityManifest:
 
 
 class CityJunctionRecord(Record, frozen=True, kw_only=True):
-    """A junction of the city, and what it gets.
-
-    Attributes
-    ----------
-    x, y : float
-        In the map's own coordinates: longitude and latitude, or metres.
-    weight : float
-        Its accidents, as a share of the city's.
-    reason : str
-        Why it has no front; empty: it has.
-    units, cost_eur
-        New units, and the cost of these and their sites.
-    year : int
-        In which it is ready, from 1; 0: not known, or nothing.
-    apr_before, apr, apr_one_failed : float
-        APR of the units mounted already; with the new ones; then if the most needed one fails.
-    layout, kept
-        All units, and how many of them are mounted already.
-    """
+    """A junction of the city, and what it gets."""
 
     id: str
     name: str
     map: str
     folder: str
-    x: float
+    x: float  # in the map's own coordinates: longitude, or metres
     y: float
-    weight: Amount
+    weight: Amount  # its accidents, as a share of the city's
     district: str = ""
-    reason: str = ""
-    units: Count = 0
-    cost_eur: Amount = 0.0
-    year: Count = 0
-    apr_before: Share = 0.0
+    reason: str = ""  # why it has no front
+    units: Count = 0  # new ones
+    cost_eur: Amount = 0.0  # of these and their sites
+    year: Count = 0  # in which it is ready, from 1; 0: not known, or nothing
+    apr_before: Share = 0.0  # of the existing units
     apr: Share = 0.0
-    apr_one_failed: Share = 0.0
-    layout: tuple[UnitRecord, ...] = ()
-    kept: Count = 0
+    apr_one_failed: Share = 0.0  # if the unit fails that is needed most
+    layout: tuple[UnitRecord, ...] = ()  # all units
+    kept: Count = 0  # existing ones among them
 
     @property
     def label(self) -> str:
@@ -244,48 +201,28 @@ class CitySearchRecord(Record, frozen=True, kw_only=True):
 
 
 class CityResult(Record, frozen=True, kw_only=True):
-    """Result of ``place-rsus city``: ``city.json``, and the output of ``--json``.
-
-    Attributes
-    ----------
-    weights : str
-        Source of the junctions' weights, in words.
-    apr_before : float
-        Accidents prevented by the units mounted already, by weight.
-    stages : tuple of StageRecord
-        Objectives, in order.
-    bound_of_fronts : float
-        Upper bound of the first stage for all choices among the points of the fronts.
-    not_done, computed : int
-        Junctions without a front; junctions whose fronts this call has computed.
-    by : str
-        What the city's front counts.
-    cheapest : str
-        Cost and benefit of the cheapest useful unit.
-    gain_years : float, optional
-        Gain times years of what is mounted earlier.
-    """
+    """Result of ``place-rsus city``: ``city.json``, and the output of ``--json``."""
 
     schema: str = SCHEMA
     command: str = ""
     maps: tuple[CityMapRecord, ...]
     budget_units: int | None
     budget_eur: float | None
-    weights: str
+    weights: str  # their source, in words
     units: Count
     cost_eur: Amount
-    apr_before: Share
+    apr_before: Share  # of the existing units, by weight
     stages: tuple[StageRecord, ...]
-    bound_of_fronts: Share
+    bound_of_fronts: Share  # of the first stage, for all choices among the points of the fronts
     solver: str
     is_proven: bool
     junctions: tuple[CityJunctionRecord, ...]
-    not_done: Count
-    computed: Count = 0
-    by: Literal["units", "cost"]
+    not_done: Count  # junctions without a front
+    computed: Count = 0  # fronts that this call has found
+    by: Literal["units", "cost"]  # counted by the city's front
     front: tuple[CityStepRecord, ...]
-    cheapest: str = ""
-    gain_years: float | None = None
+    cheapest: str = ""  # useful choice, in words
+    gain_years: float | None = None  # gain times years of what is mounted earlier
     purchases: tuple[CityPurchaseRecord, ...] = ()
     search: CitySearchRecord
     sentences: tuple[str, ...] = ()

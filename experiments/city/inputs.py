@@ -31,46 +31,22 @@ _SAME_M = 15.0  # two junctions of different maps that are one
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CityWish:
-    """Budget of a city, the junctions that count and how much, and what has to be reached.
+    """Budget of a city, the junctions that count and how much, and what has to be reached."""
 
-    Attributes
-    ----------
-    budget_units, budget_eur : optional
-        Most new units, most money for units and sites.
-    within : Path, optional
-        Areas in which junctions count.
-    junctions : str
-        Ids or names with semicolons between, or a file with one a line; empty: all.
-    min_arms, signals_only
-        Least arms of a junction that counts; whether it needs traffic lights.
-    weights_file, weight_column, snap_m
-        Counts at places or by junction, see :func:`geometry.maps.place_lists.read_counts`, and how
-        far a place may be from its junction. [m]
-    districts, min_district_apr
-        Areas, and the least APR of all junctions of each.
-    areas, near_m
-        Areas with columns "weight" (a factor) or "min_apr" (of each junction), and how far away
-        a junction still belongs to one. [m]
-    keep : tuple of Path
-        Layout files, or folders of a city, with the units mounted already.
-    units_per_year, years : int, optional
-        Most units mounted in a year, most years.
-    """
-
-    budget_units: int | None = None
-    budget_eur: float | None = None
-    within: Path | None = None
-    junctions: str = ""
+    budget_units: int | None = None  # new ones, at most
+    budget_eur: float | None = None  # for these and their sites, at most
+    within: Path | None = None  # areas in which junctions count
+    junctions: str = ""  # ids or names with semicolons between, or a file with one a line
     min_arms: int = 3
     signals_only: bool = False
-    weights_file: Path | None = None
+    weights_file: Path | None = None  # counts: geometry.maps.place_lists.read_counts
     weight_column: str = ""
-    snap_m: float = 50.0
-    districts: Path | None = None
+    snap_m: float = 50.0  # from a place that counts to its junction, at most
+    districts: Path | None = None  # areas that each reach `min_district_apr`
     min_district_apr: float = 0.0
-    areas: Path | None = None
-    near_m: float = 0.0
-    keep: tuple[Path, ...] = ()
+    areas: Path | None = None  # with columns "weight" (a factor) or "min_apr" (of each junction)
+    near_m: float = 0.0  # a junction belongs to such an area if it is no farther away
+    keep: tuple[Path, ...] = ()  # layouts, or folders of a city, of the units mounted already
     units_per_year: int | None = None
     years: int | None = None
 
@@ -92,29 +68,15 @@ _TOGETHER = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CitySearch:
-    """Effort for the front of each junction.
+    """Effort for the front of each junction; its scene: see ``scene import``."""
 
-    Attributes
-    ----------
-    is_coarse : bool
-        Try a ninth of the poses.
-    max_units, max_junction_s
-        Most new units at a junction; most time for one. [s]
-    radius_m, sites
-        Of the scene of a junction, see :class:`geometry.maps.importing.ImportOptions`.
-    reading : ReadingOptions
-        Facts that map files do not state of themselves.
-    gap : float
-        Relative gap at which the city's choice counts as settled.
-    """
-
-    is_coarse: bool = False
-    max_units: int = 6
+    is_coarse: bool = False  # a ninth of the poses
+    max_units: int = 6  # new ones at a junction
     max_junction_s: float = 300.0
     radius_m: float = DEFAULT_RADIUS_M
     sites: str = "auto"
     reading: ReadingOptions = field(default_factory=ReadingOptions)
-    gap: float = 0.0
+    gap: float = 0.0  # relative, at which the city's choice counts as settled
 
 
 class CityMapRecord(Record, frozen=True, kw_only=True):

@@ -135,14 +135,7 @@ def plan(
     progress("setting", 0, 0)
     setting = build_setting(question, scene, compute=compute)
     with tempfile.TemporaryDirectory(prefix="place-rsus-plan-") as folder:
-        work = Work(
-            question=question,
-            scratch=Path(folder),
-            cache=compute.cache_folder,
-            seed=compute.seed,
-            workers=compute.workers,
-            rays=compute.rays,
-        )
+        work = Work(question=question, scratch=Path(folder), compute=compute)
         server = RunningServer(
             lambda: Session(work, setting, plan=begun, save=save),
             host=host,

@@ -1,5 +1,6 @@
 """Messages to the page: the junction once, then units and numbers whenever they change."""
 
+import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -16,7 +17,7 @@ from placement.ground import BANDS, PrivateGround, PrivateSight, find_ground_cov
 from placement.layout import Layout
 from placement.setting import Setting
 
-from ..export.json import to_json_text
+from ..export.json import to_json, to_json_text
 from ..figures.axes import describe_run
 from ..parts.bill_of_materials import build_bill
 from ..parts.player import plan_record, svg_path, unit_records
@@ -189,17 +190,11 @@ def layout_text(state: PlanState, scene: Scene) -> str:
 
     Raises InputError if nothing is mounted.
     """
-    from ..export.json import to_json
-
     return to_json(state.variant.layout(scene))
 
 
 def plan_text(state: PlanState, scene: Scene, background: Background | None = None) -> str:
     """All variants in one file, each as a layout file has it, and the image below them."""
-    import json
-
-    from ..export.json import to_json
-
     variants = [
         json.loads(to_json(variant.layout(scene)))
         if variant.units
@@ -232,8 +227,6 @@ def table_numbers(
 
 def evaluated_numbers(evaluation: Evaluation, setting: Setting) -> dict[str, Any]:
     """Numbers by the evaluator; "record" is what ``evaluate --json`` has as "evaluation"."""
-    import json
-
     axis = evaluation.axis
     record = json.loads(to_json_text(build_evaluation_record(evaluation, setting.rule)))
     return {
@@ -253,16 +246,8 @@ def evaluated_numbers(evaluation: Evaluation, setting: Setting) -> dict[str, Any
 def _shares(verdict: Verdict, setting: Setting) -> dict[str, Any]:
     """APR in total, by case, approach and position; runs that are lost, and how each ends."""
     axis = setting.axis
-    approaches = np.array(axis.approaches)
-    positions = np.array(axis.positions)
+    approaches, positions = np.array(axis.approaches), np.array(axis.positions)
     arms = dict.fromkeys(zip(axis.approaches, axis.positions, strict=True))
-    outcomes = run_outcomes(verdict, axis)
-    weight = axis.weight
-    lost = [
-        [index, outcome, bool(weight[index] > 0.0)]
-        for index, outcome in enumerate(outcomes)
-        if outcome != "avoided"
-    ]
 
     def share(mask: Any) -> float | None:
         return finite_or_none(apr(verdict, axis, mask))
@@ -280,7 +265,11 @@ def _shares(verdict: Verdict, setting: Setting) -> dict[str, Any]:
         "byArm": [
             share((approaches == approach) & (positions == position)) for approach, position in arms
         ],
-        "lost": lost,
+        "lost": [
+            [index, outcome, bool(axis.weight[index] > 0.0)]
+            for index, outcome in enumerate(run_outcomes(verdict, axis))
+            if outcome != "avoided"
+        ],
     }
 
 

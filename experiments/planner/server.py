@@ -10,12 +10,11 @@ import threading
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
-from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import unquote
 
 from geometry.errors import InputError, MissingExtraError, Unquoted
@@ -129,8 +128,7 @@ def page_files() -> dict[str, tuple[bytes, str]]:
     return found
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Received:
+class _Received(NamedTuple):
     """A map or a scene that a browser has sent."""
 
     path: Path

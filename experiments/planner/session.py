@@ -18,7 +18,6 @@ from geometry.files import pick, write_atomically
 from geometry.lidar import load_lidars
 from geometry.scene import Scene
 from placement.candidates import CandidatePose, build_grid, load_candidate_grid, own_models
-from placement.compute import Compute
 from placement.ground import PrivateGround, PrivateSight, load_private_ground
 from placement.layout import Layout
 from placement.live import LiveTable, table_verdict
@@ -115,8 +114,7 @@ class Workspace:
             self.ground = load_private_ground(Path(work.question.no_look), setting.scene)
             self._sight = PrivateSight(setting.scene, self.ground)
         self._sight_turn = threading.Lock()
-        compute = Compute(seed=work.seed, workers=work.workers, rays=work.rays)
-        self.live = LiveTable(setting, compute=compute)
+        self.live = LiveTable(setting, compute=work.compute)
         self.views = GroundViews(setting)
         self.is_over = threading.Event()  # nobody waits for numbers any longer
         self.known: OrderedDict[Key, dict[str, Any]] = OrderedDict()  # by the evaluator

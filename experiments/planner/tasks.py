@@ -54,18 +54,13 @@ class Work:
         Its scene is a path that the server chose.
     scratch : Path
         Folder of this session, removed at its end; detections of units are cached there.
-    cache : Path, optional
-        The user's cache, for tables of whole grids.
-    seed, workers, rays
-        As :class:`placement.compute.Compute`.
+    compute : Compute
+        Its cache has tables of whole grids.
     """
 
     question: Question
     scratch: Path
-    cache: Path | None
-    seed: int
-    workers: int
-    rays: str
+    compute: Compute
 
 
 class Tasks:
@@ -73,13 +68,8 @@ class Tasks:
 
     def __init__(self, work: Work, progress: Progress) -> None:
         self._work, self._progress = work, progress
-        self._compute = Compute(
-            seed=work.seed,
-            workers=work.workers,
-            rays=work.rays,
-            cache_folder=work.scratch / "views",
-            progress=progress,
-        )
+        self._compute = replace(work.compute, progress=progress)
+        self._of_units = replace(self._compute, cache_folder=work.scratch / "views")
         self._setting: Setting | None = None
         self._evaluations: OrderedDict[tuple[object, ...], Evaluation] = OrderedDict()
         self._adviser: Adviser | None = None
@@ -91,11 +81,8 @@ class Tasks:
         if self._setting is None:
             self._progress("setting", 0, 0)
             question = self._work.question
-            self._setting = build_setting(
-                question,
-                load_scene(question.scene),
-                compute=replace(self._compute, cache_folder=self._work.cache),
-            )
+            scene = load_scene(question.scene)
+            self._setting = build_setting(question, scene, compute=self._compute)
         return self._setting
 
     def open_setting(self) -> Setting:
@@ -111,7 +98,7 @@ class Tasks:
     def _evaluation(self, layout: Layout) -> Evaluation:
         key = (layout.name, *key_of(layout.units))
         if key not in self._evaluations:
-            self._evaluations[key] = evaluate_layout(layout, self.setting, compute=self._compute)
+            self._evaluations[key] = evaluate_layout(layout, self.setting, compute=self._of_units)
             while len(self._evaluations) > _MAX_EVALUATIONS:
                 self._evaluations.popitem(last=False)
         self._evaluations.move_to_end(key)
@@ -145,7 +132,7 @@ class Tasks:
             missed = np.flatnonzero(counts & ~detected)
             if len(missed):
                 looks.append(Look(unit=unit, run_index=index, frame_index=missed))
-        reasons = find_reasons(setting, looks, compute=self._compute)
+        reasons = find_reasons(setting, looks, compute=self._of_units)
         return {
             "run": run_id,
             "inTime": int(counts.sum()),
@@ -184,7 +171,7 @@ class Tasks:
         run = self.setting.runs[self._run_index(run_id)]
         frame = find_frame(run, frame)
         viewpoint = find_viewpoint(layout, unit_id, run, frame)
-        seen = render(self.setting.scene, run, frame, viewpoint, compute=self._compute)
+        seen = render(self.setting.scene, run, frame, viewpoint, compute=self._of_units)
         if not isinstance(seen, Picture):
             raise InputError("unit", unit_id, "a camera: a LiDAR takes no picture")
         buffer = io.BytesIO()
@@ -216,9 +203,9 @@ class Tasks:
                 _answer("The cheapest that keeps this", adviser.cheapest(units), costs="in all")
             ]
         if request == "why-not":
-            beside, instead = adviser.why_not(units, site)
+            one_more, instead = adviser.why_not(units, site)
             return [
-                _answer(f"One more unit at {site}", beside, costs="more"),
+                _answer(f"One more unit at {site}", one_more, costs="more"),
                 _answer(f"The best {len(units)} with {site}", instead, costs="in all"),
             ]
         raise InputError("request", request, "one of " + ", ".join(_REQUESTS))
@@ -238,7 +225,7 @@ class Tasks:
                 question,
                 setting=self.setting,
                 counts_money=True,
-                compute=replace(self._compute, cache_folder=self._work.cache),
+                compute=self._compute,
             )
             self._adviser = Adviser(assembly, build_grid(question))
         return self._adviser
@@ -255,7 +242,7 @@ class Tasks:
             layout=layout,
             no_look=self._work.question.no_look,
             out=folder,
-            compute=self._compute,
+            compute=self._of_units,
             command=command,
             progress=_Forwarding(self._progress),
         )
@@ -271,9 +258,9 @@ class Tasks:
         from ..parts.sheet import mounting_sheet
 
         self._progress("tolerances", 0, 0)
-        tolerances = find_tolerances(self.setting, layout.units, compute=self._compute)
+        tolerances = find_tolerances(self.setting, layout.units, compute=self._of_units)
         self._progress("draw the sheet", 0, 0)
-        return mounting_sheet(layout, self.setting, tolerances, compute=self._compute)
+        return mounting_sheet(layout, self.setting, tolerances, compute=self._of_units)
 
     # ---------- maps
 

@@ -9,6 +9,7 @@ import sys
 import threading
 from concurrent.futures import Future
 from dataclasses import replace
+from io import BytesIO
 from itertools import product
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from once import make_once
 from experiments.city import answer as city_answer
 from experiments.city import run as job
 from experiments.city import workers as city_workers
-from experiments.city.answer import load_front
+from experiments.city.answer import fronts_table, load_front
 from experiments.city.inputs import CitySearch, CityWish
 from experiments.jobs import schedulers
 from experiments.progress import WRITING, StageProgress
@@ -121,6 +122,13 @@ def test_the_choice_is_the_best_of_all_points_of_three_junctions(tiny, city, nev
         )
         assert result.stages[0].objective == pytest.approx(best, abs=1e-9)
         assert result.cost_eur <= budget_eur
+
+
+def test_a_front_whose_layouts_are_lost_is_still_in_the_table(city):
+    front = fronts_of(city)[0]
+    table = pd.read_parquet(BytesIO(fronts_table([front.without_layouts()])))
+    assert len(table) == len(front.points) > 1
+    assert set(table.layout) == {""}
 
 
 def test_the_folder_has_all_of_it_and_nothing_is_done_twice(tiny, city, never):
