@@ -29,25 +29,15 @@ _WIDTH_PX, _HEIGHT_PX = 1200, 800
 _VIEW_DEG, _PITCH_DEG, _YAW_DEG = 42.0, -50.0, 60.0
 
 
-def plot_scene_plan(
-    scene: Scene, *, half_size_m: float | None = None, axes: Axes | None = None
-) -> Axes:
+def plot_scene_plan(scene: Scene) -> Axes:
     """Plan of a scene: lanes with their directions, arms, crosswalks, sites, things; north up.
 
-    Parameters
-    ----------
-    scene : Scene
-        To draw.
-    half_size_m : float, optional
-        Half the side of the square that is shown; by default all things and sites, at least 45 m
-        and at most 90 m. [m]
-    axes : Axes, optional
-        Where to draw; by default in a new figure.
+    Half the side of the square is at least 45 m and at most 90 m.
     """
     junction = build_junction(scene)
     middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
-    half = half_size_m or _half_size_m(scene, middle)
-    axes = axes or new_axes(WIDTH_IN, WIDTH_IN)
+    half = _half_size_m(scene, middle)
+    axes = new_axes(WIDTH_IN, WIDTH_IN)
     draw_scene(axes, scene)
     outline = np.vstack([scene.outline_m, scene.outline_m[:1]])
     axes.plot(*outline.T, color="#0072B2", linewidth=1.4, zorder=3)
@@ -74,12 +64,12 @@ def plot_scene_plan(
     return axes
 
 
-def plot_scene_view(scene: Scene, *, axes: Axes | None = None) -> Axes:
+def plot_scene_view(scene: Scene) -> Axes:
     """A scene as seen from a height in the south-west: ray-cast, shaded by the sun's direction."""
     middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
     half = min(_half_size_m(scene, middle), 70.0)
     picture = _cast_view(scene, middle, distance_m=2.6 * half)
-    axes = axes or new_axes(WIDTH_IN, WIDTH_IN * _HEIGHT_PX / _WIDTH_PX)
+    axes = new_axes(WIDTH_IN, WIDTH_IN * _HEIGHT_PX / _WIDTH_PX)
     axes.imshow(picture)
     axes.set_axis_off()
     axes.set_title(literal(f"{scene.name}, seen from the south-west"), fontsize=10)
