@@ -69,7 +69,6 @@ def plot_dangers(
     *,
     places: Sequence[Place] | None = None,
     width_in: float = WIDTH_IN,
-    axes: Axes | None = None,
 ) -> Axes:
     """The junction from above with the share of runs avoided at each place: the darker the fewer.
 
@@ -85,8 +84,6 @@ def plot_dangers(
         By default :func:`find_places`.
     width_in : float
         Of a new figure. [inch]
-    axes : Axes, optional
-        Where to draw; by default in a new figure.
 
     Returns
     -------
@@ -95,7 +92,7 @@ def plot_dangers(
         small white square without a number.
     """
     places = find_places(setting) if places is None else places
-    axes = axes or new_axes(width_in, width_in + (0.55 if width_in >= WIDTH_IN else 0.3))
+    axes = new_axes(width_in, width_in + (0.55 if width_in >= WIDTH_IN else 0.3))
     draw_scene(axes, setting.scene)
     outline = setting.scene.outline_m
     middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))

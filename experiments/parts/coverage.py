@@ -21,11 +21,9 @@ from .section import Section, Table, build_picture
 _SHADES = ("#ffffff", "#f1eef6", "#d0d1e6", "#a6bddb", "#67a9cf", "#3690c0", "#016c59", "#014636")
 
 
-def plot_coverage(
-    coverage: GroundCoverage, scene: Scene, layout: Layout, *, axes: Axes | None = None
-) -> Axes:
+def plot_coverage(coverage: GroundCoverage, scene: Scene, layout: Layout) -> Axes:
     """Map of the ground around a junction, darker where cameras see it more finely; north up."""
-    axes = axes or new_axes(WIDTH_IN, WIDTH_IN - 1.8)
+    axes = new_axes(WIDTH_IN, WIDTH_IN - 1.8)
     draw_scene(axes, scene)
     edges = [0.0, 1.0e-9, *(least for _, least in reversed(BANDS)), 1.0e9]
     half = 0.5 * (coverage.east_m[1] - coverage.east_m[0])

@@ -567,29 +567,13 @@ _TIMES: dict[str, Style] = {
 }
 
 
-def plot_front(front: FrontRecord, *, axes: Axes | None = None) -> Axes:
+def plot_front(front: FrontRecord) -> Axes:
     """APR and APR when one unit fails against units or euros; times to spare where optimised.
 
-    Parameters
-    ----------
-    front : FrontRecord
-        To draw.
-    axes : Axes, optional
-        Where to draw shares, without times; by default in a figure of their own, with axes for
-        the times to spare below these where they were optimised.
-
-    Returns
-    -------
-    axes : Axes
-        Of the shares. Filled markers are layouts found. Open ones are bounds that no layout
-        exceeds, where they are higher; a bar spans the gap. Where nothing grows any more, the
-        ground is grey.
+    The axes are those of the shares; the times have axes below. Filled markers are layouts found.
+    Open ones are bounds that no layout exceeds, where they are higher; a bar spans the gap. Where
+    nothing grows any more, the ground is grey.
     """
-    if axes is not None:
-        handles = _draw_shares(axes, front)
-        axes.set_xlabel(_X_LABELS[front.by], fontsize=8)
-        axes.legend(handles=[*handles, *_shades(front)], fontsize=8, frameon=False, loc="best")
-        return axes
     has_times = front.optimised == "all"
     figure = new_figure(WIDTH_IN, 4.9 if has_times else 3.4)
     panels = figure.subplots(

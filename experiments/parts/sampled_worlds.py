@@ -188,7 +188,7 @@ _MAX_NAME_LENGTH = 32
 _LEAST_SPAN_POINTS = 1.0
 
 
-def plot_sampled_apr(judged: Sequence[SampledApr], *, axes: Axes | None = None) -> Axes:
+def plot_sampled_apr(judged: Sequence[SampledApr]) -> Axes:
     """APR of layouts in sampled worlds, at least one of them.
 
     Up to ``MAX_STAIRCASES`` have a staircase each: in what share of the worlds the layout avoids at
@@ -198,9 +198,8 @@ def plot_sampled_apr(judged: Sequence[SampledApr], *, axes: Axes | None = None) 
     if not judged:
         raise InputError("layouts", Unquoted("none"), "at least one")
     if len(judged) > MAX_STAIRCASES:
-        return plot_intervals(judged, axes=axes)
-    if axes is None:
-        axes = new_axes(WIDTH_IN, 3.2)
+        return plot_intervals(judged)
+    axes = new_axes(WIDTH_IN, 3.2)
     for row, (item, (colour, line, mark)) in enumerate(zip(judged, _STYLES, strict=False)):
         estimate = item.estimate
         axes.ecdf(item.apr_by_sample, color=colour, linestyle=line, linewidth=1.8)
@@ -235,14 +234,13 @@ def plot_sampled_apr(judged: Sequence[SampledApr], *, axes: Axes | None = None) 
     return axes
 
 
-def plot_intervals(judged: Sequence[SampledApr], *, axes: Axes | None = None) -> Axes:
+def plot_intervals(judged: Sequence[SampledApr]) -> Axes:
     """A row per layout: its mean, the interval of the mean, and its worst and best world.
 
     Dot: mean; whisker with caps: its 95 % confidence interval; thin line: from the worst to the
     best world.
     """
-    if axes is None:
-        axes = new_axes(WIDTH_IN, 1.0 + _ROW_IN * len(judged))
+    axes = new_axes(WIDTH_IN, 1.0 + _ROW_IN * len(judged))
     for row, item in enumerate(judged):
         estimate, worlds = item.estimate, item.apr_by_sample
         axes.hlines(
@@ -264,13 +262,12 @@ def plot_intervals(judged: Sequence[SampledApr], *, axes: Axes | None = None) ->
     return axes
 
 
-def plot_differences(pairs: Sequence[SampledPairRecord], *, axes: Axes | None = None) -> Axes:
+def plot_differences(pairs: Sequence[SampledPairRecord]) -> Axes:
     """A row per pair of layouts: the mean difference in the same worlds, with its interval.
 
     Filled dot: the interval leaves out zero; open: it does not, there is no sure difference.
     """
-    if axes is None:
-        axes = new_axes(WIDTH_IN, 1.0 + _PAIR_ROW_IN * max(len(pairs), 1))
+    axes = new_axes(WIDTH_IN, 1.0 + _PAIR_ROW_IN * max(len(pairs), 1))
     for row, pair in enumerate(pairs):
         _whisker(
             axes, row, or_nan(pair.mean), or_nan(pair.low), or_nan(pair.high),

@@ -99,9 +99,7 @@ _LEAST_SPAN = {"apr": 2.0, "smallest_margin_s": 0.2}  # so that nothing tiny fil
 _ROOM = 0.22  # for the values next to the bars, of the span
 
 
-def plot_sensitivity(
-    found: Sensitivity, *, quantity: str = "apr", axes: Axes | None = None
-) -> Axes:
+def plot_sensitivity(found: Sensitivity, *, quantity: str = "apr") -> Axes:
     """A bar for each assumption, from the worst to the best that its values lead to.
 
     Worse than planned: to the left of the line, hatched; better: to the right, plain. The values
@@ -116,8 +114,7 @@ def plot_sensitivity(
     ends = {one.name: _ends(one, quantity, scale) for one in rows}
     # The widest on top; where nothing is known, at the bottom.
     rows.sort(key=lambda one: _span(ends[one.name], planned))
-    if axes is None:
-        axes = new_axes(WIDTH_IN, 0.9 + 0.3 * max(len(rows), 1))
+    axes = new_axes(WIDTH_IN, 0.9 + 0.3 * max(len(rows), 1))
     for row, one in enumerate(rows):
         _draw_row(axes, row, one.name, ends[one.name], planned)
     axes.axvline(planned, color="black", linewidth=1.2, zorder=4, gid="planned")

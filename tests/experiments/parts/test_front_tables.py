@@ -109,18 +109,5 @@ def test_a_settled_front_says_from_where_on(candidates):
     assert "from 2 units on nothing grows" in proof_sentences(front)[-1]
 
 
-def test_given_axes_get_the_shares_alone(candidates):
-    problem, found = front_of(2)
-    front = describe_front(found, problem, candidates)
-    axes = plot_front(front)
-    assert len(axes.figure.axes) == 2
-    problem = avoiding_problem(["11"])
-    other = plot_front(describe_front(pareto_front(problem, max_units=1), problem, candidates))
-    other.clear()
-    assert plot_front(front, axes=other) is other
-    assert len(other.figure.axes) == 1
-    assert other.get_xlabel() == "units"
-
-
 def test_without_a_front_there_is_no_section():
     assert front_section(UNSET) is None

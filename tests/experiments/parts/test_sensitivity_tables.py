@@ -174,12 +174,6 @@ def test_times_have_a_star_where_runs_are_lost_and_no_bar_where_chance_decides(s
         plot_sensitivity(summary, quantity="colour")
 
 
-def test_given_axes_are_drawn_on(summary):
-    axes = plot_sensitivity(summary)
-    axes.clear()
-    assert plot_sensitivity(summary, axes=axes) is axes
-
-
 def test_the_section_shows_all_and_escapes_names(summary):
     part = sensitivity_section(summary)
     assert len(pictures_of(part)) == 2
