@@ -37,7 +37,7 @@ _MARKERS = "osv^"  # lines can be distinguished without colour, too
 )
 def main(out: Path) -> None:
     """Measure the default question at the study's junction; write growth.json and growth.png."""
-    growth = measure_growth(Question(budget=1))
+    growth = measure_growth(Question())
     out.mkdir(parents=True, exist_ok=True)
     (out / "growth.json").write_text(json.dumps(growth, indent=2) + "\n", encoding="utf-8")
     plot_growth(growth, out / "growth.png")

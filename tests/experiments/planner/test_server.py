@@ -295,7 +295,9 @@ def test_the_optimiser_proposes_and_is_taken_over_or_dropped(open_client, join, 
     assert state["current"] == 1
     line.send(do="ask", request="complete", units=1)
     notice = line.until(lambda message: message["type"] == "notice")
-    assert notice["text"] == "units in all: got 1; expected more than the 1 that hang already"
+    assert (
+        notice["text"] == "units in all: got 1; expected more than the 1 that are mounted already"
+    )
 
 
 def test_a_proposal_is_evaluated_too(open_client, join):

@@ -142,7 +142,7 @@ def build_setting() -> Callable[..., Setting]:
             "axis": build_frame_axis(runs, weight_per_run(runs)),
             "rule": load_aeb_rule(),
             "detector": detector,
-            "planner": detector,
+            "table_detector": detector,
         }
         return Setting(**{**given, **changes})
 
