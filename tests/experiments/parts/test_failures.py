@@ -174,4 +174,4 @@ def test_a_pole_with_two_units_is_told_beside_the_units():
     unshared = Failures(
         none_failed=left("", 1.0), one_failed=units, two_failed=(), site_failed=(alone,)
     )
-    assert "No two units hang on one pole" in failure_sentences(unshared, LABELS)[-1]
+    assert "No two units share a pole" in failure_sentences(unshared, LABELS)[-1]
