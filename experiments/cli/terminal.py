@@ -55,9 +55,10 @@ def answer_text(parts: Iterable[Part], *, is_verbose: bool) -> str:
     for part in parts:
         if part and (is_verbose or part.is_short):
             is_plain = not (part.title or part.table or part.text)
-            lines += [] if (is_plain and was_plain) or not lines else [""]
+            is_note = is_plain and not part.words  # it belongs to what stands above
+            lines += [] if is_note or (is_plain and was_plain) or not lines else [""]
             lines += _part_lines(part, width)
-            was_plain = is_plain
+            was_plain = is_plain and not part.notes
     return "\n".join(lines)
 
 

@@ -236,69 +236,39 @@ def bill_sentences(bill: BillOfMaterials) -> list[str]:
 
 def bill_tables(bill: BillOfMaterials) -> list[Table]:
     """Sensors by model, and sites; each with a row for all together."""
-    has_kept = any(item.count < item.n_units for item in bill.sensors)
-
-    def to_buy(count: int) -> list[str]:
-        return [str(count)] if has_kept else []
-
-    sensors = Table(
-        caption="Sensors",
-        columns=[
-            "model",
-            "kind",
-            "units",
-            *(["to buy"] if has_kept else []),
-            "price of one (EUR)",
-            "sum (EUR)",
-        ],
-        rows=[
-            *(
-                [
-                    item.name,
-                    item.kind,
-                    str(item.n_units),
-                    *to_buy(item.count),
-                    _or_unknown(item.price_eur),
-                    _or_unknown(item.sum_eur),
-                ]
-                for item in bill.sensors
-            ),
-            [
-                "all",
-                "",
-                str(sum(item.n_units for item in bill.sensors)),
-                *to_buy(sum(item.count for item in bill.sensors)),
-                "",
-                _total([item.sum_eur for item in bill.sensors]),
-            ],
-        ],
-        numeric=range(2, 6),
-    )
-    sites = Table(
-        caption="Sites",
-        columns=["site", "kind", "units", "making it ready (EUR)", "price"],
-        rows=[
-            *(
-                [
-                    f"{item.name} (assumed)" if item.assumed else item.name,
-                    item.kind,
-                    str(item.n_units),
-                    "there already" if item.count == 0 else _or_unknown(item.sum_eur),
-                    item.price_source,
-                ]
-                for item in bill.sites
-            ),
-            [
-                "all",
-                "",
-                str(sum(item.n_units for item in bill.sites)),
-                _total([item.sum_eur for item in bill.sites]),
-                "",
-            ],
-        ],
-        numeric=range(2, 4),
-    )
-    return [sensors, sites]
+    sensors, sites = bill.sensors, bill.sites
+    rows: list[list[object]] = [
+        [
+            one.name,
+            one.kind,
+            str(one.n_units),
+            str(one.count),
+            _or_unknown(one.price_eur),
+            _sum([one]),
+        ]
+        for one in sensors
+    ]
+    n_units, n_to_buy = (sum(one.n_units for one in sensors), sum(one.count for one in sensors))
+    rows.append(["all", "", str(n_units), str(n_to_buy), "", _sum(sensors)])
+    columns = ["model", "kind", "units", "to buy", "price of one (EUR)", "sum (EUR)"]
+    if n_to_buy == n_units:  # nothing exists already
+        columns, rows = [*columns[:3], *columns[4:]], [[*row[:3], *row[4:]] for row in rows]
+    of_sites = [
+        [
+            f"{one.name} (assumed)" if one.assumed else one.name,
+            one.kind,
+            str(one.n_units),
+            "there already" if one.count == 0 else _sum([one]),
+            one.price_source,
+        ]
+        for one in sites
+    ]
+    of_sites.append(["all", "", str(sum(one.n_units for one in sites)), _sum(sites), ""])
+    heads = ["site", "kind", "units", "making it ready (EUR)", "price"]
+    return [
+        Table(caption="Sensors", columns=columns, rows=rows, numeric=range(2, 6)),
+        Table(caption="Sites", columns=heads, rows=of_sites, numeric=range(2, 4)),
+    ]
 
 
 def bill_section(bill: BillOfMaterials) -> Section:
@@ -317,8 +287,9 @@ def bill_section(bill: BillOfMaterials) -> Section:
     return Section("bill", "Bill of materials", blocks)
 
 
-def _total(values: Sequence[float | None]) -> str:
-    """A sum; of what is known, where something is not."""
+def _sum(items: Sequence[Item]) -> str:
+    """Price of all items; of those that are known, where one is not."""
+    values = [item.sum_eur for item in items]
     known = [value for value in values if value is not None]
     if not known:
         return UNKNOWN

@@ -68,7 +68,7 @@ def _stage_row(stage: StageRecord) -> list[str]:
         if value is None or not math.isfinite(value):
             return NOTHING
         if stage.name in ("units", "cost_eur"):
-            return number(value, 2)
+            return f"{value:,.2f}".removesuffix(".00")
         return f"{number(value, 3)} s" if stage.name.endswith("_s") else percent(value)
 
     gap = "open" if stage.gap is None or not math.isfinite(stage.gap) else percent(stage.gap)

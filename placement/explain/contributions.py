@@ -125,6 +125,3 @@ def _parts_of_firsts(
     is_first = confirmed_s == confirmed_s.min()
     parts: FloatArray = is_first / is_first.sum()
     return parts
-
-
-# ---------- failures

@@ -15,14 +15,12 @@ from scenarios.weights import weight_share
 from ..evaluation import Evaluation, earliest_arrival_s, leave_each_out, units_by_site
 
 MAX_PAIR_UNITS = 12
-
-
 """For layouts with more units, only single failures are evaluated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Failure:
-    """The achievement of a layout without some of its units.
+    """A layout without some of its units.
 
     Attributes
     ----------

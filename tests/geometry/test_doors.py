@@ -25,7 +25,7 @@ EXCEPTIONS = {
     "placement/covering/files.py": {"load", "savez_compressed"},
     "placement/sampling/moving/sumo.py": {"load"},
     "geometry/untrusted_files.py": {"ZipFile", "ParquetFile", "open"},
-    "experiments/results/reading.py": {"read_csv"},
+    "experiments/parts/reading.py": {"read_csv"},
     # Libraries that take names only: the door has looked at them before.
     "geometry/maps/relief.py": {"open"},
     "geometry/maps/gis_files.py": {"list_layers", "read_info", "read_dataframe"},

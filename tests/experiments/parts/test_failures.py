@@ -164,7 +164,7 @@ def test_a_pole_with_two_units_is_told_beside_the_units():
         none_failed=left("", 1.0), one_failed=units, two_failed=(), site_failed=(pole, alone)
     )
     assert failure_sentences(failures, LABELS)[-1] == (
-        "A pole fails with all that hangs on it (power, a crash). If that of #1 and #2 does, 25.0 %"
+        "A pole fails with all its units (power, a crash). If that of #1 and #2 does, 25.0 %"
         " are left and 1 run is lost; no other pole leaves less."
     )
     assert [row[:3] for row in site_table(failures.site_failed, LABELS).rows] == [
@@ -174,4 +174,4 @@ def test_a_pole_with_two_units_is_told_beside_the_units():
     unshared = Failures(
         none_failed=left("", 1.0), one_failed=units, two_failed=(), site_failed=(alone,)
     )
-    assert "No two units hang on one pole" in failure_sentences(unshared, LABELS)[-1]
+    assert "No two units share a pole" in failure_sentences(unshared, LABELS)[-1]
