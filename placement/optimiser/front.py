@@ -379,7 +379,7 @@ def pareto_front(
     limits = problem.limits
     first = max(min_units, int(limits.is_forced.sum()), 1)
     if not 1 <= first <= max_units:
-        raise InputError("max", max_units, f"a number of units, at least {first}")
+        raise InputError("max_units", max_units, f"a number of units, at least {first}")
     check_limits(replace(limits, budget_units=None), problem.table.pose_ids)
     # Poses that are dominated while many units are chosen are dominated while fewer are.
     widest = replace(problem, limits=replace(limits, budget_units=max_units))
@@ -413,7 +413,7 @@ def pareto_front(
         if on_point is not None:
             on_point(points[-1])
     if error is not None and not points:
-        option = "max" if error.where == "budget" else error.where
+        option = "max_units" if error.where == "budget" else error.where
         raise UnmetError(option, error.got, error.expected)
     if settled is None and full <= max_units and points[-1].is_proven:
         settled = max(points[0].units, full)

@@ -78,7 +78,7 @@ def check_limits(limits: Limits, pose_ids: Sequence[str]) -> None:
     for one, other in limits.rivals:
         if must_carry[one] and must_carry[other]:
             raise UnmetError(
-                "separation",
+                "separation_m",
                 Unquoted("two sites nearer than that which must both carry units"),
                 "one of them at most",
             )
