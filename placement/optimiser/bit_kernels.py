@@ -74,7 +74,7 @@ def transpose(rows: ByteArray, columns: WordArray) -> None:
 def transpose_chosen(
     rows: ByteArray, chosen: IntArray, place: IntArray, columns: WordArray
 ) -> None:
-    """The same of some rows of a table, and of some of its columns.
+    """Transpose some rows of a table, and of its columns some.
 
     `chosen`, (n,), are rows; `place`, (8 n_bytes,), says which row of `columns`, (n_left, n_words),
     becomes of each bit, or is negative.
@@ -131,7 +131,7 @@ def join_ranges(rows: WordArray, begin: IntArray, end: IntArray, joined: WordArr
 
 @kernel
 def have_bits(rows: WordArray, kept: WordArray, has_bits: BoolArray) -> None:
-    """Whether rows have any of the bits in `kept`, (n_words,)."""
+    """Find rows that have any of the bits in `kept`, (n_words,)."""
     for row in range(len(rows)):
         has_bits[row] = False
         for word in range(rows.shape[1]):
@@ -142,7 +142,7 @@ def have_bits(rows: WordArray, kept: WordArray, has_bits: BoolArray) -> None:
 
 @kernel
 def lack_nothing(rows: WordArray, kept: WordArray, lacks_nothing: BoolArray) -> None:
-    """Whether rows but the last have all the bits in `kept`, (n_words,), that the next one has."""
+    """Find rows that have all the bits in `kept`, (n_words,), of the next row."""
     for row in range(len(rows) - 1):
         lacks_nothing[row] = True
         for word in range(rows.shape[1]):
@@ -328,7 +328,7 @@ def thin_out(
 
 @kernel
 def has_entry(entries: IntArray, entry: int) -> bool:
-    """Whether a number is among others."""
+    """True if a number is among others."""
     is_there = False
     for other in entries:
         is_there |= other == entry
@@ -548,7 +548,7 @@ def avoid_beside(
     alone: WordArray,
     part: WordArray,
 ) -> None:
-    """Units that avoid each row beside a set, and that see a missing piece, (n_rows, n_words)."""
+    """Units that avoid each row next to a set, and that see a missing piece, (n_rows, n_words)."""
     space = np.empty((2, columns.shape[1]), dtype=np.uint64)
     for row in range(len(row_chain)):
         avoid_with_each(

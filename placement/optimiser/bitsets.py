@@ -21,7 +21,7 @@ from .steering import DECIMALS, FEW_PARTNERS, TOLERANCE, share_out
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetValues:
-    """What sets of poses are worth: what they lack to the floors, then objective by objective."""
+    """Values of sets of poses: minus what they lack to the floors, then each objective."""
 
     objectives: tuple[Objective, ...]  # in the order in which sets are compared
     # (n_sets, 1 + n_objectives): the larger the better: minus what is lacking, then each objective,
@@ -37,7 +37,7 @@ class SetValues:
 
     @property
     def lacking(self) -> FloatArray:
-        """What is lacking to the floors, summed; 0 where all are reached."""
+        """Sum of what is lacking to the floors; 0 where all are reached."""
         return -self.gains[..., 0]
 
     @property
@@ -59,7 +59,7 @@ class SetValues:
         return int(rows[0])
 
     def exceeds(self, other: "SetValues") -> bool:
-        """Whether the first difference that exceeds rounding noise favours this single set."""
+        """True if the first difference that exceeds rounding noise favours this single set."""
         difference = self.gains - other.gains
         differs = np.flatnonzero(np.abs(difference) > _tolerances(self.objectives))
         return bool(len(differs)) and bool(difference[differs[0]] > 0.0)
@@ -148,7 +148,7 @@ def unions_of(reduced: ReducedProblem, sets: IntArray) -> WordArray:
 def left_after_failures(
     reduced: ReducedProblem, measure: Measure, n_failures: int, sets: IntArray
 ) -> FloatArray:
-    """What sets of poses still reach when the worst of their units fail, (n_sets,)."""
+    """APR that sets of poses keep when the worst of their units fail, (n_sets,)."""
 
     def value(left: IntArray) -> FloatArray:
         return measure.of(union_margins_s(reduced, unions_of(reduced, left)) > -np.inf)
@@ -265,7 +265,7 @@ def values_with_each(reduced: ReducedProblem, units: IntArray) -> SetValues:
 
 
 def costs_with_each_eur(reduced: ReducedProblem, units: IntArray) -> FloatArray:
-    """What a set costs together with each pose in turn, (n_poses,), in euros."""
+    """Cost of a set together with each pose in turn, (n_poses,), in euros."""
     limits = reduced.limits
     is_new = ~np.isin(limits.site_index, limits.site_index[units])
     cost = cost_eur(limits, units) + limits.unit_cost_eur
@@ -331,7 +331,7 @@ def build_values(
 def _lacking(
     reduced: ReducedProblem, left: Callable[[Measure, int], FloatArray]
 ) -> FloatArray | float:
-    """What sets lack to the floors, summed."""
+    """Sum of what sets lack to the floors."""
     lacking: FloatArray | float = 0.0
     for floor in reduced.floors:
         short = floor.least - TOLERANCE - left(floor.measure, floor.n_failures)

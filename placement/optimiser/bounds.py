@@ -73,7 +73,7 @@ from .steering import (
 
 
 class Rows(NamedTuple):
-    """What is worth something: to see one of the first windows of a chain, each (n_rows,)."""
+    """Rows of the covering problem: a window is seen among the first of a chain."""
 
     chain: IntArray
     last: IntArray  # how many of its first windows
@@ -113,7 +113,7 @@ class Choice:
 
 
 def build_choice(limits: Limits, n_units: int) -> Choice:
-    """What may join the forced poses of sets of so many units; other wishes are left out."""
+    """Poses that may join the forced ones in sets of so many units."""
     forced = np.flatnonzero(limits.is_forced)
     at_site = np.bincount(limits.site_index[forced], minlength=limits.n_sites)
     cost = np.empty(0)
@@ -222,7 +222,7 @@ def coverers_of(
     *,
     columns: WordArray | None = None,
 ) -> WordArray:
-    """Poses that cover each row beside a union of frames, (n_rows, n_pose_words).
+    """Poses that cover each row next to a union of frames, (n_rows, n_pose_words).
 
     What the union sees is not asked for. Of the frames and tails that are missing, each window is
     asked for the one that is `seen`, (n_frames,), least. `columns` are those of other units than
@@ -256,7 +256,7 @@ def is_covered_by(reduced: ReducedProblem, union: WordArray, rows: Rows) -> Bool
 
 
 def reward_of(n_units: int, n_failures: int) -> FloatArray:
-    """What a row is worth on average by the number of units that cover it, (n_units + 2,)."""
+    """Mean worth of a row by the number of units that cover it, (n_units + 2,)."""
     return np.array([_share_left(n, n_units, n_failures) for n in range(n_units + 2)])
 
 
@@ -346,7 +346,7 @@ def rounded_down(reduced: ReducedProblem, limit: float) -> float:
 
 
 def relaxation_text() -> str:
-    """What the bounds rest on, for a certificate."""
+    """Name and version of the relaxation, for a certificate."""
     return f"Lagrangian relaxation with OSQP {version('osqp')}"
 
 

@@ -210,7 +210,7 @@ _UNKNOWN = _Step(pose_index=None, cost_eur=np.inf, least_eur=-np.inf, seconds=0.
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Climb:
-    """What the steps of one front share."""
+    """Problem, time and prices that the steps of one front share."""
 
     problem: PlacementProblem
     reduced: ReducedProblem
@@ -277,7 +277,7 @@ class _Climb:
         )
 
     def _known_eur(self, last: FrontPoint | None) -> float:
-        """What is better than a point costs at least so much.
+        """Least cost of whatever is better than a point.
 
         It is better than all points before, too; and it costs more than this point, if that is the
         best at its cost.

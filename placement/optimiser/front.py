@@ -68,7 +68,7 @@ class FrontPoint:
 
     @property
     def is_proven(self) -> bool:
-        """Whether the gaps of all stages are closed."""
+        """True if the gaps of all stages are closed."""
         return self.certificate.is_proven
 
     def stage(self, name: str) -> Stage | None:
@@ -106,7 +106,7 @@ class Front:
 
     @property
     def is_proven(self) -> bool:
-        """Whether every point is."""
+        """True if every point is."""
         return all(point.is_proven for point in self.points)
 
 
@@ -161,7 +161,7 @@ def no_worse(point: FrontPoint, fewer: FrontPoint) -> FrontPoint:
 
 
 def largest_values(reduced: ReducedProblem, stages: StageChoice) -> dict[Objective, float] | None:
-    """What no layout of any size exceeds in each stage but the cost: what all poses reach together.
+    """Values that no layout of any size exceeds: those of all poses together.
 
     None if no limits of margins are known: they hold where all runs are avoided that some pose
     avoids, which only a mean over all runs ensures.
@@ -181,7 +181,7 @@ def largest_values(reduced: ReducedProblem, stages: StageChoice) -> dict[Objecti
 
 
 def reaches(value: PlacementValue, limits: dict[Objective, float] | None) -> bool:
-    """Whether a value is as large as limits that none exceeds."""
+    """True if a value is as large as limits that none exceeds."""
     return limits is not None and all(
         value.of(objective) >= limit - TOLERANCE for objective, limit in limits.items()
     )
@@ -291,7 +291,7 @@ def prove_point(
 
 
 def without_margins(reduced: ReducedProblem) -> ReducedProblem:
-    """The same problem where all margins are alike: a set that is best in APR cannot be improved.
+    """Problem where all margins are alike: a set of the best APR cannot be improved.
 
     Prices go, too, unless money is limited or looked for.
     """
@@ -379,7 +379,7 @@ def pareto_front(
     limits = problem.limits
     first = max(min_units, int(limits.is_forced.sum()), 1)
     if not 1 <= first <= max_units:
-        raise InputError("max", max_units, f"a number of units, at least {first}")
+        raise InputError("max_units", max_units, f"a number of units, at least {first}")
     check_limits(replace(limits, budget_units=None), problem.table.pose_ids)
     # Poses that are dominated while many units are chosen are dominated while fewer are.
     widest = replace(problem, limits=replace(limits, budget_units=max_units))
@@ -413,7 +413,7 @@ def pareto_front(
         if on_point is not None:
             on_point(points[-1])
     if error is not None and not points:
-        option = "max" if error.where == "budget" else error.where
+        option = "max_units" if error.where == "budget" else error.where
         raise UnmetError(option, error.got, error.expected)
     if settled is None and full <= max_units and points[-1].is_proven:
         settled = max(points[0].units, full)
@@ -495,7 +495,7 @@ def _solve_point(
 
 
 def _is_cheap(problem: PlacementProblem, point: FrontPoint) -> bool:
-    """Whether it is proven that no layout with more units costs less than a point's."""
+    """True if it is proven that no layout with more units costs less than a point's."""
     stage = point.stage(Objective.COST)
     prices = np.sort(problem.limits.unit_cost_eur[~problem.limits.is_forbidden])
     more_eur = float(prices[: point.units + 1].sum())
@@ -505,7 +505,7 @@ def _is_cheap(problem: PlacementProblem, point: FrontPoint) -> bool:
 
 
 def _is_free(problem: PlacementProblem) -> bool:
-    """Whether every part of a layout is one, too: no wish asks for anything to be there."""
+    """True if every part of a layout is one, too: no wish asks for anything to be there."""
     limits = problem.limits
     return not (problem.floors or limits.is_forced.any() or limits.is_forced_site.any())
 

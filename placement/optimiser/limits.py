@@ -1,7 +1,7 @@
 """Limits on what may be mounted together, whatever it detects: units, money, sites, wishes."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -14,7 +14,7 @@ from .steering import COST_TOLERANCE_EUR, ROUNDING
 _CENTS, _MAX_CENTS = 100.0, 2.0**53  # of which float64 knows each
 
 Failing = Literal["unit", "site"]
-"""What fails at once: a unit, or a site (a pole) with everything that it carries."""
+"""Fails at once: a unit, or a site (a pole) with everything that it carries."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -139,32 +139,14 @@ class Limits:
             most = min(most, int(affordable))
         return most
 
-    @property
-    def is_plain(self) -> bool:
-        """Whether units and capacities are all there is: poses may take each other's place."""
-        return not (
-            self.budget_eur is not None
-            or self.site_cost_eur.any()
-            or np.ptp(self.unit_cost_eur) > 0.0
-            or self.is_forced.any()
-            or self.is_forced_site.any()
-            or len(self.rivals)
-        )
-
     def of_poses(self, poses: IntArray) -> "Limits":
-        """The same limits on some of the poses; all forced ones must be among them."""
-        return Limits(
+        """Limits on some of the poses; all forced ones must be among them."""
+        return replace(
+            self,
             site_index=self.site_index[poses],
-            site_capacity=self.site_capacity,
-            budget_units=self.budget_units,
-            budget_eur=self.budget_eur,
             unit_cost_eur=self.unit_cost_eur[poses],
-            site_cost_eur=self.site_cost_eur,
             is_forced=self.is_forced[poses],
             is_forbidden=self.is_forbidden[poses],
-            is_forced_site=self.is_forced_site,
-            rivals=self.rivals,
-            failing=self.failing,
         )
 
     def __repr__(self) -> str:
@@ -175,14 +157,14 @@ class Limits:
 
 
 def cost_eur(limits: Limits, pose_index: Sequence[int] | IntArray) -> float:
-    """What a set of poses costs: its units, and each of their sites once, in euros."""
+    """Cost of a set of poses: its units, and each of their sites once, in euros."""
     poses = np.asarray(pose_index, dtype=np.int64)
     sites = np.unique(limits.site_index[poses])
     return float(limits.unit_cost_eur[poses].sum() + limits.site_cost_eur[sites].sum())
 
 
 def price_step_eur(limits: Limits) -> float:
-    """What the cost of every set is a whole multiple of, in cents at least; 0 where that fails."""
+    """Largest amount that divides the cost of every set; 0 where there is none."""
     prices = np.concatenate([limits.unit_cost_eur, limits.site_cost_eur])
     cents = np.rint(prices * _CENTS)
     if cents.max(initial=0.0) > _MAX_CENTS or (np.abs(cents / _CENTS - prices) > ROUNDING).any():
@@ -191,7 +173,7 @@ def price_step_eur(limits: Limits) -> float:
 
 
 def costs_eur(limits: Limits, sets: IntArray) -> FloatArray:
-    """What many sets of poses cost: (n_sets, n_units) -> (n_sets,), in euros."""
+    """Cost of many sets of poses: (n_sets, n_units) -> (n_sets,), in euros."""
     cost = limits.unit_cost_eur[sets].sum(axis=1)
     sites = np.sort(limits.site_index[sets], axis=1)
     is_first = np.ones(sites.shape, dtype=bool)
@@ -209,8 +191,8 @@ def are_allowed(limits: Limits, sets: IntArray) -> BoolArray:
     most = np.inf if limits.budget_units is None else limits.budget_units
     allowed = np.full(n_sets, 1 <= n_units <= most)
     sites = limits.site_index[sets]
-    n_beside = (sites[:, :, None] == sites[:, None, :]).sum(axis=2)
-    allowed &= (n_beside <= limits.site_capacity[sites]).all(axis=1)
+    n_there = (sites[:, :, None] == sites[:, None, :]).sum(axis=2)
+    allowed &= (n_there <= limits.site_capacity[sites]).all(axis=1)
     allowed &= ~limits.is_forbidden[sets].any(axis=1)
     if limits.budget_eur is not None:
         allowed &= costs_eur(limits, sets) <= limits.budget_eur + COST_TOLERANCE_EUR
@@ -224,7 +206,7 @@ def are_allowed(limits: Limits, sets: IntArray) -> BoolArray:
 
 
 def is_allowed(limits: Limits, pose_index: Sequence[int] | IntArray) -> bool:
-    """Whether poses are distinct and within all limits."""
+    """True if poses are distinct and within all limits."""
     poses = np.asarray(pose_index, dtype=np.int64)
     is_distinct = len(np.unique(poses)) == len(poses)
     return is_distinct and bool(are_allowed(limits, poses[None, :])[0])

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
-    """What a solver says of a problem that is maximised."""
+    """Answer of a solver to a problem that is maximised."""
 
     is_found: bool  # whether the variables hold a feasible point
     # Whether that is best, or there is none, rather than the best within the time.
@@ -96,7 +96,7 @@ class Cut:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MilpResult:
-    """What a solver says of a model."""
+    """Answer of the solver to a placement model."""
 
     units: IntArray | None  # (n,): poses of the reduced problem; None if no feasible set was found
     # No feasible set has a better objective; the worst infinity if there is no set, the best one if
@@ -211,7 +211,7 @@ def difference(reduced: ReducedProblem) -> sp.csr_array:
 def requirement_constraints(
     a: cp.Variable, reduced: ReducedProblem, requirement: Requirement
 ) -> list[cp.Constraint]:
-    """What must be reached, as far as it can be said in a: failures are left to cuts."""
+    """Requirements, as far as they can be stated in a: failures are left to cuts."""
     weight = requirement.measure.weight
     if requirement.sums_margins:
         row = margin_weights(reduced, weight)

@@ -37,7 +37,7 @@ class Objective(StrEnum):
 
     @property
     def is_minimised(self) -> bool:
-        """Whether less is better."""
+        """True if less is better."""
         return self in (Objective.UNITS, Objective.COST)
 
     @property
@@ -56,7 +56,7 @@ class Objective(StrEnum):
         return other - value if self.is_minimised else value - other
 
     def is_better(self, value: float, other: float) -> bool:
-        """Whether a value is better than another one by more than rounding noise."""
+        """True if a value is better than another one by more than rounding noise."""
         return self.excess(value, other) > self.tolerance
 
     def better(self, value: float, other: float) -> float:
@@ -84,7 +84,7 @@ VALUE_OBJECTIVES = (
     Objective.MEAN_MARGIN,
     Objective.COST,
 )
-"""What layouts are compared by where nothing else is asked for, in this order."""
+"""Objectives by which layouts are compared by default, in this order."""
 
 
 def objectives_in_order(goal: Goal, *, survive: int) -> tuple[Objective, ...]:

@@ -43,7 +43,7 @@ from .walk import Tied, TieSearch, lost_by_chain
 
 
 def goes_by_pairs(reduced: ReducedProblem) -> bool:
-    """Whether worlds are sampled, and sets so small that pairs are gone through."""
+    """True if worlds are sampled, and sets so small that pairs are gone through."""
     limits = reduced.limits
     is_small = 2 <= limits.max_units <= MAX_PAIR_UNITS
     return len(reduced.measure.sample_weight) > 1 and is_small and not limits.is_forced.any()
@@ -117,7 +117,7 @@ class PairWalk:
         self.class_site = limits.site_index[self.member[self.start]]
 
     def again(self, need: float) -> "PairWalk":
-        """The same walk from its beginning for another need."""
+        """A walk from the beginning for another need."""
         walk = copy(self)
         walk.need, walk.is_finished = need, False
         return walk
@@ -195,7 +195,7 @@ class PairWalk:
         return np.concatenate(found)
 
     def _beside_member(self, member: int, pairs: IntArray) -> IntArray:
-        """Pairs of poses that may lose little beside a pose: at the hardest runs, then at all."""
+        """Pairs of poses that may lose little next to a pose: at the hardest runs, then at all."""
         union = self.poses.words[member]
         is_open = ~is_covered_by(self.reduced, union, self.rows)
         rows = self.rows.of(is_open)
@@ -221,7 +221,7 @@ class PairWalk:
     def _losing_little(
         self, units: _Units, union: WordArray, rows: Rows, pairs: IntArray
     ) -> IntArray:
-        """Pairs of units, (n, 2), that may lose little of some rows beside a union."""
+        """Pairs of units, (n, 2), that may lose little of some rows next to a union."""
         from .walk_kernels import lost_by_pairs, weigh_bytes
 
         if not len(pairs) or not len(rows.chain):
@@ -270,7 +270,7 @@ def _hardest_first(reduced: ReducedProblem) -> tuple[Rows, WordArray]:
 def _coverers(
     reduced: ReducedProblem, units: _Units, union: WordArray, rows: Rows
 ) -> tuple[WordArray, WordArray]:
-    """Units that avoid each row beside a union, and that see a piece of it that is missing."""
+    """Units that avoid each row next to a union, and that see a piece of it that is missing."""
     from .bit_kernels import avoid_beside
 
     is_seen = unpack_words(union, reduced.n_frames)

@@ -80,7 +80,7 @@ class PresolveStatistics:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Detections:
-    """What the poses that are left see. Problems that differ in other things share it."""
+    """Detections of the poses that are left; problems that differ elsewhere share it."""
 
     n_frames: int  # merged frames
     words: WordArray  # (n_poses, n_words): bits V[c, f] along the merged frames, lowest bit first
@@ -148,13 +148,13 @@ class ReducedProblem:
         return last
 
     def with_workers(self, workers: int) -> "ReducedProblem":
-        """The same problem on so many threads."""
+        """Problem on so many threads."""
         if workers == self.workers:
             return self
         return replace(self, detections=replace(self.detections, workers=workers))
 
     def with_goal(self, goal: Goal) -> "ReducedProblem":
-        """The same problem for another goal."""
+        """Problem for another goal."""
         return replace(self, objectives=objectives_in_order(goal, survive=self.survive))
 
     @property
@@ -180,7 +180,7 @@ class ReducedProblem:
 
     @property
     def can_unpack(self) -> bool:
-        """Whether models and relaxations may look at all detections one by one."""
+        """True if models and relaxations may look at all detections one by one."""
         return self.n_poses * self.n_frames <= MAX_CELLS
 
     def detected(self) -> BoolArray:
@@ -282,7 +282,7 @@ def is_dominated(
 
     * fill a site, or choose all the dominators that stand there: min(capacity, dominators)
       units at least;
-    * at the site of c, which has room once c is gone: choose all dominators there, beside c;
+    * at the site of c, which has room once c is gone: choose all dominators there, next to c;
       this fails if there are as many of them as the site's capacity.
 
     If that takes more than K - 1 units, c may go. Dominators that are dropped themselves count: the
@@ -459,17 +459,15 @@ class _Windows:
             statistics=PresolveStatistics(
                 n_poses=(problem.table.n_poses, len(poses)),
                 n_frames=(axis.n_frames, len(kept)),
-                n_windows=(
-                    int(
-                        np.maximum(
-                            np.diff(axis.run_start) + 1 - problem.rule.n_confirmations, 0
-                        ).sum()
-                    ),
-                    len(first_set),
-                ),
+                n_windows=(self._count_windows(), len(first_set)),
                 n_runs=(axis.n_runs, len(run_index)),
             ),
         )
+
+    def _count_windows(self) -> int:
+        """Windows of all runs, in time or not."""
+        n_frames = np.diff(self.problem.table.axis.run_start)
+        return int(np.maximum(n_frames + 1 - self.problem.rule.n_confirmations, 0).sum())
 
     def _is_needless(self, mask: WordArray) -> BoolArray:
         """Tails that are seen whenever the next one of their run is, which ends more windows."""

@@ -41,7 +41,7 @@ class Measure:
 
     @property
     def is_mean(self) -> bool:
-        """Whether this is a plain weighted sum of runs."""
+        """True if this is a plain weighted sum of runs."""
         return self.tail == 1.0
 
     def of(self, is_avoided: BoolArray) -> FloatArray:
@@ -84,11 +84,11 @@ class Measure:
 
     @property
     def step(self) -> float:
-        """What all ratios are whole multiples of; 0 where that is not known."""
+        """Step of which all ratios are whole multiples; 0 where that is not known."""
         return common_step(self.weight) if self.is_mean else 0.0
 
     def of_runs(self, runs: IntArray) -> "Measure":
-        """The same where all other runs are out of reach."""
+        """Measure where all other runs are out of reach."""
         return Measure(
             weight=self.weight[runs],
             sample_index=self.sample_index[runs],
@@ -129,7 +129,7 @@ Fusion = Literal["any", "single"]
 
 
 class PlacementValue(NamedTuple):
-    """What a set of poses is worth: compared from left to right.
+    """Value of a set of poses: compared from left to right.
 
     Attributes
     ----------
@@ -256,7 +256,7 @@ class PlacementProblem:
         return build_measure(self.table.axis.weight, self.sample_index, tail=self.tail)
 
     def floor_measure(self, floor: Floor) -> Measure:
-        """What a floor counts: all runs, or its own by their weights."""
+        """Measure of a floor: of all runs, or of its own by their weights."""
         if floor.is_counted is None:
             return self.measure()
         weight = np.where(floor.is_counted, self.table.axis.weight, 0.0)
@@ -270,7 +270,7 @@ class PlacementProblem:
 
 
 def is_feasible(problem: PlacementProblem, pose_index: Sequence[int]) -> bool:
-    """Whether poses are distinct, within all limits, and reach all floors."""
+    """True if poses are distinct, within all limits, and reach all floors."""
     if not is_allowed(problem.limits, list(pose_index)):
         return False
     return all(
@@ -280,7 +280,7 @@ def is_feasible(problem: PlacementProblem, pose_index: Sequence[int]) -> bool:
 
 
 def floor_value(problem: PlacementProblem, floor: Floor, pose_index: Sequence[int]) -> float:
-    """What a set of poses reaches of a floor, 0..1."""
+    """Share of a floor's runs that a set of poses avoids, 0..1."""
     return _left_after_failures(problem, problem.floor_measure(floor), pose_index, floor.n_failures)
 
 
@@ -336,7 +336,7 @@ def _left_after_failures(
 
 
 def placement_value(problem: PlacementProblem, pose_index: Sequence[int]) -> PlacementValue:
-    """What a set of poses is worth; runs without weight do not count."""
+    """Value of a set of poses; runs without weight do not count."""
     weight, margin = problem.table.axis.weight, run_margins_s(problem, pose_index)
     counts = (margin > -np.inf) & (weight > 0.0)
     cost = cost_eur(problem.limits, pose_index)
@@ -354,7 +354,7 @@ def placement_value(problem: PlacementProblem, pose_index: Sequence[int]) -> Pla
 def objective_values(
     problem: PlacementProblem, pose_index: Sequence[int]
 ) -> dict[Objective, float]:
-    """What a set of poses is worth in all objectives of a problem, in their order."""
+    """Values of a set of poses in all objectives of a problem, in their order."""
     value = placement_value(problem, pose_index)
     values = {objective: value.of(objective) for objective in VALUE_OBJECTIVES}
     values[Objective.UNITS] = float(len(pose_index))
@@ -364,7 +364,7 @@ def objective_values(
 
 
 def is_better(value: PlacementValue, other: PlacementValue) -> bool:
-    """Whether the first difference that exceeds rounding noise favours `value`.
+    """True if the first difference that exceeds rounding noise favours `value`.
 
     Examples
     --------
@@ -395,7 +395,7 @@ class Requirement:
 
     @property
     def needs_all(self) -> bool:
-        """Whether only avoiding every run that weighs anything reaches it."""
+        """True if only avoiding every run that weighs anything reaches it."""
         weight = self.measure.weight[self.measure.weight > 0.0]
         if self.sums_margins or not self.measure.is_mean or not len(weight):
             return False
@@ -406,7 +406,7 @@ class Requirement:
         return (margin_s > -np.inf) & (margin_s >= self.min_margin_s - TOLERANCE)
 
     def reached(self, margin_s: FloatArray) -> FloatArray:
-        """What sets with these margins reach: (n_sets, n_runs) -> (n_sets,), failures aside."""
+        """Amount that margins reach: (n_sets, n_runs) -> (n_sets,), failures aside."""
         in_time = self.counts_run(margin_s)
         if self.sums_margins:
             total: FloatArray = np.where(in_time, margin_s, 0.0) @ self.measure.weight

@@ -78,7 +78,7 @@ def check_limits(limits: Limits, pose_ids: Sequence[str]) -> None:
     for one, other in limits.rivals:
         if must_carry[one] and must_carry[other]:
             raise UnmetError(
-                "separation",
+                "separation_m",
                 Unquoted("two sites nearer than that which must both carry units"),
                 "one of them at most",
             )
@@ -160,12 +160,12 @@ def _rounded_down(share: float) -> str:
 
 
 def is_large(problem: PlacementProblem) -> bool:
-    """Whether a problem is better not solved as a whole."""
+    """True if a problem is better not solved as a whole."""
     return problem.table.n_poses * problem.table.axis.n_frames > MAX_BITS
 
 
 def of_pool(problem: PlacementProblem, pool: IntArray) -> PlacementProblem:
-    """The same problem on some of the poses."""
+    """Problem on some of the poses."""
     table = problem.table
     return replace(
         problem,
@@ -265,7 +265,7 @@ def _solve_as_if_units_failed(
     effort = replace(effort, time_limit_s=left_s)
     try:
         return solve_placement(by_unit, effort=effort, starts=starts, on_stage=on_stage)
-    except UnmetError:  # what is told of sites is more, or there was too little time
+    except UnmetError:  # where sites fail, more is possible, or there was too little time
         return None
 
 

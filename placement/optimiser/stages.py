@@ -81,12 +81,12 @@ class Search:
 
     @property
     def shortfall(self) -> float:
-        """What the best set lacks to the floors, summed."""
+        """Sum of what the incumbent lacks to the floors."""
         return float(self.row.lacking)  # infinite where there is no set
 
     @property
     def limit(self) -> SetValues:
-        """What all poses together reach where everything is avoided: no set is better."""
+        """Upper bound of all sets: the values of all poses together."""
         reduced = self.reduced
         largest: dict[Objective, float] = {}
         if len(reduced.weight):
@@ -165,7 +165,7 @@ class Search:
         requirements: Sequence[Requirement],
         reduced: ReducedProblem | None = None,
     ) -> float:
-        """Look for the best set that meets requirements beside the floors; keep it if it is better.
+        """Look for the best set that meets requirements and the floors; keep it if it is better.
 
         Without an objective, any set that meets them. Sets of another problem on the same poses,
         `reduced`, are not kept. Returns a bound: no set that meets the requirements has a better
@@ -369,7 +369,7 @@ class Stages:
         return float(self.search.reduced.weight @ self.search.avoided())
 
     def _relaxed(self, reduced: ReducedProblem, worth: Objective) -> float:
-        """What no set can be worth more than, by relaxation; infinite where that is not asked.
+        """Upper bound of all sets by relaxation; infinite where that is not asked.
 
         The mean over the worst worlds is no higher than that over all.
         """
@@ -485,7 +485,7 @@ class Stages:
         return float(search.margin_limit_s[order[enough]])
 
     def _avoids_nothing(self) -> bool:
-        """Whether it is proven that no layout that holds the stages before avoids anything.
+        """True if it is proven that no layout that holds the stages before avoids anything.
 
         Where only the worst worlds count, an APR of 0 does not say so: others may avoid something.
         """
@@ -500,7 +500,7 @@ class Stages:
         return float((limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]).min())
 
     def _one_unit_does(self) -> bool:
-        """Whether a single pose reaches the floors."""
+        """True if a single pose reaches the floors."""
         reduced = self.search.reduced
         sets = np.arange(reduced.n_poses)[:, None]
         sets = sets[are_allowed(reduced.limits, sets)]

@@ -32,7 +32,7 @@ ROUNDING = 1.0e-9
 SOLVER_TOLERANCE = 1.0e-6
 """HiGHS meets rows, whole numbers and gaps up to this, relative to the sums it is handed."""
 SOLVER_SUM = 1.0e4
-"""What an objective's coefficients are scaled to in sum: HiGHS's tolerances are absolute."""
+"""Sum to which an objective's coefficients are scaled: HiGHS's tolerances are absolute."""
 HELD_SLACK = 1.0e-3
 """Of the mean weight: rows that hold an earlier stage are relaxed by it, well above HiGHS's own
 tolerance. Asking for a sum to the last digit made it call feasible problems infeasible. Answers are
@@ -40,7 +40,7 @@ checked exactly anyway."""
 TINY = 1.0e-300
 """Keeps a sum of nothing from being divided by."""
 MOST_STEPS = 1.0e5
-"""A step between values is told from a solver's error where no value is more steps than this."""
+"""A common step is clearly larger than a solver's error if no value is more steps than this."""
 STEP_UP = 2.0 * TOLERANCE
 """Added to a value to ask for more than that, where values have no common step."""
 DECIMALS = 8
@@ -93,7 +93,7 @@ BLOCK_SETS = 1 << 12
 BLOCK_POSES = 1 << 14
 """Rows of a large table that are gone through at a time."""
 FEW_TASKS = 64
-"""What is less is not worth threads."""
+"""Fewer tasks are not worth threads."""
 MANY_ROWS = 1 << 12
 """Rows whose hashes are worth threads."""
 
@@ -160,7 +160,7 @@ CLASS_POSES, MAX_LIKE_POSES = 12, 2000
 HARD_ROWS = 512
 """Runs by which pairs of poses are found out that lose too much: those in which most is lost."""
 FEW_PAIRS = 200
-"""Pairs of poses beside a class that are valued with each of its poses at once."""
+"""Pairs of poses next to a class that are valued with each of its poses at once."""
 TOGETHER = 16
 """A run is hard if so many poses drawn at random are likely to lose it together."""
 
@@ -209,7 +209,7 @@ class Effort:
 
     @property
     def is_exact(self) -> bool:
-        """Whether walks and models may prove what relaxations do not."""
+        """True if walks and models may prove what relaxations do not."""
         return self.solver in ("auto", "exact")
 
 
@@ -225,7 +225,7 @@ class Deadline:
 
     @property
     def is_over(self) -> bool:
-        """Whether no time is left."""
+        """True if no time is left."""
         return now_s() >= self.end_s
 
     def of(self, step: str) -> "Deadline":
@@ -260,7 +260,7 @@ def share_out(
 
 
 def common_step(amounts: FloatArray) -> float:
-    """What non-negative amounts are whole multiples of: the least of them; 0 where they are not.
+    """Least of some amounts, if all are whole multiples of it; else 0.
 
     Nor is there a step where the amounts sum up to more than :data:`MOST_STEPS` of it.
 

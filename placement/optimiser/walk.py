@@ -68,7 +68,7 @@ if TYPE_CHECKING:
 
 
 def can_walk(reduced: ReducedProblem) -> bool:
-    """Whether best sets have as many units as allowed or are parts of such: no floors or money."""
+    """True if best sets have as many units as allowed or are parts of such: no floors or money."""
     limits = reduced.limits
     n_forced = int(limits.is_forced.sum())
     return (
@@ -490,7 +490,7 @@ class TieSearch:
         return left_after_failures(self.reduced, self.reduced.measure, self.n_failures, sets)
 
     def _needs(self, need: float) -> tuple[float, float]:
-        """What whole sets must reach, and what must be left of them."""
+        """Value that whole sets must reach, and value that must be left of them."""
         return need if self.least_apr is None else self.least_apr, need
 
     def _walk(self, deadline: Deadline, ahead: float, *, is_proven: bool = False) -> bool:

@@ -83,7 +83,7 @@ def cover_rows(
 
 @kernel
 def weigh_bytes(weight: FloatArray, rows: WordArray, table: FloatArray, used: IntArray) -> int:
-    """What each byte of bits along rows is worth, (n_bytes, 256), if only some rows count.
+    """Weigh each value of each byte of bits along rows, (n_bytes, 256); some rows count.
 
     Bytes that are worth something are written to `used`; how many they are. Sums over bits become
     sums over bytes (Arlazarov, Dinic, Kronrod, Faradzev 1970).
@@ -107,7 +107,7 @@ def weigh_bytes(weight: FloatArray, rows: WordArray, table: FloatArray, used: In
 
 @kernel
 def weight_of(covers: ByteArray, table: FloatArray, used: IntArray, n_used: int) -> float:
-    """What a pose's bits along rows are worth, by a table of bytes."""
+    """Worth of a pose's bits along rows, by a table of bytes."""
     total = 0.0
     for number in range(n_used):
         place = used[number]
@@ -119,7 +119,7 @@ def weight_of(covers: ByteArray, table: FloatArray, used: IntArray, n_used: int)
 def weights_of(
     covers: ByteArray, table: FloatArray, used: IntArray, n_used: int, total: FloatArray
 ) -> None:
-    """What the bits of each pose are worth, (n_poses,), by a table of bytes."""
+    """Find the worth of the bits of each pose, (n_poses,), by a table of bytes."""
     for pose in range(len(covers)):
         total[pose] = weight_of(covers[pose], table, used, n_used)
 
@@ -288,7 +288,7 @@ DONE, PAUSED, FULL, AT_STOP = 0, 1, 2, 3
 
 
 class Covers(NamedTuple):
-    """What stays the same during a walk."""
+    """Covering problem of a walk: it stays as it is."""
 
     covers: WordArray  # (n_poses, n_row_words): rows that each pose covers
     coverers: WordArray  # (n_rows, n_pose_words): poses that cover each row
@@ -559,7 +559,7 @@ def can_keep(
     union: WordArray,
     first: IntArray,
 ) -> bool:
-    """Whether units, (n_units, n_words), lose little beside a base, also without each of them.
+    """True if units, (n_units, n_words), lose little next to a base, and without each.
 
     ``lost[g, k]`` is what is lost in chain g if the k-th of its windows is the first live one.
     Chains are looked at in `order`; those at which units fail come earlier the next time.
@@ -665,9 +665,9 @@ def lost_by_pairs(
     pairs: IntArray,
     lost: FloatArray,
 ) -> None:
-    """What pairs of units, (n, 2), lose at least, (n,); counted until it is too much.
+    """Count what pairs of units, (n, 2), lose at least, (n,), until it is too much.
 
-    Bits along the rows, (n_units, n_row_words): `alone` where a unit avoids the row beside the
+    Bits along the rows, (n_units, n_row_words): `alone` where a unit avoids the row next to the
     others, `may` where it sees the piece that is asked for, `part` where it sees one that is
     missing. A pair may avoid a row only if one sees what is asked for, and one avoids it alone or
     both see a part. `table` has what the bits of each byte weigh.

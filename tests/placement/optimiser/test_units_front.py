@@ -203,7 +203,7 @@ def test_points_are_told_as_they_come(problem: PlacementProblem) -> None:
             "target: got it with a front",
         ),
         ({"survive": 1}, 3, "survive: got it with a front"),
-        ({}, 0, "max: got 0; expected a number of units, at least 1"),
+        ({}, 0, "max_units: got 0; expected a number of units, at least 1"),
     ],
 )
 def test_a_front_asks_for_nothing_but_the_best(
