@@ -4,7 +4,7 @@ from typing import Any
 
 READY: dict[str, Any] = {
     "modules": (
-        "experiments.parts.page",
+        "experiments.report.page",
         "placement.explain.other_sensors",
         "placement.explain.sensitivity",
         "placement.visibility.projecting",  # the compiler

@@ -25,9 +25,9 @@ from ..export.geojson import to_geojson
 from ..export.json import to_json, to_json_text
 from ..parts import bill_of_materials
 from ..parts.bill_of_materials import BillOfMaterials, bill_of_materials_csv, build_bill
-from ..parts.page import begin_tasks, write_report
 from ..parts.result import Result
 from ..progress import WRITING, StageProgress
+from ..report.page import begin_tasks, write_report
 from ..results.csv_text import csv_text
 from ..results.folders import (
     APR_FILE,

@@ -1,8 +1,44 @@
-"""The template of all pages: a title, an answer, sections with text, tables and figures."""
+"""The report: one self-contained HTML page with the answer, its proof, figures, and every run."""
 
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from functools import cache
+from pathlib import Path
+from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from geometry.errors import InputError, Unquoted
+from geometry.files import write_atomically
+from placement.evaluation import Evaluation
+from placement.setting import Setting
+
+from ..figures.axes import unit_labels
+from ..figures.evaluation import heatmap_indices
+from ..parts import answer, comparison, dangers, next_unit, proof, study_cases
+from ..parts.accidents import accidents_section, alone_section, apr_picture
+from ..parts.assumptions import again_section, assumption_sentences, assumptions_section
+from ..parts.bill_of_materials import BillOfMaterials, bill_section, build_bill
+from ..parts.comparison import EXPERT, GREEDY
+from ..parts.coverage import coverage_section
+from ..parts.explanation import explanation_sections
+from ..parts.failures import failures_section
+from ..parts.front import front_section
+from ..parts.margins import margins_section
+from ..parts.player import interactive_part
+from ..parts.private_ground import private_ground_section
+from ..parts.result import EvaluationResult, PlacementResult, Result
+from ..parts.runs import build_heatmaps, cases_section, heatmaps_section, runs_section
+from ..parts.sampled_worlds import sampled_picture, sampled_section
+from ..parts.section import Picture, Section
+from ..parts.sensitivity import sensitivity_section
+from ..parts.units import build_plans, units_section
+from ..side_process import SideProcess, Task
+
+FILE_NAME = "report.html"
 
 
 @cache
@@ -21,3 +57,264 @@ def page_environment() -> Environment:
 def page_template() -> Template:
     """The template of all pages: title, answer, sections, details; and what can be played."""
     return page_environment().get_template("report.html.j2")
+
+
+def write_report(
+    folder: Path,
+    result: Result,
+    setting: Setting,
+    evaluations: Mapping[str, Evaluation],
+    *,
+    command: str,
+    heatmap_runs: Sequence[str] = (),
+    sampled_figure: Axes | Figure | None = None,
+    bill: BillOfMaterials | None = None,
+    side: SideProcess | None = None,
+) -> Path:
+    """Write :func:`render_report`'s page to ``report.html`` in `folder`, which must exist.
+
+    The plan, the APR by case, the heatmaps of the first layout and the APR in sampled worlds are
+    written next to it as PNG files.
+    """
+    page, pictures = _build_report(
+        result,
+        setting,
+        evaluations,
+        command=command,
+        heatmap_runs=heatmap_runs,
+        sampled_figure=sampled_figure,
+        bill=bill,
+        side=side,
+    )
+    for name, picture in pictures.items():
+        write_atomically(folder / f"{name}.png", base64.b64decode(picture.png))
+    path = folder / FILE_NAME
+    write_atomically(path, page)
+    return path
+
+
+def render_report(
+    result: Result,
+    setting: Setting,
+    evaluations: Mapping[str, Evaluation],
+    *,
+    command: str,
+    heatmap_runs: Sequence[str] = (),
+    sampled_figure: Axes | Figure | None = None,
+    bill: BillOfMaterials | None = None,
+) -> str:
+    """A result as one HTML page that loads nothing from elsewhere.
+
+    Parameters
+    ----------
+    result : Result
+        Of a placement, an evaluation or a comparison.
+    setting : Setting
+        What the layouts were evaluated in.
+    evaluations : mapping of str to Evaluation
+        By display name; the first one is the subject. One named "greedy" appears in tables and
+        bars only.
+    command : str
+        Command line that makes the result again.
+    heatmap_runs : sequence of str
+        Ids of the runs to draw; else see :func:`experiments.figures.evaluation.pick_heatmap_runs`.
+    sampled_figure : Axes or Figure, optional
+        Of the APR in sampled worlds, where they were asked for.
+    bill : BillOfMaterials, optional
+        What the first layout takes, where more is known of its costs than the scene tells.
+
+    Returns
+    -------
+    page : str
+        HTML.
+
+    Raises
+    ------
+    InputError
+        There is no evaluation, or a run is unknown.
+    """
+    page, _ = _build_report(
+        result,
+        setting,
+        evaluations,
+        command=command,
+        heatmap_runs=heatmap_runs,
+        sampled_figure=sampled_figure,
+        bill=bill,
+    )
+    return page
+
+
+def _build_report(
+    result: Result,
+    setting: Setting,
+    evaluations: Mapping[str, Evaluation],
+    *,
+    command: str,
+    heatmap_runs: Sequence[str],
+    sampled_figure: Axes | Figure | None,
+    bill: BillOfMaterials | None,
+    side: SideProcess | None = None,
+) -> tuple[str, dict[str, Picture]]:
+    """The page, and those of its pictures that are worth a file, by name."""
+    side = side or SideProcess()
+    tasks = begin_tasks(side, result, setting, evaluations, heatmap_runs=heatmap_runs)
+    subject_name = next(iter(evaluations))
+    shown, _ = _shown(result, evaluations)
+    interactive = interactive_part(setting, shown, first_runs=tasks.run_ids)
+    for task in reversed(tasks.in_order):
+        task.take()
+    heatmaps, plans, of_apr = tasks.heatmaps.result(), tasks.plans.result(), tasks.apr.result()
+    pictures = {"plan": plans[0], "apr_by_case": of_apr}
+    for run_id, picture in zip(tasks.run_ids, heatmaps[subject_name], strict=True):
+        pictures[f"heatmap_{run_id.replace('/', '_')}"] = picture
+    if not isinstance(result, EvaluationResult) and result.sampled and sampled_figure is not None:
+        pictures["sampled_apr"] = sampled_picture(result.sampled, sampled_figure)
+    page = page_template().render(
+        title=answer.title(result, setting, shown),
+        answer=answer.words(result, shown),
+        assumed=assumption_sentences(result),
+        sections=_present(
+            _sections(result, setting, evaluations, tasks, pictures.get("sampled_apr"))
+        ),
+        interactive=interactive,
+        details=_present(_details(result, setting, evaluations, command=command, bill=bill)),
+    )
+    return page, pictures
+
+
+def _sections(
+    result: Result,
+    setting: Setting,
+    evaluations: Mapping[str, Evaluation],
+    tasks: "Tasks",
+    sampled: Picture | None,
+) -> list[Section | None]:
+    """The parts of the report, in order."""
+    subject = next(iter(evaluations.values()))
+    _, detailed = _shown(result, evaluations)
+    layouts = {name: item.layout for name, item in detailed.items()}
+    labels = unit_labels(subject.layout)
+    pictures = tasks.heatmaps.result()
+    of_proof: list[Section | None] = []
+    of_grid: list[Section | None] = []
+    side_by_side = None
+    if isinstance(result, PlacementResult):
+        of_proof = [
+            proof.section(result),
+            tasks.front.result(),
+            next_unit.section(result.next_unit, result.other_sensors),
+            *explanation_sections(result.explained, labels),
+        ]
+        of_grid = [proof.agreement_section(result)]
+    if not isinstance(result, EvaluationResult):
+        side_by_side = comparison.section(
+            evaluations,
+            setting.rule,
+            result.baselines,
+            result.sampled,
+            apr_found=result.apr if of_proof else None,
+        )
+    return [
+        units_section(layouts, tasks.plans.result(), setting.scene),
+        *of_proof,
+        accidents_section(evaluations, tasks.apr.result(), is_optimised=bool(of_proof)),
+        tasks.dangers.result(),
+        side_by_side,
+        study_cases.section(result.study_cases),
+        tasks.margins.result(),
+        failures_section(subject, setting.rule, labels),
+        None if sampled is None else sampled_section(sampled),
+        tasks.what_if.result(),
+        alone_section(detailed),
+        tasks.coverage.result(),
+        heatmaps_section(pictures, setting.rule, [*layouts.values()]),
+        *of_grid,
+    ]
+
+
+def _details(
+    result: Result,
+    setting: Setting,
+    evaluations: Mapping[str, Evaluation],
+    *,
+    command: str,
+    bill: BillOfMaterials | None,
+) -> list[Section | None]:
+    """Parts at the end, which few read."""
+    layout = next(iter(evaluations.values())).layout
+    shown, _ = _shown(result, evaluations)
+    return [
+        private_ground_section(result.private_ground, unit_labels(layout)),
+        bill_section(bill or build_bill(layout, setting.scene)),
+        assumptions_section(result, setting, {name: item.layout for name, item in shown.items()}),
+        cases_section(setting),
+        runs_section(evaluations),
+        again_section(result, command),
+    ]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tasks:
+    """Pictures and sections of a report that a second process may make."""
+
+    run_ids: list[str]  # of the heatmaps
+    plans: Task[list[Picture]]
+    heatmaps: Task[dict[str, list[Picture]]]
+    dangers: Task[Section | None]
+    margins: Task[Section | None]
+    what_if: Task[Section | None]
+    apr: Task[Picture]
+    coverage: Task[Section | None]
+    front: Task[Section | None]
+
+    @property
+    def in_order(self) -> list[Task[Any]]:
+        """As they were begun."""
+        return [getattr(self, field.name) for field in fields(self) if field.name != "run_ids"]
+
+
+def begin_tasks(
+    side: SideProcess,
+    result: Result,
+    setting: Setting,
+    evaluations: Mapping[str, Evaluation],
+    *,
+    heatmap_runs: Sequence[str] = (),
+) -> Tasks:
+    """Begin what takes long to draw; once begun, the report that is written takes it from there.
+
+    Arguments as for :func:`render_report`.
+    """
+    if not evaluations:
+        raise InputError("evaluations", Unquoted("none"), "at least one")
+    subject = next(iter(evaluations.values()))
+    shown, detailed = _shown(result, evaluations)
+    layouts = {name: item.layout for name, item in detailed.items()}
+    others = [item.layout for item in [*shown.values()][1:]] if len(detailed) == 1 else []
+    front = result.front if isinstance(result, PlacementResult) else None
+    run_indices = heatmap_indices(subject, setting, heatmap_runs)
+    return Tasks(  # what takes the longest comes first
+        run_ids=[subject.axis.run_ids[index] for index in run_indices],
+        plans=side.begin("plans", build_plans, setting, layouts, others),
+        heatmaps=side.begin("heatmaps", build_heatmaps, detailed, run_indices),
+        dangers=side.begin("dangers", dangers.section, setting, shown, fusion=result.fusion),
+        margins=side.begin("margins", margins_section, shown),
+        what_if=side.begin("sensitivity", sensitivity_section, result.sensitivity),
+        apr=side.begin("apr", apr_picture, evaluations),
+        coverage=side.begin("coverage", coverage_section, setting.scene, subject.layout),
+        front=side.begin("front", front_section, front),
+    )
+
+
+def _shown(
+    result: Result, evaluations: Mapping[str, Evaluation]
+) -> tuple[dict[str, Evaluation], dict[str, Evaluation]]:
+    """Those that are more than a row of a table or a bar; of these, the ones in detail."""
+    shown = {name: item for name, item in evaluations.items() if name not in (GREEDY, EXPERT)}
+    is_comparison = not isinstance(result, PlacementResult) and len(evaluations) > 1
+    return shown, shown if is_comparison else dict([next(iter(evaluations.items()))])
+
+
+def _present(sections: Sequence[Section | None]) -> list[Section]:
+    return [section for section in sections if section is not None]

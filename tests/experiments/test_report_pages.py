@@ -11,8 +11,8 @@ from partial_pages import blank_pictures, build_result
 from small_results import lay_runs_of, vary_few_assumptions
 
 from experiments.jobs import placement
-from experiments.parts.page import write_report
 from experiments.progress import StageProgress
+from experiments.report.page import write_report
 from placement.compute import Compute
 from placement.layout import Layout, layout_records, load_carlancap_layout
 from placement.question import Question

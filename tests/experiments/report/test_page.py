@@ -12,7 +12,7 @@ from msgspec.structs import replace as replace_fields
 from partial_pages import blank_pictures, build_result
 
 from experiments.figures.evaluation import pick_heatmap_runs
-from experiments.parts.page import render_report, write_report
+from experiments.report.page import render_report, write_report
 from experiments.results.numbers import percent
 from experiments.results.record import StageRecord
 from experiments.results.tables import margin_s
