@@ -6,6 +6,8 @@ from placement.explain import Unavoided
 
 from ..parts.explanation import (
     OUTCOMES,
+    ContributionRecord,
+    ExplainedRecord,
     cause,
     contribution_sentences,
     is_nothing_avoided,
@@ -13,9 +15,8 @@ from ..parts.explanation import (
     missed_sentences,
     pool_sentences,
 )
-from ..results.explanations import ContributionRecord, ExplainedRecord
+from ..parts.sampled_worlds import SampledRecord
 from ..results.numbers import count_runs, first_of, number, percent, points, shortened
-from ..results.sampled_worlds import SampledRecord
 from .terminal import sentences
 
 _MAX_RUNS, _MAX_MISSED, _MAX_SETS, _MAX_SITES = 3, 8, 5, 8

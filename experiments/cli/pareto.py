@@ -25,8 +25,7 @@ from .running import begin, command_line, print_result
 from .terminal import driven_lines, sentences, table
 
 if TYPE_CHECKING:
-    from ..parts.front import FrontResult
-    from ..results.fronts import FrontPointRecord
+    from ..parts.front import FrontPointRecord, FrontResult
 
 _TIME_LIMIT_S = 60.0
 # Several layouts are looked for: each in nominal conditions, on the grid.

@@ -56,7 +56,13 @@ from ..parts.baselines import build_baselines, compare_layout, compare_placement
 from ..parts.bill_of_materials import BillOfMaterials, build_bill
 from ..parts.comparison import EXPERT, GREEDY
 from ..parts.coverage import coverage_section
-from ..parts.front import describe_front
+from ..parts.explanation import (
+    ExplainedRecord,
+    PrivateGroundRecord,
+    build_explained_record,
+    build_private_ground_record,
+)
+from ..parts.front import FrontRecord, build_refinement_record, describe_front
 from ..parts.next_unit import build_exchanges
 from ..parts.result import (
     ComparisonResult,
@@ -66,19 +72,11 @@ from ..parts.result import (
     build_evaluation_result,
     build_placement_result,
 )
-from ..parts.sampled_worlds import plot_sampled_apr
+from ..parts.sampled_worlds import SampledRecord, build_sampled_record, plot_sampled_apr
 from ..parts.study_cases import StudyCases, on_study_cases
 from ..parts.units import build_plans
 from ..progress import StageProgress
-from ..results.explanations import (
-    ExplainedRecord,
-    PrivateGroundRecord,
-    build_explained_record,
-    build_private_ground_record,
-)
 from ..results.folders import check_result_folder, left_as_it_was
-from ..results.fronts import FrontRecord, build_refinement_record
-from ..results.sampled_worlds import SampledRecord, build_sampled_record
 from ..side_process import SideProcess, Task, side_process
 from . import READY
 from .writing import write_results

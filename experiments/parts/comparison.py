@@ -11,14 +11,13 @@ from placement.evaluation import Evaluation, apr, apr_one_failed
 from scenarios.aeb import AebRule
 
 from ..results.evaluations import EvaluationRecord, build_evaluation_record, price_eur
-from ..results.explanations import PrivateGroundRecord
 from ..results.numbers import NOTHING, count_runs, number, or_nan, percent
 from ..results.record import UnitRecord, build_unit_records
-from ..results.sampled_worlds import SampledPairRecord, SampledRecord
 from ..results.tables import margin_s
 from .baselines import Baselines
 from .baselines import words as baseline_words
-from .sampled_worlds import is_open, plot_differences
+from .explanation import PrivateGroundRecord
+from .sampled_worlds import SampledPairRecord, SampledRecord, is_open, plot_differences
 from .section import Block, Bullets, Section, Subheading, Table, build_picture
 
 GREEDY, EXPERT = "greedy", "expert rule"

@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping
 
-from ..results.explanations import PrivateGroundRecord
 from ..results.numbers import percent
+from .explanation import PrivateGroundRecord
 from .section import Block, Section, Table
 
 

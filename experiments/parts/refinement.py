@@ -2,8 +2,8 @@
 
 from placement.optimiser.objectives import Objective
 
-from ..results.fronts import MoveRecord, RefinementRecord
 from ..results.numbers import joined, number, percent
+from .front import MoveRecord, RefinementRecord
 
 _MAX_DIGITS = 6
 

@@ -24,8 +24,6 @@ from placement.setting import Setting
 
 from ..results.drives import DrivesRecord, build_drives_record, versions
 from ..results.evaluations import EvaluationRecord, build_evaluation_record, price_eur
-from ..results.explanations import ExplainedRecord, PrivateGroundRecord
-from ..results.fronts import FrontRecord, RefinementRecord
 from ..results.record import (
     Share,
     StageRecord,
@@ -34,12 +32,14 @@ from ..results.record import (
     build_unit_records,
     says,
 )
-from ..results.sampled_worlds import SampledRecord
 from .alternatives import FrontRunners, HeavyRun, find_heavy_runs
 from .baselines import Baselines
 from .comparison import Compared, Difference, build_compared, find_differences
 from .dangers import Dangers, avoided_runs, build_dangers
+from .explanation import ExplainedRecord, PrivateGroundRecord
+from .front import FrontRecord, RefinementRecord
 from .next_unit import Exchange
+from .sampled_worlds import SampledRecord
 from .study_cases import StudyCases
 
 

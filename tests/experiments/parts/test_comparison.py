@@ -14,7 +14,7 @@ from experiments.parts.comparison import (
     significance_sentences,
     significance_table,
 )
-from experiments.results.sampled_worlds import build_sampled_record
+from experiments.parts.sampled_worlds import build_sampled_record
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict

@@ -7,6 +7,7 @@ from partial_pages import render_section
 
 from experiments.cli.explanations import explanation_text
 from experiments.parts.explanation import (
+    ExplainedRecord,
     contribution_sentences,
     contribution_table,
     explanation_sections,
@@ -16,7 +17,6 @@ from experiments.parts.explanation import (
     pool_table,
     site_table,
 )
-from experiments.results.explanations import ExplainedRecord
 
 WITHOUT = {
     "apr": 0.5,

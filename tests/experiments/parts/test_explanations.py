@@ -8,10 +8,10 @@ import pytest
 
 from experiments.cli.explanations import explanation_text
 from experiments.parts.explanation import (
+    build_explained_record,
     missed_table,
     pool_sentences,
 )
-from experiments.results.explanations import build_explained_record
 from experiments.results.record import to_plain
 from placement.detection_table import pack_table
 from placement.explain import find_contributions, find_pool, find_unavoided

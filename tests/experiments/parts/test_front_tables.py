@@ -11,13 +11,13 @@ from small_tables import avoiding_problem
 
 from experiments.export.json import to_json_text
 from experiments.parts.front import (
+    FrontRecord,
     describe_front,
     front_rows,
     front_section,
     plot_front,
     proof_sentences,
 )
-from experiments.results.fronts import FrontRecord
 from experiments.results.record import to_plain
 from geometry.poses import Pose
 from placement.candidates import CandidatePose

@@ -7,10 +7,10 @@ import pytest
 from shapely import box
 from small_results import assemble_without_runs
 
+from experiments.parts.explanation import build_private_ground_record
 from experiments.parts.private_ground import (
     private_ground_sentence,
 )
-from experiments.results.explanations import build_private_ground_record
 from geometry.errors import InputError
 from geometry.frames import to_geographic
 from geometry.study_scene import load_study_scene

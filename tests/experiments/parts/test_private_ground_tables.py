@@ -2,8 +2,8 @@ import msgspec
 from msgspec import UNSET
 from partial_pages import render_section, tables_of
 
+from experiments.parts.explanation import PrivateGroundRecord
 from experiments.parts.private_ground import MAX_AREAS, MAX_UNITS, private_ground_section
-from experiments.results.explanations import PrivateGroundRecord
 
 
 def summary(shares):

@@ -5,11 +5,11 @@ from msgspec.structs import replace as replace_fields
 from experiments.figures.axes import to_png
 from experiments.parts.sampled_worlds import (
     MAX_STAIRCASES,
+    SampledPairRecord,
     plot_differences,
     plot_intervals,
     plot_sampled_apr,
 )
-from experiments.results.sampled_worlds import SampledPairRecord
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.layout import Layout

@@ -8,13 +8,14 @@ import pytest
 from experiments.cli.explanations import uncertainty_text
 from experiments.figures.axes import to_png
 from experiments.parts.sampled_worlds import (
+    build_sampled_record,
+    build_uncertainty_record,
     overtaken_sentences,
     plot_sampled_apr,
     uncertainty_sentences,
     what_is_uncertain,
 )
 from experiments.results.record import to_plain
-from experiments.results.sampled_worlds import build_sampled_record, build_uncertainty_record
 from geometry.errors import InputError
 from geometry.poses import Pose
 from placement.candidates import CandidatePose

@@ -24,13 +24,13 @@ from starlette.websockets import WebSocketDisconnect
 
 from experiments.export.json import to_json_text
 from experiments.jobs.placement import run_evaluation
+from experiments.parts.explanation import build_private_ground_record
 from experiments.planner import server
 from experiments.planner.plan import Variant
 from experiments.planner.server import build_app
 from experiments.planner.session import Workspace
 from experiments.planner.tasks import Cancelled, DiedError
 from experiments.progress import StageProgress
-from experiments.results.explanations import build_private_ground_record
 from experiments.results.numbers import percent
 from geometry.frames import to_geographic
 from geometry.scene_files import save_scene
