@@ -62,8 +62,9 @@ from ..parts.explanation import (
     build_explained_record,
     build_private_ground_record,
 )
-from ..parts.front import FrontRecord, build_refinement_record, describe_front
+from ..parts.front import FrontRecord, describe_front
 from ..parts.next_unit import build_exchanges
+from ..parts.refinement import build_refinement_record
 from ..parts.result import (
     ComparisonResult,
     EvaluationResult,

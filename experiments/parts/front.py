@@ -1,13 +1,12 @@
 """The front: what each further unit, or more money, buys, and its proof."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import msgspec
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
@@ -29,8 +28,6 @@ from placement.optimiser.steering import COST_TOLERANCE_EUR, TOLERANCE
 from placement.pipeline import Assembly, assemble, pick_layout
 from placement.prices import assumed_prices, load_prices
 from placement.question import Question
-from placement.refinement.poses import Move
-from placement.refinement.refine import Refinement
 
 from ..export.json import to_json_text
 from ..figures.axes import BLUE, VERMILION, WIDTH_IN, Style, finish_axes, new_figure, to_png
@@ -43,9 +40,7 @@ from ..results.record import (
     LayoutValueRecord,
     Record,
     Share,
-    StageName,
     StageRecord,
-    StageValues,
     UnitRecord,
     build_stage_records,
     build_unit_records,
@@ -96,34 +91,6 @@ class FrontRecord(Record, frozen=True, kw_only=True):
     sentences: Annotated[tuple[str, ...], says("What each unit buys, in words.")]
 
 
-class MoveRecord(Record, frozen=True, kw_only=True):
-    """Change of a unit by refinement; null where it is not at the same place."""
-
-    was: Annotated[str | None, says("Id before; null: it is new.")]
-    is_: Annotated[str | None, says("Id after; null: it is gone.")] = msgspec.field(name="is")
-    is_same_place: Annotated[
-        bool, says("Whether the same sensor is at the same place, maybe higher or lower.")
-    ]
-    turn_deg: Annotated[float | None, says("Change of the yaw, in degrees, counter-clockwise.")]
-    tilt_deg: Annotated[float | None, says("Change of the pitch, in degrees, up.")]
-    lift_m: Annotated[float | None, says("Change of the height, in metres, up.")]
-    zoom_deg: Annotated[float | None, says("Change of the field of view, in degrees.")]
-
-
-class RefinementRecord(Record, frozen=True, kw_only=True):
-    """Search between the poses of the grid."""
-
-    is_improved: Annotated[bool, says("Whether it found anything better.")]
-    before: Annotated[StageValues, says("Of the best layout of the grid.")]
-    after: Annotated[StageValues, says("Of the refined layout.")]
-    moves: Annotated[tuple[MoveRecord, ...], says("What became of the units that changed.")]
-    grid_candidates: Annotated[int, says("Candidate poses of the grid.", ge=0)]
-    grid_is_proven: Annotated[bool, says("Whether the grid's layout is proven best.")]
-    poses_tried: Annotated[int, says("Poses between those of the grid.", ge=0)]
-    rounds: Annotated[int, says("Rounds of the search.", ge=0)]
-    seconds: Annotated[float, says("Time spent, in seconds.", ge=0)]
-
-
 def build_front_record(
     front: Front,
     problem: PlacementProblem,
@@ -169,38 +136,6 @@ def _point(point: FrontPoint, candidates: Sequence[CandidatePose]) -> FrontPoint
         solver=point.certificate.solver,
         layout=build_unit_records(layout),
         pose_ids=tuple(candidates[index].id for index in point.pose_index),
-    )
-
-
-def build_refinement_record(refinement: Refinement) -> RefinementRecord:
-    """Changes by the search between the poses of the grid."""
-    return RefinementRecord(
-        is_improved=refinement.is_improved,
-        before=_stage_values(refinement.before),
-        after=_stage_values(refinement.after),
-        moves=tuple(_move(move) for move in refinement.moves),
-        grid_candidates=refinement.unrefined.problem.table.n_poses,
-        grid_is_proven=refinement.unrefined.certificate.is_proven,
-        poses_tried=refinement.n_tried,
-        rounds=refinement.n_rounds,
-        seconds=refinement.seconds,
-    )
-
-
-def _stage_values(values: Iterable[tuple[str, float]]) -> StageValues:
-    return {cast(StageName, name): value for name, value in values}
-
-
-def _move(move: Move) -> MoveRecord:
-    is_same = move.is_same_place
-    return MoveRecord(
-        was=None if move.before is None else move.before.id,
-        is_=None if move.after is None else move.after.id,
-        is_same_place=is_same,
-        turn_deg=move.turn_deg if is_same else None,
-        tilt_deg=move.tilt_deg if is_same else None,
-        lift_m=move.lift_m if is_same else None,
-        zoom_deg=move.zoom_deg if is_same else None,
     )
 
 

@@ -1,9 +1,82 @@
 """Gains of refinement between the poses of the grid, in sentences."""
 
+from collections.abc import Iterable
+from typing import Annotated, cast
+
+import msgspec
+
 from placement.optimiser.objectives import Objective
+from placement.refinement.poses import Move
+from placement.refinement.refine import Refinement
 
 from ..results.numbers import joined, number, percent
-from .front import MoveRecord, RefinementRecord
+from ..results.record import (
+    Record,
+    StageName,
+    StageValues,
+    says,
+)
+
+
+class MoveRecord(Record, frozen=True, kw_only=True):
+    """Change of a unit by refinement; null where it is not at the same place."""
+
+    was: Annotated[str | None, says("Id before; null: it is new.")]
+    is_: Annotated[str | None, says("Id after; null: it is gone.")] = msgspec.field(name="is")
+    is_same_place: Annotated[
+        bool, says("Whether the same sensor is at the same place, maybe higher or lower.")
+    ]
+    turn_deg: Annotated[float | None, says("Change of the yaw, in degrees, counter-clockwise.")]
+    tilt_deg: Annotated[float | None, says("Change of the pitch, in degrees, up.")]
+    lift_m: Annotated[float | None, says("Change of the height, in metres, up.")]
+    zoom_deg: Annotated[float | None, says("Change of the field of view, in degrees.")]
+
+
+class RefinementRecord(Record, frozen=True, kw_only=True):
+    """Search between the poses of the grid."""
+
+    is_improved: Annotated[bool, says("Whether it found anything better.")]
+    before: Annotated[StageValues, says("Of the best layout of the grid.")]
+    after: Annotated[StageValues, says("Of the refined layout.")]
+    moves: Annotated[tuple[MoveRecord, ...], says("What became of the units that changed.")]
+    grid_candidates: Annotated[int, says("Candidate poses of the grid.", ge=0)]
+    grid_is_proven: Annotated[bool, says("Whether the grid's layout is proven best.")]
+    poses_tried: Annotated[int, says("Poses between those of the grid.", ge=0)]
+    rounds: Annotated[int, says("Rounds of the search.", ge=0)]
+    seconds: Annotated[float, says("Time spent, in seconds.", ge=0)]
+
+
+def build_refinement_record(refinement: Refinement) -> RefinementRecord:
+    """Changes by the search between the poses of the grid."""
+    return RefinementRecord(
+        is_improved=refinement.is_improved,
+        before=_stage_values(refinement.before),
+        after=_stage_values(refinement.after),
+        moves=tuple(_move(move) for move in refinement.moves),
+        grid_candidates=refinement.unrefined.problem.table.n_poses,
+        grid_is_proven=refinement.unrefined.certificate.is_proven,
+        poses_tried=refinement.n_tried,
+        rounds=refinement.n_rounds,
+        seconds=refinement.seconds,
+    )
+
+
+def _stage_values(values: Iterable[tuple[str, float]]) -> StageValues:
+    return {cast(StageName, name): value for name, value in values}
+
+
+def _move(move: Move) -> MoveRecord:
+    is_same = move.is_same_place
+    return MoveRecord(
+        was=None if move.before is None else move.before.id,
+        is_=None if move.after is None else move.after.id,
+        is_same_place=is_same,
+        turn_deg=move.turn_deg if is_same else None,
+        tilt_deg=move.tilt_deg if is_same else None,
+        lift_m=move.lift_m if is_same else None,
+        zoom_deg=move.zoom_deg if is_same else None,
+    )
+
 
 _MAX_DIGITS = 6
 

@@ -37,8 +37,9 @@ from .baselines import Baselines
 from .comparison import Compared, Difference, build_compared, find_differences
 from .dangers import Dangers, avoided_runs, build_dangers
 from .explanation import ExplainedRecord, PrivateGroundRecord
-from .front import FrontRecord, RefinementRecord
+from .front import FrontRecord
 from .next_unit import Exchange
+from .refinement import RefinementRecord
 from .sampled_worlds import SampledRecord
 from .study_cases import StudyCases
 

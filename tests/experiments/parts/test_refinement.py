@@ -3,8 +3,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from experiments.parts.front import build_refinement_record
-from experiments.parts.refinement import refinement_sentences
+from experiments.parts.refinement import build_refinement_record, refinement_sentences
 from experiments.results.record import to_plain
 from geometry.catalogue import pick_sensor
 from geometry.poses import Pose
