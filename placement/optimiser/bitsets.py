@@ -363,32 +363,35 @@ def shares_with_each(
     from .bit_kernels import add_weights_with_each
 
     measure = reduced.measure if measure is None else measure
-    if not measure.is_mean:
-        return measure.of(avoided_with_each(reduced, units))
     union = unions_of(reduced, units[None, :])
     alone = union_margins_s(reduced, union)[0] > -np.inf
-    runs = np.flatnonzero(~alone & (measure.weight > 0.0))
     is_seen, last = unpack_words(union[0], reduced.n_frames), reduced.last
-    parts: dict[int, FloatArray] = {}
+    world = np.zeros_like(measure.sample_index) if measure.is_mean else measure.sample_index
+    n_worlds = 1 if measure.is_mean else len(measure.sample_weight)
+    total = np.zeros((reduced.n_poses, n_worlds))
+    for number in range(n_worlds):
+        is_mine = world == number
+        runs = np.flatnonzero(is_mine & ~alone & (measure.weight > 0.0))
+        parts: dict[int, FloatArray] = {}
 
-    def add(begin: int, end: int) -> None:
-        parts[begin] = np.zeros(reduced.n_poses)
-        add_weights_with_each(
-            reduced.detections.columns,
-            is_seen,
-            reduced.chains,
-            reduced.run_chain,
-            last,
-            measure.weight,
-            runs[begin:end],
-            parts[begin],
-        )
+        def add(begin: int, end: int, runs: IntArray, parts: dict[int, FloatArray]) -> None:
+            parts[begin] = np.zeros(reduced.n_poses)
+            add_weights_with_each(
+                reduced.detections.columns,
+                is_seen,
+                reduced.chains,
+                reduced.run_chain,
+                last,
+                measure.weight,
+                runs[begin:end],
+                parts[begin],
+            )
 
-    share_out(add, len(runs), workers=reduced.workers)
-    total = np.full(reduced.n_poses, measure.weight[alone].sum())
-    for begin in sorted(parts):
-        total += parts[begin]
-    return total
+        share_out(partial(add, runs=runs, parts=parts), len(runs), workers=reduced.workers)
+        total[:, number] = measure.weight[is_mine & alone].sum()
+        for begin in sorted(parts):
+            total[:, number] += parts[begin]
+    return measure.of_worlds(total)
 
 
 def left_with_each(
