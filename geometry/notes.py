@@ -10,12 +10,24 @@ Kind = Literal["junction", "side of the road", "sites", "roads", "buildings", "h
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Note:
-    """Something that was assumed where a map leaves it open, or that was left out."""
+    """Something that was assumed where a map leaves it open, or that was left out.
 
-    what: str  # kind and id, as the source has them: "way 4711", "road 5 object 12"
-    why: str  # what was assumed, or the reason, in words
-    kind: Kind = "left out"  # what it is about
-    site_ids: tuple[str, ...] = ()  # sites of the scene that the map does not have, or not there
+    Attributes
+    ----------
+    what : str
+        Kind and id, as the source has them: "way 4711", "road 5 object 12".
+    why : str
+        Assumption, or reason, in words.
+    kind : str
+        Subject.
+    site_ids : tuple of str
+        Sites of the scene that the map does not have, or not there.
+    """
+
+    what: str
+    why: str
+    kind: Kind = "left out"
+    site_ids: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         return f"{self.what}: {self.why}"

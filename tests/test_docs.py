@@ -44,8 +44,6 @@ _OPTION = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
 _OPTIONS_OF_OTHERS = {"--fcd-output", "--parts"}
 # In the CarlaNCAP study's release; in a-b-street/osm2streets.
 _FILES_OF_OTHERS = ("ncap.py", "tests/src/neukolln/input.osm")
-# What comes with the merge: remove the line when the test says that it is there.
-_TO_COME = {"placement.assemble", "experiments.parts"}
 # What the commands of the pages write, and what Sphinx does.
 _WRITTEN = (
     "results/budget-3/report.html",
@@ -158,11 +156,7 @@ def test_files_named_in_pages_exist(page: Path) -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=_page_id)
 def test_modules_named_in_pages_exist(page: Path) -> None:
-    assert [name for name in _missing_modules(_text_of(page)) if name not in _TO_COME] == []
-
-
-def test_what_is_to_come_is_not_there_yet() -> None:
-    assert set(_missing_modules(" ".join(_TO_COME))) == _TO_COME
+    assert _missing_modules(_text_of(page)) == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=_page_id)

@@ -126,7 +126,7 @@ def build_sampled_record(
     Parameters
     ----------
     judged : sequence of SampledApr
-        By :func:`placement.sampling.out_of_sample_layouts`: at least one, all in the same worlds.
+        At least one, all in the same worlds.
     uncertainty : Uncertainty
         What was drawn.
     tail : float

@@ -67,7 +67,7 @@ def with_first_of_each(node):
 
 
 def test_the_schema_is_that_of_the_types():
-    """Else: python -m experiments.results.schema."""
+    """Else: python -m experiments.parts.schema."""
     assert SCHEMA_FILE.read_text(encoding="utf-8") == schema_text()
 
 
