@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pyproj.exceptions import ProjError
 from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray
@@ -212,6 +211,7 @@ def read_elevation(path: Path, *, crs: str, middle_m: FloatArray, half_m: float)
     """
     try:
         import rasterio
+        from pyproj.exceptions import ProjError
     except ImportError:
         raise MissingExtraError(
             "reading rasters of heights needs rasterio: pip install place-rsus[terrain] "

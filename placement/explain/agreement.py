@@ -16,7 +16,6 @@ from ..compute import DEFAULT_COMPUTE, Compute
 from ..detection_table import DetectionTable
 from ..detectors import Evidence
 from ..evaluation import Evaluation, earliest_arrival_s
-from ..evaluator import build_surroundings, perceive_from_roadside
 from ..setting import Setting
 from ..visibility import table_fingerprint
 
@@ -142,6 +141,8 @@ def _cause(
     if isinstance(unit.sensor, LidarModel):
         return place + "about as many points as it takes"
     run = int(np.searchsorted(setting.axis.run_start, frame, side="right")) - 1
+    from ..evaluator import build_surroundings, perceive_from_roadside  # loads the compiler
+
     surroundings = build_surroundings(setting.scene, [setting.runs[run]])
     evidence = perceive_from_roadside(
         surroundings.take(np.array([frame - int(setting.axis.run_start[run])])),

@@ -690,7 +690,7 @@ def test_a_lost_run_is_explained_played_and_seen(open_client, small_setting):
     assert picture.content[:2] == b"\xff\xd8"
     for values, said in (
         ({"run": "x"}, "run: got 'x'"),
-        ({"run": run_id, "unit": "nobody"}, "--unit: got 'nobody'"),
+        ({"run": run_id, "unit": "nobody"}, "unit_id: got 'nobody'"),
         ({"run": run_id, "unit": "VUT", "frame": "x"}, "frame: got 'x'"),
     ):
         response = client.get(f"/{TOKEN}/picture", params=values)
