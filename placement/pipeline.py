@@ -154,7 +154,7 @@ class Assembly:
     @cached_property
     def presolved(self) -> ReducedProblem:
         """The problem after presolve."""
-        reduced = presolve(self.problem)
+        reduced = presolve(self.problem, workers=self.effort.workers)
         _log.info("presolve: %s", reduced.statistics)
         return reduced
 
@@ -228,7 +228,7 @@ def assemble(
     uncertainty = load_drawn(question, scene, n_samples=question.samples)
     if question.packet_loss:
         uncertainty = replace(uncertainty, packet_loss=question.packet_loss)
-    effort = build_effort(question)
+    effort = build_effort(question, compute)
     if setting is None:
         compute.progress("setting", 0, 0)
         setting = build_setting(question, scene, compute=compute)
@@ -289,9 +289,14 @@ def _respects(
     return respects_private_ground(private_shares(scene, candidates, ground), max_share=max_share)
 
 
-def build_effort(question: Question) -> Effort:
+def build_effort(question: Question, compute: Compute = DEFAULT_COMPUTE) -> Effort:
     """How hard the optimiser tries. Raises InputError for a number that cannot be."""
-    return Effort(solver=question.solver, time_limit_s=question.time_limit_s, gap=question.gap)
+    return Effort(
+        solver=question.solver,
+        time_limit_s=question.time_limit_s,
+        gap=question.gap,
+        workers=compute.workers,
+    )
 
 
 # ---------- the best layout
