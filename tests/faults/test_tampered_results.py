@@ -375,7 +375,7 @@ FOUND: dict[str, tuple[Change, str]] = {
         "summary.json: ratios",
     ),
     "another ratio of the baseline": (
-        summary(lambda d: d["baseline"]["rsu_all"].update(all=0.0)),
+        summary(lambda d: d["baseline"]["evaluation"]["rsu_all"].update(all=0.0)),
         "summary.json: ratios",
     ),
     "another ratio at a position": (
