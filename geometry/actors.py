@@ -49,7 +49,8 @@ class Actor:
     name : str
         Name in the catalogue.
     class_name : str
-        "vehicle", "parked vehicle", "pedestrian" or "cyclist".
+        "vehicle", "parked vehicle", "pedestrian", "cyclist", "motorcyclist" or "car" (that the VUT
+        meets).
     length_m, width_m, height_m : float
         Bounding box of all shapes together, along x, y, z of the body frame. [m]
     shapes : tuple of Shape
@@ -58,9 +59,11 @@ class Actor:
     cycle_m : float
         Distance covered in one cycle of the gait; 0 where nothing moves. [m]
     reference_ahead_m : float
-        Hip or crank shaft, ahead of the middle of the box (negative: behind it). [m]
+        Hip, crank shaft or the flank's point of a car that crosses, ahead of the middle of the box
+        (negative: behind it). [m]
     wheelbase_m, front_axle_ahead_m : float
-        Of a vehicle; the front axle ahead of the middle of the box. 0 for all others. [m]
+        Of a vehicle or motorcycle; the front axle ahead of the middle of the box. 0 for all
+        others. [m]
     """
 
     name: str

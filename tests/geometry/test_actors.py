@@ -23,8 +23,8 @@ from geometry.raycast import build_caster
 
 DATA = files("geometry") / "data"
 NAMES = tuple(load_actors())
-CARS = [name for name in NAMES if "vehicle" in load_actors()[name].class_name]
-MOVING = [name for name in NAMES if name not in CARS]
+WHEELED = [name for name in NAMES if load_actors()[name].wheelbase_m > 0.0]
+MOVING = [name for name in NAMES if name not in WHEELED]
 SHAPES = [(name, index) for name in NAMES for index in range(len(load_actors()[name].shapes))]
 
 
@@ -87,6 +87,8 @@ def test_every_shape_stands_on_the_road(name, index):
         ("adult", (0.6, 0.5, 1.8)),  # ISO 19206-2
         ("child", (0.711, 0.298, 1.154)),  # ISO 19206-2
         ("cyclist", (1.89, 0.5, 1.80)),  # ISO 19206-4; height with rider assumed
+        ("car", (4.023, 1.712, 1.427)),  # Euro NCAP's global vehicle target
+        ("motorcyclist", (2.08, 0.79, 1.70)),  # Euro NCAP; height with rider assumed
     ],
 )
 def test_boxes_are_those_of_their_sources(name, size_m):
@@ -96,7 +98,14 @@ def test_boxes_are_those_of_their_sources(name, size_m):
 
 @pytest.mark.parametrize(
     ("name", "ahead_m"),
-    [("adult", 0.3 - 0.36), ("child", 0.3555 - 0.396), ("cyclist", 0.945 - 0.93), ("vut", 0.0)],
+    [
+        ("adult", 0.3 - 0.36),
+        ("child", 0.3555 - 0.396),
+        ("cyclist", 0.945 - 0.93),
+        ("vut", 0.0),
+        ("car", 4.023 / 4.0),  # of crossings: a quarter of the length behind the front
+        ("motorcyclist", 0.0),
+    ],
 )
 def test_reference_points_are_as_far_behind_the_box_front_as_the_protocol_says(name, ahead_m):
     assert load_actors()[name].reference_ahead_m == pytest.approx(ahead_m)
@@ -121,14 +130,14 @@ def test_every_vertex_belongs_to_a_triangle_with_area(name, index):
     assert (_mesh(shape).area_faces > 0.0).all()
 
 
-@pytest.mark.parametrize("name", CARS)
-def test_cars_are_symmetric(name):
+@pytest.mark.parametrize("name", WHEELED)
+def test_cars_and_the_motorcyclist_are_symmetric(name):
     (shape,) = load_actors()[name].shapes
     _assert_same_but_for_edges(_depth_m(shape, 1, side=-1), _depth_m(shape, 1, side=1))
 
 
 def test_axles_are_under_the_box_and_wheels_stand_below_them():
-    for name in CARS:
+    for name in WHEELED:
         actor = load_actors()[name]
         (shape,) = actor.shapes
         ahead = shape.vertices_m[shape.vertices_m[:, 2] < 0.01, 0]
@@ -136,6 +145,40 @@ def test_axles_are_under_the_box_and_wheels_stand_below_them():
         assert front.mean() == pytest.approx(actor.front_axle_ahead_m, abs=0.02)
         assert rear.mean() == pytest.approx(actor.front_axle_ahead_m - actor.wheelbase_m, abs=0.02)
     assert load_actors()["vut"].wheelbase_m == 2.85
+
+
+@pytest.mark.parametrize(
+    ("name", "wheelbase_m", "front_m", "rear_m"),
+    # Euro NCAP, targets.gvt and targets.motorcycle: from the rear axle to both ends of the box
+    [("car", 2.475, 3.3395, 0.6835), ("motorcyclist", 1.41, 1.713, 0.367)],
+)
+def test_axles_of_targets_are_as_far_from_the_box_ends_as_the_source_says(
+    name, wheelbase_m, front_m, rear_m
+):
+    actor = load_actors()[name]
+    rear_axle_m = actor.front_axle_ahead_m - actor.wheelbase_m
+    assert actor.wheelbase_m == wheelbase_m
+    assert 0.5 * actor.length_m - rear_axle_m == pytest.approx(front_m)
+    assert 0.5 * actor.length_m + rear_axle_m == pytest.approx(rear_m)
+
+
+@pytest.mark.parametrize(
+    ("name", "low_m3", "high_m3"),
+    # A small car fills half of its box or more; a motorcycle of 0.2 t and a rider of 80 kg.
+    [("car", 5.0, 7.0), ("motorcyclist", 0.25, 0.45)],
+)
+def test_bodies_have_the_volume_of_such_bodies(name, low_m3, high_m3):
+    (shape,) = load_actors()[name].shapes
+    assert low_m3 < _mesh(shape).volume < high_m3
+
+
+def test_the_rider_sits_on_the_motorcycle_and_the_motorcycle_is_as_high_as_its_box():
+    (shape,) = load_actors()["motorcyclist"].shapes
+    vertices = shape.vertices_m
+    wide = vertices[np.abs(vertices[:, 1]) > 0.345]  # mirrors and the ends of the handlebar
+    assert wide[:, 2].max() == pytest.approx(1.06, abs=0.01)
+    head = vertices[vertices[:, 2] > 1.45]
+    assert np.abs(head[:, :2]).max() < 0.25  # above the tank, not beside it
 
 
 # Outlines
@@ -197,7 +240,7 @@ def test_a_distance_in_its_last_bits_changes_no_shape(distance_m):
 
 
 def test_what_does_not_move_has_one_shape(actors):
-    for name in CARS:
+    for name in WHEELED:
         assert len(actors[name].shapes) == 1
         assert actors[name].cycle_m == 0.0
         assert actors[name].shape_index(np.linspace(0.0, 9.0, 6)).tolist() == [0] * 6
@@ -208,7 +251,14 @@ def test_what_does_not_move_has_one_shape(actors):
 
 @pytest.mark.parametrize(
     ("name", "class_name"),
-    [("vut", "vehicle"), ("adult", "pedestrian"), ("child", "pedestrian"), ("cyclist", "cyclist")],
+    [
+        ("vut", "vehicle"),
+        ("adult", "pedestrian"),
+        ("child", "pedestrian"),
+        ("cyclist", "cyclist"),
+        ("car", "car"),
+        ("motorcyclist", "motorcyclist"),
+    ],
 )
 def test_bodies_know_their_class(name, class_name):
     assert pick_actor(name, "test").class_name == class_name
