@@ -134,8 +134,14 @@ class Question:
         Of a map, on which traffic keeps; map: as it says or shows.
     cases : str
         A set - default (the study's cases, along the arms), study (those at the junction alone),
-        protocol-4.5.1, all - or names with commas between; CPNA stands for CPNA-25 and CPNA-75 - or
-        FILE.toml of your own cases. `place-rsus scenarios list` shows them.
+        protocol-4.5.1, protocol-2026, junction (cars and motorcyclists that cross), all - or names
+        with commas between; CPNA stands for CPNA-25 and CPNA-75 - or FILE.toml of your own cases.
+        `place-rsus scenarios list` shows them.
+    case_range : {"standard", "extended"}
+        extended: also the impact points and speeds that Euro NCAP's extended range adds.
+    protect : {"vru", "all"}
+        Whose runs count. vru: people on foot, cyclists and motorcyclists; all: people in other cars
+        as well.
     along_arms : str
         Where along the arms cases are laid that are not bound to the junction: so far before and
         behind it; 0: at the junction alone; default: 0,15,30,45, and 0 for `cases` study. Away from
@@ -222,6 +228,8 @@ class Question:
     sites: str = ""
     driving_side: Literal["map", "left", "right"] = "map"
     cases: str = DEFAULT_CASES
+    case_range: Literal["standard", "extended"] = "standard"
+    protect: Literal["vru", "all"] = "vru"
     along_arms: str = ""
     speeds: str = ""
     approaches: str = ""
@@ -296,6 +304,7 @@ class QuestionField:
 _KEYS = {
     "n_confirmations": "confirmations",
     "build_up_s": "brake_build_up",
+    "case_range": "range",
 }
 _UNIT = re.compile("_(eur|m|deg|s|mps2)$")  # a key has none
 

@@ -15,7 +15,7 @@ from geometry.scene import Scene
 from geometry.scene_files import load_scene
 from geometry.sensors import CameraModel
 from scenarios.aeb import AebRule, load_aeb_rule, load_track_memory_s
-from scenarios.cases import select_cases
+from scenarios.cases import Selection, select_cases
 from scenarios.paths import CoursePath, StraightPath, TowedPath, TurnPath
 from scenarios.positions import (
     AT_ZERO,
@@ -153,7 +153,7 @@ def check_question(question: Question) -> None:
     MissingExtraError
         What it needs is not installed.
     """
-    select_cases(question.cases, speeds=question.speeds or None, force=question.force)
+    _select(question)
     pick_positions(question.along_arms, question.cases)
     _words(question.approaches, "approaches", ARM_NAMES)
     _weathers(question)
@@ -161,6 +161,16 @@ def check_question(question: Question) -> None:
     if question.weights:
         check_weights(question.weights)
     load_detector(question.detector, where="detector")
+
+
+def _select(question: Question) -> Selection:
+    return select_cases(
+        question.cases,
+        speeds=question.speeds or None,
+        force=question.force,
+        case_range=question.case_range,
+        protect=question.protect,
+    )
 
 
 def _weathers(question: Question) -> tuple[str, ...]:
@@ -188,7 +198,8 @@ class Drives:
 
     runs: tuple[Run, ...]  # what is driven
     refused: tuple[Refusal, ...]  # what the junction does not carry
-    left_out: tuple[Refusal, ...]  # cases none of whose speeds were asked for
+    # cases none of whose speeds were asked for, or that meet somebody who is not to be protected
+    left_out: tuple[Refusal, ...]
 
 
 def drive(
@@ -207,7 +218,7 @@ def drive(
     Raises InputError where a word of the question is unknown, or the protocol does not drive a
     speed.
     """
-    selection = select_cases(question.cases, speeds=question.speeds or None, force=question.force)
+    selection = _select(question)
     for beyond in selection.beyond:
         _log.warning("%s km/h are not speeds of the protocol", beyond)
     positions = (position,) if position else pick_positions(question.along_arms, question.cases)
@@ -232,15 +243,23 @@ def drive(
         made_from=(scene, selection.cases, laid),
         packages=("geometry", "scenarios"),
     )
+    reasons = [
+        (case, f"none of the speeds asked for ({question.speeds}) is one of this case")
+        for case in selection.left_out
+    ]
+    reasons += [
+        (case, f"whoever is met is in a {case.road_user}, which `protect` all counts")
+        for case in selection.unprotected
+    ]
     left_out = tuple(
         Refusal(
             case=case,
             approach=approach,
             speeds_kmh=case.vut_speeds_kmh,
-            reason=f"none of the speeds asked for ({question.speeds}) is one of this case",
+            reason=reason,
             is_possible=False,
         )
-        for case in selection.left_out
+        for case, reason in reasons
         for approach in approaches
     )
     return Drives(runs=runs, refused=refused, left_out=left_out)
@@ -256,7 +275,7 @@ def drive_one(question: Question, scene: Scene, *, position: str = "0") -> Run:
     for case in select_cases(question.cases, force=True).cases:
         if is_bound(case) and place != AT_ZERO:
             raise InputError(where, position, f"0: {case.name} is bound to the junction")
-    drives = drive(question, scene, position=place)
+    drives = drive(replace(question, protect="all"), scene, position=place)
     if not drives.runs and (*drives.refused, *drives.left_out):
         refusal = (*drives.refused, *drives.left_out)[0]
         raise InputError(

@@ -1,10 +1,10 @@
-"""Test cases, from ``data/cases.toml`` and files of one's own: a table each, no new code."""
+"""Test cases, from ``data/cases.toml`` and files of one's own: tables, no new code."""
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -14,17 +14,32 @@ from msgspec import Meta, Struct, structs
 
 from geometry.actors import Actor, pick_actor
 from geometry.errors import InputError, Unquoted
-from geometry.files import Table, Text, load_toml, pick, read_table
+from geometry.files import Table, Text, load_toml, pick, read_table, read_tables
 
 ALL_CASES = "all"
 ALL_SPEEDS = "all"
+
+Range = Literal["standard", "extended"]
+"""Euro NCAP's ranges of a case, 2026: its basic grid, and what is driven beyond it."""
+
+ROAD_USERS = {
+    "pedestrian": "on foot",
+    "cyclist": "bicycle",
+    "motorcyclist": "motorcycle",
+    "car": "car",
+    "vehicle": "car",
+}
+"""Road-user groups, by the class of the body."""
+PROTECTED = {"vru": ("on foot", "bicycle", "motorcycle"), "all": tuple(ROAD_USERS.values())}
+"""Whose runs count, by the word of a user."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VruLine:
     """On which line of the junction the VRU moves."""
 
-    # "crosswalk", "lane" (of the arm it comes from) or "kerb" (of the VUT's approach road)
+    # "crosswalk", "lane" (of the arm it comes from), "kerb" (of the VUT's approach road) or
+    # "through" (the lanes by which vehicles drive straight on through the junction)
     along: str
     lane: str = ""  # "outer" (at the kerb) or "inner"; empty unless along a lane
     # to the left of the lane's middle; along a kerb: outside it, negative on the road
@@ -35,19 +50,33 @@ class VruLine:
 class Obstruction:
     """Parked bodies, or a wall, that belong to a case."""
 
-    kind: str  # "beside-vut", "beside-vru" or "wall"
+    kind: str  # "beside-vut", "beside-road", "beside-vru" or "wall"
     bodies: tuple[Actor, ...]  # from the one nearest to the meeting point; none for a wall
-    # from the first body to the VRU's flank (beside-vut), or from the VUT's centreline to the first
-    # body or the wall
+    # from the first body to the VRU's flank (beside-vut) or the middle of its way (beside-road), or
+    # from the VUT's centreline to the first body or the wall
     first_gap_m: float
     between_gap_m: float  # from bumper to bumper
-    side_gap_m: float  # to the side of the VUT, or to that of the VRU's box
+    # to the side of the VUT, to the middle of the nearest lane (beside-road), or to the side of the
+    # VRU's box
+    side_gap_m: float
     wall_size_m: tuple[float, ...]  # length, thickness, height of the wall; empty without one
+    max_speed_kmh: float = math.inf  # taken away where VUT or VRU is faster
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Braking:
+    """How a vehicle ahead of the VUT brakes, with the VUT so far behind it."""
+
+    deceleration_mps2: float
+    headway_s: float  # free gap when it begins to brake / the VUT's speed
+    final_speed_kmh: float  # to which it slows down
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """A Euro NCAP AEB VRU case.
+    """A Euro NCAP AEB case: who meets the VUT, and how.
+
+    Whoever meets it has the field names of a VRU, also where it drives a car.
 
     Attributes
     ----------
@@ -58,34 +87,50 @@ class Case:
     source : str
         "protocol-4.5.1", "protocol-2026" or "CarlaNCAP".
     kind : str
-        "crossing", "longitudinal" or "turning".
+        "crossing", "longitudinal" or "turning"; "not laid" where `not_laid` says why.
     vru : Actor
-        The vulnerable road user's body.
+        Body of the road user that is met.
     vru_speed_kmh : float
-        Steady. [km/h]
+        Steady; 0: it stands. Of several that go with the VUT's speeds, see `pairs_kmh`, the first
+        one; of a run, its own. [km/h]
     vut_speeds_kmh : tuple of float
         Speeds to be driven, ascending. [km/h]
     speed_limits_kmh : tuple of float
         Lowest and highest speed of the protocol. [km/h]
     impact_percent, impact_face : float, str
         Where the VRU meets the VUT: "front" - of its width, 0 = right edge, 100 = left edge;
-        "side" - of its length, 0 = rear, on the side towards which it turns. [%]
+        "side" - of its length, 0 = rear, on the side towards which it turns or from which the VRU
+        comes. [%]
     vru_reference_m : float
         The VRU's point that meets the impact position, ahead of the middle of its box. [m]
     acceleration_distance_m : float
-        From rest to the steady speed. [m]
-    start_distance_m, steady_distance_m : float or None
-        One of the two: the reference point's way from rest to the nominal meeting line (the VUT's
-        centreline, or that of its exit lane), or the way at steady speed before the impact. [m]
+        From rest to the steady speed; 0: it comes at its speed. [m]
+    start_distance_m, steady_distance_m, steady_time_s : float or None
+        One of the three: the reference point's way from rest to the nominal meeting line (the VUT's
+        centreline, or that of its exit lane), or the way or time at steady speed before the impact.
+        [m], [s]
     vru_side : str
         Crossing: "near" or "far", from where the VRU comes.
     turn, vru_direction : str
         Turning: "near" or "far", where the VUT turns to; "same" or "opposite", as the VUT before
-        its turn.
+        its turn. Longitudinal: the latter alone.
     vru_line : VruLine or None
         None in longitudinal cases: the VUT's lane.
     obstruction : Obstruction or None
         What hides the VRU.
+    pairs_kmh : tuple of (float, float)
+        Speeds of the VUT and the VRU that go together; empty where the VRU has one speed. [km/h]
+    extended_pairs_kmh : tuple of (float, float)
+        Those that the extended range adds. [km/h]
+    range : str
+        The range to which it belongs: "standard", or "extended" only.
+    meets_corner : bool
+        Turning: a front corner of the VRU meets the VUT, as the protocol reckons it at 45 degrees,
+        and not the middle of its front.
+    braking : Braking or None
+        How the VRU ahead brakes.
+    not_laid : str
+        Why it cannot be laid anywhere; empty: it can.
     """
 
     name: str
@@ -107,10 +152,72 @@ class Case:
     vru_direction: str
     vru_line: VruLine | None
     obstruction: Obstruction | None
+    steady_time_s: float | None = None
+    pairs_kmh: tuple[tuple[float, float], ...] = ()
+    extended_pairs_kmh: tuple[tuple[float, float], ...] = ()
+    range: Range = "standard"
+    meets_corner: bool = False
+    braking: Braking | None = None
+    not_laid: str = ""
 
     def __repr__(self) -> str:
         speeds = ", ".join(f"{speed:g}" for speed in self.vut_speeds_kmh)
         return f"Case({self.name!r}, {speeds} km/h)"
+
+    @property
+    def road_user(self) -> str:
+        """Group of the road user that is met: on foot, bicycle, motorcycle or car."""
+        return ROAD_USERS[self.vru.class_name]
+
+    @property
+    def family(self) -> str:
+        """Euro NCAP's own name of it, without impact point, side and year: "CPNA"."""
+        return self.name.partition("-")[0]
+
+    @property
+    def is_up_to_speed(self) -> bool:
+        """True if the VRU comes at its speed, as vehicles do, and does not set off from rest."""
+        return self.acceleration_distance_m == 0.0
+
+    def vru_speeds_kmh(self, vut_speed_kmh: float | None = None) -> tuple[float, ...]:
+        """Speeds of the VRU, ascending: those that go with a speed of the VUT, or all.
+
+        With a speed of the VUT that the protocol does not drive go those of the nearest one.
+        """
+        if not self.pairs_kmh:
+            return (self.vru_speed_kmh,)
+        if vut_speed_kmh is None:
+            return tuple(sorted({vru for _, vru in self.pairs_kmh}))
+        nearest = min((vut for vut, _ in self.pairs_kmh), key=lambda vut: abs(vut - vut_speed_kmh))
+        return tuple(vru for vut, vru in self.pairs_kmh if vut == nearest)
+
+
+def at_vru_speed(case: Case, vru_speed_kmh: float) -> Case:
+    """The case with one of the speeds of its VRU."""
+    return case if vru_speed_kmh == case.vru_speed_kmh else _at_vru_speed(case, vru_speed_kmh)
+
+
+@lru_cache(maxsize=256)  # runs of one case and speed have one case between them
+def _at_vru_speed(case: Case, vru_speed_kmh: float) -> Case:
+    return replace(case, vru_speed_kmh=vru_speed_kmh)
+
+
+def in_range(case: Case, which: Range) -> Case | None:
+    """The case with the speeds of a range; None: the range does not have it."""
+    if which == "standard":
+        return case if case.range == "standard" else None
+    if not case.extended_pairs_kmh:
+        return case
+    first = case.pairs_kmh or tuple((vut, case.vru_speed_kmh) for vut in case.vut_speeds_kmh)
+    pairs = tuple(sorted({*first, *case.extended_pairs_kmh}))
+    speeds = tuple(sorted({vut for vut, _ in pairs}))
+    return replace(
+        case,
+        vut_speeds_kmh=speeds,
+        speed_limits_kmh=(speeds[0], speeds[-1]),
+        pairs_kmh=pairs if len({vru for _, vru in pairs}) > 1 else (),
+        extended_pairs_kmh=(),
+    )
 
 
 _OTHER_SIDE = {"left": "right", "right": "left"}
@@ -134,6 +241,7 @@ def worded_for(case: Case, *, keeps_left: bool) -> Case:
 
 # ---------- tables of data/cases.toml
 _Positive = Annotated[float, Meta(gt=0.0)]
+_Pair = tuple[_Positive, _Positive]
 _Side = Literal["near", "far"]
 
 
@@ -167,11 +275,19 @@ class _Kerb(Struct, frozen=True, kw_only=True, tag="kerb", tag_field="along"):
     outside_kerb_m: float
 
 
+class _Through(Struct, frozen=True, kw_only=True, tag="through", tag_field="along"):
+    pass
+
+
 class _BesideVut(Struct, frozen=True, kw_only=True, tag="beside-vut", tag_field="kind"):
     bodies: tuple[str, ...]
     first_gap_m: float
     between_gap_m: float
     side_gap_m: float
+
+
+class _BesideRoad(_BesideVut, frozen=True, kw_only=True, tag="beside-road", tag_field="kind"):
+    max_speed_kmh: _Positive = math.inf
 
 
 class _BesideVru(_BesideVut, frozen=True, kw_only=True, tag="beside-vru", tag_field="kind"):
@@ -190,46 +306,105 @@ class _CaseEntry(Struct, frozen=True, kw_only=True):
     title: Text
     source: Text
     vru: Text
-    vru_speed_kmh: _Positive
-    vru_reference: Literal["reference", "middle", "front"]
-    vut_speed_kmh: Annotated[_Speeds, Meta(description="a table with min, max and step")]
-    impact_percent: Annotated[float, Meta(ge=0.0, le=100.0, description="0 to 100")]
+    vru_reference: Literal["reference", "middle", "front", "corner"]
+    vut_speed_kmh: Annotated[_Speeds, Meta(description="a table with min, max and step")] | None = (
+        None
+    )
+    vru_speed_kmh: Annotated[float, Meta(ge=0.0)] | None = None
+    vru_speeds_kmh: _Speeds | None = None
+    pairs_kmh: tuple[_Pair, ...] = ()
+    extended_pairs_kmh: tuple[_Pair, ...] = ()
+    impact_percent: Annotated[float, Meta(ge=-25.0, le=125.0, description="-25 to 125")]
     impact_face: Literal["front", "side"] = "front"
-    acceleration_distance_m: _Positive
+    acceleration_distance_m: _Positive | None = None
     start_distance_m: _Positive | None = None
     steady_distance_m: _Positive | None = None
-    obstruction: _BesideVut | _BesideVru | _Wall | None = None
+    steady_time_s: _Positive | None = None
+    obstruction: _BesideVut | _BesideRoad | _BesideVru | _Wall | None = None
+    range: Range = "standard"
 
     def __post_init__(self) -> None:
-        starts = [
-            key
-            for key in ("start_distance_m", "steady_distance_m")
-            if getattr(self, key) is not None
-        ]
-        if len(starts) != 1:
-            raise InputError("", starts, "either start_distance_m or steady_distance_m")
+        _check_one_of(self, "start_distance_m", "steady_distance_m", "steady_time_s")
+        _check_one_of(self, "vut_speed_kmh", "pairs_kmh")
+        _check_one_of(self, "vru_speed_kmh", "vru_speeds_kmh", "pairs_kmh")
+        if self.start_distance_m is not None and self.acceleration_distance_m is None:
+            got = Unquoted("nothing")
+            raise InputError("acceleration_distance_m", got, "metres, with start_distance_m")
+
+
+def _check_one_of(entry: _CaseEntry, *keys: str) -> None:
+    given = [key for key in keys if getattr(entry, key) not in (None, ())]
+    if len(given) != 1:
+        raise InputError("", given, "one of " + ", ".join(keys))
 
 
 class _Crossing(_CaseEntry, frozen=True, kw_only=True, tag="crossing", tag_field="kind"):
     vru_from: _Side
-    vru_line: _Crosswalk | _Lane | _Kerb
+    vru_line: _Crosswalk | _Lane | _Kerb | _Through
+
+
+class _Braking(Struct, frozen=True, kw_only=True):
+    deceleration_mps2: _Positive
+    headway_s: _Positive
+    final_speed_kmh: Annotated[float, Meta(ge=0.0)]
 
 
 class _Longitudinal(_CaseEntry, frozen=True, kw_only=True, tag="longitudinal", tag_field="kind"):
-    pass
+    vru_direction: Literal["same", "opposite"] = "same"
+    braking: _Braking | None = None
 
 
 class _Turning(_CaseEntry, frozen=True, kw_only=True, tag="turning", tag_field="kind"):
     turn: _Side
     vru_direction: Literal["same", "opposite"]
-    vru_line: _Crosswalk | _Lane | _Kerb
+    vru_line: _Crosswalk | _Lane | _Kerb | _Through
 
 
 @cache
 def load_cases() -> dict[str, Case]:
-    """All cases that come with this package, by name."""
+    """All cases that come with this package and can be laid, by name."""
     table = _load_tables()
     return _read_cases(table, table, "cases.toml")
+
+
+class _UnlaidEntry(Struct, frozen=True, kw_only=True):
+    title: Text
+    source: Text
+    vru: Text
+    reason: Text
+    vut_speeds_kmh: tuple[_Positive, ...] = ()
+
+
+@cache
+def load_unlaid_cases() -> dict[str, Case]:
+    """Cases of the protocols that cannot be laid, by name, from ``data/unlaid_cases.toml``."""
+    where = "unlaid_cases.toml"
+    table = load_toml(files(__package__) / "data" / where)
+    return {
+        name: Case(
+            name=name,
+            title=entry.title,
+            source=entry.source,
+            kind="not laid",
+            vru=pick_actor(entry.vru, f"{where}: {name}.vru"),
+            vru_speed_kmh=0.0,
+            vut_speeds_kmh=entry.vut_speeds_kmh,
+            speed_limits_kmh=(0.0, 0.0),
+            impact_percent=50.0,
+            impact_face="front",
+            vru_reference_m=0.0,
+            acceleration_distance_m=0.0,
+            start_distance_m=None,
+            steady_distance_m=None,
+            vru_side="",
+            turn="",
+            vru_direction="",
+            vru_line=None,
+            obstruction=None,
+            not_laid=entry.reason,
+        )
+        for name, entry in read_tables(table, _UnlaidEntry, where).items()
+    }
 
 
 def load_own_cases(path: str | Path) -> dict[str, Case]:
@@ -274,14 +449,30 @@ def _load_tables() -> Table:
 
 
 def _read_cases(table: Table, names: Iterable[str], where: str) -> dict[str, Case]:
-    """Cases by name, from tables that may be like one another."""
+    """Cases by name, from tables that may be like one another, or stand for several."""
     cases = {}
-    for name in names:
-        here = f"{where}: {name}"
-        # A union is no class to mypy, but the reader takes it.
-        entry = read_table(_whole_entry(table, name, where), _ANY_CASE, here)
-        cases[name] = _build_case(name, entry, here)
+    for table_name in names:
+        here = f"{where}: {table_name}"
+        for name, one in _each_impact(table_name, _whole_entry(table, table_name, where)):
+            # A union is no class to mypy, but the reader takes it.
+            entry = read_table(one, _ANY_CASE, here)
+            cases[name] = _build_case(name, entry, here)
     return cases
+
+
+def _each_impact(name: str, entry: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Cases that differ in where the VRU meets the VUT, from a table with a list of places."""
+    percents = entry.get("impact_percent")
+    beyond = entry.pop("extended_impact_percent", [])
+    if not isinstance(percents, list):
+        yield name, entry
+        return
+    for percent in [*percents, *beyond]:
+        which = {} if percent in percents else {"range": "extended"}
+        title = f"{entry.get('title')}, met at {percent} % of the VUT's width"
+        # No two signs in a row: 25 % outside of the right edge is "m25".
+        called = f"{name}-{percent}".replace("--", "-m")
+        yield called, {**entry, "impact_percent": percent, "title": title, **which}
 
 
 _ANY_CASE: Any = _Crossing | _Longitudinal | _Turning
@@ -291,7 +482,6 @@ _ANY_CASE: Any = _Crossing | _Longitudinal | _Turning
 def load_case_sets() -> dict[str, tuple[Case, ...]]:
     """Sets of cases, by name, with the speeds of the set if it has any; "all" is every case."""
     table = load_toml(files(__package__) / "data" / "case_sets.toml")
-    cases = load_cases()
     sets: dict[str, tuple[Case, ...]] = {}
     alike = {name: entries for name, entries in table.items() if isinstance(entries, str)}
     for set_name, entries in table.items():
@@ -299,16 +489,34 @@ def load_case_sets() -> dict[str, tuple[Case, ...]]:
             continue
         driven = []
         for name, entry in entries.items():
-            speeds = (
-                read_table(entry, _Speeds, f"case_sets.toml: {set_name}.{name}") if entry else None
-            )
-            driven.append(
-                replace(cases[name], vut_speeds_kmh=_speeds_kmh(speeds)) if speeds else cases[name]
-            )
+            where = f"case_sets.toml: {set_name}.{name}"
+            speeds = read_table(entry, _Speeds, where) if entry else None
+            found = _named(name)
+            if not found:
+                raise InputError(where, name, "the name of a case, or what several begin with")
+            driven += [
+                replace(case, vut_speeds_kmh=_speeds_kmh(speeds)) if speeds else case
+                for case in found
+            ]
         sets[set_name] = tuple(driven)
     for set_name, other in alike.items():
         sets[set_name] = pick(sets, other, f"case_sets.toml: {set_name}")
-    return {**{name: sets[name] for name in table}, ALL_CASES: tuple(cases.values())}
+    every = (*load_cases().values(), *load_unlaid_cases().values())
+    return {**{name: sets[name] for name in table}, ALL_CASES: every}
+
+
+def _named(word: str) -> tuple[Case, ...]:
+    """Cases by a name, or by what stands before their last "-", or else by how they begin."""
+    cases = {**load_cases(), **load_unlaid_cases()}
+    if word in cases:
+        return (cases[word],)
+    whole = [case for name, case in cases.items() if _stem(name) == word]
+    return tuple(whole or [case for name, case in cases.items() if name.startswith(f"{word}-")])
+
+
+def _stem(name: str) -> str:
+    """A case's name without its impact point or side."""
+    return name.rpartition("-")[0] or name
 
 
 def _speeds_kmh(speeds: _Speeds) -> tuple[float, ...]:
@@ -330,45 +538,67 @@ def _whole_entry(
 
 def _build_case(name: str, entry: _Crossing | _Longitudinal | _Turning, where: str) -> Case:
     vru = pick_actor(entry.vru, f"{where}.vru")
+    pairs = tuple(sorted(entry.pairs_kmh))
+    speeds = tuple(sorted({vut for vut, _ in pairs}))
+    if entry.vut_speed_kmh is not None:
+        speeds = _speeds_kmh(entry.vut_speed_kmh)
+        if entry.vru_speeds_kmh is not None:
+            pairs = tuple((vut, vru) for vut in speeds for vru in _speeds_kmh(entry.vru_speeds_kmh))
+    braking = entry.braking if isinstance(entry, _Longitudinal) else None
     return Case(
         name=name,
         title=entry.title,
         source=entry.source,
         kind=str(type(entry).__struct_config__.tag),
         vru=vru,
-        vru_speed_kmh=entry.vru_speed_kmh,
-        vut_speeds_kmh=_speeds_kmh(entry.vut_speed_kmh),
-        speed_limits_kmh=(entry.vut_speed_kmh.min, entry.vut_speed_kmh.max),
+        vru_speed_kmh=pairs[0][1] if entry.vru_speed_kmh is None else entry.vru_speed_kmh,
+        vut_speeds_kmh=speeds,
+        speed_limits_kmh=_limits_of(entry, speeds),
         impact_percent=entry.impact_percent,
         impact_face=entry.impact_face,
         vru_reference_m={
             "reference": vru.reference_ahead_m,
             "middle": 0.0,
             "front": 0.5 * vru.length_m,
+            "corner": 0.5 * vru.length_m,
         }[entry.vru_reference],
-        acceleration_distance_m=entry.acceleration_distance_m,
+        acceleration_distance_m=entry.acceleration_distance_m or 0.0,
         start_distance_m=entry.start_distance_m,
         steady_distance_m=entry.steady_distance_m,
+        steady_time_s=entry.steady_time_s,
         vru_side=entry.vru_from if isinstance(entry, _Crossing) else "",
         turn=entry.turn if isinstance(entry, _Turning) else "",
-        vru_direction=entry.vru_direction if isinstance(entry, _Turning) else "",
+        vru_direction="" if isinstance(entry, _Crossing) else entry.vru_direction,
         vru_line=None if isinstance(entry, _Longitudinal) else _build_line(entry.vru_line),
         obstruction=_build_obstruction(entry.obstruction, f"{where}.obstruction"),
+        pairs_kmh=pairs,
+        extended_pairs_kmh=tuple(sorted(entry.extended_pairs_kmh)),
+        range=entry.range,
+        meets_corner=entry.vru_reference == "corner",
+        braking=None if braking is None else Braking(**structs.asdict(braking)),
     )
 
 
-def _build_line(line: _Crosswalk | _Lane | _Kerb) -> VruLine:
+def _limits_of(entry: _CaseEntry, speeds_kmh: tuple[float, ...]) -> tuple[float, float]:
+    """Lowest and highest speed of the protocol, whatever the step between them."""
+    steps = entry.vut_speed_kmh
+    return (speeds_kmh[0], speeds_kmh[-1]) if steps is None else (steps.min, steps.max)
+
+
+def _build_line(line: _Crosswalk | _Lane | _Kerb | _Through) -> VruLine:
     match line:
         case _Lane(lane=lane, left_of_lane_centre_m=left_m):
             return VruLine(along="lane", lane=lane, left_m=left_m)
         case _Kerb(outside_kerb_m=outside_m):
             return VruLine(along="kerb", left_m=outside_m)
+        case _Through():
+            return VruLine(along="through")
         case _:
             return VruLine(along="crosswalk")
 
 
 def _build_obstruction(
-    entry: _BesideVut | _BesideVru | _Wall | None, where: str
+    entry: _BesideVut | _BesideRoad | _BesideVru | _Wall | None, where: str
 ) -> Obstruction | None:
     if entry is None:
         return None
@@ -382,7 +612,7 @@ def _build_obstruction(
             wall_size_m=(entry.length_m, entry.thickness_m, entry.height_m),
         )
     return Obstruction(
-        kind="beside-vru" if isinstance(entry, _BesideVru) else "beside-vut",
+        kind=str(type(entry).__struct_config__.tag),
         bodies=tuple(
             pick_actor(name, f"{where}.bodies[{index}]") for index, name in enumerate(entry.bodies)
         ),
@@ -390,6 +620,7 @@ def _build_obstruction(
         between_gap_m=entry.between_gap_m,
         side_gap_m=entry.side_gap_m,
         wall_size_m=(),
+        max_speed_kmh=entry.max_speed_kmh if isinstance(entry, _BesideRoad) else math.inf,
     )
 
 
@@ -397,17 +628,21 @@ def _build_obstruction(
 _HIGHEST_KMH = 250.0
 
 
-def pick_cases(text: str, where: str) -> tuple[Case, ...]:
+def pick_cases(text: str, where: str, *, case_range: Range = "standard") -> tuple[Case, ...]:
     """Cases by the words of a user.
 
     Parameters
     ----------
     text : str
-        A set ("default", "study", "protocol-4.5.1", "all"), names, or files of one's own cases
-        (.toml), with commas between. The part of a name before its "-" stands for all cases that
-        share it: "CPNA" for CPNA-25 and CPNA-75.
+        A set ("default", "study", "protocol-4.5.1", "protocol-2026", "junction", "all"), names, or
+        files of one's own cases (.toml), with commas between. The part of a name before its last
+        "-" stands for all cases that share it: "CPNA" for CPNA-25 and CPNA-75, "CPNA-2026" for all
+        impact points of 2026.
     where : str
         For the error message about an unknown name.
+    case_range : str
+        "extended" adds cases and speeds of Euro NCAP's extended range, 2026. A case that belongs to
+        that range alone, and is named in full, is picked anyway.
 
     Returns
     -------
@@ -425,18 +660,18 @@ def pick_cases(text: str, where: str) -> tuple[Case, ...]:
             found = tuple(load_own_cases(word).values())
         elif word in load_case_sets():
             found = load_case_sets()[word]
-        elif word in load_cases():
-            found = (load_cases()[word],)
         else:
-            found = tuple(
-                case for case in load_cases().values() if case.name.startswith(f"{word}-")
-            )
+            found = _named(word)
         if not found:
-            known = ", ".join([*load_case_sets(), *load_cases()])
+            families = dict.fromkeys(_stem(name) for name in load_cases())
+            known = ", ".join([*load_case_sets(), *families])
             expected = f"one of {known}, a .toml file, or several with commas between"
             raise InputError(where, word, expected)
         for case in found:
-            picked.setdefault(case.name, case)
+            is_named = case.name == word and case.range == "extended"
+            in_it = in_range(case, "extended" if is_named else case_range)
+            if in_it is not None:
+                picked.setdefault(case.name, in_it)
     return tuple(picked.values())
 
 
@@ -448,31 +683,47 @@ class Selection:
     # cases none of whose speeds were asked for; with the speeds that they have
     left_out: tuple[Case, ...]
     beyond: tuple[str, ...]  # "case: speeds" outside of what the protocol drives, which were forced
+    unprotected: tuple[Case, ...] = ()  # cases that meet somebody who is not to be protected
 
 
-def select_cases(cases: str, *, speeds: str | None = None, force: bool = False) -> Selection:
+def select_cases(
+    cases: str,
+    *,
+    speeds: str | None = None,
+    force: bool = False,
+    case_range: Range = "standard",
+    protect: str = "all",
+) -> Selection:
     """Cases and speeds by the words of a user.
 
-    `cases` is as for :func:`pick_cases`; `speeds` are km/h with commas between, or ranges: "20-40"
-    is every speed of the case in it; "all" or None: every one. `force` drives speeds that the
-    protocol does not. Raises InputError: a name or a speed cannot be read, or a speed lies outside
-    of every case.
+    `cases` and `case_range` are as for :func:`pick_cases`; `speeds` are km/h with commas between,
+    or ranges: "20-40" is every speed of the case in it; "all" or None: every one. `force` drives
+    speeds that the protocol does not. `protect` is "vru" or "all", see ``PROTECTED``. Raises
+    InputError: a name or a speed cannot be read, a speed lies outside of every case, or nobody is
+    left to be protected.
 
     Examples
     --------
     >>> select_cases("CPNA-25", speeds="20,30-40").cases
     (Case('CPNA-25', 20, 30, 35, 40 km/h),)
     """
-    picked = pick_cases(cases, "cases")
+    asked = pick_cases(cases, "cases", case_range=case_range)
+    counted = pick(PROTECTED, protect, "protect")
+    picked = tuple(case for case in asked if case.road_user in counted)
+    unprotected = tuple(case for case in asked if case.road_user not in counted)
+    if not any(not case.not_laid for case in picked) and unprotected:
+        met = " or ".join(dict.fromkeys(case.road_user for case in unprotected))
+        raise InputError("protect", protect, f"all, where every case asked for meets a {met}")
     if speeds is None or speeds.strip() == ALL_SPEEDS:
-        return Selection(cases=picked, left_out=(), beyond=())
+        return Selection(cases=picked, left_out=(), beyond=(), unprotected=unprotected)
     singles, ranges = _read_speeds(speeds)
+    laid = [case for case in picked if not case.not_laid]
     if not force:
         for speed in singles:
-            if not any(_is_within(speed, case) for case in picked):
-                raise InputError("speeds", Unquoted(f"{speed:g}"), _limits(picked))
+            if not any(_is_within(speed, case) for case in laid):
+                raise InputError("speeds", Unquoted(f"{speed:g}"), _limits(laid))
     kept, left_out, beyond = [], [], []
-    for case in picked:
+    for case in laid:
         driven = {speed for speed in singles if force or _is_within(speed, case)}
         driven |= {s for s in case.vut_speeds_kmh if any(low <= s <= high for low, high in ranges)}
         outside = sorted(speed for speed in driven if not _is_within(speed, case))
@@ -483,8 +734,13 @@ def select_cases(cases: str, *, speeds: str | None = None, force: bool = False) 
         else:
             left_out.append(case)
     if not kept:
-        raise InputError("speeds", speeds, _limits(picked))
-    return Selection(cases=tuple(kept), left_out=tuple(left_out), beyond=tuple(beyond))
+        raise InputError("speeds", speeds, _limits(laid))
+    return Selection(
+        cases=(*kept, *(case for case in picked if case.not_laid)),
+        left_out=tuple(left_out),
+        beyond=tuple(beyond),
+        unprotected=unprotected,
+    )
 
 
 def _read_speeds(text: str) -> tuple[list[float], list[tuple[float, float]]]:

@@ -40,6 +40,8 @@ class Encounter:
             got = self.vut_motion.acceleration_distance_m
             expected = "0: the VUT is up to speed when it sets off"
             raise InputError("encounter.vut_motion.acceleration_distance_m", got, expected)
+        if self.vut_motion.speed_mps == 0.0:
+            raise InputError("encounter.vut_motion.speed_mps", 0.0, "> 0: the VUT drives")
         sizes = FootprintSizes(
             length_a_m=self.vut.length_m,
             width_a_m=self.vut.width_m,

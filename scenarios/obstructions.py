@@ -19,7 +19,14 @@ from geometry.terrain import GROUND, houses_of, on_ground, terrain_of
 from .cases import Obstruction
 from .encounters import Encounter
 from .paths import Motion
-from .staging import ON_ROAD, CannotCarryError, NoKerbError, Staging, load_obstruction_rules
+from .staging import (
+    ON_ROAD,
+    CannotCarryError,
+    NoKerbError,
+    Staging,
+    is_vehicle,
+    load_obstruction_rules,
+)
 from .ways import StraightWay, Way
 
 _HEIGHTS_M = (0.35, 1.0)  # above kerbs, below bonnets and walls
@@ -47,8 +54,9 @@ def make_room(staging: Staging, scene: Scene) -> Staging:
     """
     encounter = staging.encounter
     solid = _Solid(scene=scene, has_poles=True)
+    whose = "the target" if is_vehicle(encounter.vru) else "the VRU"
     for name, body, motion, obstacles in (
-        ("the VRU", encounter.vru, encounter.vru_motion, _Solid(scene=scene, has_poles=False)),
+        (whose, encounter.vru, encounter.vru_motion, _Solid(scene=scene, has_poles=False)),
         ("the VUT", encounter.vut, encounter.vut_motion, solid),
     ):
         _check(obstacles, _way(motion, body), f"{name}'s way")
@@ -350,6 +358,32 @@ def hide(
         aside=side * vru_line.left,
         back=-vru_line.direction,
         max_aside_m=max_aside_m,
+    )
+
+
+def park(
+    encounter: Encounter, obstruction: Obstruction, *, row_way: Way, bumper_m: float, side: float
+) -> Staging:
+    """An encounter with a row of cars parked beside a lane, noses as the VUT's.
+
+    `row_way` is the middle of the lane in the VUT's direction, `bumper_m` the station of the first
+    front bumper; `side` is +1 to the left of it, -1 to the right. The sides towards the road are
+    flush.
+    """
+    line = row_way.direction(bumper_m)
+    bodies = []
+    for actor in obstruction.bodies:
+        station_m = bumper_m - 0.5 * actor.length_m
+        left_m = side * (obstruction.side_gap_m + 0.5 * actor.width_m)
+        yaw_deg = row_way.direction(station_m).yaw_deg
+        bodies.append(_placed(actor, row_way.point(station_m, left_m), yaw_deg))
+        bumper_m -= actor.length_m + obstruction.between_gap_m
+    return Staging(
+        encounter=encounter,
+        obstruction=tuple(bodies),
+        aside=side * line.left,
+        back=-line.direction,
+        max_aside_m=load_obstruction_rules().max_aside_m[obstruction.kind],
     )
 
 

@@ -239,28 +239,58 @@ class TowedPath:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Motion:
-    """Stands at the path's start, sets off at `start_time_s`, then keeps its speed."""
+    """Stands at the path's start, sets off at `start_time_s`, then keeps its speed, or brakes."""
 
     path: Path  # where to
-    speed_mps: float  # once it is reached
+    speed_mps: float  # once it is reached, and the highest; 0: it stands at the path's start
     start_time_s: float  # when it sets off; the impact is at 0
     # from rest to its speed, at constant acceleration; 0: at once
     acceleration_distance_m: float = 0.0
+    # when it begins to brake, which is not before it is up to speed, and how; infinite: it does not
+    brake_time_s: float = np.inf
+    deceleration_mps2: float = 0.0
+    final_speed_mps: float = 0.0  # which it keeps then
 
     def __post_init__(self) -> None:
-        _check_speed(self.speed_mps, self.acceleration_distance_m, "motion.")
+        if self.speed_mps != 0.0 or self.acceleration_distance_m != 0.0:
+            _check_speed(self.speed_mps, self.acceleration_distance_m, "motion.")
         if not np.isfinite(self.start_time_s):
             raise InputError("motion.start_time_s", self.start_time_s, "a finite time")
+        if np.isposinf(self.brake_time_s):
+            return
+        if not 0.0 < self.deceleration_mps2 < np.inf:
+            raise InputError("motion.deceleration_mps2", self.deceleration_mps2, "> 0 m/s^2")
+        if not 0.0 <= self.final_speed_mps < self.speed_mps:
+            raise InputError("motion.final_speed_mps", self.final_speed_mps, "0 <= it < speed_mps")
+        up_to_speed_s = self.start_time_s + 2.0 * self.acceleration_distance_m / self.speed_mps
+        if not up_to_speed_s <= self.brake_time_s:  # nor is it NaN
+            raise InputError("motion.brake_time_s", self.brake_time_s, f"from {up_to_speed_s:g} on")
 
     @property
     def acceleration_mps2(self) -> float:
-        """v^2 / (2 a) over the acceleration distance a; 0 where there is none."""
+        """The most that its speed changes, up or down, in a second.
+
+        v^2 / (2 a) over the acceleration distance a; 0 where there is none.
+        """
         if self.acceleration_distance_m == 0.0:
-            return 0.0
-        return self.speed_mps**2 / (2.0 * self.acceleration_distance_m)
+            return self.deceleration_mps2
+        gained = self.speed_mps**2 / (2.0 * self.acceleration_distance_m)
+        return max(gained, self.deceleration_mps2)
 
     def distance_m(self, time_s: ArrayLike) -> FloatArray:
         """Distance from the path's start at each time, in metres."""
+        steady = self._steady_distance_m(time_s)
+        return steady if np.isposinf(self.brake_time_s) else steady - self._braked_m(time_s)
+
+    def _braked_m(self, time_s: ArrayLike) -> FloatArray:
+        """Distance that it is behind where it would be if it did not brake."""
+        braking_s = np.maximum(0.0, np.asarray(time_s, dtype=np.float64) - self.brake_time_s)
+        lost_mps = self.speed_mps - self.final_speed_mps
+        slowing_s = np.minimum(braking_s, lost_mps / self.deceleration_mps2)
+        slowed_m: FloatArray = 0.5 * self.deceleration_mps2 * slowing_s**2
+        return slowed_m + lost_mps * (braking_s - slowing_s)
+
+    def _steady_distance_m(self, time_s: ArrayLike) -> FloatArray:
         moving_s = np.maximum(0.0, np.asarray(time_s, dtype=np.float64) - self.start_time_s)
         if self.acceleration_distance_m == 0.0:
             return self.speed_mps * moving_s

@@ -1,6 +1,6 @@
 """Cases laid on the approaches of any junction, by the rules of the protocol."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -13,18 +13,20 @@ from geometry.junction import Arm, Junction, Line, lane_length_m
 from geometry.scene import Lane
 
 from .cases import Case
-from .courses import follow_gently, follow_lane, pick_turn
-from .obstructions import hide
-from .paths import MPS_PER_KMH, travel_time_s
+from .courses import Turn, follow_gently, follow_lane, pick_turn
+from .obstructions import hide, park
+from .paths import MPS_PER_KMH, Path, travel_time_s
 from .positions import AT_ZERO, Position, is_bound
 from .staging import (
     CannotCarryError,
     NoRoadError,
     Settle,
     Staging,
+    find_crossing,
     find_meeting,
     first_that_fits,
     impact_offset_m,
+    is_vehicle,
     load_obstruction_rules,
     load_way_rules,
     set_off,
@@ -35,6 +37,7 @@ from .ways import (
     StraightWay,
     Turning,
     Way,
+    WayAcross,
     along_connection,
     arm_ahead,
     arm_at,
@@ -69,7 +72,8 @@ def stage_by_protocol(
     comes along its lane, round its bends, and straight on backwards where the map ends. It drives
     in the lane at the kerb; before a left turn, in the one at the road's axis; where the map has
     connecting lanes, in the next one from there with which such a lane begins. It turns along that
-    one, or on the protocol's curve where there is none, or it bends too sharply for the speed.
+    one, or on the protocol's curve where there is none, or it bends too sharply for the speed. A
+    vehicle that is met comes by the lanes that lead straight on through the junction, at its speed.
     Pedestrians cross at right angles to the VUT's lane where it meets the arm's crosswalk; a VRU
     that moves ahead of the VUT is reached there. Cyclists ride on the arm's cycleway where it has
     one.
@@ -81,6 +85,8 @@ def stage_by_protocol(
     NoRoadError: the road that the case needs does not exist. InputError: there is no such arm.
     """
     check_one_of("approach", approach, junction.arms)
+    if case.not_laid:
+        raise NoRoadError(case.not_laid)
     arm = junction.arms[approach]
     if not arm.entry_lanes:
         raise NoRoadError(f"no lane leads into the junction from the {approach}")
@@ -88,17 +94,25 @@ def stage_by_protocol(
         raise CannotCarryError("the case is bound to the junction: it has no other positions")
     if case.kind == "turning":
         return first_that_fits(_turnings(case, junction, arm, vut_speed_kmh, vut), settle)
-    lay = _lay_crossing if case.kind == "crossing" else _lay_longitudinal
+    is_met_head_on = case.kind == "longitudinal" and case.vru_direction == "opposite"
     places = (
-        _places_behind(junction, arm, position, vut)
-        if position.is_behind
+        _places_through(junction, arm, position, vut)
+        if position.is_behind or is_met_head_on
         else _places_before(case, junction, arm, position, vut)
     )
+    if _comes_through(case):
+        return first_that_fits(_crossings(case, junction, arm, places, vut_speed_kmh, vut), settle)
+    lay = _lay_crossing if case.kind == "crossing" else _lay_longitudinal
 
     def staged(place: Callable[[], _Place]) -> Callable[[], Staging]:
         return lambda: lay(case, junction, place(), vut_speed_kmh, vut)
 
     return first_that_fits((staged(place) for place in places), settle)
+
+
+def _comes_through(case: Case) -> bool:
+    """True if a vehicle is met that drives straight on through the junction."""
+    return case.vru_line is not None and case.vru_line.along == "through"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -170,49 +184,102 @@ def _places_before(
             yield from (at(way, before_m) for way in ways)
 
 
-def _places_behind(
+def _places_through(
     junction: Junction, arm: Arm, position: Position, vut: Actor
 ) -> Iterator[Callable[[], _Place]]:
-    """Places on the arm straight ahead, by lane from the kerb, then along gentler ways."""
+    """Places on the way straight through the junction, by lane from the kerb, then on gentler ways.
+
+    Behind the junction they count from the crosswalk of the arm ahead.
+    """
     ahead = arm_ahead(junction, arm, straight_line(arm.entry_lanes[0], is_in=True))
     if ahead is None or not ahead.exit_lanes:
         raise NoRoadError("no lane leads straight on out of the junction")
+    crosswalk = ahead.crosswalk if position.is_behind else arm.crosswalk
 
-    def at(joint: Joint, *, is_gentle: bool) -> Callable[[], _Place]:
+    def at(across: Callable[[], WayAcross]) -> Callable[[], _Place]:
         def place() -> _Place:
-            entry, connection, leaving = joint
-            entry = junction.followed(entry)
-            across = way_across(
-                entry,
-                leaving,
-                connection,
-                max_bend_m=load_way_rules().max_lane_bend_m,
-                free_m=free_aside_m(vut, entry, leaving) if is_gentle else None,
-            )
+            found = across()
             return _Place(
-                way=across.way,
-                crosswalk=ahead.crosswalk,
-                entry_lane=across.entry,
-                followed=across.entry,
-                begin_m=across.begin_m,
-                end_m=lane_length_m(across.leaving),
+                way=found.way,
+                crosswalk=crosswalk,
+                entry_lane=found.entry,
+                followed=found.entry,
+                begin_m=found.begin_m,
+                end_m=lane_length_m(found.leaving),
                 ahead_m=position.ahead_m,
                 is_checked=True,
             )
 
         return place
 
+    yield from (at(across) for across in _ways_through(junction, arm, ahead, vut))
+
+
+def _ways_through(
+    junction: Junction, arm: Arm, ahead: Arm, body: Actor
+) -> Iterator[Callable[[], WayAcross]]:
+    """Ways of a vehicle from one arm straight on into another, by lane from the kerb."""
+
+    def across(joint: Joint, *, is_gentle: bool) -> WayAcross:
+        entry, connection, leaving = joint
+        entry = junction.followed(entry)
+        return way_across(
+            entry,
+            leaving,
+            connection,
+            max_bend_m=load_way_rules().max_lane_bend_m,
+            free_m=free_aside_m(body, entry, leaving) if is_gentle else None,
+        )
+
     found = joints(junction, arm, ahead, "through")
     for is_gentle in (False, True):
-        yield from (at(joint, is_gentle=is_gentle) for joint in found)
+        yield from (partial(across, joint, is_gentle=is_gentle) for joint in found)
 
 
 # ---------- crossing and longitudinal cases
+def _crossings(
+    case: Case,
+    junction: Junction,
+    arm: Arm,
+    places: Iterable[Callable[[], _Place]],
+    vut_speed_kmh: float,
+    vut: Actor,
+) -> Iterator[Callable[[], Staging]]:
+    """Crossings with a vehicle, by the places of the VUT and the lanes of the other road."""
+    is_near = case.vru_side == "near"
+    side = arm_at(junction, straight_line(arm.entry_lanes[0], is_in=True), to_left=not is_near)
+    if side is None or not side.entry_lanes:
+        raise NoRoadError(f"no lane leads into the junction from the {case.vru_side} side")
+    ahead = arm_ahead(junction, side, straight_line(side.entry_lanes[0], is_in=True))
+    if ahead is None or not ahead.exit_lanes:
+        raise NoRoadError(f"no road leads straight across from the {case.vru_side} side")
+
+    def lay(place: Callable[[], _Place], across: Callable[[], WayAcross]) -> Callable[[], Staging]:
+        return lambda: _lay_crossing(
+            case, junction, place(), vut_speed_kmh, vut, arm=arm, vru_way=across().way
+        )
+
+    every = tuple(places)
+    for across in _ways_through(junction, side, ahead, case.vru):
+        yield from (lay(place, across) for place in every)
+
+
 def _lay_crossing(
-    case: Case, junction: Junction, place: _Place, vut_speed_kmh: float, vut: Actor
+    case: Case,
+    junction: Junction,
+    place: _Place,
+    vut_speed_kmh: float,
+    vut: Actor,
+    *,
+    arm: Arm | None = None,
+    vru_way: Way | None = None,
 ) -> Staging:
+    """A crossing; of a vehicle with its way, `vru_way`, and the arm from which the VUT comes."""
     vut_way = place.way
-    vut_m, vru_way, vru_m = _crossing(case, junction, place)
+    if vru_way is None:
+        vut_m, vru_way, vru_m = _crossing(case, junction, place)
+    else:
+        vut_m, vru_way, vru_m = _meet(vut_way, vru_way)
     vru_line = vru_way.tangent(vru_m)
     # Far enough back for any gap between the lines; the impact lies near their crossing.
     behind_m = 2.0 * (vut.length_m + case.vru.length_m)
@@ -233,14 +300,43 @@ def _lay_crossing(
         vut_path=vut_way.vut_path(vut_m - behind_m + meeting.vut_distance_m - driven_m, vut),
         vut_start_s=begin_s,
         vut_speed_kmh=vut_speed_kmh,
-        vru_path=vru_way.vru_path(vru_m + (meeting.vru_distance_m - travel_m)),
-        vru_travel_m=travel_m,
+        vru_path=_path_of(case, vru_way, vru_m + (meeting.vru_distance_m - travel_m)),
+        vru_start_s=begin_s,
     )
-    if case.obstruction is None:
+    obstruction = case.obstruction
+    if obstruction is None or max(vut_speed_kmh, case.vru_speed_kmh) > obstruction.max_speed_kmh:
         return Staging(encounter=encounter, obstruction=())
-    return hide(
-        encounter, case.obstruction, vut_way=vut_way, vut_m=vut_m, vru_way=vru_way, vru_m=vru_m
+    if obstruction.kind == "beside-road":
+        assert arm is not None
+        row_way, bumper_m, side = _beside_road(case, junction, arm, place, vut_m)
+        return park(encounter, obstruction, row_way=row_way, bumper_m=bumper_m, side=side)
+    return hide(encounter, obstruction, vut_way=vut_way, vut_m=vut_m, vru_way=vru_way, vru_m=vru_m)
+
+
+def _beside_road(
+    case: Case, junction: Junction, arm: Arm, place: _Place, vut_m: float
+) -> tuple[Way, float, float]:
+    """The lane next to which cars park on the side from which a vehicle comes.
+
+    In the VUT's direction; the station of the first one's bumper; and +1 to the left of it, -1 to
+    the right.
+    """
+    assert case.obstruction is not None
+    bumper_m, side = vut_m - case.obstruction.first_gap_m, -1.0
+    lane, is_in = arm.entry_lanes[0], True
+    if case.vru_side == "far":
+        side = 1.0
+        lane, is_in = (arm.exit_lanes[0], False) if arm.exit_lanes else (arm.entry_lanes[-1], True)
+    row_m = sum(body.length_m + case.obstruction.between_gap_m for body in case.obstruction.bodies)
+    way = lane_way(
+        junction.followed(lane) if is_in else lane,
+        is_in=is_in,
+        length_m=row_m + case.obstruction.first_gap_m,
+        max_bend_m=load_way_rules().max_lane_bend_m,
     )
+    if not is_in:
+        way = reversed_way(way)
+    return way, way.station_of(place.way.point(bumper_m, 0.0)), side
 
 
 def _crossing(case: Case, junction: Junction, place: _Place) -> tuple[float, Way, float]:
@@ -314,29 +410,56 @@ def _lay_longitudinal(
 ) -> Staging:
     vut_way = place.way
     impact_m, _ = place.meeting_point()
-    travel_m = _travel_m(case, 0.0)
+    travel_m, begin_s, brakes_s = _drive_ahead(case, vut_speed_kmh)
     before_lane_m = travel_m + 0.5 * case.vru.length_m - impact_m + place.begin_m
-    if before_lane_m > 0.0 and not junction.is_led_on(place.entry_lane):
+    if before_lane_m > 0.0 and not (is_vehicle(case.vru) or junction.is_led_on(place.entry_lane)):
         if place.ahead_m != 0.0:  # one reason for many positions
             raise CannotCarryError("the VRU would set off before the mapped lane begins")
         raise CannotCarryError(
             f"the VRU would set off {before_lane_m:.1f} m before the mapped lane begins"
         )
-    begin_s = -_travel_s(case, travel_m)
     driven_m = -begin_s * vut_speed_kmh * MPS_PER_KMH
     place.check_straight(max(travel_m, driven_m))
     gap_m = 0.5 * (vut.length_m + case.vru.length_m)
     vru_way, vru_m = vut_way.offset(impact_offset_m(case, vut), impact_m, back_m=travel_m)
+    if case.vru_direction == "opposite":
+        vru_way, vru_m = reversed_way(vru_way), -vru_m
     encounter = set_off(
         case,
         vut=vut,
         vut_path=vut_way.vut_path(impact_m - gap_m - driven_m, vut),
         vut_start_s=begin_s,
         vut_speed_kmh=vut_speed_kmh,
-        vru_path=vru_way.vru_path(vru_m + (0.0 - travel_m)),
-        vru_travel_m=travel_m,
+        vru_path=_path_of(case, vru_way, vru_m + (0.0 - travel_m)),
+        vru_start_s=begin_s,
+        vru_brakes_s=brakes_s,
     )
     return Staging(encounter=encounter, obstruction=())
+
+
+def _drive_ahead(case: Case, vut_speed_kmh: float) -> tuple[float, float, float]:
+    """How far whoever is ahead moves up to the impact, when the run begins, and when it brakes.
+
+    One that brakes does so for longer than the protocol's last seconds where the gap is wide: the
+    run begins a second before. Its time from then to the impact is that in which it falls behind
+    its own speed, which is the VUT's, by the gap.
+    """
+    if case.braking is None:
+        travel_m = _travel_m(case, 0.0)
+        return travel_m, -_travel_s(case, travel_m), np.inf
+    assert case.steady_time_s is not None
+    speed_mps = case.vru_speed_kmh * MPS_PER_KMH
+    gap_m = case.braking.headway_s * vut_speed_kmh * MPS_PER_KMH
+    lost_mps = speed_mps - case.braking.final_speed_kmh * MPS_PER_KMH
+    slowing_s = lost_mps / case.braking.deceleration_mps2
+    slowed_m = 0.5 * lost_mps * slowing_s
+    braking_s = (
+        float(np.sqrt(2.0 * gap_m / case.braking.deceleration_mps2))
+        if gap_m <= slowed_m
+        else slowing_s + (gap_m - slowed_m) / lost_mps
+    )
+    before_s = max(case.steady_time_s, braking_s + 1.0)
+    return speed_mps * before_s - gap_m, -before_s, -braking_s
 
 
 # ---------- turning cases
@@ -354,19 +477,31 @@ def _turnings(
     except InputError as error:
         raise CannotCarryError(str(error)) from None
     found = joints(junction, arm, target, "left" if is_far else "right")
+    oncoming = tuple(_oncoming(case, junction, arm, entry)) if _comes_through(case) else (None,)
 
-    def lay(turning: Callable[[], Turning]) -> Callable[[], Staging]:
-        return lambda: _lay_turn(case, junction, arm, target, turning(), vut_speed_kmh, vut)
+    def lay(
+        turning: Callable[[], Turning], across: Callable[[], WayAcross] | None
+    ) -> Callable[[], Staging]:
+        if across is None:
+            return lambda: _lay_turn(case, junction, arm, target, turning(), vut_speed_kmh, vut)
+        return lambda: _lay_turn_across(case, turning(), across().way, vut_speed_kmh, vut)
 
+    for turning in _turnings_between(found, turn, junction, vut):
+        yield from (lay(turning, across) for across in oncoming)
+
+
+def _turnings_between(
+    found: Sequence[Joint], turn: Turn, junction: Junction, vut: Actor
+) -> Iterator[Callable[[], Turning]]:
+    """Turns from lane to lane: along the junction's own lanes, then on the protocol's curve."""
     for before, connection, after in found:
-        before = junction.followed(before)
         if connection is not None:
-            yield lay(partial(along_connection, before, connection, after, vut))
+            yield partial(along_connection, junction.followed(before), connection, after, vut)
     for before, _, after in found:
         before = junction.followed(before)
-        yield lay(partial(on_straights, before, after, turn, vut))
+        yield partial(on_straights, before, after, turn, vut)
         if is_bent(before, is_in=True) or is_bent(after, is_in=False):
-            yield lay(partial(on_lanes, before, after, turn, vut))
+            yield partial(on_lanes, before, after, turn, vut)
 
 
 def _lay_turn(
@@ -401,8 +536,54 @@ def _lay_turn(
         vut_path=turning.path_with(straight_m),
         vut_start_s=begin_s,
         vut_speed_kmh=vut_speed_kmh,
-        vru_path=vru_way.vru_path(vru_m + (meeting.vru_distance_m - travel_m)),
-        vru_travel_m=travel_m,
+        vru_path=_path_of(case, vru_way, vru_m + (meeting.vru_distance_m - travel_m)),
+        vru_start_s=-_travel_s(case, travel_m),
+    )
+    return Staging(encounter=encounter, obstruction=())
+
+
+def _oncoming(
+    case: Case, junction: Junction, arm: Arm, entry: Line
+) -> Iterator[Callable[[], WayAcross]]:
+    """Ways of a vehicle that comes towards the VUT and drives straight on past it."""
+    ahead = arm_ahead(junction, arm, entry)
+    if ahead is None or not ahead.entry_lanes:
+        raise NoRoadError("no lane leads towards the VUT from straight ahead")
+    if not arm.exit_lanes:
+        raise NoRoadError(f"no lane leads out of the junction to the {arm.name}")
+    yield from _ways_through(junction, ahead, arm, case.vru)
+
+
+def _lay_turn_across(
+    case: Case, turning: Turning, vru_way: Way, vut_speed_kmh: float, vut: Actor
+) -> Staging:
+    """A turn across the way of an oncoming vehicle.
+
+    Its front is where the VUT's front axle will cross its way, when the VUT's front is short of
+    there by what the vehicle is wide at 45 degrees, or where it is to meet the middle of that
+    front, by nothing.
+    """
+    path = turning.path_with(0.0)
+    crossing_m, vru_m = find_crossing(vut, path, vru_way.tangent, turning.turn_m + vut.length_m)
+    short_m = case.vru.width_m / np.sqrt(2.0) if case.meets_corner else 0.0
+    vut_distance_m = crossing_m - (0.5 * vut.length_m - vut.front_axle_ahead_m) - short_m
+    speed_mps = vut_speed_kmh * MPS_PER_KMH
+    begin_s = -max(
+        _travel_s(case, _travel_m(case, 0.0)),
+        vut_distance_m / speed_mps + load_way_rules().start_before_curve_s,
+    )
+    straight_m = -begin_s * speed_mps - vut_distance_m
+    if turning.is_straight:
+        check_straight(StraightWay(line=turning.entry), turning.entry_lane, straight_m)
+    travel_m = -begin_s * case.vru_speed_kmh * MPS_PER_KMH
+    encounter = set_off(
+        case,
+        vut=vut,
+        vut_path=turning.path_with(straight_m),
+        vut_start_s=begin_s,
+        vut_speed_kmh=vut_speed_kmh,
+        vru_path=_path_of(case, vru_way, vru_m - case.vru_reference_m - travel_m),
+        vru_start_s=begin_s,
     )
     return Staging(encounter=encounter, obstruction=())
 
@@ -494,8 +675,19 @@ def _is_along(way: Way, line: Line, ridden_m: float, tolerance_m: float) -> bool
 
 
 # ---------- the VRU's way
+def _path_of(case: Case, way: Way, station_m: float) -> Path:
+    """The VRU's path along a way; a vehicle tows its rear axle."""
+    return way.vut_path(station_m, case.vru) if is_vehicle(case.vru) else way.vru_path(station_m)
+
+
 def _travel_m(case: Case, vru_distance_m: float) -> float:
-    """The VRU's way from rest to the impact; `vru_distance_m`: its middle past the line's point."""
+    """The VRU's way from rest to the impact; `vru_distance_m`: its middle past the line's point.
+
+    Of one that comes at its speed, from where the run begins.
+    """
+    if case.steady_time_s is not None:
+        steady_m = case.steady_time_s * case.vru_speed_kmh * MPS_PER_KMH
+        return case.acceleration_distance_m + steady_m
     if case.steady_distance_m is not None:
         return case.acceleration_distance_m + case.steady_distance_m
     assert case.start_distance_m is not None
@@ -506,6 +698,9 @@ def _travel_m(case: Case, vru_distance_m: float) -> float:
 
 
 def _travel_s(case: Case, travel_m: float) -> float:
+    if case.vru_speed_kmh == 0.0:
+        assert case.steady_time_s is not None
+        return case.steady_time_s
     return travel_time_s(
         travel_m,
         speed_mps=case.vru_speed_kmh * MPS_PER_KMH,

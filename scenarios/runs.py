@@ -20,13 +20,13 @@ from geometry.terrain import Terrain, set_down, terrain_of
 from geometry.weather import load_weathers
 
 from .aeb import AebRule, confirmation_mask, held_frames, is_in_time, last_brake_time_s
-from .cases import Case, worded_for
+from .cases import Case, at_vru_speed, worded_for
 from .encounters import Encounter
 from .obstructions import make_room
 from .positions import AT_ZERO, Position, positions_of, read_position, spread_speeds
 from .protocol import stage_by_protocol
 from .published import find_placement, stage_published
-from .staging import CannotCarryError, NoRoadError, Staging, mirror_staging
+from .staging import CannotCarryError, NoRoadError, Staging, is_vehicle, mirror_staging
 
 WEATHERS = tuple(load_weathers())
 _GRID_TOLERANCE = 1.0e-6  # of a frame
@@ -41,9 +41,10 @@ class Run:
     ----------
     id : str
         "case/approach/speed", by day; else "case/approach/speed/weather". At other positions than 0
-        the position stands behind the approach: "case/approach-15/speed".
+        the position stands behind the approach: "case/approach-15/speed". Where the case has
+        several speeds of whoever is met, both: "case/approach/30x50".
     case : Case
-        What is driven.
+        What is driven, with the speed of whoever is met in this run.
     approach : str
         The arm from which the VUT comes.
     position : str
@@ -100,6 +101,11 @@ class Run:
 
     def __repr__(self) -> str:
         return f"Run({self.id!r}, {len(self.time_s)} frames)"
+
+    @property
+    def road_user(self) -> str:
+        """Group of the road user that is met: on foot, bicycle, motorcycle or car."""
+        return self.case.road_user
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -321,7 +327,9 @@ class Refusal:
     position : str
         Where along its way.
     speeds_kmh : tuple of float
-        At which speeds. [km/h]
+        At which speeds, one for each run. [km/h]
+    vru_speeds_kmh : tuple of float
+        Speeds of whoever is met that go with them; empty where the case has one. [km/h]
     reason : str
         Why, in words.
     is_possible : bool
@@ -338,6 +346,15 @@ class Refusal:
     is_possible: bool = True
     limit_kmh: float | None = None
     position: str = AT_ZERO.name
+    vru_speeds_kmh: tuple[float, ...] = ()
+
+    @property
+    def speeds_text(self) -> str:
+        """Speeds in words, such as "30, 35" or "30x50, 30x60"."""
+        if not self.vru_speeds_kmh:
+            return ", ".join(f"{speed:g}" for speed in self.speeds_kmh)
+        pairs = zip(self.speeds_kmh, self.vru_speeds_kmh, strict=True)
+        return ", ".join(f"{vut:g}x{vru:g}" for vut, vru in pairs)
 
 
 def build_runs(
@@ -376,7 +393,7 @@ def build_runs(
         :func:`scenarios.positions.spread_speeds`; else each drives all.
     keeps_limits : bool
         Nothing is driven faster than the speed limit of the lanes by which the VUT comes, as far as
-        the scene has one.
+        the scene has one; vehicles that it meets no faster than that of any road of the junction.
 
     Returns
     -------
@@ -396,11 +413,20 @@ def build_runs(
     for word in weathers:
         check_one_of("weather", word, WEATHERS)
     right_hand = mirrored(junction) if junction.keeps_left else junction
+    limits_kmh = {
+        name: arm.speed_limit_kmh if keeps_limits else None for name, arm in junction.arms.items()
+    }
+    entered = [limits_kmh[name] for name, arm in junction.arms.items() if arm.entry_lanes]
+    known = [limit for limit in entered if limit is not None]
+    highest_kmh = max(known) if known and len(known) == len(entered) else None
     runs: list[Run] = []
     refusals: list[Refusal] = []
     for case in (worded_for(case, keeps_left=junction.keeps_left) for case in cases):
         for approach in dict.fromkeys(approaches or junction.arms):
-            limit_kmh = junction.arms[approach].speed_limit_kmh if keeps_limits else None
+            if case.not_laid:
+                refusals.append(_nowhere(case, approach))
+                continue
+            limit_kmh = limits_kmh[approach]
             for number, position in enumerate(positions_of(case, positions)):
                 speeds_kmh = case.vut_speeds_kmh
                 if is_spread:
@@ -413,6 +439,7 @@ def build_runs(
                     approach=approach,
                     position=position,
                     limit_kmh=limit_kmh,
+                    target_limit_kmh=highest_kmh,
                     vut=vut,
                     rule=rule,
                 )
@@ -420,6 +447,17 @@ def build_runs(
                 runs += [_in_weather(run, one) for run in laid for one in dict.fromkeys(weathers)]
                 refusals += refused
     return tuple(runs), tuple(refusals)
+
+
+def _nowhere(case: Case, approach: str) -> Refusal:
+    """Refusal of a case that cannot be laid anywhere."""
+    return Refusal(
+        case=case,
+        approach=approach,
+        speeds_kmh=case.vut_speeds_kmh,
+        reason=case.not_laid,
+        is_possible=False,
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -432,42 +470,67 @@ class _Drive:
     approach: str
     position: Position
     limit_kmh: float | None  # nothing faster is driven; None: no limit
+    # the same for vehicles that the VUT meets: the highest limit of all roads of the junction
+    target_limit_kmh: float | None
     vut: Actor
     rule: AebRule
 
     def lay(self, speeds_kmh: Sequence[float]) -> tuple[list[Run], list[Refusal]]:
         """Runs at ascending speeds by day, and what could not be laid."""
         runs = []
-        limit_kmh = self.limit_kmh
-        too_fast = [one for one in speeds_kmh if limit_kmh is not None and one > limit_kmh]
-        reasons: dict[tuple[str, bool], list[float]] = {}
-        for speed_kmh in speeds_kmh[: len(speeds_kmh) - len(too_fast)]:
+        reasons: dict[tuple[str, bool], list[tuple[float, float]]] = {}
+        too_fast: dict[float, list[tuple[float, float]]] = {}
+        for speed_kmh, vru_speed_kmh in self._pairs(speeds_kmh):
+            limit_kmh = self._broken_limit_kmh(speed_kmh, vru_speed_kmh)
+            if limit_kmh is not None:
+                too_fast.setdefault(limit_kmh, []).append((speed_kmh, vru_speed_kmh))
+                continue
+            case = at_vru_speed(self.case, vru_speed_kmh)
             try:
-                staging = self._stage(speed_kmh)
+                staging = self._stage(case, speed_kmh)
             except CannotCarryError as error:
-                is_possible = not isinstance(error, NoRoadError)
-                reasons.setdefault((str(error), is_possible), []).append(speed_kmh)
+                reason = str(error), not isinstance(error, NoRoadError)
+                reasons.setdefault(reason, []).append((speed_kmh, vru_speed_kmh))
             else:
-                runs.append(self._run(speed_kmh, staging))
-        above = "" if limit_kmh is None else f"faster than the speed limit of {limit_kmh:g} km/h"
-        if too_fast:  # a road that does not exist is missing at every speed
-            missing = next((one for one in reasons if not one[1]), None)
-            reasons.setdefault(missing or (above, False), []).extend(too_fast)
+                runs.append(self._run(case, speed_kmh, staging))
+        limits = {}
+        for limit_kmh, pairs in too_fast.items():
+            above = f"faster than the speed limit of {limit_kmh:g} km/h", False
+            # A road that does not exist is missing at every speed.
+            missing = next((one for one in reasons if not one[1] and one not in limits), above)
+            reasons.setdefault(missing, []).extend(pairs)
+            limits[above] = limit_kmh
         return runs, [
             Refusal(
                 case=self.case,
                 approach=self.approach,
                 position=self.position.name,
-                speeds_kmh=tuple(speeds),
+                speeds_kmh=tuple(vut for vut, _ in pairs),
+                vru_speeds_kmh=tuple(vru for _, vru in pairs) if self.case.pairs_kmh else (),
                 reason=reason,
                 is_possible=is_possible,
-                limit_kmh=limit_kmh if reason == above else None,
+                limit_kmh=limits.get((reason, is_possible)),
             )
-            for (reason, is_possible), speeds in reasons.items()
+            for (reason, is_possible), pairs in reasons.items()
         ]
 
-    def _stage(self, speed_kmh: float) -> Staging:
-        case, scene, position = self.case, self.scene, self.position
+    def _broken_limit_kmh(self, speed_kmh: float, vru_speed_kmh: float) -> float | None:
+        """The speed limit that the VUT, or a vehicle that it meets, would break; None: none."""
+        if self.limit_kmh is not None and speed_kmh > self.limit_kmh:
+            return self.limit_kmh
+        is_faster = self.target_limit_kmh is not None and vru_speed_kmh > self.target_limit_kmh
+        return self.target_limit_kmh if is_faster and is_vehicle(self.case.vru) else None
+
+    def _pairs(self, speeds_kmh: Sequence[float]) -> list[tuple[float, float]]:
+        """Speeds of the VUT and of whoever it meets, ascending."""
+        return [
+            (speed_kmh, vru_speed_kmh)
+            for speed_kmh in speeds_kmh
+            for vru_speed_kmh in self.case.vru_speeds_kmh(speed_kmh)
+        ]
+
+    def _stage(self, case: Case, speed_kmh: float) -> Staging:
+        scene, position = self.scene, self.position
         at_zero = position == AT_ZERO
         placement = find_placement(scene.name, case, self.approach) if at_zero else None
         if placement is not None:
@@ -487,7 +550,7 @@ class _Drive:
             settle=settle,
         )
 
-    def _run(self, speed_kmh: float, staging: Staging) -> Run:
+    def _run(self, case: Case, speed_kmh: float, staging: Staging) -> Run:
         encounter, rate_hz = staging.encounter, self.rule.frame_rate_hz
         vut, vru = encounter.vut_motion, encounter.vru_motion
         first_s = min(vut.start_time_s, vru.start_time_s)
@@ -497,9 +560,10 @@ class _Drive:
         vru_distance = vru.distance_m(time_s)
         vru_position, vru_yaw = vru.path.at(vru_distance)
         place = self.approach + ("" if self.position == AT_ZERO else self.position.name)
+        speeds = f"{speed_kmh:g}x{case.vru_speed_kmh:g}" if case.pairs_kmh else f"{speed_kmh:g}"
         return Run(
-            id=f"{self.case.name}/{place}/{speed_kmh:g}",
-            case=self.case,
+            id=f"{case.name}/{place}/{speeds}",
+            case=case,
             approach=self.approach,
             position=self.position.name,
             weather="day",

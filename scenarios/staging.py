@@ -17,15 +17,12 @@ from geometry.poses import Pose
 
 from .cases import Case
 from .encounters import Encounter, first_contact_s
-from .paths import (
-    MPS_PER_KMH,
-    Motion,
-    Path,
-    travel_time_s,
-)
+from .paths import MPS_PER_KMH, Motion, Path
 
 _SCAN_STEP_M = 0.1
 _NEVER_PARALLEL = 1.0e-6
+_MEETS_M = 1.0e-6
+_MAX_STEPS = 60
 _MAX_EARLY_S = 0.3  # a corner that touches before the impact position is a tenth of a second early
 
 
@@ -50,12 +47,13 @@ BENDS = "its lanes bend"
 
 
 class TooFastError(NoRoadError):
-    """The VUT's way bends so sharply that no car drives it at the speed."""
+    """The VUT's way, or its target's, bends so sharply that nobody drives it at the speed."""
 
-    def __init__(self, limit_mps2: float, allowed_kmh: int) -> None:
+    def __init__(self, limit_mps2: float, allowed_kmh: int, *, is_target: bool) -> None:
         self.allowed_kmh = allowed_kmh
+        there = "to the target there" if is_target else "there"
         super().__init__(
-            f"{BENDS}: {limit_mps2:g} m/s^2 to the side allow {allowed_kmh} km/h there"
+            f"{BENDS}: {limit_mps2:g} m/s^2 to the side allow {allowed_kmh} km/h {there}"
         )
 
 
@@ -111,6 +109,47 @@ def find_meeting(
     return Meeting(vut_distance_m=vut_distance_m, vru_distance_m=float(vru_distance[0]))
 
 
+def find_crossing(
+    vut: Actor, vut_path: Path, vru_tangent: Callable[[float], Line], search_m: float
+) -> tuple[float, float]:
+    """Where a turning VUT's front axle crosses a target's way: along its path, and the station.
+
+    `vru_tangent`: the straight line that touches the target's way at a station, with its point
+    there. `search_m`: the last distance along the VUT's path to look at. Raises CannotCarryError:
+    they do not cross.
+    """
+    from scipy.optimize import brentq
+
+    distances = np.arange(0.0, search_m + _SCAN_STEP_M, _SCAN_STEP_M)
+
+    def left_m(distance_m: ArrayLike, line: Line) -> FloatArray:
+        return line.coordinates(_front_axle_m(vut, vut_path, distance_m))[..., 1]
+
+    station_m = 0.0
+    for _ in range(_MAX_STEPS):
+        line = vru_tangent(station_m)
+        # From the left of the target's way, where it meets traffic, to its right.
+        left = left_m(distances, line)
+        crosses = np.flatnonzero((left[:-1] > 0.0) & (left[1:] <= 0.0))
+        if not len(crosses):
+            break
+        first = int(crosses[0])
+        distance_m = float(brentq(left_m, distances[first], distances[first + 1], args=(line,)))
+        ahead_m = float(line.coordinates(_front_axle_m(vut, vut_path, distance_m))[0])
+        station_m += ahead_m
+        if abs(ahead_m) < _MEETS_M:
+            return distance_m, station_m
+    raise CannotCarryError("the VUT's way and the target's do not cross")
+
+
+def _front_axle_m(vut: Actor, path: Path, distance_m: ArrayLike) -> FloatArray:
+    middle, yaw_deg = path.at(distance_m)
+    yaw = np.radians(yaw_deg)
+    ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+    front: FloatArray = middle + vut.front_axle_ahead_m * ahead
+    return front
+
+
 def impact_offset_m(case: Case, vut: Actor) -> float:
     """Where a VRU meets the VUT's front: metres to the left of the VUT's centreline."""
     return vut.width_m * (case.impact_percent - 50.0) / 100.0
@@ -124,20 +163,22 @@ def set_off(
     vut_start_s: float,
     vut_speed_kmh: float,
     vru_path: Path,
-    vru_travel_m: float,
+    vru_start_s: float,
+    vru_brakes_s: float = np.inf,
 ) -> Encounter:
     """Encounter whose bodies first touch at time 0.
 
-    The VUT's path begins where it is at `vut_start_s`, the VRU's where it stands at rest; at the
-    impact the VRU is `vru_travel_m` along it. Where the corner of a turning VUT would touch a
+    The paths begin where the VUT is at `vut_start_s`, and the VRU at `vru_start_s`; at
+    `vru_brakes_s` that one brakes as the case says. Where the corner of a turning VUT would touch a
     moment before the impact position is reached, both set off that moment later. Raises
     CannotCarryError: the bodies do not touch, or do so long before, somewhere else.
     """
-    travel_s = travel_time_s(
-        vru_travel_m,
-        speed_mps=case.vru_speed_kmh * MPS_PER_KMH,
-        acceleration_distance_m=case.acceleration_distance_m,
-    )
+    braking = {}
+    if case.braking is not None:
+        braking = {
+            "deceleration_mps2": case.braking.deceleration_mps2,
+            "final_speed_mps": case.braking.final_speed_kmh * MPS_PER_KMH,
+        }
 
     def later(seconds: float) -> Encounter:
         return Encounter(
@@ -151,8 +192,10 @@ def set_off(
             vru_motion=Motion(
                 path=vru_path,
                 speed_mps=case.vru_speed_kmh * MPS_PER_KMH,
-                start_time_s=seconds - travel_s,
+                start_time_s=seconds + vru_start_s,
                 acceleration_distance_m=case.acceleration_distance_m,
+                brake_time_s=seconds + vru_brakes_s,
+                **braking,
             ),
         )
 
@@ -199,11 +242,12 @@ def _gap_to_side(
     ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
     left = np.stack([-np.sin(yaw), np.cos(yaw)], axis=-1)
     ahead_m = (case.impact_percent / 100.0 - 0.5) * vut.length_m
-    left_m = 0.5 * vut.width_m * (1.0 if case.turn == "far" else -1.0)
+    is_left = "far" in (case.turn, case.vru_side)
+    left_m = 0.5 * vut.width_m * (1.0 if is_left else -1.0)
     coordinates = vru_line.coordinates(position + ahead_m * ahead + left_m * left)
     # Positive until the VUT gets to the line: coming from its right, if it turns left next to a
-    # VRU that goes the same way.
-    is_from_right = (case.turn == "far") == (case.vru_direction == "same")
+    # VRU that goes the same way, or drives straight on to one from the left.
+    is_from_right = is_left == (case.vru_direction in ("same", ""))
     gap = -coordinates[:, 1] if is_from_right else coordinates[:, 1]
     return gap, coordinates[:, 0] - case.vru_reference_m
 
@@ -219,12 +263,12 @@ def lateral_acceleration_mps2(encounter: Encounter) -> float:
 
     From a car's length before the start: its rear axle still turns into what the front has passed.
     """
-    motion, vut = encounter.vut_motion, encounter.vut
-    distance = np.arange(-vut.length_m, float(motion.distance_m(0.0)), _BEND_STEP_M)
-    middle, yaw_deg = motion.path.at(distance)
-    yaw = np.radians(yaw_deg)
-    ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
-    steps = np.diff(middle + vut.front_axle_ahead_m * ahead, axis=0)
+    return _lateral_mps2(encounter.vut_motion, encounter.vut)
+
+
+def _lateral_mps2(motion: Motion, body: Actor) -> float:
+    distance = np.arange(-body.length_m, float(motion.distance_m(0.0)), _BEND_STEP_M)
+    steps = np.diff(_front_axle_m(body, motion.path, distance), axis=0)
     heading = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
     turned = np.abs(heading[_BEND_STEPS:] - heading[:-_BEND_STEPS]).max()
     return float(motion.speed_mps**2 * turned / (_BEND_STEPS * _BEND_STEP_M))
@@ -261,10 +305,23 @@ def first_that_fits(lays: Iterable[Callable[[], Staging]], settle: Settle) -> St
 
 def _check_bends(encounter: Encounter) -> None:
     limit_mps2 = load_way_rules().max_lateral_mps2
-    lateral_mps2 = lateral_acceleration_mps2(encounter)
-    if lateral_mps2 > limit_mps2:
-        speed_mps = encounter.vut_motion.speed_mps * np.sqrt(limit_mps2 / lateral_mps2)
-        raise TooFastError(limit_mps2, _ROUND_KMH * int(speed_mps / MPS_PER_KMH / _ROUND_KMH))
+    driven = [(encounter.vut_motion, encounter.vut)]
+    if is_vehicle(encounter.vru):
+        driven.append((encounter.vru_motion, encounter.vru))
+    for motion, body in driven:
+        lateral_mps2 = _lateral_mps2(motion, body)
+        if lateral_mps2 > limit_mps2:
+            speed_mps = motion.speed_mps * np.sqrt(limit_mps2 / lateral_mps2)
+            raise TooFastError(
+                limit_mps2,
+                _ROUND_KMH * int(speed_mps / MPS_PER_KMH / _ROUND_KMH),
+                is_target=body is not encounter.vut,
+            )
+
+
+def is_vehicle(body: Actor) -> bool:
+    """True if a body drives in lanes and steers an axle: a car or a motorcycle."""
+    return body.wheelbase_m > 0.0
 
 
 # ---------- stagings in a mirror, for traffic that keeps left

@@ -67,6 +67,10 @@ class Way(Protocol):
         """The point some metres to the left of a station, (2,)."""
         ...
 
+    def station_of(self, point_m: FloatArray) -> float:
+        """Station of its point that is nearest to a point (2,)."""
+        ...
+
     def offset(
         self, left_m: float, station_m: float, *, back_m: float, ahead_m: float = np.inf
     ) -> "tuple[Way, float]":
@@ -111,6 +115,10 @@ class StraightWay:
         """See :meth:`Way.point`."""
         return self.line.at(station_m, left_m)
 
+    def station_of(self, point_m: FloatArray) -> float:
+        """See :meth:`Way.station_of`."""
+        return float(self.line.coordinates(point_m)[0])
+
     def offset(
         self, left_m: float, station_m: float, *, back_m: float, ahead_m: float = np.inf
     ) -> "tuple[Way, float]":
@@ -152,6 +160,10 @@ class CurvedWay:
     def point(self, station_m: float, left_m: float) -> FloatArray:
         """See :meth:`Way.point`."""
         return self.course.tangent(station_m).at(0.0, left_m)
+
+    def station_of(self, point_m: FloatArray) -> float:
+        """See :meth:`Way.station_of`."""
+        return self.course.station_of(point_m)
 
     def offset(
         self, left_m: float, station_m: float, *, back_m: float, ahead_m: float = np.inf

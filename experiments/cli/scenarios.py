@@ -64,8 +64,8 @@ def list_rows(drives: "Drives") -> list[DrivenRow]:
     for refusal in refusals:
         key = (refusal.case.name, refusal.approach, refusal.position)
         is_partly = key in driven or refused[key] > len(refusal.speeds_kmh)
-        speeds = ", ".join(f"{speed:g}" for speed in refusal.speeds_kmh)
-        reason = f"at {speeds} km/h: {refusal.reason}" if is_partly else refusal.reason
+        at = f"at {refusal.speeds_text} km/h: "
+        reason = f"{at}{refusal.reason}" if is_partly else refusal.reason
         reasons.setdefault(key, []).append(reason)
     from scenarios.positions import sort_positions
 
@@ -197,7 +197,7 @@ Examples:
   place-rsus scenarios list --cases protocol-4.5.1 --approaches east,west
   place-rsus scenarios list --cases CPNA --along-arms 0,20,40""",
 )
-@question_options(*ONLY_DRIVEN, defaults={"cases": "all"})
+@question_options(*ONLY_DRIVEN, defaults={"cases": "all", "protect": "all"})
 @json_option
 @quiet_option
 @click.pass_obj

@@ -81,15 +81,15 @@ def test_a_single_speed_is_allowed(monkeypatch):
         (
             {"steady_distance_m": 3.0},
             "cases.toml: X: got ['start_distance_m', 'steady_distance_m']; "
-            "expected either start_distance_m or steady_distance_m",
+            "expected one of start_distance_m, steady_distance_m, steady_time_s",
         ),
         (
             {"vru_from": "ahead"},
             "cases.toml: X.vru_from: got 'ahead'; expected one of far, near",
         ),
         (
-            {"impact_percent": 120.0},
-            "cases.toml: X.impact_percent: got 120.0; expected 0 to 100",
+            {"impact_percent": 130.0},
+            "cases.toml: X.impact_percent: got 130.0; expected -25 to 125",
         ),
         (
             {"impact_face": "rear"},
@@ -97,12 +97,13 @@ def test_a_single_speed_is_allowed(monkeypatch):
         ),
         (
             {"vru_line": {"along": "river"}},
-            "cases.toml: X.vru_line.along: got 'river'; expected one of crosswalk, lane, kerb",
+            "cases.toml: X.vru_line.along: got 'river'; expected one of crosswalk, lane, kerb, "
+            "through",
         ),
         (
             {"obstruction": {"kind": "tree"}},
             "cases.toml: X.obstruction.kind: got 'tree'; "
-            "expected one of beside-vut, beside-vru, wall",
+            "expected one of beside-vut, beside-road, beside-vru, wall",
         ),
         ({"as": "Y"}, "cases.toml: X.as: got 'Y'; expected another case, not in a circle"),
         ({"as": "X"}, "cases.toml: X.as: got 'X'; expected another case, not in a circle"),
@@ -168,7 +169,8 @@ def test_a_set_is_picked_with_its_own_speeds():
     picked = {case.name: case for case in cases.pick_cases("study", "cases")}
     assert picked["CPNCO-50"].vut_speeds_kmh[0] == 20.0
     assert cases.load_cases()["CPNCO-50"].vut_speeds_kmh[0] == 10.0
-    assert len(cases.pick_cases("all", "cases")) == len(cases.load_cases())
+    every = len(cases.load_cases()) + len(cases.load_unlaid_cases())
+    assert len(cases.pick_cases("all", "cases", case_range="extended")) == every
 
 
 @pytest.mark.parametrize("text", ["CPXX", "", "study,,CBLA", "cbla"])

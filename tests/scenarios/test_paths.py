@@ -321,7 +321,7 @@ def test_travel_times_are_those_of_the_protocol(case, speed_kmh, acceleration_m,
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"speed_mps": 0.0}, "motion.speed_mps: got 0.0; expected > 0 metres per second"),
+        ({"speed_mps": -1.0}, "motion.speed_mps: got -1.0; expected > 0 metres per second"),
         ({"speed_mps": np.nan}, "motion.speed_mps: got nan; expected > 0 metres per second"),
         ({"start_time_s": np.inf}, "motion.start_time_s: got inf; expected a finite time"),
         (

@@ -148,7 +148,14 @@ def test_bicycles_beside_a_turning_vut_ride_on_the_protocols_line(golf, name):
     assert steady_m == pytest.approx(GOLDEN["cbta"]["steady_distance_m"], abs=tolerance_m)
 
 
-@pytest.mark.parametrize("name", [n for n, c in load_cases().items() if c.impact_face == "front"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        name
+        for name, case in load_cases().items()
+        if case.impact_face == "front" and case.family not in ("CCFtap", "CMFtap")
+    ],
+)
 def test_every_case_meets_the_front_at_its_share_of_the_width(golf, name):
     case = load_cases()[name]
     encounter = stage(name, golf).encounter
@@ -263,7 +270,7 @@ def test_arms_that_meet_askew_still_carry_turns_with_their_own_angle(golf):
 
 def test_sets_hold_the_protocols_cases_and_the_studys_speeds():
     sets = load_case_sets()
-    assert len(sets["protocol-4.5.1"]) == 19
+    assert len(sets["protocol-4.5.1"]) == 20 + 2  # and two that are not laid: CPRA
     assert {case.name for case in sets["protocol-4.5.1"]} >= {
         "CPNA-25", "CPNA-75", "CPFA-50", "CPNCO-50", "CPLA-25", "CPLA-50", "CPTAfs-50", "CPTAfo-50",
         "CPTAns-50", "CPTAno-50", "CBNA-50", "CBNAO-50", "CBFA-50", "CBLA-25", "CBLA-50",

