@@ -343,7 +343,7 @@ def _check_classes(detector: Detector, runs: Sequence[Run]) -> None:
     if isinstance(detector, NetworkDetector):
         detector.check_classes(sorted(classes))
     elif isinstance(detector, ResponseDetector) and (words := detector.assumed_words(classes)):
-        _log.warning("detector %s:%s", detector.name, words)
+        _log.warning("detector %s:%s", detector.name, words.removesuffix("."))
 
 
 def _check_every_case(drives: Drives, scene: Scene) -> None:

@@ -150,8 +150,8 @@ class ResponseDetector:
         if not names:
             return ""
         factors = dict(zip(VRU_CLASSES, self.class_factor.tolist(), strict=True))
-        words = ", ".join(f"{name} (factor {factors[name]:g})" for name in names)
-        return f" Of these classes nothing is measured, what they have is assumed: {words}."
+        words = " and ".join(f"{name} (factor {factors[name]:g})" for name in names)
+        return f" Nothing is measured of {words}: how well they are found is assumed."
 
     @property
     def alarm_words(self) -> str:

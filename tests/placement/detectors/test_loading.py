@@ -103,11 +103,11 @@ def test_what_a_table_assumes_is_said(write):
     detector = load_detector(str(write(marked, "marked.toml")))
     assert detector.assumed == ("child", "car")
     words = (
-        " Of these classes nothing is measured, what they have is assumed: "
-        "child (factor 0.9), car (factor 0.7)."
+        " Nothing is measured of child (factor 0.9) and car (factor 0.7): "
+        "how well they are found is assumed."
     )
     assert words in detector.description
-    assert detector.assumed_words(["car"]).endswith("assumed: car (factor 0.7).")
+    assert detector.assumed_words(["car"]).startswith(" Nothing is measured of car (factor 0.7):")
     assert detector.assumed_words(["pedestrian"]) == ""
 
 
