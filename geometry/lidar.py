@@ -120,8 +120,9 @@ class LidarModel:
 class LidarDetection:
     """Points and reflectivity that let a road user be found in a point cloud, by class.
 
-    `min_points` has the points in one frame of a "pedestrian", "child" and "cyclist",
-    `reflectivity` the share of the light that comes back diffusely, 0 .. 1.
+    `min_points` has the points in one frame of a "pedestrian", "child", "cyclist",
+    "motorcyclist" and "car", `reflectivity` the share of the light that comes back diffusely,
+    0 .. 1.
     """
 
     min_points: Mapping[str, int]

@@ -2,7 +2,7 @@
 
 import logging
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -30,7 +30,14 @@ from scenarios.weights import check_weights, default_weights, weigh, weight_by_f
 
 from .cache import cached_value
 from .compute import DEFAULT_COMPUTE, Compute
-from .detectors import Detector, PlanningDetector, load_detector, load_planning_detector
+from .detectors import (
+    Detector,
+    PlanningDetector,
+    ResponseDetector,
+    load_detector,
+    load_planning_detector,
+    vru_class,
+)
 from .detectors.network import NetworkDetector
 from .latency import load_latency_budget
 from .question import Question, map_options, split_names
@@ -330,6 +337,7 @@ def build_setting(
     runs = drives.runs
     if question.strict or not runs:
         _check_every_case(drives, scene)
+    _check_classes(detector, runs)
     weight = (
         weigh(runs, question.weights or default_weights(question.cases), refused=drives.refused)
         if weights is None
@@ -346,6 +354,15 @@ def build_setting(
         radio=Radio(packet_loss=question.packet_loss, vam_rate=question.vam_rate),
         vut_sensors=vut_sensors,
     )
+
+
+def _check_classes(detector: Detector, runs: Sequence[Run]) -> None:
+    """Refuse a network that knows no such road users; say what is assumed of a response table."""
+    classes = {vru_class(run.encounter.vru) for run in runs}
+    if isinstance(detector, NetworkDetector):
+        detector.check_classes(sorted(classes))
+    elif isinstance(detector, ResponseDetector) and (words := detector.assumed_words(classes)):
+        _log.warning("detector %s:%s", detector.name, words.removesuffix("."))
 
 
 def _check_every_case(drives: Drives, scene: Scene) -> None:

@@ -78,9 +78,9 @@ def _axles_m(actor: Actor) -> tuple[float, float]:
 def reference_ahead_m(actor: Actor) -> float:
     """Distance of a body's point of reference ahead of the middle of its box.
 
-    The rear axle of cars and bicycles; 0, the middle itself, of pedestrians and walls. [m] Raises
-    InputError if ``data/openscenario.toml`` knows neither its name nor its class, or a car has no
-    axles.
+    The rear axle of cars, motorcycles and bicycles; 0, the middle itself, of pedestrians and walls.
+    [m] Raises InputError if ``data/openscenario.toml`` knows neither its name nor its class, or a
+    car has no axles.
     """
     body, _ = _body(actor)
     return _axles_m(actor)[1] if body["entity"] == "Vehicle" else 0.0

@@ -309,6 +309,14 @@ _PATH_STYLES: dict[str, tuple[str, Style]] = {
         "cyclist, to the collision point",
         {"color": "black", "linestyle": (0, (5.0, 2.0)), "linewidth": 1.2},
     ),
+    "motorcyclist": (
+        "motorcyclist, to the collision point",
+        {"color": "black", "linestyle": (0, (5.0, 2.0, 1.2, 2.0)), "linewidth": 1.2},
+    ),
+    "car": (
+        "other car, to the collision point",
+        {"color": "black", "linestyle": (0, (9.0, 3.0)), "linewidth": 1.2},
+    ),
 }
 
 

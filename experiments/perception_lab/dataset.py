@@ -52,7 +52,14 @@ _SCHEMA = "place-rsus/dataset/1"
 FORMATS = ("carlancap", "coco")
 NO_LIDAR = "none"
 _COCO_FILE = "coco.json"
-_COCO_CLASSES = ("pedestrian", "cyclist")
+# What the VUT meets, by class: its category in COCO, and the study's actor type.
+_COCO_CLASSES = {
+    "pedestrian": "pedestrian",
+    "cyclist": "cyclist",
+    "motorcyclist": "motorcycle",
+    "car": "car",
+}
+_ACTOR_TYPES = {**_COCO_CLASSES, "cyclist": "bicycle"}
 _TASK_PICTURES = 60  # drawn by one worker before it gives word
 _BYTES_PER_PIXEL = 1.75  # of a PNG with sensor noise, as measured by day
 _BYTES_PER_POINT = 16
@@ -374,7 +381,7 @@ def _drives(
         drives.append(
             WrittenDrive(
                 scenario=drive.scenario,
-                vru_class="bicycle" if _is_cyclist(run) else "pedestrian",
+                vru_class=_ACTOR_TYPES[run.encounter.vru.class_name],
                 vut_speed_mps=run.encounter.vut_motion.speed_mps,
                 vru_speed_mps=run.encounter.vru_motion.speed_mps,
                 distance_m=apart,
@@ -397,10 +404,6 @@ def _away(run: Run, pose: Pose) -> FloatArray:
     return distance
 
 
-def _is_cyclist(run: Run) -> bool:
-    return run.encounter.vru.class_name == "cyclist"
-
-
 def _coco(
     setting: Setting,
     viewers: Sequence[Viewer],
@@ -410,6 +413,7 @@ def _coco(
     """Boxes of what is visible, in the format of the COCO dataset (object detection)."""
     images: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
+    names = list(_COCO_CLASSES)
     for viewer, (index, drive) in itertools.product(viewers, enumerate(record.drives)):
         seen, start = evidence[viewer.folder], setting.axis.frames_of(index).start
         for frame in drive.pictured(record.every):
@@ -427,11 +431,13 @@ def _coco(
             if x_max <= x_min or y_max <= y_min:
                 continue
             share = np.broadcast_to(seen.visible_share, len(seen))[start + frame]
-            category = 1 + int(_is_cyclist(setting.runs[index]))
+            category = 1 + names.index(setting.runs[index].encounter.vru.class_name)
             box_px = (x_min, y_min, x_max, y_max)
             annotation = _annotation(len(annotations) + 1, len(images), category, box_px)
             annotations.append(annotation | {"visible_share": float(share)})
-    categories = [{"id": number, "name": name} for number, name in enumerate(_COCO_CLASSES, 1)]
+    categories = [
+        {"id": number, "name": name} for number, name in enumerate(_COCO_CLASSES.values(), 1)
+    ]
     return {
         "info": {"description": f"place-rsus dataset of {record.scene}"},
         "images": images,
@@ -504,6 +510,7 @@ def _tasks(
                     masks=record.masks,
                     depth=record.depth,
                     vehicles=record.vehicles,
+                    has_labels=record.format == FORMATS[0],
                     vary=record.vary,
                     seed=record.seed,
                 )

@@ -73,6 +73,7 @@ class DrawTask:
     masks: bool
     depth: bool
     vehicles: bool
+    has_labels: bool  # next to the pictures, of what the VUT meets
     vary: bool
     seed: int
 
@@ -107,7 +108,8 @@ def draw_task(task: DrawTask) -> int:
         if files["picture"].exists():
             continue
         picture, cloud = draw(task.runs[index], frame)
-        for kind, content in _contents(picture, cloud, files, task):
+        vut_meets = task.runs[index].encounter.vru.class_name
+        for kind, content in _contents(picture, cloud, files, task, vut_meets):
             write_atomically(files[kind], content)
             n_bytes += files[kind].stat().st_size
     return n_bytes
@@ -169,7 +171,11 @@ def _drawer(task: DrawTask) -> Callable[[Run, int], tuple[Picture, PointCloud | 
 
 
 def _contents(
-    picture: Picture, cloud: PointCloud | None, files: Mapping[str, Path], task: DrawTask
+    picture: Picture,
+    cloud: PointCloud | None,
+    files: Mapping[str, Path],
+    task: DrawTask,
+    vut_meets: str,
 ) -> Iterator[tuple[str, Callable[[BinaryIO], object]]]:
     """Contents of the files of a frame, by kind, in the order of :meth:`DrawTask.files`."""
     if cloud is not None:
@@ -180,21 +186,23 @@ def _contents(
     if "depth" in files:
         yield "depth", _png(depth_image(picture))
     if "vehicles" in files:
-        lines = _with_vehicles(files["vehicles"], picture, task)
+        lines = _with_vehicles(files["vehicles"], picture, task, vut_meets)
         yield "vehicles", lambda file: file.write(lines)
     yield "picture", _png(picture.rgb)
 
 
-def _with_vehicles(path: Path, picture: Picture, task: DrawTask) -> bytes:
+def _with_vehicles(path: Path, picture: Picture, task: DrawTask, vut_meets: str) -> bytes:
     """Lines of a label file, and one for each vehicle of which enough is seen."""
     lines = read_text(path, "labels").splitlines() if path.exists() else []
     lines = [line for line in lines if not line.startswith(f"{_VEHICLE} ")]
-    of_scene = {one.id for one in task.scene.instances if "vehicle" in one.class_name}
+    known = {one.id for one in task.scene.instances if "vehicle" in one.class_name}
+    if task.has_labels and vut_meets == _VEHICLE:  # whose line was taken away with the others'
+        known.add("vru")
     camera = task.viewer.camera
     for index in np.unique(picture.instance[picture.instance >= 0]).tolist():
         name = picture.names[index]
         rows, columns = np.nonzero(picture.instance == index)
-        if not (name in of_scene or _MOVING.fullmatch(name)) or len(rows) < _LEAST_VEHICLE_PX:
+        if not (name in known or _MOVING.fullmatch(name)) or len(rows) < _LEAST_VEHICLE_PX:
             continue
         offsets = np.hypot(
             columns + 0.5 - 0.5 * camera.width_px, rows + 0.5 - 0.5 * camera.height_px

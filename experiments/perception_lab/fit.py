@@ -31,7 +31,13 @@ from placement.detectors.fitting import (
     fit_response,
     gather_sightings,
 )
-from placement.detectors.network import ImageBoxes, NetworkDetector, kind_of_name, vru_boxes
+from placement.detectors.network import (
+    VRU_KINDS,
+    ImageBoxes,
+    NetworkDetector,
+    kind_of_name,
+    vru_boxes,
+)
 from placement.evaluator import VutCamera, build_surroundings, load_vut_camera
 from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
 from placement.evaluator.pictures import FrameCamera, PictureSource
@@ -254,10 +260,12 @@ def _look(
             is_sure = found.confidence >= wish.min_confidence
             boxes = vru_boxes(in_crop or found)
             kind = int(np.broadcast_to(evidence.vru_class, len(evidence))[row])
-            of_class = boxes.cyclists if kind == _CYCLIST else boxes.persons
+            of_class = boxes.of_class(VRU_CLASSES[kind])
             box = evidence.visible_px[row]
             # Boxes on a road user that is too small to count are no false alarms.
-            is_alone = np.isin(found.class_ids, list(found.kinds)) & (iou(found.boxes_px, box) == 0)
+            # Nor are those on cars: the pictures are full of them.
+            counted = [one for one, name in found.kinds.items() if name in VRU_KINDS]
+            is_alone = np.isin(found.class_ids, counted) & (iou(found.boxes_px, box) == 0)
             n_labels = int(box[3] - box[1] >= max(least_px, 1.0))
             yield LabelledPicture(
                 track=number * len(setting.runs) + run,
@@ -412,13 +420,14 @@ class _Labels(msgspec.Struct, frozen=True):
 def _from_coco(labels_path: Path, results_path: Path, min_confidence: float) -> _Source:
     labels = read_table(_load_json(labels_path), _Labels, str(labels_path))
     results = read_table(_load_json(results_path), tuple[_Result, ...], str(results_path))
-    kinds = {one.id: kind_of_name().get(one.name.lower()) for one in labels.categories}
+    known_names = {name: kind for name, kind in kind_of_name().items() if kind in VRU_KINDS}
+    kinds = {one.id: known_names.get(one.name.lower()) for one in labels.categories}
     if not any(kinds.values()):
         got = ", ".join(one.name for one in labels.categories) or "none"
         raise InputError(
             f"{labels_path}: categories",
             Unquoted(got),
-            "among them one of " + ", ".join(sorted(kind_of_name())),
+            "among them one of " + ", ".join(sorted(known_names)),
         )
     known = {image.id for image in labels.images}
     for path, rows in ((labels_path, labels.annotations), (results_path, results)):
@@ -494,6 +503,7 @@ _NOTES = {
     "height_half_px": "factor 1 / (1 + (half / height)^steepness) of the visible box",
     "min_box_height_px": "the lowest box that was found",
     "pedestrian": "factor by class, relative to the class that is found best",
+    "assumed": "classes that nothing was measured of",
     "cyclist_end_on": "factor of a cyclist seen from straight behind or ahead; 1 from the side",
     "contrast_half": "factor 1 / (1 + (half / contrast)^steepness), 1 at full contrast",
     "box_noise_share": "standard deviation of the sides of boxes, by the median error",
@@ -536,6 +546,8 @@ def table_text(
         add(key, f"{getattr(detector, key):.6g}", key)
     for kind, factor in zip(VRU_CLASSES, detector.class_factor.tolist(), strict=True):
         add(kind, f"{factor:.6g}", kind)
+    if detector.assumed:
+        add("assumed", msgspec.json.encode(detector.assumed).decode())
     for key in ("cyclist_end_on", "contrast_half", "contrast_steepness", "box_noise_share"):
         add(key, f"{getattr(detector, key):.6g}", key)
     add("frame_correlation", f"{detector.frame_correlation:.6g}", "frame_correlation")

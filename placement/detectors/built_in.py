@@ -1,6 +1,7 @@
 """Detectors by boxes alone and by probability, and any detector by its name or file."""
 
 import re
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import as_file, files
@@ -125,6 +126,7 @@ class ResponseDetector:
     box_noise_share: float
     frame_correlation: float  # between the random draws of consecutive frames
     plan_probability: float  # a plan counts on a detection from this probability on
+    assumed: tuple[str, ...] = ()  # classes of which nothing is measured
     # Tracks of nothing that a unit confirms in an hour, with the 95 % interval; None: unknown.
     false_tracks_per_hour: Interval | None = None
 
@@ -139,8 +141,17 @@ class ResponseDetector:
             f"{self.name}: the probability depends on its height in pixels, the share that is "
             "seen, its class, the side that it shows and its contrast in light and weather. The "
             "detection table counts on frames with a probability of at least "
-            f"{self.plan_probability:g}.{self.alarm_words}"
+            f"{self.plan_probability:g}.{self.assumed_words()}{self.alarm_words}"
         )
+
+    def assumed_words(self, classes: Collection[str] = VRU_CLASSES) -> str:
+        """That nothing is measured of some of `classes`; empty where something is of all."""
+        names = [name for name in self.assumed if name in classes]
+        if not names:
+            return ""
+        factors = dict(zip(VRU_CLASSES, self.class_factor.tolist(), strict=True))
+        words = " and ".join(f"{name} (factor {factors[name]:g})" for name in names)
+        return f" Nothing is measured of {words}: how well they are found is assumed."
 
     @property
     def alarm_words(self) -> str:
@@ -365,12 +376,13 @@ def _read_response(source: Path | Traversable, document: Table, *, name: str) ->
             for key in ("seen_share", "recall")
         )
         numbers = {key: take_number(table, key, "response") for key in _NUMBERS}
-        factors = {key: take_number(table, key, "response") for key in VRU_CLASSES}
+        factors, assumed = _read_classes(table)
         for key, factor in factors.items():
             if not 0.0 <= factor <= 1.0:
                 raise InputError(key, factor, "0 .. 1")
         return ResponseDetector(
             name=name,
+            assumed=assumed,
             false_tracks_per_hour=_read_alarms(document),
             seen_share=shares,
             recall=recall,
@@ -381,6 +393,22 @@ def _read_response(source: Path | Traversable, document: Table, *, name: str) ->
         key = error.where.removeprefix("response.")
         where = f"{source}:{_line(source, key)}: {key}"
         raise InputError(where, error.got, error.expected) from None
+
+
+def _read_classes(table: Table) -> tuple[dict[str, float], tuple[str, ...]]:
+    """Factor by class, and the classes of which nothing is measured.
+
+    A file need not know the classes that the built-in table assumes: there it has the same factor.
+    """
+    given = _defaults()["response"]
+    named = take_list({"assumed": [], **table}, "assumed", "response")
+    for name in named:
+        if name not in VRU_CLASSES:
+            raise InputError("assumed", name, "one of " + ", ".join(VRU_CLASSES))
+    missing = [name for name in given["assumed"] if name not in table]
+    whole = {**{name: given[name] for name in missing}, **table}
+    factors = {key: take_number(whole, key, "response") for key in VRU_CLASSES}
+    return factors, tuple(name for name in VRU_CLASSES if name in (*named, *missing))
 
 
 def _read_alarms(document: Table) -> Interval | None:

@@ -14,7 +14,7 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.files import load_toml, take_number
 from geometry.image_boxes import iou
 
-VRU_CLASSES = ("pedestrian", "child", "cyclist")
+VRU_CLASSES = ("pedestrian", "child", "cyclist", "motorcyclist", "car")
 _ADULT_FROM_M = 1.4  # between the heights of Euro NCAP's child (1.154 m) and adult (1.8 m) targets
 
 Image = NDArray[np.uint8]

@@ -276,7 +276,8 @@ _OTHERS = ("min_box_height_px", "box_noise_share", "frame_correlation")
 _MOST_PER_DRAW = 20_000  # frames
 _PRIOR_FRAMES = 2.0  # how many frames the built-in table weighs: decides what no frame tells
 # How far parameters may go from the built-in table: logits of shares, logarithms of the others.
-_REACH = np.array([6.0] * 5 + [1.5] * 2 + [3.0] * 3 + [1.5] * 2)
+_CLASSES = slice(7, 7 + len(VRU_CLASSES))  # among the parameters: factor by class
+_REACH = np.array([6.0] * 5 + [1.5] * 2 + [3.0] * len(VRU_CLASSES) + [1.5] * 2)
 _CONTRAST_SPREAD = 0.02  # contrasts that differ less say nothing about contrast
 _PROBABILITY = (1.0e-4, 1.0 - 1.0e-4)  # no frame is impossible: a label may be wrong
 _MAX_CORRELATION = 0.98
@@ -374,8 +375,8 @@ def _free(sightings: Sightings) -> BoolArray:
     free = np.ones(len(_prior()), dtype=bool)
     is_there = np.isin(np.arange(len(VRU_CLASSES)), sightings.vru_class)
     free[4] = is_there[VRU_CLASSES.index("cyclist")]
-    free[7:10] = is_there & (is_there.sum() > 1)  # factors are relative to one another
-    free[10:] = float(np.std(sightings.contrast)) > _CONTRAST_SPREAD
+    free[_CLASSES] = is_there & (is_there.sum() > 1)  # factors are relative to one another
+    free[_CLASSES.stop :] = float(np.std(sightings.contrast)) > _CONTRAST_SPREAD
     return free
 
 
@@ -482,8 +483,8 @@ def _detector(values: FloatArray, name: str) -> ResponseDetector:
     # Each recall is a share of the next one, so that recall never falls with what is seen.
     recall = np.cumprod(shares[:4][::-1])[::-1]
     half_px, steepness = np.exp(values[5:7]).tolist()
-    factor = np.exp(values[7:10] - values[7:10].max())
-    contrast_half, contrast_steepness = np.exp(values[10:12]).tolist()
+    factor = np.exp(values[_CLASSES] - values[_CLASSES].max())
+    contrast_half, contrast_steepness = np.exp(values[_CLASSES.stop :]).tolist()
     return replace(
         table,
         name=name,
@@ -509,6 +510,7 @@ def _finish(detector: ResponseDetector, sightings: Sightings) -> ResponseDetecto
         box_noise_share=min(noise, 1.0),
         frame_correlation=_frame_correlation(sightings, probability),
         min_box_height_px=max(1.0, float(sightings.height_px[sightings.is_found].min())),
+        assumed=tuple(n for i, n in enumerate(VRU_CLASSES) if i not in sightings.vru_class),
     )
 
 

@@ -6,7 +6,7 @@ is. So the outputs of one trial run are looked at, and an :class:`Export` says h
 
 import ast
 import math
-from collections.abc import Callable, Hashable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
@@ -31,6 +31,19 @@ Array = NDArray[Any]
 Outputs = Mapping[str, Array]
 Found = tuple[Array, Array, Array]  # boxes (n, 4), classes (n,), confidence (n,)
 
+VRU_KINDS = ("person", "bicycle", "cyclist")
+KINDS = (*VRU_KINDS, "motorcycle", "motorcyclist", "car")
+"""What the classes of a network may mean here."""
+
+# Kinds of boxes that count for a class of road user; a network must know one of them.
+_KINDS_OF_CLASS = {
+    "pedestrian": ("person",),
+    "child": ("person",),
+    "cyclist": VRU_KINDS,
+    "motorcyclist": ("motorcycle", "motorcyclist"),
+    "car": ("car",),
+}
+
 _EXPECTED = (
     "a detector's outputs: boxes (n, 4), labels (n,), scores (n,); (1, n, 5 + classes); "
     "(1, 4 + classes, n); (1, n, 6); or logits (1, n, classes), pred_boxes (1, n, 4); with "
@@ -44,7 +57,7 @@ _QUERY_NAMES = (("logits", "pred_boxes"), ("pred_logits", "pred_boxes"), ("label
 class Export:
     """How a network's outputs are read, and what it needs to be shown."""
 
-    kinds: Mapping[int, str]  # class to "person", "bicycle" or "cyclist"; others are left out
+    kinds: Mapping[int, str]  # class to one of ``KINDS``; others are left out
     # outputs by name to boxes (n, 4), classes (n,), confidence (n,)
     read: Callable[[Outputs], Found]
     stride_px: int = 1  # images of free size are padded to its multiples
@@ -202,7 +215,7 @@ def _numberings(names: str | None, classes: str | None, where: str) -> list[_Num
     coco = {
         key: _Numbering(
             n_classes=entry["n_classes"],
-            kinds={entry[kind]: kind for kind in ("person", "bicycle")},
+            kinds={entry[kind]: kind for kind in KINDS if kind in entry},
             is_coco91=key == "coco91",
         )
         for key, entry in onnx_setting("classes").items()
@@ -292,7 +305,7 @@ class ImageBoxes:
     boxes_px: FloatArray  # (n, 4), inside the image
     class_ids: IntArray  # (n,), as the network numbers its classes
     confidence: FloatArray  # (n,), 0 .. 1
-    kinds: Mapping[int, str]  # class to "person", "bicycle" or "cyclist"; others are left out
+    kinds: Mapping[int, str]  # class to one of ``KINDS``; others are left out
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -305,10 +318,17 @@ class ScoredBoxes:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class VruBoxes:
-    """Boxes of vulnerable road users in an image."""
+    """Boxes of road users in an image."""
 
-    persons: ScoredBoxes  # on bicycles, too
+    persons: ScoredBoxes  # on bicycles and motorcycles, too
     cyclists: ScoredBoxes  # see vru_boxes()
+    motorcyclists: ScoredBoxes
+    cars: ScoredBoxes
+
+    def of_class(self, vru_class: str) -> ScoredBoxes:
+        """Those that count for a class of ``VRU_CLASSES``."""
+        others = {"cyclist": self.cyclists, "motorcyclist": self.motorcyclists, "car": self.cars}
+        return others.get(vru_class, self.persons)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -356,6 +376,11 @@ class OnnxModel:
     path: Path
     _session: _Session
     _export: Export
+
+    @property
+    def kinds(self) -> Mapping[int, str]:
+        """Class to one of ``KINDS``; others are left out."""
+        return self._export.kinds
 
     def detect(self, image: NDArray[np.uint8]) -> ImageBoxes:
         """Find what the network knows in an RGB image (h, w, 3) uint8; boxes are in its pixels.
@@ -415,27 +440,38 @@ def load_onnx_model(path: Path, *, classes: str | None = None, threads: int = 1)
 
 
 def vru_boxes(found: ImageBoxes) -> VruBoxes:
-    """Persons and cyclists in an image.
+    """Persons, cyclists, motorcyclists and cars in an image.
 
     A network that knows persons and bicycles finds a cyclist as either or both: the box around a
     person and a bicycle that overlap counts as a cyclist, with the lower of the two confidences; so
-    does each of them alone, for the other may be missed. A detection is matched with one VRU, so
-    surplus boxes do no harm.
+    does each of them alone, for the other may be missed. The same holds for motorcycles. A
+    detection is matched with one road user, so surplus boxes do no harm.
     """
-    persons, bicycles, riders = (_of_kind(found, kind) for kind in ("person", "bicycle", "cyclist"))
-    overlap = iou(persons.boxes_px[:, None], bicycles.boxes_px[None]) > 0.0
+    persons = _of_kind(found, "person")
+    return VruBoxes(
+        persons=persons,
+        cyclists=_riders(persons, _of_kind(found, "bicycle"), _of_kind(found, "cyclist")),
+        motorcyclists=_riders(
+            persons, _of_kind(found, "motorcycle"), _of_kind(found, "motorcyclist")
+        ),
+        cars=_of_kind(found, "car"),
+    )
+
+
+def _riders(persons: ScoredBoxes, cycles: ScoredBoxes, riders: ScoredBoxes) -> ScoredBoxes:
+    """Boxes that count for a rider, of persons, what they ride, and both in one."""
+    overlap = iou(persons.boxes_px[:, None], cycles.boxes_px[None]) > 0.0
     rider, ridden = np.nonzero(overlap)
-    a, b = persons.boxes_px[rider], bicycles.boxes_px[ridden]
+    a, b = persons.boxes_px[rider], cycles.boxes_px[ridden]
     joined = ScoredBoxes(
         boxes_px=np.concatenate([np.minimum(a, b)[:, :2], np.maximum(a, b)[:, 2:]], axis=1),
-        confidence=np.minimum(persons.confidence[rider], bicycles.confidence[ridden]),
+        confidence=np.minimum(persons.confidence[rider], cycles.confidence[ridden]),
     )
-    parts = (joined, riders, persons, bicycles)
-    cyclists = ScoredBoxes(
+    parts = (joined, riders, persons, cycles)
+    return ScoredBoxes(
         boxes_px=np.concatenate([part.boxes_px for part in parts]),
         confidence=np.concatenate([part.confidence for part in parts]),
     )
-    return VruBoxes(persons=persons, cyclists=cyclists)
 
 
 def suppress(boxes_px: FloatArray, class_ids: IntArray, *, max_iou: float) -> IntArray:
@@ -591,6 +627,13 @@ class NetworkDetector:
         found = self.model.detect(crop.pixels)
         return replace(found, boxes_px=crop.to_image(found.boxes_px))
 
+    def check_classes(self, classes: Iterable[str]) -> None:
+        """Raise InputError where the network has not learnt one of ``VRU_CLASSES``."""
+        for name in classes:
+            if not set(_KINDS_OF_CLASS[name]) & set(self.model.kinds.values()):
+                expected = f"a network that knows {' or '.join(_KINDS_OF_CLASS[name])}"
+                raise InputError(f"detector {self.name}", Unquoted(f"runs with a {name}"), expected)
+
     def detect(self, evidence: Evidence, rng: np.random.Generator) -> Detections:
         """Show each picture in which the VRU is large enough to the network."""
         if (evidence.crops if self.looks_at_crops else evidence.picture) is None:
@@ -602,8 +645,7 @@ class NetworkDetector:
         confidence: list[np.ndarray] = []
         kinds = np.broadcast_to(evidence.vru_class, len(evidence))
         for row, found in self._find(large, evidence):
-            vrus = vru_boxes(found)
-            of_class = vrus.cyclists if VRU_CLASSES[kinds[row]] == "cyclist" else vrus.persons
+            of_class = vru_boxes(found).of_class(VRU_CLASSES[kinds[row]])
             is_sure = of_class.confidence >= self.min_confidence
             boxes.append(of_class.boxes_px[is_sure])
             confidence.append(of_class.confidence[is_sure])

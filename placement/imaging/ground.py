@@ -170,7 +170,8 @@ _ROAD_REACH_M = 4.5  # distances are stored up to here
 _PAINT_REACH_M = 0.4
 _SHADE_REACH_M = 12.0
 _CLEARANCE_M = 0.18  # of vehicles above the road: light gets in below them
-_SHADERS = ("building", "wall", "vegetation", "parked vehicle", "vehicle", "pedestrian", "cyclist")
+_ON_ROAD = ("parked vehicle", "vehicle", "pedestrian", "cyclist", "motorcyclist", "car")
+_SHADERS = ("building", "wall", "vegetation", *_ON_ROAD)
 _NOISE_SIZE = 1024  # texels; a power of two
 _NOISE_SEED = 5  # the road looks the same in every picture
 

@@ -27,6 +27,7 @@ class Materials:
     albedo: Mapping[str, FloatRays]  # (3,) by surface: share of light sent back
     clothes: Mapping[str, FloatRays]  # (2, 3) by body: albedo of top and legs
     vut_paint: FloatRays  # (3,)
+    car_paint: FloatRays  # (3,), of the car that the VUT meets
     parked_paints: FloatRays  # (n, 3)
     markings: Mapping[str, float]
     pattern: Mapping[str, float]
@@ -122,11 +123,13 @@ def _axles(thing: Thing) -> tuple[float, float]:
 def _colours(number: int, thing: Thing, materials: Materials) -> FloatRays:
     if thing.name == "vut":
         return np.stack([materials.vut_paint] * 2)
+    if thing.class_name == "car":
+        return np.stack([materials.car_paint] * 2)
     if thing.class_name in ("parked vehicle", "vehicle"):
         return np.stack([materials.parked_paints[number % len(materials.parked_paints)]] * 2)
-    if thing.class_name in ("pedestrian", "cyclist"):
+    if thing.class_name in ("pedestrian", "cyclist", "motorcyclist"):
         name = thing.actor.name if thing.actor is not None else ""
-        fallback = "cyclist" if thing.class_name == "cyclist" else "adult"
+        fallback = "adult" if thing.class_name == "pedestrian" else thing.class_name
         return materials.clothes.get(name, materials.clothes[fallback])
     surface = {"ground": "asphalt", "building": "facade"}.get(thing.class_name, thing.class_name)
     return np.stack([materials.albedo[surface.replace(" ", "-")]] * 2)
@@ -147,6 +150,7 @@ def load_materials() -> Materials:
             for name, entry in table["clothes"].items()
         },
         vut_paint=_albedo(table["paints"]["vut"], (3,), "paints.vut"),
+        car_paint=_albedo(table["paints"]["car"], (3,), "paints.car"),
         parked_paints=_albedo(table["paints"]["parked"], (-1, 3), "paints.parked"),
         markings=read_table(table["markings"], dict[str, float], f"{_WHERE}: markings"),
         pattern=read_table(pattern, dict[str, float], f"{_WHERE}: pattern"),
@@ -176,6 +180,7 @@ def vary_materials(materials: Materials, rng: np.random.Generator) -> Materials:
         clothes={name: _any_colours(2, rng) for name in materials.clothes},
         vut_paint=_any_colours(1, rng)[0],
         parked_paints=_any_colours(len(materials.parked_paints), rng),
+        car_paint=_any_colours(1, rng)[0],
     )
 
 
@@ -421,6 +426,45 @@ def coat_cyclist(hits: Hits, things: Things, materials: Materials) -> Coat:
     coat.albedo[(x > 0.30) & (side > 0.165) & (z > 1.04) & (z < 1.2)] = albedo["skin"]
     coat.albedo[z > 1.52] = albedo["skin"]
     coat.albedo[z > 1.695] = albedo["helmet"]
+    return coat
+
+
+def coat_motorcyclist(hits: Hits, things: Things, materials: Materials) -> Coat:
+    """Motorcycle, its tyres, tank, lamps and plate; boots, trousers, jacket, gloves, helmet."""
+    x, y, z, facing = _into_body(hits, things)
+    axles = things.axles_m[hits.thing]
+    side, albedo = np.abs(y), materials.albedo
+    coat = blank_coat(len(x))
+    jacket, trousers = things.colours[hits.thing].swapaxes(0, 1)
+    coat.albedo[...] = jacket
+    # Legs hang outside the engine, from the seat to the foot rests.
+    is_rider = ((z > 0.83) & (x < 0.28) & (x > -0.45)) | (z > 1.1)
+    is_leg = (side > 0.125) & (x > -0.40) & (x < 0.22) & (z > 0.26)
+    is_leg |= is_rider & (z < 0.92)
+    is_machine = ~is_rider & ~is_leg
+    coat.albedo[is_leg] = trousers[is_leg]
+    coat.albedo[is_leg & (z < 0.42)] = albedo["shoes"]
+    coat.albedo[is_machine] = albedo["trim"]
+    tank = is_machine & (z > 0.62) & (z < 0.95) & (x > -0.02) & (x < 0.50) & (side < 0.19)
+    tail = is_machine & (z > 0.70) & (z < 0.90) & (x < -0.55)
+    is_painted = tank | tail
+    coat.albedo[is_painted] = albedo["motorcycle"]
+    coat.mirror[is_painted] = materials.gloss["lacquer"]
+    coat.albedo[is_machine & (x > 0.55) & (z > 0.72) & (z < 0.96)] = albedo["head-lamp"]
+    is_rear = is_machine & (facing[:, 0] < -0.3) & (x < -0.90)
+    coat.albedo[is_rear & (z > 0.76)] = albedo["tail-lamp"]
+    coat.albedo[is_rear & (z < 0.72)] = albedo["plate"]
+    for axle in axles.T:
+        from_hub = np.hypot(x - axle, z - np.float32(0.307))
+        is_wheel = is_machine & (from_hub < 0.325) & (side < 0.09)
+        coat.albedo[is_wheel] = albedo["tyre"]
+        coat.albedo[is_wheel & (from_hub < 0.22)] = albedo["rim"]
+    coat.albedo[(x > 0.31) & (side > 0.25) & (z > 0.93) & (z < 1.02)] = albedo["shoes"]  # gloves
+    is_helmet = z > 1.42
+    coat.albedo[is_helmet] = albedo["helmet"]
+    coat.mirror[is_helmet] = materials.gloss["lacquer"]
+    is_visor = is_helmet & (z > 1.49) & (z < 1.60) & (facing[:, 0] > 0.55)
+    coat.albedo[is_visor] = albedo["pane"]
     return coat
 
 

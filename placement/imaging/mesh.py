@@ -33,7 +33,8 @@ from ..detectors import vru_class
 
 Index = NDArray[np.int32]
 
-ROUND = ("pedestrian", "cyclist")  # classes whose faces are shaded as if they were curved
+# Classes whose faces are shaded as if they were curved.
+ROUND = ("pedestrian", "cyclist", "motorcyclist")
 _CREASE_COS = 0.6  # people's faces that meet at less than about 50 degrees are shaded as one
 
 

@@ -42,6 +42,7 @@ from .materials import (
     coat_cyclist,
     coat_facade,
     coat_ground,
+    coat_motorcyclist,
     coat_pedestrian,
     coat_plain,
     coat_vehicle,
@@ -66,6 +67,8 @@ _CLASSES = (
     "vehicle",
     "pedestrian",
     "cyclist",
+    "motorcyclist",
+    "car",
 )
 
 
@@ -274,7 +277,9 @@ def _coat(shot: Shot, class_name: str, hits: Hits) -> Coat:
             return coat_pedestrian(hits, shot.things, materials)
         case "cyclist":
             return coat_cyclist(hits, shot.things, materials)
-        case "vehicle" | "parked vehicle":
+        case "motorcyclist":
+            return coat_motorcyclist(hits, shot.things, materials)
+        case "vehicle" | "parked vehicle" | "car":
             return coat_vehicle(hits, shot.things, materials)
     return coat_plain(hits, ground, materials.albedo[class_name.replace(" ", "-")])
 

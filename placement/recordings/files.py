@@ -18,7 +18,8 @@ from geometry.arrays import FloatArray, float_array
 from geometry.errors import InputError, Unquoted
 from geometry.files import load_toml, read_table, read_text, write_new
 
-VRU_CLASSES = ("pedestrian", "bicycle")
+VRU_CLASSES = ("pedestrian", "bicycle")  # that are read; other road users are only written
+_WRITTEN = (*VRU_CLASSES, "motorcycle", "car")
 Box = tuple[float, float, float, float]
 
 
@@ -237,7 +238,7 @@ class WrittenDrive:
     """A drive to write."""
 
     scenario: int  # index in the recording
-    vru_class: str  # "pedestrian" or "bicycle"
+    vru_class: str  # "pedestrian", "bicycle", "motorcycle" or "car"
     # vut_speed_mps, vru_speed_mps: target speeds. [m/s]
     vut_speed_mps: float
     vru_speed_mps: float
@@ -250,8 +251,8 @@ class WrittenDrive:
     label_distance_m: Mapping[str, FloatArray]  # (n_frames,): per unit, how far the VRU is. [m]
 
     def __post_init__(self) -> None:
-        if self.vru_class not in VRU_CLASSES:
-            raise InputError("vru_class", self.vru_class, "one of " + ", ".join(VRU_CLASSES))
+        if self.vru_class not in _WRITTEN:
+            raise InputError("vru_class", self.vru_class, "one of " + ", ".join(_WRITTEN))
         object.__setattr__(self, "distance_m", float_array(self.distance_m, (-1,), "distance_m"))
         n_frames, units = len(self.distance_m), list(self.labels_px)
         for name, shape in (

@@ -258,7 +258,8 @@ def test_detection_asks_for_points_of_every_class_of_road_user():
     detection = load_lidar_detection()
     assert set(detection.min_points) == set(detection.reflectivity)
     # Blickfeld's default for clusters; MMDetection3D for pedestrians and cyclists.
-    assert detection.min_points == {"pedestrian": 10, "child": 10, "cyclist": 10}
+    classes = ("pedestrian", "child", "cyclist", "motorcyclist", "car")
+    assert detection.min_points == dict.fromkeys(classes, 10)
     assert all(0.0 < share <= 1.0 for share in detection.reflectivity.values())
 
 

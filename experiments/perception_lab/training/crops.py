@@ -43,6 +43,8 @@ _HIDDEN_KEPT = 0.3  # of crops in which it is hidden
 _PER_POSE = 6  # crops by a camera before another one looks
 _SIZE_PX = (1920, 1080)
 _TRIES = 30
+TRAINED = ("pedestrian", "child", "cyclist")
+"""Those of ``VRU_CLASSES`` that the network is trained to find."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,7 +56,7 @@ class Framing:
     # Crops that are not around the road user; in others it may be hidden.
     empty_share: float = 0.12
     vut_share: float = 0.2  # crops from the VUT's camera
-    kinds: tuple[str, ...] = VRU_CLASSES
+    kinds: tuple[str, ...] = TRAINED
     weathers: tuple[str, ...] = WEATHERS
     varied: float = 0.7  # share of crops with other clothes, paints and facades
 

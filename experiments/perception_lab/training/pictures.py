@@ -19,13 +19,21 @@ from PIL import Image, ImageDraw
 from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError, Unquoted
 from geometry.image_boxes import box_height_px, iou
-from placement.detectors.evidence import VRU_CLASSES
 from placement.detectors.fitting import poisson, wilson
 from placement.question import Question
 from placement.setting import Setting, build_setting
 
 from ...results.numbers import percent
-from .crops import WEATHERS, Backdrops, Crops, Framing, load_crops, load_junction, look_around
+from .crops import (
+    TRAINED,
+    WEATHERS,
+    Backdrops,
+    Crops,
+    Framing,
+    load_crops,
+    load_junction,
+    look_around,
+)
 
 _CASES = "CPNA-75,CPFA-50,CPLA-25,CPNCO-50,CBNA,CBLA"
 _WORDS = ("adult", "child", "cyclist")
@@ -89,7 +97,7 @@ def draw_looks(settings: Sequence[Setting], *, seed: int) -> Looks:
             (seed, number),
             backdrops,
         )
-        for number, (weather, kind) in enumerate(product(WEATHERS, VRU_CLASSES))
+        for number, (weather, kind) in enumerate(product(WEATHERS, TRAINED))
     ]
 
 
@@ -106,7 +114,7 @@ def stored_looks(folder: Path, *, seed: int) -> Looks:
     }
     return [
         _stored(parts, kind, weather, np.random.default_rng([seed, weather, kind]), folder)
-        for weather, kind in product(range(len(WEATHERS)), range(len(VRU_CLASSES)))
+        for weather, kind in product(range(len(WEATHERS)), range(len(TRAINED)))
     ]
 
 
@@ -227,7 +235,7 @@ def judge_pictures(
 ) -> tuple[FloatArray, NDArray[np.int64], BoolArray, int]:
     """Heights (n,) of people in pictures, weather, who is found, and all false alarms.
 
-    Each picture has one road user of a kind of ``VRU_CLASSES`` who is hardly hidden.
+    Each picture has one road user of a kind of ``TRAINED`` who is hardly hidden.
     """
     framing = Framing(
         height_px=_JUDGED_HEIGHTS_PX,
@@ -237,7 +245,7 @@ def judge_pictures(
         kinds=(kind,),
         varied=1.0,
     )
-    rows_of_all = _rows(settings, framing, (seed, VRU_CLASSES.index(kind)), {})
+    rows_of_all = _rows(settings, framing, (seed, TRAINED.index(kind)), {})
     rows, found, n_alarms = [], [], 0
     for _, row in islice(rows_of_all, n_pictures):
         box = row["box_px"][None]
@@ -268,7 +276,7 @@ def judge_text(
         "| road users | pictures | found | 95 % interval | false alarms per picture |",
         "| --- | --- | --- | --- | --- |",
     ]
-    for kind, word, n in zip(VRU_CLASSES, _WORDS, n_pictures, strict=True):
+    for kind, word, n in zip(TRAINED, _WORDS, n_pictures, strict=True):
         if not n:
             continue
         tell(f"{n} pictures of kind {kind}")

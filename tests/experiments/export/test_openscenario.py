@@ -3,6 +3,7 @@ import importlib.util
 import sys
 import xml.etree.ElementTree as ET
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from geometry.actors import Shape, load_actors
 from geometry.errors import InputError, MissingExtraError
 from geometry.study_scene import load_study_scene
 from scenarios.aeb import load_aeb_rule
-from scenarios.cases import load_cases
+from scenarios.cases import load_cases, select_cases
 from scenarios.runs import WEATHERS, build_runs
 
 CASES = {
@@ -22,6 +23,7 @@ CASES = {
     "CBLA-50": 45.0,  # longitudinal, a cyclist
     "CBNA": 20.0,  # a cyclist behind the corner
 }
+MET = ("MEET-CAR", "MEET-MOTORCYCLE")
 needs_library = pytest.mark.skipif(
     importlib.util.find_spec("scenariogeneration") is None,
     reason="the extra openscenario is not installed",
@@ -42,7 +44,13 @@ def some_runs():
         rule=load_aeb_rule(),
         weathers=WEATHERS,
     )
-    return {(run.case.name, run.weather): run for run in reversed(runs)}
+    met, _ = build_runs(
+        load_study_scene(),
+        select_cases(str(Path(__file__).parents[2] / "met_cases.toml")).cases,
+        vut=load_actors()["vut"],
+        rule=load_aeb_rule(),
+    )
+    return {(run.case.name, run.weather): run for run in reversed([*runs, *met])}
 
 
 def rear_axle_m(actor):
@@ -50,6 +58,10 @@ def rear_axle_m(actor):
     if actor.name == "cyclist":
         return actor.reference_ahead_m - 0.62
     return actor.front_axle_ahead_m - actor.wheelbase_m
+
+
+def is_vehicle(actor):
+    return actor.class_name != "pedestrian"
 
 
 def read_trajectories(text):
@@ -116,7 +128,10 @@ def schema():
 @needs_library
 @pytest.mark.parametrize(
     ("case", "weather"),
-    [*((case, "day") for case in CASES), *(("CPNCO-50", weather) for weather in WEATHERS[1:])],
+    [
+        *((case, "day") for case in (*CASES, *MET)),
+        *(("CPNCO-50", weather) for weather in WEATHERS[1:]),
+    ],
 )
 def test_the_schema_accepts_every_kind_of_run(schema, some_runs, case, weather):
     text = to_openscenario(some_runs[case, weather], road_network="Town05.xodr")
@@ -124,14 +139,14 @@ def test_the_schema_accepts_every_kind_of_run(schema, some_runs, case, weather):
 
 
 @needs_library
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", [*CASES, *MET])
 def test_trajectories_read_back_are_the_frames_to_a_millimetre(some_runs, case):
     run = some_runs[case, "day"]
     tracks = read_trajectories(to_openscenario(run, road_network="Town05.xodr"))
     assert set(tracks) == {"vut", "vru"}
     ahead_m = {
         "vut": rear_axle_m(run.encounter.vut),
-        "vru": rear_axle_m(run.encounter.vru) if run.encounter.vru.name == "cyclist" else 0.0,
+        "vru": rear_axle_m(run.encounter.vru) if is_vehicle(run.encounter.vru) else 0.0,
     }
     for name, position_m, yaw_deg in (
         ("vut", run.vut_position_m, run.vut_yaw_deg),
@@ -170,7 +185,7 @@ def test_a_run_whose_last_frame_is_before_the_impact_still_ends_at_the_impact(so
 
 
 @needs_library
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", [*CASES, *MET])
 def test_bodies_start_where_their_trajectories_do_and_as_fast(some_runs, case):
     run = some_runs[case, "day"]
     text = to_openscenario(run, road_network="Town05.xodr")
@@ -189,7 +204,7 @@ def test_bodies_start_where_their_trajectories_do_and_as_fast(some_runs, case):
 
 
 @needs_library
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", [*CASES, *MET])
 def test_boxes_stand_on_the_road_around_the_middle_that_the_run_gives(some_runs, case):
     run = some_runs[case, "day"]
     root = ET.fromstring(to_openscenario(run, road_network="Town05.xodr"))
@@ -199,8 +214,7 @@ def test_boxes_stand_on_the_road_around_the_middle_that_the_run_gives(some_runs,
     assert [o.get("name") for o in root.iter("ScenarioObject")] == list(bodies)
     for name, actor in bodies.items():
         body, box = box_of(root, name)
-        is_vehicle = actor.class_name in ("vehicle", "parked vehicle", "cyclist")
-        middle_m = -rear_axle_m(actor) if is_vehicle else 0.0
+        middle_m = -rear_axle_m(actor) if is_vehicle(actor) else 0.0
         assert box == pytest.approx(
             {
                 "x": middle_m,
@@ -211,7 +225,7 @@ def test_boxes_stand_on_the_road_around_the_middle_that_the_run_gives(some_runs,
                 "height": actor.height_m,
             }
         )
-        if is_vehicle:
+        if is_vehicle(actor):
             front, rear = body.find("Axles/FrontAxle"), body.find("Axles/RearAxle")
             assert float(rear.get("positionX")) == 0.0
             inside_m = [middle_m - actor.length_m / 2.0, middle_m + actor.length_m / 2.0]
@@ -245,15 +259,19 @@ def test_parked_bodies_stand_where_the_run_has_them(some_runs):
         ("CPNA-25", "Pedestrian", "pedestrian"),
         ("CPNCO-50", "Pedestrian", "pedestrian"),
         ("CBLA-50", "Vehicle", "bicycle"),
+        ("MEET-MOTORCYCLE", "Vehicle", "motorbike"),
+        ("MEET-CAR", "Vehicle", "car"),
     ],
 )
-def test_the_vru_is_a_pedestrian_or_a_bicycle_with_its_rider(some_runs, case, element, category):
+def test_road_users_have_the_standards_kinds_and_riders_are_named(
+    some_runs, case, element, category
+):
     root = ET.fromstring(to_openscenario(some_runs[case, "day"], road_network="Town05.xodr"))
     body, _ = box_of(root, "vru")
     assert body.tag == element
     assert body.get(f"{element.lower()}Category") == category
     notes = [p.get("value") for p in body.iter("Property") if p.get("name") == "note"]
-    assert any("rider" in note for note in notes) == (category == "bicycle")
+    assert any("rider" in note for note in notes) == (category in ("bicycle", "motorbike"))
 
 
 @needs_library

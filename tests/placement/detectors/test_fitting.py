@@ -20,14 +20,14 @@ TRUTH = replace(
     height_half_px=35.0,
     height_steepness=4.0,
     min_box_height_px=1.0,
-    class_factor=np.array([1.0, 0.8, 0.9]),
+    class_factor=np.array([1.0, 0.8, 0.9, 0.7, 1.0]),
     cyclist_end_on=0.7,
     frame_correlation=0.6,
     box_noise_share=0.04,
 )
 
 
-def drawn(truth=TRUTH, *, seed=1, classes=(0, 1, 2), contrasts=(0.1, 0.3, 1.0)):
+def drawn(truth=TRUTH, *, seed=1, classes=(0, 1, 2, 3, 4), contrasts=(0.1, 0.3, 1.0)):
     """Sightings of many road users that come nearer, drawn from a table."""
     rng = np.random.default_rng(seed)
     n = N_TRACKS * N_FRAMES
@@ -109,6 +109,12 @@ def test_classes_and_light_that_never_appear_are_as_built_in():
     assert fit.detector.contrast_half == pytest.approx(built_in.contrast_half)
     assert fit.detector.contrast_steepness == pytest.approx(built_in.contrast_steepness)
     assert [group.name for group in fit.groups["class"]] == ["pedestrian"]
+
+
+def test_a_fitted_table_says_of_which_classes_nothing_was_measured(fit):
+    assert fit.detector.assumed == ()
+    few = fit_response(drawn(classes=(0, 2, 3)), name="a", draws=0)
+    assert few.detector.assumed == ("child", "car")
 
 
 def test_frames_drawn_apart_show_no_correlation():

@@ -82,13 +82,38 @@ def test_a_users_table_is_read_number_by_number(write):
     assert detector.name == "mine.toml"
     assert detector.seen_share.tolist() == [0.0, 0.5, 1.0]
     assert detector.recall.tolist() == [0.0, 0.6, 0.9]
-    assert detector.class_factor.tolist() == [1.0, 0.9, 0.8]
+    assert detector.class_factor.tolist() == [1.0, 0.9, 0.8, 1.0, 1.0]
+    # A table of before these classes has the built-in factors.
+    assert detector.assumed == ("motorcyclist", "car")
     assert (detector.height_half_px, detector.height_steepness) == (30.0, 2.5)
     assert (detector.min_box_height_px, detector.cyclist_end_on) == (15.0, 0.7)
     assert (detector.contrast_half, detector.contrast_steepness) == (0.2, 1.5)
     assert (detector.box_noise_share, detector.frame_correlation) == (0.0, 0.25)
     assert detector.plan_probability == 0.6
     assert "the response model mine.toml" in detector.description
+
+
+def test_what_a_table_assumes_is_said(write):
+    measured = TABLE.replace("cyclist = 0.8", "cyclist = 0.8\nmotorcyclist = 0.75\ncar = 0.7")
+    detector = load_detector(str(write(measured)))
+    assert detector.class_factor.tolist() == [1.0, 0.9, 0.8, 0.75, 0.7]
+    assert detector.assumed == ()
+    assert "assumed" not in detector.description
+    marked = measured.replace("car = 0.7", 'car = 0.7\nassumed = ["car", "child"]')
+    detector = load_detector(str(write(marked, "marked.toml")))
+    assert detector.assumed == ("child", "car")
+    words = (
+        " Nothing is measured of child (factor 0.9) and car (factor 0.7): "
+        "how well they are found is assumed."
+    )
+    assert words in detector.description
+    assert detector.assumed_words(["car"]).startswith(" Nothing is measured of car (factor 0.7):")
+    assert detector.assumed_words(["pedestrian"]) == ""
+
+
+@pytest.mark.parametrize("name", ["response", "cnn-table"])
+def test_the_shipped_tables_have_measured_no_motorcyclists_and_cars(name):
+    assert load_planning_detector(name).assumed == ("motorcyclist", "car")
 
 
 def test_our_own_file_is_one_that_a_user_may_change(write):
@@ -112,6 +137,13 @@ def test_our_own_file_is_one_that_a_user_may_change(write):
             'recall = [0.0, "x", 0.9]',
             ":5: recall: got [0.0, 'x', 0.9]; expected ",
         ),
+        (
+            "cyclist = 0.8",
+            'cyclist = 0.8\nassumed = ["tram"]',
+            ":12: assumed: got 'tram'; expected one of pedestrian, child, cyclist, m",
+        ),
+        ("cyclist = 0.8", "cyclist = 0.8\nassumed = 1", ":12: assumed: got 1; expected a list"),
+        ("cyclist = 0.8", "cyclist = 0.8\ncar = 1.1", ":12: car: got 1.1; expected 0 .. 1"),
         (
             "seen_share = [0.0, 0.5, 1.0]",
             "seen_share = [0.0, 1.0, 0.5]",

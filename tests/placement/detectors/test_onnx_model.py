@@ -363,7 +363,7 @@ def test_the_size_that_rt_detr_asks_for_is_that_of_the_letterbox(path):
     model = load_onnx_model(save(path, nodes, outputs, inputs=inputs))
     found = model.detect(np.zeros((50, 100, 3), dtype=np.uint8))
     np.testing.assert_allclose(found.boxes_px, [[0.0, 0.0, 100.0, 50.0]])
-    assert found.kinds == {0: "person", 1: "bicycle"}
+    assert found.kinds == COCO80
 
 
 def test_the_mask_that_detr_asks_for_is_given(path):
@@ -378,13 +378,16 @@ def test_the_mask_that_detr_asks_for_is_given(path):
 
 # Classes.
 
+COCO80 = {0: "person", 1: "bicycle", 2: "car", 3: "motorcycle"}
+COCO91 = {1: "person", 2: "bicycle", 3: "car", 4: "motorcycle"}
+
 
 @pytest.mark.parametrize(
     ("classes", "kinds"),
     [
-        (None, {1: "person", 2: "bicycle"}),
-        ("coco91", {1: "person", 2: "bicycle"}),
-        ("coco80", {0: "person", 1: "bicycle"}),
+        (None, COCO91),
+        ("coco91", COCO91),
+        ("coco80", COCO80),
     ],
 )
 def test_labels_are_cocos_91_unless_said_otherwise(path, classes, kinds):
@@ -395,7 +398,7 @@ def test_labels_are_cocos_91_unless_said_otherwise(path, classes, kinds):
 @pytest.mark.parametrize(
     ("names", "kinds"),
     [
-        ("{0: 'Car', 1: 'Pedestrian', 2: 'Cyclist'}", {1: "person", 2: "cyclist"}),
+        ("{0: 'Car', 1: 'Pedestrian', 2: 'Cyclist'}", {0: "car", 1: "person", 2: "cyclist"}),
         ("['bike', 'person']", {0: "bicycle", 1: "person"}),
     ],
 )
@@ -408,7 +411,7 @@ def test_names_that_are_but_numbers_count_as_none(path):
     # What Ultralytics 8.4.190 writes for a network that was built without names.
     names = str({number: str(number) for number in range(80)})
     save_constants(path, as_yolov8([PERSON], [0], [0.75]), metadata={"names": names})
-    assert load_onnx_model(path).detect(GREY).kinds == {0: "person", 1: "bicycle"}
+    assert load_onnx_model(path).detect(GREY).kinds == COCO80
 
 
 def test_names_tell_the_number_of_classes_of_a_table(path):
@@ -430,7 +433,7 @@ def image_boxes(*rows):
         boxes_px=np.array(boxes, dtype=float),
         class_ids=np.array(ids),
         confidence=np.array(confidence),
-        kinds={1: "person", 2: "bicycle", 3: "cyclist"},
+        kinds={1: "person", 2: "bicycle", 3: "cyclist", 4: "motorcycle", 5: "car"},
     )
 
 
@@ -455,6 +458,27 @@ def test_a_cyclist_is_a_person_and_a_bicycle_that_overlap_or_either():
             ([50.0, 10.0, 60.0, 20.0], 0.6),
         ]
     )
+
+
+def test_a_motorcyclist_is_put_together_as_a_cyclist_is_and_neither_counts_for_the_other():
+    found = image_boxes(
+        ([10.0, 0.0, 20.0, 30.0], 1, 0.9),  # rides the motorcycle
+        ([5.0, 15.0, 35.0, 40.0], 4, 0.7),
+        ([50.0, 10.0, 60.0, 20.0], 2, 0.6),  # a bicycle
+        ([70.0, 10.0, 90.0, 20.0], 5, 0.5),
+    )
+    boxes = vru_boxes(found)
+    motorcyclists = boxes.of_class("motorcyclist")
+    assert motorcyclists.boxes_px.tolist() == [
+        [5.0, 0.0, 35.0, 40.0],
+        [10.0, 0.0, 20.0, 30.0],
+        [5.0, 15.0, 35.0, 40.0],
+    ]
+    assert motorcyclists.confidence.tolist() == [0.7, 0.9, 0.7]
+    assert boxes.of_class("cyclist").confidence.tolist() == [0.9, 0.6]
+    assert boxes.of_class("car").boxes_px.tolist() == [[70.0, 10.0, 90.0, 20.0]]
+    for name in ("pedestrian", "child"):
+        assert boxes.of_class(name) is boxes.persons
 
 
 def test_a_bicycle_that_only_touches_a_person_is_not_ridden():
@@ -568,7 +592,8 @@ def test_a_network_that_does_not_run(path):
         ("{'person': 0}", "a dictionary from number to name"),
         (
             "{0: 'cat'}",
-            "among them one of bicycle, bicyclist, bike, cyclist, pedestrian, people, person, "
+            "among them one of bicycle, bicyclist, bike, car, cyclist, motorbike, motorcycle, "
+            "motorcyclist, pedestrian, people, person, "
             "rider",
         ),
     ],

@@ -25,7 +25,7 @@ PLAIN = ResponseDetector(
     height_half_px=20.0,
     height_steepness=2.0,
     min_box_height_px=10.0,
-    class_factor=np.array([1.0, 0.9, 0.8]),
+    class_factor=np.array([1.0, 0.9, 0.8, 0.7, 0.6]),
     cyclist_end_on=0.5,
     contrast_half=0.5,
     contrast_steepness=1.0,
@@ -53,7 +53,12 @@ def test_probability_is_the_product_that_one_works_out_by_hand():
     # Height 40 px: 1 / (1 + (20 / 40)^2) = 0.8. A cyclist: 0.8. Seen at 60 degrees to its way:
     # 1 - (1 - 0.5) cos^2 60 = 0.875. Contrast 0.25: (0.25 / 0.75) / (1 / 1.5) = 0.5.
     looks = {"visible_share": 0.75, "inside_share": 0.8, "contrast": 0.25, "aspect_deg": 60.0}
-    expected = {"cyclist": 0.66 * 0.8 * 0.8 * 0.875 * 0.5, "child": 0.66 * 0.8 * 0.9 * 0.5}
+    expected = {
+        "cyclist": 0.66 * 0.8 * 0.8 * 0.875 * 0.5,
+        "child": 0.66 * 0.8 * 0.9 * 0.5,
+        "motorcyclist": 0.66 * 0.8 * 0.7 * 0.5,
+        "car": 0.66 * 0.8 * 0.6 * 0.5,
+    }
     for name, probability in expected.items():
         found = _probability(PLAIN, 40.0, vru_class=name, **looks)
         assert found == pytest.approx(probability, rel=1e-12)
@@ -275,7 +280,7 @@ def test_every_number_but_the_name_changes_the_fingerprint():
     changes = {
         "seen_share": np.array([0.0, 0.51, 1.0]),
         "recall": np.array([0.0, 0.61, 0.9]),
-        "class_factor": np.array([1.0, 0.9, 0.81]),
+        "class_factor": np.array([1.0, 0.9, 0.81, 0.7, 0.6]),
         **{
             field: getattr(PLAIN, field) * 1.01
             for field in (
@@ -312,8 +317,8 @@ def test_every_number_but_the_name_changes_the_fingerprint():
             {"seen_share": [0.0, 0.7, 0.9]},
             "seen_share: got [0.0, 0.7, 0.9]; expected shares that ascend from 0 to 1",
         ),
-        ({"class_factor": [1.0, 1.0, -0.1]}, "class_factor: got -0.1; expected 0 .. 1"),
-        ({"class_factor": [1.0, 1.0]}, "class_factor: got shape (2,); expected shape (3,)"),
+        ({"class_factor": [1.0, 1.0, 1.0, 1.0, -0.1]}, "class_factor: got -0.1; expected 0 .. 1"),
+        ({"class_factor": [1.0, 1.0]}, "class_factor: got shape (2,); expected shape (5,)"),
         ({"cyclist_end_on": 1.5}, "cyclist_end_on: got 1.5; expected 0 .. 1"),
         ({"frame_correlation": math.nan}, "frame_correlation: got nan; expected 0 .. 1"),
         ({"plan_probability": -0.5}, "plan_probability: got -0.5; expected 0 .. 1"),

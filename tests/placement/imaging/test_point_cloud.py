@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from geometry.actors import load_actors
 from geometry.lidar import beam_directions, load_lidars, load_surface_reflectivity
 from geometry.poses import Pose, to_world
 from geometry.scene import CLASS_NAMES
@@ -59,6 +60,28 @@ def test_ground_points_lie_on_the_road_and_those_of_the_vru_on_its_body(scene, r
     assert len(of_vru) >= 10  # the parked row hides its legs
     assert np.linalg.norm(of_vru[:, :2] - run.vru_position_m[-1], axis=1).max() < 0.6
     assert of_vru[:, 2].max() <= run.encounter.vru.height_m
+
+
+@pytest.mark.parametrize(("name", "box_height_m"), [("motorcyclist", 1.7), ("car", 1.427)])
+def test_points_of_a_motorcyclist_and_a_car_lie_in_their_boxes(
+    scene, run, pose, name, box_height_m
+):
+    actor = load_actors()[name]
+    met = replace(
+        run,
+        encounter=replace(run.encounter, vru=actor),
+        vru_shape=np.zeros(len(run.time_s), dtype=np.int64),
+        obstruction=(),
+    )
+    cloud = _scan(scene, met, pose)
+    points = to_world(cloud.points_m[cloud.instance == cloud.names.index("vru")], pose)
+    assert len(points) > 30
+    yaw = np.radians(met.vru_yaw_deg[-1])
+    away = points[:, :2] - met.vru_position_m[-1]
+    ahead, left = away @ [np.cos(yaw), np.sin(yaw)], away @ [-np.sin(yaw), np.cos(yaw)]
+    assert np.abs(ahead).max() < 0.5 * actor.length_m + 0.01
+    assert np.abs(left).max() < 0.5 * actor.width_m + 0.01
+    assert 0.7 * box_height_m < points[:, 2].max() < box_height_m + 0.01
 
 
 def test_noise_moves_points_along_their_beams_only(scene, run, pose):

@@ -108,7 +108,10 @@ def test_a_file_in_the_way_is_named(tmp_path):
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"vru_class": "car"}, "vru_class: got 'car'; expected one of pedestrian, bicycle"),
+        (
+            {"vru_class": "tram"},
+            "vru_class: got 'tram'; expected one of pedestrian, bicycle, motorcycle, car",
+        ),
         (
             {"label_distance_m": {"0": np.ones(12)}},
             "label_distance_m: got ['0']; expected the units of labels_px: ['0', 'car']",
