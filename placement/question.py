@@ -147,8 +147,8 @@ class Question:
         behind it; 0: at the junction alone; default: 0,15,30,45, and 0 for `cases` study. Away from
         0 each drives a third of the speeds, in turn.
     speeds : str
-        VUT speeds: 30,50; 20-40 (the case's own speeds in that range); or all; default: all up to
-        the speed limits of the map.
+        VUT speeds: 30,50; 20-40 (the case's own speeds in that range); 30x50 (the VUT's, and that
+        of the car or motorcycle it meets); or all; default: all up to the speed limits of the map.
     approaches : str
         From where the VUT comes: north,east; default: every arm of the junction.
     weather : str

@@ -697,8 +697,8 @@ def select_cases(
     """Cases and speeds by the words of a user.
 
     `cases` and `case_range` are as for :func:`pick_cases`; `speeds` are km/h with commas between,
-    or ranges: "20-40" is every speed of the case in it; "all" or None: every one. `force` drives
-    speeds that the protocol does not. `protect` is "vru" or "all", see ``PROTECTED``. Raises
+    or ranges: "20-40" is every speed of the case in it; "30x50" are those of the VUT and of whoever
+    it meets; "all" or None: every one. `force` drives speeds that the protocol does not. `protect` is "vru" or "all", see ``PROTECTED``. Raises
     InputError: a name or a speed cannot be read, a speed lies outside of every case, or nobody is
     left to be protected.
 
@@ -711,21 +711,39 @@ def select_cases(
     counted = pick(PROTECTED, protect, "protect")
     picked = tuple(case for case in asked if case.road_user in counted)
     unprotected = tuple(case for case in asked if case.road_user not in counted)
-    if not any(not case.not_laid for case in picked) and unprotected:
+    if unprotected and all(case.not_laid for case in picked):
         met = " or ".join(dict.fromkeys(case.road_user for case in unprotected))
         raise InputError("protect", protect, f"all, where every case asked for meets a {met}")
-    if speeds is None or speeds.strip() == ALL_SPEEDS:
-        return Selection(cases=picked, left_out=(), beyond=(), unprotected=unprotected)
-    singles, ranges = _read_speeds(speeds)
     laid = [case for case in picked if not case.not_laid]
+    if speeds is None or speeds.strip() == ALL_SPEEDS or not laid:
+        return Selection(cases=picked, left_out=(), beyond=(), unprotected=unprotected)
+    words = _read_speeds(speeds)
     if not force:
-        for speed in singles:
+        for speed in words.singles:
             if not any(_is_within(speed, case) for case in laid):
                 raise InputError("speeds", Unquoted(f"{speed:g}"), _limits(laid))
+        for vut, vru in words.pairs:
+            if not any(vru in case.vru_speeds_kmh(vut) for case in laid if _is_within(vut, case)):
+                expected = f"speeds that go together in a case; the VUT's: {_limits(laid)}"
+                raise InputError("speeds", Unquoted(f"{vut:g}x{vru:g}"), expected)
     kept, left_out, beyond = [], [], []
     for case in laid:
-        driven = {speed for speed in singles if force or _is_within(speed, case)}
-        driven |= {s for s in case.vut_speeds_kmh if any(low <= s <= high for low, high in ranges)}
+        driven = {speed for speed in words.singles if force or _is_within(speed, case)}
+        driven |= {
+            speed
+            for speed in case.vut_speeds_kmh
+            if any(low <= speed <= high for low, high in words.ranges)
+        }
+        pairs = [
+            (vut, vru)
+            for vut, vru in words.pairs
+            if (case.pairs_kmh and force) or vru in case.vru_speeds_kmh(vut)
+            if force or _is_within(vut, case)
+        ]
+        if pairs and case.pairs_kmh:
+            pairs += [(vut, vru) for vut in driven for vru in case.vru_speeds_kmh(vut)]
+            case = replace(case, pairs_kmh=tuple(sorted(set(pairs))))
+        driven |= {vut for vut, _ in pairs}
         outside = sorted(speed for speed in driven if not _is_within(speed, case))
         if outside:
             beyond.append(f"{case.name}: " + ", ".join(f"{speed:g}" for speed in outside))
@@ -743,22 +761,36 @@ def select_cases(
     )
 
 
-def _read_speeds(text: str) -> tuple[list[float], list[tuple[float, float]]]:
-    singles, ranges = [], []
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _SpeedWords:
+    """Speeds in the words of a user, in km/h."""
+
+    singles: tuple[float, ...]
+    ranges: tuple[tuple[float, float], ...]  # the lower one first
+    pairs: tuple[tuple[float, float], ...]  # of the VUT, and of whoever it meets
+
+
+def _read_speeds(text: str) -> _SpeedWords:
+    singles, ranges, pairs = [], [], []
     for word in (part.strip() for part in text.split(",")):
-        low, dash, high = word.partition("-")
-        numbers = [_read_speed(part) for part in ([low, high] if dash else [low])]
-        if any(number is None for number in numbers):
-            expected = f"km/h with commas between, such as 20,30 or 20-40, up to {_HIGHEST_KMH:g}"
+        separator = "x" if "x" in word else "-"
+        parts = word.split(separator, 1)
+        found = [number for number in map(_read_speed, parts) if number is not None]
+        if len(found) < len(parts):
+            expected = (
+                "km/h with commas between, such as 20,30 or 20-40, or 30x50 for those of both, up "
+                f"to {_HIGHEST_KMH:g}"
+            )
             raise InputError("speeds", word, expected)
-        found = [number for number in numbers if number is not None]
         if len(found) == 1:
             singles.append(found[0])
+        elif separator == "x":
+            pairs.append((found[0], found[1]))
         elif found[0] > found[1]:
             raise InputError("speeds", word, "the lower speed first")
         else:
             ranges.append((found[0], found[1]))
-    return singles, ranges
+    return _SpeedWords(singles=tuple(singles), ranges=tuple(ranges), pairs=tuple(pairs))
 
 
 def _read_speed(text: str) -> float | None:

@@ -198,7 +198,7 @@ def load_points() -> dict[tuple[tuple[str, ...], str], float]:
 
 
 def _family(case_name: str) -> str:
-    return case_name.rpartition("-")[0] or case_name
+    return case_name.partition("-")[0]
 
 
 # ---------- weights by types of accidents, from statistics

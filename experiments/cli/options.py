@@ -305,10 +305,7 @@ def one_run_options() -> Decorator:
             "speeds",
             required=True,
             metavar="KMH",
-            type=click.FloatRange(min=0.0, min_open=True),
-            callback=lambda _context, _param, value: f"{value:g}",
-            expected="km/h, more than 0",
-            help="Of the VUT.",
+            help="Of the VUT; 30x50: and of whoever it meets.",
         ),
         option(
             "--position",

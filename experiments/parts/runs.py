@@ -145,13 +145,14 @@ def case_table(setting: Setting) -> Table:
     for name, indices in runs_by_case(setting).items():
         runs = [setting.runs[index] for index in indices]
         case = runs[0].case
+        vru_speeds_kmh = sorted({run.case.vru_speed_kmh for run in runs})
         approaches = dict.fromkeys(run.approach for run in runs)
         last_s = [run.last_brake_time_s for run in runs if math.isfinite(run.last_brake_time_s)]
         rows.append(
             [
                 name,
                 case.title,
-                f"{case.vru.name}, {case.vru_speed_kmh:g}\N{NO-BREAK SPACE}km/h",
+                f"{case.vru.name}, {_steps(vru_speeds_kmh)}\N{NO-BREAK SPACE}km/h",
                 _steps(sorted({run.vut_speed_kmh for run in runs})),
                 "all" if len(approaches) == len(every) > 1 else ", ".join(approaches),
                 str(len(runs)),
@@ -202,16 +203,16 @@ def describe_refusals(setting: Setting) -> list[str]:
 
     Away from the junction, where each position has other speeds, these are left out.
     """
-    places: dict[tuple[str, tuple[float, ...], str], dict[str, list[str]]] = {}
+    places: dict[tuple[str, str, str], dict[str, list[str]]] = {}
     for refusal in setting.refusals:
         if refusal.limit_kmh is not None:
             continue
-        speeds = refusal.speeds_kmh if refusal.position == AT_ZERO.name else ()
+        speeds = refusal.speeds_text if refusal.position == AT_ZERO.name else ""
         of_reason = places.setdefault((refusal.case.name, speeds, refusal.reason), {})
         of_reason.setdefault(refusal.approach, []).append(refusal.position)
     sentences = [
         f"{case} from the {describe_places(positions)}"
-        + (f" at {', '.join(f'{speed:g}' for speed in speeds)} km/h" if speeds else "")
+        + (f" at {speeds} km/h" if speeds else "")
         + f": {reason.removesuffix('.')}."
         for (case, speeds, reason), positions in places.items()
     ]
