@@ -698,9 +698,9 @@ def select_cases(
 
     `cases` and `case_range` are as for :func:`pick_cases`; `speeds` are km/h with commas between,
     or ranges: "20-40" is every speed of the case in it; "30x50" are those of the VUT and of whoever
-    it meets; "all" or None: every one. `force` drives speeds that the protocol does not. `protect` is "vru" or "all", see ``PROTECTED``. Raises
-    InputError: a name or a speed cannot be read, a speed lies outside of every case, or nobody is
-    left to be protected.
+    it meets; "all" or None: every one. `force` drives speeds that the protocol does not. `protect`
+    is "vru" or "all", see ``PROTECTED``. Raises InputError: a name or a speed cannot be read, a
+    speed lies outside of every case, or nobody is left to be protected.
 
     Examples
     --------

@@ -9,7 +9,7 @@ import numpy as np
 from geometry.actors import Actor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, check_one_of
-from geometry.junction import Arm, Junction, Line, lane_length_m
+from geometry.junction import Arm, Junction, Line, lane_length_m, lane_line
 from geometry.scene import Lane
 
 from .cases import Case
@@ -237,6 +237,9 @@ def _ways_through(
 
 
 # ---------- crossing and longitudinal cases
+_MOUTH_M = 15.0  # of a lane, that tell where it leads
+
+
 def _crossings(
     case: Case,
     junction: Junction,
@@ -250,7 +253,9 @@ def _crossings(
     side = arm_at(junction, straight_line(arm.entry_lanes[0], is_in=True), to_left=not is_near)
     if side is None or not side.entry_lanes:
         raise NoRoadError(f"no lane leads into the junction from the {case.vru_side} side")
-    ahead = arm_ahead(junction, side, straight_line(side.entry_lanes[0], is_in=True))
+    # What counts is how the other road leads into the junction, not where it comes from.
+    mouth, _ = lane_line(side.entry_lanes[0], is_in=True, length_m=_MOUTH_M)
+    ahead = arm_ahead(junction, side, mouth)
     if ahead is None or not ahead.exit_lanes:
         raise NoRoadError(f"no road leads straight across from the {case.vru_side} side")
 

@@ -1,0 +1,460 @@
+"""Cases with cars and motorcyclists: the protocol's poses, closed forms, what is refused."""
+
+import dataclasses
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from junctions import ARMS, MOUTH_M, build_scene, lanes_of, protocol_scene, turned
+from strategies import KMH, numbers
+
+from geometry.errors import InputError
+from geometry.junction import build_junction
+from geometry.scene import Lane
+from scenarios.aeb import has_contact, last_brake_time_s, load_aeb_rule
+from scenarios.cases import at_vru_speed, load_cases, load_unlaid_cases, pick_cases, select_cases
+from scenarios.paths import Motion, StraightPath
+from scenarios.protocol import stage_by_protocol
+from scenarios.runs import build_runs
+from scenarios.staging import CannotCarryError, NoRoadError
+
+GOLDEN = tomllib.loads(
+    (Path(__file__).parents[1] / "golden" / "euroncap_junction.toml").read_text(encoding="utf-8")
+)
+JUNCTION = build_junction(protocol_scene())
+RULE = load_aeb_rule()
+CROSSING = tuple(GOLDEN["crossing"])
+VEHICLES = tuple(  # one of each kind
+    {
+        case.family: name
+        for name, case in load_cases().items()
+        if case.road_user in ("motorcycle", "car")
+    }.values()
+)
+
+
+@pytest.fixture(scope="module")
+def golf(actors):
+    """The VUT that the files assume."""
+    size = GOLDEN["turning"]["vut"]
+    return dataclasses.replace(
+        actors["vut"],
+        name="golf",
+        length_m=size["length_m"],
+        width_m=size["width_m"],
+        wheelbase_m=size["wheelbase_m"],
+        front_axle_ahead_m=size["wheelbase_m"] - size["middle_ahead_of_rear_axle_m"],
+    )
+
+
+def stage(name, vut, speed_kmh, vru_kmh, *, approach="west", junction=JUNCTION):
+    (case,) = pick_cases(name, "cases", case_range="extended")
+    case = at_vru_speed(case, vru_kmh)
+    return stage_by_protocol(case, junction, approach, vut_speed_kmh=speed_kmh, vut=vut)
+
+
+def at(motion, time_s=0.0):
+    position, yaw_deg = motion.path.at(motion.distance_m(time_s))
+    return np.asarray(position), float(yaw_deg)
+
+
+# ---------- poses at the impact
+@pytest.mark.parametrize("name", CROSSING)
+@pytest.mark.parametrize(("speed_kmh", "vru_kmh"), [(20, 60), (40, 40), (60, 20), (80, 30)])
+def test_crossing_vehicles_meet_where_the_protocol_says(golf, name, speed_kmh, vru_kmh):
+    golden = GOLDEN["crossing"][name]
+    encounter = stage(name, golf, speed_kmh, vru_kmh).encounter
+    vut, _ = at(encounter.vut_motion)
+    vru, vru_yaw_deg = at(encounter.vru_motion)
+    assert vut == pytest.approx(golden["vut_middle_m"], abs=1e-4)
+    assert vru == pytest.approx(golden["vru_middle_m"], abs=1e-4)
+    assert vru_yaw_deg == pytest.approx(golden["vru_yaw_deg"])
+    # At its speed for the protocol's 3.5 s.
+    assert encounter.vru_motion.speed_mps == pytest.approx(vru_kmh * KMH)
+    assert encounter.vru_motion.start_time_s == pytest.approx(-3.5, abs=1e-6)
+    assert encounter.vru_motion.acceleration_distance_m == 0.0
+
+
+@pytest.mark.parametrize("name", ["CCFtap", "CMFtap"])
+def test_vehicles_ahead_of_a_turning_vut_meet_where_the_protocol_says(golf, name):
+    golden, turning = GOLDEN["turning"][name], GOLDEN["turning"]
+    rear_m = turning["vut"]["middle_ahead_of_rear_axle_m"]
+    for row, speed_kmh in enumerate(turning["vut_speeds_kmh"]):
+        for column, vru_kmh in enumerate(turning["vru_speeds_kmh"]):
+            encounter = stage(name, golf, speed_kmh, vru_kmh).encounter
+            vut, yaw_deg = at(encounter.vut_motion)
+            vru, vru_yaw_deg = at(encounter.vru_motion)
+            rear = vut - rear_m * turned([1.0, 0.0], yaw_deg)
+            front = vru + 0.5 * encounter.vru.length_m * turned([1.0, 0.0], vru_yaw_deg)
+            assert rear[0] == pytest.approx(golden["vut_rear_axle_x_m"][row][column], abs=2e-4)
+            assert rear[1] == pytest.approx(golden["vut_rear_axle_y_m"][row][column], abs=2e-4)
+            assert yaw_deg == pytest.approx(golden["vut_yaw_deg"][row][column], abs=1e-3)
+            assert front == pytest.approx([golden["vru_front_x_m"][row][column], 1.75], abs=2e-4)
+
+
+@pytest.mark.parametrize("family", ["CCCscp", "CMCscp"])
+@pytest.mark.parametrize("side", ["far", "near"])
+def test_three_cars_are_parked_where_the_protocol_says(golf, family, side):
+    golden = GOLDEN["parked"][side]
+    parked = stage(f"{family}-{side}", golf, 40, 60).obstruction
+    names = ("large", "small", "small_2")
+    assert [body.actor.name for body in parked] == [
+        "parked-car-large",
+        "parked-car-small",
+        "parked-car-small",
+    ]
+    for name, body in zip(names, parked, strict=True):
+        size = np.array([body.actor.length_m, body.actor.width_m])
+        low, high = body.pose.position_m[:2] - 0.5 * size, body.pose.position_m[:2] + 0.5 * size
+        assert [low[0], high[0]] == pytest.approx(golden[f"{name}_x_m"], abs=1e-6)
+        assert [low[1], high[1]] == pytest.approx(golden[f"{name}_y_m"], abs=1e-6)
+        assert body.pose.yaw_deg == pytest.approx(0.0, abs=1e-9)
+
+
+def test_where_one_of_both_is_faster_than_60_kmh_no_cars_are_parked(golf):
+    assert stage("CCCscp-far", golf, 60, 60).obstruction
+    assert not stage("CCCscp-far", golf, 70, 20).obstruction
+    assert not stage("CCCscp-far", golf, 20, 80).obstruction
+
+
+@pytest.mark.parametrize(
+    ("speed_kmh", "braking_s"),
+    [
+        *zip(
+            GOLDEN["braking"]["vut_speeds_kmh"],
+            GOLDEN["braking"]["time_braking_to_impact_s"],
+            strict=True,
+        )
+    ],
+)
+@pytest.mark.parametrize("name", ["CCRb-2026-50", "CMRb-25"])
+def test_a_vehicle_ahead_brakes_so_long_before_the_impact_as_the_protocol_says(
+    golf, name, speed_kmh, braking_s
+):
+    encounter = stage(name, golf, speed_kmh, speed_kmh).encounter
+    motion = encounter.vru_motion
+    assert motion.brake_time_s == pytest.approx(-braking_s, abs=6e-4)
+    vut, _ = at(encounter.vut_motion, motion.brake_time_s)
+    vru, _ = at(motion, motion.brake_time_s)
+    gap_m = (vru - vut)[0] - 0.5 * (encounter.vut.length_m + encounter.vru.length_m)
+    assert gap_m == pytest.approx(speed_kmh * KMH, abs=1e-5)  # a second behind
+    assert motion.start_time_s <= motion.brake_time_s - 1.0 + 1e-6
+
+
+# ---------- the last moment, in closed form
+@pytest.mark.parametrize("name", CROSSING)
+@pytest.mark.parametrize("speed_kmh", [20.0, 40.0, 60.0])
+@pytest.mark.parametrize("vru_kmh", [20.0, 40.0, 60.0])
+def test_the_last_moment_of_a_straight_crossing_is_its_closed_form(golf, name, speed_kmh, vru_kmh):
+    """Stop short of the other one's strip, or get there no sooner than it has left one's own."""
+    encounter = stage(name, golf, speed_kmh, vru_kmh).encounter
+    vru = encounter.vru
+    v, u, a = speed_kmh * KMH, vru_kmh * KMH, RULE.deceleration_mps2
+    if vru.name == "car":
+        left_s = (0.75 * vru.length_m + 0.5 * golf.width_m) / u
+        beyond_m = 0.0  # at the impact, of the front behind the strip's near edge
+    else:
+        left_s = (vru.length_m + golf.width_m) / u
+        beyond_m = 0.1 * golf.length_m + 0.5 * vru.width_m
+    braked_s = np.sqrt(2.0 * (beyond_m + v * left_s) / a)
+    last_s = left_s - braked_s if braked_s <= v / a else -(beyond_m / v + 0.5 * v / a)
+    assert last_brake_time_s(encounter, RULE) == pytest.approx(last_s, abs=2e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "speed_kmh", "vru_kmh"),
+    [
+        ("CCRs-2026-50", 50.0, 0.0),
+        ("CCRs-2026-m25", 30.0, 0.0),
+        ("CMRs-90", 20.0, 0.0),
+        ("CCRm-2026-50", 80.0, 20.0),
+        ("CCRm-2026-125", 130.0, 70.0),
+        ("CCFhos-2026-50", 50.0, 50.0),
+        ("CCFhos-2026-25", 80.0, 70.0),
+    ],
+)
+def test_the_last_moment_behind_and_ahead_of_a_steady_vehicle_is_its_closed_form(
+    golf, name, speed_kmh, vru_kmh
+):
+    v, u, a = speed_kmh * KMH, vru_kmh * KMH, RULE.deceleration_mps2
+    # Until the VUT is as slow as the one ahead; until it stands, while the other one comes on.
+    last_s = -0.5 * (v - u) / a
+    if name.startswith("CCFhos"):
+        last_s = -(0.5 * v**2 / a + u * v / a) / (v + u)
+    encounter = stage(name, golf, speed_kmh, vru_kmh).encounter
+    assert last_brake_time_s(encounter, RULE) == pytest.approx(last_s, abs=2e-5)
+
+
+@given(
+    speed_kmh=numbers(20.0, 90.0),
+    deceleration_mps2=numbers(1.0, 8.0),
+    headway_s=numbers(0.6, 2.0),
+    final_kmh=numbers(0.0, 10.0),
+)
+def test_behind_a_vehicle_that_brakes_the_last_moment_is_the_last_one(
+    golf, speed_kmh, deceleration_mps2, headway_s, final_kmh
+):
+    case = load_cases()["CCRb-2026-50"]
+    braking = dataclasses.replace(
+        case.braking,
+        deceleration_mps2=deceleration_mps2,
+        headway_s=headway_s,
+        final_speed_kmh=final_kmh,
+    )
+    case = dataclasses.replace(case, braking=braking, vru_speed_kmh=speed_kmh)
+    encounter = stage_by_protocol(
+        case, JUNCTION, "west", vut_speed_kmh=speed_kmh, vut=golf
+    ).encounter
+    last_s = last_brake_time_s(encounter, RULE)
+    assert last_s < 0.0
+    assert not has_contact(encounter, last_s, RULE)
+    assert has_contact(encounter, last_s + 1e-3, RULE)
+
+
+# ---------- motion
+@given(
+    speed_mps=numbers(1.0, 40.0),
+    deceleration_mps2=numbers(0.5, 9.0),
+    share=st.floats(0.0, 0.95),
+    start_s=numbers(-9.0, -1.0),
+    after_s=numbers(0.0, 5.0),
+    acceleration_m=st.one_of(st.just(0.0), numbers(0.1, 5.0)),
+    until_s=numbers(0.0, 12.0),
+)
+def test_the_distance_of_a_motion_that_brakes_is_the_area_under_its_speed(
+    speed_mps, deceleration_mps2, share, start_s, after_s, acceleration_m, until_s
+):
+    up_to_speed_s = 2.0 * acceleration_m / speed_mps
+    motion = Motion(
+        path=StraightPath(start_m=[0.0, 0.0], yaw_deg=0.0),
+        speed_mps=speed_mps,
+        start_time_s=start_s,
+        acceleration_distance_m=acceleration_m,
+        brake_time_s=start_s + up_to_speed_s + after_s,
+        deceleration_mps2=deceleration_mps2,
+        final_speed_mps=share * speed_mps,
+    )
+    step_s = until_s / 4000
+    middles = start_s + step_s * (np.arange(4000) + 0.5)
+    gained = 1.0 if acceleration_m == 0.0 else np.minimum((middles - start_s) / up_to_speed_s, 1.0)
+    lost = deceleration_mps2 * np.maximum(middles - motion.brake_time_s, 0.0)
+    speed = np.maximum(speed_mps * gained - lost, share * speed_mps * (middles > start_s))
+    speed = np.where(middles < motion.brake_time_s, speed_mps * gained, speed)
+    steepest = max(motion.acceleration_mps2, deceleration_mps2)
+    assert float(motion.distance_m(start_s + until_s)) == pytest.approx(
+        speed.sum() * step_s, abs=steepest * step_s**2 + 1e-9
+    )
+
+
+def test_a_motion_may_stand_where_it_is():
+    path = StraightPath(start_m=[1.0, 2.0], yaw_deg=90.0)
+    motion = Motion(path=path, speed_mps=0.0, start_time_s=-4.0)
+    assert (motion.distance_m([-9.0, 0.0, 9.0]) == 0.0).all()
+    assert motion.acceleration_mps2 == 0.0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"deceleration_mps2": 0.0}, "motion.deceleration_mps2: got 0.0; expected > 0 m/s^2"),
+        ({"final_speed_mps": 9.0}, "motion.final_speed_mps: got 9.0; expected 0 <= it < speed_mps"),
+        ({"brake_time_s": -4.5}, "motion.brake_time_s: got -4.5; expected from -4 on"),
+        ({"speed_mps": -1.0}, "motion.speed_mps: got -1.0; expected > 0 metres per second"),
+    ],
+)
+def test_a_motion_that_brakes_says_what_is_wrong(change, message):
+    good = {
+        "path": StraightPath(start_m=[0.0, 0.0], yaw_deg=0.0),
+        "speed_mps": 8.0,
+        "start_time_s": -4.0,
+        "brake_time_s": -2.0,
+        "deceleration_mps2": 4.0,
+    }
+    with pytest.raises(InputError) as caught:
+        Motion(**{**good, **change})
+    assert str(caught.value) == message
+
+
+# ---------- on other junctions
+def refused(name, vut, lanes, *, approach="west", speed_kmh=20, vru_kmh=20, **scene_fields):
+    junction = build_junction(build_scene(lanes, **scene_fields))
+    with pytest.raises(CannotCarryError) as caught:
+        stage(name, vut, speed_kmh, vru_kmh, approach=approach, junction=junction)
+    return caught.value
+
+
+def arms_without(*names):
+    return [
+        lane for arm, bearing in ARMS.items() if arm not in names for lane in lanes_of(arm, bearing)
+    ]
+
+
+def test_a_junction_without_a_crossing_road_carries_no_crossing_traffic(golf):
+    no_far, no_near = arms_without("north"), arms_without("south")
+    for lanes, name, reason in (
+        (no_far, "CCCscp-far", "no lane leads into the junction from the far side"),
+        (no_far, "CMCscp-near", "no road leads straight across from the near side"),
+        (no_near, "CCCscp-near", "no lane leads into the junction from the near side"),
+        (no_near, "CCCscp-far", "no road leads straight across from the far side"),
+        (arms_without("east"), "CCFtap", "no lane leads towards the VUT from straight ahead"),
+    ):
+        error = refused(name, golf, lanes)
+        assert isinstance(error, NoRoadError)
+        assert str(error) == reason
+
+
+def bent_road(*, radius_m):
+    """The protocol's junction with a northern arm that turns right behind its mouth."""
+    lanes = []
+    for lane in lanes_of("north", 90.0):
+        along = np.append(0.0, np.linspace(4.0, 120.0, 60))
+        angle = np.maximum(along - 8.0, 0.0) / radius_m
+        offset_m = lane.centreline_m[0, 0]
+        east = offset_m + radius_m * (1.0 - np.cos(angle))
+        north = MOUTH_M + np.minimum(along, 8.0) + radius_m * np.sin(angle)
+        places = np.stack([east, north], axis=-1)
+        is_in = lane.id.startswith("north-in")
+        lanes.append(
+            Lane(
+                id=lane.id,
+                kind="driving",
+                width_m=lane.width_m,
+                centreline_m=places[::-1] if is_in else places,
+            )
+        )
+    return [*arms_without("north"), *lanes]
+
+
+def test_a_target_that_its_lanes_bend_is_too_slow_for_is_refused(golf):
+    error = refused("CCCscp-far", golf, bent_road(radius_m=30.0), speed_kmh=20, vru_kmh=60)
+    assert isinstance(error, NoRoadError)
+    assert str(error) == "its lanes bend: 4 m/s^2 to the side allow 35 km/h to the target there"
+    junction = build_junction(build_scene(bent_road(radius_m=30.0)))
+    slow = stage("CCCscp-far", golf, 20, 30, junction=junction).encounter
+    assert slow.vru_motion.speed_mps == pytest.approx(30 * KMH)
+
+
+def test_parked_cars_that_do_not_fit_are_refused_with_the_reason(actors, rule):
+    case = dataclasses.replace(
+        load_cases()["CCCscp-near"], vut_speeds_kmh=(30.0,), pairs_kmh=((30.0, 30.0),)
+    )
+    # A wall all along the kerb of the western arm.
+    scene = protocol_scene(boxes=[("wall", -40.0, -6.0, 60.0, 4.5, 2.0)])
+    runs, (refusal,) = build_runs(scene, [case], vut=actors["vut"], rule=rule, approaches=["west"])
+    assert not runs
+    assert refusal.reason == "wall stands in the place of parked-car-large"
+    assert refusal.speeds_text == "30x30"
+    assert refusal.is_possible
+
+
+@pytest.mark.parametrize("name", VEHICLES)
+def test_from_every_approach_the_same_run_comes_turned(golf, name):
+    case = load_cases()[name]
+    speed_kmh = case.vut_speeds_kmh[0]
+    vru_kmh = case.vru_speeds_kmh(speed_kmh)[-1]
+    west = stage(name, golf, speed_kmh, vru_kmh).encounter
+    for approach in ("east", "north", "south"):
+        other = stage(name, golf, speed_kmh, vru_kmh, approach=approach).encounter
+        for motion, other_motion in (
+            (west.vut_motion, other.vut_motion),
+            (west.vru_motion, other.vru_motion),
+        ):
+            times_s = np.linspace(-3.0, 0.0, 7)
+            place, _ = motion.path.at(motion.distance_m(times_s))
+            other_place, _ = other_motion.path.at(other_motion.distance_m(times_s))
+            expected = turned(place, ARMS[approach] - ARMS["west"])
+            assert other_place == pytest.approx(expected, abs=1e-6)
+
+
+def test_both_speeds_stand_in_a_runs_id(actors, rule):
+    case = dataclasses.replace(load_cases()["CCCscp-far"], vut_speeds_kmh=(30.0, 40.0))
+    runs, refusals = build_runs(
+        protocol_scene(), [case], vut=actors["vut"], rule=rule, approaches=["north"]
+    )
+    assert not refusals
+    assert [run.id for run in runs] == [
+        f"CCCscp-far/north/{vut}x{vru}" for vut in (30, 40) for vru in (20, 30, 40, 50, 60)
+    ]
+    assert [run.case.vru_speed_kmh for run in runs] == [20.0, 30.0, 40.0, 50.0, 60.0] * 2
+    assert {run.road_user for run in runs} == {"car"}
+
+
+# ---------- cases in the words of a user
+def names(text, **choice):
+    return [case.name for case in select_cases(text, **choice).cases]
+
+
+def count(text, case_range):
+    """Runs of some cases on one approach, at one place."""
+    cases = select_cases(text, case_range=case_range).cases
+    return sum(len(case.vru_speeds_kmh(vut)) for case in cases for vut in case.vut_speeds_kmh)
+
+
+@pytest.mark.parametrize(
+    ("text", "standard", "extended"),
+    [  # euroncap_junction.md: cases at a glance
+        ("CCCscp", 50, 16),
+        ("CMCscp", 50, 16),
+        ("CCFtap", 9, 7),
+        ("CMFtap", 9, 7),
+        ("CCRs-2026", 25, 10),
+        ("CCRs-FCW-2026", 15, 6),
+        ("CCRm-2026", 55, 22),
+        ("CCRb-2026", 30, 47),
+        ("CCFhos-2026", 18, 14),
+        ("CMRs", 15, 10),
+        ("CMRs-FCW", 9, 6),
+        ("CMRb", 18, 37),
+    ],
+)
+def test_the_grids_have_as_many_runs_as_the_protocols(text, standard, extended):
+    assert count(text, "standard") == standard
+    assert count(text, "extended") == standard + extended
+
+
+def test_the_year_tells_the_versions_of_a_case_apart():
+    assert names("CPNA") == ["CPNA-25", "CPNA-75"]
+    assert names("CPNA-2026") == ["CPNA-2026-25", "CPNA-2026-50", "CPNA-2026-75"]
+    assert names("CPNA-2026", case_range="extended")[-2:] == ["CPNA-2026-10", "CPNA-2026-90"]
+    assert names("CPNA-2026-10") == ["CPNA-2026-10"]  # named in full
+    assert load_cases()["CPNA-2026-25"].vut_speeds_kmh == (10, 20, 30, 40, 50, 60)
+    assert load_cases()["CPNA-2026-25"].family == "CPNA"
+
+
+def test_only_vulnerable_road_users_are_protected_unless_all_are():
+    selection = select_cases("junction", protect="vru")
+    assert [case.name for case in selection.cases] == ["CMCscp-far", "CMCscp-near", "CMFtap"]
+    assert {case.road_user for case in selection.unprotected} == {"car"}
+    assert not select_cases("junction", protect="all").unprotected
+    with pytest.raises(InputError) as caught:
+        select_cases("CCCscp", protect="vru")
+    assert str(caught.value) == (
+        "protect: got 'vru'; expected all, where every case asked for meets a car"
+    )
+
+
+def test_speeds_of_both_are_picked_in_pairs():
+    selection = select_cases("CCCscp-far,CPNA-25", speeds="30x50,40x20")
+    (case,) = selection.cases
+    assert case.pairs_kmh == ((30.0, 50.0), (40.0, 20.0))
+    assert [case.vru_speeds_kmh(vut) for vut in case.vut_speeds_kmh] == [(50.0,), (20.0,)]
+    assert [case.name for case in selection.left_out] == ["CPNA-25"]
+    with pytest.raises(InputError, match="speeds: got 30x55; expected speeds that go together"):
+        select_cases("CCCscp-far", speeds="30x55")
+    (forced,) = select_cases("CCCscp-far", speeds="30x55", force=True).cases
+    assert forced.vru_speeds_kmh(30.0) == (55.0,)
+
+
+def test_cases_that_cannot_be_laid_are_named_and_refused_with_their_reason(actors, rule):
+    named = load_unlaid_cases()
+    assert set(named) >= {"CPRA-Cm", "CPRA-Cs", "CCFhol", "SfS-CCCscp", "SfS-CMFtap"}
+    cases = pick_cases("CPRA,CCFhol,SfS", "cases")
+    runs, refusals = build_runs(protocol_scene(), cases, vut=actors["vut"], rule=rule)
+    assert not runs
+    assert {refusal.case.name for refusal in refusals} == {case.name for case in cases}
+    assert all(refusal.reason == named[refusal.case.name].not_laid for refusal in refusals)
+    assert not any(refusal.is_possible for refusal in refusals)
+    assert not set(named) & set(load_cases())
