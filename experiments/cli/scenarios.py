@@ -28,20 +28,25 @@ from .terminal import sentences, table
 
 if TYPE_CHECKING:
     from placement.setting import Drives
+    from scenarios.cases import Case
     from scenarios.runs import Run
 
 
 class DrivenRow(msgspec.Struct, frozen=True, kw_only=True):
     """A case from an approach at a position along the arms: what ``--json`` prints a list of.
 
-    One last brake time per speed, relative to the impact, None where braking cannot help; the
-    reason says what is not driven and why, None where every speed is driven.
+    One last brake time per speed, relative to the impact, None where braking cannot help: the
+    earliest where whoever is met has several speeds. The reason says what is not driven and why,
+    None where every speed is driven.
     """
 
     case: str
+    title: str
+    road_user: str
     approach: str
     position: str
     speeds_kmh: tuple[float, ...]
+    vru_speeds_kmh: tuple[float, ...]
     n_runs: int
     last_brake_time_s: tuple[float | None, ...]
     reason: str | None
@@ -81,20 +86,27 @@ def list_rows(drives: "Drives") -> list[DrivenRow]:
             positions.index(key[2]),
         )
     )
-    return [_row(key, driven.get(key, []), reasons.get(key, [])) for key in keys]
+    described = {run.case.name: run.case for run in drives.runs}
+    described |= {refusal.case.name: refusal.case for refusal in refusals}
+    return [_row(key, described[key[0]], driven.get(key, []), reasons.get(key, [])) for key in keys]
 
 
-def _row(key: _Key, runs: "Sequence[Run]", reasons: Sequence[str]) -> DrivenRow:
-    # Several runs have the same speed and differ elsewhere: the first one's time is shown.
-    first = {run.vut_speed_kmh: run for run in reversed(runs)}
-    speeds_kmh = tuple(dict.fromkeys(run.vut_speed_kmh for run in runs))
-    times_s = [first[speed].last_brake_time_s for speed in speeds_kmh]
-    case, approach, position = key
+def _row(key: _Key, case: "Case", runs: "Sequence[Run]", reasons: Sequence[str]) -> DrivenRow:
+    # Several runs have the same speed and differ elsewhere: the earliest time is shown.
+    times: dict[float, float] = {}
+    for run in runs:
+        earliest_s = times.get(run.vut_speed_kmh, math.inf)
+        times[run.vut_speed_kmh] = min(earliest_s, run.last_brake_time_s)
+    speeds_kmh, times_s = tuple(times), tuple(times.values())
+    name, approach, position = key
     return DrivenRow(
-        case=case,
+        case=name,
+        title=case.title,
+        road_user=case.road_user,
         approach=approach,
         position=position,
         speeds_kmh=speeds_kmh,
+        vru_speeds_kmh=tuple(sorted({run.case.vru_speed_kmh for run in runs})),
         n_runs=len(runs),
         last_brake_time_s=tuple(time_s if math.isfinite(time_s) else None for time_s in times_s),
         reason="; ".join(reasons) or None,
@@ -102,7 +114,14 @@ def _row(key: _Key, runs: "Sequence[Run]", reasons: Sequence[str]) -> DrivenRow:
 
 
 def scenario_table(rows: Sequence[DrivenRow]) -> str:
-    """The rows as a table, a line per case and approach; below it where, and what is not driven."""
+    """The rows as a table, a line per case and approach.
+
+    Below it: who meets the VUT in each case; where; and what is not driven or laid, and why.
+    """
+    from scenarios.cases import load_unlaid_cases
+
+    unlaid = [entry for entry in rows if entry.case in load_unlaid_cases()]
+    rows = [entry for entry in rows if entry.case not in load_unlaid_cases()]
     groups: dict[tuple[str, str], list[DrivenRow]] = {}
     for entry in rows:
         groups.setdefault((entry.case, entry.approach), []).append(entry)
@@ -126,6 +145,7 @@ def scenario_table(rows: Sequence[DrivenRow]) -> str:
     places = ["places"] if has_positions else []
     heads = ["case", "from", "km/h", *places, "runs", "last moment to brake (s)"]
     lines = table(heads, cells, n_left=3, indent=0)
+    lines += ["", *_who_meets_whom(rows)]
     if has_positions:
         lines += ["", *_position_table(rows), ""]
     refused: dict[tuple[str, str], dict[str, list[str]]] = {}
@@ -137,10 +157,32 @@ def scenario_table(rows: Sequence[DrivenRow]) -> str:
 
     for (case, reason), where in refused.items():
         lines += sentences(f"{case} from {describe_places(where)} not driven: {reason}", hanging=2)
+    nowhere: dict[str, dict[str, None]] = {}
+    for entry in unlaid:
+        nowhere.setdefault(entry.reason or "", {})[f"{entry.case} ({entry.title})"] = None
+    for reason, cases in nowhere.items():
+        lines += sentences(f"Not laid: {'; '.join(cases)}: {reason}", hanging=2)
     n_runs = sum(entry.n_runs for entry in rows)
     n_cases = len({entry.case for entry in rows})
     lines.append(f"{n_runs} runs of {several(n_cases, 'case', 'cases')}")
     return "\n".join(lines)
+
+
+def _who_meets_whom(rows: Sequence[DrivenRow]) -> list[str]:
+    """What happens in each case: those that differ in the impact point share a sentence."""
+    speeds: dict[str, set[float]] = {}
+    for entry in rows:
+        speeds.setdefault(entry.case, set()).update(entry.vru_speeds_kmh)
+    alike: dict[str, dict[str, None]] = {}
+    for entry in rows:
+        title = entry.title.partition(", met at")[0]
+        at = _span(sorted(speeds[entry.case]), "g")
+        who = f"{entry.road_user}, {at} km/h" if at else entry.road_user
+        alike.setdefault(f"{title} ({who})", {})[entry.case] = None
+    lines = []
+    for what, names in alike.items():
+        lines += sentences(f"{', '.join(names)}: {what}", hanging=2)
+    return lines
 
 
 def _position_table(rows: Sequence[DrivenRow]) -> list[str]:

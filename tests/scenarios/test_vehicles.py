@@ -395,7 +395,7 @@ def count(text, case_range):
 
 @pytest.mark.parametrize(
     ("text", "standard", "extended"),
-    [  # euroncap_junction.md: cases at a glance
+    [  # runs of the variation files, standard and extended range
         ("CCCscp", 50, 16),
         ("CMCscp", 50, 16),
         ("CCFtap", 9, 7),

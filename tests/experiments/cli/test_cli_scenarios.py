@@ -9,7 +9,10 @@ import pytest
 from experiments.export.openscenario import load_xosc
 
 FEW = ("--cases", "CBLA", "--approaches", "east", "--along-arms", "0")
-KEYS = {"case", "approach", "position", "speeds_kmh", "n_runs", "last_brake_time_s", "reason"}
+KEYS = {
+    *("case", "title", "road_user", "approach", "position", "speeds_kmh", "vru_speeds_kmh"),
+    *("n_runs", "last_brake_time_s", "reason"),
+}
 
 
 def refusal(result):
