@@ -122,19 +122,20 @@ def find_crossing(
 
     distances = np.arange(0.0, search_m + _SCAN_STEP_M, _SCAN_STEP_M)
 
-    def left_m(distance_m: ArrayLike, line: Line) -> FloatArray:
-        return line.coordinates(_front_axle_m(vut, vut_path, distance_m))[..., 1]
-
     station_m = 0.0
     for _ in range(_MAX_STEPS):
         line = vru_tangent(station_m)
+
+        def left_of_it_m(distance_m: float, line: Line = line) -> float:
+            return float(line.coordinates(_front_axle_m(vut, vut_path, distance_m))[1])
+
         # From the left of the target's way, where it meets traffic, to its right.
-        left = left_m(distances, line)
+        left = line.coordinates(_front_axle_m(vut, vut_path, distances))[:, 1]
         crosses = np.flatnonzero((left[:-1] > 0.0) & (left[1:] <= 0.0))
         if not len(crosses):
             break
         first = int(crosses[0])
-        distance_m = float(brentq(left_m, distances[first], distances[first + 1], args=(line,)))
+        distance_m = float(brentq(left_of_it_m, distances[first], distances[first + 1]))
         ahead_m = float(line.coordinates(_front_axle_m(vut, vut_path, distance_m))[0])
         station_m += ahead_m
         if abs(ahead_m) < _MEETS_M:
