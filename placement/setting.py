@@ -255,7 +255,7 @@ def drive(
         for case in selection.left_out
     ]
     reasons += [
-        (case, f"whoever is met is in a {case.road_user}, which `protect` all counts")
+        (case, f"a {case.road_user} is met, and only vulnerable road users are protected")
         for case in selection.unprotected
     ]
     left_out = tuple(
