@@ -25,7 +25,15 @@ from scenarios.positions import (
     pick_positions,
     read_position,
 )
-from scenarios.runs import WEATHERS, FrameAxis, Refusal, Run, build_frame_axis, build_runs
+from scenarios.runs import (
+    WEATHERS,
+    FrameAxis,
+    Refusal,
+    Run,
+    build_frame_axis,
+    build_runs,
+    left_out_case,
+)
 from scenarios.weights import check_weights, default_weights, weigh, weight_by_function
 
 from .cache import cached_value
@@ -259,15 +267,7 @@ def drive(
         for case in selection.unprotected
     ]
     left_out = tuple(
-        Refusal(
-            case=case,
-            approach=approach,
-            speeds_kmh=case.vut_speeds_kmh,
-            reason=reason,
-            is_possible=False,
-        )
-        for case, reason in reasons
-        for approach in approaches
+        left_out_case(case, approach, reason) for case, reason in reasons for approach in approaches
     )
     return Drives(runs=runs, refused=refused, left_out=left_out)
 

@@ -424,7 +424,7 @@ def build_runs(
     for case in (worded_for(case, keeps_left=junction.keeps_left) for case in cases):
         for approach in dict.fromkeys(approaches or junction.arms):
             if case.not_laid:
-                refusals.append(_nowhere(case, approach))
+                refusals.append(left_out_case(case, approach, case.not_laid))
                 continue
             limit_kmh = limits_kmh[approach]
             for number, position in enumerate(positions_of(case, positions)):
@@ -449,13 +449,15 @@ def build_runs(
     return tuple(runs), tuple(refusals)
 
 
-def _nowhere(case: Case, approach: str) -> Refusal:
-    """Refusal of a case that cannot be laid anywhere."""
+def left_out_case(case: Case, approach: str, reason: str) -> Refusal:
+    """Refusal of a case at all its speeds, whatever the junction looks like."""
+    pairs = [(vut, vru) for vut in case.vut_speeds_kmh for vru in case.vru_speeds_kmh(vut)]
     return Refusal(
         case=case,
         approach=approach,
-        speeds_kmh=case.vut_speeds_kmh,
-        reason=case.not_laid,
+        speeds_kmh=tuple(vut for vut, _ in pairs),
+        vru_speeds_kmh=tuple(vru for _, vru in pairs) if case.pairs_kmh else (),
+        reason=reason,
         is_possible=False,
     )
 

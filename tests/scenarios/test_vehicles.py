@@ -14,6 +14,9 @@ from strategies import KMH, numbers
 from geometry.errors import InputError
 from geometry.junction import build_junction
 from geometry.scene import Lane
+from geometry.study_scene import load_study_scene
+from placement.question import Question
+from placement.setting import drive
 from scenarios.aeb import has_contact, last_brake_time_s, load_aeb_rule
 from scenarios.cases import at_vru_speed, load_cases, load_unlaid_cases, pick_cases, select_cases
 from scenarios.paths import Motion, StraightPath
@@ -458,3 +461,15 @@ def test_cases_that_cannot_be_laid_are_named_and_refused_with_their_reason(actor
     assert all(refusal.reason == named[refusal.case.name].not_laid for refusal in refusals)
     assert not any(refusal.is_possible for refusal in refusals)
     assert not set(named) & set(load_cases())
+
+
+def test_cases_that_are_left_out_count_every_pair_of_speeds():
+    question = Question(cases="junction", approaches="north")
+    drives = drive(question, load_study_scene())
+    assert {run.road_user for run in drives.runs} == {"motorcycle"}
+    assert {refusal.case.name: len(refusal.speeds_kmh) for refusal in drives.left_out} == {
+        "CCCscp-far": 25,
+        "CCCscp-near": 25,
+        "CCFtap": 9,
+    }
+    assert not any(refusal.is_possible for refusal in drives.left_out)
