@@ -32,10 +32,12 @@ class UncertaintyRecord(Record, frozen=True, kw_only=True):
     packet_loss: Annotated[Share, says("Share of the messages that get lost.")]
     draws_detections: Annotated[bool, says("Whether detections are drawn by their probability.")]
     traffic: Annotated[dict[str, float], says("Standing vehicles, by the names of the file.")]
-    road_users: Annotated[RoadUsers, says("How road users move otherwise than their cases say.")]
     vehicles: Annotated[
         dict[str, dict[str, float]], says("Kinds of vehicles with their shares of those parked.")
     ]
+    road_users: Annotated[
+        RoadUsers, says("How road users move otherwise than their cases say.")
+    ] = RoadUsers()
 
 
 class LeastSureRunRecord(Record, frozen=True, kw_only=True):

@@ -178,7 +178,7 @@ class RoadUsers:
     Attributes
     ----------
     pedestrian_kmh, cyclist_kmh, motorcyclist_kmh, car_kmh : (2,) float
-        Least and most by which they are faster; negative: slower. [km/h]
+        Least and most by which they are faster, in km/h; negative: slower.
     start_nearer_share : float
         Most by which the way from rest to the impact is shorter. 0 .. 1
     """
