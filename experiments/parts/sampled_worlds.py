@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from geometry.errors import InputError, Unquoted
 from placement.sampling.moving.trajectories import TrafficCount
 from placement.sampling.out_of_sample import SampledApr, cvar, estimate_mean
-from placement.sampling.uncertainty import MountingErrors, Uncertainty
+from placement.sampling.uncertainty import MountingErrors, RoadUsers, Uncertainty
 
 from ..figures.axes import BLUE, GREEN, PINK, VERMILION, WIDTH_IN, finish_axes, literal, new_axes
 from ..results.numbers import number, or_nan, percent, points, shortened
@@ -35,6 +35,9 @@ class UncertaintyRecord(Record, frozen=True, kw_only=True):
     vehicles: Annotated[
         dict[str, dict[str, float]], says("Kinds of vehicles with their shares of those parked.")
     ]
+    road_users: Annotated[
+        RoadUsers, says("How road users move otherwise than their cases say.")
+    ] = RoadUsers()
 
 
 class LeastSureRunRecord(Record, frozen=True, kw_only=True):
@@ -192,6 +195,7 @@ def build_uncertainty_record(uncertainty: Uncertainty) -> UncertaintyRecord:
         latency=drawn,
         packet_loss=uncertainty.packet_loss,
         draws_detections=uncertainty.draws_detections,
+        road_users=uncertainty.road_users,
         traffic={
             field.name: getattr(traffic, field.name)
             for field in fields(traffic)
@@ -319,6 +323,8 @@ def what_is_uncertain(found: SampledRecord) -> str:
         parts.append(f"{percent(traffic['taken_share'])} of the parking places taken")
     if traffic["waiting_share"] > 0.0:
         parts.append(f"vehicles waiting in {percent(traffic['waiting_share'])} of the lanes")
+    if record.road_users != RoadUsers():
+        parts.append("road users faster or slower, from nearer starts")
     if found.moving:
         parts.append(f"vehicles that drive by ({found.traffic_source})")
     return ", ".join(parts) or "nothing is uncertain"

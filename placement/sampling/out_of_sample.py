@@ -246,7 +246,9 @@ def look_at_fresh_worlds(
         samples,
         compute=quiet,
         at_once=compute.workers,
-        lasting=_shared(setting, uncertainty.moving is None, quiet),
+        lasting=_shared(setting, uncertainty.moving is None, quiet)
+        if uncertainty.road_users.are_as_planned
+        else None,
     )
     driving = TrafficCount()
     for index, (sample, table) in enumerate(worlds):

@@ -221,12 +221,16 @@ def sampled_table(
     packed = np.zeros((len(candidates), -(-n_samples * n_frames // 8)), dtype=np.uint8)
     last_brake_s = []
     worlds = build_sample_tables(samples, n_samples=n_samples, compute=compute)
-    driving = TrafficCount()
+    driving, n_as_planned = TrafficCount(), 0
     for index, (sample, table) in enumerate(worlds):
         driving += sample.driving
+        n_as_planned += sample.n_as_planned
         _append(packed, table.packed, first_bit=index * n_frames, n_bits=n_frames)
         last_brake_s.append(table.axis.last_brake_time_s)
     tell_traffic(driving, uncertainty)
+    if n_as_planned:
+        n_all = n_samples * setting.axis.n_runs
+        _log.info("%d of %d drawn runs would have no impact: as planned", n_as_planned, n_all)
     return SampledTable(
         table=DetectionTable(
             pose_ids=tuple(candidate.id for candidate in candidates),
@@ -264,7 +268,9 @@ def build_sample_tables(
     """
     lock, shared = Lock(), [] if lasting is None else [lasting]
 
-    def share(sample: Sample) -> SharedScene:
+    def share(sample: Sample) -> SharedScene | None:
+        if not sample.uncertainty.road_users.are_as_planned:
+            return None  # they are looked at in other places, world by world
         with lock:  # where all tables are in the cache, nobody asks
             if not shared:
                 is_still = sample.uncertainty.moving is None
@@ -314,7 +320,7 @@ def _received(sample: Sample, table: "Future[DetectionTable]") -> tuple[Sample, 
 
 
 def _obtain(
-    sample: Sample, compute: Compute, share: Callable[[Sample], SharedScene]
+    sample: Sample, compute: Compute, share: Callable[[Sample], SharedScene | None]
 ) -> DetectionTable:
     """Table of a world before messages are lost, from the cache or built anew."""
     detector = sample.drawn_detector
@@ -370,7 +376,7 @@ def obtain_table(
     return table
 
 
-def _build(sample: Sample, compute: Compute, lasting: SharedScene) -> DetectionTable:
+def _build(sample: Sample, compute: Compute, lasting: SharedScene | None) -> DetectionTable:
     setting, detector = sample.setting, sample.drawn_detector
     if detector is not None:
         return build_drawn_table(sample, detector, compute=compute, lasting=lasting)

@@ -10,9 +10,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from geometry.actors import Actor
-from geometry.arrays import FloatArray
+from geometry.arrays import FloatArray, float_array
 from geometry.errors import InputError, Unquoted
-from geometry.files import Table, load_toml, take, take_list, take_number, take_text
+from geometry.files import Table, load_toml, pick, take, take_list, take_number, take_text
 from geometry.scene import Scene
 
 from ..latency import LatencyBudget, load_latency_budget
@@ -41,6 +41,9 @@ _MAX_ANGLE_SD_DEG = 30.0
 _MAX_HEIGHT_SD_M = 0.5  # a small error: the same poles, the same view
 _MAX_LATENCY_S = 10.0
 _MAX_LENGTH_M = 1000.0
+_MAX_FASTER_KMH = 50.0
+_MAX_NEARER = 0.9
+_SPEEDS = ("pedestrian_kmh", "cyclist_kmh", "motorcyclist_kmh", "car_kmh")
 _SUM_TOLERANCE = 1.0e-6
 _UNIFORM_REACH = np.sqrt(
     3.0
@@ -168,6 +171,43 @@ class StandingTraffic:
         return self.taken_share == 0.0 == self.waiting_share
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RoadUsers:
+    """How road users may move otherwise than their case says; by default they do not.
+
+    Attributes
+    ----------
+    pedestrian_kmh, cyclist_kmh, motorcyclist_kmh, car_kmh : (2,) float
+        Least and most by which they are faster, in km/h; negative: slower.
+    start_nearer_share : float
+        Most by which the way from rest to the impact is shorter. 0 .. 1
+    """
+
+    pedestrian_kmh: tuple[float, float] = (0.0, 0.0)
+    cyclist_kmh: tuple[float, float] = (0.0, 0.0)
+    motorcyclist_kmh: tuple[float, float] = (0.0, 0.0)
+    car_kmh: tuple[float, float] = (0.0, 0.0)
+    start_nearer_share: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in _SPEEDS:
+            low, high = (float(end) for end in getattr(self, name))
+            if not -_MAX_FASTER_KMH <= low <= 0.0 <= high <= _MAX_FASTER_KMH:
+                most = f"{_MAX_FASTER_KMH:g}"
+                raise InputError(name, [low, high], f"[low, high] in km/h, -{most} to 0 to {most}")
+        _check_range(self, "start_nearer_share", _MAX_NEARER, "")
+
+    @property
+    def are_as_planned(self) -> bool:
+        """True if nobody moves otherwise than planned."""
+        return self == RoadUsers()
+
+    def speed_kmh(self, class_name: str) -> tuple[float, float]:
+        """Least and most by which road users of a class are faster, in km/h."""
+        limits: tuple[float, float] = getattr(self, f"{class_name}_kmh")
+        return limits
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Uncertainty:
     """All that is uncertain; by default nothing is."""
@@ -180,6 +220,7 @@ class Uncertainty:
     # whether a planning detector that gives probabilities is drawn frame by frame
     draws_detections: bool = False
     traffic: StandingTraffic = field(default_factory=StandingTraffic)  # what stands at random
+    road_users: RoadUsers = field(default_factory=RoadUsers)  # how those of the cases move
     moving: MovingTraffic | None = None  # what drives by; see :func:`with_moving_traffic`
     name: str = "none"  # what it is called in reports
 
@@ -219,10 +260,11 @@ def _check_range(holder: object, name: str, most: float, unit: str) -> None:
 # ---------- reading
 
 
-UNCERTAINTY_NAMES = ("default", "none")
+UNCERTAINTY_NAMES = ("default", "robustness", "none")
 DEFAULT_UNCERTAINTY = UNCERTAINTY_NAMES[0]
 _FILE = "uncertainty.toml"
-_SECTIONS = ("mounting", "latency", "messages", "detector", "traffic", "vehicles")
+_SECTIONS = ("mounting", "latency", "messages", "detector", "traffic", "vehicles", "road_users")
+_AS = "as"  # what else is as in one of the names
 _MOUNTING = ("yaw_sd_deg", "pitch_sd_deg", "height_sd_m")
 _SHARES = ("parked_share", "waiting_share")
 _T = TypeVar("_T")
@@ -231,7 +273,7 @@ _T = TypeVar("_T")
 def load_uncertainty(
     name_or_path: str = DEFAULT_UNCERTAINTY, *, where: str = "uncertainty"
 ) -> Uncertainty:
-    """Uncertainty by name ("default", "none"), or a file like ``data/uncertainty.toml``.
+    """Uncertainty by name (``UNCERTAINTY_NAMES``), or a file like ``data/uncertainty.toml``.
 
     `where` says what named it, for error messages. Raises InputError if the name is unknown, or the
     file or a field is not what it should be.
@@ -269,6 +311,7 @@ def _load_named(name: str) -> Uncertainty:
 
 
 def _read(document: Table, name: str, prefix: str) -> Uncertainty:
+    document = _with_rest(document, prefix)
     _refuse_unknown(document, _SECTIONS, prefix.rstrip(".: "))
     vehicles = _read_vehicles(document, prefix)
     if vehicles and "traffic" not in document:
@@ -280,11 +323,22 @@ def _read(document: Table, name: str, prefix: str) -> Uncertainty:
         "mounting": _named(f"{prefix}mounting.", partial(MountingErrors, **errors)),
         "latency": _read_latency(_section(document, "latency", prefix), f"{prefix}latency"),
         "draws_detections": _read_is_drawn(document, prefix),
+        "road_users": _read_road_users(document, prefix),
         "traffic": _named(
             f"{prefix}traffic.", partial(StandingTraffic, vehicles=vehicles, **street)
         ),
     }
     return _named(f"{prefix}messages.", partial(Uncertainty, name=name, **parts, **messages))
+
+
+def _with_rest(document: Table, prefix: str) -> Table:
+    """With the sections of the name that all else is as in."""
+    if _AS not in document:
+        return document
+    other = take_text(document, _AS, prefix.rstrip(".: "))
+    named = load_toml(files("placement") / "data" / _FILE)
+    given = _with_rest(pick(named, other, f"{prefix}{_AS}"), f"{_FILE}: {other}.")
+    return {**given, **{key: document[key] for key in document if key != _AS}}
 
 
 def _section(document: Table, key: str, prefix: str) -> Table | None:
@@ -327,6 +381,19 @@ def _read_is_drawn(document: Table, prefix: str) -> bool:
     if not isinstance(is_drawn, bool):
         raise InputError(f"{where}.is_drawn", is_drawn, "true or false")
     return is_drawn
+
+
+def _read_road_users(document: Table, prefix: str) -> RoadUsers:
+    table, where = _section(document, "road_users", prefix), f"{prefix}road_users"
+    if table is None:
+        return RoadUsers()
+    _refuse_unknown(table, (*_SPEEDS, "start_nearer_share"), where)
+    limits: dict[str, Any] = {
+        key: tuple(float_array(take_list(table, key, where), (2,), f"{where}.{key}").tolist())
+        for key in _SPEEDS
+    }
+    nearer = take_number(table, "start_nearer_share", where)
+    return _named(f"{where}.", lambda: RoadUsers(**limits, start_nearer_share=nearer))
 
 
 def _read_vehicles(document: Table, prefix: str) -> tuple[VehicleKind, ...]:

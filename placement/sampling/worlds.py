@@ -21,6 +21,7 @@ from ..compute import check_whole
 from ..detectors import ResponseDetector
 from ..setting import Setting
 from .moving import TrafficCount
+from .road_users import draw_road_users
 from .traffic import GroupKey, Street, Ways, build_street, build_ways, clear_of_ways, group_key
 from .uncertainty import MountingErrors, Uncertainty
 
@@ -92,6 +93,7 @@ class Sample:
     candidates: tuple[CandidatePose, ...]
     vehicles: tuple[PlacedActor, ...]  # all that stands in the street, in whichever runs
     driving: TrafficCount  # how many drive by, in all runs together
+    n_as_planned: int  # runs whose road users' drawn motions lead to no impact, and are not used
     extra_latency_s: FloatArray  # (n_runs,): what messages take longer than the rule says. [s]
 
     @property
@@ -107,7 +109,8 @@ class Sample:
         """True if every pose detects what it would in the plan."""
         is_in_place = self.candidates is self.planned
         is_empty = not self.vehicles and not self.driving.n_vehicles
-        return is_in_place and is_empty and self.drawn_detector is None
+        is_run_as_planned = is_empty and self.uncertainty.road_users.are_as_planned
+        return is_in_place and is_run_as_planned and self.drawn_detector is None
 
     def __repr__(self) -> str:
         return (
@@ -135,6 +138,7 @@ def draw_samples(
     stay comparable with one another, and share their rays as in the plan; two units on one pole
     are off in the same way. What stands in the street is one and the same in all runs of a world,
     but for what would stand in the way of a case from an approach: it is left out in those runs.
+    Road users move as the uncertainty says, each run's by itself (see :func:`.draw_road_users`).
     What drives by is drawn for each group of runs (see :func:`.traffic.group_key`): they all have
     their impact at the same moment of the same traffic.
 
@@ -177,7 +181,11 @@ def _draw(
         streams.rng("latency"), axis.n_runs, rule_latency_s=rule.latency_s
     )
     vehicles = () if street is None else street.draw(streams.rng)
-    runs = setting.runs
+    runs, n_as_planned = setting.runs, 0
+    last_s = axis.last_brake_time_s
+    if not uncertainty.road_users.are_as_planned:
+        runs, n_as_planned = draw_road_users(runs, uncertainty.road_users, rule, streams.rng)
+        last_s = np.array([run.last_brake_time_s for run in runs])
     if vehicles:
         clearance_m = uncertainty.traffic.clearance_m
         runs = _with_vehicles(runs, clear_of_ways(vehicles, ways, clearance_m=clearance_m))
@@ -199,13 +207,14 @@ def _draw(
         setting=replace(
             setting,
             runs=runs,
-            axis=replace(axis, last_brake_time_s=axis.last_brake_time_s - extra_s),
+            axis=replace(axis, last_brake_time_s=last_s - extra_s),
             radio=replace(setting.radio, packet_loss=uncertainty.packet_loss),
         ),
         planned=candidates,
         candidates=_as_mounted(candidates, uncertainty.mounting, streams),
         vehicles=vehicles,
         driving=driving,
+        n_as_planned=n_as_planned,
         extra_latency_s=freeze(extra_s),
     )
 

@@ -3,10 +3,10 @@ import importlib.util
 import sys
 import xml.etree.ElementTree as ET
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from met_cases import MET_CASES
 
 from experiments.export.openscenario import load_xosc, to_openscenario, validate_openscenario
 from geometry.actors import Shape, load_actors
@@ -46,7 +46,7 @@ def some_runs():
     )
     met, _ = build_runs(
         load_study_scene(),
-        select_cases(str(Path(__file__).parents[2] / "met_cases.toml")).cases,
+        select_cases(str(MET_CASES)).cases,
         vut=load_actors()["vut"],
         rule=load_aeb_rule(),
     )

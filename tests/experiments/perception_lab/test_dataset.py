@@ -15,6 +15,7 @@ from threading import Thread
 import numpy as np
 import pytest
 from kept_backdrops import kept_backdrop
+from met_cases import MET_CASES
 from PIL import Image
 
 from experiments.export.json import to_json
@@ -47,9 +48,9 @@ def dataset(run, tmp_path, monkeypatch):
     units = tuple(replace(by_id[name], sensor=small) for name in ("RSU3", "RSU8"))
     (tmp_path / "two.json").write_text(to_json(replace(study, units=units)))
 
-    def run_dataset(*more, out="data", every=40, layout="two.json", units="RSU3,RSU8"):
+    def run_dataset(*more, out="data", every=40, layout="two.json", units="RSU3,RSU8", asked=ASKED):
         return run(
-            *("dataset", "--layout", tmp_path / layout, *ASKED, "--units", units),
+            *("dataset", "--layout", tmp_path / layout, *asked, "--units", units),
             *("--every", every, "--workers", 1, "--out", out, *more),
         )
 
@@ -215,6 +216,51 @@ def test_vehicles_are_in_coco_once(dataset):
     before = _files("data")
     assert dataset(*asked)[0] == 0
     assert _files("data") == before
+
+
+MET = ("--cases", str(MET_CASES), "--approaches", "east", "--along-arms", "0")
+KINDS = {"MEET-CAR": "car", "MEET-MOTORCYCLE": "motorcycle"}
+
+
+def test_a_car_and_a_motorcyclist_are_labelled_as_such(dataset):
+    """In the study's folders once, with vehicles and without; read back, none of them is a VRU."""
+    asked = ("--lidar", "none", "--masks")
+    assert dataset(*asked, asked=MET, out="plain")[0] == 0
+    assert dataset(*asked, "--vehicles", asked=MET, out="all")[0] == 0
+    manifest = json.loads(Path("plain/dataset.json").read_text())
+    seen = dict.fromkeys(KINDS.values(), 0)
+    for drive in manifest["drives"]:
+        kind = KINDS[drive["run"].split("/")[0]]
+        for frame in range(drive["frames"]):
+            stem = f"{drive['scenario']}_{drive['first_number'] + frame}"
+            for folder in ("0", "1"):
+                plain, whole = (
+                    [
+                        line.split()
+                        for line in Path(out, folder, f"{stem}.txt").read_text().splitlines()
+                    ]
+                    for out in ("plain", "all")
+                )
+                assert [label[0] for label in plain] == [kind] * len(plain)
+                assert len(plain) <= 1
+                seen[kind] += len(plain)
+                others = [label for label in whole if label[0] != "car"]
+                assert others == (plain if kind == "motorcycle" else [])
+                if plain and kind == "car" and Path("all", folder, f"{stem}.png").exists():
+                    # Anew, from the picture's own pixels.
+                    box = np.array(plain[0][1:5], dtype=float)
+                    near = [np.abs(np.array(one[1:5], dtype=float) - box).max() for one in whole]
+                    assert sum(distance <= 2.0 for distance in near) == 1
+    assert min(seen.values()) > 5
+
+
+def test_a_car_and_a_motorcyclist_are_categories_of_coco(dataset):
+    assert dataset("--format", "coco", "--lidar", "none", asked=MET, every=10)[0] == 0
+    coco = json.loads(Path("data/coco.json").read_text())
+    names = {one["id"]: one["name"] for one in coco["categories"]}
+    runs = {image["id"]: image["run"].split("/")[0] for image in coco["images"]}
+    found = {(runs[one["image_id"]], names[one["category_id"]]) for one in coco["annotations"]}
+    assert found == set(KINDS.items())
 
 
 @pytest.mark.usefixtures("drawn")

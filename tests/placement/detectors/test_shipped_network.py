@@ -1,14 +1,18 @@
 """The network that is shipped: ``--detector cnn``."""
 
 import sys
+from dataclasses import replace
 from importlib.resources import files
 
 import numpy as np
 import pytest
+from met_cases import MET_CASES
 
-from geometry.errors import MissingExtraError
+from geometry.errors import InputError, MissingExtraError
 from placement.detectors import Evidence, built_in, load_detector, load_planning_detector
 from placement.detectors.evidence import Crop
+from placement.question import Question
+from placement.setting import build_setting
 
 
 @pytest.fixture(autouse=True)
@@ -39,6 +43,27 @@ def test_plans_are_made_with_the_table_that_was_fitted_to_it():
     table = load_planning_detector(network.plans_with)
     assert table.name == "cnn-table"
     assert "response table fitted to it" in network.description
+
+
+def test_what_it_has_not_learnt_is_refused():
+    pytest.importorskip("onnxruntime")
+    network = load_detector("cnn")
+    network.check_classes(["pedestrian", "child", "cyclist"])
+    for name, known in (("car", "car"), ("motorcyclist", "motorcycle or motorcyclist")):
+        with pytest.raises(InputError) as caught:
+            network.check_classes(["pedestrian", name])
+        assert str(caught.value) == (
+            f"detector cnn: got runs with a {name}; expected a network that knows {known}"
+        )
+
+
+def test_runs_with_it_are_checked_before_anything_is_built(caplog):
+    pytest.importorskip("onnxruntime")
+    met = Question(cases=str(MET_CASES), approaches="east", along_arms="0")
+    with pytest.raises(InputError, match="detector cnn: got runs with a car; expected a network"):
+        build_setting(replace(met, detector="cnn"))
+    build_setting(replace(met, detector="cnn-table"))
+    assert "Nothing is measured of motorcyclist (factor 1) and car (factor 1)" in caplog.text
 
 
 class _Crops:

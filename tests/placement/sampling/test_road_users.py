@@ -1,0 +1,266 @@
+"""Road users who move otherwise than their cases say."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from met_cases import MET_CASES
+
+from geometry.actors import pick_actor
+from geometry.errors import InputError
+from geometry.study_scene import load_study_scene
+from placement.compute import Compute
+from placement.sampling.road_users import change_motion, draw_road_users
+from placement.sampling.tables import sampled_table
+from placement.sampling.uncertainty import RoadUsers, Uncertainty, load_uncertainty
+from placement.sampling.worlds import RandomStreams, draw_samples
+from scenarios.cases import load_cases, select_cases
+from scenarios.encounters import first_contact_s
+from scenarios.runs import build_runs
+
+MPS_PER_KMH = 1.0 / 3.6
+CASES = {"CPNA-25": 40.0, "CBNA-50": 30.0, "CPTAfs-50": 15.0, "CBLA-50": 45.0}
+ROBUSTNESS = load_uncertainty("robustness").road_users
+
+
+def _lay(rule, *cases):
+    runs, _ = build_runs(
+        load_study_scene(), cases, vut=pick_actor("vut", "test"), rule=rule, approaches=["east"]
+    )
+    return runs
+
+
+@pytest.fixture(scope="module")
+def laid(rule):
+    """Runs of four kinds of cases, and those of a car and a motorcyclist."""
+    named = [replace(load_cases()[name], vut_speeds_kmh=(v,)) for name, v in CASES.items()]
+    return _lay(rule, *named, *select_cases(str(MET_CASES)).cases)
+
+
+def _streams(index=0, seed=3):
+    return RandomStreams(seed=seed, purpose="choose", index=index)
+
+
+@pytest.mark.parametrize("faster_kmh", [-1.5, 2.0])
+def test_a_changed_run_is_the_run_laid_with_that_speed(laid, rule, faster_kmh):
+    n_compared = 0
+    for run in laid:
+        case = replace(run.case, vru_speed_kmh=run.case.vru_speed_kmh + faster_kmh)
+        anew = _lay(rule, case)
+        if not anew:  # the VUT would come from beyond the mapped lane
+            continue
+        (anew,) = anew
+        speed_mps = case.vru_speed_kmh * MPS_PER_KMH
+        changed = change_motion(run, rule, speed_mps=speed_mps)
+        n = min(len(anew.time_s), len(changed.time_s))
+        np.testing.assert_allclose(anew.time_s[-n:], changed.time_s[-n:], atol=1e-9)
+        for body in ("vut", "vru"):
+            # The planned VUT sets off no earlier, and before that it stands.
+            motions = [getattr(one.encounter, f"{body}_motion") for one in (anew, changed)]
+            moves = changed.time_s[-n:] >= max(motion.start_time_s for motion in motions)
+            assert moves.sum() > 20
+            for name in (f"{body}_position_m", f"{body}_yaw_deg"):
+                found, expected = (getattr(one, name)[-n:][moves] for one in (changed, anew))
+                np.testing.assert_allclose(found, expected, atol=2e-5, err_msg=run.id)
+        np.testing.assert_array_equal(changed.vru_shape[-n:], anew.vru_shape[-n:])
+        assert changed.last_brake_time_s == pytest.approx(anew.last_brake_time_s, abs=1e-5)
+        n_compared += 1
+    assert n_compared >= 5
+
+
+def test_the_impact_stays_where_and_when_it_was(laid, rule):
+    for index in range(5):
+        drawn, n_kept = draw_road_users(laid, ROBUSTNESS, rule, _streams(index).rng)
+        assert n_kept == 0
+        for run, other in zip(laid, drawn, strict=True):
+            assert other.time_s is run.time_s
+            assert first_contact_s(other.encounter) == pytest.approx(0.0, abs=1e-6)
+            for body in ("vut_motion", "vru_motion"):
+                motions = [getattr(one.encounter, body) for one in (run, other)]
+                (there, yaw), (here, turned) = (m.path.at(m.distance_m(0.0)) for m in motions)
+                assert np.hypot(*(there - here)) < 0.3, run.id
+                assert abs(yaw - turned) < 1.0
+            # The road user stays on its way.
+            offsets = np.abs(
+                other.vru_position_m[:, None] - _dense(run.encounter.vru_motion)[None]
+            ).sum(axis=2)
+            assert offsets.min(axis=1).max() < 0.02
+
+
+def _dense(motion):
+    positions, _ = motion.path.at(np.linspace(0.0, float(motion.distance_m(0.3)), 4000))
+    return positions
+
+
+def test_a_nearer_start_is_nearer_by_its_share(laid, rule):
+    for run in laid:
+        speed_mps = run.encounter.vru_motion.speed_mps
+        nearer = change_motion(run, rule, speed_mps=speed_mps, nearer_share=0.25)
+        lengths = [float(one.encounter.vru_motion.distance_m(0.0)) for one in (run, nearer)]
+        assert lengths[1] == pytest.approx(0.75 * lengths[0], abs=1e-6)
+        np.testing.assert_allclose(nearer.vru_position_m[-1], run.vru_position_m[-1], atol=1e-6)
+        start = run.encounter.vru_motion.path.at(0.25 * lengths[0])[0]
+        np.testing.assert_allclose(nearer.vru_position_m[0], start, atol=1e-6)
+
+
+def test_with_the_planned_motion_the_run_is_the_planned_one(laid, rule):
+    for run in laid:
+        same = change_motion(run, rule, speed_mps=run.encounter.vru_motion.speed_mps)
+        np.testing.assert_allclose(same.vru_position_m, run.vru_position_m, atol=1e-6)
+        np.testing.assert_allclose(same.vut_position_m, run.vut_position_m, atol=1e-5)
+        assert same.last_brake_time_s == pytest.approx(run.last_brake_time_s, abs=1e-5)
+
+
+def test_whom_the_vut_does_not_reach_moves_as_planned(laid, rule):
+    run = next(run for run in laid if run.case.name == "CBLA-50")
+    away = RoadUsers(cyclist_kmh=(0.0, 50.0))
+    faster = [
+        draw_road_users([run], away, rule, _streams(index).rng)[0][0].encounter.vru_motion.speed_mps
+        for index in range(30)
+    ]
+    assert max(faster) < run.vut_speed_kmh * MPS_PER_KMH
+    planned = run.encounter.vru_motion.speed_mps
+    assert 0 < faster.count(planned) < 30
+    assert change_motion(run, rule, speed_mps=run.vut_speed_kmh * MPS_PER_KMH) is None
+    assert change_motion(run, rule, speed_mps=0.0) is None
+
+
+def test_speeds_and_starts_are_drawn_evenly_within_their_limits(laid, rule):
+    by_class = {run.encounter.vru.class_name: run for run in laid}
+    assert set(by_class) == {"pedestrian", "cyclist", "motorcyclist", "car"}
+    for name, run in by_class.items():
+        low, high = ROBUSTNESS.speed_kmh(name)
+        planned, faster, nearer = run.encounter.vru_motion, [], []
+        for index in range(120):
+            ((other,), _) = draw_road_users([run], ROBUSTNESS, rule, _streams(index).rng)
+            motion = other.encounter.vru_motion
+            faster.append((motion.speed_mps - planned.speed_mps) / MPS_PER_KMH)
+            nearer.append(1.0 - float(motion.distance_m(0.0)) / float(planned.distance_m(0.0)))
+        # Mean and deviation of a uniform distribution, to four standard errors.
+        for values, least, most in ((faster, low, high), (nearer, 0.0, 0.25)):
+            assert least - 1e-6 <= min(values) <= max(values) <= most + 1e-6
+            spread = (most - least) / np.sqrt(12.0)
+            assert np.mean(values) == pytest.approx(0.5 * (least + most), abs=4 * spread / 120**0.5)
+            assert np.std(values) == pytest.approx(spread, rel=0.2)
+
+
+def test_the_same_seed_draws_the_same_and_a_run_not_by_the_others(laid, rule):
+    def speeds(runs, streams):
+        drawn, _ = draw_road_users(runs, ROBUSTNESS, rule, streams.rng)
+        return [run.encounter.vru_motion.speed_mps for run in drawn]
+
+    first = speeds(laid, _streams())
+    assert speeds(laid, _streams()) == first
+    assert speeds(laid[::-1], _streams())[::-1] == first
+    assert speeds(laid[2:3], _streams()) == first[2:3]
+    for other in (speeds(laid, _streams(index=1)), speeds(laid, _streams(seed=4))):
+        assert all(one != another for one, another in zip(first, other, strict=True))
+
+
+def test_a_run_is_the_same_in_all_weathers(laid, rule):
+    rainy = [replace(run, id=f"{run.id}/rain", weather="rain") for run in laid]
+    drawn, _ = draw_road_users([*laid, *rainy], ROBUSTNESS, rule, _streams().rng)
+    for dry, wet in zip(drawn[: len(laid)], drawn[len(laid) :], strict=True):
+        assert dry.encounter is wet.encounter
+        assert dry.vru_position_m is wet.vru_position_m
+        assert (dry.weather, wet.weather) == ("day", "rain")
+
+
+# Worlds
+
+
+def test_off_it_changes_nothing(setting, candidates):
+    plain = Uncertainty()
+    (sample,) = draw_samples(setting, candidates, plain, n_samples=1, seed=0)
+    assert sample.setting.runs == setting.runs
+    default, robust = load_uncertainty("default"), load_uncertainty("robustness")
+    assert default.road_users.are_as_planned
+    for name in ("mounting", "latency", "packet_loss", "draws_detections"):
+        assert getattr(robust, name) == getattr(default, name)
+
+
+def test_worlds_differ_in_what_people_do_and_in_nothing_else(setting, candidates):
+    uncertain = Uncertainty(road_users=ROBUSTNESS)
+    worlds = list(draw_samples(setting, candidates, uncertain, n_samples=2, seed=0))
+    for sample in worlds:
+        assert not sample.looks_as_planned
+        assert sample.candidates is sample.planned
+        assert sample.setting.axis.run_ids == setting.axis.run_ids
+        assert np.array_equal(sample.setting.axis.time_s, setting.axis.time_s)
+        for run, last_s in zip(
+            sample.setting.runs, sample.setting.axis.last_brake_time_s, strict=True
+        ):
+            assert run.last_brake_time_s == last_s
+    one, other = (sample.setting.runs for sample in worlds)
+    assert all(
+        not np.allclose(a.vru_position_m, b.vru_position_m) for a, b in zip(one, other, strict=True)
+    )
+
+
+def test_a_sampled_table_is_that_of_its_worlds_runs(setting, candidates):
+    from placement.visibility import build_detection_table
+
+    uncertain = Uncertainty(road_users=ROBUSTNESS)
+    quiet = Compute(workers=1, seed=2)
+    found = sampled_table(setting, candidates, uncertain, n_samples=2, compute=quiet)
+    for index, sample in enumerate(
+        draw_samples(setting, candidates, uncertain, n_samples=2, seed=2)
+    ):
+        alone = build_detection_table(
+            setting.scene,
+            candidates,
+            sample.setting.runs,
+            setting.axis,
+            detector=setting.table_detector,
+            compute=quiet,
+        )
+        n = setting.axis.n_frames
+        assert np.array_equal(
+            found.table.detected(slice(None))[:, index * n : (index + 1) * n],
+            alone.detected(slice(None)),
+        )
+
+
+# Files
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "pedestrian_kmh = [1.0, 3.0]",
+            "pedestrian_kmh: got [1.0, 3.0]; expected [low, high] in km",
+        ),
+        ("pedestrian_kmh = [-2.0]", "pedestrian_kmh: got shape (1,); expected shape (2,)"),
+        ("pedestrian_kmh = 3", "pedestrian_kmh: got 3; expected a list"),
+        ("walker_kmh = [0, 1]", "road_users: got 'walker_kmh'; expected one of pedestrian_kmh, "),
+        ("start_nearer_share = 1.5", "start_nearer_share: got 1.5; expected 0 to 0.9"),
+    ],
+)
+def test_limits_that_cannot_be_are_refused(tmp_path, text, message):
+    fields = {
+        "pedestrian_kmh": "[-2.0, 3.0]",
+        "cyclist_kmh": "[0, 0]",
+        "motorcyclist_kmh": "[0, 0]",
+        "car_kmh": "[0, 0]",
+        "start_nearer_share": "0.25",
+    }
+    key, _, value = text.partition(" = ")
+    lines = "\n".join(f"{name} = {number}" for name, number in {**fields, key: value}.items())
+    path = tmp_path / "mine.toml"
+    path.write_text(f"[road_users]\n{lines}\n")
+    with pytest.raises(InputError) as caught:
+        load_uncertainty(str(path))
+    assert message in str(caught.value)
+
+
+def test_a_file_may_take_the_rest_from_a_name(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text('as = "robustness"\n[messages]\npacket_loss = 0.2\n')
+    mine = load_uncertainty(str(path))
+    assert mine.road_users == ROBUSTNESS
+    assert (mine.packet_loss, mine.name) == (0.2, "mine.toml")
+    assert mine.mounting == load_uncertainty("default").mounting
+    path.write_text('as = "best"\n')
+    with pytest.raises(InputError, match="as: got 'best'; expected one of default, none, robust"):
+        load_uncertainty(str(path))
