@@ -226,12 +226,91 @@ def has_contact(encounter: Encounter, onset_s: ArrayLike, rule: AebRule) -> Bool
     onset = np.asarray(onset_s, dtype=np.float64)
     touches = np.asarray(onset >= 0.0)
     is_asked = ~touches
-    touches[is_asked] = _touches(encounter, onset[is_asked], rule)
+    looks = _contact_looks(encounter, onset[is_asked], rule)[1]
+    touches[is_asked] = np.isfinite(looks)
     return touches
 
 
-def _touches(encounter: Encounter, onset_s: FloatArray, rule: AebRule) -> BoolArray:
-    """Contacts for onsets before the impact, (n,)."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Contacts:
+    """First contacts of the footprints for onsets of braking, each of the onsets' shape.
+
+    Attributes
+    ----------
+    time_s : (...,) float
+        Relative to the impact without braking; infinite where the footprints never touch. [s]
+    speed_mps : (...,) float
+        Of the VUT then; 0 where they never touch. [m/s]
+    closing_mps : (...,) float
+        The same less what the target does along the VUT's heading, at least 0: Euro NCAP's relative
+        impact speed. [m/s]
+    """
+
+    time_s: FloatArray
+    speed_mps: FloatArray
+    closing_mps: FloatArray
+
+
+def find_contacts(encounter: Encounter, onset_s: ArrayLike, rule: AebRule) -> Contacts:
+    """When the footprints first touch if the VUT brakes from `onset_s` on, and how fast it is.
+
+    Who is said to touch is :func:`has_contact`'s matter. An onset at or after the impact, or none,
+    leaves the VUT its speed.
+
+    Notes
+    -----
+    The first look at which they touch is narrowed down to a few nanoseconds.
+    """
+    onset = np.asarray(onset_s, dtype=np.float64)
+    time_s, speed = np.zeros(onset.shape), np.full(onset.shape, encounter.vut_motion.speed_mps)
+    is_asked = onset < 0.0
+    asked = onset[is_asked]
+    before_s, look_s = _contact_looks(encounter, asked, rule)
+    row = np.flatnonzero(np.isfinite(look_s))
+    for _ in range(_CLOSER_LOOKS):
+        share = np.linspace(0.0, 1.0, len(_CLOSER))
+        times = before_s[row, None] + share * (look_s[row] - before_s[row])[:, None]
+        touches = _separation_m(encounter, asked[row, None], times, rule) <= 0.0
+        touches[:, -1] = True
+        first = np.maximum(touches.argmax(axis=1), 1)
+        every = np.arange(len(row))
+        before_s[row], look_s[row] = times[every, first - 1], times[every, first]
+    sets_off = asked >= encounter.vut_motion.start_time_s
+    left = braking_speed_mps(look_s, speed_mps=encounter.vut_motion.speed_mps, rule=rule)
+    speed[is_asked] = np.where(np.isfinite(look_s) & sets_off, left, 0.0)
+    with np.errstate(invalid="ignore"):
+        time_s[is_asked] = np.where(np.isfinite(look_s), asked + look_s, np.inf)
+    touched = np.isfinite(time_s)
+    closing = speed.copy()
+    closing[touched] -= _target_ahead_mps(encounter, onset[touched], time_s[touched], rule)
+    return Contacts(time_s=time_s, speed_mps=speed, closing_mps=np.maximum(closing, 0.0))
+
+
+_SHORT_S = 1.0e-4
+
+
+def _target_ahead_mps(
+    encounter: Encounter, onset_s: FloatArray, time_s: FloatArray, rule: AebRule
+) -> FloatArray:
+    """Speed of the target along the heading that the braking VUT has, (n,)."""
+    vut, target = encounter.vut_motion, encounter.vru_motion
+    begun = np.minimum(onset_s, time_s)
+    driven = vut.distance_m(begun) + braking_distance_m(
+        time_s - begun, speed_mps=vut.speed_mps, rule=rule
+    )
+    yaw = np.radians(vut.path.at(driven)[1])
+    heading = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+    after, before = (
+        target.path.at(target.distance_m(time_s + step_s))[0] for step_s in (_SHORT_S, -_SHORT_S)
+    )
+    ahead: FloatArray = ((after - before) * heading).sum(axis=-1) / (2.0 * _SHORT_S)
+    return ahead
+
+
+def _contact_looks(
+    encounter: Encounter, onset_s: FloatArray, rule: AebRule
+) -> tuple[FloatArray, FloatArray]:
+    """Looks before and at a contact after onsets before the impact; infinite: none. (n,) each."""
     closing_mps = (
         encounter.vut_reach * encounter.vut_motion.speed_mps
         + encounter.vru_reach * encounter.vru_motion.speed_mps
@@ -244,21 +323,30 @@ def _touches(encounter: Encounter, onset_s: FloatArray, rule: AebRule) -> BoolAr
     row, look = np.nonzero(np.repeat(is_near, _FIRST_LOOKS, axis=1)[:, : len(looks)])
     separation = np.full((len(onset_s), len(looks)), np.inf)
     separation[row, look] = _separation_m(encounter, onset_s[row], looks[look], rule)
-    touches = np.zeros(len(onset_s), dtype=bool)
+    before_s, at_s = np.full((2, len(onset_s)), np.inf)
     row, times = np.arange(len(onset_s)), np.broadcast_to(looks, separation.shape)
+
+    def note() -> None:
+        touches = separation <= 0.0
+        hit = np.flatnonzero(touches.any(axis=1))
+        hit = hit[np.argsort(times[hit, touches[hit].argmax(axis=1)], kind="stable")[::-1]]
+        first = touches[hit].argmax(axis=1)
+        at_s[row[hit]] = times[hit, first]
+        before_s[row[hit]] = times[hit, np.maximum(first - 1, 0)]
+
     for _ in range(_CLOSER_LOOKS):
-        touches[row] |= (separation <= 0.0).any(axis=1)
+        note()
         around = np.pad(separation, ((0, 0), (1, 1)), constant_values=np.inf)
         is_nearest = (separation < around[:, :-2]) & (separation <= around[:, 2:])
-        is_nearest &= (separation <= closing_mps * step_s) & ~touches[row, None]
+        is_nearest &= (separation <= closing_mps * step_s) & ~np.isfinite(at_s)[row, None]
         row, nearest_s = row[np.nonzero(is_nearest)[0]], times[is_nearest]
         if not len(row):
-            return touches
+            return before_s, at_s
         times = np.clip(nearest_s[:, None] + step_s * _CLOSER, 0.0, standstill_s)
         step_s *= _CLOSER[1] - _CLOSER[0]
         separation = _separation_m(encounter, onset_s[row, None], times, rule)
-    touches[row[(separation <= 0.0).any(axis=1)]] = True
-    return touches
+    note()
+    return before_s, at_s
 
 
 def _looks_s(encounter: Encounter, rule: AebRule, step_s: float) -> FloatArray:
