@@ -156,6 +156,10 @@ class Question:
         position, then every run; fhwa-crash-types: by how often cars hit people so;
         euroncap-rating-2026: by its points; or a CSV file with case, approach, weight, and if
         wanted position and weather; default: case, and run for `cases` study.
+    score : {"avoided", "rating-2026"}
+        What a run counts that is not avoided: nothing; or by the speed that is left at contact, as
+        in Euro NCAP's rating of 2026. With it, whatever is optimised or bounded as APR is this
+        score, also `target` and `min_case_apr`.
     fusion : {"any", "single"}
         any: a frame counts if any unit detects; single: one unit must confirm alone.
     detector : str
@@ -229,6 +233,7 @@ class Question:
     force: bool = False
     strict: bool = False
     weights: str = ""
+    score: Literal["avoided", "rating-2026"] = "avoided"
     fusion: Literal["any", "single"] = "any"
     detector: str = "geometric"
     vut_sensors: str = "camera"

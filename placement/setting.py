@@ -26,6 +26,7 @@ from scenarios.positions import (
     read_position,
 )
 from scenarios.runs import WEATHERS, FrameAxis, Refusal, Run, build_frame_axis, build_runs
+from scenarios.scores import AVOIDED, Levels, build_levels
 from scenarios.weights import check_weights, default_weights, weigh, weight_by_function
 
 from .cache import cached_value
@@ -92,6 +93,8 @@ class Setting:
         Of ``VUT_SENSORS``: what the VUT itself looks with.
     vut_camera : CameraModel, optional
         In place of the study's.
+    levels : Levels, optional
+        What runs count by the speed at contact; None: they count if they are avoided.
     """
 
     scene: Scene
@@ -104,6 +107,7 @@ class Setting:
     radio: Radio = field(default_factory=Radio)
     vut_sensors: tuple[str, ...] = VUT_SENSORS[:1]
     vut_camera: CameraModel | None = None
+    levels: Levels | None = None
 
     def __post_init__(self) -> None:
         for name in self.vut_sensors or ("none",):
@@ -326,6 +330,21 @@ def build_setting(
         refusals=(*drives.refused, *drives.left_out),
         radio=Radio(packet_loss=question.packet_loss, vam_rate=question.vam_rate),
         vut_sensors=vut_sensors,
+        levels=_levels(question.score, runs, rule, compute),
+    )
+
+
+def _levels(score: str, runs: tuple[Run, ...], rule: AebRule, compute: Compute) -> Levels | None:
+    """Levels of runs by a score, cached for the next call."""
+    if score == AVOIDED:
+        return None
+    return cached_value(
+        compute.cache_folder,
+        "levels",
+        partial(build_levels, runs, score, rule),
+        kind=Levels | None,
+        made_from=(runs, score, rule),
+        packages=("geometry", "scenarios"),
     )
 
 

@@ -1,6 +1,7 @@
 """Emergency braking: how the VUT brakes, its last moment for it, and the tracks it brakes for."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -259,7 +260,7 @@ def find_contacts(encounter: Encounter, onset_s: ArrayLike, rule: AebRule) -> Co
 
     Notes
     -----
-    The first look at which they touch is narrowed down to a few nanoseconds.
+    The first look at which they touch is narrowed down to 4 microseconds.
     """
     onset = np.asarray(onset_s, dtype=np.float64)
     time_s, speed = np.zeros(onset.shape), np.full(onset.shape, encounter.vut_motion.speed_mps)
@@ -267,8 +268,8 @@ def find_contacts(encounter: Encounter, onset_s: ArrayLike, rule: AebRule) -> Co
     asked = onset[is_asked]
     before_s, look_s = _contact_looks(encounter, asked, rule)
     row = np.flatnonzero(np.isfinite(look_s))
-    for _ in range(_CLOSER_LOOKS):
-        share = np.linspace(0.0, 1.0, len(_CLOSER))
+    share = np.linspace(0.0, 1.0, _CONTACT_PARTS)
+    for _ in range(_CONTACT_ROUNDS):
         times = before_s[row, None] + share * (look_s[row] - before_s[row])[:, None]
         touches = _separation_m(encounter, asked[row, None], times, rule) <= 0.0
         touches[:, -1] = True
@@ -286,6 +287,7 @@ def find_contacts(encounter: Encounter, onset_s: ArrayLike, rule: AebRule) -> Co
     return Contacts(time_s=time_s, speed_mps=speed, closing_mps=np.maximum(closing, 0.0))
 
 
+_CONTACT_PARTS, _CONTACT_ROUNDS = 17, 2
 _SHORT_S = 1.0e-4
 
 
@@ -305,6 +307,87 @@ def _target_ahead_mps(
     )
     ahead: FloatArray = ((after - before) * heading).sum(axis=-1) / (2.0 * _SHORT_S)
     return ahead
+
+
+_LEVEL_STEP_S = 0.025  # from one onset to the next in the search for the last one of a speed
+_LEVELS_TOGETHER = 16
+_QUARTERS = (0.25, 0.5, 0.75)
+_BESIDE = 1.0 / 64.0
+
+
+def last_onsets_s(
+    encounter: Encounter, rule: AebRule, *, below_mps: Sequence[float], avoids_until_s: float
+) -> FloatArray:
+    """Latest onsets such that they and all earlier ones leave a closing speed below each limit.
+
+    Parameters
+    ----------
+    below_mps : sequence of float
+        Limits of :attr:`Contacts.closing_mps`. [m/s]
+    avoids_until_s : float
+        Last brake time: no earlier onset leads to contact. [s]
+
+    Returns
+    -------
+    onset_s : (n_limits,) float
+        Not before `avoids_until_s`; 10 microseconds later it is too late. 0 where the impact
+        without braking is slower, minus infinity if even braking at the VUT's start leaves too
+        much. [s]
+
+    Notes
+    -----
+    Swept in steps of 25 ms: an earlier onset that leaves more for less than that is overlooked.
+    """
+    begin_s = max(avoids_until_s, encounter.vut_motion.start_time_s)
+    below = np.asarray(below_mps, dtype=np.float64)
+    n_steps = max(int(-begin_s / _LEVEL_STEP_S) + 1, 1)
+    grid = np.linspace(begin_s, 0.0, n_steps + 1)
+    left = np.full(n_steps + 1, np.inf)
+    for first in range(0, n_steps + 1, _LEVELS_TOGETHER):
+        part = slice(first, first + _LEVELS_TOGETHER)
+        left[part] = find_contacts(encounter, grid[part], rule).closing_mps
+        if left[part].max() >= below.max(initial=0.0):
+            break
+    too_fast = left >= below[:, None]
+    at = too_fast.argmax(axis=1)
+    never = begin_s if avoids_until_s > -np.inf else -np.inf
+    last = np.where(too_fast.any(axis=1), never, 0.0)
+    inner = at > 0
+    at = at[inner]
+    last[inner] = _narrowed_s(
+        encounter, rule, below[inner], grid[at - 1], grid[at], left[at - 1], left[at]
+    )
+    order = np.argsort(below)  # what leaves less than a limit leaves less than a higher one
+    last[order] = np.maximum.accumulate(last[order])
+    return last
+
+
+def _narrowed_s(
+    encounter: Encounter,
+    rule: AebRule,
+    below: FloatArray,
+    safe_s: FloatArray,
+    late_s: FloatArray,
+    safe_mps: FloatArray,
+    late_mps: FloatArray,
+) -> FloatArray:
+    """Last onsets between two, of which the first leaves less than a speed, in s; (n,) each.
+
+    Where braking in full decides alone, the square of the speed is linear in the onset.
+    """
+    while (late_s - safe_s).max(initial=0.0) > _ONSET_TOLERANCE_S:
+        share = (below**2 - safe_mps**2) / (late_mps**2 - safe_mps**2)
+        shares = np.stack([share - _BESIDE, share + _BESIDE], axis=1)
+        shares = np.concatenate([shares, np.broadcast_to(_QUARTERS, (len(share), 3))], axis=1)
+        shares = np.sort(np.clip(shares, 0.0, 1.0), axis=1)
+        points = safe_s[:, None] + shares * (late_s - safe_s)[:, None]
+        inside = find_contacts(encounter, points, rule).closing_mps
+        points = np.column_stack([safe_s, points, late_s])
+        speeds = np.column_stack([safe_mps, inside, late_mps])
+        row, first = np.arange(len(below)), (speeds >= below[:, None]).argmax(axis=1)
+        safe_s, late_s = points[row, first - 1], points[row, first]
+        safe_mps, late_mps = speeds[row, first - 1], speeds[row, first]
+    return safe_s
 
 
 def _contact_looks(

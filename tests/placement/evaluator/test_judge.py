@@ -10,7 +10,7 @@ from placement.candidates import CandidatePose
 from placement.evaluation import run_outcomes
 from placement.evaluator import evaluate as judge_module
 from placement.evaluator.evaluate import Judge
-from scenarios.aeb import has_contact, is_in_time, load_aeb_rule
+from scenarios.aeb import find_contacts, has_contact, is_in_time, load_aeb_rule
 from scenarios.runs import build_frame_axis, find_onsets, live_confirmation_times_s
 from scenarios.weights import weight_per_run
 
@@ -131,9 +131,9 @@ def test_contact_is_looked_for_once_per_run_and_onset(study_runs, axis, monkeypa
 
     def count(encounter, onset_s, rule):
         asked.extend(onset_s)
-        return has_contact(encounter, onset_s, rule)
+        return find_contacts(encounter, onset_s, rule)
 
-    monkeypatch.setattr(judge_module, "has_contact", count)
+    monkeypatch.setattr(judge_module, "find_contacts", count)
     judge = Judge(study_runs, axis, RULE)
     row = np.ones(axis.n_frames, dtype=bool)
     first, again = (judge.verdict([(row, 0.025)]) for _ in range(2))

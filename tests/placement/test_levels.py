@@ -1,0 +1,170 @@
+"""Levels of a score: as runs of their own to the optimiser, and as plain loops."""
+
+import math
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from oracles import simulated_track_s
+from problems import problems
+
+from placement.detection_table import level_axis, level_table, pack_table
+from placement.optimiser import apr, placement_value, solve_placement
+from placement.optimiser.front import pareto_front
+from placement.verification.recomputation import margins_s
+from scenarios.scores import Levels
+
+TOLERANCE_S = 1e-9
+
+
+@st.composite
+def scored(draw):
+    """A small problem of runs, levels of them, and the problem of the levels."""
+    problem = draw(problems())
+    axis = problem.table.axis
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    rows = []
+    for run, last_s in enumerate(axis.last_brake_time_s.tolist()):
+        n_more = int(rng.integers(0, 4))
+        begin_s = max(last_s, -0.7)
+        later = np.sort(rng.uniform(begin_s, 0.0, n_more))
+        if last_s == -np.inf:
+            later[rng.random(n_more) < 0.2] = -np.inf
+        shares = np.sort(rng.choice([0.25, 0.5, 0.75], n_more, replace=False))[::-1]
+        gains = -np.diff([1.0, *shares, 0.0])
+        rows += [
+            (run, below, gain, at_s)
+            for below, gain, at_s in zip(
+                [0.0, 10.0, 20.0, 30.0], gains, [last_s, *np.sort(later)], strict=False
+            )
+        ]
+    run_index, below, gain, deadline = map(np.array, zip(*rows, strict=True))
+    levels = Levels(
+        score="made up", run_index=run_index, below_kmh=below, gain=gain, deadline_s=deadline
+    )
+    table = level_table(problem.table, levels, problem.rule)
+    return problem, levels, replace(problem, table=table)
+
+
+def looped_score(problem, levels, chosen) -> float:
+    """Score of a set of poses, frame by frame and run by run."""
+    axis, rule = problem.table.axis, problem.rule
+    detected = problem.table.detected(list(chosen)) if chosen else np.zeros((0, axis.n_frames))
+    eyes = [detected.any(axis=0)] if problem.fusion == "any" else list(detected)
+    total = 0.0
+    for run in range(axis.n_runs):
+        frames, last_s = axis.frames_of(run), float(axis.last_brake_time_s[run])
+        times = axis.time_s[frames].tolist()
+        onset_s = math.inf
+        for eye in eyes if len(chosen) else []:
+            seen = [bool(each) for each in eye[frames]]
+            live_s = simulated_track_s(
+                seen,
+                times,
+                until_s=last_s - rule.latency_s,
+                memory_s=rule.track_memory_s,
+                n=rule.n_confirmations,
+            )
+            if live_s < math.inf:
+                onset_s = -math.inf
+            for frame in range(rule.n_confirmations - 1, len(times)):
+                known_s = times[frame] + rule.latency_s
+                window = seen[frame + 1 - rule.n_confirmations : frame + 1]
+                if all(window) and known_s > last_s + TOLERANCE_S:
+                    onset_s = min(onset_s, known_s)
+        for level in np.flatnonzero(levels.run_index == run):
+            deadline_s = float(levels.deadline_s[level])
+            is_avoided = onset_s == -math.inf
+            if is_avoided or onset_s <= deadline_s + TOLERANCE_S:
+                total += float(axis.weight[run]) * float(levels.gain[level])
+    return total
+
+
+def all_sets(problem):
+    poses = range(problem.table.n_poses)
+    most = problem.limits.budget_units
+    for size in range(1, most + 1):
+        for chosen in combinations(poses, size):
+            at = np.bincount(problem.limits.site_index[list(chosen)], minlength=1)
+            if (at <= problem.limits.site_capacity[: len(at)]).all():
+                yield chosen
+
+
+@settings(max_examples=150)
+@given(scored())
+def test_score_of_every_layout_is_that_of_plain_loops(case):
+    problem, levels, by_levels = case
+    for chosen in all_sets(problem):
+        expected = looped_score(problem, levels, chosen)
+        assert apr(by_levels, chosen) == pytest.approx(expected, abs=1e-12)
+        margin_s = margins_s(by_levels, np.array([chosen]))[0]
+        weight = by_levels.table.axis.weight
+        assert weight[margin_s > -np.inf].sum() == pytest.approx(expected, abs=1e-12)
+
+
+@settings(max_examples=60)
+@given(scored())
+def test_the_optimiser_finds_and_proves_the_best_score_of_all_layouts(case):
+    problem, levels, by_levels = case
+    best = max(looped_score(problem, levels, chosen) for chosen in all_sets(problem))
+    solution = solve_placement(by_levels)
+    stage = solution.certificate.stages[0]
+    assert (stage.name, stage.gap) == ("apr", 0.0)
+    assert stage.objective == pytest.approx(best, abs=1e-9)
+    assert looped_score(problem, levels, solution.pose_index) == pytest.approx(best, abs=1e-9)
+    front = pareto_front(by_levels, max_units=by_levels.limits.budget_units)
+    assert front.is_proven
+    for point in front.points:
+        most = max(
+            looped_score(problem, levels, chosen)
+            for chosen in all_sets(problem)
+            if len(chosen) <= point.units
+        )
+        assert point.value.apr == pytest.approx(most, abs=1e-9)
+
+
+@given(scored())
+def test_margins_of_levels_are_those_to_the_last_moment(case):
+    problem, levels, by_levels = case
+    everything = list(range(problem.table.n_poses))
+    value, plain = placement_value(by_levels, everything), placement_value(problem, everything)
+    assume(plain.apr > 0.0 and (levels.gain[levels.first] > 0.0).all())
+    assert value.smallest_margin_s <= plain.smallest_margin_s + TOLERANCE_S
+
+
+@given(problems(), st.integers(0, 2**32 - 1))
+def test_one_level_for_each_run_changes_nothing(problem, seed):
+    axis = problem.table.axis
+    levels = Levels(
+        score="avoided",
+        run_index=np.arange(axis.n_runs),
+        below_kmh=np.zeros(axis.n_runs),
+        gain=np.ones(axis.n_runs),
+        deadline_s=axis.last_brake_time_s,
+    )
+    again, frames = level_axis(axis, levels, problem.rule)
+    assert np.array_equal(frames, np.arange(axis.n_frames))
+    for name in ("run_ids", "weight", "last_brake_time_s", "time_s", "run_start"):
+        assert np.array_equal(getattr(again, name), getattr(axis, name))
+    table = level_table(problem.table, levels, problem.rule)
+    assert np.array_equal(table.packed, problem.table.packed)
+
+
+def test_a_level_has_its_runs_name_weight_and_frames_up_to_its_deadline(frame_axis, rule):
+    levels = Levels(
+        score="made up",
+        run_index=np.array([0, 0, *range(1, frame_axis.n_runs)]),
+        below_kmh=np.array([0.0, 20.0, *[0.0] * (frame_axis.n_runs - 1)]),
+        gain=np.array([0.5, 0.5, *[1.0] * (frame_axis.n_runs - 1)]),
+        deadline_s=np.array([-np.inf, 0.0, *frame_axis.last_brake_time_s[1:]]),
+    )
+    table = pack_table(("a",), frame_axis, np.ones((1, frame_axis.n_frames), dtype=bool))
+    axis = level_table(table, levels, rule).axis
+    first = frame_axis.run_ids[0]
+    assert axis.run_ids[:2] == (first, f"{first}<20")
+    assert axis.weight[:2] == pytest.approx([0.5 * frame_axis.weight[0]] * 2)
+    in_time = (frame_axis.time_s[frame_axis.frames_of(0)] + rule.latency_s <= 1e-9).sum()
+    assert np.diff(axis.run_start)[1] == in_time
