@@ -67,6 +67,7 @@ def pack_table(pose_ids: tuple[str, ...], axis: FrameAxis, detected: BoolArray) 
 # ---------- levels of a score as runs
 
 _ROWS = 256  # unpacked at a time
+_BELOW = "<"
 _AT_ONCE_S = 1.0e-12
 """From one frame after the last moment to the next, in the clock of a level."""
 
@@ -120,7 +121,7 @@ def level_axis(axis: FrameAxis, levels: Levels, rule: AebRule) -> tuple[FrameAxi
         time_s, last_s = axis.time_s[where], float(axis.last_brake_time_s[run])
         name = axis.run_ids[run]
         if below_kmh > 0.0:
-            name += f"<{below_kmh:g}"
+            name += f"{_BELOW}{below_kmh:g}"
             n_frames = int(is_in_time(time_s, deadline_s, latency_s=rule.latency_s).sum())
             if n_frames:
                 time_s, last_s = _at_once(time_s[:n_frames], last_s, deadline_s, rule)
@@ -145,6 +146,41 @@ def level_axis(axis: FrameAxis, levels: Levels, rule: AebRule) -> tuple[FrameAxi
         run_start=np.array(starts),
         time_s=np.concatenate(times),
     ), np.concatenate(frames)
+
+
+def run_of_level(level_id: str) -> str:
+    """Id of the run that a level belongs to, by that of the level; of a run its own."""
+    return level_id.partition(_BELOW)[0]
+
+
+def plain_axis(axis: FrameAxis) -> FrameAxis:
+    """Axis with the first level of each run, and the weight of all of them; of runs the same.
+
+    Its last brake times and frames are those of the levels.
+    """
+    names = [run_of_level(name) for name in axis.run_ids]
+    _, first, run = np.unique(names, return_index=True, return_inverse=True)
+    if len(first) == axis.n_runs:
+        return axis
+    rows = np.sort(first)
+    frames = [axis.frames_of(row) for row in rows.tolist()]
+
+    def taken(values: tuple[str, ...]) -> tuple[str, ...]:
+        return tuple(values[row] for row in rows)
+
+    return replace(
+        axis,
+        run_ids=tuple(names[row] for row in rows),
+        cases=taken(axis.cases),
+        approaches=taken(axis.approaches),
+        weathers=taken(axis.weathers),
+        positions=taken(axis.positions),
+        vut_speed_kmh=axis.vut_speed_kmh[rows],
+        weight=np.bincount(run, weights=axis.weight)[run[rows]],
+        last_brake_time_s=axis.last_brake_time_s[rows],
+        run_start=np.cumsum([0, *(part.stop - part.start for part in frames)]),
+        time_s=np.concatenate([axis.time_s[part] for part in frames]),
+    )
 
 
 def _at_once(

@@ -186,11 +186,13 @@ JUDGED = fields_in(DRIVEN, SEEN, but=("fusion",))
 PICTURED = fields_in(
     DRIVEN,
     SEEN,
-    but=("fusion", "weights", "vut_sensors", "packet_loss", "vam_rate", "track_memory_s"),
+    but=("fusion", "weights", "score", "vut_sensors", "packet_loss", "vam_rate", "track_memory_s"),
 )
 """Fields of commands that draw what each unit sees, whoever judges it."""
 ONLY_DRIVEN = fields_in(
-    DRIVEN, SEEN, but=("fusion", "weights", "detector", "vut_sensors", "packet_loss", "vam_rate")
+    DRIVEN,
+    SEEN,
+    but=("fusion", "weights", "score", "detector", "vut_sensors", "packet_loss", "vam_rate"),
 )
 """Fields of commands that show what is driven and judge nothing."""
 

@@ -69,6 +69,7 @@ OPTIONS = {
     "force": Shown(DRIVEN, needs="speeds"),
     "strict": Shown(DRIVEN),
     "weights": Shown(DRIVEN, metavar="HOW"),
+    "score": Shown(DRIVEN),
     "fusion": Shown(SEEN, is_common=True),
     "detector": Shown(SEEN, metavar="HOW", is_common=True),
     "vut_sensors": Shown(SEEN, metavar="SENSORS"),
