@@ -176,7 +176,7 @@ def plain_axis(axis: FrameAxis) -> FrameAxis:
         weathers=taken(axis.weathers),
         positions=taken(axis.positions),
         vut_speed_kmh=axis.vut_speed_kmh[rows],
-        weight=np.bincount(run, weights=axis.weight)[run[rows]],
+        weight=np.bincount(run, weights=axis.weight)[run[rows]].astype(np.float64),
         last_brake_time_s=axis.last_brake_time_s[rows],
         run_start=np.cumsum([0, *(part.stop - part.start for part in frames)]),
         time_s=np.concatenate([axis.time_s[part] for part in frames]),

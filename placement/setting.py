@@ -10,10 +10,12 @@ from typing import Any, cast
 
 from geometry.actors import pick_actor
 from geometry.errors import InputError, Unquoted
+from geometry.frames import to_geographic
 from geometry.junction import ARM_NAMES, build_junction
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
 from geometry.sensors import CameraModel
+from scenarios.accidents import split_source
 from scenarios.aeb import AebRule, load_aeb_rule, load_track_memory_s
 from scenarios.cases import select_cases
 from scenarios.paths import CoursePath, StraightPath, TowedPath, TurnPath
@@ -34,7 +36,7 @@ from .compute import DEFAULT_COMPUTE, Compute
 from .detectors import Detector, PlanningDetector, load_detector, load_planning_detector
 from .detectors.network import NetworkDetector
 from .latency import load_latency_budget
-from .question import Question, map_options, split_names
+from .question import Question, map_options, read_point, split_names
 
 # ---------- radio
 
@@ -164,6 +166,8 @@ def check_question(question: Question) -> None:
     build_rule(question)
     if question.weights:
         check_weights(question.weights)
+    if question.near:
+        _read_place_deg(question.near)
     load_detector(question.detector, where="detector")
 
 
@@ -316,7 +320,13 @@ def build_setting(
     if question.strict or not runs:
         _check_every_case(drives, scene)
     weight = (
-        weigh(runs, question.weights or default_weights(question.cases), refused=drives.refused)
+        weigh(
+            runs,
+            question.weights or default_weights(question.cases),
+            refused=drives.refused,
+            near=_place_deg(question, scene),
+            within_m=question.accidents_within_m,
+        )
         if weights is None
         else weight_by_function(runs, weights)
     )
@@ -332,6 +342,24 @@ def build_setting(
         vut_sensors=vut_sensors,
         levels=_levels(question.score, runs, rule, compute),
     )
+
+
+def _place_deg(question: Question, scene: Scene) -> tuple[float, float] | None:
+    """Latitude and longitude around which accidents count; None where nobody knows."""
+    if question.near:
+        return _read_place_deg(question.near)
+    if not scene.crs or split_source(question.weights) is None:
+        return None
+    middle = scene.outline_m.mean(axis=0, keepdims=True)
+    longitude, latitude = to_geographic(middle, scene.crs)[0].tolist()
+    return latitude, longitude
+
+
+def _read_place_deg(text: str) -> tuple[float, float]:
+    latitude, longitude = read_point(text, "near")
+    if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
+        raise InputError("near", text, "latitude,longitude in degrees, such as 52.52,13.40")
+    return latitude, longitude
 
 
 def _levels(score: str, runs: tuple[Run, ...], rule: AebRule, compute: Compute) -> Levels | None:

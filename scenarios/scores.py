@@ -87,13 +87,10 @@ def bands_kmh(score: str, case_name: str, vut_speed_kmh: float) -> tuple[tuple[f
 
 
 def _criteria_of(criteria: Sequence[Criterion], case_name: str) -> list[Criterion]:
-    family = case_name.rpartition("-")[0] or case_name
-    return [
-        criterion
-        for name in dict.fromkeys((case_name, family))
-        for criterion in criteria
-        if name in criterion.cases
-    ]
+    """Criteria that name a case, or what its name begins with; the most of it first."""
+    words = case_name.split("-")
+    names = ["-".join(words[:n]) for n in range(len(words), 0, -1)]
+    return [one for name in names for one in criteria if name in one.cases]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

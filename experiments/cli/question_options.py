@@ -69,6 +69,8 @@ OPTIONS = {
     "force": Shown(DRIVEN, needs="speeds"),
     "strict": Shown(DRIVEN),
     "weights": Shown(DRIVEN, metavar="HOW"),
+    "near": Shown(DRIVEN, metavar="LAT,LON", needs="weights"),
+    "accidents_within_m": Shown(DRIVEN, metavar="METRES", needs="weights"),
     "score": Shown(DRIVEN),
     "fusion": Shown(SEEN, is_common=True),
     "detector": Shown(SEEN, metavar="HOW", is_common=True),

@@ -49,7 +49,23 @@ def test_all_our_protocol_cases_are_judged_by_one_criterion():
     named = [name for criterion in criteria for name in criterion.cases]
     assert len(set(named)) == len(named)
     for name in load_cases():
-        assert {name, name.rpartition("-")[0] or name} & set(named), name
+        assert {name, name.partition("-")[0]} & set(named), name
+
+
+@pytest.mark.parametrize(
+    ("case", "n_bands"),
+    [
+        ("CPLA-50", 4),
+        ("CPLA-2026-25", 4),
+        ("CPLA-25", 1),
+        ("CPLA-FCW-2026-25", 1),
+        ("CMCscp-far", 1),
+        ("CMRs-FCW-25", 4),
+        ("CCRb-2026-m25", 4),
+    ],
+)
+def test_the_longest_beginning_of_a_cases_name_decides(case, n_bands):
+    assert len(bands_kmh(RATING_2026, case, 60.0)) == n_bands
 
 
 def test_avoided_has_no_levels_and_other_words_are_refused(crossing_runs):
