@@ -356,7 +356,10 @@ def _place_deg(question: Question, scene: Scene) -> tuple[float, float] | None:
 
 
 def _read_place_deg(text: str) -> tuple[float, float]:
-    latitude, longitude = read_point(text, "near")
+    try:
+        latitude, longitude = read_point(text, "near")
+    except InputError:
+        latitude = longitude = math.nan
     if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
         raise InputError("near", text, "latitude,longitude in degrees, such as 52.52,13.40")
     return latitude, longitude

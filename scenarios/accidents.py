@@ -24,7 +24,6 @@ UNFALLATLAS, STATS19 = "unfallatlas", "stats19"
 FORMATS = (UNFALLATLAS, STATS19)
 DAY, NIGHT = "day", "night"
 _EARTH_M = 6_371_008.8  # mean radius, IUGG
-_MAX_BYTES = 1_000_000_000  # all of Great Britain since 1979 has less
 _MAX_REASONS = 8
 
 _Codes = dict[str, Text]
@@ -65,7 +64,7 @@ class AccidentRules(Struct, frozen=True, kw_only=True):
 
     def cases_of(self, road_user: str, event: str) -> tuple[str, ...]:
         """What names of cases that stand for an event begin with; none: nothing stands for it."""
-        return next((one.cases.get(event, ()) for one in self.types if one.road_user == road_user))
+        return next(one.cases.get(event, ()) for one in self.types if one.road_user == road_user)
 
 
 @cache
@@ -364,7 +363,7 @@ def _rows(
     optional: Mapping[str, tuple[str, ...]] | None = None,
 ) -> Iterator[dict[str, str]]:
     """Cells of the rows by our names; each column has one of several names in the file."""
-    data = read_bytes(path, max_bytes=_MAX_BYTES)
+    data = read_bytes(path)
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
