@@ -165,9 +165,14 @@ def read_accidents(form: str, path: Path) -> Accidents:
     InputError
         A file cannot be read, is no such CSV, lacks a column, or has no accident with a place.
     """
-    paths = (path,) if form == UNFALLATLAS else (path, *_beside(path))
+    paths = accident_files(form, path)
     stamps = tuple(_stamp(one) for one in paths)
     return _read(form, paths, stamps)
+
+
+def accident_files(form: str, path: Path) -> tuple[Path, ...]:
+    """All files that :func:`read_accidents` reads."""
+    return (path,) if form == UNFALLATLAS else (path, *_beside(path))
 
 
 def _stamp(path: Path) -> tuple[int, int]:

@@ -27,6 +27,7 @@ from .accidents import (
     FORMATS,
     NIGHT,
     Accidents,
+    accident_files,
     load_accident_rules,
     read_accidents,
     reasons,
@@ -415,6 +416,14 @@ def check_weights(how: str) -> None:
         where = f"{path}: line {line}"
         _read_weight(row["weight"], where)
         _read_position(row["position"], where)
+
+
+def weight_files(how: str) -> tuple[Path, ...]:
+    """Files that the weights by a word of a user are read from, see :func:`weigh`."""
+    if how in ("", *_BY_WORD):
+        return ()
+    source = split_source(how)
+    return (Path(how),) if source is None else accident_files(*source)
 
 
 def _weights_file(how: str) -> Path:
