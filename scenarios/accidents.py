@@ -27,6 +27,7 @@ _EARTH_M = 6_371_008.8  # mean radius, IUGG
 _MAX_REASONS = 8
 
 _Codes = dict[str, Text]
+_Columns = Mapping[str, tuple[str, ...]]
 
 
 class _Unfallatlas(Struct, frozen=True, kw_only=True):
@@ -255,7 +256,7 @@ def _beside(path: Path) -> tuple[Path, Path]:
     raise InputError(str(path), Unquoted(f"the name {path.name}"), 'one with "collision" in it')
 
 
-_INDEX = {"index": ("collision_index", "accident_index")}
+_INDEX: _Columns = {"index": ("collision_index", "accident_index")}
 
 
 def _read_stats19(
@@ -269,7 +270,7 @@ def _read_stats19(
         "to": ("vehicle_direction_to",),
     }
     drivers: dict[str, dict[str, dict[str, str]]] = {}
-    for row in _rows(vehicles, _INDEX | of_vehicles):
+    for row in _rows(vehicles, {**_INDEX, **of_vehicles}):
         drivers.setdefault(row["index"], {})[row["reference"]] = row
     walkers: dict[str, list[dict[str, str]]] = {}
     of_casualties = {
@@ -277,12 +278,12 @@ def _read_stats19(
         "class": ("casualty_class",),
         "movement": ("pedestrian_movement",),
     }
-    for row in _rows(casualties, _INDEX | of_casualties):
+    for row in _rows(casualties, {**_INDEX, **of_casualties}):
         if row["class"] == "3":
             walkers.setdefault(row["index"], []).append(row)
     places, what = [], []
     of_collisions = {"x": ("longitude",), "y": ("latitude",), "light": ("light_conditions",)}
-    for row in _rows(collisions, _INDEX | of_collisions):
+    for row in _rows(collisions, {**_INDEX, **of_collisions}):
         places.append((_degrees(row["y"]), _degrees(row["x"])))
         road_user, event, unused = _collision(
             drivers.get(row["index"], {}), walkers.get(row["index"], []), rules
@@ -363,9 +364,9 @@ def _meeting(car: Mapping[str, str], other: Mapping[str, str], rules: _Stats19) 
 
 def _rows(
     path: Path,
-    columns: Mapping[str, tuple[str, ...]],
+    columns: _Columns,
     *,
-    optional: Mapping[str, tuple[str, ...]] | None = None,
+    optional: _Columns | None = None,
 ) -> Iterator[dict[str, str]]:
     """Cells of the rows by our names; each column has one of several names in the file."""
     data = read_bytes(path)
