@@ -312,6 +312,7 @@ def _target_ahead_mps(
 _LEVEL_STEP_S = 0.025  # from one onset to the next in the search for the last one of a speed
 _LEVELS_TOGETHER = 16
 _QUARTERS = (0.25, 0.5, 0.75)
+_SAME_MPS = 1.0e-6
 _BESIDE = 1.0 / 64.0
 
 
@@ -339,7 +340,7 @@ def last_onsets_s(
     Swept in steps of 25 ms: an earlier onset that leaves more for less than that is overlooked.
     """
     begin_s = max(avoids_until_s, encounter.vut_motion.start_time_s)
-    below = np.asarray(below_mps, dtype=np.float64)
+    below = np.asarray(below_mps, dtype=np.float64) - _SAME_MPS  # a limit itself is too fast
     n_steps = max(int(-begin_s / _LEVEL_STEP_S) + 1, 1)
     grid = np.linspace(begin_s, 0.0, n_steps + 1)
     left = np.full(n_steps + 1, np.inf)

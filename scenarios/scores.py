@@ -20,7 +20,7 @@ from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError
 from geometry.files import Text, load_toml, read_table
 
-from .aeb import AebRule, last_onsets_s
+from .aeb import AebRule, find_contacts, last_onsets_s
 from .encounters import Encounter
 from .paths import MPS_PER_KMH
 from .runs import Run
@@ -29,6 +29,7 @@ AVOIDED = "avoided"
 RATING_2026 = "rating-2026"
 SCORES = (AVOIDED, RATING_2026)
 
+_SAME_KMH = 1.0e-6  # speeds that differ by less are equal: they carry rounding noise
 _Share = Annotated[float, Meta(gt=0.0, le=1.0)]
 _Speed = Annotated[float, Meta(ge=0.0)]
 
@@ -63,10 +64,14 @@ def load_criteria(score: str) -> tuple[Criterion, ...]:
     return read_table(tables[score], tuple[Criterion, ...], f"scores.toml: {score}")
 
 
-def bands_kmh(score: str, case_name: str, vut_speed_kmh: float) -> tuple[tuple[float, float], ...]:
+def bands_kmh(
+    score: str, case_name: str, vut_speed_kmh: float, *, unbraked_kmh: float | None = None
+) -> tuple[tuple[float, float], ...]:
     """Closing speeds at contact and what counts below each, the best first: ((0, 1.0), ...).
 
-    The first one, below which nothing can be, stands for runs that are avoided.
+    The first one, below which nothing can be, stands for runs that are avoided. `unbraked_kmh` is
+    the closing speed of the impact without braking, by default the VUT's speed: where what braking
+    has taken counts, it is taken from that.
 
     Examples
     --------
@@ -80,7 +85,8 @@ def bands_kmh(score: str, case_name: str, vut_speed_kmh: float) -> tuple[tuple[f
             key=lambda one: one.vut_from_kmh,
         )
         for limit_kmh, share in bands.limits:
-            below_kmh = vut_speed_kmh - limit_kmh if criterion.measure == "lost" else limit_kmh
+            closing_kmh = vut_speed_kmh if unbraked_kmh is None else unbraked_kmh
+            below_kmh = closing_kmh - limit_kmh if criterion.measure == "lost" else limit_kmh
             if below_kmh > 0.0:
                 found.append((below_kmh, share))
     return tuple(found)
@@ -132,7 +138,8 @@ class Levels:
     def of_speeds(self, closing_kmh: FloatArray, is_avoided: BoolArray) -> FloatArray:
         """What runs count by their closing speeds at contact: (..., n_runs) -> (..., n_runs)."""
         run = self.run_index
-        return self._of_levels(is_avoided[..., run] | (closing_kmh[..., run] < self.below_kmh))
+        slower = closing_kmh[..., run] < self.below_kmh - _SAME_KMH
+        return self._of_levels(is_avoided[..., run] | slower)
 
     def of_onsets(self, onset_s: FloatArray, tolerance_s: float) -> FloatArray:
         """The same by the onsets of braking in seconds, infinite where there is none."""
@@ -154,7 +161,8 @@ def build_levels(runs: Sequence[Run], score: str, rule: AebRule) -> Levels | Non
     known: dict[tuple[int, tuple[float, ...]], FloatArray] = {}
     rows: list[tuple[int, float, float, float]] = []
     for index, run in enumerate(runs):
-        bands = bands_kmh(score, run.case.name, run.vut_speed_kmh)
+        unbraked_kmh = float(find_contacts(run.encounter, 0.0, rule).closing_mps) / MPS_PER_KMH
+        bands = bands_kmh(score, run.case.name, run.vut_speed_kmh, unbraked_kmh=unbraked_kmh)
         limits = tuple(below for below, _ in bands[1:])
         key = id(run.encounter), limits  # one and the same in all weathers
         if limits and key not in known:

@@ -1,4 +1,5 @@
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -78,6 +79,8 @@ def test_avoided_has_no_levels_and_other_words_are_refused(crossing_runs):
 
 def test_head_on_counts_by_what_braking_has_taken():
     assert bands_kmh(RATING_2026, "CCFhos", 50.0) == ((0.0, 1.0), (30.0, 1.0), (40.0, 0.5))
+    oncoming = bands_kmh(RATING_2026, "CCFhos", 50.0, unbraked_kmh=120.0)
+    assert oncoming == ((0.0, 1.0), (100.0, 1.0), (110.0, 0.5))
     assert bands_kmh(RATING_2026, "my own", 50.0) == ((0.0, 1.0),)
 
 
@@ -115,6 +118,30 @@ def test_every_onset_up_to_a_deadline_leaves_less_and_the_next_one_does_not(enco
             assert after >= limit
         else:
             assert unbraked < limit or last_s == 0.0
+
+
+def test_an_impact_as_fast_as_a_limit_without_braking_is_not_below_it():
+    # Behind a cyclist of 20 km/h with 30 km/h: the band below 10 km/h asks for braking.
+    encounter = build_encounter(
+        vru=load_actors()["cyclist"],
+        vut_speed_mps=30.0 * KMH,
+        vru_speed_mps=20.0 * KMH,
+        angle_deg=0.0,
+        touch=0.0,
+    )
+    case = SimpleNamespace(name="CBLA-50")
+    run = SimpleNamespace(
+        case=case,
+        encounter=encounter,
+        vut_speed_kmh=30.0,
+        last_brake_time_s=last_brake_time_s(encounter, RULE),
+    )
+    levels = build_levels([run], RATING_2026, RULE)
+    assert levels.below_kmh.tolist() == [0.0, 10.0]
+    assert levels.deadline_s[1] == pytest.approx(0.0, abs=2e-5)
+    unbraked = find_contacts(encounter, [np.inf], RULE)
+    nothing = levels.of_speeds(unbraked.closing_mps / KMH, np.array([False]))
+    assert nothing.tolist() == [0.0]
 
 
 def test_a_start_too_close_for_a_level_is_minus_infinity():
