@@ -1,13 +1,19 @@
-"""Which candidate pose detects the VRU in which frame: V[c, f], as bits."""
+"""Which candidate pose detects the VRU in which frame: V[c, f], as bits; and by levels of a score.
 
-from dataclasses import dataclass
+With a score, every level of a run is a run of its own with a later deadline and a part of the
+weight, so that to the optimiser, its proofs and their checker it is one run more.
+"""
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.arrays import BoolArray, freeze
+from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
+from scenarios.aeb import AebRule, is_in_time
 from scenarios.runs import FrameAxis
+from scenarios.scores import Levels
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -56,3 +62,138 @@ def pack_table(pose_ids: tuple[str, ...], axis: FrameAxis, detected: BoolArray) 
     return DetectionTable(
         pose_ids=pose_ids, axis=axis, packed=np.packbits(detected, axis=1, bitorder="little")
     )
+
+
+# ---------- levels of a score as runs
+
+_ROWS = 256  # unpacked at a time
+_BELOW = "<"
+_AT_ONCE_S = 1.0e-12
+"""From one frame after the last moment to the next, in the clock of a level."""
+
+
+def level_table(table: DetectionTable, levels: Levels, rule: AebRule) -> DetectionTable:
+    """Table with a run for every level of a score.
+
+    Parameters
+    ----------
+    table : DetectionTable
+        Of the runs themselves.
+    levels : Levels
+        Of these runs.
+    rule : AebRule
+        Latency, and how long tracks live.
+
+    Returns
+    -------
+    table : DetectionTable
+        See :func:`level_axis`.
+    """
+    axis, frames = level_axis(table.axis, levels, rule)
+    packed = np.empty((table.n_poses, -(-axis.n_frames // 8)), dtype=np.uint8)
+    for row in range(0, table.n_poses, _ROWS):
+        bits = table.detected(slice(row, row + _ROWS))[:, frames]
+        packed[row : row + _ROWS] = np.packbits(bits, axis=1, bitorder="little")
+    return DetectionTable(pose_ids=table.pose_ids, axis=axis, packed=packed)
+
+
+def level_axis(axis: FrameAxis, levels: Levels, rule: AebRule) -> tuple[FrameAxis, IntArray]:
+    """Axis with a run for every level of a score, and which frames of `axis` are its frames.
+
+    A level is reached if the run is avoided, or if the VUT brakes for a track that is confirmed
+    after the last moment, but before the level's own deadline. Such a track is not lost any more:
+    so the clock of a level stands still from the last moment on, all but for a picosecond a frame,
+    and ends at its deadline. What is in time there is what is in time by the level's deadline, and
+    what is alive there is what is alive at the run's last moment. Margins of levels are those to
+    the last moment, 0 for what is confirmed after it.
+
+    Run ids of levels that are not for avoiding end in "<10" and so on: the speed at contact that
+    they stay below, in km/h. Weights are those of the runs times the gain.
+    """
+    ids, starts, frames, times, deadlines = [], [0], [], [], []
+    for run, below_kmh, deadline_s in zip(
+        levels.run_index.tolist(),
+        levels.below_kmh.tolist(),
+        levels.deadline_s.tolist(),
+        strict=True,
+    ):
+        where = axis.frames_of(run)
+        time_s, last_s = axis.time_s[where], float(axis.last_brake_time_s[run])
+        name = axis.run_ids[run]
+        if below_kmh > 0.0:
+            name += f"{_BELOW}{below_kmh:g}"
+            n_frames = int(is_in_time(time_s, deadline_s, latency_s=rule.latency_s).sum())
+            if n_frames:
+                time_s, last_s = _at_once(time_s[:n_frames], last_s, deadline_s, rule)
+            else:  # nobody is in time
+                last_s = -np.inf
+        ids.append(name)
+        frames.append(np.arange(where.start, where.start + len(time_s)))
+        times.append(time_s)
+        starts.append(starts[-1] + len(time_s))
+        deadlines.append(last_s)
+    index = levels.run_index.tolist()
+    return replace(
+        axis,
+        run_ids=tuple(ids),
+        cases=tuple(axis.cases[run] for run in index),
+        approaches=tuple(axis.approaches[run] for run in index),
+        weathers=tuple(axis.weathers[run] for run in index),
+        positions=tuple(axis.positions[run] for run in index),
+        vut_speed_kmh=axis.vut_speed_kmh[index],
+        weight=axis.weight[index] * levels.gain,
+        last_brake_time_s=np.array(deadlines),
+        run_start=np.array(starts),
+        time_s=np.concatenate(times),
+    ), np.concatenate(frames)
+
+
+def run_of_level(level_id: str) -> str:
+    """Id of the run that a level belongs to, by that of the level; of a run its own."""
+    return level_id.partition(_BELOW)[0]
+
+
+def plain_axis(axis: FrameAxis) -> FrameAxis:
+    """Axis with the first level of each run, and the weight of all of them; of runs the same.
+
+    Its last brake times and frames are those of the levels.
+    """
+    names = [run_of_level(name) for name in axis.run_ids]
+    _, first, run = np.unique(names, return_index=True, return_inverse=True)
+    if len(first) == axis.n_runs:
+        return axis
+    rows = np.sort(first)
+    frames = [axis.frames_of(row) for row in rows.tolist()]
+
+    def taken(values: tuple[str, ...]) -> tuple[str, ...]:
+        return tuple(values[row] for row in rows)
+
+    return replace(
+        axis,
+        run_ids=tuple(names[row] for row in rows),
+        cases=taken(axis.cases),
+        approaches=taken(axis.approaches),
+        weathers=taken(axis.weathers),
+        positions=taken(axis.positions),
+        vut_speed_kmh=axis.vut_speed_kmh[rows],
+        weight=np.bincount(run, weights=axis.weight)[run[rows]].astype(np.float64),
+        last_brake_time_s=axis.last_brake_time_s[rows],
+        run_start=np.cumsum([0, *(part.stop - part.start for part in frames)]),
+        time_s=np.concatenate([axis.time_s[part] for part in frames]),
+    )
+
+
+def _at_once(
+    time_s: FloatArray, last_s: float, deadline_s: float, rule: AebRule
+) -> tuple[FloatArray, float]:
+    """Times of frames that are in time for a level, in its clock, and its last brake time there."""
+    n_before = int(is_in_time(time_s, last_s, latency_s=rule.latency_s).sum())
+    after = _AT_ONCE_S * np.arange(1, len(time_s) - n_before + 1)
+    if last_s == -np.inf:  # no moment comes before
+        last_s = deadline_s
+        after -= after[-1]
+    moment_s = last_s - rule.latency_s
+    if n_before:
+        moment_s = max(moment_s, float(time_s[n_before - 1]))
+    times = np.concatenate([time_s[:n_before], moment_s + after])
+    return times, last_s

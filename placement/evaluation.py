@@ -1,7 +1,8 @@
 """Verdicts of a layout by full perception + AEB."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -10,6 +11,7 @@ from geometry.arrays import BoolArray, FloatArray, freeze
 from scenarios.aeb import AebRule
 from scenarios.positions import sort_positions
 from scenarios.runs import FrameAxis, find_onsets
+from scenarios.scores import Levels
 from scenarios.weights import weight_share
 
 from .layout import Layout
@@ -34,16 +36,25 @@ class Verdict:
         again before the last moment. [s]
     is_avoided : (n_runs,) bool
         Whether braking after it avoids the impact.
+    impact_speed_kmh : (n_runs,) float, optional
+        The VUT's speed when the bodies touch although it brakes then; 0 where they do not, its
+        full speed where it never brakes. None: by the table or a recording alone, without bodies.
+        [km/h]
+    closing_speed_kmh : (n_runs,) float, optional
+        The same less what the road user does along the VUT's heading. [km/h]
     """
 
     detected: BoolArray
     confirmation_time_s: FloatArray
     onset_time_s: FloatArray
     is_avoided: BoolArray
+    impact_speed_kmh: FloatArray | None = None
+    closing_speed_kmh: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        for name in ("detected", "confirmation_time_s", "onset_time_s", "is_avoided"):
-            object.__setattr__(self, name, freeze(getattr(self, name)))
+        for name in (each.name for each in fields(self)):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, freeze(getattr(self, name)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -67,6 +78,8 @@ class Evaluation:
     others : mapping of str to Verdict
         Further parties, where asked for: "vam", VRUs that announce themselves; "all_sources", they
         with the VUT and all units.
+    levels : Levels, optional
+        What runs count by the speed at contact; None: they count if they are avoided.
     """
 
     layout: Layout
@@ -76,6 +89,7 @@ class Evaluation:
     rsu_all: Verdict
     vut_and_rsus: Verdict
     others: Mapping[str, Verdict] = field(default_factory=dict)
+    levels: Levels | None = None
 
     def __repr__(self) -> str:
         return (
@@ -131,6 +145,39 @@ def apr(verdict: Verdict, axis: FrameAxis, run_mask: BoolArray | None = None) ->
     """
     weight = axis.weight if run_mask is None else axis.weight * run_mask
     return weight_share(verdict.is_avoided, weight)
+
+
+def mean_impact_speed_kmh(
+    verdict: Verdict, axis: FrameAxis, run_mask: BoolArray | None = None
+) -> float:
+    """Mean of the VUT's speed at contact over some runs by their weights, in km/h.
+
+    Runs that are avoided count 0. NaN if the runs have no weight, or the verdict knows no speeds.
+    """
+    weight = axis.weight if run_mask is None else axis.weight * run_mask
+    if verdict.impact_speed_kmh is None or not weight.any():
+        return math.nan
+    return math.fsum(weight * verdict.impact_speed_kmh) / math.fsum(weight)
+
+
+def score(
+    verdict: Verdict,
+    axis: FrameAxis,
+    levels: Levels | None,
+    run_mask: BoolArray | None = None,
+) -> float:
+    """Weight of runs by the speeds at contact / weight of all, 0 .. 1.
+
+    Without levels it is the APR. NaN if the runs counted have no weight, or the verdict knows no
+    speeds.
+    """
+    if levels is None:
+        return apr(verdict, axis, run_mask)
+    weight = axis.weight if run_mask is None else axis.weight * run_mask
+    if verdict.closing_speed_kmh is None or not weight.any():
+        return math.nan
+    counts = levels.of_speeds(verdict.closing_speed_kmh, verdict.is_avoided)
+    return math.fsum(weight * counts) / math.fsum(weight)
 
 
 def apr_by_case(verdict: Verdict, axis: FrameAxis) -> dict[str, float]:

@@ -24,6 +24,7 @@ from scenarios.aeb import (
     is_in_time,
 )
 from scenarios.runs import FrameAxis
+from scenarios.scores import Levels
 from scenarios.weights import weight_share
 
 from .evaluation import Evaluation
@@ -275,7 +276,7 @@ class LatencyCurve:
     first_latency_s: FloatArray
     last_latency_s: FloatArray
     run_index: IntArray  # (n_intervals,): whose interval. A run that no latency avoids has none
-    weight: FloatArray  # (n_runs,): of the runs
+    weight: FloatArray  # (n_runs,): of the runs; with a score, of their levels
 
     def __post_init__(self) -> None:
         for name in ("first_latency_s", "last_latency_s", "run_index", "weight"):
@@ -362,8 +363,9 @@ def apr_by_latency(
 
     Keys are "vut", each unit's id, "rsu_all", "vut_and_rsus" and so on. At latency L a curve says
     what an evaluation with ``replace(rule, latency_s=L)`` does by the last brake time: a unit with
-    a latency of its own keeps it at every L. Fused parties mix both kinds frame by frame. Raises
-    InputError if `vut_latency_s` is negative or not finite.
+    a latency of its own keeps it at every L. Fused parties mix both kinds frame by frame. Of an
+    evaluation with levels it is the score by the last onset of each level: the levels stand in
+    place of the runs. Raises InputError if `vut_latency_s` is negative or not finite.
     """
     if vut_latency_s is not None and not 0.0 <= vut_latency_s < math.inf:
         raise InputError("vut_latency_s", vut_latency_s, "seconds, at least 0")
@@ -381,11 +383,15 @@ def apr_by_latency(
     if "vam" in evaluation.others:
         vam = (evaluation.others["vam"].detected, None)
         parties |= {"vam": [vam], "all_sources": [*units.values(), vut, vam]}
-    return {name: _build_curve(fused, evaluation.axis, rule) for name, fused in parties.items()}
+    axis, levels = evaluation.axis, evaluation.levels
+    return {name: _build_curve(fused, axis, rule, levels) for name, fused in parties.items()}
 
 
 def _build_curve(
-    parties: Sequence[tuple[BoolArray, float | None]], axis: FrameAxis, rule: AebRule
+    parties: Sequence[tuple[BoolArray, float | None]],
+    axis: FrameAxis,
+    rule: AebRule,
+    levels: Levels | None,
 ) -> LatencyCurve:
     """The curve of parties that are fused, each with a latency of its own or none."""
     last_brake_s = axis.last_brake_time_s.repeat(np.diff(axis.run_start))
@@ -396,22 +402,88 @@ def _build_curve(
         else:
             is_known |= detected & is_in_time(axis.time_s, last_brake_s, latency_s=own_s)
     varies &= ~is_known
-    intervals = [
-        (first_s, last_s, run)
-        for run, last_brake in enumerate(axis.last_brake_time_s.tolist())
+    of_runs = [
+        _intervals_s(varies[frames], is_known[frames], last_brake - axis.time_s[frames], rule)
         if last_brake > -math.inf
+        else []
+        for run, last_brake in enumerate(axis.last_brake_time_s.tolist())
         for frames in [axis.frames_of(run)]
-        for first_s, last_s in _intervals_s(
-            varies[frames], is_known[frames], last_brake - axis.time_s[frames], rule
-        )
     ]
+    weight = axis.weight
+    if levels is not None:
+        weight = weight[levels.run_index] * levels.gain
+        of_runs = _intervals_of_levels_s(of_runs, parties, axis, rule, levels)
+    intervals = [(*ends, index) for index, found in enumerate(of_runs) for ends in found]
     first, last, index = zip(*intervals, strict=True) if intervals else ((), (), ())
     return LatencyCurve(
         first_latency_s=np.array(first, dtype=np.float64),
         last_latency_s=np.array(last, dtype=np.float64),
         run_index=np.array(index, dtype=np.int64),
-        weight=axis.weight,
+        weight=weight,
     )
+
+
+def _intervals_of_levels_s(
+    of_runs: Sequence[list[tuple[float, float]]],
+    parties: Sequence[tuple[BoolArray, float | None]],
+    axis: FrameAxis,
+    rule: AebRule,
+    levels: Levels,
+) -> list[list[tuple[float, float]]]:
+    """Latencies with which each level is reached, the longest first.
+
+    A level is reached where its run is avoided, or where a window of frames is known after the last
+    moment and by the deadline.
+    """
+    varies, own_s = np.zeros(axis.n_frames, dtype=bool), np.full(axis.n_frames, np.inf)
+    for detected, latency_s in parties:
+        if latency_s is None:
+            varies |= detected
+        else:
+            own_s = np.where(detected, np.minimum(own_s, axis.time_s + latency_s), own_s)
+    found = []
+    for run, deadline_s in zip(levels.run_index.tolist(), levels.deadline_s.tolist(), strict=True):
+        intervals, frames = list(of_runs[run]), axis.frames_of(run)
+        last_s = float(axis.last_brake_time_s[run])
+        if deadline_s > last_s:
+            first, last = (
+                _longest_by_s(moment_s, varies[frames], own_s[frames], axis.time_s[frames], rule)
+                for moment_s in (last_s, deadline_s)
+            )
+            is_some = (last > first) & (last > -np.inf)
+            intervals += zip(first[is_some].tolist(), last[is_some].tolist(), strict=True)
+        found.append(_joined(intervals))
+    return found
+
+
+def _longest_by_s(
+    moment_s: float, varies: BoolArray, own_s: FloatArray, time_s: FloatArray, rule: AebRule
+) -> FloatArray:
+    """Longest latency with which each window of frames is known by a moment, in seconds.
+
+    Infinite where messages with a latency of their own suffice, minus infinity where none does.
+    """
+    waits = own_s > moment_s + TIME_TOLERANCE_S
+    last = np.where(waits, np.where(varies, time_s, np.inf), -np.inf)
+    if len(last) < rule.n_confirmations:
+        return np.empty(0)
+    windows = np.lib.stride_tricks.sliding_window_view(last, rule.n_confirmations)
+    latest = windows.max(axis=1)
+    with np.errstate(invalid="ignore"):  # no moment, and nothing to wait for
+        longest = moment_s - latest
+    result: FloatArray = np.where(latest == -np.inf, np.inf, longest)
+    return result
+
+
+def _joined(intervals: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Intervals that do not overlap, the longest first."""
+    joined: list[tuple[float, float]] = []
+    for first, last in sorted(intervals, key=lambda ends: -ends[1]):
+        if joined and last >= joined[-1][0] - TIME_TOLERANCE_S:
+            joined[-1] = (min(first, joined[-1][0]), joined[-1][1])
+        else:
+            joined.append((first, last))
+    return joined
 
 
 def _intervals_s(

@@ -12,11 +12,12 @@ from geometry.arrays import BoolArray
 from geometry.errors import InputError, Unquoted
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
+from scenarios.scores import AVOIDED
 
 from .cache import cached_value
 from .candidates import CandidateGrid, CandidatePose, build_candidates, build_grid
 from .compute import DEFAULT_COMPUTE, Compute
-from .detection_table import DetectionTable
+from .detection_table import DetectionTable, level_table
 from .explain import NextUnit, find_next_unit, find_refusal
 from .ground import (
     PrivateGround,
@@ -141,11 +142,14 @@ class Assembly:
 
     @cached_property
     def problem(self) -> PlacementProblem:
-        """The optimiser's problem."""
+        """The optimiser's problem; with a score, its runs are the levels of the setting's."""
+        levels, table = self.setting.levels, self.table
+        if levels is not None:
+            table = level_table(table, levels, self.setting.rule)
         return build_problem(
             self.setting,
             self.candidates,
-            self.table,
+            table,
             wishes=self.wishes,
             fusion=self.fusion,
             sample_index=None if self._sampled is None else self._sampled.sample_index,
@@ -253,6 +257,10 @@ def _check_together(question: Question) -> None:
         if question.refine and getattr(question, field_name):
             got = Unquoted(f"it beside `{field_name}`")
             raise InputError("refine", got, "one of them: poses stay as they are")
+    if question.score != AVOIDED:
+        for field_name in ("samples", "refine"):
+            if getattr(question, field_name):
+                raise InputError("score", question.score, f"{AVOIDED} beside `{field_name}`")
     if question.no_look_share and not question.no_look:
         raise InputError("no_look_share", question.no_look_share, "`no_look` beside it")
 
@@ -325,7 +333,8 @@ class Placement:
     pose_index : tuple of int
         Rows of the table that make `layout`.
     nominal : PlacementProblem
-        The layout alone in the world as planned: `problem` itself unless worlds were sampled.
+        The layout alone in the world as planned, its runs as they are: `problem` itself unless
+        worlds were sampled, or runs have levels of a score.
     nominal_index : tuple of int
         Rows of its table that make `layout`.
     next_unit : NextUnit, optional
@@ -412,6 +421,9 @@ def place(assembly: Assembly) -> Placement:
         )
         raise refusal or error from None
     nominal, nominal_index = problem, solution.pose_index
+    if assembly.setting.levels is not None:
+        plain = replace(assembly.setting, levels=None)
+        nominal = replace(assembly, setting=plain, known_table=assembly.table).problem
     if problem.sample_index is not None:
         alone = replace(assembly, compute=compute.within("greedy")).of_layout(solution.pose_index)
         nominal = alone.problem

@@ -160,8 +160,19 @@ class Question:
     weights : str
         run: every run counts the same; case: every case, and within it every approach, then every
         position, then every run; fhwa-crash-types: by how often cars hit people so;
-        euroncap-rating-2026: by its points; or a CSV file with case, approach, weight, and if
-        wanted position and weather; default: case, and run for `cases` study.
+        euroncap-rating-2026: by its points; unfallatlas:FILE or stats19:FILE: by the accidents
+        around the junction, as Germany and Great Britain publish them; or a CSV file with case,
+        approach, weight, and if wanted position and weather; default: case, and run for `cases`
+        study.
+    near : str
+        Of `weights` unfallatlas and stats19, around where: latitude,longitude; default: the
+        junction, where the scene says where on earth it lies.
+    accidents_within_m : float, optional
+        Of the same, how far from there; default: 500.
+    score : {"avoided", "rating-2026"}
+        What a run counts that is not avoided: nothing; or by the speed that is left at contact, as
+        in Euro NCAP's rating of 2026. With it, whatever is optimised or bounded as APR is this
+        score, also `target` and `min_case_apr`.
     fusion : {"any", "single"}
         any: a frame counts if any unit detects; single: one unit must confirm alone.
     detector : str
@@ -237,6 +248,9 @@ class Question:
     force: bool = False
     strict: bool = False
     weights: str = ""
+    near: str = ""
+    accidents_within_m: Annotated[float, _positive("metres", 100_000)] | None = None
+    score: Literal["avoided", "rating-2026"] = "avoided"
     fusion: Literal["any", "single"] = "any"
     detector: str = "geometric"
     vut_sensors: str = "camera"

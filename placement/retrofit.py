@@ -16,6 +16,7 @@ from geometry.files import load_toml, pick, read_table
 from scenarios.runs import live_confirmation_times_s
 
 from .candidates import CandidateGrid, CandidatePose, is_turn_useless
+from .detection_table import run_of_level
 from .layout import Certificate, Layout
 from .optimiser import (
     Effort,
@@ -355,8 +356,8 @@ def _change(
         price_eur=price_eur,
         pose_index=tuple(sorted(after)),
         value=placement_value(problem, after),
-        gained=tuple(run_ids[now & ~was].tolist()),
-        lost=tuple(run_ids[was & ~now].tolist()),
+        gained=tuple(dict.fromkeys(map(run_of_level, run_ids[now & ~was].tolist()))),
+        lost=tuple(dict.fromkeys(map(run_of_level, run_ids[was & ~now].tolist()))),
         n_compared=n_compared,
     )
 

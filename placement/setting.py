@@ -10,10 +10,12 @@ from typing import Any, cast
 
 from geometry.actors import pick_actor
 from geometry.errors import InputError, Unquoted
+from geometry.frames import to_geographic
 from geometry.junction import ARM_NAMES, build_junction
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
 from geometry.sensors import CameraModel
+from scenarios.accidents import split_source
 from scenarios.aeb import AebRule, load_aeb_rule, load_track_memory_s
 from scenarios.cases import Selection, select_cases
 from scenarios.paths import CoursePath, StraightPath, TowedPath, TurnPath
@@ -34,6 +36,7 @@ from scenarios.runs import (
     build_runs,
     left_out_case,
 )
+from scenarios.scores import AVOIDED, Levels, build_levels
 from scenarios.weights import check_weights, default_weights, weigh, weight_by_function
 
 from .cache import cached_value
@@ -48,7 +51,7 @@ from .detectors import (
 )
 from .detectors.network import NetworkDetector
 from .latency import load_latency_budget
-from .question import Question, map_options, split_names
+from .question import Question, map_options, read_point, split_names
 
 # ---------- radio
 
@@ -107,6 +110,8 @@ class Setting:
         Of ``VUT_SENSORS``: what the VUT itself looks with.
     vut_camera : CameraModel, optional
         In place of the study's.
+    levels : Levels, optional
+        What runs count by the speed at contact; None: they count if they are avoided.
     """
 
     scene: Scene
@@ -119,6 +124,7 @@ class Setting:
     radio: Radio = field(default_factory=Radio)
     vut_sensors: tuple[str, ...] = VUT_SENSORS[:1]
     vut_camera: CameraModel | None = None
+    levels: Levels | None = None
 
     def __post_init__(self) -> None:
         for name in self.vut_sensors or ("none",):
@@ -175,6 +181,8 @@ def check_question(question: Question) -> None:
     build_rule(question)
     if question.weights:
         check_weights(question.weights)
+    if question.near:
+        _read_place_deg(question.near)
     load_detector(question.detector, where="detector")
 
 
@@ -339,7 +347,13 @@ def build_setting(
         _check_every_case(drives, scene)
     _check_classes(detector, runs)
     weight = (
-        weigh(runs, question.weights or default_weights(question.cases), refused=drives.refused)
+        weigh(
+            runs,
+            question.weights or default_weights(question.cases),
+            refused=drives.refused,
+            near=_place_deg(question, scene),
+            within_m=question.accidents_within_m,
+        )
         if weights is None
         else weight_by_function(runs, weights)
     )
@@ -353,6 +367,42 @@ def build_setting(
         refusals=(*drives.refused, *drives.left_out),
         radio=Radio(packet_loss=question.packet_loss, vam_rate=question.vam_rate),
         vut_sensors=vut_sensors,
+        levels=_levels(question.score, runs, rule, compute),
+    )
+
+
+def _place_deg(question: Question, scene: Scene) -> tuple[float, float] | None:
+    """Latitude and longitude around which accidents count; None where nobody knows."""
+    if question.near:
+        return _read_place_deg(question.near)
+    if not scene.crs or split_source(question.weights) is None:
+        return None
+    middle = scene.outline_m.mean(axis=0, keepdims=True)
+    longitude, latitude = to_geographic(middle, scene.crs)[0].tolist()
+    return latitude, longitude
+
+
+def _read_place_deg(text: str) -> tuple[float, float]:
+    try:
+        latitude, longitude = read_point(text, "near")
+    except InputError:
+        latitude = longitude = math.nan
+    if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
+        raise InputError("near", text, "latitude,longitude in degrees, such as 52.52,13.40")
+    return latitude, longitude
+
+
+def _levels(score: str, runs: tuple[Run, ...], rule: AebRule, compute: Compute) -> Levels | None:
+    """Levels of runs by a score, cached for the next call."""
+    if score == AVOIDED:
+        return None
+    return cached_value(
+        compute.cache_folder,
+        "levels",
+        partial(build_levels, runs, score, rule),
+        kind=Levels | None,
+        made_from=(runs, score, rule),
+        packages=("geometry", "scenarios"),
     )
 
 

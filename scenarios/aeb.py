@@ -1,6 +1,7 @@
 """Emergency braking: how the VUT brakes, its last moment for it, and the tracks it brakes for."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -226,12 +227,172 @@ def has_contact(encounter: Encounter, onset_s: ArrayLike, rule: AebRule) -> Bool
     onset = np.asarray(onset_s, dtype=np.float64)
     touches = np.asarray(onset >= 0.0)
     is_asked = ~touches
-    touches[is_asked] = _touches(encounter, onset[is_asked], rule)
+    looks = _contact_looks(encounter, onset[is_asked], rule)[1]
+    touches[is_asked] = np.isfinite(looks)
     return touches
 
 
-def _touches(encounter: Encounter, onset_s: FloatArray, rule: AebRule) -> BoolArray:
-    """Contacts for onsets before the impact, (n,)."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Contacts:
+    """First contacts of the footprints for onsets of braking, each of the onsets' shape.
+
+    Attributes
+    ----------
+    time_s : (...,) float
+        Relative to the impact without braking; infinite where the footprints never touch. [s]
+    speed_mps : (...,) float
+        Of the VUT then; 0 where they never touch. [m/s]
+    closing_mps : (...,) float
+        The same less what the target does along the VUT's heading, at least 0: Euro NCAP's relative
+        impact speed. [m/s]
+    """
+
+    time_s: FloatArray
+    speed_mps: FloatArray
+    closing_mps: FloatArray
+
+
+def find_contacts(encounter: Encounter, onset_s: ArrayLike, rule: AebRule) -> Contacts:
+    """When the footprints first touch if the VUT brakes from `onset_s` on, and how fast it is.
+
+    Who is said to touch is :func:`has_contact`'s matter. An onset at or after the impact, or none,
+    leaves the VUT its speed.
+
+    Notes
+    -----
+    The first look at which they touch is narrowed down to 4 microseconds.
+    """
+    onset = np.asarray(onset_s, dtype=np.float64)
+    time_s, speed = np.zeros(onset.shape), np.full(onset.shape, encounter.vut_motion.speed_mps)
+    is_asked = onset < 0.0
+    asked = onset[is_asked]
+    before_s, look_s = _contact_looks(encounter, asked, rule)
+    row = np.flatnonzero(np.isfinite(look_s))
+    share = np.linspace(0.0, 1.0, _CONTACT_PARTS)
+    for _ in range(_CONTACT_ROUNDS):
+        times = before_s[row, None] + share * (look_s[row] - before_s[row])[:, None]
+        touches = _separation_m(encounter, asked[row, None], times, rule) <= 0.0
+        touches[:, -1] = True
+        first = np.maximum(touches.argmax(axis=1), 1)
+        every = np.arange(len(row))
+        before_s[row], look_s[row] = times[every, first - 1], times[every, first]
+    sets_off = asked >= encounter.vut_motion.start_time_s
+    left = braking_speed_mps(look_s, speed_mps=encounter.vut_motion.speed_mps, rule=rule)
+    speed[is_asked] = np.where(np.isfinite(look_s) & sets_off, left, 0.0)
+    with np.errstate(invalid="ignore"):
+        time_s[is_asked] = np.where(np.isfinite(look_s), asked + look_s, np.inf)
+    touched = np.isfinite(time_s)
+    closing = speed.copy()
+    closing[touched] -= _target_ahead_mps(encounter, onset[touched], time_s[touched], rule)
+    return Contacts(time_s=time_s, speed_mps=speed, closing_mps=np.maximum(closing, 0.0))
+
+
+_CONTACT_PARTS, _CONTACT_ROUNDS = 17, 2
+_SHORT_S = 1.0e-4
+
+
+def _target_ahead_mps(
+    encounter: Encounter, onset_s: FloatArray, time_s: FloatArray, rule: AebRule
+) -> FloatArray:
+    """Speed of the target along the heading that the braking VUT has, (n,)."""
+    vut, target = encounter.vut_motion, encounter.vru_motion
+    begun = np.minimum(onset_s, time_s)
+    driven = vut.distance_m(begun) + braking_distance_m(
+        time_s - begun, speed_mps=vut.speed_mps, rule=rule
+    )
+    # By the speed along its path: what stands in a table of points is a little longer or shorter.
+    speed = target.distance_m(time_s + _SHORT_S) - target.distance_m(time_s - _SHORT_S)
+    turned = target.path.at(target.distance_m(time_s))[1] - vut.path.at(driven)[1]
+    ahead: FloatArray = speed / (2.0 * _SHORT_S) * np.cos(np.radians(turned))
+    return ahead
+
+
+_LEVEL_STEP_S = 0.025  # from one onset to the next in the search for the last one of a speed
+_LEVELS_TOGETHER = 16
+_QUARTERS = (0.25, 0.5, 0.75)
+_SAME_MPS = 1.0e-6
+_BESIDE = 1.0 / 64.0
+
+
+def last_onsets_s(
+    encounter: Encounter, rule: AebRule, *, below_mps: Sequence[float], avoids_until_s: float
+) -> FloatArray:
+    """Latest onsets such that they and all earlier ones leave a closing speed below each limit.
+
+    Parameters
+    ----------
+    below_mps : sequence of float
+        Limits of :attr:`Contacts.closing_mps`. [m/s]
+    avoids_until_s : float
+        Last brake time: no earlier onset leads to contact. [s]
+
+    Returns
+    -------
+    onset_s : (n_limits,) float
+        Not before `avoids_until_s`; 10 microseconds later it is too late. 0 where the impact
+        without braking is slower, minus infinity if even braking at the VUT's start leaves too
+        much. [s]
+
+    Notes
+    -----
+    Swept in steps of 25 ms: an earlier onset that leaves more for less than that is overlooked.
+    """
+    begin_s = max(avoids_until_s, encounter.vut_motion.start_time_s)
+    below = np.asarray(below_mps, dtype=np.float64) - _SAME_MPS  # a limit itself is too fast
+    n_steps = max(int(-begin_s / _LEVEL_STEP_S) + 1, 1)
+    grid = np.linspace(begin_s, 0.0, n_steps + 1)
+    left = np.full(n_steps + 1, np.inf)
+    for first in range(0, n_steps + 1, _LEVELS_TOGETHER):
+        part = slice(first, first + _LEVELS_TOGETHER)
+        left[part] = find_contacts(encounter, grid[part], rule).closing_mps
+        if left[part].max() >= below.max(initial=0.0):
+            break
+    too_fast = left >= below[:, None]
+    at = too_fast.argmax(axis=1)
+    never = begin_s if avoids_until_s > -np.inf else -np.inf
+    last = np.where(too_fast.any(axis=1), never, 0.0)
+    inner = at > 0
+    at = at[inner]
+    last[inner] = _narrowed_s(
+        encounter, rule, below[inner], grid[at - 1], grid[at], left[at - 1], left[at]
+    )
+    order = np.argsort(below)  # what leaves less than a limit leaves less than a higher one
+    last[order] = np.maximum.accumulate(last[order])
+    return last
+
+
+def _narrowed_s(
+    encounter: Encounter,
+    rule: AebRule,
+    below: FloatArray,
+    safe_s: FloatArray,
+    late_s: FloatArray,
+    safe_mps: FloatArray,
+    late_mps: FloatArray,
+) -> FloatArray:
+    """Last onsets between two, of which the first leaves less than a speed, in s; (n,) each.
+
+    Where braking in full decides alone, the square of the speed is linear in the onset.
+    """
+    while (late_s - safe_s).max(initial=0.0) > _ONSET_TOLERANCE_S:
+        share = (below**2 - safe_mps**2) / (late_mps**2 - safe_mps**2)
+        shares = np.stack([share - _BESIDE, share + _BESIDE], axis=1)
+        shares = np.concatenate([shares, np.broadcast_to(_QUARTERS, (len(share), 3))], axis=1)
+        shares = np.sort(np.clip(shares, 0.0, 1.0), axis=1)
+        points = safe_s[:, None] + shares * (late_s - safe_s)[:, None]
+        inside = find_contacts(encounter, points, rule).closing_mps
+        points = np.column_stack([safe_s, points, late_s])
+        speeds = np.column_stack([safe_mps, inside, late_mps])
+        row, first = np.arange(len(below)), (speeds >= below[:, None]).argmax(axis=1)
+        safe_s, late_s = points[row, first - 1], points[row, first]
+        safe_mps, late_mps = speeds[row, first - 1], speeds[row, first]
+    return safe_s
+
+
+def _contact_looks(
+    encounter: Encounter, onset_s: FloatArray, rule: AebRule
+) -> tuple[FloatArray, FloatArray]:
+    """Looks before and at a contact after onsets before the impact; infinite: none. (n,) each."""
     closing_mps = (
         encounter.vut_reach * encounter.vut_motion.speed_mps
         + encounter.vru_reach * encounter.vru_motion.speed_mps
@@ -244,21 +405,30 @@ def _touches(encounter: Encounter, onset_s: FloatArray, rule: AebRule) -> BoolAr
     row, look = np.nonzero(np.repeat(is_near, _FIRST_LOOKS, axis=1)[:, : len(looks)])
     separation = np.full((len(onset_s), len(looks)), np.inf)
     separation[row, look] = _separation_m(encounter, onset_s[row], looks[look], rule)
-    touches = np.zeros(len(onset_s), dtype=bool)
+    before_s, at_s = np.full((2, len(onset_s)), np.inf)
     row, times = np.arange(len(onset_s)), np.broadcast_to(looks, separation.shape)
+
+    def note() -> None:
+        touches = separation <= 0.0
+        hit = np.flatnonzero(touches.any(axis=1))
+        hit = hit[np.argsort(times[hit, touches[hit].argmax(axis=1)], kind="stable")[::-1]]
+        first = touches[hit].argmax(axis=1)
+        at_s[row[hit]] = times[hit, first]
+        before_s[row[hit]] = times[hit, np.maximum(first - 1, 0)]
+
     for _ in range(_CLOSER_LOOKS):
-        touches[row] |= (separation <= 0.0).any(axis=1)
+        note()
         around = np.pad(separation, ((0, 0), (1, 1)), constant_values=np.inf)
         is_nearest = (separation < around[:, :-2]) & (separation <= around[:, 2:])
-        is_nearest &= (separation <= closing_mps * step_s) & ~touches[row, None]
+        is_nearest &= (separation <= closing_mps * step_s) & ~np.isfinite(at_s)[row, None]
         row, nearest_s = row[np.nonzero(is_nearest)[0]], times[is_nearest]
         if not len(row):
-            return touches
+            return before_s, at_s
         times = np.clip(nearest_s[:, None] + step_s * _CLOSER, 0.0, standstill_s)
         step_s *= _CLOSER[1] - _CLOSER[0]
         separation = _separation_m(encounter, onset_s[row, None], times, rule)
-    touches[row[(separation <= 0.0).any(axis=1)]] = True
-    return touches
+    note()
+    return before_s, at_s
 
 
 def _looks_s(encounter: Encounter, rule: AebRule, step_s: float) -> FloatArray:

@@ -1,10 +1,11 @@
-"""How much each run counts: equally, per case, by accident statistics or points, or by a CSV file.
+"""How much each run counts: equally, per case, by accidents, statistics, points, or a CSV file.
 
 The statistics (``data/crash_types.toml``) know types of accidents and how near to a junction they
 happen; a table of one's own, by case, approach, position and weather, may know better.
 """
 
 import csv
+import logging
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -21,8 +22,21 @@ from geometry.arrays import FloatArray
 from geometry.errors import InputError, MissingExtraError, Unquoted
 from geometry.files import Text, load_toml, read_table, read_text
 
+from .accidents import (
+    DAY,
+    FORMATS,
+    NIGHT,
+    Accidents,
+    accident_files,
+    load_accident_rules,
+    read_accidents,
+    reasons,
+    split_source,
+)
 from .positions import is_study_set, read_position
 from .runs import Refusal, Run
+
+_log = logging.getLogger(__name__)
 
 # ---------- weights from a CSV file
 _COLUMNS = ("case", "approach", "weight")
@@ -261,6 +275,61 @@ def _away_m(run: Run) -> float:
     return read_position(run.position, run.id).distance_m
 
 
+# ---------- weights by accidents around a place
+
+
+def weight_by_accidents(
+    runs: Sequence[Run], accidents: Accidents, *, near: tuple[float, float], within_m: float
+) -> FloatArray:
+    """Weights by the accidents that happened around a place; what is not used is logged.
+
+    Each counts the same. It is shared by the cases that stand for it (``data/accidents.toml``), as
+    :func:`weight_per_case` does: by day or by night, as it happened, where both are driven, half
+    each in twilight or where nobody knows; else light does not matter, and rain and fog weigh
+    nothing next to day or night. Runs without accidents weigh nothing. `near`: latitude and
+    longitude. The weights sum to 1. Raises InputError: no accident is so near, or none of them
+    happened as anything that is driven.
+    """
+    found = accidents.near(near, within_m)
+    rules = load_accident_rules()
+    weathers = {run.weather for run in runs}
+    lit = [weather for weather in (DAY, NIGHT) if weather in weathers] or sorted(weathers)
+    counts: Counter[tuple[tuple[str, ...], str]] = Counter()
+    unused: Counter[str] = Counter()
+    members: dict[tuple[tuple[str, ...], str], list[int]] = {}
+    for one in found:
+        cases = () if one.unused else rules.cases_of(one.road_user, one.event)
+        key = (cases, one.light if one.light in lit and len(lit) > 1 else "")
+        if key not in members:
+            members[key] = [
+                index
+                for index, run in enumerate(runs)
+                if _begins(run.case.name, cases) and run.weather in ([key[1]] if key[1] else lit)
+            ]
+        if members[key]:
+            counts[key] += 1
+        else:
+            what = f"{one.road_user}, {one.event}"
+            unused[one.unused or f"of which no case is driven ({what})"] += 1
+    n_used = sum(counts.values())
+    told = f"{n_used} of {len(found)} accidents of {accidents.source} within {within_m:g} m count"
+    if unused:
+        told += f"; not used: {reasons(unused)}"
+    if not n_used:
+        driven = ", ".join(dict.fromkeys(run.case.name for run in runs))
+        raise InputError("weights", Unquoted(told), f"accidents as these cases: {driven}")
+    _log.warning("weights: %s", told)
+    weight = np.zeros(len(runs))
+    for key, count in counts.items():
+        weight[members[key]] += count * weight_per_case([runs[index] for index in members[key]])
+    shares: FloatArray = weight / weight.sum()
+    return shares
+
+
+def _begins(case_name: str, beginnings: Sequence[str]) -> bool:
+    return any(f"{case_name}-".startswith(f"{one}-") for one in beginnings)
+
+
 # ---------- weights by a word
 _BY_WORD = ("run", "case", CRASH_TYPES, RATING)
 
@@ -273,7 +342,14 @@ def default_weights(cases: str) -> str:
     return "run" if is_study_set(cases) else "case"
 
 
-def weigh(runs: Sequence[Run], how: str, *, refused: Sequence[Refusal] = ()) -> FloatArray:
+def weigh(
+    runs: Sequence[Run],
+    how: str,
+    *,
+    refused: Sequence[Refusal] = (),
+    near: tuple[float, float] | None = None,
+    within_m: float | None = None,
+) -> FloatArray:
     """Weights by the word of a user.
 
     Parameters
@@ -284,10 +360,15 @@ def weigh(runs: Sequence[Run], how: str, *, refused: Sequence[Refusal] = ()) -> 
         "run": every run the same, as in the study; "case": every case the same, see
         :func:`scenarios.weights.weight_per_case`; "fhwa-crash-types": by accident statistics, see
         :func:`scenarios.weights.weight_by_crash_types`; "euroncap-rating-2026": by its points,
-        see :func:`scenarios.weights.weight_by_rating`; else a CSV file, see
-        :func:`scenarios.weights.weight_from_csv`.
+        see :func:`scenarios.weights.weight_by_rating`; "unfallatlas:FILE", "stats19:FILE": by the
+        accidents around a place, see :func:`scenarios.weights.weight_by_accidents`; else a CSV
+        file, see :func:`scenarios.weights.weight_from_csv`.
     refused : sequence of Refusal
         What was asked for next to the runs, and could not be laid: "case" alone looks at it.
+    near : (float, float), optional
+        Latitude and longitude of the place. [deg]
+    within_m : float, optional
+        How far from there accidents count; default: that of ``data/accidents.toml``. [m]
 
     Returns
     -------
@@ -297,7 +378,7 @@ def weigh(runs: Sequence[Run], how: str, *, refused: Sequence[Refusal] = ()) -> 
     Raises
     ------
     InputError
-        The word is unknown and no file, or the weights do not fit the runs.
+        The word is unknown and no file, the weights do not fit the runs, or nobody knows the place.
     MissingExtraError
         What the word needs is not installed.
     """
@@ -309,6 +390,12 @@ def weigh(runs: Sequence[Run], how: str, *, refused: Sequence[Refusal] = ()) -> 
         return weight_by_crash_types(runs)
     if how == RATING:
         return weight_by_rating(runs)
+    if source := split_source(how):
+        if near is None:
+            expected = "LATITUDE,LONGITUDE: the scene does not say where on earth it lies"
+            raise InputError("near", Unquoted("nothing"), expected)
+        radius_m = load_accident_rules().default_within_m if within_m is None else within_m
+        return weight_by_accidents(runs, read_accidents(*source), near=near, within_m=radius_m)
     return weight_from_csv(_weights_file(how), runs)
 
 
@@ -321,6 +408,9 @@ def check_weights(how: str) -> None:
         load_points()
     if how in _BY_WORD:
         return
+    if source := split_source(how):
+        read_accidents(*source)
+        return
     path = _weights_file(how)
     for line, row in _read_rows(path):
         where = f"{path}: line {line}"
@@ -328,10 +418,19 @@ def check_weights(how: str) -> None:
         _read_position(row["position"], where)
 
 
+def weight_files(how: str) -> tuple[Path, ...]:
+    """Files that the weights by a word of a user are read from, see :func:`weigh`."""
+    if how in ("", *_BY_WORD):
+        return ()
+    source = split_source(how)
+    return (Path(how),) if source is None else accident_files(*source)
+
+
 def _weights_file(how: str) -> Path:
     path = Path(how)
     if not how or not path.exists():
-        raise InputError("weights", how, f"{', '.join(_BY_WORD)}, or a CSV file that exists")
+        words = ", ".join([*_BY_WORD, *(f"{form}:FILE" for form in FORMATS)])
+        raise InputError("weights", how, f"{words}, or a CSV file that exists")
     return path
 
 

@@ -573,6 +573,36 @@ def _weights() -> Mapping[str, tuple[str, Files]]:
     }
 
 
+def _read_accidents(path: Path) -> Any:
+    from scenarios.accidents import STATS19, UNFALLATLAS, read_accidents
+
+    return read_accidents(STATS19 if "collision" in path.name else UNFALLATLAS, path)
+
+
+def _accidents() -> Mapping[str, tuple[str, Files]]:
+    atlas = (
+        "UJAHR;UART;UTYP1;ULICHTVERH;IstRad;IstPKW;IstFuss;IstKrad;XGCSWGS84;YGCSWGS84\n"
+        "2023;6;4;0;0;1;1;0;13,405;52,52\n2023;5;3;2;1;1;0;0;13,406;52,521\n"
+    )
+    vehicles = (
+        "collision_index,vehicle_reference,vehicle_type,vehicle_manoeuvre,vehicle_direction_to\n"
+        "1,1,9,18,1\n1,2,1,18,3\n"
+    )
+    casualties = "collision_index,vehicle_reference,casualty_class,pedestrian_movement\n1,2,1,0\n"
+    return {
+        "unfallatlas": _one("a.csv", b"\xef\xbb\xbf" + atlas.encode()),
+        "stats19": (
+            "collision.csv",
+            {
+                "collision.csv": b"collision_index,longitude,latitude,light_conditions\n"
+                b"1,-0.12,51.5,1\n",
+                "vehicle.csv": vehicles.encode(),
+                "casualty.csv": casualties.encode(),
+            },
+        ),
+    }
+
+
 def _read_private_ground(path: Path) -> Any:
     from geometry.study_scene import load_study_scene
     from placement.ground import load_private_ground
@@ -967,6 +997,7 @@ READERS: Mapping[str, Reader] = {
         _read_layout, _layouts, ("placement.layout.load_layout", "placement.layout.find_layout")
     ),
     "weights": Reader(_read_weights, _weights, ("scenarios.weights.weight_from_csv",)),
+    "accidents": Reader(_read_accidents, _accidents, ("scenarios.accidents.read_accidents",)),
     "no-look areas": Reader(
         _read_private_ground, _private_ground, ("placement.ground.load_private_ground",)
     ),

@@ -34,7 +34,8 @@ _TIME_LIMIT_S = 30.0  # for the optimiser at each junction
 _DRIVEN = tuple(
     name
     for name in JUDGED
-    if name not in (*OF_SCENE, "vut_sensors", "packet_loss", "vam_rate", "strict")
+    # Accidents count around each junction; --near is about areas here.
+    if name not in (*OF_SCENE, "near", "vut_sensors", "packet_loss", "vam_rate", "strict")
 )
 _MAX_LISTED = 12
 _FILE: dict[str, Any] = {

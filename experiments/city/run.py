@@ -32,6 +32,7 @@ from placement.city.junction import JunctionWishes
 from placement.layout import Layout, layout_from_records
 from placement.question import Question, question_text, save_question
 from placement.setting import check_question
+from scenarios.weights import weight_files
 
 from ..export.json import to_json, to_json_text
 from ..export.places import placed_records
@@ -307,10 +308,12 @@ class _Tasks:
         self._around = city.neighbourhoods(radius_m=search.radius_m)
         sites = Path(search.sites)
         listed = sha256(sites) if sites.is_file() else ""
+        weighed = [sha256(path) for path in weight_files(question.weights) if path.is_file()]
         code = [hash_of_files(package) for package in ALL_PACKAGES]
         self._prints = Fingerprints()
         self._same = self._prints.of(
-            *(CITY_VERSION, code, seed, listed, search.radius_m, search.sites, question, grid)
+            *(CITY_VERSION, code, seed, listed, search.radius_m, search.sites, question, grid),
+            weighed,
         )
 
     def task(self, one: CityJunction) -> JunctionTask:

@@ -10,6 +10,7 @@ from pathlib import Path
 from geometry.whereabouts import compass_bearing_deg
 from placement.candidates import load_candidate_grid
 from placement.explain.agreement import Disagreement
+from scenarios.scores import AVOIDED
 
 from ..parts import Part, answer, baselines, dangers, next_unit, proof, study_cases
 from ..parts.assumptions import assumption_sentences
@@ -18,7 +19,7 @@ from ..parts.result import ComparisonResult, EvaluationResult, PlacementResult, 
 from ..parts.section import Table
 from ..parts.study_cases import StudyCases
 from ..results.evaluations import EvaluationRecord, PartyAprRecord
-from ..results.numbers import percent, several, shortened
+from ..results.numbers import number, percent, several, shortened
 from ..results.record import UnitRecord
 from .explanations import explanation_text, uncertainty_text
 
@@ -74,6 +75,7 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
             table=_apr_table(parties | _announced(result.evaluation)),
             notes=[f"{_TOGETHER}; greedy: units chosen one by one."],
         ),
+        _impacts(result, others),
         Part(words=[] if further == "." else [further], is_short=True),
         Part(words=[] if other_sensor == "." else [other_sensor]),
         Part(words=answer.doubts(result), is_short=True),
@@ -130,6 +132,7 @@ def evaluation_parts(result: EvaluationResult, out: Path | None) -> list[Part]:
             ),
             notes=[f"each unit by itself; {_TOGETHER}."],
         ),
+        _impacts(result, {}),
         *_said(answer.doubts(result)),
         *_said(answer.private_ground(result)),
         _last(out),
@@ -164,6 +167,7 @@ def comparison_parts(result: ComparisonResult, out: Path | None) -> list[Part]:
             table=_apr_table(parties | {"VUT alone": result.evaluation.vut}),
             notes=[f"each layout's units are {_TOGETHER}."],
         ),
+        _impacts(result, {other.name: other.evaluation for other in result.compared}),
         Part(
             words=[
                 f"{result.name} avoids {len(other.runs_gained)} that {other.name} does not, and "
@@ -191,6 +195,23 @@ def comparison_parts(result: ComparisonResult, out: Path | None) -> list[Part]:
 
 
 # ---------- parts of several answers
+
+
+def _impacts(result: Result, others: Mapping[str, EvaluationRecord]) -> Part:
+    """What is left of the impacts, and with a score what the runs count."""
+    parties = {
+        result.name: result.evaluation.rsu_all,
+        **{name: other.rsu_all for name, other in others.items()},
+        "VUT alone": result.evaluation.vut,
+    }
+    left = ", ".join(
+        f"{name} {number(party.mean_impact_speed_kmh, 1)}" for name, party in parties.items()
+    )
+    words = [f"Mean speed of the VUT at contact, avoided runs as 0: {left} km/h."]
+    if result.score != AVOIDED:
+        scores = ", ".join(f"{name} {percent(party.score)}" for name, party in parties.items())
+        words.append(f"Score ({result.score}) by the evaluator: {scores}.")
+    return Part(words=words, is_short=result.score != AVOIDED)
 
 
 def _said(sentences: Sequence[str]) -> list[Part]:

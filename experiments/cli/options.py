@@ -183,14 +183,17 @@ PLANNED = (*fields_in(ASKED, MOUNTED, SOUGHT), "fusion")
 """Fields of commands that look for layouts."""
 JUDGED = fields_in(DRIVEN, SEEN, but=("fusion",))
 """Fields of commands that evaluate layouts."""
+_WEIGHED = ("weights", "near", "accidents_within_m", "score")
 PICTURED = fields_in(
     DRIVEN,
     SEEN,
-    but=("fusion", "weights", "vut_sensors", "packet_loss", "vam_rate", "track_memory_s"),
+    but=("fusion", *_WEIGHED, "vut_sensors", "packet_loss", "vam_rate", "track_memory_s"),
 )
 """Fields of commands that draw what each unit sees, whoever judges it."""
 ONLY_DRIVEN = fields_in(
-    DRIVEN, SEEN, but=("fusion", "weights", "detector", "vut_sensors", "packet_loss", "vam_rate")
+    DRIVEN,
+    SEEN,
+    but=("fusion", *_WEIGHED, "detector", "vut_sensors", "packet_loss", "vam_rate"),
 )
 """Fields of commands that show what is driven and judge nothing."""
 

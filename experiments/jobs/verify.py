@@ -21,6 +21,7 @@ from geometry.files import read_bytes, read_text
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
 from geometry.study_scene import STUDY, load_study_scene
+from placement.detection_table import plain_axis
 from placement.layout import Layout, layout_records, load_layout
 from placement.optimiser import Failing, Objective, PlacementProblem, PresolveStatistics
 from placement.verification.certificates import (
@@ -329,7 +330,7 @@ def _check_summary(
             "name": layout.name,
             "goal": problem.goal,
             "budget": problem.limits.budget_units,
-            "runs": problem.table.axis.n_runs // n_samples,
+            "runs": plain_axis(problem.table.axis).n_runs // n_samples,
             "cost_eur": sum(unit.sensor.price_eur for unit in layout.units),
             "presolve": str(PresolveStatistics(**stored.presolve)),
         }
@@ -407,7 +408,7 @@ def _check_runs(runs: "pd.DataFrame", problem: PlacementProblem, found: FolderCh
     if problem.sample_index is not None:
         found.not_checked.append(f"runs in {RUNS_FILE}: the problem has those of sampled worlds")
         return
-    axis = problem.table.axis
+    axis = plain_axis(problem.table.axis)
     row_of = {name: row for row, name in enumerate(axis.run_ids)}
     unknown = [name for name in runs["run"].unique() if name not in row_of]
     if unknown or len(row_of) != runs["run"].nunique():

@@ -29,6 +29,7 @@ from placement.pipeline import Assembly, Placement, pick_layout
 from placement.question import Question
 from placement.setting import Setting
 from scenarios.runs import FrameAxis
+from scenarios.scores import AVOIDED
 
 from ..progress import StageProgress
 from ..results.folders import RECOMMENDED_FILE
@@ -132,7 +133,7 @@ def find_other_priorities(
     progress(STAGE, 0, 0)
     effort, cache = plan.effort, compute.cache_folder
     by_runs = None
-    if question.weights in ("", "case"):
+    if question.weights in ("", "case") and question.score == AVOIDED:
         by_runs = find_by_runs(problem, chosen, effort=effort, cache_folder=cache)
     return by_runs, find_sturdier(problem, chosen, effort=effort, cache_folder=cache)
 
@@ -161,11 +162,12 @@ def leading_layouts(
 ) -> list[Layout]:
     """Layouts that lead on the table behind the one found, the greedy one first.
 
-    None where it is not the highest APR that was asked for, or worlds were sampled: the evaluator's
-    world is the one as planned. `on_grid` is the placement before it was refined.
+    None where it is not the highest APR that was asked for, worlds were sampled, or runs have
+    levels of a score: the evaluator's APR is that of the runs as planned. `on_grid` is the
+    placement before it was refined.
     """
     problem = placement.problem
-    if problem.goal != "best" or problem.survive or problem.sample_index is not None:
+    if problem.goal != "best" or problem.survive or placement.nominal is not problem:
         return []
     layouts, known = [], {frozenset(placement.pose_index)}
     greedy = frozenset(on_grid.greedy_index)

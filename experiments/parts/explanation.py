@@ -11,6 +11,7 @@ from geometry.arrays import FloatArray
 from geometry.scene import Scene
 from placement.candidates import CandidatePose
 from placement.compute import DEFAULT_COMPUTE, Compute
+from placement.detection_table import run_of_level
 from placement.explain import (
     Contribution,
     Pool,
@@ -141,16 +142,16 @@ def build_explained_record(
         problem.table.pose_ids[pose]: unit.id
         for pose, unit in zip(chosen, placement.layout.units, strict=True)
     }
-    if placement.nominal is problem:
-        missed = find_unavoided(setting, problem, candidates, chosen, compute=compute)
-    else:
-        missed = find_unavoided(
-            setting,
-            placement.nominal,
-            [candidates[pose] for pose in chosen],
-            placement.nominal_index,
-            compute=compute,
-        )
+    nominal = placement.nominal
+    missed = find_unavoided(
+        setting,
+        nominal,
+        candidates
+        if nominal.table.n_poses == problem.table.n_poses
+        else [candidates[pose] for pose in chosen],
+        placement.nominal_index,
+        compute=compute,
+    )
     return ExplainedRecord(
         contributions=tuple(
             _contribution(problem, part, names) for part in find_contributions(problem, chosen)
@@ -169,7 +170,9 @@ def _contribution(
     table = problem.table
     return ContributionRecord(
         unit=names[table.pose_ids[part.pose_index]],
-        only_runs=tuple(table.axis.run_ids[run] for run in part.only_runs.tolist()),
+        only_runs=tuple(
+            dict.fromkeys(run_of_level(table.axis.run_ids[run]) for run in part.only_runs.tolist())
+        ),
         marginal_apr=part.marginal_apr,
         first_share=part.first_share,
         mean_delay_s=part.mean_delay_s,

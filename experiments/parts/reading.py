@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pandas as pd
 from pandas.api.types import is_bool_dtype, is_numeric_dtype, is_string_dtype
 
@@ -39,6 +40,7 @@ _RUNS_COLUMNS = {
     "margin_s": "numbers",
     "is_avoided": "true or false",
     "detected_share": "numbers",
+    "impact_speed_kmh": "numbers",
 }
 _APR_COLUMNS = {
     "layout": "text",
@@ -161,6 +163,8 @@ def _load_runs(path: Path, summary: Result) -> pd.DataFrame:
     is_text = runs.dtypes == "category"
     runs = runs.astype(dict.fromkeys(runs.columns[is_text], object))
     _add_positions(runs, AT_ZERO.name)
+    if "impact_speed_kmh" not in runs.columns:  # older files
+        runs["impact_speed_kmh"] = np.nan
     _check_columns(runs, _RUNS_COLUMNS, path)
     if summary.name not in set(runs["layout"]):
         raise InputError(

@@ -12,6 +12,8 @@ from placement.evaluation import (
     apr_by_position,
     apr_one_failed,
     apr_one_site_failed,
+    mean_impact_speed_kmh,
+    score,
     units_by_site,
 )
 from scenarios.aeb import AebRule
@@ -34,6 +36,17 @@ class PartyAprRecord(Record, frozen=True, kw_only=True):
             "no run there has weight. Nothing in results of recordings."
         ),
     ] = field(default_factory=dict)
+    mean_impact_speed_kmh: Annotated[
+        float | None,
+        says(
+            "Mean of the VUT's speed at contact over all runs, by weight; avoided runs count 0. In "
+            "km/h; null where nobody braked bodies, as in results of recordings."
+        ),
+    ] = None
+    score: Annotated[
+        Share | None,
+        says("What the runs count by the speeds at contact; only with --score rating-2026."),
+    ] = None
 
 
 class EvaluationRecord(Record, frozen=True, kw_only=True):
@@ -76,6 +89,8 @@ def build_evaluation_record(evaluation: Evaluation, rule: AebRule) -> Evaluation
             all=apr(verdict, axis),
             by_case={**apr_by_case(verdict, axis)},
             by_position={**apr_by_position(verdict, axis)},
+            mean_impact_speed_kmh=mean_impact_speed_kmh(verdict, axis),
+            score=None if evaluation.levels is None else score(verdict, axis, evaluation.levels),
         )
 
     return EvaluationRecord(

@@ -99,7 +99,7 @@ def runs_table(evaluations: Mapping[str, Evaluation]) -> "pd.DataFrame":
     -------
     table : DataFrame
         One row per layout, party and run. Times that do not exist (never confirmed, no braking
-        avoids) are missing.
+        avoids) are missing; so are speeds where nobody braked bodies.
     """
     import pandas as pd
 
@@ -125,6 +125,9 @@ def runs_table(evaluations: Mapping[str, Evaluation]) -> "pd.DataFrame":
                         "is_avoided": verdict.is_avoided,
                         "detected_share": np.add.reduceat(verdict.detected, axis.run_start[:-1])
                         / np.diff(axis.run_start),
+                        "impact_speed_kmh": np.nan
+                        if verdict.impact_speed_kmh is None
+                        else verdict.impact_speed_kmh,
                     }
                 )
             )

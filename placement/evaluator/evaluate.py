@@ -26,8 +26,10 @@ from geometry.lidar import LidarModel, load_lidar_detection
 from geometry.poses import wrap_deg
 from geometry.sensors import CameraModel
 from geometry.weather import pick_weather
-from scenarios.aeb import AebRule, has_contact
+from scenarios.aeb import AebRule, find_contacts
+from scenarios.paths import MPS_PER_KMH
 from scenarios.runs import FrameAxis, Run, find_onsets
+from scenarios.scores import Levels
 
 from ..cache import CachedArrays, Fingerprints
 from ..candidates import CandidatePose
@@ -269,17 +271,20 @@ def _join(parts: Sequence[Evidence]) -> Evidence:
 # ---------- verdicts: confirmation, braking, contact
 
 
+_Contact = tuple[float, float, float]
 Party = tuple[BoolArray, float]
 """(n_frames,): detected frames that reach the VUT; how long it takes until it knows [s]."""
 
 
 class Judge:
-    """Verdicts on the same runs; remembers which onsets of braking end in contact."""
+    """Verdicts on the same runs; remembers which onsets of braking end in contact, and how fast."""
 
-    def __init__(self, runs: Sequence[Run], axis: FrameAxis, rule: AebRule) -> None:
-        self.axis, self._runs, self._rule = axis, runs, rule
+    def __init__(
+        self, runs: Sequence[Run], axis: FrameAxis, rule: AebRule, levels: Levels | None = None
+    ) -> None:
+        self.axis, self.levels, self._runs, self._rule = axis, levels, runs, rule
         # By encounter, which runs that differ by weather alone share, then by onset.
-        self._has_contact: dict[int, dict[float, bool]] = {id(run.encounter): {} for run in runs}
+        self._contacts: dict[int, dict[float, _Contact]] = {id(run.encounter): {} for run in runs}
 
     def verdict(self, parties: Sequence[Party]) -> Verdict:
         """Verdict on parties that are fused; see :meth:`verdicts`."""
@@ -293,28 +298,38 @@ class Judge:
         """
         arrivals = [earliest_arrival_s(parties, self.axis) for parties in fused]
         onsets = [find_onsets(arrival, self.axis, rule=self._rule) for arrival in arrivals]
-        touches = self._touches(np.array([each.onset_s for each in onsets]))
+        contacts = self._find_contacts(np.array([each.onset_s for each in onsets]))
         return [
             Verdict(
                 detected=np.isfinite(arrival),
                 confirmation_time_s=each.confirmation_s,
                 onset_time_s=each.onset_s,
-                is_avoided=~touching,
+                is_avoided=np.isinf(time_s),
+                impact_speed_kmh=speed_mps / MPS_PER_KMH,
+                closing_speed_kmh=closing_mps / MPS_PER_KMH,
             )
-            for arrival, each, touching in zip(arrivals, onsets, touches, strict=True)
+            for arrival, each, (time_s, speed_mps, closing_mps) in zip(
+                arrivals, onsets, contacts, strict=True
+            )
         ]
 
-    def _touches(self, onset_s: FloatArray) -> BoolArray:
-        """True where the bodies touch if braking begins at these onsets, (n, n_runs)."""
-        touches = np.empty(onset_s.shape, dtype=bool)
+    def _find_contacts(self, onset_s: FloatArray) -> FloatArray:
+        """Time, speed, closing speed at contact after onsets of braking: (n, n_runs) -> (n, 3, ..).
+
+        The time is infinite where there is none.
+        """
+        contacts = np.empty((len(onset_s), 3, len(self._runs)))
         for index, run in enumerate(self._runs):
-            asked, known = onset_s[:, index].tolist(), self._has_contact[id(run.encounter)]
+            asked, known = onset_s[:, index].tolist(), self._contacts[id(run.encounter)]
             new = [each for each in dict.fromkeys(asked) if each not in known]
             if new:
-                found = has_contact(run.encounter, new, self._rule)
-                known.update(zip(new, found.tolist(), strict=True))
-            touches[:, index] = [known[each] for each in asked]
-        return touches
+                found = find_contacts(run.encounter, new, self._rule)
+                columns = (found.time_s, found.speed_mps, found.closing_mps)
+                known.update(
+                    zip(new, zip(*(c.tolist() for c in columns), strict=True), strict=True)
+                )
+            contacts[:, :, index] = [known[each] for each in asked]
+        return contacts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -350,6 +365,7 @@ def judge_layouts(judge: Judge, seen: Sequence[Seen]) -> list[Evaluation]:
                 rsu_all=found["rsu_all",],
                 vut_and_rsus=found["vut_and_rsus",],
                 others={name: found[name,] for name in ("vam", "all_sources") if one.vam},
+                levels=judge.levels,
             )
         )
     return evaluations
@@ -471,7 +487,7 @@ def evaluate_layouts(
     units = {unit_key(unit): unit for layout in layouts for unit in layout.units}
     with threadpool_limits(1):  # one BLAS thread per worker: idle ones spin
         detected = watch(setting, units, compute=compute)
-    judge = Judge(setting.runs, setting.axis, setting.rule)
+    judge = Judge(setting.runs, setting.axis, setting.rule, setting.levels)
     vam = None
     if setting.radio.vam_rate > 0.0:
         rng = build_rng(compute.seed, "vam")

@@ -14,6 +14,7 @@ from typing import Any
 from geometry.errors import InputError, Unquoted
 from geometry.files import read_text, take, take_list, take_number, take_text, write_atomically
 
+from ..detection_table import run_of_level
 from ..layout import Certificate, Stage
 from ..optimiser import PlacementProblem, PresolveStatistics
 from ..optimiser.objectives import Objective
@@ -54,6 +55,11 @@ _FUSIONS: Mapping[str, str] = {
 _AVOIDED = (
     "a_r = 1 if a window of n frames in a row of run r is seen and the time of its last frame "
     "+ latency <= last brake time of r"
+)
+_LEVELS = (
+    "a run whose name ends in <v is a level of the run before that: a_r = 1 if that one is "
+    "avoided, or the speed at contact stays below v km/h; its clock stands still from the last "
+    "brake time of that run - latency on; w_r is what reaching it adds, so that the APR is a score"
 )
 _ALIVE = (
     "; and if from then on until last brake time - latency no longer than track_memory_s passes "
@@ -208,12 +214,17 @@ def instance_of(problem: PlacementProblem, mounts: Mounts | None) -> dict[str, A
     }
 
 
+def _has_levels(problem: PlacementProblem) -> bool:
+    return any(run_of_level(name) != name for name in problem.table.axis.run_ids)
+
+
 def words_of(problem: PlacementProblem, stages: Sequence[str]) -> dict[str, str]:
     """The model in words: fusion, what avoided means, and the formula of each stage."""
     formulas = _FORMULAS if problem.limits.failing == "unit" else _FORMULAS | _SITE_FORMULAS
     return {
         "fusion": _FUSIONS[problem.fusion],
         "avoided": _AVOIDED + ("" if is_never_lost(problem.rule) else _ALIVE),
+        **({"levels": _LEVELS} if _has_levels(problem) else {}),
         **{name: formulas[Objective(name)] for name in stages},
     }
 

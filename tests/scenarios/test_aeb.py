@@ -3,7 +3,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from oracles import (
     crossing_tau_s,
@@ -23,6 +23,7 @@ from scenarios.aeb import (
     _looks_s,
     _separation_m,
     confirmation_mask,
+    find_contacts,
     has_contact,
     held_frames,
     is_in_time,
@@ -627,3 +628,75 @@ def test_no_confirmation_is_never_in_time_and_nothing_is_before_minus_infinity()
         False,
         False,
     ]
+
+
+# ---------- what is left of an impact
+
+
+@given(vut_speeds, vru_speeds, bodies, numbers(0.0, 1.2), build_ups_s)
+def test_speed_at_contact_on_a_crossing_is_what_braking_leaves_at_the_line(
+    v, u, body, early_s, build_up_s
+):
+    rule, vru = _rule(build_up_s=build_up_s), load_actors()[body]
+    encounter = build_encounter(
+        vru=vru, vut_speed_mps=v, vru_speed_mps=u, angle_deg=90.0, touch=0.0
+    )
+    clear_s = 0.5 * (encounter.vut.width_m + vru.length_m) / u
+    assume(early_s > 1e-6)
+    found = find_contacts(encounter, -early_s, rule)
+    way_m, standstill_s = v * early_s, _standstill_s(v, build_up_s)
+
+    def short_m(time_s):
+        return v * time_s - _lost_m(time_s, build_up_s) - way_m
+
+    if short_m(standstill_s) <= 0.0:
+        return  # it stands before the line
+    reached_s = brentq(short_m, 0.0, standstill_s, xtol=1e-12)
+    in_the_way_s = reached_s - early_s
+    assume(abs(in_the_way_s - clear_s) > 1e-3)
+    assume(short_m(standstill_s) > 1e-3)
+    if in_the_way_s > clear_s:
+        return
+    braked = (
+        0.5 * reached_s**2 / build_up_s if reached_s < build_up_s else reached_s - 0.5 * build_up_s
+    )
+    assert found.time_s == pytest.approx(in_the_way_s, abs=1e-5)
+    assert found.speed_mps == pytest.approx(v - A_MPS2 * braked, abs=1e-4)
+    assert found.closing_mps == pytest.approx(found.speed_mps, abs=1e-6)  # nothing drives ahead
+
+
+@given(vut_speeds, numbers(3.0, 15.0), numbers(0.01, 0.95))
+def test_closing_speed_behind_a_target_ahead_is_that_of_the_frame_that_drives_with_it(
+    v, u_kmh, share
+):
+    u = u_kmh * KMH
+    encounter = build_encounter(
+        vru=load_actors()["cyclist"], vut_speed_mps=v, vru_speed_mps=u, angle_deg=0.0, touch=0.0
+    )
+    w = v - u
+    early_s = share * 0.5 * w / A_MPS2
+    found = find_contacts(encounter, -early_s, RULE)
+    closing = math.sqrt(w**2 - 2.0 * A_MPS2 * w * early_s)
+    assert found.closing_mps == pytest.approx(closing, abs=1e-4)
+    assert found.speed_mps == pytest.approx(u + closing, abs=1e-4)
+
+
+@settings(max_examples=20)
+@given(st.one_of(encounters(), turning_encounters()), st.lists(numbers(0.0, 1.0), max_size=4))
+def test_contacts_are_those_of_a_simulation_in_small_steps(encounter, shares):
+    last_s = last_brake_time_s(encounter, RULE)
+    onsets_s = np.array([last_s - 0.01, *(last_s * share for share in shares), 0.0, np.inf])
+    found = find_contacts(encounter, onsets_s, RULE)
+    assert np.array_equal(np.isfinite(found.time_s), has_contact(encounter, onsets_s, RULE))
+    v = encounter.vut_motion.speed_mps
+    for onset_s, time_s, speed in zip(onsets_s, found.time_s, found.speed_mps, strict=True):
+        if onset_s >= 0.0:
+            assert (time_s, speed) == (0.0, v)
+            continue
+        since_s = _looks_s(encounter, RULE, 2.0e-4)
+        touches = _separation_m(encounter, onset_s, since_s, RULE) <= 0.0
+        if not touches.any():
+            continue  # a contact shorter than a step, or none
+        look_s = since_s[touches.argmax()]
+        assert onset_s + look_s - 2.1e-4 <= time_s <= onset_s + look_s + 5e-6
+        assert speed == pytest.approx(v - A_MPS2 * (time_s - onset_s), abs=1e-9)

@@ -147,7 +147,7 @@ def test_unknown_words_list_the_known_ones(how):
         weigh(DRIVEN, how)
     assert str(caught.value) == (
         f"weights: got {how!r}; expected run, case, fhwa-crash-types, euroncap-rating-2026, "
-        "or a CSV file that exists"
+        "unfallatlas:FILE, stats19:FILE, or a CSV file that exists"
     )
 
 
@@ -270,9 +270,18 @@ def test_points_are_those_of_the_package_shared_by_the_runs_of_a_case_and_weathe
 def test_every_score_of_the_mapping_is_one_of_the_package(scores):
     points = weights.load_points()
     assert set(points.values()) <= set(scores.values())
-    vru = [name for name in scores if name[:2] in ("CP", "CB") and "SfS" not in name]
+    frontal = [name for name in scores if "SfS" not in name and "ELK" not in name]
     left_out = {"CPMRCm", "CPMRCs", "CPMFC", "CBDA"}  # reversing, forward creep, dooring
-    assert len(points) == len(set(vru) - left_out)
+    assert len(points) == len(set(frontal) - left_out)
+
+
+def test_cars_and_motorcyclists_have_their_points_whatever_side_year_and_impact(scores):
+    driven = (run("CMCscp-far"), run("CMCscp-near"), run("CCRs-FCW-2026-m25"), run("CCFtap"))
+    weight = weigh(driven, "euroncap-rating-2026")
+    half, rear, turn = scores["CMCscp"] / 2.0, scores["CCRs"], scores["CCFtap"]
+    expected = np.array([half, half, rear, turn])
+    assert scores["CMCscp"] == 7.5
+    assert weight == pytest.approx(expected / expected.sum())
 
 
 def test_near_and_far_turns_share_their_points(scores):

@@ -237,6 +237,38 @@ def test_weights_decide_and_what_is_not_used_is_told(tiny, city, never, tmp_path
     )
 
 
+def test_scores_and_accidents_around_each_junction_make_its_front(tiny, tmp_path, here, no_pages):
+    table = tmp_path / "atlas.csv"
+    head = "UTYP1;UART;IstFuss;IstRad;IstKrad;IstPKW;ULICHTVERH;XGCSWGS84;YGCSWGS84\n"
+    near_all = "4;6;1;0;0;1;0;13,40370;52,5\n3;5;0;1;0;1;2;13,40370;52,5\n"
+    table.write_text(head + near_all)
+    question = replace(
+        FEW_RUNS,
+        weights=f"unfallatlas:{table}",
+        accidents_within_m=2000.0,
+        score="rating-2026",
+    )
+    out = tmp_path / "scored"
+    result = run(tiny / "tiny.osm", out, question=question)
+    assert result.computed == 3
+    assert run(tiny / "tiny.osm", out, question=question).computed == 0
+    plain = run(tiny / "tiny.osm", tmp_path / "plain", question=replace(question, score="avoided"))
+    assert plain.stages[0].objective <= result.stages[0].objective + 1e-9
+    for scored, avoided in zip(fronts_of(out), fronts_of(tmp_path / "plain"), strict=True):
+        assert scored.points[0].apr == avoided.points[0].apr == 0.0
+        assert max(p.apr for p in scored.points) >= max(p.apr for p in avoided.points) - 1e-9
+    # More accidents in the file make other fronts; none near one junction leaves that out.
+    only_first = "4;6;1;0;0;1;0;13,4;52,5\n"
+    table.write_text(head + near_all + only_first)
+    assert run(tiny / "tiny.osm", out, question=question).computed == 3
+    near = replace(question, accidents_within_m=100.0)
+    reasons = [
+        one.reason for one in run(tiny / "tiny.osm", tmp_path / "near", question=near).junctions
+    ]
+    assert sorted(map(bool, reasons)) == [False, False, True]
+    assert any("expected a place with accidents within 100 m" in reason for reason in reasons)
+
+
 def area(path, lon_deg, half_deg=0.0005, **values):
     low, high = lon_deg - half_deg, lon_deg + half_deg
     ring = [[low, 52.49], [high, 52.49], [high, 52.51], [low, 52.51], [low, 52.49]]

@@ -3,15 +3,18 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from placement.candidates import CandidatePose
-from placement.evaluation import run_outcomes
+from placement.detection_table import level_table, pack_table
+from placement.evaluation import run_outcomes, score
 from placement.evaluator import evaluate as judge_module
 from placement.evaluator.evaluate import Judge
-from scenarios.aeb import has_contact, is_in_time, load_aeb_rule
+from placement.optimiser import Limits, PlacementProblem, apr
+from scenarios.aeb import find_contacts, has_contact, is_in_time, load_aeb_rule
 from scenarios.runs import build_frame_axis, find_onsets, live_confirmation_times_s
+from scenarios.scores import build_levels
 from scenarios.weights import weight_per_run
 
 RULE = load_aeb_rule()
@@ -25,6 +28,11 @@ def axis(study_runs):
 @pytest.fixture(scope="module")
 def judge(study_runs, axis):
     return Judge(study_runs, axis, RULE)
+
+
+@pytest.fixture(scope="module")
+def levels(study_runs):
+    return build_levels(study_runs, "rating-2026", RULE)
 
 
 def _rows(axis, seed, n_rows):
@@ -126,14 +134,42 @@ def test_as_many_frames_confirm_as_the_rule_says(study_runs, axis):
         assert np.isinf(others).all()
 
 
+@settings(max_examples=30)
+@given(seed=st.integers(0, 2**32 - 1), memory_s=st.sampled_from([0.3, 1.0, np.inf]))
+def test_scores_of_bodies_are_those_of_levels_on_the_table(
+    study_runs, axis, seed, memory_s, levels
+):
+    rule = replace(RULE, track_memory_s=memory_s)
+    judge = Judge(study_runs, axis, rule, levels)
+    rows = _rows(axis, seed, 2)
+    verdict = judge.verdict([(row, rule.latency_s) for row in rows])
+    v = axis.vut_speed_kmh
+    assert ((verdict.impact_speed_kmh == 0.0) == verdict.is_avoided).all()
+    assert (verdict.impact_speed_kmh <= v + 1e-9).all()
+    never = np.isinf(verdict.onset_time_s)
+    assert verdict.impact_speed_kmh[never] == pytest.approx(v[never])
+    table = level_table(pack_table(("a", "b"), axis, rows), levels, rule)
+    problem = PlacementProblem(
+        table=table,
+        limits=Limits(site_index=[0, 1], site_capacity=[1, 1], budget_units=2),
+        fusion="any",
+        rule=rule,
+    )
+    by_bodies = score(verdict, axis, levels)
+    # Of a run whose contact ends with a later onset and begins again, the table knows less.
+    assert by_bodies >= apr(problem, [0, 1]) - 1e-12
+    by_onsets = levels.of_onsets(verdict.onset_time_s, 1e-9)
+    assert by_onsets @ axis.weight == pytest.approx(apr(problem, [0, 1]), abs=1e-12)
+
+
 def test_contact_is_looked_for_once_per_run_and_onset(study_runs, axis, monkeypatch):
     asked = []
 
     def count(encounter, onset_s, rule):
         asked.extend(onset_s)
-        return has_contact(encounter, onset_s, rule)
+        return find_contacts(encounter, onset_s, rule)
 
-    monkeypatch.setattr(judge_module, "has_contact", count)
+    monkeypatch.setattr(judge_module, "find_contacts", count)
     judge = Judge(study_runs, axis, RULE)
     row = np.ones(axis.n_frames, dtype=bool)
     first, again = (judge.verdict([(row, 0.025)]) for _ in range(2))

@@ -1,0 +1,416 @@
+"""Accidents around a place, from the files in which Germany and Great Britain publish them.
+
+Each becomes a road user, an event and a light, in words of ``data/accidents.toml``, which says what
+the files' codes mean and which cases stand for which event. What cannot be used has a reason.
+"""
+
+import csv
+import io
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from msgspec import Meta, Struct
+
+from geometry.arrays import FloatArray, freeze
+from geometry.errors import InputError, Unquoted
+from geometry.files import Text, load_toml, read_bytes, read_table
+
+UNFALLATLAS, STATS19 = "unfallatlas", "stats19"
+FORMATS = (UNFALLATLAS, STATS19)
+DAY, NIGHT = "day", "night"
+_EARTH_M = 6_371_008.8  # mean radius, IUGG
+_MAX_REASONS = 8
+
+_Codes = dict[str, Text]
+_Columns = Mapping[str, tuple[str, ...]]
+
+
+class _Unfallatlas(Struct, frozen=True, kw_only=True):
+    events: _Codes
+    unused: _Codes
+    head_on: tuple[str, ...]
+    light: _Codes
+
+
+class _Stats19(Struct, frozen=True, kw_only=True):
+    cars: tuple[str, ...]
+    bicycles: tuple[str, ...]
+    motorcycles: tuple[str, ...]
+    ahead: tuple[str, ...]
+    turns_left: tuple[str, ...]
+    turns_right: tuple[str, ...]
+    on_foot: _Codes
+    light: _Codes
+
+
+class AccidentType(Struct, frozen=True, kw_only=True):
+    """A road user that cars hit, and the cases that stand for each event."""
+
+    road_user: Text
+    cases: dict[str, tuple[Text, ...]]
+
+
+class AccidentRules(Struct, frozen=True, kw_only=True):
+    """``data/accidents.toml``."""
+
+    default_within_m: Annotated[float, Meta(gt=0.0)]
+    unfallatlas: _Unfallatlas
+    stats19: _Stats19
+    types: tuple[AccidentType, ...]
+
+    def cases_of(self, road_user: str, event: str) -> tuple[str, ...]:
+        """What names of cases that stand for an event begin with; none: nothing stands for it."""
+        return next(one.cases.get(event, ()) for one in self.types if one.road_user == road_user)
+
+
+@cache
+def load_accident_rules() -> AccidentRules:
+    """Codes and types of accidents, from ``data/accidents.toml``."""
+    where = "accidents.toml"
+    return read_table(load_toml(files(__package__) / "data" / where), AccidentRules, where)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Accident:
+    """What an accident was; `unused` says why it cannot stand for a case, else it is empty."""
+
+    road_user: str  # one of the types of ``data/accidents.toml``
+    event: str
+    light: str  # "day", "night", or else: neither, or unknown
+    unused: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Accidents:
+    """Accidents of a file.
+
+    Attributes
+    ----------
+    source : str
+        The file's name.
+    place_deg : (n, 2) float
+        Latitude and longitude, WGS 84; not a number where the file has none. [deg]
+    what : tuple of Accident
+        Of each.
+    """
+
+    source: str
+    place_deg: FloatArray
+    what: tuple[Accident, ...]
+
+    def near(self, place_deg: tuple[float, float], within_m: float) -> list[Accident]:
+        """Accidents no farther than so many metres from a place (latitude, longitude).
+
+        Raises InputError: there is none.
+        """
+        distance_m = _distances_m(self.place_deg, place_deg)
+        rows = np.flatnonzero(distance_m <= within_m)
+        if not len(rows):
+            nearest = np.nanmin(distance_m, initial=np.inf)
+            latitude, longitude = place_deg
+            raise InputError(
+                "near",
+                Unquoted(f"{latitude:g},{longitude:g}"),
+                f"a place with accidents within {within_m:g} m (the nearest one of {self.source} "
+                f"is {nearest / 1000.0:,.1f} km away)",
+            )
+        return [self.what[row] for row in rows.tolist()]
+
+
+def _distances_m(places_deg: FloatArray, place_deg: tuple[float, float]) -> FloatArray:
+    """Great circles from places to one place (haversine), (n,)."""
+    latitude, longitude = np.radians(places_deg).T
+    here_latitude, here_longitude = np.radians(place_deg)
+    chord = (
+        np.sin(0.5 * (latitude - here_latitude)) ** 2
+        + np.cos(latitude) * np.cos(here_latitude) * np.sin(0.5 * (longitude - here_longitude)) ** 2
+    )
+    distance: FloatArray = 2.0 * _EARTH_M * np.arcsin(np.sqrt(np.minimum(chord, 1.0)))
+    return distance
+
+
+def reasons(unused: Mapping[str, int]) -> str:
+    """Why accidents are not used, the most frequent reason first, with commas between."""
+    known = sorted(unused.items(), key=lambda item: (-item[1], item[0]))
+    more = [f"{sum(n for _, n in known[_MAX_REASONS:])} for other reasons"]
+    told = [f"{count} {reason}" for reason, count in known[:_MAX_REASONS]]
+    return ", ".join(told + more * (len(known) > _MAX_REASONS))
+
+
+def split_source(how: str) -> tuple[str, Path] | None:
+    """Format and file of words such as "unfallatlas:FILE"; None for other words."""
+    form, colon, name = how.partition(":")
+    return (form, Path(name)) if colon and form in FORMATS else None
+
+
+def read_accidents(form: str, path: Path) -> Accidents:
+    """Accidents of a file of one of ``FORMATS``; read once while it stays the same.
+
+    Parameters
+    ----------
+    form : str
+        "unfallatlas": the German accident atlas, CSV with semicolons and decimal commas;
+        "stats19": the collisions of Great Britain, CSV; the files of vehicles and casualties lie
+        beside it, with "vehicle" and "casualty" in place of "collision" (or "accident") in their
+        names.
+    path : Path
+        UTF-8, with or without a byte order mark, or Windows-1252.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, is no such CSV, lacks a column, or has no accident with a place.
+    """
+    paths = accident_files(form, path)
+    stamps = tuple(_stamp(one) for one in paths)
+    return _read(form, paths, stamps)
+
+
+def accident_files(form: str, path: Path) -> tuple[Path, ...]:
+    """All files that :func:`read_accidents` reads."""
+    return (path,) if form == UNFALLATLAS else (path, *_beside(path))
+
+
+def _stamp(path: Path) -> tuple[int, int]:
+    try:
+        found = path.stat()
+    except OSError:
+        return (0, 0)  # reading says why
+    return found.st_size, found.st_mtime_ns
+
+
+@lru_cache(maxsize=2)  # of a city every junction asks again
+def _read(form: str, paths: tuple[Path, ...], _stamps: tuple[tuple[int, int], ...]) -> Accidents:
+    read = _read_unfallatlas if form == UNFALLATLAS else _read_stats19
+    places, what = read(*paths)
+    place_deg = np.array(places, dtype=np.float64).reshape(-1, 2)
+    latitude, longitude = place_deg.T
+    on_earth = (np.abs(latitude) <= 90.0) & (np.abs(longitude) <= 180.0)
+    place_deg[~on_earth | (place_deg == 0.0).all(axis=1)] = np.nan
+    if np.isnan(place_deg).all():
+        got = Unquoted(f"{len(what)} accidents, none with a place")
+        raise InputError(str(paths[0]), got, "latitudes and longitudes in degrees")
+    return Accidents(source=paths[0].name, place_deg=freeze(place_deg), what=tuple(what))
+
+
+# ---------- the German accident atlas
+
+
+def _read_unfallatlas(path: Path) -> tuple[list[tuple[float, float]], list[Accident]]:
+    rules = load_accident_rules().unfallatlas
+    columns = {name: (name,) for name in ("utyp1", "istfuss", "istrad", "istkrad", "istpkw")} | {
+        "light": ("ulichtverh", "licht"),
+        "x": ("xgcswgs84",),
+        "y": ("ygcswgs84",),
+    }
+    places, what = [], []
+    for row in _rows(path, columns, optional={"uart": ("uart",)}):
+        places.append((_degrees(row["y"]), _degrees(row["x"])))
+        users = [
+            user
+            for user, column in (
+                ("on foot", "istfuss"),
+                ("bicycle", "istrad"),
+                ("motorcycle", "istkrad"),
+            )
+            if row[column] == "1"
+        ]
+        code = row["utyp1"]
+        event, unused = rules.events.get(code, ""), ""
+        if event == "along" and row["uart"] in rules.head_on:
+            event = "oncoming"
+        if row["istpkw"] != "1":
+            unused = "without a car"
+        elif len(users) > 1:
+            unused = "with several kinds of road users"
+        elif not event:
+            unused = rules.unused.get(code, f"of an unknown type (UTYP1 {code[:8]})")
+        what.append(
+            Accident(
+                road_user=users[0] if users else "car",
+                event=event,
+                light=rules.light.get(row["light"], ""),
+                unused=unused,
+            )
+        )
+    return places, what
+
+
+# ---------- STATS19 of Great Britain
+
+
+def _beside(path: Path) -> tuple[Path, Path]:
+    """The files of vehicles and casualties that belong to one of collisions."""
+    for word in ("collision", "accident"):
+        head, found, tail = path.name.rpartition(word)
+        if found:
+            vehicles, casualties = (
+                path.with_name(head + other + tail) for other in ("vehicle", "casualty")
+            )
+            return vehicles, casualties
+    raise InputError(str(path), Unquoted(f"the name {path.name}"), 'one with "collision" in it')
+
+
+_INDEX: _Columns = {"index": ("collision_index", "accident_index")}
+
+
+def _read_stats19(
+    collisions: Path, vehicles: Path, casualties: Path
+) -> tuple[list[tuple[float, float]], list[Accident]]:
+    rules = load_accident_rules().stats19
+    of_vehicles = {
+        "reference": ("vehicle_reference",),
+        "type": ("vehicle_type",),
+        "manoeuvre": ("vehicle_manoeuvre",),
+        "to": ("vehicle_direction_to",),
+    }
+    drivers: dict[str, dict[str, dict[str, str]]] = {}
+    for row in _rows(vehicles, {**_INDEX, **of_vehicles}):
+        drivers.setdefault(row["index"], {})[row["reference"]] = row
+    walkers: dict[str, list[dict[str, str]]] = {}
+    of_casualties = {
+        "reference": ("vehicle_reference",),
+        "class": ("casualty_class",),
+        "movement": ("pedestrian_movement",),
+    }
+    for row in _rows(casualties, {**_INDEX, **of_casualties}):
+        if row["class"] == "3":
+            walkers.setdefault(row["index"], []).append(row)
+    places, what = [], []
+    of_collisions = {"x": ("longitude",), "y": ("latitude",), "light": ("light_conditions",)}
+    for row in _rows(collisions, {**_INDEX, **of_collisions}):
+        places.append((_degrees(row["y"]), _degrees(row["x"])))
+        road_user, event, unused = _collision(
+            drivers.get(row["index"], {}), walkers.get(row["index"], []), rules
+        )
+        light = rules.light.get(row["light"], "")
+        what.append(Accident(road_user=road_user, event=event, light=light, unused=unused))
+    return places, what
+
+
+def _collision(
+    drivers: Mapping[str, Mapping[str, str]], walkers: Sequence[Mapping[str, str]], rules: _Stats19
+) -> tuple[str, str, str]:
+    """Road user, event, and why neither can be used."""
+    if walkers:
+        car = drivers.get(walkers[0]["reference"], {})
+        if car.get("type") not in rules.cars:
+            return "on foot", "", "without a car"
+        turn = _turn(car, rules)
+        event = turn or (
+            rules.on_foot.get(walkers[0]["movement"], "") if car["manoeuvre"] in rules.ahead else ""
+        )
+        return "on foot", event, "" if event else "of an unknown or unusual manoeuvre"
+    kinds = {
+        "bicycle": [one for one in drivers.values() if one["type"] in rules.bicycles],
+        "motorcycle": [one for one in drivers.values() if one["type"] in rules.motorcycles],
+        "car": [one for one in drivers.values() if one["type"] in rules.cars],
+    }
+    if not kinds["car"]:
+        return "car", "", "without a car"
+    if len(drivers) != 2:
+        return "car", "", "with one vehicle alone, or more than two"
+    if sum(map(len, kinds.values())) != 2:
+        return "car", "", "with another kind of vehicle"
+    for user in ("bicycle", "motorcycle"):
+        if kinds[user]:
+            event = _meeting(kinds["car"][0], kinds[user][0], rules)
+            return user, event, "" if event else "of an unknown or unusual manoeuvre"
+    first, second = kinds["car"]
+    if _turn(second, rules) and not _turn(first, rules):  # the one that turns is the VUT
+        first, second = second, first
+    event = _meeting(first, second, rules)
+    return "car", event, "" if event else "of an unknown or unusual manoeuvre"
+
+
+def _turn(car: Mapping[str, str], rules: _Stats19) -> str:
+    """How a car turns where traffic keeps left; empty: it does not."""
+    if car["manoeuvre"] in rules.turns_left:
+        return "VUT turns near"
+    return "VUT turns far" if car["manoeuvre"] in rules.turns_right else ""
+
+
+_SAME, _ONCOMING, _WAYS = 0, 4, 8
+
+
+def _meeting(car: Mapping[str, str], other: Mapping[str, str], rules: _Stats19) -> str:
+    """Event of a car and another vehicle; empty: unknown, or nothing of what is driven.
+
+    Directions are those of the compass, clockwise from 1, north; traffic keeps left, so that the
+    near side is the left.
+    """
+    if turn := _turn(car, rules):
+        return turn
+    if car["manoeuvre"] not in rules.ahead or other["manoeuvre"] not in rules.ahead:
+        return ""
+    ways = [one["to"] for one in (car, other)]
+    if not all(way in "12345678" and len(way) == 1 for way in ways):
+        return ""
+    turned = (int(ways[1]) - int(ways[0])) % _WAYS
+    if turned == _SAME:
+        return "along"
+    if turned == _ONCOMING:
+        return "oncoming"
+    return "crosses near" if turned < _ONCOMING else "crosses far"  # to the right: from the left
+
+
+# ---------- CSV as it is published
+
+
+def _rows(
+    path: Path,
+    columns: _Columns,
+    *,
+    optional: _Columns | None = None,
+) -> Iterator[dict[str, str]]:
+    """Cells of the rows by our names; each column has one of several names in the file."""
+    data = read_bytes(path)
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = data.decode("cp1252", errors="replace")
+    head = text.partition("\n")[0]
+    reader = csv.reader(
+        io.StringIO(text, newline=""),
+        delimiter=max(";,\t", key=head.count),
+        strict=True,
+    )
+    try:
+        header = [name.strip().lower() for name in next(reader, [])]
+        at: dict[str, int] = {}
+        for name, known in {**columns, **(optional or {})}.items():
+            found = [header.index(one) for one in known if one in header]
+            if found:
+                at[name] = found[0]
+            elif name in columns:
+                got = Unquoted(f"no column {known[0]}")
+                expected = "columns " + ", ".join(one[0] for one in columns.values())
+                raise InputError(str(path), got, expected)
+        missing = dict.fromkeys((name for name in optional or {} if name not in at), "")
+        n_rows = 0
+        for cells in reader:
+            if not any(cells):
+                continue
+            if len(cells) != len(header):
+                where = f"{path}: line {reader.line_num}"
+                raise InputError(where, Unquoted(f"{len(cells)} fields"), f"{len(header)}")
+            n_rows += 1
+            yield missing | {name: cells[index].strip() for name, index in at.items()}
+    except csv.Error as error:
+        where = f"{path}: line {reader.line_num}"
+        raise InputError(where, Unquoted(error), "a CSV file") from None
+    if not n_rows:
+        raise InputError(str(path), Unquoted("no rows"), "a row for each accident")
+
+
+def _degrees(text: str) -> float:
+    """A number with a decimal comma or point; not a number for anything else."""
+    try:
+        return float(text.replace(",", "."))
+    except ValueError:
+        return float("nan")

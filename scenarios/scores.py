@@ -1,0 +1,197 @@
+"""What a run counts that is not avoided: nothing, or by what is left of the VUT's speed at contact.
+
+A score gives a run levels: closing speeds at contact, the slower the more it counts. Of each level
+there is a last onset of braking (:func:`scenarios.aeb.last_onsets_s`), so that to an optimiser it
+is a run of its own with a later deadline; what it weighs is what it adds to the next worse level.
+``data/scores.toml`` has Euro NCAP's.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from itertools import pairwise
+from typing import Annotated, Literal
+
+import numpy as np
+from msgspec import Meta, Struct
+
+from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
+from geometry.errors import InputError
+from geometry.files import Text, load_toml, read_table
+
+from .aeb import AebRule, find_contacts, last_onsets_s
+from .encounters import Encounter
+from .paths import MPS_PER_KMH
+from .runs import Run
+
+AVOIDED = "avoided"
+RATING_2026 = "rating-2026"
+SCORES = (AVOIDED, RATING_2026)
+
+_SAME_KMH = 1.0e-6  # speeds that differ by less are equal: they carry rounding noise
+_Share = Annotated[float, Meta(gt=0.0, le=1.0)]
+_Speed = Annotated[float, Meta(ge=0.0)]
+
+
+class Bands(Struct, frozen=True, kw_only=True):
+    """Limits and what counts within them, for VUTs from a speed on."""
+
+    vut_from_kmh: _Speed
+    limits: tuple[tuple[_Speed, _Share], ...]
+
+
+class Criterion(Struct, frozen=True, kw_only=True):
+    """How some cases are judged."""
+
+    criterion: Text
+    measure: Literal["below", "lost"]  # the speed at contact, or what braking has taken of it
+    cases: tuple[Text, ...]
+    bands: tuple[Bands, ...]
+
+
+@cache
+def load_criteria(score: str) -> tuple[Criterion, ...]:
+    """Criteria of a score, from ``data/scores.toml``; none of "avoided".
+
+    Raises InputError if there is no such score.
+    """
+    if score == AVOIDED:
+        return ()
+    tables = load_toml(files(__package__) / "data" / "scores.toml")
+    if score not in tables:
+        raise InputError("score", score, "one of " + ", ".join(SCORES))
+    return read_table(tables[score], tuple[Criterion, ...], f"scores.toml: {score}")
+
+
+def bands_kmh(
+    score: str, case_name: str, vut_speed_kmh: float, *, unbraked_kmh: float | None = None
+) -> tuple[tuple[float, float], ...]:
+    """Closing speeds at contact and what counts below each, the best first: ((0, 1.0), ...).
+
+    The first one, below which nothing can be, stands for runs that are avoided. `unbraked_kmh` is
+    the closing speed of the impact without braking, by default the VUT's speed: where what braking
+    has taken counts, it is taken from that.
+
+    Examples
+    --------
+    >>> bands_kmh("rating-2026", "CPNA-25", 45.0)
+    ((0.0, 1.0), (10.0, 0.5), (20.0, 0.25))
+    """
+    found = [(0.0, 1.0)]
+    for criterion in _criteria_of(load_criteria(score), case_name)[:1]:
+        bands = max(
+            (one for one in criterion.bands if one.vut_from_kmh <= vut_speed_kmh),
+            key=lambda one: one.vut_from_kmh,
+        )
+        for limit_kmh, share in bands.limits:
+            closing_kmh = vut_speed_kmh if unbraked_kmh is None else unbraked_kmh
+            below_kmh = closing_kmh - limit_kmh if criterion.measure == "lost" else limit_kmh
+            if below_kmh > 0.0:
+                found.append((below_kmh, share))
+    return tuple(found)
+
+
+def _criteria_of(criteria: Sequence[Criterion], case_name: str) -> list[Criterion]:
+    """Criteria that name a case, or what its name begins with; the most of it first."""
+    words = case_name.split("-")
+    names = ["-".join(words[:n]) for n in range(len(words), 0, -1)]
+    return [one for name in names for one in criteria if name in one.cases]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Levels:
+    """Levels of runs, run by run, the best level of each first.
+
+    Attributes
+    ----------
+    score : str
+        By which score.
+    run_index : (n_levels,) int
+        Run of each level, ascending; each run has one at least.
+    below_kmh : (n_levels,) float
+        Reached by closing speeds at contact below this; 0: by runs that are avoided. [km/h]
+    gain : (n_levels,) float
+        What reaching it adds to the next worse level of its run, a share of the run's weight; those
+        of a run sum to 1.
+    deadline_s : (n_levels,) float
+        Last onset of braking that reaches it, and so does every earlier one; of avoided runs the
+        last brake time. [s]
+    """
+
+    score: str
+    run_index: IntArray
+    below_kmh: FloatArray
+    gain: FloatArray
+    deadline_s: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("run_index", "below_kmh", "gain", "deadline_s"):
+            object.__setattr__(self, name, freeze(np.array(getattr(self, name))))
+
+    @property
+    def first(self) -> IntArray:
+        """The first level of each run, (n_runs,)."""
+        starts: IntArray = np.flatnonzero(np.diff(self.run_index, prepend=-1))
+        return starts
+
+    def of_speeds(self, closing_kmh: FloatArray, is_avoided: BoolArray) -> FloatArray:
+        """What runs count by their closing speeds at contact: (..., n_runs) -> (..., n_runs)."""
+        run = self.run_index
+        slower = closing_kmh[..., run] < self.below_kmh - _SAME_KMH
+        return self._of_levels(is_avoided[..., run] | slower)
+
+    def of_onsets(self, onset_s: FloatArray, tolerance_s: float) -> FloatArray:
+        """The same by the onsets of braking in seconds, infinite where there is none."""
+        return self._of_levels(onset_s[..., self.run_index] <= self.deadline_s + tolerance_s)
+
+    def _of_levels(self, is_reached: BoolArray) -> FloatArray:
+        gains = np.where(is_reached, self.gain, 0.0)
+        return np.add.reduceat(gains, self.first, axis=-1)
+
+
+def build_levels(runs: Sequence[Run], score: str, rule: AebRule) -> Levels | None:
+    """Levels of runs by a score; None for "avoided", where each run has one alone.
+
+    A speed that the impact without braking already stays below is no level: nobody has to do
+    anything for it. Raises InputError if there is no such score.
+    """
+    if not load_criteria(score):
+        return None
+    known: dict[tuple[int, tuple[float, ...]], FloatArray] = {}
+    rows: list[tuple[int, float, float, float]] = []
+    for index, run in enumerate(runs):
+        unbraked_kmh = float(find_contacts(run.encounter, 0.0, rule).closing_mps) / MPS_PER_KMH
+        bands = bands_kmh(score, run.case.name, run.vut_speed_kmh, unbraked_kmh=unbraked_kmh)
+        limits = tuple(below for below, _ in bands[1:])
+        key = id(run.encounter), limits  # one and the same in all weathers
+        if limits and key not in known:
+            known[key] = _deadlines_s(run.encounter, rule, limits, run.last_brake_time_s)
+        deadlines = [run.last_brake_time_s, *(known[key].tolist() if limits else [])]
+        told = [
+            (below, share, at_s)
+            for (below, share), at_s in zip(bands, deadlines, strict=True)
+            if at_s < 0.0 or below == 0.0
+        ]
+        shares = [share for _, share, _ in told]
+        gains = [one - other for one, other in pairwise([*shares, 0.0])]
+        rows += [
+            (index, below, gain, at_s)
+            for (below, _, at_s), gain in zip(told, gains, strict=True)
+            if gain > 0.0
+        ]
+    run_index, below_kmh, gain, deadline_s = zip(*rows, strict=True)
+    return Levels(
+        score=score,
+        run_index=np.array(run_index, dtype=np.int64),
+        below_kmh=np.array(below_kmh, dtype=np.float64),
+        gain=np.array(gain, dtype=np.float64),
+        deadline_s=np.array(deadline_s, dtype=np.float64),
+    )
+
+
+def _deadlines_s(
+    encounter: Encounter, rule: AebRule, limits_kmh: tuple[float, ...], last_brake_s: float
+) -> FloatArray:
+    below_mps = [limit * MPS_PER_KMH for limit in limits_kmh]
+    return last_onsets_s(encounter, rule, below_mps=below_mps, avoids_until_s=last_brake_s)
