@@ -10,23 +10,30 @@ from geometry.clock import now_s
 from geometry.errors import InputError, Unquoted
 
 from .front import (
+    FIRST_STAGES,
     Front,
     FrontPoint,
     OnPoint,
     StageChoice,
     check_front,
     largest_values,
-    look_around,
-    prove_point,
     reaches,
+    solve_point,
 )
 from .greedy import to_full
 from .limits import Limits
-from .objectives import Objective
+from .objectives import VALUE_OBJECTIVES, Objective
 from .presolve import ReducedProblem, presolve
 from .problem import Floor, PlacementProblem, Requirement
-from .solve import UnmetError, build_stage, check_floors, check_limits, check_reach
-from .stages import Stages
+from .solve import (
+    UnmetError,
+    build_stage,
+    check_floors,
+    check_limits,
+    check_reach,
+    units_of,
+)
+from .stages import Search, Stages
 from .steering import (
     COST_TOLERANCE_EUR,
     LEAST_S,
@@ -255,8 +262,10 @@ class _Climb:
         problem = replace(self.problem, goal="cheapest", floors=self._floors(asked))
         reduced = replace(self.reduced, floors=self._requirements(asked)).with_goal("cheapest")
         effort = self._effort()
-        start = () if last is None else last.pose_index
-        search = look_around(problem, reduced, effort=effort, stages="first", start=start)
+        search = Search(
+            reduced, deadline=deadline_in(effort.time_limit_s), is_exact=effort.is_exact
+        )
+        search.start([] if last is None else [units_of(reduced, last.pose_index)])
         known_eur = self._known_eur(last)
         if last is None:
             check_floors(problem, search)
@@ -299,17 +308,14 @@ class _Climb:
         limits = _within(self.problem.limits, step.cost_eur)
         asked = () if is_best else step.floors
         problem = replace(self.problem, limits=limits, floors=self._floors(asked))
-        reduced = replace(
-            self.reduced,
-            limits=limits.of_poses(self.reduced.pose_index),
-            floors=self._requirements(asked),
-        )
-        effort = self._effort()
-        search = look_around(
-            problem, reduced, effort=effort, stages=self.stages, start=step.pose_index
-        )
-        point = prove_point(
-            problem, reduced, search, effort=effort, stages=self.stages, is_cheapest=True
+        reduced = replace(self.reduced, floors=self._requirements(asked))
+        point = solve_point(
+            problem,
+            reduced,
+            effort=self._effort(),
+            # No stage need ask for less money: that is the last one.
+            n_stages=len(FIRST_STAGES) if self.stages == "first" else len(VALUE_OBJECTIVES) - 1,
+            starts=[step.pose_index],
         )
         cost = build_stage(Objective.COST, point.value.cost_eur, least_eur, step.seconds)
         return replace(

@@ -12,33 +12,25 @@ from typing import Literal
 
 import numpy as np
 
-from geometry.arrays import IntArray
-from geometry.clock import now_s
 from geometry.errors import InputError, Unquoted
 
 from ..layout import Certificate, Stage
-from .bitsets import set_values, union_apr
-from .greedy import improve, to_full
+from .bitsets import union_apr
 from .objectives import VALUE_OBJECTIVES, Objective
 from .presolve import PresolveStatistics, ReducedProblem, presolve
 from .problem import PlacementProblem, PlacementValue, is_better, placement_value
 from .solve import (
-    Solution,
     UnmetError,
-    build_certificate,
     build_stage,
-    check_floors,
     check_limits,
-    check_reach,
     is_large,
     solve_placement,
 )
-from .stages import Search, Stages
+from .stages import Search
 from .steering import (
     COST_TOLERANCE_EUR,
     LEAST_S,
     TOLERANCE,
-    Deadline,
     Effort,
     deadline_in,
 )
@@ -128,19 +120,32 @@ def check_front(problem: PlacementProblem, stages: StageChoice) -> None:
             raise InputError(option, Unquoted("it with a front"), "neither: a front has every APR")
 
 
-def from_solution(
-    problem: PlacementProblem, solution: Solution, *, stages: StageChoice
+def solve_point(
+    problem: PlacementProblem,
+    reduced: ReducedProblem | None,
+    *,
+    effort: Effort,
+    n_stages: int,
+    starts: Sequence[Sequence[int]] = (),
 ) -> FrontPoint:
-    """A point of a front from a problem that was solved by itself."""
-    certificate = solution.certificate
-    if stages == "first":
-        kept = tuple(stage for stage in certificate.stages if stage.name in FIRST_STAGES)
-        certificate = replace(certificate, stages=kept)
+    """The best layout for one point, its first stages proven; what comes after them is just good.
+
+    `reduced` has all but the limits of this point, though it may be presolved with wider ones.
+    """
+    if reduced is not None:
+        reduced = replace(reduced, limits=problem.limits.of_poses(reduced.pose_index))
+    solution = solve_placement(
+        problem,
+        reduced,
+        effort=effort,
+        starts=[np.array(start, dtype=np.int64) for start in starts],
+        n_stages=n_stages,
+    )
     return FrontPoint(
         units=len(solution.pose_index),
         pose_index=solution.pose_index,
         value=placement_value(problem, solution.pose_index),
-        certificate=certificate,
+        certificate=solution.certificate,
     )
 
 
@@ -213,132 +218,6 @@ def tightened(stage: Stage, bound: float) -> Stage:
     )
 
 
-# ---------- one point
-
-
-def look_around(
-    problem: PlacementProblem,
-    reduced: ReducedProblem,
-    *,
-    effort: Effort,
-    stages: StageChoice,
-    start: Sequence[int] = (),
-) -> Search:
-    """A good layout for one point, found quickly and without proof.
-
-    `reduced` has the limits, floors and goal of this point, though it may be presolved with wider
-    limits. The layout is at least as good as `start`, rows of the table within the limits, but may
-    lack something to the floors. Raises InputError if the limits contradict each other.
-    """
-    check_limits(problem.limits, problem.table.pose_ids)
-    search = Search(
-        reduced if stages == "all" else without_margins(reduced),
-        deadline=deadline_in(effort.time_limit_s),
-        is_exact=effort.is_exact,
-    )
-    starts = [_to_reduced(reduced, start)] if len(start) else []
-    for units in starts:
-        search.keep(units)
-    if search.units is None or search.limit.exceeds(search.row):
-        search.start(starts)
-    return search
-
-
-def prove_point(
-    problem: PlacementProblem,
-    reduced: ReducedProblem,
-    search: Search,
-    *,
-    effort: Effort,
-    stages: StageChoice,
-    fewer: FrontPoint | None = None,
-    is_cheapest: bool = False,
-) -> FrontPoint:
-    """One point of a front: the best layout and its proof, as far as the time goes.
-
-    `search` has a layout that meets all limits and floors, `fewer` is the point of one unit less,
-    all else being equal, and `is_cheapest` says that no stage need ask for less money. With the
-    first stages alone, the layout's margins and cost come from a local search: good, not proven,
-    and in no certificate.
-    """
-    solver = Stages(problem, search, effort)
-    records = []
-    for objective, find_bound in solver.plan():
-        is_cost = objective is Objective.COST
-        if is_cost and is_cheapest:
-            break
-        began_s = now_s()
-        least_eur = _least_cost_eur(search, fewer) if is_cost else -np.inf
-        if search.value.cost_eur <= least_eur + COST_TOLERANCE_EUR:
-            bound = search.value.cost_eur
-        else:
-            bound = find_bound()
-        records.append((objective, bound, now_s() - began_s))
-        if stages == "first" and objective is FIRST_STAGES[-1]:
-            break
-    units = search.units
-    assert units is not None  # the caller has seen to it
-    if stages == "first" and not search.deadline.is_over:
-        full = replace(reduced, limits=search.reduced.limits).with_goal("best")
-        units = _polished(full, units, deadline=search.deadline)
-    pose_index = to_full(reduced, units)
-    return FrontPoint(
-        units=len(pose_index),
-        pose_index=pose_index,
-        value=placement_value(problem, pose_index),
-        certificate=build_certificate(problem, pose_index, records, search),
-    )
-
-
-def without_margins(reduced: ReducedProblem) -> ReducedProblem:
-    """Problem where all margins are alike: a set of the best APR cannot be improved.
-
-    Prices go, too, unless money is limited or looked for.
-    """
-    limits = reduced.limits
-    if limits.budget_eur is None and reduced.objectives[0] is not Objective.COST:
-        limits = replace(
-            limits,
-            unit_cost_eur=np.zeros_like(limits.unit_cost_eur),
-            site_cost_eur=np.zeros_like(limits.site_cost_eur),
-        )
-    margin_s = np.where(reduced.margin_s > -np.inf, 0.0, -np.inf)
-    return replace(reduced, limits=limits, margin_s=margin_s)
-
-
-def _to_reduced(reduced: ReducedProblem, pose_index: Sequence[int]) -> IntArray:
-    """Poses of the reduced problem from rows of the detection table, all of which are left."""
-    return np.searchsorted(reduced.pose_index, np.sort(np.array(pose_index, dtype=np.int64)))
-
-
-def _least_cost_eur(search: Search, fewer: FrontPoint | None) -> float:
-    """No layout that is as good in all other stages costs less, given the best with fewer units.
-
-    Those with fewer units are not as good, or cost what the best of them costs; all others have
-    one unit more at least.
-    """
-    limits = search.reduced.limits
-    if fewer is None or not fewer.is_proven or search.reduced.objectives[0].is_minimised:
-        return -np.inf
-    prices = np.sort(limits.unit_cost_eur[~limits.is_forbidden])
-    more_eur = float(prices[: fewer.units + 1].sum())
-    value = search.value
-    differs = any(
-        abs(value.of(objective) - fewer.value.of(objective)) > objective.tolerance
-        for objective in VALUE_OBJECTIVES
-        if objective is not Objective.COST
-    )
-    return more_eur if differs else min(more_eur, fewer.value.cost_eur)
-
-
-def _polished(reduced: ReducedProblem, units: IntArray, *, deadline: Deadline) -> IntArray:
-    """A set after a local search for better margins and lower cost; no worse in any stage."""
-    limit = Search(reduced).limit
-    better = improve(reduced, units, limit, deadline=deadline)
-    after, before = (set_values(reduced, sets[None, :])[0] for sets in (better, units))
-    return better if after.exceeds(before) else units
-
-
 # ---------- a front by units
 
 
@@ -402,11 +281,18 @@ def pareto_front(
         fewer = points[-1] if points else None
         at_point = replace(problem, limits=replace(limits, budget_units=units))
         try:
-            point = _solve_point(at_point, reduced, fewer, effort=share, stages=stages)
+            point = solve_point(
+                at_point,
+                reduced,
+                effort=share,
+                n_stages=len(FIRST_STAGES if stages == "first" else VALUE_OBJECTIVES),
+                starts=[fewer.pose_index] if fewer else [],
+            )
         except UnmetError as found:
             error = found
             refused.append((units, str(found)))
             continue
+        point = no_worse(point, fewer) if fewer else point
         points.append(replace(point, units=units))
         if reaches(point.value, largest) and (stages == "first" or _is_cheap(problem, points[-1])):
             settled = units
@@ -471,27 +357,6 @@ def front_below(
     last = no_worse(last, fewer.points[-1])
     points = _exchange_bounds([*fewer.points, last], is_free=_is_free(problem))
     return replace(fewer, points=tuple(points))
-
-
-def _solve_point(
-    problem: PlacementProblem,
-    reduced: ReducedProblem | None,
-    fewer: FrontPoint | None,
-    *,
-    effort: Effort,
-    stages: StageChoice,
-) -> FrontPoint:
-    start = fewer.pose_index if fewer else ()
-    if reduced is None:
-        starts = [np.array(start)] if start else []
-        solution = solve_placement(problem, effort=effort, starts=starts)
-        point = from_solution(problem, solution, stages=stages)
-        return point if fewer is None else no_worse(point, fewer)
-    reduced = replace(reduced, limits=problem.limits.of_poses(reduced.pose_index))
-    check_reach(problem, reduced)
-    search = look_around(problem, reduced, effort=effort, stages=stages, start=start)
-    check_floors(problem, search)
-    return prove_point(problem, reduced, search, effort=effort, stages=stages, fewer=fewer)
 
 
 def _is_cheap(problem: PlacementProblem, point: FrontPoint) -> bool:

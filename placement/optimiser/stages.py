@@ -108,6 +108,9 @@ class Search:
 
         Others are drawn by a `chance`, (n_poses,), such as their shares in a relaxed solution.
         """
+        for units in starts:
+            if is_allowed(self.reduced.limits, units):
+                self.keep(units)
         uses_root = can_walk(self.reduced) and not goes_by_pairs(self.reduced)
         shares = (lambda: self.root.share) if uses_root else None
         units = search_from_many_starts(
