@@ -114,19 +114,10 @@ def build_junction_front(
     by_units: Sequence[tuple[float, float]],
     by_cost: Sequence[tuple[float, float]],
 ) -> JunctionFront:
-    """A front of the points that no other one beats.
+    """A front of the points that no other one beats, with steps that rise.
 
-    Parameters
-    ----------
-    points : iterable of Point
-        Any; one without new units is among them.
-    by_units, by_cost : sequence of (from, APR)
-        Steps from 0 on, ascending, in any order of APR: a bound also holds for less.
-
-    Returns
-    -------
-    front : JunctionFront
-        With steps that rise.
+    A point without new units is among them. `by_units` and `by_cost` are steps (from, APR) from 0
+    on, ascending, in any order of APR: a bound also holds for less.
     """
     found = sorted(points, key=lambda point: (point.units, point.cost_eur, -point.apr))
     kept = [

@@ -16,6 +16,7 @@ from geometry.errors import InputError, Unquoted
 
 from ..detection_table import DetectionTable
 from ..layout import Certificate, Stage, relative_gap
+from . import steering
 from .bitsets import left_after_failures, union_margins_s
 from .bounds import find_root, polished, relaxation_text, rounded_down, run_rows
 from .greedy import to_full
@@ -24,16 +25,7 @@ from .objectives import Objective
 from .presolve import PresolveStatistics, ReducedProblem, presolve
 from .problem import Measure, PlacementProblem, objective_values
 from .stages import Search, Stages
-from .steering import (
-    COST_TOLERANCE_EUR,
-    LEAST_S,
-    MAX_BITS,
-    POOL_POSES,
-    TOLERANCE,
-    Deadline,
-    Effort,
-    deadline_in,
-)
+from .steering import COST_TOLERANCE_EUR, TOLERANCE, Deadline, Effort, deadline_in
 
 _log = logging.getLogger(__name__)
 
@@ -161,7 +153,7 @@ def _rounded_down(share: float) -> str:
 
 def is_large(problem: PlacementProblem) -> bool:
     """True if a problem is better not solved as a whole."""
-    return problem.table.n_poses * problem.table.axis.n_frames > MAX_BITS
+    return problem.table.n_poses * problem.table.axis.n_frames > steering.MAX_BITS
 
 
 def of_pool(problem: PlacementProblem, pool: IntArray) -> PlacementProblem:
@@ -262,7 +254,7 @@ def _solve_as_if_units_failed(
     is far quicker to find: a pose may be replaced by one at another site.
     """
     by_unit = replace(problem, limits=replace(problem.limits, failing="unit"))
-    left_s = max(deadline.of("as if units failed").left_s(), LEAST_S)
+    left_s = max(deadline.of("as if units failed").left_s(), steering.LEAST_S)
     effort = replace(effort, time_limit_s=left_s)
     try:
         return solve_placement(
@@ -305,7 +297,7 @@ def _solve_large(
         )
         root = polished(root)
         apr = min(rounded_down(every, root.limit), apr)
-        chosen = np.argsort(-root.gains(), kind="stable")[:POOL_POSES]
+        chosen = np.argsort(-root.gains(), kind="stable")[: steering.POOL_POSES]
     pool = np.union1d(every.pose_index[chosen], np.flatnonzero(problem.limits.is_forced))
     usable = (problem.limits.site_capacity[problem.limits.site_index] > 0)[pool]
     pool = pool[usable & ~problem.limits.is_forbidden[pool]]
@@ -314,7 +306,9 @@ def _solve_large(
     found = solve_placement(
         part,
         presolve(part, workers=effort.workers),
-        effort=replace(effort, solver="greedy", time_limit_s=max(deadline.left_s(), LEAST_S)),
+        effort=replace(
+            effort, solver="greedy", time_limit_s=max(deadline.left_s(), steering.LEAST_S)
+        ),
         n_stages=n_stages,
         on_stage=on_stage,
     )
