@@ -4,7 +4,7 @@ All functions work on plain arrays; :mod:`placement.optimiser.bounds` and
 :mod:`placement.optimiser.walk` say what they hold.
 """
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,10 +12,8 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
 
 from .bit_kernels import ByteArray, count_bits, look_through, lowest_bit
+from .limits import Choice
 from .problem import Chains, WordArray
-
-if TYPE_CHECKING:
-    from .bounds import Choice
 
 # ---------- what is asked for, and who covers it
 
@@ -128,7 +126,7 @@ def weights_of(
 
 
 @kernel
-def pick_best(gain: FloatArray, choice: "Choice", picked: IntArray) -> tuple[float, int]:
+def pick_best(gain: FloatArray, choice: Choice, picked: IntArray) -> tuple[float, int]:
     """Poses that gain most and have room at their sites: their sum and number."""
     total, n_picked, site, room = 0.0, 0, choice.site, choice.room
     for _ in range(choice.n_units):
@@ -153,7 +151,7 @@ def pick_best(gain: FloatArray, choice: "Choice", picked: IntArray) -> tuple[flo
 
 
 @kernel
-def pick_affordable(gain: FloatArray, choice: "Choice", picked: IntArray) -> tuple[float, int]:
+def pick_affordable(gain: FloatArray, choice: Choice, picked: IntArray) -> tuple[float, int]:
     """Upper bound of what poses gain that have room and cost no more than 1, and some of them.
 
     Any price of money bounds it: what the best poses gain beyond their price, and the price itself.
@@ -199,7 +197,7 @@ def row_limit(reward: FloatArray, weight: float, n_units: int, price: float) -> 
 @kernel
 def tighten_prices(
     covers: ByteArray,
-    choice: "Choice",
+    choice: Choice,
     weight: FloatArray,
     reward: FloatArray,
     price: FloatArray,
