@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 from hypothesis import strategies as st
 
-from placement.covering.solve import CoveringInstance, build_covering_instance
+from placement.covering import CoveringInstance, build_covering_instance
 
 AMOUNTS = (
     st.just(1.0),

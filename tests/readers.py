@@ -659,8 +659,7 @@ def _recordings() -> Mapping[str, tuple[str, Files]]:
 
 
 def _read_covering(path: Path) -> Any:
-    from placement.covering.files import instance_kind, load_instance
-    from placement.covering.solve import solve_lscp
+    from placement.covering import instance_kind, load_instance, solve_lscp
 
     instance_kind(path)
     instance = load_instance(path)
@@ -670,8 +669,7 @@ def _read_covering(path: Path) -> Any:
 
 
 def _coverings() -> Mapping[str, tuple[str, Files]]:
-    from placement.covering.files import save_instance
-    from placement.covering.solve import build_covering_instance
+    from placement.covering import build_covering_instance, save_instance
 
     covers = np.array([[1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 1, 1]])
     own = _written(lambda f: save_instance(f / "a.npz", build_covering_instance(covers)))
@@ -1015,8 +1013,8 @@ READERS: Mapping[str, Reader] = {
         read=_read_covering,
         seeds=_coverings,
         covers=(
-            "placement.covering.files.load_instance",
-            "placement.covering.files.instance_kind",
+            "placement.covering.load_instance",
+            "placement.covering.instance_kind",
         ),
     ),
     "placement problems": Reader(

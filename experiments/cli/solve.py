@@ -147,7 +147,7 @@ def solve(
     """
     _check_one_question()
     progress.start(quiet=quiet)
-    from placement.covering.files import instance_kind
+    from placement.covering import instance_kind
     from placement.verification.instances import KINDS
 
     from ..jobs import solve

@@ -8,8 +8,7 @@ from typing import cast
 import numpy as np
 
 from geometry.errors import InputError
-from placement.covering.files import load_instance, save_instance
-from placement.covering.solve import HIGHS, solve_lscp, solve_mclp
+from placement.covering import HIGHS, load_instance, save_instance, solve_lscp, solve_mclp
 from placement.optimiser import (
     Effort,
     Floor,
@@ -54,7 +53,7 @@ def run_solve(
     target : float or None
         Without a budget: share of the weight to cover; None: all that can be covered.
     solver, time_limit_s, gap
-        See :func:`placement.covering.solve.solve_lscp`.
+        See :func:`placement.covering.solve_lscp`.
     out : Path or None
         Where to write the instance in this program's own format.
     progress : StageProgress

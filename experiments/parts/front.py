@@ -21,8 +21,7 @@ from geometry.scene_files import load_scene
 from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.optimiser import PlacementProblem, PlacementValue, apr_one_failed
-from placement.optimiser.cost_front import cost_front
-from placement.optimiser.front import Front, FrontPoint, StageChoice, pareto_front
+from placement.optimiser.front import Front, FrontPoint, StageChoice, cost_front, pareto_front
 from placement.optimiser.presolve import PresolveStatistics
 from placement.optimiser.steering import COST_TOLERANCE_EUR, TOLERANCE
 from placement.pipeline import Assembly, assemble, pick_layout

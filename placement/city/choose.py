@@ -123,12 +123,7 @@ def choose(
 
 def city_values(options: Options, rows: IntArray, weight: FloatArray) -> dict[Objective, float]:
     """Worth of a choice, objective by objective; 0 where nothing is prevented."""
-    taken = options.taken(rows)
-    share = weight / weight.sum()
-    return _values(taken, share)
-
-
-def _values(taken: Options, share: FloatArray) -> dict[Objective, float]:
+    taken, share = options.taken(rows), weight / weight.sum()
     prevented = share * taken.apr
     counts = taken.apr > TOLERANCE
     total = float(prevented.sum())
@@ -239,7 +234,7 @@ class _Later:
         return stages
 
     def _value(self, objective: Objective) -> float:
-        return _values(self.options.taken(self.chosen), self.share)[objective]
+        return city_values(self.options, self.chosen, self.share)[objective]
 
     def _knapsack(self, profit: FloatArray, rows: IntArray | None = None) -> Knapsack:
         whole = _problem(self.options, self.share, self.wishes, profit=profit)

@@ -12,8 +12,8 @@ from geometry.errors import InputError, Unquoted
 
 from ..detection_table import DetectionTable
 from ..optimiser import Effort, Limits, PlacementProblem, presolve
-from ..optimiser.bitsets import set_values, values_with_each
-from ..optimiser.front import pareto_front, without_margins
+from ..optimiser.bitsets import BestSet, set_values, values_with_each
+from ..optimiser.front import pareto_front
 from ..optimiser.greedy import extend_greedily, forced_units, improve, to_full
 from ..optimiser.objectives import Objective
 from ..optimiser.presolve import ReducedProblem
@@ -114,19 +114,10 @@ def build_junction_front(
     by_units: Sequence[tuple[float, float]],
     by_cost: Sequence[tuple[float, float]],
 ) -> JunctionFront:
-    """A front of the points that no other one beats.
+    """A front of the points that no other one beats, with steps that rise.
 
-    Parameters
-    ----------
-    points : iterable of Point
-        Any; one without new units is among them.
-    by_units, by_cost : sequence of (from, APR)
-        Steps from 0 on, ascending, in any order of APR: a bound also holds for less.
-
-    Returns
-    -------
-    front : JunctionFront
-        With steps that rise.
+    A point without new units is among them. `by_units` and `by_cost` are steps (from, APR) from 0
+    on, ascending, in any order of APR: a bound also holds for less.
     """
     found = sorted(points, key=lambda point: (point.units, point.cost_eur, -point.apr))
     kept = [
@@ -492,15 +483,11 @@ def _improved(
     reduced: ReducedProblem, starts: list[tuple[int, ...]], effort: Effort
 ) -> tuple[int, ...]:
     """A good layout within the limits, from the best of some smaller ones."""
-    plain = without_margins(reduced)
-    begin = [np.searchsorted(plain.pose_index, layout) for layout in starts]
-    begin = begin or [forced_units(plain)]
-    sets = [extend_greedily(plain, units) for units in begin]
-    values = [set_values(plain, units[None, :]) for units in sets]
-    best = 0
-    for index, value in enumerate(values):
-        if value[0].exceeds(values[best][0]):
-            best = index
-    limit = Search(plain).limit
-    deadline = deadline_in(effort.time_limit_s)
-    return to_full(plain, improve(plain, sets[best], limit, deadline=deadline))
+    begin = [np.searchsorted(reduced.pose_index, layout) for layout in starts]
+    best = BestSet()
+    for units in begin or [forced_units(reduced)]:
+        sets = extend_greedily(reduced, units)[None, :]
+        best.offer(sets, set_values(reduced, sets))
+    assert best.units is not None
+    limit, deadline = Search(reduced).limit, deadline_in(effort.time_limit_s)
+    return to_full(reduced, improve(reduced, best.units, limit, deadline=deadline))

@@ -16,8 +16,7 @@ from ..candidates import CandidateGrid, CandidatePose, build_candidates, load_ca
 from ..compute import Compute
 from ..layout import Layout, check_layout
 from ..optimiser import Effort, PlacementProblem, UnmetError, presolve
-from ..optimiser.cost_front import cost_front
-from ..optimiser.front import Front, FrontPoint, largest_values, pareto_front
+from ..optimiser.front import Front, FrontPoint, cost_front, largest_values, pareto_front
 from ..optimiser.limits import Limits
 from ..optimiser.objectives import Objective
 from ..optimiser.problem import PlacementValue, placement_value
@@ -89,30 +88,10 @@ class SolvedJunction:
 def solve_junction(
     scene: Scene, question: Question, wishes: JunctionWishes, *, compute: Compute
 ) -> SolvedJunction:
-    """Find the front of a junction.
+    """Find the front of a junction; its first point takes nothing.
 
-    Parameters
-    ----------
-    scene : Scene
-        The junction.
-    question : Question
-        What is driven, and what sites cost.
-    wishes : JunctionWishes
-        How it is looked for.
-    compute : Compute
-        Seed, threads, cache.
-
-    Returns
-    -------
-    solved : SolvedJunction
-        The first point takes nothing.
-
-    Raises
-    ------
-    InputError
-        Nothing can be driven there, or no site can carry a unit.
-    TimeUpError
-        The time was up before there was a front.
+    `question` says what is driven and what sites cost. Raises InputError if nothing can be driven
+    there or no site can carry a unit, TimeUpError if the time was up before there was a front.
     """
     watch = _Watch(wishes.time_limit_s, compute)
     compute = replace(compute, progress=watch)

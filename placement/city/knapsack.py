@@ -27,7 +27,6 @@ CORE_OPTIONS = 4_000
 _MAX_CORE = 40_000
 _ROUNDING = 1.0e-9  # of sums, relative
 _MAX_CUTS = 120
-_HALVINGS = 80
 _UNIT_SUM = 1.0e5  # the solver's objective: its tolerance of 1e-6 is then 1e-11 of the sum
 
 
@@ -134,45 +133,10 @@ def priced_choice(problem: Knapsack, prices: FloatArray) -> tuple[IntArray, floa
 
 
 def best_prices(problem: Knapsack, *, end_s: float = np.inf) -> FloatArray:
-    """Prices on the limits with the lowest bound, as far as the time goes, (m,)."""
-    n_rows = len(problem.limits)
-    if n_rows == 0:
-        return np.zeros(0)
-    return _bisect_price(problem) if n_rows == 1 else _cut_prices(problem, end_s=end_s)
+    """Prices on the limits with the lowest bound, as far as the time goes, (m,).
 
-
-def _bisect_price(problem: Knapsack) -> FloatArray:
-    """The price of the only limit: with too low a price, too much is taken."""
-
-    def is_too_low(price: float) -> bool:
-        best, _ = priced_choice(problem, np.array([price]))
-        return bool(problem.rows[0, best].sum() > problem.limits[0])
-
-    low, high = 0.0, _first_price(problem)
-    if not is_too_low(low):
-        return np.zeros(1)
-    for _ in range(_HALVINGS):
-        if not is_too_low(high):
-            break
-        low, high = high, 4.0 * high
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        if not low < middle < high or high - low <= 1.0e-12 * high:
-            break
-        if is_too_low(middle):
-            low = middle
-        else:
-            high = middle
-    return np.array([high])
-
-
-def _first_price(problem: Knapsack) -> float:
-    taken = np.abs(problem.rows[0]).sum()
-    return float(np.abs(problem.profit).sum() / taken) if taken > 0.0 else 1.0
-
-
-def _cut_prices(problem: Knapsack, *, end_s: float) -> FloatArray:
-    """Prices of several limits by cutting planes (Kelley, 1960), in units of each limit's own."""
+    By cutting planes (Kelley, 1960), in units of each limit's own.
+    """
     from scipy.optimize import linprog
 
     scale = np.abs(problem.profit).sum() / np.maximum(np.abs(problem.rows).sum(axis=1), 1.0e-300)

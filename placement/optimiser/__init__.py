@@ -11,8 +11,8 @@ numbers that steer, the threads, and how the time is split. ``bitsets`` values m
 4. ``model``: HiGHS, for money, floors, forced units and all that is still open.
 
 ``stages`` takes the objectives in order, rung by rung. ``solve`` calls it all, says which wish
-cannot be met, and solves tables that are too large. ``front`` and ``cost_front`` say what more
-units or more money buy. Modules called ``.._kernels`` are compiled by Numba.
+cannot be met, and solves tables that are too large. ``front`` says what more units or more
+money buy. Modules called ``.._kernels`` are compiled by Numba.
 """
 
 from .greedy import solve_greedy

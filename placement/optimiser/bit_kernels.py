@@ -12,33 +12,30 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
 
 from .problem import Chains, WordArray
+from .steering import COST_TOLERANCE_EUR
 
 ByteArray = NDArray[np.uint8]
 
 _N_TOGETHER = 16  # words transposed at a time: a line of memory or two
-_N_LOOK = 24  # words of a pose by which others are found out that see less
 
 # ---------- transposing
 
 
 @kernel
+def count_bits(word: np.uint64) -> int:
+    """Number of bits of a word (Warren, Hacker's Delight, 5-1)."""
+    pairs = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
+    fours = (pairs & np.uint64(0x3333333333333333)) + (
+        (pairs >> np.uint64(2)) & np.uint64(0x3333333333333333)
+    )
+    eights = (fours + (fours >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
+    return int((eights * np.uint64(0x0101010101010101)) >> np.uint64(56))
+
+
+@kernel
 def lowest_bit(word: np.uint64) -> int:
-    """Place of the lowest bit of a word that is not 0."""
-    lowest = word & (~word + np.uint64(1))
-    place = 0
-    if lowest & np.uint64(0xFFFFFFFF00000000):
-        place += 32
-    if lowest & np.uint64(0xFFFF0000FFFF0000):
-        place += 16
-    if lowest & np.uint64(0xFF00FF00FF00FF00):
-        place += 8
-    if lowest & np.uint64(0xF0F0F0F0F0F0F0F0):
-        place += 4
-    if lowest & np.uint64(0xCCCCCCCCCCCCCCCC):
-        place += 2
-    if lowest & np.uint64(0xAAAAAAAAAAAAAAAA):
-        place += 1
-    return place
+    """Place of the lowest bit of a word that is not 0: the number of zeros below it."""
+    return count_bits(~word & (word - np.uint64(1)))
 
 
 @kernel
@@ -59,15 +56,6 @@ def transpose_blocks(block: WordArray) -> None:
                     block[one + width, word] ^= swapped
         width >>= 1
         mask ^= mask << np.uint64(width)
-
-
-@kernel
-def transpose(rows: ByteArray, columns: WordArray) -> None:
-    """Bits along the rows of a table as bits along its columns.
-
-    (n_rows, n_bytes) -> (8 n_bytes, n_words), n_words * 64 >= n_rows; lowest bits come first.
-    """
-    transpose_chosen(rows, np.arange(len(rows)), np.arange(8 * rows.shape[1]), columns)
 
 
 @kernel
@@ -199,13 +187,9 @@ def number_rows(
 @kernel
 def find_dominated(
     words: WordArray,
-    order: IntArray,
-    looked: IntArray,
-    columns: WordArray,
     site: IntArray,
     price: FloatArray,
     elsewhere: FloatArray,
-    affordable: FloatArray,
     may_move: BoolArray,
     capacity: IntArray,
     max_units: int,
@@ -215,58 +199,37 @@ def find_dominated(
 ) -> None:
     """Poses whose dominators other units cannot use up.
 
-    Poses come in the order of dominance, but for the rows of `words`, which `order` gives. Every
-    `step`-th of them from `begin` on is looked at. `columns`, (n_looked, n_poses), are some of the
-    words, `looked`, by which most poses that see less are found out. A dominator costs no more than
-    `affordable`, by its `price` at the same site, `elsewhere` at another one, if the pose
-    `may_move` there.
+    Poses come in the order of dominance. Every `step`-th of them from `begin` on is looked at. A
+    dominator costs no more, by its `price` at the same site, by what it costs `elsewhere` at
+    another one, if the pose `may_move` there.
     """
     n_words = words.shape[1]
-    needed, has_bits = np.empty(n_words, dtype=np.int64), np.empty(len(looked), dtype=np.int64)
-    above = np.empty(len(words), dtype=np.int64)
-    at_site = np.zeros(len(capacity), dtype=np.int64)
+    needed, at_site = np.empty(n_words, dtype=np.int64), np.zeros(len(capacity), dtype=np.int64)
     # Poses that may be dropped.
     for pose in range(begin, len(words), step):
-        row, own, n_blockers, n_needed, n_above, n_look = order[pose], site[pose], 0, 0, 0, 0
+        own, n_blockers, n_needed = site[pose], 0, 0
+        affordable = price[pose] + COST_TOLERANCE_EUR
         at_site[:] = 0
         dominated[pose] = capacity[own] <= 0 or max_units <= 0
-        if dominated[pose]:
-            continue
-        # Poses before it that cost no more; those that see little more come first.
-        for other in range(pose - 1, -1, -1):
-            if (site[other] == own and price[other] <= affordable[pose]) or (
-                may_move[pose] and elsewhere[other] <= affordable[pose]
-            ):
-                above[n_above] = other
-                n_above += 1
-        for number in range(len(looked)):
-            if columns[number, pose]:
-                has_bits[n_look] = number
-                n_look += 1
-        # Some of the pose's words: those that lack a bit of one of them are no dominators.
-        for number in range(min(_N_LOOK, n_look)):
-            column, n_left = columns[has_bits[number * n_look // min(_N_LOOK, n_look)]], 0
-            for rank in range(n_above):
-                above[n_left] = above[rank]
-                n_left += column[pose] & ~column[above[rank]] == 0
-            n_above = n_left
-        if n_above == 0:
-            continue
         # Words in which the pose sees anything.
         for word in range(n_words):
-            if words[row, word]:
+            if words[pose, word]:
                 needed[n_needed] = word
                 n_needed += 1
-        # Those that are left, compared word by word, until other units could not use them all up.
-        for rank in range(n_above):
-            other = above[rank]
+        # Poses before it, those that see little more first, until other units could not use up all.
+        for other in range(pose - 1, -1, -1):
             there = site[other]
-            if at_site[there] >= capacity[there]:
+            if dominated[pose]:
+                break
+            if at_site[there] >= capacity[there] or not (
+                (there == own and price[other] <= affordable)
+                or (may_move[pose] and elsewhere[other] <= affordable)
+            ):
                 continue
             is_above = True
             for number in range(n_needed):
                 word = needed[number]
-                if words[row, word] & ~words[order[other], word]:
+                if words[pose, word] & ~words[other, word]:
                     is_above = False
                     before = number // 2  # where others fail, too
                     needed[number], needed[before] = needed[before], word
@@ -275,8 +238,6 @@ def find_dominated(
                 at_site[there] += 1
                 n_blockers += 1
                 dominated[pose] = at_site[own] >= capacity[own] or n_blockers > max_units - 1
-                if dominated[pose]:
-                    break
 
 
 @kernel
@@ -341,12 +302,7 @@ def has_entry(entries: IntArray, entry: int) -> bool:
 @kernel
 def look_through(
     union: WordArray,
-    window_frames: IntArray,
-    window: IntArray,
-    start: IntArray,
-    tail_frame: IntArray,
-    tail_links: IntArray,
-    tail_start: IntArray,
+    chains: Chains,
     order: IntArray,
     lost: FloatArray,
     most_lost: float,
@@ -358,6 +314,7 @@ def look_through(
     union of merged frames; it has no rows if nothing can be lost. ``first[g]`` is the number of the
     chain's windows where none is live.
     """
+    window_frames, window, start, tail_frame, tail_links, tail_start = chains
     total = 0.0
     for rank in range(len(order)):
         chain = order[rank]
@@ -388,19 +345,7 @@ def first_live_windows(unions: WordArray, chains: Chains, first: IntArray) -> No
     """First live window of each chain for each union of merged frames, (n_unions, n_chains)."""
     order, nothing = np.arange(len(chains.start) - 1), np.empty((0, 0))
     for row in range(len(unions)):
-        look_through(
-            unions[row],
-            chains.window_frames,
-            chains.window,
-            chains.start,
-            chains.tail_frame,
-            chains.tail_links,
-            chains.tail_start,
-            order,
-            nothing,
-            0.0,
-            first[row],
-        )
+        look_through(unions[row], chains, order, nothing, 0.0, first[row])
 
 
 @kernel

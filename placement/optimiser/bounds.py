@@ -30,44 +30,14 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
+from . import steering
 from .bitsets import union_apr
 from .greedy import forced_units
-from .limits import Limits
+from .limits import Choice, build_choice
 from .objectives import Objective
 from .presolve import ReducedProblem, distinct_rows, transposed, unpack_words
 from .problem import WordArray
-from .steering import (
-    ASK_ROUNDS,
-    CORE_BITS,
-    CORE_POSES,
-    COST_TOLERANCE_EUR,
-    DEFLECTION,
-    FAILURE_PRICES,
-    FIRST_STEPS,
-    LATER_STEPS,
-    MAX_CELLS,
-    MEMORY,
-    NEVER,
-    OSQP_OVERRELAXATION,
-    OSQP_PENALTY,
-    OSQP_REGULARISATION,
-    OSQP_TOLERANCE,
-    PATIENCE,
-    POLISH_ROUNDS,
-    POLISH_STEPS,
-    POLISH_WAY,
-    PRICE_START,
-    ROUNDING,
-    SETTLED,
-    SHARE_DIGITS,
-    SMALL_SHARE,
-    SOLVER_TOLERANCE,
-    STEP_CUT,
-    STEP_LENGTH,
-    TINY,
-    Deadline,
-    share_out,
-)
+from .steering import NEVER, Deadline, share_out
 
 # ---------- rows of the covering problem
 
@@ -95,42 +65,6 @@ def margin_rows(reduced: ReducedProblem) -> Rows:
     step = np.maximum(margin[:, :-1] - margin[:, 1:], 0.0) * reduced.weight[:, None]
     run, link = np.nonzero(step)
     return Rows(reduced.run_chain[run], link + 1, step[run, link])
-
-
-# ---------- sets that may be chosen
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Choice:
-    """How many poses may join those that are forced, and where."""
-
-    n_units: int  # at most so many
-    room: IntArray  # (n_sites,): places left at each site
-    is_open: IntArray  # (n_poses,): 1 if the pose may join
-    # (n_poses,): share of the money left that a pose takes, at least; empty if money is no limit.
-    cost: FloatArray
-    site: IntArray  # (n_poses,)
-
-
-def build_choice(limits: Limits, n_units: int) -> Choice:
-    """Poses that may join the forced ones in sets of so many units."""
-    forced = np.flatnonzero(limits.is_forced)
-    at_site = np.bincount(limits.site_index[forced], minlength=limits.n_sites)
-    cost = np.empty(0)
-    if limits.budget_eur is not None:
-        spent = limits.unit_cost_eur[forced].sum() + limits.site_cost_eur[at_site > 0].sum()
-        left = max(limits.budget_eur - float(spent), 0.0) + COST_TOLERANCE_EUR
-        # A site is paid once: full, each of its units pays a share.
-        of_site = np.where(at_site > 0, 0.0, limits.site_cost_eur)
-        of_site = of_site / np.maximum(limits.site_capacity, 1)
-        cost = (limits.unit_cost_eur + of_site[limits.site_index]) / left
-    return Choice(
-        n_units=max(n_units - len(forced), 0),
-        room=np.maximum(limits.site_capacity - at_site, 0),
-        is_open=(~limits.is_forced & ~limits.is_forbidden).astype(np.int64),
-        cost=cost,
-        site=limits.site_index,
-    )
 
 
 # ---------- the bound
@@ -180,11 +114,11 @@ def find_root(
     rows = rows.of(~is_alone)
     # To begin with, the frames that fewest poses see; what is picked counts far more.
     seen = np.bitwise_count(detections.columns).sum(axis=1) / (1.0e3 * max(reduced.n_poses, 1))
-    price = PRICE_START * rows.weight
+    price = steering.PRICE_START * rows.weight
     best: Root | None = None
-    for number in range(ASK_ROUNDS):
-        scale = max(float(seen.max(initial=0.0)), TINY)
-        coverers = coverers_of(reduced, rows, union, np.round(seen / scale, SHARE_DIGITS))
+    for number in range(steering.ASK_ROUNDS):
+        scale = max(float(seen.max(initial=0.0)), steering.TINY)
+        coverers = coverers_of(reduced, rows, union, np.round(seen / scale, steering.SHARE_DIGITS))
         index, row = distinct_rows(coverers, workers=reduced.workers)
         of_rows, of_price = np.zeros(len(index)), np.zeros(len(index))
         np.add.at(of_rows, row, rows.weight)
@@ -198,16 +132,16 @@ def find_root(
             share=np.zeros(reduced.n_poses),
             choice=choice,
         )
-        steps = LATER_STEPS if number else FIRST_STEPS
+        steps = steering.LATER_STEPS if number else steering.FIRST_STEPS
         root = tightened(root, reward_of(choice.n_units, 0), n_steps=steps)
-        is_settled = best is not None and root.limit > best.limit * (1.0 - SETTLED)
+        is_settled = best is not None and root.limit > best.limit * (1.0 - steering.SETTLED)
         if best is None or root.limit < best.limit:
             best = root
         if (is_settled and number > 2) or deadline.is_over:
             break
-        total = np.maximum(root.weight[row], TINY)
+        total = np.maximum(root.weight[row], steering.TINY)
         price = root.price[row] * (rows.weight / total)
-        used = np.flatnonzero(root.share > SMALL_SHARE)
+        used = np.flatnonzero(root.share > steering.SMALL_SHARE)
         of_used = unpack_words(detections.words[used], reduced.n_frames)
         seen = seen + np.minimum(root.share[used] @ of_used, 1.0)
     assert best is not None
@@ -277,20 +211,24 @@ def tightened(root: Root, reward: FloatArray, *, n_steps: int) -> Root:
     choice, price, share = root.choice, root.price.copy(), np.zeros(len(root.covers))
     limit = tighten_prices(
         root.covers.view(np.uint8),
-        choice.site,
-        choice.room,
-        choice.is_open,
-        choice.cost,
+        choice,
         root.weight,
         reward,
-        choice.n_units,
         price,
         n_steps,
-        np.array([STEP_LENGTH, STEP_CUT, DEFLECTION, MEMORY, PATIENCE]),
+        np.array(
+            [
+                steering.STEP_LENGTH,
+                steering.STEP_CUT,
+                steering.DEFLECTION,
+                steering.MEMORY,
+                steering.PATIENCE,
+            ]
+        ),
         share,
     )
-    share *= choice.n_units / max(float(share.sum()), TINY)
-    limit = (root.reached + limit) * (1.0 + ROUNDING)
+    share *= choice.n_units / max(float(share.sum()), steering.TINY)
+    limit = (root.reached + limit) * (1.0 + steering.ROUNDING)
     return replace(root, price=price, limit=limit, share=share)
 
 
@@ -302,11 +240,11 @@ def failure_limit(
     At the deadline it ends with the best limit so far.
     """
     limit, n_units = root.limit, root.choice.n_units
-    for amount in FAILURE_PRICES if n_failures else ():
+    for amount in steering.FAILURE_PRICES if n_failures else ():
         if deadline.is_over:
             break
         reward = reward_of(n_units, n_failures) + amount * reward_of(n_units, 0)
-        trial = tightened(root, reward, n_steps=FIRST_STEPS)
+        trial = tightened(root, reward, n_steps=steering.FIRST_STEPS)
         limit = min(limit, trial.limit - amount * least)
     return limit
 
@@ -324,7 +262,7 @@ def relax(
     if not len(reduced.weight) or n_units < 1:
         return 0.0, None
     rows = run_rows(reduced) if worth is Objective.APR else margin_rows(reduced)
-    if len(rows.chain) * reduced.n_poses > MAX_CELLS:
+    if len(rows.chain) * reduced.n_poses > steering.MAX_CELLS:
         return np.inf, None
     root = polished(find_root(reduced, rows, n_units=n_units, deadline=deadline))
     limit = root.limit
@@ -338,7 +276,7 @@ def rounded_down(reduced: ReducedProblem, limit: float) -> float:
     """An upper bound of the APR; where all runs weigh the same, a whole number of them."""
     step = reduced.measure.step
     if step:
-        limit = float(np.floor(limit / step + SOLVER_TOLERANCE)) * step
+        limit = float(np.floor(limit / step + steering.SOLVER_TOLERANCE)) * step
     return min(limit, reduced.measure.limit)
 
 
@@ -361,19 +299,21 @@ def polished(root: Root) -> Root:
         return root
     reward = reward_of(n_units, 0)
     n_bits = np.bitwise_count(root.covers).sum(axis=1)
-    n_core = min(CORE_POSES, int(CORE_BITS / max(float(n_bits.mean()), 1.0)))
-    core = np.union1d(_worthiest(root.gains(), n_core), np.flatnonzero(share > SMALL_SHARE))
-    for _ in range(POLISH_ROUNDS):
+    n_core = min(steering.CORE_POSES, int(steering.CORE_BITS / max(float(n_bits.mean()), 1.0)))
+    core = np.union1d(
+        _worthiest(root.gains(), n_core), np.flatnonzero(share > steering.SMALL_SHARE)
+    )
+    for _ in range(steering.POLISH_ROUNDS):
         price, of_core = _relaxed(best, core, share[core])
         share = np.zeros(len(root.covers))
         share[core] = of_core
         before = best
-        for way in POLISH_WAY:
+        for way in steering.POLISH_WAY:
             between = (1.0 - way) * before.price + way * price
             trial = tightened(replace(best, price=between), reward, n_steps=0)
             if trial.limit < best.limit:
                 best = replace(trial, share=share)
-        if best.limit > before.limit * (1.0 - SETTLED):
+        if best.limit > before.limit * (1.0 - steering.SETTLED):
             break
         for of_root in (best.price, price):
             core = np.union1d(core, _worthiest(root.gains(of_root), n_core // 4))
@@ -415,7 +355,7 @@ def _relaxed(root: Root, core: IntArray, share: FloatArray) -> tuple[FloatArray,
     most = np.concatenate([np.zeros(n_rows), *upper, is_open, np.ones(n_rows)])
     least = np.full(len(most), -np.inf)
     least[-(n_core + n_rows) :] = 0.0
-    quadratic = np.concatenate([np.full(n_core, OSQP_REGULARISATION), np.zeros(n_rows)])
+    quadratic = np.concatenate([np.full(n_core, steering.OSQP_REGULARISATION), np.zeros(n_rows)])
     solver = osqp.OSQP()
     solver.setup(
         sparse.diags(quadratic, format="csc"),
@@ -424,11 +364,11 @@ def _relaxed(root: Root, core: IntArray, share: FloatArray) -> tuple[FloatArray,
         least,
         most,
         verbose=False,
-        eps_abs=OSQP_TOLERANCE,
-        eps_rel=OSQP_TOLERANCE,
-        rho=OSQP_PENALTY,
-        alpha=OSQP_OVERRELAXATION,
-        max_iter=POLISH_STEPS,
+        eps_abs=steering.OSQP_TOLERANCE,
+        eps_rel=steering.OSQP_TOLERANCE,
+        rho=steering.OSQP_PENALTY,
+        alpha=steering.OSQP_OVERRELAXATION,
+        max_iter=steering.POLISH_STEPS,
     )
     duals = np.zeros(len(most))
     duals[:n_rows] = scale * root.price

@@ -1,47 +1,47 @@
-"""Fronts: the best layouts for more and more units or money, each with its proof; fronts by units.
+"""Fronts: the best layouts for more and more units or money, each with its proof.
 
 A point is solved from the one before it: what was found for less is feasible for more. The best
 values therefore never fall from point to point, and what no layout with more can exceed, none with
 less can either.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from geometry.arrays import IntArray
+from geometry.arrays import FloatArray
 from geometry.clock import now_s
 from geometry.errors import InputError, Unquoted
 
 from ..layout import Certificate, Stage
-from .bitsets import set_values, union_apr
-from .greedy import improve, to_full
+from .bitsets import union_apr
+from .greedy import to_full
+from .limits import Limits
 from .objectives import VALUE_OBJECTIVES, Objective
 from .presolve import PresolveStatistics, ReducedProblem, presolve
-from .problem import PlacementProblem, PlacementValue, is_better, placement_value
+from .problem import (
+    Floor,
+    PlacementProblem,
+    PlacementValue,
+    Requirement,
+    is_better,
+    placement_value,
+)
 from .solve import (
-    Solution,
     UnmetError,
-    build_certificate,
     build_stage,
     check_floors,
     check_limits,
     check_reach,
     is_large,
     solve_placement,
+    units_of,
 )
 from .stages import Search, Stages
-from .steering import (
-    COST_TOLERANCE_EUR,
-    LEAST_S,
-    TOLERANCE,
-    Deadline,
-    Effort,
-    deadline_in,
-)
+from .steering import COST_TOLERANCE_EUR, LEAST_S, TOLERANCE, Deadline, Effort, deadline_in
 
 # ---------- fronts
 
@@ -128,19 +128,32 @@ def check_front(problem: PlacementProblem, stages: StageChoice) -> None:
             raise InputError(option, Unquoted("it with a front"), "neither: a front has every APR")
 
 
-def from_solution(
-    problem: PlacementProblem, solution: Solution, *, stages: StageChoice
+def solve_point(
+    problem: PlacementProblem,
+    reduced: ReducedProblem | None,
+    *,
+    effort: Effort,
+    n_stages: int,
+    starts: Sequence[Sequence[int]] = (),
 ) -> FrontPoint:
-    """A point of a front from a problem that was solved by itself."""
-    certificate = solution.certificate
-    if stages == "first":
-        kept = tuple(stage for stage in certificate.stages if stage.name in FIRST_STAGES)
-        certificate = replace(certificate, stages=kept)
+    """The best layout for one point, its first stages proven; what comes after them is just good.
+
+    `reduced` has all but the limits of this point, though it may be presolved with wider ones.
+    """
+    if reduced is not None:
+        reduced = replace(reduced, limits=problem.limits.of_poses(reduced.pose_index))
+    solution = solve_placement(
+        problem,
+        reduced,
+        effort=effort,
+        starts=[np.array(start, dtype=np.int64) for start in starts],
+        n_stages=n_stages,
+    )
     return FrontPoint(
         units=len(solution.pose_index),
         pose_index=solution.pose_index,
         value=placement_value(problem, solution.pose_index),
-        certificate=certificate,
+        certificate=solution.certificate,
     )
 
 
@@ -213,132 +226,6 @@ def tightened(stage: Stage, bound: float) -> Stage:
     )
 
 
-# ---------- one point
-
-
-def look_around(
-    problem: PlacementProblem,
-    reduced: ReducedProblem,
-    *,
-    effort: Effort,
-    stages: StageChoice,
-    start: Sequence[int] = (),
-) -> Search:
-    """A good layout for one point, found quickly and without proof.
-
-    `reduced` has the limits, floors and goal of this point, though it may be presolved with wider
-    limits. The layout is at least as good as `start`, rows of the table within the limits, but may
-    lack something to the floors. Raises InputError if the limits contradict each other.
-    """
-    check_limits(problem.limits, problem.table.pose_ids)
-    search = Search(
-        reduced if stages == "all" else without_margins(reduced),
-        deadline=deadline_in(effort.time_limit_s),
-        is_exact=effort.is_exact,
-    )
-    starts = [_to_reduced(reduced, start)] if len(start) else []
-    for units in starts:
-        search.keep(units)
-    if search.units is None or search.limit.exceeds(search.row):
-        search.start(starts)
-    return search
-
-
-def prove_point(
-    problem: PlacementProblem,
-    reduced: ReducedProblem,
-    search: Search,
-    *,
-    effort: Effort,
-    stages: StageChoice,
-    fewer: FrontPoint | None = None,
-    is_cheapest: bool = False,
-) -> FrontPoint:
-    """One point of a front: the best layout and its proof, as far as the time goes.
-
-    `search` has a layout that meets all limits and floors, `fewer` is the point of one unit less,
-    all else being equal, and `is_cheapest` says that no stage need ask for less money. With the
-    first stages alone, the layout's margins and cost come from a local search: good, not proven,
-    and in no certificate.
-    """
-    solver = Stages(problem, search, effort)
-    records = []
-    for objective, find_bound in solver.plan():
-        is_cost = objective is Objective.COST
-        if is_cost and is_cheapest:
-            break
-        began_s = now_s()
-        least_eur = _least_cost_eur(search, fewer) if is_cost else -np.inf
-        if search.value.cost_eur <= least_eur + COST_TOLERANCE_EUR:
-            bound = search.value.cost_eur
-        else:
-            bound = find_bound()
-        records.append((objective, bound, now_s() - began_s))
-        if stages == "first" and objective is FIRST_STAGES[-1]:
-            break
-    units = search.units
-    assert units is not None  # the caller has seen to it
-    if stages == "first" and not search.deadline.is_over:
-        full = replace(reduced, limits=search.reduced.limits).with_goal("best")
-        units = _polished(full, units, deadline=search.deadline)
-    pose_index = to_full(reduced, units)
-    return FrontPoint(
-        units=len(pose_index),
-        pose_index=pose_index,
-        value=placement_value(problem, pose_index),
-        certificate=build_certificate(problem, pose_index, records, search),
-    )
-
-
-def without_margins(reduced: ReducedProblem) -> ReducedProblem:
-    """Problem where all margins are alike: a set of the best APR cannot be improved.
-
-    Prices go, too, unless money is limited or looked for.
-    """
-    limits = reduced.limits
-    if limits.budget_eur is None and reduced.objectives[0] is not Objective.COST:
-        limits = replace(
-            limits,
-            unit_cost_eur=np.zeros_like(limits.unit_cost_eur),
-            site_cost_eur=np.zeros_like(limits.site_cost_eur),
-        )
-    margin_s = np.where(reduced.margin_s > -np.inf, 0.0, -np.inf)
-    return replace(reduced, limits=limits, margin_s=margin_s)
-
-
-def _to_reduced(reduced: ReducedProblem, pose_index: Sequence[int]) -> IntArray:
-    """Poses of the reduced problem from rows of the detection table, all of which are left."""
-    return np.searchsorted(reduced.pose_index, np.sort(np.array(pose_index, dtype=np.int64)))
-
-
-def _least_cost_eur(search: Search, fewer: FrontPoint | None) -> float:
-    """No layout that is as good in all other stages costs less, given the best with fewer units.
-
-    Those with fewer units are not as good, or cost what the best of them costs; all others have
-    one unit more at least.
-    """
-    limits = search.reduced.limits
-    if fewer is None or not fewer.is_proven or search.reduced.objectives[0].is_minimised:
-        return -np.inf
-    prices = np.sort(limits.unit_cost_eur[~limits.is_forbidden])
-    more_eur = float(prices[: fewer.units + 1].sum())
-    value = search.value
-    differs = any(
-        abs(value.of(objective) - fewer.value.of(objective)) > objective.tolerance
-        for objective in VALUE_OBJECTIVES
-        if objective is not Objective.COST
-    )
-    return more_eur if differs else min(more_eur, fewer.value.cost_eur)
-
-
-def _polished(reduced: ReducedProblem, units: IntArray, *, deadline: Deadline) -> IntArray:
-    """A set after a local search for better margins and lower cost; no worse in any stage."""
-    limit = Search(reduced).limit
-    better = improve(reduced, units, limit, deadline=deadline)
-    after, before = (set_values(reduced, sets[None, :])[0] for sets in (better, units))
-    return better if after.exceeds(before) else units
-
-
 # ---------- a front by units
 
 
@@ -378,20 +265,11 @@ def pareto_front(
     deadline = deadline_in(effort.time_limit_s)
     limits = problem.limits
     first = max(min_units, int(limits.is_forced.sum()), 1)
-    if not 1 <= first <= max_units:
-        raise InputError("max_units", max_units, f"a number of units, at least {first}")
-    check_limits(replace(limits, budget_units=None), problem.table.pose_ids)
-    # Poses that are dominated while many units are chosen are dominated while fewer are.
-    widest = replace(problem, limits=replace(limits, budget_units=max_units))
-    # Points of a large instance are solved one by one, each from a pool of promising poses.
-    if reduced is None and (effort.solver == "exact" or not is_large(problem)):
-        reduced = presolve(widest, workers=effort.workers)
-    reduced = None if reduced is None else reduced.with_workers(effort.workers)
+    reduced = _presolved(problem, first, max_units, reduced, effort)
     largest = None if reduced is None else largest_values(reduced, stages)
     full = replace(limits, budget_units=None).max_units
     points: list[FrontPoint] = []
-    refused: list[tuple[int, str]] = []
-    error: UnmetError | None = None
+    refused: list[tuple[int, UnmetError]] = []
     settled = None
     for units in range(first, max_units + 1):
         if points and (settled is not None or units > full):
@@ -402,19 +280,26 @@ def pareto_front(
         fewer = points[-1] if points else None
         at_point = replace(problem, limits=replace(limits, budget_units=units))
         try:
-            point = _solve_point(at_point, reduced, fewer, effort=share, stages=stages)
-        except UnmetError as found:
-            error = found
-            refused.append((units, str(found)))
+            point = solve_point(
+                at_point,
+                reduced,
+                effort=share,
+                n_stages=len(FIRST_STAGES if stages == "first" else VALUE_OBJECTIVES),
+                starts=[fewer.pose_index] if fewer else [],
+            )
+        except UnmetError as error:
+            refused.append((units, error))
             continue
+        point = no_worse(point, fewer) if fewer else point
         points.append(replace(point, units=units))
         if reaches(point.value, largest) and (stages == "first" or _is_cheap(problem, points[-1])):
             settled = units
         if on_point is not None:
             on_point(points[-1])
-    if error is not None and not points:
-        option = "max_units" if error.where == "budget" else error.where
-        raise UnmetError(option, error.got, error.expected)
+    if refused and not points:
+        why = refused[-1][1]
+        option = "max_units" if why.where == "budget" else why.where
+        raise UnmetError(option, why.got, why.expected)
     if settled is None and full <= max_units and points[-1].is_proven:
         settled = max(points[0].units, full)
     points = _exchange_bounds(points, is_free=_is_free(problem))
@@ -423,7 +308,7 @@ def pareto_front(
         points=tuple(points),
         stages=stages,
         settled=_first_like_last(points, settled),
-        refused=tuple(refused),
+        refused=tuple((units, str(error)) for units, error in refused),
         presolve=None if reduced is None else reduced.statistics,
     )
 
@@ -473,25 +358,26 @@ def front_below(
     return replace(fewer, points=tuple(points))
 
 
-def _solve_point(
+def _presolved(
     problem: PlacementProblem,
+    min_units: int,
+    max_units: int,
     reduced: ReducedProblem | None,
-    fewer: FrontPoint | None,
-    *,
     effort: Effort,
-    stages: StageChoice,
-) -> FrontPoint:
-    start = fewer.pose_index if fewer else ()
+) -> ReducedProblem | None:
+    """The problem presolved once for all points; None where it is so large that each is by itself.
+
+    Poses that are dominated while many units are chosen are dominated while fewer are.
+    """
+    if not 1 <= min_units <= max_units:
+        raise InputError("max_units", max_units, f"a number of units, at least {min_units}")
+    check_limits(replace(problem.limits, budget_units=None), problem.table.pose_ids)
+    if reduced is None and effort.solver != "exact" and is_large(problem):
+        return None
     if reduced is None:
-        starts = [np.array(start)] if start else []
-        solution = solve_placement(problem, effort=effort, starts=starts)
-        point = from_solution(problem, solution, stages=stages)
-        return point if fewer is None else no_worse(point, fewer)
-    reduced = replace(reduced, limits=problem.limits.of_poses(reduced.pose_index))
-    check_reach(problem, reduced)
-    search = look_around(problem, reduced, effort=effort, stages=stages, start=start)
-    check_floors(problem, search)
-    return prove_point(problem, reduced, search, effort=effort, stages=stages, fewer=fewer)
+        widest = replace(problem.limits, budget_units=max_units)
+        reduced = presolve(replace(problem, limits=widest), workers=effort.workers)
+    return reduced.with_workers(effort.workers)
 
 
 def _is_cheap(problem: PlacementProblem, point: FrontPoint) -> bool:
@@ -556,3 +442,325 @@ def _first_like_last(points: Sequence[FrontPoint], settled: int | None) -> int |
         if point.is_proven and all(abs(a.objective - b.objective) <= TOLERANCE for a, b in pairs):
             return point.units
     return settled
+
+
+# ---------- price levels
+
+
+_MAX_LEVELS = 20_000
+_CENTS = 100.0
+
+
+def price_levels_eur(limits: Limits) -> FloatArray | None:
+    """Amounts of which every layout within limits costs one, ascending, in euros.
+
+    Not every amount need be the cost of a layout. None if prices are too many, or no whole cents.
+    """
+    usable = ~limits.is_forbidden | limits.is_forced
+    units = _cents(limits.unit_cost_eur[usable])
+    sites = _cents(limits.site_cost_eur[np.unique(limits.site_index[usable])])
+    if units is None or sites is None:
+        return None
+    most = limits.max_units
+    by_units = _sums(units, most)
+    by_sites = _sums(sites, min(most, limits.n_sites))
+    if by_units is None or by_sites is None:
+        return None
+    # So many units need at least so many sites.
+    largest = max(int(limits.site_capacity.max(initial=1)), 1)
+    levels: set[int] = set()
+    for n_units in range(1, most + 1):
+        for n_sites in range(-(-n_units // largest), min(n_units, len(by_sites) - 1) + 1):
+            levels.update(a + b for a in by_units[n_units] for b in by_sites[n_sites])
+            if len(levels) > _MAX_LEVELS:
+                return None
+    return np.array(sorted(levels)) / _CENTS
+
+
+def level_at_least_eur(levels_eur: FloatArray | None, amount_eur: float) -> float:
+    """The first level that is no less than an amount; the amount where levels are not known."""
+    if levels_eur is None or not np.isfinite(amount_eur):
+        return amount_eur
+    above = levels_eur[levels_eur >= amount_eur - COST_TOLERANCE_EUR]
+    return float(above[0]) if len(above) else np.inf
+
+
+def level_beyond_eur(levels_eur: FloatArray | None, amount_eur: float) -> float:
+    """The first level above an amount; the amount where levels are not known."""
+    if levels_eur is None or not np.isfinite(amount_eur):
+        return amount_eur
+    above = levels_eur[levels_eur > amount_eur + COST_TOLERANCE_EUR]
+    return float(above[0]) if len(above) else np.inf
+
+
+def _cents(amounts_eur: FloatArray) -> list[int] | None:
+    cents = np.unique(amounts_eur) * _CENTS
+    whole = np.rint(cents)
+    is_whole = len(cents) <= _MAX_LEVELS and bool(
+        (np.abs(cents - whole) <= COST_TOLERANCE_EUR * _CENTS).all()
+    )
+    return [int(number) for number in whole] if is_whole else None
+
+
+def _sums(prices: Iterable[int], most: int) -> list[set[int]] | None:
+    """Sums of 0, 1, .. prices, each of which may be taken again and again."""
+    sums: list[set[int]] = [{0}]
+    for _ in range(most):
+        sums.append({before + price for before in sums[-1] for price in prices})
+        if len(sums[-1]) > _MAX_LEVELS:
+            return None
+    return sums
+
+
+# ---------- a front by cost
+
+
+DEFAULT_MAX_POINTS = 40
+_ASKED = "APR"  # what a point asks for, in place of a wish
+
+
+def cost_front(
+    problem: PlacementProblem,
+    *,
+    step_apr: float | None = None,
+    max_points: int = DEFAULT_MAX_POINTS,
+    stages: StageChoice = "first",
+    effort: Effort | None = None,
+    on_point: OnPoint | None = None,
+) -> Front:
+    """Cheapest layouts for a growing APR, and for a growing APR when one unit fails.
+
+    All limits and floors of the problem hold at every point. A point must be better than the one
+    before it by `step_apr`, by default the smallest weight of a run: where runs weigh differently,
+    points that are closer are left out. `stages` "first" optimises the APR, then the APR when one
+    unit fails; "all" margins, too. The `effort` is that of all points together.
+
+    The first point is the cheapest that avoids anything. The first stage of a certificate is the
+    cost: nothing that is better than the point before costs less. Raises InputError if no layout
+    meets the wishes or avoids anything, or more is asked for than the best.
+
+    The epsilon-constraint method of Haimes, Lasdon and Wismer (1971), in lexicographic order: the
+    next point is the cheapest layout whose APR is higher, or that has the same APR and keeps more
+    of it when one unit fails.
+    """
+    check_front(problem, stages)
+    if max_points < 1:
+        raise InputError("max_points", max_points, "at least 1")
+    effort = Effort() if effort is None else effort
+    check_limits(problem.limits, problem.table.pose_ids)
+    reduced = presolve(problem, workers=effort.workers)
+    check_reach(problem, reduced)
+    weight = reduced.weight[reduced.weight > 0.0]
+    if not len(weight):
+        raise InputError("candidates", Unquoted("poses that avoid nothing"), "one that does")
+    climb = _Climb(
+        problem=problem,
+        reduced=reduced,
+        stages=stages,
+        effort=effort,
+        deadline=deadline_in(effort.time_limit_s),
+        step=float(weight.min()) if step_apr is None else step_apr,
+        largest=largest_values(reduced, "first") or {},
+        levels_eur=price_levels_eur(problem.limits),
+    )
+    points = [climb.first()]
+    higher = _UNKNOWN
+    settled = None
+    while len(points) < max_points:
+        last = points[-1]
+        if on_point is not None:
+            on_point(last)
+        if higher is _UNKNOWN:
+            higher = climb.higher(last)
+        safer = climb.safer(last)
+        # Whatever is better than the last point is one of the two.
+        least_eur = min(higher.least_eur, safer.least_eur)
+        if higher.pose_index is None and safer.pose_index is None:
+            if least_eur == np.inf and last.is_proven:
+                settled = last.value.cost_eur
+            break
+        if higher.cost_eur <= safer.cost_eur + COST_TOLERANCE_EUR:
+            point = climb.point(higher, least_eur)
+        else:
+            is_best = higher.least_eur > safer.cost_eur + COST_TOLERANCE_EUR
+            point = climb.point(safer, least_eur, is_best=is_best)
+        if point.value.apr > last.value.apr + TOLERANCE:
+            higher = _UNKNOWN
+        points = _with_point(points, point)
+    largest = largest_values(reduced, stages)
+    is_final = stages == "first" or reaches(points[-1].value, largest)
+    return Front(
+        by="cost",
+        points=tuple(points),
+        stages=stages,
+        settled=settled if is_final else None,
+        refused=(),
+        presolve=reduced.statistics,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Step:
+    """The cheapest layout that is better in one respect, as found.
+
+    `least_eur` is proven: no such layout costs less; infinite if there is none.
+    """
+
+    pose_index: tuple[int, ...] | None
+    cost_eur: float
+    least_eur: float
+    seconds: float
+    floors: tuple[tuple[float, int], ...] = ()
+
+
+_UNKNOWN = _Step(pose_index=None, cost_eur=np.inf, least_eur=-np.inf, seconds=0.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Climb:
+    """Problem, time and prices that the steps of one front share."""
+
+    problem: PlacementProblem
+    reduced: ReducedProblem
+    stages: StageChoice
+    effort: Effort
+    deadline: Deadline
+    step: float
+    largest: dict[Objective, float]
+    levels_eur: FloatArray | None
+
+    def first(self) -> FrontPoint:
+        """The cheapest layout that avoids anything."""
+        try:
+            step = self._cheapest([(self.step, 0)], None)
+        except UnmetError as error:
+            if error.where != _ASKED:
+                raise
+            raise InputError(
+                "candidates",
+                Unquoted("no layout that avoids anything"),
+                "one within the limits and the time",
+            ) from None
+        assert step.pose_index is not None  # check_floors has seen to it
+        return self.point(step, step.least_eur)
+
+    def higher(self, last: FrontPoint) -> _Step:
+        """The cheapest layout with a higher APR."""
+        if last.value.apr + self.step > self.largest[Objective.APR] + TOLERANCE:
+            return replace(_UNKNOWN, least_eur=np.inf)
+        return self._cheapest([(last.value.apr + self.step, 0)], last)
+
+    def safer(self, last: FrontPoint) -> _Step:
+        """The cheapest layout with the same APR that keeps more of it when one unit fails."""
+        least = last.value.apr_one_failed + self.step
+        if least > self.largest[Objective.APR_ONE_FAILED] + TOLERANCE:
+            return replace(_UNKNOWN, least_eur=np.inf)
+        return self._cheapest([(last.value.apr, 0), (least, 1)], last)
+
+    def _cheapest(self, asked: Sequence[tuple[float, int]], last: FrontPoint | None) -> _Step:
+        """The cheapest layout that reaches APRs: pairs of a share and how many units may fail."""
+        began_s = now_s()
+        problem, reduced = self._asking(asked, goal="cheapest")
+        reduced = reduced.with_goal("cheapest")
+        effort = self._effort()
+        search = Search(
+            reduced, deadline=deadline_in(effort.time_limit_s), is_exact=effort.is_exact
+        )
+        search.start([] if last is None else [units_of(reduced, np.array(last.pose_index))])
+        known_eur = self._known_eur(last)
+        if last is None:
+            check_floors(problem, search)
+        elif search.units is None or search.shortfall > 0.0:
+            least_eur = np.inf if search.nothing_meets_all else known_eur
+            return replace(_UNKNOWN, least_eur=least_eur)
+        if search.value.cost_eur > known_eur + COST_TOLERANCE_EUR:
+            bound = Stages(problem, search, effort).bound_first_cost_eur()
+            known_eur = max(known_eur, level_at_least_eur(self.levels_eur, bound))
+        units = search.units
+        assert units is not None
+        return _Step(
+            pose_index=to_full(reduced, units),
+            cost_eur=search.value.cost_eur,
+            least_eur=known_eur,
+            seconds=now_s() - began_s,
+            floors=tuple(asked),
+        )
+
+    def _known_eur(self, last: FrontPoint | None) -> float:
+        """Least cost of whatever is better than a point.
+
+        It is better than all points before, too; and it costs more than this point, if that is the
+        best at its cost.
+        """
+        if last is None:
+            return level_at_least_eur(self.levels_eur, 0.0)
+        if last.is_proven:
+            return level_beyond_eur(self.levels_eur, last.value.cost_eur)
+        return last.certificate.stages[0].bound
+
+    def point(self, step: _Step, least_eur: float, *, is_best: bool = True) -> FrontPoint:
+        """The best layout for the cost of a step.
+
+        No layout that is better than the point before costs less than `least_eur`. With `is_best`,
+        nothing with a higher APR than asked for costs as little: what was asked for need not be
+        asked again.
+        """
+        assert step.pose_index is not None
+        limits = _within(self.problem.limits, step.cost_eur)
+        asked = () if is_best else step.floors
+        problem, reduced = self._asking(asked, limits=limits)
+        point = solve_point(
+            problem,
+            reduced,
+            effort=self._effort(),
+            # No stage need ask for less money: that is the last one.
+            n_stages=len(FIRST_STAGES) if self.stages == "first" else len(VALUE_OBJECTIVES) - 1,
+            starts=[step.pose_index],
+        )
+        cost = build_stage(Objective.COST, point.value.cost_eur, least_eur, step.seconds)
+        return replace(
+            point, certificate=replace(point.certificate, stages=(cost, *point.certificate.stages))
+        )
+
+    def _asking(
+        self, asked: Sequence[tuple[float, int]], **changes: Any
+    ) -> tuple[PlacementProblem, ReducedProblem]:
+        """The problem with some changes where APRs must be reached, too, and what is left of it."""
+        shares = [(min(share, 1.0), n_failures) for share, n_failures in asked]
+        floors = [Floor(name=_ASKED, share=share, n_failures=n) for share, n in shares]
+        measure = self.reduced.measure
+        needs = [Requirement(measure=measure, least=share, n_failures=n) for share, n in shares]
+        problem = replace(self.problem, floors=(*self.problem.floors, *floors), **changes)
+        return problem, replace(self.reduced, floors=(*self.reduced.floors, *needs))
+
+    def _effort(self) -> Effort:
+        left_s = max(self.deadline.of("point of a front").left_s(), LEAST_S)
+        return replace(self.effort, time_limit_s=left_s)
+
+
+def _within(limits: Limits, cost_eur: float) -> Limits:
+    """Limits with so much money; as a number of units, where that says the same."""
+    price = float(limits.unit_cost_eur.max(initial=0.0))
+    if price > 0.0 and np.ptp(limits.unit_cost_eur) == 0.0 and not limits.site_cost_eur.any():
+        affordable = int((cost_eur + COST_TOLERANCE_EUR) / price)
+        most = affordable if limits.budget_units is None else min(affordable, limits.budget_units)
+        return replace(limits, budget_units=most, budget_eur=None)
+    return replace(limits, budget_eur=cost_eur)
+
+
+def _with_point(points: Sequence[FrontPoint], new: FrontPoint) -> list[FrontPoint]:
+    """Points that cost less than a new one, which is better than all of them, and the new one.
+
+    What is better than the last of those that stay may be worse than one that goes: it costs at
+    least the least of what was proven of these.
+    """
+    stay = [
+        point for point in points if point.value.cost_eur < new.value.cost_eur - COST_TOLERANCE_EUR
+    ]
+    cost, *others = new.certificate.stages
+    least_eur = min(
+        cost.bound, *(p.certificate.stages[0].bound for p in points[len(stay) :]), np.inf
+    )
+    if least_eur < cost.bound:
+        cost = build_stage(Objective.COST, cost.objective, least_eur, cost.seconds)
+    return [*stay, replace(new, certificate=replace(new.certificate, stages=(cost, *others)))]

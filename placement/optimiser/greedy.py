@@ -12,6 +12,7 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
+from . import steering
 from .bitsets import (
     BestSet,
     SetValues,
@@ -23,7 +24,7 @@ from .bitsets import (
 from .limits import are_allowed, fitting, is_allowed
 from .presolve import ReducedProblem, presolve
 from .problem import PlacementProblem
-from .steering import N_RESTARTS, NEVER, ROUNDING, SEED, TINY, TOLERANCE, Deadline
+from .steering import NEVER, TOLERANCE, Deadline
 
 
 def solve_greedy(
@@ -121,19 +122,21 @@ def search_from_many_starts(
     completes the first start. None if no set within the limits was found; the result may lack
     something to the floors.
     """
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(steering.SEED)
     forced, best, idle = forced_units(reduced), BestSet(), 0
     begin = [*starts, forced]
     weight: FloatArray | None = None
     for number in count():
         n_units = reduced.limits.max_units if best.units is None else len(best.units)
         is_first = number < len(begin)
-        if not is_first and (idle > n_units or number >= len(begin) + N_RESTARTS):
+        if not is_first and (idle > n_units or number >= len(begin) + steering.N_RESTARTS):
             break
         if number and deadline.is_over:
             break
         if not is_first and weight is None:
-            weight = _chance_alone(reduced, forced) if chance is None else chance() + ROUNDING
+            weight = (
+                _chance_alone(reduced, forced) if chance is None else chance() + steering.ROUNDING
+            )
         if is_first or weight is None:
             units = begin[number]
         elif number % 2 or best.units is None:
@@ -161,7 +164,7 @@ def search_from_many_starts(
 
 def _chance_alone(reduced: ReducedProblem, forced: IntArray) -> FloatArray:
     alone = shares_with_each(reduced, forced)
-    share: FloatArray = alone**2 / max(float((alone**2).sum()), TINY) + ROUNDING
+    share: FloatArray = alone**2 / max(float((alone**2).sum()), steering.TINY) + steering.ROUNDING
     return share
 
 

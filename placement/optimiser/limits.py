@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -257,3 +257,38 @@ def fitting(limits: Limits, units: IntArray) -> BoolArray:
         own = own + np.where(missing & np.isin(sites, to_open), limits.site_cost_eur[sites], 0.0)
         fits &= price + reserve - own <= left
     return fits
+
+
+# ---------- sets that may be chosen
+
+
+class Choice(NamedTuple):
+    """How many poses may join those that are forced, and where: plain arrays for kernels."""
+
+    n_units: int  # at most so many
+    room: IntArray  # (n_sites,): places left at each site
+    is_open: IntArray  # (n_poses,): 1 if the pose may join
+    # (n_poses,): share of the money left that a pose takes, at least; empty if money is no limit.
+    cost: FloatArray
+    site: IntArray  # (n_poses,)
+
+
+def build_choice(limits: Limits, n_units: int) -> Choice:
+    """Poses that may join the forced ones in sets of so many units."""
+    forced = np.flatnonzero(limits.is_forced)
+    at_site = np.bincount(limits.site_index[forced], minlength=limits.n_sites)
+    cost = np.empty(0)
+    if limits.budget_eur is not None:
+        spent = limits.unit_cost_eur[forced].sum() + limits.site_cost_eur[at_site > 0].sum()
+        left = max(limits.budget_eur - float(spent), 0.0) + COST_TOLERANCE_EUR
+        # A site is paid once: full, each of its units pays a share.
+        of_site = np.where(at_site > 0, 0.0, limits.site_cost_eur)
+        of_site = of_site / np.maximum(limits.site_capacity, 1)
+        cost = (limits.unit_cost_eur + of_site[limits.site_index]) / left
+    return Choice(
+        n_units=max(n_units - len(forced), 0),
+        room=np.maximum(limits.site_capacity - at_site, 0),
+        is_open=(~limits.is_forced & ~limits.is_forbidden).astype(np.int64),
+        cost=cost,
+        site=limits.site_index,
+    )

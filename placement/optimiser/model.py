@@ -21,19 +21,13 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
+from . import steering
 from .bitsets import union_margins_s, unions_of
 from .limits import Limits
 from .objectives import Objective
 from .presolve import ReducedProblem
 from .problem import Measure, Requirement, WordArray
-from .steering import (
-    COST_TOLERANCE_EUR,
-    HELD_SLACK,
-    LONGEST_S,
-    SOLVER_SUM,
-    TIME_SHARES,
-    TOLERANCE,
-)
+from .steering import COST_TOLERANCE_EUR, TOLERANCE
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -70,7 +64,7 @@ def run_solver(problem: cp.Problem, *, time_limit_s: float, gap: float = 0.0) ->
         try:
             problem.solve(
                 solver="HIGHS",
-                time_limit=min(max(time_limit_s, 0.0), LONGEST_S),
+                time_limit=min(max(time_limit_s, 0.0), steering.LONGEST_S),
                 mip_rel_gap=gap,
                 mip_abs_gap=0.0,
             )
@@ -216,7 +210,7 @@ def requirement_constraints(
     if requirement.sums_margins:
         row = margin_weights(reduced, weight)
         unit = max(float(row.sum()), TOLERANCE)
-        return [(row / unit) @ a >= requirement.least / unit - HELD_SLACK * TOLERANCE]
+        return [(row / unit) @ a >= requirement.least / unit - steering.HELD_SLACK * TOLERANCE]
     link = last_links(reduced, min_margin_s=requirement.min_margin_s)
     can = (link >= 0) & (weight > 0.0)
     if requirement.needs_all and weight[can].sum() >= requirement.least - TOLERANCE:
@@ -224,9 +218,11 @@ def requirement_constraints(
         return [a[np.unique(link[can])] == 1.0]
     if requirement.measure.is_mean and can.any():
         unit = float(weight.mean())
-        return [(weight[can] / unit) @ a[link[can]] >= requirement.least / unit - HELD_SLACK]
+        return [
+            (weight[can] / unit) @ a[link[can]] >= requirement.least / unit - steering.HELD_SLACK
+        ]
     expression, constraints = _tail_share(a, requirement.measure, link)
-    return [*constraints, expression >= requirement.least - HELD_SLACK * TOLERANCE]
+    return [*constraints, expression >= requirement.least - steering.HELD_SLACK * TOLERANCE]
 
 
 def _tail_share(
@@ -362,14 +358,14 @@ def solve_window_model(
                 if objective is Objective.APR
                 else margin_weights(reduced, reduced.weight)
             )
-            unit = max(float(weights.sum()), TOLERANCE) / SOLVER_SUM
+            unit = max(float(weights.sum()), TOLERANCE) / steering.SOLVER_SUM
             goal = (weights / unit) @ a
     if cuts:
         constraints += cut_constraints(x, cuts, limits)
     problem = cp.Problem(cp.Maximize(goal), constraints)
     sign = -1.0 if objective is not None and objective.is_minimised else 1.0
     spent_s = time.monotonic() - begun_s
-    if spent_s > TIME_SHARES["model stated"] * time_limit_s:
+    if spent_s > steering.TIME_SHARES["model stated"] * time_limit_s:
         return MilpResult(units=None, bound=sign * np.inf, is_finished=False)
     answer = run_solver(problem, time_limit_s=time_limit_s - spent_s)
     return MilpResult(

@@ -11,7 +11,6 @@ frame of the reduced problem here: a *tail*. A window whose tails are all seen i
 window has fewer tails, one that is not seen ends all windows of the run up to some number.
 """
 
-from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,6 +21,7 @@ from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
+from . import steering
 from .limits import Limits
 from .objectives import Goal, Objective, objectives_in_order
 from .problem import (
@@ -34,14 +34,7 @@ from .problem import (
     tails_behind,
     timely_windows_end,
 )
-from .steering import (
-    COST_TOLERANCE_EUR,
-    LOOKED_WORDS,
-    MANY_ROWS,
-    MAX_CELLS,
-    WORKERS,
-    share_out,
-)
+from .steering import COST_TOLERANCE_EUR, WORKERS, share_out
 
 PackedArray = WordArray | NDArray[np.uint8]
 
@@ -181,7 +174,7 @@ class ReducedProblem:
     @property
     def can_unpack(self) -> bool:
         """True if models and relaxations may look at all detections one by one."""
-        return self.n_poses * self.n_frames <= MAX_CELLS
+        return self.n_poses * self.n_frames <= steering.MAX_CELLS
 
     def detected(self) -> BoolArray:
         """V[c, f] on the merged frames, (n_poses, n_frames)."""
@@ -291,7 +284,7 @@ def is_dominated(
     """
     from .bit_kernels import find_dominated
 
-    n_poses, n_words = words.shape
+    n_poses = len(words)
     count = np.empty(n_poses, dtype=np.int64)
 
     def count_bits(begin: int, end: int) -> None:
@@ -306,20 +299,15 @@ def is_dominated(
         is_bound_site |= limits.site_capacity > 1
     elsewhere = price + limits.site_cost_eur[sites]
     elsewhere[is_bound_site[sites]] = np.inf
-    looked = np.arange(0, n_words, -(-n_words // LOOKED_WORDS) or 1)
-    columns = np.ascontiguousarray(words[np.ix_(order, looked)].T)
+    ordered = words[order]
     dominated = np.zeros(n_poses, dtype=bool)
 
     def look(begin: int) -> None:
         find_dominated(
-            words,
-            order,
-            looked,
-            columns,
+            ordered,
             sites,
             price,
             elsewhere,
-            price + COST_TOLERANCE_EUR,
             ~is_bound_site[sites],
             limits.site_capacity,
             max_units,
@@ -492,7 +480,7 @@ def distinct_rows(
     def mix(begin: int, end: int) -> None:
         mix_rows(rows[begin:end], mask, mixed[begin:end])
 
-    share_out(mix, len(rows), workers=workers, few=MANY_ROWS)
+    share_out(mix, len(rows), workers=workers, few=steering.MANY_ROWS)
     slots = np.full(1 << (2 * len(rows)).bit_length(), -1)
     n_distinct = number_rows(rows, mask, mixed, slots, number)
     return slots[:n_distinct].copy(), number
@@ -552,23 +540,18 @@ def _share_chains(
     window_frames: IntArray, sequences: list[IntArray], tails: list[tuple[IntArray, IntArray]]
 ) -> tuple[Chains, IntArray]:
     """Chains such that every sequence is the beginning of one with its tails; chain of each."""
-    chains: list[int] = []
-    beginnings: dict[tuple[bytes, bytes, bytes], int] = {}
-    tail_keys = [(frames.tobytes(), n_links.tobytes()) for frames, n_links in tails]
-    heads = [(row[:1].tobytes(), *key) for row, key in zip(sequences, tail_keys, strict=True)]
-    n_alike = Counter(heads)
-    sequence_chain = np.zeros(len(sequences), dtype=np.int64)
-    for index in sorted(range(len(sequences)), key=lambda index: -len(sequences[index])):
-        sequence = sequences[index]
-        key = sequence.tobytes(), *tail_keys[index]
-        if key not in beginnings:
-            # What begins like no other one needs no shorter beginnings.
-            for length in range(
-                1 if n_alike[heads[index]] > 1 else len(sequence), len(sequence) + 1
-            ):
-                beginnings[sequence[:length].tobytes(), *tail_keys[index]] = len(chains)
+    keys = [
+        (frames.tolist(), n_links.tolist(), row.tolist())
+        for row, (frames, n_links) in zip(sequences, tails, strict=True)
+    ]
+    chains, sequence_chain = list[int](), np.zeros(len(sequences), dtype=np.int64)
+    # In alphabetical order what begins like a sequence comes right behind it.
+    for index in sorted(range(len(keys)), key=keys.__getitem__, reverse=True):
+        frames, n_links, row = keys[index]
+        above = keys[chains[-1]] if chains else ([], [], [])
+        if not chains or (frames, n_links, row) != (*above[:2], above[2][: len(row)]):
             chains.append(index)
-        sequence_chain[index] = beginnings[key]
+        sequence_chain[index] = len(chains) - 1
     none = np.empty(0, dtype=np.int64)
     return Chains(
         window_frames=window_frames,

@@ -16,6 +16,7 @@ from geometry.errors import InputError, Unquoted
 
 from ..detection_table import DetectionTable
 from ..layout import Certificate, Stage, relative_gap
+from . import steering
 from .bitsets import left_after_failures, union_margins_s
 from .bounds import find_root, polished, relaxation_text, rounded_down, run_rows
 from .greedy import to_full
@@ -24,16 +25,7 @@ from .objectives import Objective
 from .presolve import PresolveStatistics, ReducedProblem, presolve
 from .problem import Measure, PlacementProblem, objective_values
 from .stages import Search, Stages
-from .steering import (
-    COST_TOLERANCE_EUR,
-    LEAST_S,
-    MAX_BITS,
-    POOL_POSES,
-    TOLERANCE,
-    Deadline,
-    Effort,
-    deadline_in,
-)
+from .steering import COST_TOLERANCE_EUR, TOLERANCE, Deadline, Effort, deadline_in
 
 _log = logging.getLogger(__name__)
 
@@ -161,7 +153,7 @@ def _rounded_down(share: float) -> str:
 
 def is_large(problem: PlacementProblem) -> bool:
     """True if a problem is better not solved as a whole."""
-    return problem.table.n_poses * problem.table.axis.n_frames > MAX_BITS
+    return problem.table.n_poses * problem.table.axis.n_frames > steering.MAX_BITS
 
 
 def of_pool(problem: PlacementProblem, pool: IntArray) -> PlacementProblem:
@@ -202,8 +194,8 @@ def solve_placement(
     """Best poses: by APR, then APR when one unit fails, smallest margin, mean margin, cost.
 
     `reduced` is the presolved problem, where that is at hand; `starts` are rows of the table that
-    are tried first, (n,) each, such as a good layout for a unit less; of tables of usual size only
-    the first `n_stages` objectives are bounded, by default all; `on_stage` is called with the name
+    are tried first, (n,) each, such as a good layout for a unit less; only the first `n_stages`
+    objectives are bounded, by default all; `on_stage` is called with the name
     of every stage when it begins. By default the effort is a minute.
 
     The bound of a stage is what no layout can exceed that is as good in all stages before. A
@@ -216,18 +208,18 @@ def solve_placement(
     deadline = deadline_in(effort.time_limit_s)
     check_limits(problem.limits, problem.table.pose_ids)
     if problem.limits.failing == "site":
-        found = _solve_as_if_units_failed(problem, effort, deadline, starts, on_stage)
+        found = _solve_as_if_units_failed(problem, effort, deadline, starts, n_stages, on_stage)
         if found is not None and _are_apart(problem.limits, found.pose_index):
             return found
         starts = starts if found is None else [*starts, np.array(found.pose_index)]
     if reduced is None and effort.solver != "exact" and is_large(problem):
-        return _solve_large(problem, effort, deadline, on_stage)
+        return _solve_large(problem, effort, deadline, n_stages, on_stage)
     if reduced is None:
         reduced = presolve(problem, workers=effort.workers)
     reduced = reduced.with_workers(effort.workers)
     check_reach(problem, reduced)
     search = Search(reduced, deadline=deadline, is_exact=effort.is_exact)
-    search.start([_units_of(reduced, poses) for poses in starts])
+    search.start([units_of(reduced, poses) for poses in starts])
     check_floors(problem, search)
     stages = Stages(problem, search, effort)
     records = []
@@ -252,6 +244,7 @@ def _solve_as_if_units_failed(
     effort: Effort,
     deadline: Deadline,
     starts: Sequence[IntArray],
+    n_stages: int | None,
     on_stage: Callable[[str], None] | None,
 ) -> Solution | None:
     """The best where units fail, not sites; None where no set meets the wishes then.
@@ -261,10 +254,12 @@ def _solve_as_if_units_failed(
     is far quicker to find: a pose may be replaced by one at another site.
     """
     by_unit = replace(problem, limits=replace(problem.limits, failing="unit"))
-    left_s = max(deadline.of("as if units failed").left_s(), LEAST_S)
+    left_s = max(deadline.of("as if units failed").left_s(), steering.LEAST_S)
     effort = replace(effort, time_limit_s=left_s)
     try:
-        return solve_placement(by_unit, effort=effort, starts=starts, on_stage=on_stage)
+        return solve_placement(
+            by_unit, effort=effort, starts=starts, n_stages=n_stages, on_stage=on_stage
+        )
     except UnmetError:  # where sites fail, more is possible, or there was too little time
         return None
 
@@ -274,7 +269,7 @@ def _are_apart(limits: Limits, pose_index: tuple[int, ...]) -> bool:
     return len(np.unique(sites)) == len(sites)
 
 
-def _units_of(reduced: ReducedProblem, poses: IntArray) -> IntArray:
+def units_of(reduced: ReducedProblem, poses: IntArray) -> IntArray:
     """Poses of the reduced problem; those that have dropped out are left out."""
     units: IntArray = np.flatnonzero(np.isin(reduced.pose_index, poses))
     return units
@@ -284,6 +279,7 @@ def _solve_large(
     problem: PlacementProblem,
     effort: Effort,
     deadline: Deadline,
+    n_stages: int | None,
     on_stage: Callable[[str], None] | None,
 ) -> Solution:
     """The best among promising poses, bounded by the relaxation of all."""
@@ -301,7 +297,7 @@ def _solve_large(
         )
         root = polished(root)
         apr = min(rounded_down(every, root.limit), apr)
-        chosen = np.argsort(-root.gains(), kind="stable")[:POOL_POSES]
+        chosen = np.argsort(-root.gains(), kind="stable")[: steering.POOL_POSES]
     pool = np.union1d(every.pose_index[chosen], np.flatnonzero(problem.limits.is_forced))
     usable = (problem.limits.site_capacity[problem.limits.site_index] > 0)[pool]
     pool = pool[usable & ~problem.limits.is_forbidden[pool]]
@@ -310,7 +306,10 @@ def _solve_large(
     found = solve_placement(
         part,
         presolve(part, workers=effort.workers),
-        effort=replace(effort, solver="greedy", time_limit_s=max(deadline.left_s(), LEAST_S)),
+        effort=replace(
+            effort, solver="greedy", time_limit_s=max(deadline.left_s(), steering.LEAST_S)
+        ),
+        n_stages=n_stages,
         on_stage=on_stage,
     )
     largest_s = mean_s = float(most.margin_limit_s.max(initial=0.0))

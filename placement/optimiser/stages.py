@@ -8,6 +8,7 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
+from . import steering
 from .bitsets import (
     SetValues,
     left_after_failures,
@@ -24,20 +25,7 @@ from .objectives import VALUE_OBJECTIVES, Objective
 from .pairs import goes_by_pairs, walk_by_pairs
 from .presolve import ReducedProblem
 from .problem import PlacementProblem, PlacementValue, Requirement
-from .steering import (
-    COST_TOLERANCE_EUR,
-    FEW_SETS_PER_SECOND,
-    MAX_FEW_SETS,
-    MAX_SETS_OF_MONEY,
-    NEAR,
-    NEVER,
-    SOLVER_TOLERANCE,
-    STEP_UP,
-    TOLERANCE,
-    Deadline,
-    Effort,
-    settle,
-)
+from .steering import COST_TOLERANCE_EUR, NEVER, TOLERANCE, Deadline, Effort, settle
 from .walk import SetWalk, Tied, TieSearch, best_of_few, best_of_tied, can_walk
 
 # ---------- the best set so far
@@ -108,6 +96,9 @@ class Search:
 
         Others are drawn by a `chance`, (n_poses,), such as their shares in a relaxed solution.
         """
+        for start in starts:
+            if is_allowed(self.reduced.limits, start):
+                self.keep(start)
         uses_root = can_walk(self.reduced) and not goes_by_pairs(self.reduced)
         shares = (lambda: self.root.share) if uses_root else None
         units = search_from_many_starts(
@@ -256,7 +247,9 @@ class Stages:
             if n_units > 1 and not self._one_unit_does():
                 bound = 2.0
             if n_units > bound:
-                bound = max(bound, np.ceil(search.look_for(Objective.UNITS, ()) - SOLVER_TOLERANCE))
+                bound = max(
+                    bound, np.ceil(search.look_for(Objective.UNITS, ()) - steering.SOLVER_TOLERANCE)
+                )
         n_units = len(self._units())
         search.restrict(replace(search.reduced.limits, budget_units=n_units))
         if self.is_complete:
@@ -430,7 +423,7 @@ class Stages:
         while self._left(n_failures) < limit - TOLERANCE:
             before = self._left(n_failures)
             demand = Requirement(
-                measure=reduced.measure, least=before + STEP_UP, n_failures=n_failures
+                measure=reduced.measure, least=before + steering.STEP_UP, n_failures=n_failures
             )
             if search.look_for(None, [*self.held, demand]) == -np.inf:
                 return before
@@ -471,7 +464,7 @@ class Stages:
 
     def _settled_from_below(self, cost: float, bound: float) -> float:
         """Lower bound of a cost; the solver's own has an error."""
-        error = SOLVER_TOLERANCE * max(1.0, cost)
+        error = steering.SOLVER_TOLERANCE * max(1.0, cost)
         step = price_step_eur(self.search.reduced.limits)
         return cost if bound >= cost - max(COST_TOLERANCE_EUR, step - error) else bound
 
@@ -514,10 +507,10 @@ class Stages:
             if self.effort.is_exact:
                 deadline = search.deadline.of("few sets")
                 has_money = search.reduced.limits.budget_eur is not None
-                most = MAX_SETS_OF_MONEY if has_money else MAX_FEW_SETS
+                most = steering.MAX_SETS_OF_MONEY if has_money else steering.MAX_FEW_SETS
                 units, self.is_complete = best_of_few(
                     search.reduced,
-                    max_sets=min(most, int(deadline.left_s() * FEW_SETS_PER_SECOND)),
+                    max_sets=min(most, int(deadline.left_s() * steering.FEW_SETS_PER_SECOND)),
                     deadline=deadline,
                 )
                 if units is not None:
@@ -567,7 +560,7 @@ class Stages:
                 reduced, root, need=need, n_failures=n_failures, left=left
             ),
             limit=lambda least, deadline: failure_limit(root, n_failures, least, deadline=deadline),
-            ahead=NEAR * self._left(n_failures) if n_failures else 0.0,
+            ahead=steering.NEAR * self._left(n_failures) if n_failures else 0.0,
             n_failures=n_failures,
             least_apr=search.value.apr if holds_apr else None,
             on_better=self._improved,

@@ -90,17 +90,10 @@ POOL_POSES = 400
 """Of a large table, the poses among which a layout is looked for: those that gain most."""
 BLOCK_SETS = 1 << 12
 """Sets that are valued at a time: their margins stay in the cache."""
-BLOCK_POSES = 1 << 14
-"""Rows of a large table that are gone through at a time."""
 FEW_TASKS = 64
 """Fewer tasks are not worth threads."""
 MANY_ROWS = 1 << 12
 """Rows whose hashes are worth threads."""
-
-# ---------- presolve
-
-LOOKED_WORDS = 256
-"""Words of poses, evenly spread, by which most that see less are found out."""
 
 # ---------- first sets
 

@@ -24,12 +24,13 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
+from . import steering
 from .bitsets import (
     BestSet,
     left_after_failures,
@@ -43,28 +44,13 @@ from .greedy import forced_units
 from .limits import Limits, are_allowed, costs_eur
 from .objectives import Objective
 from .presolve import ReducedProblem, transposed, unpack_words
-from .steering import (
-    BLOCK_SETS,
-    COST_TOLERANCE_EUR,
-    MANY_ROWS,
-    MAX_GROWN_SETS,
-    MAX_TIED,
-    MAX_WALK_UNITS,
-    NEVER,
-    OUT_SETS,
-    ROUNDING,
-    SOLVER_TOLERANCE,
-    SPELL_S,
-    STEP_UP,
-    STOP_DEPTH,
-    TOLERANCE,
-    WALK_WORK,
-    Deadline,
-    deadline_in,
-)
+from .steering import COST_TOLERANCE_EUR, NEVER, TOLERANCE, Deadline, deadline_in
 
 if TYPE_CHECKING:
     from .walk_kernels import Walk
+
+
+_T = TypeVar("_T")
 
 
 def can_walk(reduced: ReducedProblem) -> bool:
@@ -76,7 +62,9 @@ def can_walk(reduced: ReducedProblem) -> bool:
         and not (limits.is_forced_site.any() or len(limits.rivals) or reduced.floors)
         and not reduced.objectives[0].is_minimised
         and len(reduced.weight) > 0
-        and max(2, n_forced + 1) <= limits.max_units <= min(MAX_WALK_UNITS, reduced.n_poses)
+        and max(2, n_forced + 1)
+        <= limits.max_units
+        <= min(steering.MAX_WALK_UNITS, reduced.n_poses)
         and not (n_forced and reduced.survive)
     )
 
@@ -98,10 +86,10 @@ def best_of_few(
     best, least = BestSet(), -np.inf
     is_by_apr = reduced.objectives[0] is Objective.APR and not reduced.floors
     for sets in sizes:
-        for begin in range(0, len(sets), BLOCK_SETS):
+        for begin in range(0, len(sets), steering.BLOCK_SETS):
             if deadline.is_over:
                 return best.units, False
-            part = sets[begin : begin + BLOCK_SETS]
+            part = sets[begin : begin + steering.BLOCK_SETS]
             if is_by_apr:  # all else takes longer, and matters for few
                 share = union_apr(reduced, unions_of(reduced, part))
                 least = max(least, float(share.max()) - TOLERANCE)
@@ -128,7 +116,9 @@ def allowed_sets(limits: Limits, *, max_sets: int) -> list[IntArray] | None:
             sizes.append(np.sort(sets, axis=1))
         if n_units == limits.max_units or not len(grown):
             break
-        if len(grown) * len(poses) > max(MANY_ROWS, min(MAX_GROWN_SETS, 100 * max_sets)):
+        if len(grown) * len(poses) > max(
+            steering.MANY_ROWS, min(steering.MAX_GROWN_SETS, 100 * max_sets)
+        ):
             return None
         # A later pose than the last one: every set comes up once.
         is_later = np.ones((len(grown), len(poses)), dtype=bool)
@@ -204,7 +194,7 @@ class SetWalk:
     def raise_needs(self, need: float, left: float = 0.0) -> None:
         """Ask for more from here on."""
         self.may_lose[:] = [self.total - need, self.total - left]
-        self.may_lose += ROUNDING * max(self.total, 1.0)
+        self.may_lose += steering.ROUNDING * max(self.total, 1.0)
 
     def blocks(self, deadline: Deadline) -> Iterator[IntArray]:
         """Sets that meet the needs, many at a time, until the deadline.
@@ -216,24 +206,16 @@ class SetWalk:
             yield self._alone()
             return
         spare: list[_Task] = []
-        tasks = self._tasks(spare)
-        workers = self.reduced.workers
-        waiting: set[Future[tuple[_Task, list[IntArray]]]] = set()
-        with ThreadPoolExecutor(workers) as threads:
-            while not deadline.is_over:
-                while len(waiting) < 2 * workers and (task := next(tasks, None)) is not None:
-                    waiting.add(threads.submit(task.go_on))
-                if not waiting:
-                    self.is_finished = True
-                    return
-                done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-                for future in done:
-                    task, found = future.result()
-                    if task.is_done:
-                        spare.append(task)
-                    else:
-                        waiting.add(threads.submit(task.go_on))
-                    yield self._with_forced(found)
+        nodes, paused = self._tasks(spare), list[_Task]()
+
+        def next_task() -> "Callable[[], tuple[_Task, list[IntArray]]] | None":
+            task = paused.pop() if paused else next(nodes, None)
+            return None if task is None else task.go_on
+
+        for task, found in in_threads(next_task, workers=self.reduced.workers, deadline=deadline):
+            (spare if task.is_done else paused).append(task)
+            yield self._with_forced(found)
+        self.is_finished = not deadline.is_over
 
     def _with_forced(self, found: list[IntArray]) -> IntArray:
         sets = np.concatenate([np.empty((0, self.n_units), dtype=np.int64), *found])
@@ -250,10 +232,12 @@ class SetWalk:
         """The nodes near the root, one after the other; tasks that are done are taken again."""
         from .walk_kernels import AT_STOP, DONE, grow
 
-        stop = max(min(STOP_DEPTH, self.n_units - 2), 1)
+        stop = max(min(steering.STOP_DEPTH, self.n_units - 2), 1)
         scout = _Task(self)
         while True:
-            state = grow(self.covers, scout.walk, self.n_failures, stop, WALK_WORK, scout.out)
+            state = grow(
+                self.covers, scout.walk, self.n_failures, stop, steering.WALK_WORK, scout.out
+            )
             if state == DONE:
                 return
             if state == AT_STOP:
@@ -275,7 +259,7 @@ class _Task:
         self.order = owner.order.copy()
         n_units, (n_poses, n_words) = owner.n_units, owner.covers.covers.shape
         of_rows = (n_units + 1, n_words)
-        self.out = np.empty((OUT_SETS, n_units), dtype=np.int64)
+        self.out = np.empty((steering.OUT_SETS, n_units), dtype=np.int64)
         self.walk = Walk(
             where=np.array([0, 1, 0, 0, 0]),
             may_lose=owner.may_lose,
@@ -311,12 +295,14 @@ class _Task:
 
         owner = self.owner
         found: list[IntArray] = []
-        stop = deadline_in(SPELL_S)
+        stop = deadline_in(steering.SPELL_S)
         while self.waiting and not stop.is_over:
             found += self._spell_out(self.waiting.pop())
         if not self.waiting and not self.is_walked:
             self.walk.where[2] = 0
-            state = grow(owner.covers, self.walk, owner.n_failures, -1, WALK_WORK, self.out)
+            state = grow(
+                owner.covers, self.walk, owner.n_failures, -1, steering.WALK_WORK, self.out
+            )
             self.is_walked = state == DONE
             self.waiting = [np.sort(classes) for classes in self.out[: self.walk.where[2]]]
         self.is_done = self.is_walked and not self.waiting
@@ -393,6 +379,24 @@ def _hardest_first(reduced: ReducedProblem, lost: FloatArray, root: Root) -> Int
     return order
 
 
+def in_threads(
+    next_task: Callable[[], Callable[[], _T] | None], *, workers: int, deadline: Deadline
+) -> Iterator[_T]:
+    """What tasks return, as they end, until none is left or the time is up."""
+    waiting: set[Future[_T]] = set()
+    with ThreadPoolExecutor(workers) as threads:
+        while not deadline.is_over:
+            while len(waiting) < 2 * workers and (task := next_task()) is not None:
+                waiting.add(threads.submit(task))
+            if not waiting:
+                return
+            done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+            for future in done:
+                yield future.result()
+        for future in waiting:
+            future.cancel()
+
+
 # ---------- sets that tie
 
 
@@ -453,7 +457,7 @@ class TieSearch:
         It takes much less to prove that nothing is better by a step, where values are so far apart,
         or by a little, than to meet all ties.
         """
-        step = (1.0 - SOLVER_TOLERANCE) * self.reduced.measure.step
+        step = (1.0 - steering.SOLVER_TOLERANCE) * self.reduced.measure.step
         is_near = self.ahead > 0.0
         ahead = self.ahead if is_near else step
         if deadline.is_over:
@@ -511,12 +515,12 @@ class TieSearch:
             if ahead or not self.has_all:
                 continue
             self.tied.append(block[value >= self.best - TOLERANCE])
-            self.has_all = sum(map(len, self.tied)) <= MAX_TIED
+            self.has_all = sum(map(len, self.tied)) <= steering.MAX_TIED
             if not self.has_all:
                 if is_proven:
                     return False
-                step = (1.0 - SOLVER_TOLERANCE) * self.reduced.measure.step
-                walk.raise_needs(*self._needs(self.best + max(step, STEP_UP)))
+                step = (1.0 - steering.SOLVER_TOLERANCE) * self.reduced.measure.step
+                walk.raise_needs(*self._needs(self.best + max(step, steering.STEP_UP)))
         return walk.is_finished
 
     def _within(self, block: IntArray) -> tuple[FloatArray, IntArray]:
@@ -536,8 +540,8 @@ def best_of_tied(
     """
     best = BestSet()
     while len(sets) and sets.shape[1] > 0:
-        for start in range(0, len(sets), BLOCK_SETS):
-            part = sets[start : start + BLOCK_SETS]
+        for start in range(0, len(sets), steering.BLOCK_SETS):
+            part = sets[start : start + steering.BLOCK_SETS]
             part = part[are_allowed(reduced.limits, part)]
             best.offer(part, set_values(reduced, part))
         fewer = sets.shape[1] - 1

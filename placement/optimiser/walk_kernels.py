@@ -11,7 +11,8 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
 
-from .bit_kernels import ByteArray, look_through, lowest_bit
+from .bit_kernels import ByteArray, count_bits, look_through, lowest_bit
+from .limits import Choice
 from .problem import Chains, WordArray
 
 # ---------- what is asked for, and who covers it
@@ -125,12 +126,10 @@ def weights_of(
 
 
 @kernel
-def pick_best(
-    gain: FloatArray, site: IntArray, room: IntArray, n_units: int, picked: IntArray
-) -> tuple[float, int]:
+def pick_best(gain: FloatArray, choice: Choice, picked: IntArray) -> tuple[float, int]:
     """Poses that gain most and have room at their sites: their sum and number."""
-    total, n_picked = 0.0, 0
-    for _ in range(n_units):
+    total, n_picked, site, room = 0.0, 0, choice.site, choice.room
+    for _ in range(choice.n_units):
         best, most = -1, 0.0
         for place in range(len(gain)):
             if gain[place] > most:
@@ -152,20 +151,14 @@ def pick_best(
 
 
 @kernel
-def pick_affordable(
-    gain: FloatArray,
-    cost: FloatArray,
-    site: IntArray,
-    room: IntArray,
-    n_units: int,
-    picked: IntArray,
-) -> tuple[float, int]:
+def pick_affordable(gain: FloatArray, choice: Choice, picked: IntArray) -> tuple[float, int]:
     """Upper bound of what poses gain that have room and cost no more than 1, and some of them.
 
     Any price of money bounds it: what the best poses gain beyond their price, and the price itself.
     The lowest bound is convex in the price; it is looked for by halving.
     """
-    total, n_picked = pick_best(gain, site, room, n_units, picked)
+    total, n_picked = pick_best(gain, choice, picked)
+    cost = choice.cost
     if len(cost) == 0:
         return total, n_picked
     spent = 0.0
@@ -178,7 +171,7 @@ def pick_affordable(
         middle = 0.5 * (low + high)
         for pose in range(len(gain)):
             beyond[pose] = gain[pose] - middle * cost[pose]
-        of_poses, n_picked = pick_best(beyond, site, room, n_units, picked)
+        of_poses, n_picked = pick_best(beyond, choice, picked)
         total = min(total, of_poses + middle)
         spent = 0.0
         for number in range(n_picked):
@@ -204,13 +197,9 @@ def row_limit(reward: FloatArray, weight: float, n_units: int, price: float) -> 
 @kernel
 def tighten_prices(
     covers: ByteArray,
-    site: IntArray,
-    room: IntArray,
-    is_open: IntArray,
-    cost: FloatArray,
+    choice: Choice,
     weight: FloatArray,
     reward: FloatArray,
-    n_units: int,
     price: FloatArray,
     n_steps: int,
     steering: FloatArray,
@@ -218,13 +207,14 @@ def tighten_prices(
 ) -> float:
     """Lower the bound of sets of so many units by subgradient steps on the prices of rows.
 
-    `covers`, (n_poses, n_bytes), has a bit for each row, lowest first. Poses that are open may be
-    chosen; each takes `cost` of the money, if that has entries. `steering` has the first length of
-    a step, what steps are cut by, the share of the last direction that is carried over, that of
-    what was picked before, and the steps without a better bound after which they are cut. Returns
-    the bound; `price` becomes what proves it, and `share` how often each pose was picked of late.
+    `covers`, (n_poses, n_bytes), has a bit for each row, lowest first. `steering` has the first
+    length of a step, what steps are cut by, the share of the last direction that is carried over,
+    that of what was picked before, and the steps without a better bound after which they are cut.
+    Returns the bound; `price` becomes what proves it, and `share` how often each pose was picked of
+    late.
     """
     length, cut, deflection, memory, patience = steering
+    n_units, is_open = choice.n_units, choice.is_open
     n_rows, n_poses, best, idle = len(price), len(share), np.inf, 0
     best_price = np.empty(n_rows)
     slope, units = np.zeros(n_rows), np.zeros(n_rows, dtype=np.int64)
@@ -245,7 +235,7 @@ def tighten_prices(
         n_used = weigh_bytes(price, every, table, used)
         for pose in range(n_poses):
             gain[pose] = weight_of(covers[pose], table, used, n_used) if is_open[pose] else 0.0
-        of_poses, n_picked = pick_affordable(gain, cost, site, room, n_units, picked)
+        of_poses, n_picked = pick_affordable(gain, choice, picked)
         total += of_poses
         for pose in range(n_poses):
             share[pose] *= memory
@@ -379,17 +369,6 @@ def drop_hopeless(
         if is_open[pose] and gain[pose] < least and most - least + gain[pose] < need:
             is_open[pose] = False
     return True
-
-
-@kernel
-def count_bits(word: np.uint64) -> int:
-    """Number of bits of a word (Warren, Hacker's Delight, 5-1)."""
-    pairs = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
-    fours = (pairs & np.uint64(0x3333333333333333)) + (
-        (pairs >> np.uint64(2)) & np.uint64(0x3333333333333333)
-    )
-    eights = (fours + (fours >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
-    return int((eights * np.uint64(0x0101010101010101)) >> np.uint64(56))
 
 
 @kernel
@@ -564,7 +543,6 @@ def can_keep(
     ``lost[g, k]`` is what is lost in chain g if the k-th of its windows is the first live one.
     Chains are looked at in `order`; those at which units fail come earlier the next time.
     """
-    window_frames, window, start, tail_frame, tail_links, tail_start = chains
     n_units = len(bits)
     # All units together, then all but each one of them.
     for failed in range(n_units, -1 if with_failures else n_units - 1, -1):
@@ -574,19 +552,8 @@ def can_keep(
             if unit != failed:
                 for word in range(len(union)):
                     union[word] |= bits[unit, word]
-        rank = look_through(
-            union,
-            window_frames,
-            window,
-            start,
-            tail_frame,
-            tail_links,
-            tail_start,
-            order,
-            lost,
-            may_lose[0] if failed == n_units else may_lose[1],
-            first,
-        )
+        may = may_lose[0] if failed == n_units else may_lose[1]
+        rank = look_through(union, chains, order, lost, may, first)
         if rank < len(order):
             before = rank // 2  # nearer to the front, not all the way: some fail by chance
             order[rank], order[before] = order[before], order[rank]

@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from geometry.errors import InputError, Unquoted
 from geometry.files import read_text, take, take_list, take_number, take_text, write_atomically
@@ -27,6 +27,9 @@ from .instances import (
     problem_hash,
     save_problem,
 )
+
+_T = TypeVar("_T")
+_Table = dict[str, Any]
 
 SCHEMA = "place-rsus/certificate/1"
 CERTIFICATE_FILE = "certificate.json"
@@ -186,7 +189,7 @@ def load_certificate(path: str | Path) -> StoredCertificate:
         instance=instance,
         sha256=take_text(instance, "sha256", f"{where}: instance"),
         model=_take_table(document, "model", where),
-        pose_index=tuple(_take_count(unit, "row", here) for here, unit in units),
+        pose_index=tuple(_count(take(unit, "row", here), f"{here}.row") for here, unit in units),
         pose_ids=tuple(take_text(unit, "pose", here) for here, unit in units),
         units=tuple(_take_table(unit, "unit", here) for here, unit in units),
         stages=tuple(_read_stage(stage, here) for here, stage in stages),
@@ -265,46 +268,38 @@ def model_of(problem: PlacementProblem) -> dict[str, Any]:
     }
 
 
-def _take_table(table: Mapping[str, Any], key: str, where: str) -> Mapping[str, Any]:
+def _take_one(table: Mapping[str, Any], key: str, where: str, kind: type[_T], expected: str) -> _T:
     value = take(table, key, where)
-    if not isinstance(value, dict):
-        raise InputError(f"{where}.{key}", value, "an object")
+    if type(value) is not kind:
+        raise InputError(f"{where}.{key}", value, expected)
     return value
 
 
-def _take_objects(
-    table: Mapping[str, Any], key: str, where: str
-) -> list[tuple[str, Mapping[str, Any]]]:
+def _take_table(table: Mapping[str, Any], key: str, where: str) -> dict[str, Any]:
+    return _take_one(table, key, where, dict, "an object")
+
+
+def _take_flag(table: Mapping[str, Any], key: str, where: str) -> bool:
+    return _take_one(table, key, where, bool, "true or false")
+
+
+def _take_objects(table: Mapping[str, Any], key: str, where: str) -> list[tuple[str, _Table]]:
     """Objects of a list that is not empty, and where each stands."""
     values = take_list(table, key, where)
     if not values:
         raise InputError(f"{where}.{key}", values, "at least one")
-    objects: list[tuple[str, Mapping[str, Any]]] = []
-    for index, value in enumerate(values):
-        here = f"{where}.{key}[{index}]"
+    objects = [(f"{where}.{key}[{index}]", value) for index, value in enumerate(values)]
+    for here, value in objects:
         if not isinstance(value, dict):
             raise InputError(here, value, "an object")
-        objects.append((here, value))
     return objects
-
-
-def _take_flag(table: Mapping[str, Any], key: str, where: str) -> bool:
-    value = take(table, key, where)
-    if not isinstance(value, bool):
-        raise InputError(f"{where}.{key}", value, "true or false")
-    return value
-
-
-def _take_count(table: Mapping[str, Any], key: str, where: str) -> int:
-    return _count(take(table, key, where), f"{where}.{key}")
 
 
 def _take_pair(table: Mapping[str, Any], key: str, where: str) -> tuple[int, int]:
     values = take_list(table, key, where)
     if len(values) != 2:
         raise InputError(f"{where}.{key}", values, "two numbers: before, after")
-    before, after = (_count(value, f"{where}.{key}") for value in values)
-    return before, after
+    return _count(values[0], f"{where}.{key}"), _count(values[1], f"{where}.{key}")
 
 
 def _count(value: object, where: str) -> int:

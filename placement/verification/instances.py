@@ -35,19 +35,6 @@ from ..detection_table import DetectionTable
 from ..memory import check_fits
 from ..optimiser import Failing, Floor, Fusion, Goal, Limits, PlacementProblem
 
-_MOUNTS: Mapping[str, tuple[str, tuple[str, ...]]] = {
-    "mount_site": ("str", ("poses",)),
-    "mount_position_m": ("float64", ("poses", "3")),
-    "mount_yaw_deg": ("float64", ("poses",)),
-    "mount_pitch_deg": ("float64", ("poses",)),
-    "mount_latency_s": ("float64", ("poses",)),  # NaN: that of the rule
-    "mount_sensor": ("int64", ("poses",)),  # row of sensors
-    "sensors": ("str", ("sensors",)),  # JSON of a model's fields, with name and kind
-    "scene_name": ("str", ()),
-    "scene_sha256": ("str", ()),
-}
-"""Arrays of the file: types, and what their axes count. All of them are there, or none."""
-
 TOLERANCE = 1.0e-9
 """Metres and degrees that differ by no more are equal."""
 
@@ -240,39 +227,26 @@ def scene_hash(scene: Scene) -> str:
 
 
 def _mounts_to_arrays(mounts: Mounts) -> dict[str, NDArray[Any]]:
-    """The arrays of :data:`_MOUNTS`."""
-    values: dict[str, Any] = {
-        "mount_site": mounts.sites,
-        "mount_position_m": mounts.position_m,
-        "mount_yaw_deg": mounts.yaw_deg,
-        "mount_pitch_deg": mounts.pitch_deg,
-        "mount_latency_s": mounts.latency_s,
-        "mount_sensor": mounts.sensor_index,
-        "sensors": [
-            json.dumps({"kind": sensor_kind(sensor), **asdict(sensor)}) for sensor in mounts.sensors
-        ],
-        "scene_name": mounts.scene_name,
-        "scene_sha256": mounts.scene_sha256,
-    }
-    return {name: np.array(value, dtype=_MOUNTS[name][0]) for name, value in values.items()}
+    """The arrays of :data:`_MOUNT_FIELDS`."""
+    values = {name: getattr(mounts, attribute) for name, attribute in _ATTRIBUTES.items()}
+    values["sensors"] = [
+        json.dumps({"kind": sensor_kind(sensor), **asdict(sensor)}) for sensor in mounts.sensors
+    ]
+    return {name: np.array(value, _MOUNT_FIELDS[name].dtype) for name, value in values.items()}
 
 
 def _mounts_from_arrays(arrays: Mapping[str, NDArray[Any]]) -> Mounts:
-    """Mounts from the arrays of :data:`_MOUNTS`, whose types and axes have been checked.
+    """Mounts from the arrays of :data:`_MOUNT_FIELDS`, whose types and axes have been checked.
 
     Raises InputError: a sensor is none, or a row of it is not there.
     """
-    return Mounts(
-        sites=tuple(arrays["mount_site"].tolist()),
-        position_m=arrays["mount_position_m"],
-        yaw_deg=arrays["mount_yaw_deg"],
-        pitch_deg=arrays["mount_pitch_deg"],
-        latency_s=arrays["mount_latency_s"],
-        sensor_index=arrays["mount_sensor"],
-        sensors=tuple(_read_sensor(text) for text in arrays["sensors"].tolist()),
-        scene_name=str(arrays["scene_name"]),
-        scene_sha256=str(arrays["scene_sha256"]),
-    )
+    values: dict[str, Any] = {}
+    for name, attribute in _ATTRIBUTES.items():
+        values[attribute] = array = arrays[name]
+        if array.dtype.kind == "U":
+            values[attribute] = tuple(array.tolist()) if array.ndim else array.item()
+    sensors = tuple(_read_sensor(text) for text in values["sensors"])
+    return Mounts(**{**values, "sensors": sensors})
 
 
 def _read_sensor(text: str) -> Sensor:
@@ -358,7 +332,22 @@ _FIELDS: Mapping[str, _Field] = {
 }
 
 
-_MOUNT_FIELDS = {name: _Field(*field) for name, field in _MOUNTS.items()}
+_MOUNT_FIELDS: Mapping[str, _Field] = {
+    "mount_site": _Field("str", ("poses",)),
+    "mount_position_m": _Field("float64", ("poses", "3")),
+    "mount_yaw_deg": _Field("float64", ("poses",)),
+    "mount_pitch_deg": _Field("float64", ("poses",)),
+    "mount_latency_s": _Field("float64", ("poses",)),  # NaN: that of the rule
+    "mount_sensor": _Field("int64", ("poses",)),  # row of sensors
+    "sensors": _Field("str", ("sensors",)),  # JSON of a model's fields, with name and kind
+    "scene_name": _Field("str"),
+    "scene_sha256": _Field("str"),
+}
+"""Arrays of :class:`Mounts`. All of them are there, or none."""
+_ATTRIBUTES = {name: name.removeprefix("mount_") for name in _MOUNT_FIELDS} | {
+    "mount_site": "sites",
+    "mount_sensor": "sensor_index",
+}
 
 
 def save_problem(path: Path, problem: PlacementProblem, mounts: Mounts | None = None) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from placement.covering.files import load_instance
+from placement.covering import load_instance
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "cover"
 SCP41 = GOLDEN / "scp41.txt"

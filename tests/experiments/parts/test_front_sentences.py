@@ -6,8 +6,7 @@ from small_tables import avoiding_problem
 from experiments.parts.front import describe_money, describe_units
 from placement.layout import Certificate, Stage, relative_gap
 from placement.optimiser import PlacementValue
-from placement.optimiser.cost_front import cost_front
-from placement.optimiser.front import Front, FrontPoint, pareto_front
+from placement.optimiser.front import Front, FrontPoint, cost_front, pareto_front
 
 NAMES = PlacementValue._fields
 

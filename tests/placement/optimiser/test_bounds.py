@@ -18,7 +18,6 @@ from placement.optimiser.bitsets import (
     unions_of,
 )
 from placement.optimiser.bounds import (
-    build_choice,
     coverers_of,
     failure_limit,
     find_root,
@@ -31,7 +30,7 @@ from placement.optimiser.bounds import (
     run_rows,
     tightened,
 )
-from placement.optimiser.limits import are_allowed
+from placement.optimiser.limits import are_allowed, build_choice
 from placement.optimiser.objectives import Objective
 from placement.optimiser.presolve import ReducedProblem, unpack_words
 

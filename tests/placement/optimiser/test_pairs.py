@@ -49,8 +49,8 @@ def test_a_walk_by_pairs_meets_every_set_that_reaches_the_need(
     share = union_apr(reduced, unions_of(reduced, sets))
     need = float(np.quantile(share, place, method="nearest"))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("placement.optimiser.pairs.CLASS_POSES", class_poses)
-        patch.setattr("placement.optimiser.pairs.FEW_PAIRS", few)
+        patch.setattr("placement.optimiser.steering.CLASS_POSES", class_poses)
+        patch.setattr("placement.optimiser.steering.FEW_PAIRS", few)
         walk = PairWalk(reduced, need=need)
         met = np.concatenate([np.empty((0, n_units), dtype=np.int64), *walk.blocks(NEVER)])
     assert walk.is_finished

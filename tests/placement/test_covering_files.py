@@ -10,14 +10,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from geometry.errors import InputError
-from placement.covering.files import (
+from placement.covering import (
     FORMATS,
     KIND,
+    build_covering_instance,
     instance_kind,
     load_instance,
     save_instance,
 )
-from placement.covering.solve import build_covering_instance
 
 ORLIB = """\
  3 4
@@ -382,7 +382,7 @@ def test_a_file_that_cannot_be_read_says_why(tmp_path):
 
 
 def test_a_huge_file_is_not_read(write, monkeypatch):
-    monkeypatch.setattr("placement.covering.files._MAX_BYTES", 20)
+    monkeypatch.setattr("placement.covering._MAX_BYTES", 20)
     assert refusal(write(ORLIB)) == (
         f"FILE: got {len(ORLIB)} bytes; expected at most 20; cut it out first"
     )

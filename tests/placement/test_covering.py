@@ -10,15 +10,15 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from geometry.errors import InputError
-from placement.covering.files import load_instance
-from placement.covering.solve import (
+from placement.covering import (
     CoveringSolution,
     build_covering_instance,
+    load_instance,
     solve_lscp,
     solve_mclp,
 )
 
-GOLDEN = Path(__file__).parents[2] / "golden" / "cover"
+GOLDEN = Path(__file__).parents[1] / "golden" / "cover"
 OPTIMA = tomllib.loads((GOLDEN / "optima.toml").read_text())
 EXACT = st.sampled_from(["auto", "HIGHS"])
 # No share is nearer to another than solver and oracle can tell apart.

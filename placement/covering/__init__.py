@@ -1,1 +1,0 @@
-"""Covering problems (LSCP and MCLP) read from files, solved and proven."""
