@@ -23,13 +23,13 @@ import numba
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 from .clock import stand_still_s
-from .files import write_atomically
-from .private_folders import (
+from .files import (
     open_own,
     private_temporary_folder,
     trouble_with,
     user_cache_folder,
     writable_by_others,
+    write_atomically,
 )
 
 F = TypeVar("F", bound=Callable[..., Any])

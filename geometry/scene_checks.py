@@ -5,10 +5,11 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+import shapely
 
 from .arrays import FloatArray
 from .errors import InputError
-from .junction import ASSUMED, Junction, arm_of_road, build_junction, lane_length_m
+from .junction import ASSUMED, Junction, arm_of_road, build_junction, compass_point, lane_length_m
 from .scene import (
     HANGING_KINDS,
     LeadingRoad,
@@ -19,7 +20,6 @@ from .scene import (
     strips_of,
 )
 from .terrain import HEADROOM_M, ground_height_m, standing_footprint
-from .whereabouts import compass_point
 
 _FLOATING_M = 0.5
 _SUNK_M = 3.0
@@ -88,8 +88,6 @@ def _check_roads(scene: Scene) -> Iterator[Finding]:
 
 def lanes_that_cross(scene: Scene) -> Iterator[tuple[str, str]]:
     """Pairs of driving lanes that run in opposite directions and whose middles cross, by id."""
-    import shapely
-
     lanes = [lane for lane in scene.lanes if lane.kind == "driving" and len(lane.centreline_m) > 1]
     lines = np.array([shapely.LineString(lane.centreline_m) for lane in lanes], dtype=object)
     pairs = shapely.STRtree(lines).query(lines, predicate="intersects").T if len(lines) else ()
@@ -178,8 +176,6 @@ def _check_sites(scene: Scene) -> Iterator[Finding]:
 
 
 def _check_feet(scene: Scene, sites: Sequence[Site]) -> Iterator[Finding]:
-    import shapely
-
     feet = np.array([site.position_m[:2] for site in sites])
     junction = shapely.make_valid(shapely.Polygon(scene.outline_m)).buffer(-_AT_KERB_M)
     mapped = [lane for lane in scene.lanes if lane.kind != ASSUMED and len(lane.centreline_m) > 1]
@@ -244,8 +240,6 @@ def _has_open_edges_above(mesh: Any, floor_m: float) -> bool:
 
 
 def _check_footprints(scene: Scene) -> Iterator[Finding]:
-    import shapely
-
     shapes = {
         thing.id: standing_footprint(scene, index)
         for index, thing in enumerate(scene.instances)

@@ -8,7 +8,6 @@ from dataclasses import replace
 from functools import cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
-from itertools import product
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -239,50 +238,20 @@ def _mast_arm_body(arm: _MastArm) -> Body:
     )
 
 
-# Meshes as trimesh.creation makes them, to the last bit; loading it takes half a second.
-_BOX_TRIANGLES = np.array(
-    [
-        *([1, 3, 0], [4, 1, 0], [0, 3, 2], [2, 4, 0], [1, 7, 3], [5, 1, 4]),
-        *([5, 7, 1], [3, 7, 2], [6, 4, 2], [2, 7, 6], [6, 5, 4], [7, 5, 6]),
-    ]
-)
-
-
 def _box(instance: Instance, *, middle_m: FloatArray, yaw_deg: float, size_m: list[float]) -> Body:
-    corners = np.array([*product((-0.5, 0.5), repeat=3)]) * size_m
+    import trimesh
+
+    box = trimesh.creation.box(extents=size_m)
     pose = Pose(position_m=np.append(middle_m, 0.5 * size_m[2]), yaw_deg=yaw_deg)
-    return instance, to_world(corners, pose), _BOX_TRIANGLES
+    return instance, to_world(box.vertices, pose), box.faces
 
 
 def _cylinder(
     instance: Instance, *, start_m: FloatArray, end_m: FloatArray, radius_m: float
 ) -> Body:
-    """A prism of many sides, closed at both ends: vertices 0 and 3 are the ends of its axis."""
-    angles = np.linspace(0.0, 2.0 * np.pi, _POLE_SECTIONS + 1)[:-1]
-    low = np.array([1, *range(4, 2 * _POLE_SECTIONS + 2, 2)])
-    high, half_m = low + 1, 0.5 * float(np.linalg.norm(end_m - start_m))
-    upright = np.zeros((2 * _POLE_SECTIONS + 2, 4))
-    for ring in (low, high):
-        upright[ring, :2] = radius_m * np.column_stack([np.cos(angles), np.sin(angles)])
-    upright[[0, *low], 2], upright[[3, *high], 2] = -half_m, half_m
-    upright[:, 3] = 1.0
-    T_world_upright = np.eye(4)
-    T_world_upright[:3, :3] = _turned_to(end_m - start_m) @ _turned_to(np.array([0.0, 0.0, 1.0])).T
-    T_world_upright[:3, 3] = start_m + 0.5 * (end_m - start_m)
-    next_low, next_high, end = np.roll(low, -1), np.roll(high, -1), np.zeros_like(low)
-    triangles = np.stack(
-        [
-            *(low, end, next_low, low, next_low, high),
-            *(high, next_low, next_high, high, next_high, end + 3),
-        ],
-        axis=1,
+    import trimesh
+
+    pole = trimesh.creation.cylinder(
+        radius=radius_m, segment=[start_m, end_m], sections=_POLE_SECTIONS
     )
-    return instance, (T_world_upright @ upright.T).T[:, :3], triangles.reshape(-1, 3)
-
-
-def _turned_to(vector: FloatArray) -> FloatArray:
-    """A rotation whose first axis is along a vector, (3, 3)."""
-    axes: FloatArray = np.linalg.svd(vector.reshape(3, 1))[0]
-    if np.linalg.det(axes) < 0.0:
-        axes[:, -1] *= -1.0
-    return axes
+    return instance, np.asarray(pole.vertices), pole.faces

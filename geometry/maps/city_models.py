@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,15 +19,18 @@ from ..files import read_text
 from ..notes import Note
 from ..untrusted_files import local_name, parse_json, read_xml
 from .georeferences import crs_name, georeference, horizontal_crs
-from .solids import Polygon3D, extrude, join, surface_mesh
 from .source_map import (
     MAX_TRIANGLES,
+    Polygon3D,
     SourceMap,
     Thing,
     counted,
+    extrude,
+    join,
     kind_from_name,
     kind_of_class,
     shortened,
+    surface_mesh,
     thing_defaults,
     unique_id,
 )
@@ -108,20 +112,17 @@ def read_cityjson(path: Path) -> SourceMap:
 def _documents(text: str, where: str) -> Iterator[_Table]:
     """Parse the whole file, or each line of a sequence."""
     first = text.lstrip()[:_MAX_RING].split("\n", 1)[0]
-    lines = text.splitlines() if _is_document(first) else [text]
+    try:
+        is_sequence = isinstance(json.loads(first), dict)
+    except (ValueError, RecursionError):
+        is_sequence = False
+    lines = text.splitlines() if is_sequence else [text]
     for number, line in enumerate(lines, start=1):
         if line.strip():
             here = f"{where}: line {number}" if len(lines) > 1 else where
             yield parse_json(line, here, "CityJSON")
     if not text.strip():
         raise InputError(where, Unquoted("an empty file"), "CityJSON")
-
-
-def _is_document(line: str) -> bool:
-    try:
-        return isinstance(json.loads(line), dict)
-    except (ValueError, RecursionError):
-        return False
 
 
 def _transform(table: Any, where: str) -> tuple[FloatArray, FloatArray]:
@@ -209,7 +210,11 @@ def _objects(
             continue
         polygons, level = _best(entry.get("geometry", []), vertices, templates, here)
         children = entry.get("children", [])
-        if level < 1.0 and _have_geometry(children, table):
+        named = (
+            [one for one in children if isinstance(one, str)] if isinstance(children, list) else []
+        )
+        parts = [part for name in named if isinstance(part := table.get(name), Mapping)]
+        if level < 1.0 and any(part.get("geometry") for part in parts):
             continue
         if not polygons:
             if not children:
@@ -223,25 +228,15 @@ def _objects(
             polygons=tuple(polygons),
             words=" ".join(str(attributes[key])[:_MAX_NAME] for key in _WORDS if key in attributes),
             is_footprint=level < 1.0,
-            height_m=next(
-                (_number(attributes[key]) for key in _HEIGHTS if key in attributes), None
-            ),
+            height_m=_height_m(attributes),
         )
 
 
-def _have_geometry(children: Any, table: _Table) -> bool:
-    if not isinstance(children, list):
-        return False
-    entries = (table.get(child) for child in children if isinstance(child, str))
-    return any(isinstance(entry, Mapping) and entry.get("geometry") for entry in entries)
-
-
-def _number(value: Any) -> float | None:
+def _height_m(attributes: _Table) -> float | None:
+    """Height in the first of the known attributes; None: there is none, or no number."""
+    value = next((attributes[key] for key in _HEIGHTS if key in attributes), None)
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    try:
-        return float(value) if is_number else None
-    except OverflowError:
-        return None
+    return float(value) if is_number and abs(value) <= sys.float_info.max else None
 
 
 def _best(
@@ -402,9 +397,8 @@ def _thing(item: CityObject, thing_id: str) -> Thing:
 
 def _said(skipped: Sequence[Note]) -> str:
     """List of what was left out, for the end of a message."""
-    if not skipped:
-        return ""
-    return "; skipped: " + ", ".join(f"{item.what} ({item.why})" for item in skipped[:5])
+    words = ", ".join(f"{item.what} ({item.why})" for item in skipped[:5])
+    return f"; skipped: {words}" if words else ""
 
 
 # ---------- CityGML

@@ -9,9 +9,13 @@ from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import shapely
+from shapely.errors import ShapelyError
+from shapely.geometry import shape
+from shapely.geometry.base import BaseGeometry
 
 from ..errors import InputError, Unquoted, check_one_of
 from ..files import check_file, open_file, read_text
@@ -19,23 +23,19 @@ from ..notes import Note
 from ..scene import CLASS_NAMES
 from ..untrusted_files import parse_json, unpacked
 from .georeferences import WGS84, Georeference, georeference
-from .solids import extrude_polygon, join
 from .source_map import (
     SourceMap,
     Thing,
     ThingKind,
     counted,
+    extrude_polygon,
+    join,
     kind_from_name,
     kind_of_class,
     shortened,
     thing_defaults,
     unique_id,
 )
-
-if TYPE_CHECKING:
-    from shapely import Polygon
-    from shapely.geometry.base import BaseGeometry
-
 
 MAX_FEATURES = 200_000
 SUFFIXES = (".geojson", ".json", ".gpkg", ".shp")
@@ -54,7 +54,7 @@ class Feature:
     """One row of a layer."""
 
     where: str  # file and row, for messages
-    geometry: "BaseGeometry | None"  # in the file's coordinates
+    geometry: BaseGeometry | None  # in the file's coordinates
     values: Mapping[str, Any]  # by name of the column; missing ones are left out
 
 
@@ -85,9 +85,6 @@ def read_features(path: Path, layer: str | None = None) -> Features:
 
 def _read_geojson(path: Path) -> Features:
     """GeoJSON (RFC 7946), and the ``crs`` member of its predecessor; nothing is fetched."""
-    from shapely.errors import ShapelyError
-    from shapely.geometry import shape
-
     where = str(path)
     document = parse_json(read_text(path, "GeoJSON"), where, "GeoJSON")
     kind = document.get("type")
@@ -136,7 +133,6 @@ def _geojson_crs(table: Any, where: str) -> str:
 
 def _read_with_gdal(path: Path, layer: str | None) -> Features:
     import pyogrio
-    from shapely.errors import ShapelyError
 
     where = str(path)
     magic, name = _MAGIC[path.suffix.lower()]
@@ -151,10 +147,11 @@ def _read_with_gdal(path: Path, layer: str | None) -> Features:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # rings left open and the like, which GDAL mends
             layers = [str(found) for found in pyogrio.list_layers(path)[:, 0]]
+            named = "one layer, by name: " + ", ".join(layers[:20]) if layers else "a layer"
             if layer is None and len(layers) != 1:
-                raise InputError(where, Unquoted(f"{len(layers)} layers"), _one_of(layers))
+                raise InputError(where, Unquoted(f"{len(layers)} layers"), named)
             if layer is not None and layer not in layers:
-                raise InputError(f"{where}: layer", layer, _one_of(layers))
+                raise InputError(f"{where}: layer", layer, named)
             info = pyogrio.read_info(path, layer=layer)
             if info["driver"] != _DRIVERS[path.suffix.lower()]:
                 raise InputError(where, Unquoted(f"a file for {info['driver']}"), name)
@@ -169,19 +166,16 @@ def _read_with_gdal(path: Path, layer: str | None) -> Features:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise InputError(where, Unquoted(reason), name) from None
     _refuse_many(len(table), where)
-    columns = {
-        str(column): (table[column].to_numpy(), table[column].notna().to_numpy())
-        for column in table.columns
-        if column != "geometry"
-    }
+    columns = {str(name): table[name].to_numpy() for name in table.columns if name != "geometry"}
+    is_known = {name: table[name].notna().to_numpy() for name in columns}
     features = [
         Feature(
             where=f"{where}: row {index + 1}",
             geometry=geometry,
             values={
-                column: value.item() if isinstance(value := values[index], np.generic) else value
-                for column, (values, is_known) in columns.items()
-                if is_known[index]
+                name: value.item() if isinstance(value := values[index], np.generic) else value
+                for name, values in columns.items()
+                if is_known[name][index]
             },
         )
         for index, geometry in enumerate(table.geometry.to_numpy())
@@ -210,10 +204,6 @@ def _check_tables(path: Path) -> None:
     if computed:
         got = Unquoted(f"{computed[0]}, a view or a table with computed columns")
         raise InputError(str(path), got, "plain tables alone")
-
-
-def _one_of(layers: list[str]) -> str:
-    return "one layer, by name: " + ", ".join(layers[:20]) if layers else "a layer"
 
 
 def _refuse_many(n_features: int, where: str) -> None:
@@ -252,8 +242,6 @@ def read_footprints(
     Third coordinates are ignored; heights are above ground. Raises InputError if the file cannot be
     read, has no area, or has coordinates that are not finite or do not fit its reference system.
     """
-    import shapely
-
     check_one_of("class_name", class_name, CLASS_NAMES)
     table = read_features(path, layer)
     where = str(path)
@@ -316,11 +304,11 @@ def _kind(feature: Feature, class_name: str, left_out: Counter[str]) -> ThingKin
     return None
 
 
-def _has(geometry: "BaseGeometry", types: tuple[str, ...]) -> bool:
+def _has(geometry: BaseGeometry, types: tuple[str, ...]) -> bool:
     return any(part.geom_type in types for part in _parts(geometry))
 
 
-def _parts(geometry: "BaseGeometry", depth: int = 0) -> "list[BaseGeometry]":
+def _parts(geometry: BaseGeometry, depth: int = 0) -> list[BaseGeometry]:
     pieces = getattr(geometry, "geoms", None)
     if pieces is None or depth > 50:
         return [geometry]
@@ -329,22 +317,18 @@ def _parts(geometry: "BaseGeometry", depth: int = 0) -> "list[BaseGeometry]":
 
 def _raised(feature: Feature, kind: ThingKind, thing_id: str, place: Georeference) -> Thing:
     """A feature as a solid; raises InputError if it has no area."""
-    import shapely
-
-    def project(points: Any) -> Any:
-        return place.to_metres(points, feature.where)
-
-    assert feature.geometry is not None
-    geometry = shapely.transform(shapely.force_2d(feature.geometry), project)
+    geometry = shapely.transform(
+        shapely.force_2d(feature.geometry), lambda points: place.to_metres(points, feature.where)
+    )
     parts = _parts(geometry)
-    polygons: list[Polygon] = [part for part in parts if part.geom_type == "Polygon"]
+    polygons = [part for part in parts if part.geom_type == "Polygon"]
     if not polygons:
         strips = [
             part.buffer(0.5 * kind.thickness_m, cap_style="flat", join_style="mitre")
             for part in parts
             if part.geom_type in ("LineString", "LinearRing")
         ]
-        polygons = [part for strip in strips for part in _parts(strip) if not part.is_empty]
+        polygons = [part for strip in strips for part in _parts(strip)]
     bottom_m, top_m, is_assumed = _span_m(feature.values, kind)
     pieces = [
         extrude_polygon(polygon, bottom_m=bottom_m, top_m=top_m, where=thing_id)

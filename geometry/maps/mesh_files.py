@@ -12,8 +12,16 @@ from ..errors import InputError, Unquoted, check_one_of
 from ..files import open_file, read_bytes
 from ..scene import CLASS_NAMES
 from ..untrusted_files import MAX_FILE_BYTES, check_gltf
-from .solids import is_closed, volume_m3
-from .source_map import MAX_TRIANGLES, SourceMap, Thing, counted, kind_from_name, unique_id
+from .source_map import (
+    MAX_TRIANGLES,
+    SourceMap,
+    Thing,
+    counted,
+    is_closed,
+    kind_from_name,
+    unique_id,
+    volume_m3,
+)
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")
 UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "ft": 0.3048, "in": 0.0254}

@@ -10,6 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import shapely
+from scipy.spatial import cKDTree
+from shapely.geometry.base import BaseGeometry
 
 from ..arrays import FloatArray, set_arrays
 from ..errors import InputError, Unquoted
@@ -20,7 +23,6 @@ from .gis_files import Feature, Features, read_features
 
 if TYPE_CHECKING:
     from pyproj import CRS
-    from shapely.geometry.base import BaseGeometry
 
 
 _log = logging.getLogger(__name__)
@@ -360,7 +362,7 @@ class Area:
 
     where: str  # file and row, for messages
     name: str
-    geometry: "BaseGeometry"  # in the coordinates of the map
+    geometry: BaseGeometry  # in the coordinates of the map
     values: Mapping[str, Any]  # by the name of the column, in lower case
 
 
@@ -463,9 +465,7 @@ def _point(feature: Feature, table: Features, crs: str) -> FloatArray:
     return np.array([middle.x, middle.y])
 
 
-def _in_crs(feature: Feature, table: Features, crs: str) -> "BaseGeometry":
-    import shapely
-
+def _in_crs(feature: Feature, table: Features, crs: str) -> BaseGeometry:
     assert feature.geometry is not None
     if not crs:
         got = Unquoted(f"coordinates in {table.crs[:80] or 'an unknown system'}")
@@ -489,8 +489,6 @@ def snap(
     points_m: FloatArray, junctions_m: FloatArray, *, within_m: float
 ) -> tuple[FloatArray, FloatArray]:
     """Nearest junction of each point, (n,), -1: none so near; and how far it is, (n,) metres."""
-    from scipy.spatial import cKDTree
-
     found, nearest = cKDTree(junctions_m).query(points_m)
     distance: FloatArray = np.asarray(found)
     return np.where(distance <= within_m, nearest, -1), distance
@@ -500,8 +498,6 @@ def areas_of(
     areas: Sequence[Area], points_m: FloatArray, *, within_m: float = 0.0
 ) -> list[list[int]]:
     """Indices of the areas that each point lies in, or no farther from than some metres."""
-    import shapely
-
     tree = shapely.STRtree([area.geometry for area in areas])
     points = shapely.points(points_m)
     point, area = tree.query(points, predicate="dwithin", distance=within_m)

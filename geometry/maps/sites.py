@@ -4,10 +4,13 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import shapely
 from numpy.typing import ArrayLike
+from scipy.spatial import KDTree
+from shapely import Polygon
 
 from ..arrays import BoolArray, FloatArray, float_array
 from ..errors import InputError
@@ -26,10 +29,6 @@ from .source_map import (
     load_pole_kinds,
     mount_range_m,
 )
-
-if TYPE_CHECKING:
-    from shapely import Polygon
-
 
 REACH_M = 60.0
 _AT_OUTLINE_M = 1.5
@@ -53,8 +52,6 @@ def kerb_sites(
     outline, is a corner of the junction. Raises InputError if the spacing or the outline is not
     valid.
     """
-    import shapely
-
     if not (np.isfinite(spacing_m) and spacing_m >= 0.5):
         raise InputError("spacing_m", spacing_m, "metres, at least 0.5")
     outline = float_array(outline_m, (-1, 2), "outline_m")
@@ -95,8 +92,6 @@ def _outward(
     lane: Lane, lanes: Sequence[Lane], outline: FloatArray, reach_m: float
 ) -> list[FloatArray]:
     """Centrelines (n, 2) of a lane that touches the outline, with its continuations, outwards."""
-    import shapely
-
     ring = shapely.LinearRing(outline)
     lines = []
     for line in (lane.centreline_m, lane.centreline_m[::-1]):
@@ -128,10 +123,8 @@ def _outward(
     return lines
 
 
-def _strip(lane: Lane, line: FloatArray, *, beside_m: float) -> "Polygon":
+def _strip(lane: Lane, line: FloatArray, *, beside_m: float) -> Polygon:
     """A lane's surface with a strip on either side, extended by a metre at both ends."""
-    import shapely
-
     ends = line[[0, -1]]
     ways = ends - line[[1, -2]]
     ends = ends + _LONGER_M * ways / np.hypot(*ways.T)[:, None]
@@ -160,8 +153,6 @@ def _is_median(
     points: FloatArray, outwards: FloatArray, arms: Sequence[tuple[Lane, FloatArray]]
 ) -> BoolArray:
     """Points beyond which another lane runs parallel, a few metres further outwards."""
-    import shapely
-
     is_median: BoolArray = np.zeros(len(points), dtype=np.bool_)
     if not len(points):
         return is_median
@@ -185,8 +176,6 @@ def tidy_sites(
     Of close ones the site with more details is kept, then the earlier one. `things` are in the same
     coordinates. Returns the sites kept, in order, and the others with the reason.
     """
-    from scipy.spatial import KDTree
-
     if not (np.isfinite(snap_m) and snap_m >= 0.0):
         raise InputError("snap_m", snap_m, "metres, at least 0")
     reasons: dict[int, str] = {}
@@ -311,8 +300,6 @@ def _own_poles(
     wishes: Sequence[SiteWish], surroundings: Surroundings
 ) -> tuple[tuple[SiteWish, ...], list[Note]]:
     """Poles that are sites by default: no low sign posts, and none of another junction."""
-    import shapely
-
     rules = load_auto_sites()
     feet = shapely.points(np.array([wish.position_m for wish in wishes]).reshape(-1, 2))
     own_m = shapely.distance(feet, _area(surroundings.outline_m))
@@ -339,9 +326,7 @@ def _own_poles(
     return tuple(kept), notes
 
 
-def _area(outline_m: FloatArray) -> "Polygon":
-    import shapely
-
+def _area(outline_m: FloatArray) -> Polygon:
     return shapely.make_valid(shapely.Polygon(outline_m))
 
 
@@ -534,8 +519,6 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
         it; what stands inside a building or wall is moved out of it. None: that would be farther
         than 15 m, or from inside a wall 2 m.
     """
-    import shapely
-
     positions = np.asarray(positions_m, dtype=np.float64).reshape(-1, 2)
     road = covered_area(surroundings.outline_m, surroundings.lanes)
     shapely.prepare(road)
@@ -574,8 +557,6 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
 
 
 def _moved(position: FloatArray, edge: Any, why: str, most_m: float) -> Place:
-    import shapely
-
     point = shapely.Point(position)
     if edge.is_empty or edge.distance(point) > most_m:
         return Place(position_m=None, why=f"{why}, farther than {most_m:g} m from where it could")
@@ -587,8 +568,6 @@ def _moved(position: FloatArray, edge: Any, why: str, most_m: float) -> Place:
 
 def _without_gaps(area: Any) -> Any:
     """An area without small holes: gaps between lanes that are drawn a little apart."""
-    import shapely
-
     parts = [part for part in shapely.get_parts(area) if part.geom_type == "Polygon"]
     return shapely.union_all(
         [
@@ -633,25 +612,12 @@ def footprint(thing: Thing) -> Any:
 
 
 def is_under(positions_m: FloatArray, thing: Thing) -> BoolArray:
-    """Which points lie in the footprint of a thing: below or above one of its triangles."""
-    corners = thing.vertices_m[thing.triangles][:, :, :2]
-    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    result: BoolArray = np.zeros(len(positions_m), dtype=np.bool_)
-    for index in np.flatnonzero(((positions_m > low) & (positions_m < high)).all(axis=1)):
-        a, b, c = np.swapaxes(corners - positions_m[index], 0, 1)
-        turns = np.stack([_turn(a, b), _turn(b, c), _turn(c, a)])
-        result[index] = ((turns > 0.0).all(axis=0) | (turns < 0.0).all(axis=0)).any()
-        if not result[index]:  # on the edge between two triangles
-            area = turns.sum(axis=0)
-            inside = ((turns >= 0.0).all(axis=0) & (area > 0.0)) | (
-                (turns <= 0.0).all(axis=0) & (area < 0.0)
-            )
-            result[index] = inside.sum() > 2  # roof and floor, on both sides of the edge
+    """Which points lie within the footprint of a thing: below or above it."""
+    low, high = thing.vertices_m[:, :2].min(axis=0), thing.vertices_m[:, :2].max(axis=0)
+    result: BoolArray = ((positions_m > low) & (positions_m < high)).all(axis=1)
+    if result.any():
+        result[result] = shapely.intersects_xy(footprint(thing), *positions_m[result].T)
     return result
-
-
-def _turn(a: FloatArray, b: FloatArray) -> FloatArray:
-    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
 def settle_poles(surroundings: Surroundings) -> tuple[Surroundings, tuple[Note, ...]]:

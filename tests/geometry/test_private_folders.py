@@ -5,7 +5,7 @@ import tempfile
 import pytest
 
 from geometry import private_folders
-from geometry.private_folders import (
+from geometry.files import (
     open_own,
     private_temporary_folder,
     trouble_with,

@@ -74,7 +74,9 @@ def read_opendrive(path: Path) -> SourceMap:
     ]
     poles, painted = read_signals(roads, sampled, offset, omissions)
     crosswalks = [*found.crosswalks_m, *painted, *cross_paths(records, roads)]
-    _note_ignored(root, omissions)
+    for element in root.iter("include"):
+        name = f"include {element.get('file', '')[:80]}"
+        omissions.add("included files", name, "other files are not read")
     return SourceMap(
         name=where,
         crs=crs,
@@ -188,10 +190,3 @@ def _keeps_left(roads: Mapping[str, Road], omissions: Omissions) -> bool:
             "traffic in a map keeps one side: that of most roads",
         )
     return 2 * n_left > len(roads)
-
-
-def _note_ignored(root: Element, omissions: Omissions) -> None:
-    for element in root.iter("include"):
-        omissions.add(
-            "included files", f"include {element.get('file', '')[:80]}", "other files are not read"
-        )

@@ -1,11 +1,13 @@
 """Junctions: records of a file, the roads that end at them, and outlines of their road surface."""
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
+import shapely
 
 from ...arrays import FloatArray
 from ...errors import InputError, Unquoted
@@ -96,14 +98,6 @@ def find_road_ends(
     }
 
 
-def junction_name(record: JunctionRecord, roads: Mapping[str, Road]) -> str:
-    """Its own name, or those of the streets that meet there."""
-    if record.name:
-        return record.name
-    names = [roads[road].name for road in record.incoming if road in roads]
-    return " / ".join(dict.fromkeys(name for name in names if name))
-
-
 _AHEAD_M = 10.0  # over which the direction of a road is taken
 
 
@@ -119,35 +113,35 @@ def leading_roads(
         for junction, is_start in ((at.start, True), (at.end, False)):
             if not junction:
                 continue
-            section = sections[0 if is_start else -1]
             index = 0 if is_start else -1
-            n_lanes = {True: 0, False: 0}  # by whether they follow the road
-            edges_m = []
-            for lane in section.lanes.values():
-                wide_m = float(lane.width_m[index])
-                if lane_kind(lane.record.type) == "driving" and wide_m >= _MIN_LANE_M:
-                    follows = ((lane.record.number < 0) != road.keeps_left) != (
-                        lane.record.is_reversed
-                    )
-                    n_lanes[follows] += 1
-                    edges_m += [float(lane.inner_m[index]), float(lane.outer_m[index])]
+            section = sections[index]
+            lanes = [
+                lane
+                for lane in section.lanes.values()
+                if lane_kind(lane.record.type) == "driving"
+                and float(lane.width_m[index]) >= _MIN_LANE_M
+            ]
+            n_following = sum(
+                ((lane.record.number < 0) != road.keeps_left) != lane.record.is_reversed
+                for lane in lanes
+            )
+            edges_m = [float(m[index]) for lane in lanes for m in (lane.inner_m, lane.outer_m)]
             if not edges_m:
                 continue
             middle_m = 0.5 * (min(edges_m) + max(edges_m))
             tip = section.points_m[index, :2] + middle_m * section.left[index]
-            away = road.line.at(
-                np.array([min(_AHEAD_M, road.length_m), 0.0])
-                if is_start
-                else np.array([max(road.length_m - _AHEAD_M, 0.0), road.length_m])
-            )[0]
+            ahead_m = min(_AHEAD_M, road.length_m)
+            ends_m = (ahead_m, 0.0) if is_start else (road.length_m - ahead_m, road.length_m)
+            away = road.line.at(np.array(ends_m))[0]
             step = away[0] - away[1]
+            n_lanes = (n_following, len(lanes) - n_following)  # along the road, against it
             found.setdefault(junction, []).append(
                 LeadingRoad(
                     name=road.name or f"road {road_id}",
                     point_m=tip,
                     direction=step / max(float(np.hypot(*step)), 1e-9),
-                    lanes_in=n_lanes[not is_start],
-                    lanes_out=n_lanes[is_start],
+                    lanes_in=n_lanes[is_start],
+                    lanes_out=n_lanes[not is_start],
                 )
             )
     return {junction: tuple(here) for junction, here in found.items()}
@@ -221,52 +215,49 @@ def build_junctions(
         middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
         points = np.concatenate([section.points_m for section in pieces])
         nearest = np.hypot(*(points[:, :2] - middle).T).argmin()
+        streets = [roads[road].name for road in record.incoming if road in roads]
         junctions.append(
             MapJunction(
                 id=record.id,
-                name=junction_name(record, roads),
+                name=record.name or " / ".join(dict.fromkeys(filter(None, streets))),
                 outline_m=outline,
                 height_m=float(points[nearest, 2]),
             )
         )
     there = {junction.id for junction in junctions}
-
-    def known(junction: str, lane: MapLane) -> str:
-        return junction if junction in there and (junction, lane.id) not in apart else ""
-
-    return junctions, [
-        replace(
-            lane,
-            from_junction=known(lane.from_junction, lane),
-            to_junction=known(lane.to_junction, lane),
-        )
+    known = [
+        [name if name in there and (name, lane.id) not in apart else "" for name in names]
         for lane in lanes
+        for names in [(lane.from_junction, lane.to_junction)]
+    ]
+    return junctions, [
+        replace(lane, from_junction=before, to_junction=after)
+        for lane, (before, after) in zip(lanes, known, strict=True)
     ]
 
 
 def _tips_by_junction(lanes: Sequence[MapLane]) -> dict[str, list[tuple[MapLane, FloatArray]]]:
     """Lanes of arms that end or begin at each junction, as lines that lead away from it."""
-    tips: dict[str, list[tuple[MapLane, FloatArray]]] = {}
+    tips: dict[str, list[tuple[MapLane, FloatArray]]] = defaultdict(list)
     for lane in lanes:
         if lane.kind in _ARM_KINDS:
             line = lane.centreline_m[:, :2]
-            if lane.from_junction:
-                tips.setdefault(lane.from_junction, []).append((lane, line))
-            if lane.to_junction:
-                tips.setdefault(lane.to_junction, []).append((lane, line[::-1]))
+            tips[lane.from_junction].append((lane, line))
+            tips[lane.to_junction].append((lane, line[::-1]))
     return tips
 
 
 def _surface(sections: Sequence[SampledSection]) -> Any:
     """Largest part of the union of the strips of driving lanes, without holes, or None."""
-    import shapely
-
     rings = [
-        ring
+        np.concatenate([inner, outer[::-1]])
         for section in sections
         for lane in section.lanes.values()
         if lane_kind(lane.record.type) == "driving" and lane.width_m.max() > _MIN_WIDTH_M
-        for ring in _rings(section.points_at(lane.inner_m), section.points_at(lane.outer_m))
+        for edges in [(section.points_at(lane.inner_m), section.points_at(lane.outer_m))]
+        # In short pieces, so that self-intersections stay cheap to mend.
+        for at in range(0, len(section.s_m) - 1, _PIECE_POINTS)
+        for inner, outer in [[edge[at : at + _PIECE_POINTS + 1, :2] for edge in edges]]
     ]
     if not rings:
         return None
@@ -277,24 +268,8 @@ def _surface(sections: Sequence[SampledSection]) -> Any:
     return _largest(union.buffer(-_CLOSE_GAPS_M, join_style="mitre"))
 
 
-def _rings(inner_m: FloatArray, outer_m: FloatArray) -> list[FloatArray]:
-    """Outlines (k, 2) of a strip in short pieces, so that self-intersections stay cheap to mend."""
-    last = len(inner_m) - 1
-    return [
-        np.concatenate(
-            [
-                inner_m[begin : begin + _PIECE_POINTS + 1],
-                outer_m[begin : begin + _PIECE_POINTS + 1][::-1],
-            ]
-        )[:, :2]
-        for begin in range(0, last, _PIECE_POINTS)
-    ]
-
-
 def _largest(shape: Any) -> Any:
     """Largest polygon of a shape with its holes filled, or None if it is tiny."""
-    import shapely
-
     parts = [part for part in shapely.get_parts(shape) if part.geom_type == "Polygon"]
     filled = [shapely.Polygon(part.exterior) for part in parts if not part.is_empty]
     largest = max(filled, key=lambda part: part.area, default=None)
@@ -307,8 +282,6 @@ def _fit(surface: Any, tips: Sequence[tuple[MapLane, FloatArray]]) -> tuple[Any,
     The mouths of lanes that end inside are cut off, and narrow ways lead to those that end outside.
     Returns also the lanes whose ends are too far outside.
     """
-    import shapely
-
     inside = []
     for lane, line in tips:
         tip = shapely.Point(line[0])

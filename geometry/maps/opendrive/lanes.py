@@ -5,13 +5,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from ...arrays import FloatArray
 from ...errors import InputError, Unquoted
 from ..source_map import MapLane
 from .attributes import lane_kinds
-from .reference_line import MAX_COORDINATE_M, PiecewiseCubic, evaluate
-from .roads import CrossSections, LaneRecord, LaneSection, Road
+from .roads import (
+    MAX_COORDINATE_M,
+    CrossSections,
+    LaneRecord,
+    LaneSection,
+    PiecewiseCubic,
+    Road,
+    evaluate,
+)
 
 MAX_POINTS = 5_000_000  # of a file
 _CHORD_ERROR_M = 0.02  # below the 3 cm that are asked for: bounds of bends are sampled
@@ -396,15 +404,13 @@ def join_stubs(lanes: Sequence[MapLane]) -> list[MapLane]:
 
 
 def _join_once(lanes: Sequence[MapLane]) -> list[MapLane]:
-    from scipy.spatial import cKDTree
-
     stubs = [
         index
         for index, lane in enumerate(lanes)
         if bool(lane.from_junction) != bool(lane.to_junction) and _length_m(lane) < _STUB_M
     ]
     if not stubs:
-        return list(lanes)
+        return [*lanes]
     trees = [cKDTree(np.array([lane.centreline_m[end] for lane in lanes])) for end in (0, -1)]
     result: dict[int, MapLane] = dict(enumerate(lanes))
     touched: set[int] = set()
@@ -415,33 +421,24 @@ def _join_once(lanes: Sequence[MapLane]) -> list[MapLane]:
         distance_m, near = trees[0 if leads_out else 1].query(tip, k=min(4, len(lanes)))
         for gap_m, other in zip(np.atleast_1d(distance_m), np.atleast_1d(near), strict=True):
             lane = lanes[int(other)]
-            is_free = not (lane.from_junction if leads_out else lane.to_junction)
-            if (
-                gap_m > _SAME_POINT_M_STUBS
-                or other == index
-                or lane.kind != stub.kind
-                or not is_free
-            ):
+            is_taken = lane.from_junction if leads_out else lane.to_junction
+            if gap_m > _SAME_POINT_M_STUBS or other == index or lane.kind != stub.kind or is_taken:
                 continue
             if touched & {index, int(other)}:
                 break  # the next round comes to it
             pieces = [stub, lane] if leads_out else [lane, stub]
-            result[int(other)] = _joined(lane, pieces)
+            lengths_m = [_length_m(piece) for piece in pieces]
+            result[int(other)] = replace(
+                lane,
+                width_m=float(np.average([one.width_m for one in pieces], weights=lengths_m)),
+                centreline_m=np.concatenate([pieces[0].centreline_m[:-1], pieces[1].centreline_m]),
+                from_junction=pieces[0].from_junction,
+                to_junction=pieces[1].to_junction,
+            )
             del result[index]
             touched |= {index, int(other)}
             break
     return list(result.values())
-
-
-def _joined(lane: MapLane, pieces: Sequence[MapLane]) -> MapLane:
-    lengths = [_length_m(piece) for piece in pieces]
-    return replace(
-        lane,
-        width_m=float(np.average([piece.width_m for piece in pieces], weights=lengths)),
-        centreline_m=np.concatenate([pieces[0].centreline_m[:-1], pieces[1].centreline_m]),
-        from_junction=pieces[0].from_junction,
-        to_junction=pieces[1].to_junction,
-    )
 
 
 def _length_m(lane: MapLane) -> float:

@@ -10,6 +10,10 @@ from itertools import islice
 from xml.etree.ElementTree import Element
 
 import numpy as np
+import shapely
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from ...arrays import FloatArray
 from ...errors import InputError, Unquoted
@@ -24,9 +28,8 @@ from .attributes import (
 from .junctions import JunctionRecord
 from .lanes import SampledSection, lane_kind
 from .object_shapes import (
-    Copy,
     Outline,
-    Sweep,
+    Spot,
     box_corners,
     build_body,
     is_on,
@@ -115,7 +118,7 @@ _MIN_LENGTH_M = 0.5
 
 
 def crosswalk_line(
-    road: Road, one: Copy | Sweep, outlines: Sequence[Outline], turn_rad: float
+    road: Road, spot: Spot, outlines: Sequence[Outline], turn_rad: float
 ) -> FloatArray | None:
     """Line (2, 2) on which pedestrians cross, or None if the object has no extent.
 
@@ -123,19 +126,25 @@ def crosswalk_line(
     the road. Two corners are the line itself. `turn_rad` is the heading of the object against the
     road.
     """
-    copy = one.start if isinstance(one, Sweep) else one
-    _, heading = place(road, copy)
-    outer = next((outline for outline in outlines if outline.is_outer), None)
-    if outer is not None:
-        corners = outer.points_m
-    else:
-        box = box_corners(copy, turn_rad)
-        if box is None:
-            return None
-        corners = road.place(box[:, 0], box[:, 1])[0][:, :2]
+    found = _corners(road, spot, outlines, turn_rad)
+    if found is None:
+        return None
+    corners, _ = found
     if len(corners) == 2:
         return corners if np.hypot(*(corners[1] - corners[0])) > _MIN_LENGTH_M else None
+    _, heading = place(road, spot)
     return _long_way(corners, np.array([-np.sin(heading), np.cos(heading)]))
+
+
+def _corners(
+    road: Road, spot: Spot, outlines: Sequence[Outline], turn_rad: float
+) -> tuple[FloatArray, FloatArray] | None:
+    """Corners (n, 2) of an object's outline or box: on the map, and as s and t; None: no extent."""
+    outer = next((outline for outline in outlines if outline.is_outer), None)
+    if outer is not None:
+        return outer.points_m, outer.road_m
+    box = box_corners(spot, turn_rad)
+    return None if box is None else (road.place(*box.T)[0][:, :2], box)
 
 
 def signal_crosswalk(
@@ -166,8 +175,6 @@ def cross_paths(
 
 
 def _long_way(corners_m: FloatArray, across_road: FloatArray) -> FloatArray | None:
-    import shapely
-
     with np.errstate(divide="ignore", invalid="ignore"):  # flags that GEOS leaves behind
         box = shapely.MultiPoint(corners_m).minimum_rotated_rectangle
     if box.geom_type != "Polygon":
@@ -207,23 +214,20 @@ class Space:
         return 0.5 * (self.right_m + self.left_m)
 
 
-def read_space(one: Copy | Sweep, outlines: Sequence[Outline], turn_rad: float) -> Space | None:
+def read_space(
+    road: Road, spot: Spot, outlines: Sequence[Outline], turn_rad: float
+) -> Space | None:
     """One parking space, or a strip of them; None if it has no extent."""
-    if isinstance(one, Sweep):
-        start, end = one.start, one.end
-        if start.width_m is None:
+    if spot.end is not None:
+        if spot.width_m is None:
             return None
-        t_m, half_m = 0.5 * (start.t_m + end.t_m), 0.5 * start.width_m
-        corners = np.array([[start.s_m, t_m - half_m], [end.s_m, t_m + half_m]])
+        t_m, half_m = 0.5 * (spot.t_m + spot.end.t_m), 0.5 * spot.width_m
+        corners = np.array([[spot.s_m, t_m - half_m], [spot.end.s_m, t_m + half_m]])
     else:
-        outer = next((outline for outline in outlines if outline.is_outer), None)
-        if outer is not None:
-            corners = outer.road_m
-        else:
-            box = box_corners(one, turn_rad)
-            if box is None:
-                return None
-            corners = box
+        found = _corners(road, spot, outlines, turn_rad)
+        if found is None:
+            return None
+        _, corners = found
     (first_m, right_m), (last_m, left_m) = corners.min(axis=0), corners.max(axis=0)
     if min(last_m - first_m, left_m - right_m) < _MIN_SIZE_M:
         return None
@@ -350,14 +354,15 @@ def _taken_objects(
     return objects
 
 
-def _take(kind: str, one: RoadElement, spot: Copy | Sweep, name: str, found: Found) -> bool:
+def _take(kind: str, one: RoadElement, spot: Spot, name: str, found: Found) -> bool:
     """Add an object at one of its places to `found`; False: it has no size."""
     if kind in POLE_KINDS:
-        found.poles.append(_build_pole(kind, one.road, spot, name))
+        top_m = 0.0 if spot.height_m is None else spot.z_m + spot.height_m
+        height_m = top_m if top_m > 0.0 else None
+        foot_m, _ = place(one.road, spot)
+        found.poles.append(Pole(id=name, kind=kind, position_m=foot_m, height_m=height_m))
         return True
-    outlines = (
-        [] if isinstance(spot, Sweep) else read_outlines(one.element, one.road, spot, one.where)
-    )
+    outlines = [] if spot.end is not None else read_outlines(one.element, one.road, spot, one.where)
     turn_rad = take_number_or(one.element, "hdg", one.where, 0.0)
     if kind == "crosswalk":
         line = crosswalk_line(one.road, spot, outlines, turn_rad)
@@ -365,7 +370,7 @@ def _take(kind: str, one: RoadElement, spot: Copy | Sweep, name: str, found: Fou
             found.crosswalks_m.append(line)
         return line is not None
     if kind == "parking space":
-        space = read_space(spot, outlines, turn_rad)
+        space = read_space(one.road, spot, outlines, turn_rad)
         if space is not None:
             found.spaces.setdefault(one.road.id, []).append(space)
         return space is not None
@@ -382,26 +387,8 @@ def _take(kind: str, one: RoadElement, spot: Copy | Sweep, name: str, found: Fou
     return True
 
 
-def _build_pole(kind: str, road: Road, spot: Copy | Sweep, name: str) -> Pole:
-    copy = spot.start if isinstance(spot, Sweep) else spot
-    foot, _ = place(road, copy)
-    top_m = 0.0 if copy.height_m is None else copy.z_m + copy.height_m
-    return Pole(id=name, kind=kind, position_m=foot, height_m=top_m if top_m > 0.0 else None)
-
-
 # ---------- signals
 _PAINT = "paint on the road, or nothing above it"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Position:
-    """Foot below a signal, its top above that, and its place on a road (empty: unknown)."""
-
-    foot_m: FloatArray
-    top_m: float
-    road: str
-    s_m: float
-    t_m: float
 
 
 def read_signals(
@@ -415,6 +402,7 @@ def read_signals(
     A signal that hangs over a driving lane has no pole there. Raises InputError if a number is
     missing or not finite.
     """
+    facts = load_facts()["signals"]
     poles: list[Pole] = []
     crosswalks: list[FloatArray] = []
     names: Counter[str] = Counter()
@@ -424,8 +412,10 @@ def read_signals(
         if not is_on(one.road, s_m):
             omissions.add("signals beyond their road's end", one.name, "beyond its road's end")
         elif kind == "crosswalk":
-            across_m = take_size(one.element, "width", one.where)
-            length_m = across_m or _road_width_m(sampled[one.road.id], s_m)
+            length_m = take_size(one.element, "width", one.where)
+            edges = _driving_edges(sampled[one.road.id], s_m)
+            if not length_m and edges:
+                length_m = max(left for _, left in edges) - min(right for right, _ in edges)
             if length_m:
                 crosswalks.append(
                     signal_crosswalk(one.element, one.road, s_m, t_m, length_m, one.where)
@@ -433,19 +423,29 @@ def read_signals(
         elif kind is None:
             omissions.add("painted signals", one.name, _PAINT)
         else:
-            position = _find_position(one, s_m, t_m, roads, offset)
-            why = _why_no_pole(kind, position, sampled)
-            if why:
+            foot_m, top_m, at = _find_position(one, s_m, t_m, roads, offset)
+            is_light = kind == "traffic light"
+            if not is_light and top_m < facts["min_sign_top_m"]:
+                omissions.add(f"signals ({kind})", one.name, _PAINT)
+            elif at is not None and any(
+                right < at[2] < left for right, left in _driving_edges(sampled[at[0]], at[1])
+            ):
+                why = "it hangs over a lane: there is no pole below it"
                 omissions.add(f"signals ({kind})", one.name, why)
             else:
-                poles.append(_signal_pole(one.name, kind, position))
+                least_m = facts["min_light_top_m" if is_light else "min_sign_top_m"]
+                height_m = top_m if top_m >= least_m else None
+                poles.append(Pole(id=one.name, kind=kind, position_m=foot_m, height_m=height_m))
     return poles, crosswalks
 
 
 def _find_position(
     one: RoadElement, s_m: float, t_m: float, roads: Mapping[str, Road], offset: Offset
-) -> _Position:
-    """Position of a signal, which may be given apart from the place where it applies."""
+) -> tuple[FloatArray, float, tuple[str, float, float] | None]:
+    """Foot below a signal, its top above that, and road, s and t of its place (None: unknown).
+
+    The place may be given apart from that where it applies.
+    """
     height_m = take_size(one.element, "height", one.where) or 0.0
     road = one.road
     z_m = take_number_or(one.element, "zOffset", one.where, 0.0)
@@ -458,36 +458,10 @@ def _find_position(
     foot = road.place(np.array([s_m]), np.array([t_m]))[0][0]
     inertial = one.element.find("positionInertial")
     if inertial is None:
-        return _Position(foot_m=foot, top_m=z_m + height_m, road=road.id, s_m=s_m, t_m=t_m)
+        return foot, z_m + height_m, (road.id, s_m, t_m)
     x, y, z = (take_number(inertial, key, f"{one.where} positionInertial") for key in "xyz")
     foot[:2] = offset.apply(np.array([[x, y]]))[0]
-    top_m = z + offset.z_m - float(foot[2]) + height_m
-    return _Position(foot_m=foot, top_m=top_m, road="", s_m=0.0, t_m=0.0)
-
-
-def _why_no_pole(
-    kind: str, position: _Position, sampled: Mapping[str, Sequence[SampledSection]]
-) -> str:
-    """Why a signal has no pole below it; empty: it has."""
-    if kind != "traffic light" and position.top_m < load_facts()["signals"]["min_sign_top_m"]:
-        return _PAINT
-    if position.road and any(
-        right < position.t_m < left
-        for right, left in _driving_edges(sampled[position.road], position.s_m)
-    ):
-        return "it hangs over a lane: there is no pole below it"
-    return ""
-
-
-def _signal_pole(name: str, kind: str, position: _Position) -> Pole:
-    is_light = kind == "traffic light"
-    least_m = load_facts()["signals"]["min_light_top_m" if is_light else "min_sign_top_m"]
-    return Pole(
-        id=name,
-        kind=kind,
-        position_m=position.foot_m,
-        height_m=position.top_m if position.top_m >= least_m else None,
-    )
+    return foot, z + offset.z_m - float(foot[2]) + height_m, None
 
 
 def _driving_edges(sections: Sequence[SampledSection], s_m: float) -> list[tuple[float, float]]:
@@ -504,19 +478,10 @@ def _driving_edges(sections: Sequence[SampledSection], s_m: float) -> list[tuple
     return edges
 
 
-def _road_width_m(sections: Sequence[SampledSection], s_m: float) -> float:
-    edges = _driving_edges(sections, s_m)
-    return max(left for _, left in edges) - min(right for right, _ in edges) if edges else 0.0
-
-
 # ---------- poles
 _CELL_M = 0.05
-_KIND_ORDER = (
-    "traffic light",
-    "lamp post",
-    "sign",
-    "pole",
-)  # the kind of a pole with several signals is the first of these
+# The kind of a pole with several signals is the first of these.
+_KIND_ORDER = ("traffic light", "lamp post", "sign", "pole")
 
 
 def merge_poles(poles: Sequence[Pole]) -> list[Pole]:
@@ -525,10 +490,6 @@ def merge_poles(poles: Sequence[Pole]) -> list[Pole]:
     A joined pole is as high as the highest and of the most telling kind; it stands where the file
     has the pole itself, or else where the first signal hangs.
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
-
     if len(poles) < 2:
         return list(poles)
     positions = np.array([pole.position_m[:2] for pole in poles])

@@ -15,13 +15,12 @@ from ...notes import Note
 from ..georeferences import WGS84, local_crs, transform
 from ..source_map import Omissions, SourceMap
 from .buildings import find_bridges, find_buildings
-from .crosswalks import find_crosswalks
 from .elements import DEFAULTS, Elements, Way, parse_length_m, read_elements
 from .junctions import find_junctions
 from .lane_lines import build_lanes
 from .lanes import is_oneway, runs_backward
 from .network import build_network, is_for_cars, known_runs
-from .things import find_barriers, find_poles, find_trees
+from .things import find_barriers, find_crosswalks, find_poles, find_trees
 
 __all__ = ["fetch_openstreetmap", "read_openstreetmap"]
 

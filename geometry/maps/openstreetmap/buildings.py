@@ -11,8 +11,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ...arrays import FloatArray
 from ...errors import InputError
-from ..solids import extrude, extrude_polygon, polygons_of
-from ..source_map import Omissions, Thing
+from ..source_map import Omissions, Thing, extrude, extrude_polygon, polygons_of
 from .elements import (
     DEFAULTS,
     Area,

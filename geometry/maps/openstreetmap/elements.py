@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import osmium
 from shapely import Polygon, STRtree, make_valid
 
 from ...arrays import FloatArray, IntArray
@@ -73,8 +74,7 @@ def read_elements(path: Path) -> Elements:
     large, or a node lies nowhere on earth.
     """
     try:
-        file_format = _file_format(path)
-        return _collect(path, file_format)
+        return _collect(path, _file_format(path))
     except OSError as error:
         raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
 
@@ -113,8 +113,6 @@ def _check_unpacked_size(path: Path, unpack: Any) -> None:
 
 
 def _collect(path: Path, file_format: str) -> Elements:
-    import osmium
-
     ids, places = array("q"), array("d")
     tags_by_id: dict[int, Tags] = {}
     ways: dict[int, tuple[list[int], Tags]] = {}
@@ -280,8 +278,8 @@ def _multipolygon(
             by_id.get(ref) for ref, role in relation.members if (role == "inner") == is_inner
         ]
         ways = [way for way in members if way is not None]
-        rows, is_whole = join_rings(ways)
-        rings[is_inner] = [positions_m[ring] for ring in rows]
+        found, is_whole = join_rings(ways)
+        rings[is_inner] = [positions_m[ring] for ring in found]
         if len(ways) < len(members) or not is_whole:
             omissions.add(
                 "outlines", f"relation {relation.id}", "its outline is not closed, or misses nodes"
@@ -340,22 +338,10 @@ def join_rings(ways: Sequence[Way]) -> tuple[list[np.ndarray], bool]:
 _FOOT_M = 0.3048
 _INCH_M = 0.0254
 _UNITS_M = {
-    "": 1.0,
-    "m": 1.0,
-    "metre": 1.0,
-    "metres": 1.0,
-    "meter": 1.0,
-    "meters": 1.0,
-    "cm": 0.01,
-    "km": 1000.0,
-    "ft": _FOOT_M,
-    "foot": _FOOT_M,
-    "feet": _FOOT_M,
-    "'": _FOOT_M,
-    "in": _INCH_M,
-    "inch": _INCH_M,
-    "inches": _INCH_M,
-    '"': _INCH_M,
+    **dict.fromkeys(("", "m", "metre", "metres", "meter", "meters"), 1.0),
+    **{"cm": 0.01, "km": 1000.0},
+    **dict.fromkeys(("ft", "foot", "feet", "'"), _FOOT_M),
+    **dict.fromkeys(("in", "inch", "inches", '"'), _INCH_M),
 }
 _NUMBER = r"([0-9]{1,7}(?:[.,][0-9]{1,9})?)"
 _LENGTH = re.compile(rf"{_NUMBER}\s*([a-z]*|'|\")\.?")
@@ -375,20 +361,13 @@ def parse_length_m(text: str) -> float | None:
     2.0066
     """
     text = text.strip().lower().removeprefix("~").strip()
-    if match := _LENGTH.fullmatch(text):
-        number, unit = match.groups()
-        if unit not in _UNITS_M:
-            return None
-        return _number(number) * _UNITS_M[unit]
     if match := _FEET_AND_INCHES.fullmatch(text):
-        feet, inches = match.groups()
-        return _number(feet) * _FOOT_M + _number(inches) * _INCH_M
-    if match := _RANGE.fullmatch(text):
-        low, high, unit = match.groups()
-        if unit not in _UNITS_M:
-            return None
-        return 0.5 * (_number(low) + _number(high)) * _UNITS_M[unit]
-    return None
+        return _number(match[1]) * _FOOT_M + _number(match[2]) * _INCH_M
+    match = _LENGTH.fullmatch(text) or _RANGE.fullmatch(text)
+    *numbers, unit = match.groups() if match else ("", "?")
+    if unit not in _UNITS_M:
+        return None
+    return sum(map(_number, numbers)) / len(numbers) * _UNITS_M[unit]
 
 
 def _number(text: str) -> float:
@@ -397,11 +376,8 @@ def _number(text: str) -> float:
 
 def parse_count(text: str, *, highest: int) -> int | None:
     """A whole number from 1 to `highest`, or None."""
-    text = text.strip()
-    if not re.fullmatch(r"[0-9]{1,6}(\.0+)?", text):
-        return None
-    number = int(float(text))
-    return number if 1 <= number <= highest else None
+    number = parse_number(text, highest=highest)
+    return int(number) if number and number == int(number) else None
 
 
 def parse_number(text: str, *, highest: float) -> float | None:

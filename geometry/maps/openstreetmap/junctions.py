@@ -7,12 +7,12 @@ from itertools import count
 
 import numpy as np
 import shapely
-from shapely import MultiPolygon, Point, Polygon
+from shapely import Point
 from shapely.geometry.base import BaseGeometry
 
 from ...arrays import FloatArray
 from ...scene import LeadingRoad
-from ..source_map import MapJunction, Omissions
+from ..source_map import MapJunction, Omissions, polygons_of
 from .elements import DEFAULTS, Elements, Tags
 from .network import Edge, End, Network, Street, axis_points, surface, trace_streets
 
@@ -487,18 +487,10 @@ def _outline(arms: Sequence[Arm], inside: Sequence[Street], points_m: FloatArray
         for arm in arms
     ]
     rest = rounded.union(whole).difference(shapely.union_all(beyond))
-    polygon = _largest(rest)
+    smallest = Point(0.0, 0.0).buffer(1.0)
+    polygon = max(polygons_of(rest), key=lambda part: part.area, default=smallest)
     ring = shapely.simplify(polygon.exterior, 0.02)
     return np.asarray(ring.coords)[:-1]
-
-
-def _largest(shape: BaseGeometry) -> Polygon:
-    if isinstance(shape, Polygon) and not shape.is_empty:
-        return shape
-    parts = [part for part in getattr(shape, "geoms", []) if isinstance(part, Polygon)]
-    if isinstance(shape, MultiPolygon) or parts:
-        return max(parts, key=lambda part: part.area)
-    return Point(0.0, 0.0).buffer(1.0)
 
 
 def _name(arms: Sequence[Arm], inside: Sequence[Street]) -> str:
@@ -528,26 +520,31 @@ def is_merge(arms: Sequence[tuple[Edge, bool]], nodes: Iterable[Tags]) -> bool:
     of the nodes where they meet: signals and crossings are for people.
     """
     edges = [(edge, is_away) for edge, is_away in arms if not edge.is_service]
-    if not edges or len(edges) < len(arms) or any(_has_people(edge.tags) for edge, _ in edges):
+    if (
+        not edges
+        or len(edges) < len(arms)
+        or any(
+            edge.tags.get("foot") in ("yes", "designated")
+            or edge.tags.get("sidewalk") in _SIDEWALKS
+            for edge, _ in edges
+        )
+    ):
         return False
     if any(tags.get("highway") in _FOR_PEOPLE for tags in nodes):
         return False
-    if all(_is_motorway(edge.tags) for edge, _ in edges):
-        return True
     n_away = sum(is_away for _, is_away in edges)
-    return (
+    is_motorway = [
+        edge.tags["highway"] in _MOTORWAYS or edge.tags.get("motorroad") == "yes"
+        for edge, _ in edges
+    ]
+    return all(is_motorway) or (
         all(edge.is_oneway for edge, _ in edges)
-        and all(_is_motorway(edge.tags) or edge.tags["highway"] in _TRUNKS for edge, _ in edges)
+        and all(
+            is_fast or edge.tags["highway"] in _TRUNKS
+            for is_fast, (edge, _) in zip(is_motorway, edges, strict=True)
+        )
         and min(n_away, len(edges) - n_away) <= 1
     )
-
-
-def _is_motorway(tags: Tags) -> bool:
-    return tags["highway"] in _MOTORWAYS or tags.get("motorroad") == "yes"
-
-
-def _has_people(tags: Tags) -> bool:
-    return tags.get("foot") in ("yes", "designated") or tags.get("sidewalk") in _SIDEWALKS
 
 
 # ---------- roads that lead to a junction

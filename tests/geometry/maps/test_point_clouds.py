@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 
 from geometry.errors import InputError
 from geometry.maps import point_clouds
-from geometry.maps.point_clouds import read_point_cloud
-from geometry.maps.point_files import open_points
-from geometry.maps.solids import volume_m3
+from geometry.maps.point_clouds import open_points, read_point_cloud
+from geometry.maps.source_map import volume_m3
 from geometry.raycast import build_caster
 
 ORIGIN = np.array([390_000.0, 5_819_000.0, 35.0])
