@@ -1,7 +1,7 @@
 """A junction as traffic sees it: arms, the lanes that lead in and out, where pedestrians cross."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -38,6 +38,7 @@ _STUB_M = 2.0  # a lane that is shorter, with all that leads to it, is no road
 _CROSSWALK_INSIDE_MOUTH_M = 2.0
 _SAME_ROAD_M = 20.0  # from the middle of a road to a lane of it
 _SAME_WAY = 0.5  # cosine of the angle between them
+_LANES_OF_ARM = ("lanes_in", "lanes_out", "cycleways_in", "cycleways_out")
 _MIRRORED: dict[Turn, Turn] = {"left": "right", "right": "left"}
 # Euro NCAP's junction: arms begin 11.5 m from the centre, pedestrians cross 9.5 m from it.
 
@@ -186,12 +187,13 @@ def build_junction(scene: Scene) -> Junction:
     cycleways = _beside_arms(
         _ends_at_outline(scene, _CYCLE_KINDS, within_m=_CYCLES_AT_OUTLINE_M), groups
     )
-    bearings = [
-        _mean_bearing_deg([_outward_bearing_deg(lane, is_in=is_in) for is_in, lane in group])
+    ways = [
+        np.mean([_mouth(lane, is_in=is_in).direction for is_in, lane in group], axis=0)
         for group in groups
     ]
+    bearings = np.degrees(np.arctan2(*np.transpose(ways)[::-1]))
     order = np.argsort(np.round(np.mod(bearings, 360.0), 6) % 360.0, kind="stable")
-    names = _arm_names([bearings[index] for index in order])
+    names = _arm_names(bearings[order])
     arms = {
         name: _build_arm(name, groups[index], cycleways[index], scene)
         for name, index in zip(names, order, strict=True)
@@ -225,29 +227,29 @@ def mirrored(junction: Junction) -> Junction:
     Names of arms and lanes stay.
     """
 
-    def turn_over(lane: Lane) -> Lane:
-        turns = tuple(_MIRRORED.get(turn, turn) for turn in lane.turns)
-        return replace(lane, centreline_m=lane.centreline_m * [1.0, -1.0], turns=turns)
+    def turn_over(lanes: Sequence[Lane]) -> tuple[Lane, ...]:
+        return tuple(
+            replace(
+                lane,
+                centreline_m=lane.centreline_m * [1.0, -1.0],
+                turns=tuple(_MIRRORED.get(turn, turn) for turn in lane.turns),
+            )
+            for lane in lanes
+        )
 
     arms = {}
     for name, arm in junction.arms.items():
         line = arm.crosswalk
         # From the kerb where the VUT drives to the other one, in the mirror too.
         crosswalk = Line(point_m=line.point_m * [1.0, -1.0], direction=line.direction * [-1.0, 1.0])
-        arms[name] = Arm(
-            name=name,
-            lanes_in=tuple(turn_over(lane) for lane in arm.lanes_in),
-            lanes_out=tuple(turn_over(lane) for lane in arm.lanes_out),
-            crosswalk=crosswalk,
-            cycleways_in=tuple(turn_over(lane) for lane in arm.cycleways_in),
-            cycleways_out=tuple(turn_over(lane) for lane in arm.cycleways_out),
-        )
+        lanes = {field: turn_over(getattr(arm, field)) for field in _LANES_OF_ARM}
+        arms[name] = replace(arm, crosswalk=crosswalk, **lanes)
     return replace(
         junction,
         arms=arms,
         keeps_left=not junction.keeps_left,
-        connections=tuple(turn_over(lane) for lane in junction.connections),
-        beyond=tuple(turn_over(lane) for lane in junction.beyond),
+        connections=turn_over(junction.connections),
+        beyond=turn_over(junction.beyond),
     )
 
 
@@ -355,11 +357,12 @@ def _build_arm(
         for ends in (members, cycleways)
         for wanted in (True, False)
     )
+    crosswalk = _crosswalk(lanes_in, lanes_out, scene)
     return Arm(
         name=name,
         lanes_in=lanes_in,
         lanes_out=lanes_out,
-        crosswalk=_crosswalk(lanes_in, lanes_out, scene),
+        crosswalk=crosswalk,
         cycleways_in=cycleways_in,
         cycleways_out=cycleways_out,
     )
@@ -430,28 +433,32 @@ def _turn(lane: Lane, other: Lane, *, is_in: bool) -> float:
     return -float(ahead @ lane_line(after, is_in=False, length_m=5.0)[0].direction)
 
 
-def _outward_bearing_deg(lane: Lane, *, is_in: bool) -> float:
-    line, _ = lane_line(lane, is_in=is_in, length_m=10.0)
-    return line.yaw_deg + (180.0 if is_in else 0.0)
-
-
 def _group_by_arm(
     ends: Sequence[tuple[bool, Lane]], *, keeps_left: bool
 ) -> list[list[tuple[bool, Lane]]]:
     """Lane ends that lie side by side and lead the same way, chained from one to the next."""
     mouths = [_mouth(lane, is_in=is_in) for is_in, lane in ends]
-    group = list(range(len(ends)))
-    for one, mouth in enumerate(mouths):
+
+    def is_pair(one: int, other: int) -> bool:
+        reach_m = 0.5 * (ends[one][1].width_m + ends[other][1].width_m) + _SAME_ARM_GAP_M
+        return _is_beside(mouths[one], mouths[other], reach_m)
+
+    groups = [[ends[index] for index in group] for group in chained(len(ends), is_pair)]
+    return _with_both_carriageways(groups, keeps_left=keeps_left)
+
+
+def chained(n: int, is_pair: Callable[[int, int], bool]) -> list[list[int]]:
+    """Groups of 0 to n - 1 in which each is the pair of another one, in the order of the first."""
+    group = list(range(n))
+    for one in range(n):
         for other in range(one):
-            reach_m = 0.5 * (ends[one][1].width_m + ends[other][1].width_m) + _SAME_ARM_GAP_M
-            if group[one] != group[other] and _is_beside(mouth, mouths[other], reach_m):
+            if group[one] != group[other] and is_pair(one, other):
                 old, new = group[one], group[other]
                 group = [new if number == old else number for number in group]
-    groups = [
-        [end for end, number in zip(ends, group, strict=True) if number == wanted]
+    return [
+        [index for index, number in enumerate(group) if number == wanted]
         for wanted in dict.fromkeys(group)
     ]
-    return _with_both_carriageways(groups, keeps_left=keeps_left)
 
 
 def _with_both_carriageways(
@@ -504,10 +511,9 @@ def _median_m(
 
 
 def _mouth(lane: Lane, *, is_in: bool) -> Line:
-    return Line(
-        point_m=lane.centreline_m[-1 if is_in else 0],
-        direction=_unit_vector(_outward_bearing_deg(lane, is_in=is_in)),
-    )
+    """Line through the end of a lane at the junction, away from that."""
+    line, _ = lane_line(lane, is_in=is_in, length_m=10.0)
+    return line.turned(180.0) if is_in else line
 
 
 def _is_beside(one: Line, other: Line, reach_m: float) -> bool:
@@ -518,19 +524,9 @@ def _is_beside(one: Line, other: Line, reach_m: float) -> bool:
     return bool(ahead_m <= _SAME_ARM_AHEAD_M and left_m <= reach_m)
 
 
-def _unit_vector(bearing_deg: float) -> FloatArray:
-    angle = np.radians(bearing_deg)
-    return np.array([np.cos(angle), np.sin(angle)])
-
-
-def _mean_bearing_deg(bearings_deg: Sequence[float]) -> float:
-    east, north = np.mean([_unit_vector(bearing) for bearing in bearings_deg], axis=0)
-    return float(np.degrees(np.arctan2(north, east)))
-
-
-def _arm_names(bearings_deg: Sequence[float]) -> list[str]:
+def _arm_names(bearings_deg: FloatArray) -> list[str]:
     for n_points in (4, 8, 16):
-        index = np.round(np.array(bearings_deg) * n_points / 360.0).astype(int) % n_points
+        index = np.round(bearings_deg * n_points / 360.0).astype(int) % n_points
         names = [ARM_NAMES[one * (16 // n_points)] for one in index]
         if len(set(names)) == len(names):
             return names

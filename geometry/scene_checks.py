@@ -193,11 +193,12 @@ def _check_feet(scene: Scene, sites: Sequence[Site]) -> Iterator[Finding]:
 def _check_meshes(scene: Scene) -> Iterator[Finding]:
     import trimesh
 
-    holes: list[str] = []
-    floating: list[str] = []
-    raised: list[str] = []
-    sunk: list[str] = []
-    inverted: list[str] = []
+    holes = "its surface has holes above the floor"
+    floating = f"it begins more than {_FLOATING_M:g} m above the road"
+    raised = f"it begins {HEADROOM_M:g} m above the ground or higher: taken to be passed below"
+    sunk = "it is below the road, or begins far below it"
+    inverted = "its triangles face inwards"
+    found: dict[str, list[str]] = {why: [] for why in (holes, floating, raised, sunk, inverted)}
     for index, thing in enumerate(scene.instances):
         faces = scene.triangles[scene.triangle_instance == index]
         if thing.class_name not in _STANDING or not len(faces):
@@ -209,24 +210,15 @@ def _check_meshes(scene: Scene) -> Iterator[Finding]:
         ground_m = ground_height_m(scene, mesh.vertices[:, :2])
         if low - ground_m.min() > _FLOATING_M and thing.class_name != "vegetation":
             is_raised = (mesh.vertices[:, 2] - ground_m).min() >= HEADROOM_M
-            (raised if is_raised else floating).append(thing.id)
+            found[raised if is_raised else floating].append(thing.id)
         if high < ground_m.min() or (mesh.vertices[:, 2] - ground_m).min() < -_SUNK_M:
-            sunk.append(thing.id)
+            found[sunk].append(thing.id)
         # A hole in the floor, which stands on the ground, lets nothing be seen through.
         if _has_open_edges_above(mesh, low):
-            holes.append(thing.id)
+            found[holes].append(thing.id)
         elif mesh.is_watertight and mesh.volume < 0.0:
-            inverted.append(thing.id)
-    for ids, why in (
-        (holes, "its surface has holes above the floor"),
-        (floating, f"it begins more than {_FLOATING_M:g} m above the road"),
-        (
-            raised,
-            f"it begins {HEADROOM_M:g} m above the ground or higher: taken to be passed below",
-        ),
-        (sunk, "it is below the road, or begins far below it"),
-        (inverted, "its triangles face inwards"),
-    ):
+            found[inverted].append(thing.id)
+    for why, ids in found.items():
         if ids:
             yield Finding(level="warning", what=_names(ids), why=why)
 

@@ -132,20 +132,7 @@ def load_box_scene(source: Path | Traversable) -> Scene:
             raise InputError(f"{where}: crosswalks[{index}].ends_m", got, "two different points")
     return Scene(
         name=table.name,
-        **join_bodies(
-            [
-                _ground_body(table.ground),
-                *(_building_body(building) for building in table.buildings),
-                *(_wall_body(wall) for wall in table.walls),
-                *(
-                    body
-                    for index, row in enumerate(table.parked_rows)
-                    for body in _row_bodies(row, f"{where}: parked_rows[{index}]")
-                ),
-                *(_pole_body(pole) for pole in table.poles),
-                *(_mast_arm_body(arm) for arm in table.mast_arms),
-            ]
-        ),
+        **join_bodies([*_bodies(table, where)]),
         sites=(
             *(_site(pole, pole.position_m, pole.kind) for pole in table.poles),
             *(_site(arm, arm.to_m, "mast arm") for arm in table.mast_arms),
@@ -181,61 +168,41 @@ def _on_road(point_carla_m: FloatArray, height_m: float = 0.0) -> FloatArray:
     return np.append(from_carla_points(point_carla_m), height_m)
 
 
-def _ground_body(ground: _Ground) -> Body:
+def _bodies(table: _BoxScene, where: str) -> Iterator[Body]:
     square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    corners = from_carla_points(ground.position_m) + ground.half_size_m * square
-    return (
-        Instance(id="ground", class_name="ground"),
-        np.column_stack([corners, np.zeros(4)]),
-        np.array([[0, 1, 2], [0, 2, 3]]),
-    )
-
-
-def _building_body(building: _Building) -> Body:
-    return _box(
-        Instance(id=building.id, class_name="building"),
-        middle_m=from_carla_points(building.position_m),
-        yaw_deg=float(from_carla_yaw(building.yaw_deg)),
-        size_m=[building.length_m, building.width_m, building.height_m],
-    )
-
-
-def _wall_body(wall: _Wall) -> Body:
-    start, end = from_carla_points(wall.from_m), from_carla_points(wall.to_m)
-    east, north = end - start
-    # Half a thickness longer at both ends: walls that meet at a corner close it.
-    length_m = float(np.hypot(east, north)) + wall.thickness_m
-    return _box(
-        Instance(id=wall.id, class_name="wall"),
-        middle_m=0.5 * (start + end),
-        yaw_deg=float(np.degrees(np.arctan2(north, east))),
-        size_m=[length_m, wall.thickness_m, wall.height_m],
-    )
-
-
-def _row_bodies(row: _NamedRow, where: str) -> Iterator[Body]:
-    for number, parked in enumerate(row.bodies(where), start=1):
-        shape = parked.actor.shapes[0]
-        instance = Instance(id=f"{row.id}-{number}", class_name="parked vehicle")
-        yield instance, to_world(shape.vertices_m, parked.pose), shape.triangles
-
-
-def _pole_body(pole: _Pole) -> Body:
-    return _cylinder(
-        Instance(id=pole.id, class_name=pole.kind),
-        start_m=_on_road(pole.position_m),
-        end_m=_on_road(pole.position_m, pole.height_m),
-        radius_m=pole.radius_m,
-    )
-
-
-def _mast_arm_body(arm: _MastArm) -> Body:
-    return _cylinder(
-        Instance(id=arm.id, class_name="traffic light"),
-        start_m=_on_road(arm.from_m, arm.height_m),
-        end_m=_on_road(arm.to_m, arm.height_m),
-        radius_m=arm.radius_m,
-    )
+    corners = from_carla_points(table.ground.position_m) + table.ground.half_size_m * square
+    ground = np.column_stack([corners, np.zeros(4)])
+    yield Instance(id="ground", class_name="ground"), ground, np.array([[0, 1, 2], [0, 2, 3]])
+    for building in table.buildings:
+        yield _box(
+            Instance(id=building.id, class_name="building"),
+            middle_m=from_carla_points(building.position_m),
+            yaw_deg=float(from_carla_yaw(building.yaw_deg)),
+            size_m=[building.length_m, building.width_m, building.height_m],
+        )
+    for wall in table.walls:
+        start, end = from_carla_points(wall.from_m), from_carla_points(wall.to_m)
+        east, north = end - start
+        # Half a thickness longer at both ends: walls that meet at a corner close it.
+        length_m = float(np.hypot(east, north)) + wall.thickness_m
+        yield _box(
+            Instance(id=wall.id, class_name="wall"),
+            middle_m=0.5 * (start + end),
+            yaw_deg=float(np.degrees(np.arctan2(north, east))),
+            size_m=[length_m, wall.thickness_m, wall.height_m],
+        )
+    for index, row in enumerate(table.parked_rows):
+        parked = row.bodies(f"{where}: parked_rows[{index}]")
+        for number, body in enumerate(parked, start=1):
+            shape = body.actor.shapes[0]
+            instance = Instance(id=f"{row.id}-{number}", class_name="parked vehicle")
+            yield instance, to_world(shape.vertices_m, body.pose), shape.triangles
+    for pole in table.poles:
+        foot, top = _on_road(pole.position_m), _on_road(pole.position_m, pole.height_m)
+        yield _cylinder(Instance(id=pole.id, class_name=pole.kind), [foot, top], pole.radius_m)
+    for arm in table.mast_arms:
+        ends = [_on_road(point, arm.height_m) for point in (arm.from_m, arm.to_m)]
+        yield _cylinder(Instance(id=arm.id, class_name="traffic light"), ends, arm.radius_m)
 
 
 def _box(instance: Instance, *, middle_m: FloatArray, yaw_deg: float, size_m: list[float]) -> Body:
@@ -246,12 +213,8 @@ def _box(instance: Instance, *, middle_m: FloatArray, yaw_deg: float, size_m: li
     return instance, to_world(box.vertices, pose), box.faces
 
 
-def _cylinder(
-    instance: Instance, *, start_m: FloatArray, end_m: FloatArray, radius_m: float
-) -> Body:
+def _cylinder(instance: Instance, ends_m: list[FloatArray], radius_m: float) -> Body:
     import trimesh
 
-    pole = trimesh.creation.cylinder(
-        radius=radius_m, segment=[start_m, end_m], sections=_POLE_SECTIONS
-    )
+    pole = trimesh.creation.cylinder(radius=radius_m, segment=ends_m, sections=_POLE_SECTIONS)
     return instance, np.asarray(pole.vertices), pole.faces

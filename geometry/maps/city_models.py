@@ -456,13 +456,8 @@ def read_citygml(path: Path) -> SourceMap:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Shape:
-    """Polygons under a geometry property."""
-
-    level: int
-    rank: int  # 2: solid, 1: surfaces, 0: footprint
-    polygons: list[Polygon3D]
+# Level of detail; rank: 2 solid, 1 surfaces, 0 footprint; the polygons under a geometry property.
+_Shape = tuple[int, int, list[Polygon3D]]
 
 
 class _Document:
@@ -475,9 +470,8 @@ class _Document:
         self.n_visits_left = 1000
         for element in root.iter():
             self.n_visits_left += _MAX_VISITS
-            for key in _GML_ID:
-                if key in element.attrib:
-                    self.by_id.setdefault(element.attrib[key], element)
+            if name := _gml_id(element):
+                self.by_id.setdefault(name, element)
 
     def features(self, left_out: Counter[str]) -> Iterator[Element]:
         """Elements of a known type; those of other known types are counted."""
@@ -496,31 +490,28 @@ class _Document:
         """An object with its own surfaces, without those of its parts."""
         type_name = local_name(feature)
         shapes = list(self._shapes(feature, 0))
-        best = max(
-            (shape for shape in shapes if shape.polygons),
-            key=lambda shape: (shape.level if shape.level < 3 else 0.99, shape.rank),
-            default=None,
+        level, rank = max(
+            ((level, rank) for level, rank, polygons in shapes if polygons),
+            key=lambda kind: (_rank(kind[0]), kind[1]),
+            default=(-1, -1),
         )
         has_parts = any(
             local_name(part) in CLASS_OF_TYPE and part is not feature for part in feature.iter()
         )
-        if best is None or (best.level == 0 and has_parts):
+        if level < 0 or (level == 0 and has_parts):
             if not has_parts:
                 empty[type_name] += 1
             return None
         alike = [
-            polygon
-            for shape in shapes
-            if (shape.level, shape.rank) == (best.level, best.rank)
-            for polygon in shape.polygons
+            polygon for *kind, polygons in shapes if kind == [level, rank] for polygon in polygons
         ]
         texts = {local_name(child): (child.text or "").strip() for child in feature}
         return CityObject(
-            id=next((feature.attrib[key] for key in _GML_ID if key in feature.attrib), type_name),
+            id=_gml_id(feature) or type_name,
             type_name=type_name,
             polygons=tuple(alike),
             words=" ".join(texts[name] for name in _NAMES_OF_GML if texts.get(name)),
-            is_footprint=best.level == 0,
+            is_footprint=level == 0,
             height_m=_measured_height_m(feature),
         )
 
@@ -536,9 +527,8 @@ class _Document:
                 is_flat = match[2] in _FOOTPRINTS
                 if level == 0 and (not is_flat or local_name(element) in _SURFACE_TYPES[1:]):
                     continue
-                rank = 2 if "Solid" in match[2] else 1 if level else is_flat + 0
-                rank = 0 if match[2] == "RoofEdge" else rank
-                yield _Shape(level, rank, list(self._polygons(child, depth + 1, 0)))
+                rank = 2 if "Solid" in match[2] else int(match[2] != "RoofEdge")
+                yield level, rank, list(self._polygons(child, depth + 1, 0))
             elif name in ("boundedBy", "boundary") or name in _SURFACE_TYPES:
                 yield from self._shapes(child, depth + 1)
 
@@ -580,33 +570,31 @@ class _Document:
 
     def _ring(self, ring: Element, n_dimensions: int) -> FloatArray:
         """Points of a ring, (n, 3), in the file's coordinates."""
-        texts = []
+        words: list[str] = []
         for element in ring.iter():
-            name = local_name(element)
+            name, text = local_name(element), element.text or ""
             if name in ("posList", "pos"):
-                texts.append(element.text or "")
+                words += text.split()
             elif name == "coordinates":
-                texts.append((element.text or "").replace(element.attrib.get("cs") or ",", " "))
+                words += text.replace(element.attrib.get("cs") or ",", " ").split()
             n_dimensions = _n_dimensions(element) or n_dimensions
-        words = " ".join(texts).split()
+        where = f"{self.where}: {local_name(ring)} {_gml_id(ring)}".strip()
         try:
             numbers: FloatArray = np.array(words, dtype=np.float64)
         except ValueError as error:
-            got = Unquoted(error)
-            raise InputError(f"{self.where}: {self._name(ring)}", got, "numbers") from None
+            raise InputError(where, Unquoted(error), "numbers") from None
         n_dimensions = n_dimensions or 3
         if len(numbers) % n_dimensions:
             got = Unquoted(f"{len(numbers)} numbers")
-            expected = f"{n_dimensions} for every point"
-            raise InputError(f"{self.where}: {self._name(ring)}", got, expected)
+            raise InputError(where, got, f"{n_dimensions} for every point")
         points = numbers.reshape(-1, n_dimensions)
         if n_dimensions == 2:
             points = np.column_stack([points, np.zeros(len(points))])
         return points
 
-    def _name(self, element: Element) -> str:
-        name = next((element.attrib[key] for key in _GML_ID if key in element.attrib), "")
-        return f"{local_name(element)} {name}".strip()
+
+def _gml_id(element: Element) -> str:
+    return next((element.attrib[key] for key in _GML_ID if key in element.attrib), "")
 
 
 def _n_dimensions(element: Element) -> int:

@@ -24,7 +24,15 @@ from ..scene import Instance, Lane, LeadingRoad, Scene, Site
 from ..terrain import GROUND, Terrain, houses_of, on_ground
 from .georeferences import LocalFrame, frame_at, transform
 from .relief import Elevation, find_relief
-from .source_map import MapJunction, Pole, SourceMap, Thing, build_pole_body, join
+from .source_map import (
+    MapJunction,
+    Pole,
+    SourceMap,
+    Thing,
+    build_pole_body,
+    join,
+    plain_id,
+)
 
 LANES_BEYOND_M = 70.0  # cars come from farther away than anything that could hide somebody
 _SAME_LEVEL_M = 3.0
@@ -485,8 +493,8 @@ def _near_things(
 
 
 def _unique(name: str, source: SourceMap, taken: set[str]) -> str:
-    """An id that no other thing has, without characters that separate ids on a command line."""
-    clean = "-".join(name.replace(",", " ").replace("/", " ").split()) or "thing"
+    """An id that no other thing has."""
+    clean = plain_id(name) or "thing"
     candidates = [clean, f"{source.name}-{clean}"]
     candidates += [f"{clean}-{number}" for number in range(2, len(taken) + 3)]
     for candidate in candidates:

@@ -66,7 +66,7 @@ class Features:
     crs: str  # as the file declares it; empty: it does not
 
 
-def read_features(path: Path, layer: str | None = None) -> Features:
+def read_features(path: Path, layer: str = "") -> Features:
     """Read one layer of a GeoJSON, GeoPackage or Shapefile, or of a .zip with one of them.
 
     Raises InputError if the file cannot be read, does not have the format of its suffix, has
@@ -131,7 +131,7 @@ def _geojson_crs(table: Any, where: str) -> str:
     return name
 
 
-def _read_with_gdal(path: Path, layer: str | None) -> Features:
+def _read_with_gdal(path: Path, layer: str) -> Features:
     import pyogrio
 
     where = str(path)
@@ -148,10 +148,11 @@ def _read_with_gdal(path: Path, layer: str | None) -> Features:
             warnings.simplefilter("ignore")  # rings left open and the like, which GDAL mends
             layers = [str(found) for found in pyogrio.list_layers(path)[:, 0]]
             named = "one layer, by name: " + ", ".join(layers[:20]) if layers else "a layer"
-            if layer is None and len(layers) != 1:
+            if not layer and len(layers) != 1:
                 raise InputError(where, Unquoted(f"{len(layers)} layers"), named)
-            if layer is not None and layer not in layers:
+            if layer and layer not in layers:
                 raise InputError(f"{where}: layer", layer, named)
+            layer = layer or layers[0]
             info = pyogrio.read_info(path, layer=layer)
             if info["driver"] != _DRIVERS[path.suffix.lower()]:
                 raise InputError(where, Unquoted(f"a file for {info['driver']}"), name)
@@ -230,9 +231,7 @@ _UNITS_M = {"m": 1.0, "meter": 1.0, "metre": 1.0, "meters": 1.0, "metres": 1.0, 
 _UNITS_M |= {"mm": 0.001, "ft": 0.3048, "feet": 0.3048, "foot": 0.3048, "'": 0.3048}
 
 
-def read_footprints(
-    path: Path, *, class_name: str = "building", layer: str | None = None
-) -> SourceMap:
+def read_footprints(path: Path, *, class_name: str = "building", layer: str = "") -> SourceMap:
     """Read footprints and raise them to solids.
 
     Heights come from columns such as ``height``, ``building:levels`` or ``min_height``, in metres

@@ -3,11 +3,12 @@
 import json
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from difflib import SequenceMatcher
 from functools import cache
+from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
 
@@ -26,6 +27,7 @@ from ..untrusted_files import local_name, read_xml_root, unpacked
 from .cut import LANES_BEYOND_M, build_scene, cut_out
 from .georeferences import WGS84, transform
 from .place_lists import SUFFIXES as LISTS
+from .relief import read_elevation
 from .sites import choose_sites, settle_poles
 from .source_map import MapJunction, MapLane, Pole, SourceMap, Thing
 
@@ -331,7 +333,7 @@ def read_map(path: Path, options: ReadingOptions | None = None) -> SourceMap:
         inside = path
         if path.suffix.lower() == ".zip":
             inside = stack.enter_context(unpacked(path, SUFFIXES[:-1]))
-        source = _reader(inside, options)(inside)
+        source = _read(inside, options)
     if options.offset_m is not None and not source.lanes:
         return _moved(source, np.array([*options.offset_m, 0.0]))
     if crs and not source.crs:
@@ -339,49 +341,34 @@ def read_map(path: Path, options: ReadingOptions | None = None) -> SourceMap:
     return source
 
 
-def _reader(path: Path, options: ReadingOptions) -> Callable[[Path], SourceMap]:
-    """The function that reads a file; heavy modules are imported only when they are needed."""
+# By the ending of a file: module, function, and options that it asks for.
+_READERS = {
+    ".xodr": ("opendrive", "read_opendrive", ()),
+    **dict.fromkeys(_STREETS, ("openstreetmap", "read_openstreetmap", ("keeps_left",))),
+    **dict.fromkeys(_FOOTPRINTS, ("gis_files", "read_footprints", ("class_name", "layer"))),
+    ".city.json": ("city_models", "read_cityjson", ()),
+    ".citygml": ("city_models", "read_citygml", ()),
+    **dict.fromkeys(_MESHES, ("mesh_files", "read_mesh", ("unit", "up", "class_name"))),
+    **dict.fromkeys(_CLOUDS, ("point_clouds", "read_point_cloud", ("class_name",))),
+}
+
+
+def _read(path: Path, options: ReadingOptions) -> SourceMap:
+    """Read a file; heavy modules are imported only when they are needed."""
     name = path.name.lower()
     kind = next((suffix for suffix in SUFFIXES if name.endswith(suffix)), "")
-    if kind == ".json":
-        kind = ".city.json" if _is_city_json(path) else ".geojson"
-    if kind == ".jsonl":
+    if kind == ".jsonl" or (kind == ".json" and _is_city_json(path)):
         kind = ".city.json"
-    if kind in (".xml", ".gml", ".citygml"):
+    elif kind == ".json":
+        kind = ".geojson"
+    elif kind in (".xml", ".gml", ".citygml"):
         kind = _kind_of_xml(path)
-    if kind == ".xodr":
-        from .opendrive import read_opendrive
-
-        return read_opendrive
-    if kind in _STREETS:
-        from .openstreetmap import read_openstreetmap
-
-        return lambda file: read_openstreetmap(file, keeps_left=options.keeps_left)
-    if kind in _FOOTPRINTS:
-        from .gis_files import read_footprints
-
-        return lambda file: read_footprints(
-            file, class_name=options.class_name, layer=options.layer or None
-        )
-    if kind == ".city.json":
-        from .city_models import read_cityjson
-
-        return read_cityjson
-    if kind == ".gml":
-        from .city_models import read_citygml
-
-        return read_citygml
-    if kind in _MESHES:
-        from .mesh_files import read_mesh
-
-        return lambda file: read_mesh(
-            file, unit=options.unit, up=options.up, class_name=options.class_name
-        )
-    if kind in _CLOUDS:
-        from .point_clouds import read_point_cloud
-
-        return lambda file: read_point_cloud(file, class_name=options.class_name)
-    raise InputError(str(path), Unquoted("another kind of file"), ", ".join(SUFFIXES))
+    if kind not in _READERS:
+        raise InputError(str(path), Unquoted("another kind of file"), ", ".join(SUFFIXES))
+    module, function, fields = _READERS[kind]
+    read = getattr(import_module(f"{__package__}.{module}"), function)
+    source: SourceMap = read(path, **{field: getattr(options, field) for field in fields})
+    return source
 
 
 def _moved(source: SourceMap, offset_m: FloatArray) -> SourceMap:
@@ -414,7 +401,7 @@ def _is_city_json(path: Path) -> bool:
 
 def _kind_of_xml(path: Path) -> str:
     root = local_name(read_xml_root(path))
-    kinds = {"OpenDRIVE": ".xodr", "osm": ".osm", "CityModel": ".gml"}
+    kinds = {"OpenDRIVE": ".xodr", "osm": ".osm", "CityModel": ".citygml"}
     if root not in kinds:
         raise InputError(str(path), Unquoted(f"<{root}>"), "OpenDRIVE, OpenStreetMap or CityGML")
     return kinds[root]
@@ -533,8 +520,6 @@ def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOption
         raise InputError(f"{roads.name}: junction {chosen.junction.id}", got, expected)
     elevation = None
     if options.terrain is not None:
-        from .relief import read_elevation
-
         elevation = read_elevation(
             options.terrain,
             crs=roads.crs,

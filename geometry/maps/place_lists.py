@@ -189,15 +189,6 @@ def tell_unknown(names: Iterable[str], known: Mapping[str, str], path: Path) -> 
         _log.warning("%s: columns that are not known, and not read: %s", path, ", ".join(unknown))
 
 
-def read_place(values: Mapping[str, Any], where: str, crs: str) -> FloatArray:
-    """Position (2,) of a row by its columns x and y in `crs`, or lat and lon.
-
-    Raises InputError if there is none, or it lies nowhere.
-    """
-    fields = known_columns(list(values), where)
-    return read_position({fields[name]: values[name] for name in fields}, where, crs)
-
-
 def _geojson_rows(path: Path, crs: str) -> Iterator[_Row]:
     table = read_features(path)
     declared = _declared_crs(table, str(path))
@@ -217,7 +208,10 @@ def _geojson_rows(path: Path, crs: str) -> Iterator[_Row]:
             if declared.is_geographic and declared.to_authority() in (None, ("EPSG", "4326")):
                 values |= {"lon": x, "lat": y}
             else:
-                values |= _projected(x, y, table.crs, crs, feature.where)
+                if not crs:
+                    got = Unquoted(f"coordinates in {table.crs[:80]}")
+                    raise InputError(feature.where, got, "x and y of the scene")
+                values["x"], values["y"] = transform([x, y], table.crs, crs).tolist()
             if feature.geometry.has_z:
                 values.setdefault("z", feature.geometry.z)
         yield feature.where, values
@@ -234,13 +228,6 @@ def _declared_crs(table: Features, where: str) -> "CRS":
     if declared is None:
         raise InputError(f"{where}: crs", table.crs[:80], "a code that pyproj knows")
     return declared
-
-
-def _projected(x: float, y: float, source: str, crs: str, where: str) -> dict[str, float]:
-    if not crs:
-        raise InputError(where, Unquoted(f"coordinates in {source[:80]}"), "x and y of the scene")
-    position = transform([x, y], source, crs)
-    return {"x": float(position[0]), "y": float(position[1])}
 
 
 def _site(values: Mapping[str, Any], where: str, crs: str) -> SiteWish:
@@ -428,11 +415,16 @@ def read_counts(path: Path, *, crs: str, column: str = "") -> Counts:
         junctions = tuple(str(row[by]).strip() for _, row in rows)
         return Counts(positions_m=None, junctions=junctions, values=values, column=found)
     return Counts(
-        positions_m=np.array([read_place(row, where, crs) for where, row in rows]),
+        positions_m=np.array([_place(row, where, crs) for where, row in rows]),
         junctions=(),
         values=values,
         column=found,
     )
+
+
+def _place(row: Mapping[str, Any], where: str, crs: str) -> FloatArray:
+    fields = known_columns(list(row), where)
+    return read_position({fields[name]: row[name] for name in fields}, where, crs)
 
 
 def _column(names: Mapping[str, str], column: str, path: Path) -> str:

@@ -3,8 +3,9 @@
 import struct
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -53,18 +54,20 @@ def open_points(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
         if suffix == ".pcd":
             with open_file(path) as file:
                 yield None, _pcd_points(file, where)
-        else:
-            with _open_las(path) as (crs, chunks):
-                yield crs, chunks
+            return
+        _check_header(path)
+        with _las_reader(path) as reader:
+            crs = None
+            with suppress(Exception):  # whatever a damaged record makes laspy and pyproj raise
+                crs = reader.header.parse_crs()
+            yield crs, _chunks(reader, where)
     except OSError as error:
         raise InputError(where, Unquoted(error.strerror or error), "a readable file") from None
 
 
 # ---------- LAS and LAZ files, through laspy
-@contextmanager
-def _open_las(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
+def _las_reader(path: Path) -> Any:
     where = str(path)
-    _check_header(path)
     try:
         # One thread: the parallel one of lazrs aborts the process where a chunk table is damaged.
         reader = laspy.open(open_file(path), laz_backend=laspy.LazBackend.Lazrs)
@@ -72,12 +75,11 @@ def _open_las(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
         raise
     except Exception as error:  # laspy raises whatever a damaged header makes it
         raise InputError(where, Unquoted(_one_line(error)), "a LAS file") from None
-    with reader:
-        header = reader.header
-        scales = np.array([header.scales, header.offsets], dtype=np.float64)
-        if not np.isfinite(scales).all() or (scales[0] == 0.0).any():
-            raise InputError(f"{where}: header", scales.tolist(), "finite scales and offsets")
-        yield _crs(header), _chunks(reader, where)
+    scales = np.array([reader.header.scales, reader.header.offsets], dtype=np.float64)
+    if not np.isfinite(scales).all() or (scales[0] == 0.0).any():
+        reader.close()
+        raise InputError(f"{where}: header", scales.tolist(), "finite scales and offsets")
+    return reader
 
 
 def _check_header(path: Path) -> None:
@@ -166,14 +168,6 @@ def _check_chunks(path: Path, first_point: int, point_bytes: int, n_layers: int)
     if claimed > n_bytes or begin > at:
         got = Unquoted(f"{n_chunks:,} chunks of points that claim more bytes")
         raise InputError(str(path), got, f"{at:,}")
-
-
-def _crs(header: Any) -> "CRS | None":
-    try:
-        crs: CRS | None = header.parse_crs()
-    except Exception:  # whatever a damaged record makes laspy and pyproj raise
-        return None
-    return crs
 
 
 def _chunks(reader: Any, where: str) -> Iterator[Points]:
@@ -517,12 +511,8 @@ def read_point_cloud(
         notes.insert(0, scan.place.note)
     notes += counted(scan.left_out, "points of a class that hides nothing here")
     if small:
-        notes.append(
-            Note(
-                what=f"{small} clusters of points",
-                why=f"less than {_MIN_VOXELS} voxels, or below {_MIN_HEIGHT_M} m",
-            )
-        )
+        why = f"less than {_MIN_VOXELS} voxels, or below {_MIN_HEIGHT_M} m"
+        notes.append(Note(what=f"{small} clusters of points", why=why))
     return SourceMap(
         name=path.name,
         crs=scan.place.crs,
@@ -622,18 +612,13 @@ def _above_ground(scan: _Scan) -> tuple[dict[str, IntArray], float, list[Note]]:
         heights = {kind: _coarser(keys) for kind, keys in heights.items()}
         everything = _coarser(everything)
     if voxel_m > scan.voxel_m:
-        notes.append(
-            Note(
-                what=f"detail below {voxel_m:g} m",
-                why=f"points too far apart for voxels of {scan.voxel_m:g} m",
-            )
-        )
+        why = f"points too far apart for voxels of {scan.voxel_m:g} m"
+        notes.append(Note(what=f"detail below {voxel_m:g} m", why=why))
     return heights, voxel_m, notes
 
 
 def _coarser(keys: IntArray) -> IntArray:
-    cells = (to_cells(keys) - _MIDDLE) // 2 + _MIDDLE
-    return np.unique(to_keys(cells))
+    return np.unique(to_keys((to_cells(keys) - _MIDDLE) // 2 + _MIDDLE))
 
 
 def _things(
@@ -662,6 +647,8 @@ def _things(
         raise InputError(scan.where, got, f"at most {_MAX_THINGS:,}; cut it out")
     things: list[Thing] = []
     names: Counter[str] = Counter()
+    assert scan.origin_m is not None
+    origin_m = np.append(scan.origin_m[:2], 0.0) - _MIDDLE * voxel_m
     n_left, n_walls = MAX_TRIANGLES, MAX_WALL_VOXELS
     for kind, part in found:
         name = "building" if kind == "roofs" else kind
@@ -671,8 +658,6 @@ def _things(
         if kind != "vegetation":
             part = filled(part, _MIDDLE)
         names[name] += 1
-        assert scan.origin_m is not None
-        origin_m = np.append(scan.origin_m[:2], 0.0) - _MIDDLE * voxel_m
         mesh = faces(
             part, origin_m=origin_m, voxel_m=voxel_m, max_triangles=n_left, where=scan.where
         )
@@ -719,9 +704,7 @@ MAX_WALL_VOXELS = 100_000_000  # of all things of a file
 _MAX_DENSE = 30_000_000  # cells of a cluster's box that is searched for voids
 _HALF_OF_NEIGHBOURS = tuple(  # differences of keys
     (x << 2 * _BITS) + (y << _BITS) + z
-    for x in (-1, 0, 1)
-    for y in (-1, 0, 1)
-    for z in (-1, 0, 1)
+    for x, y, z in product((-1, 0, 1), repeat=3)
     if (x, y, z) > (0, 0, 0)
 )
 
@@ -759,9 +742,7 @@ def clusters(keys: IntArray) -> IntArray:
     first, second = np.concatenate(pairs, axis=1)
     graph = coo_array((np.ones(len(first), dtype=np.bool_), (first, second)), shape=(n, n))
     _, labels = connected_components(graph, directed=False)
-    _, seen, inverse = np.unique(labels, return_index=True, return_inverse=True)
-    order = np.argsort(np.argsort(seen))
-    return order[inverse].astype(np.int64)
+    return np.asarray(labels, dtype=np.int64)
 
 
 def bridged(keys: IntArray) -> IntArray:
@@ -849,23 +830,9 @@ def _rectangles(keys: IntArray, axis: int, sign: int) -> IntArray:
     u, v = [other for other in range(3) if other != axis]
     slab, a, b = cells[:, axis], cells[:, u], cells[:, v]
     # Runs of faces that follow one another along v, then of equal runs along u.
-    order = np.lexsort((b, a, slab))
-    slab, a, b = slab[order], a[order], b[order]
-    is_start = np.ones(len(slab), dtype=np.bool_)
-    is_start[1:] = (np.diff(slab) != 0) | (np.diff(a) != 0) | (np.diff(b) != 1)
-    start = np.flatnonzero(is_start)
-    end = np.append(start[1:], len(slab))
-    slab, a, b_low, b_high = slab[start], a[start], b[start], b[end - 1] + 1
-    order = np.lexsort((a, b_high, b_low, slab))
-    slab, a, b_low, b_high = slab[order], a[order], b_low[order], b_high[order]
-    is_start = np.ones(len(slab), dtype=np.bool_)
-    is_start[1:] = (
-        (np.diff(slab) != 0) | (np.diff(b_low) != 0) | (np.diff(b_high) != 0) | (np.diff(a) != 1)
-    )
-    start = np.flatnonzero(is_start)
-    end = np.append(start[1:], len(slab))
-    slab, a_low, a_high = slab[start], a[start], a[end - 1] + 1
-    b_low, b_high = b_low[start], b_high[start]
+    (slab, a, b_low), b_last = _runs((slab, a, b))
+    (slab, b_low, b_last, a_low), a_last = _runs((slab, b_low, b_last, a))
+    a_high, b_high = a_last + 1, b_last + 1
     plane = slab + (sign > 0)
     quads = np.empty((len(slab), 4, 3), dtype=np.int64)
     quads[:, :, axis] = plane[:, None]
@@ -874,3 +841,15 @@ def _rectangles(keys: IntArray, axis: int, sign: int) -> IntArray:
     # u, v, axis are right-handed for x and z as axes, left-handed for y.
     is_outward = (sign > 0) == (axis != 1)
     return quads if is_outward else quads[:, ::-1]
+
+
+def _runs(columns: tuple[IntArray, ...]) -> tuple[tuple[IntArray, ...], IntArray]:
+    """First rows of runs whose last column counts on while the others stay, and its last values."""
+    order = np.lexsort(columns[::-1])
+    columns = tuple(column[order] for column in columns)
+    goes_on = np.diff(columns[-1]) == 1
+    for column in columns[:-1]:
+        goes_on &= np.diff(column) == 0
+    start = np.flatnonzero(np.append(True, ~goes_on)[: len(order)])
+    last = np.append(start[1:], len(order))[: len(start)] - 1
+    return tuple(column[start] for column in columns), columns[-1][last]

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import shapely
 from numpy.typing import ArrayLike
-from scipy.spatial import KDTree
 from shapely import Polygon
 
 from ..arrays import BoolArray, FloatArray, float_array
@@ -28,6 +27,8 @@ from .source_map import (
     load_auto_sites,
     load_pole_kinds,
     mount_range_m,
+    plain_id,
+    unique_id,
 )
 
 REACH_M = 60.0
@@ -57,7 +58,7 @@ def kerb_sites(
     outline = float_array(outline_m, (-1, 2), "outline_m")
     if len(outline) < 3:
         raise InputError("outline_m", len(outline), "at least three points")
-    inside = shapely.make_valid(shapely.Polygon(outline))
+    inside = _area(outline)
     roads = [lane for lane in lanes if lane.kind in _KINDS]
     arms = [(lane, line) for lane in roads for line in _outward(lane, roads, outline, reach_m)]
     strips = shapely.STRtree([_strip(lane, line, beside_m=SETBACK_M - 0.05) for lane, line in arms])
@@ -70,21 +71,14 @@ def kerb_sites(
             free &= shapely.distance(shapes, shapely.LinearRing(outline)) <= reach_m
             free[np.unique(strips.query(shapes, predicate="within")[0])] = False
             free[free] = ~_is_median(points[free], outwards[free], arms)
-            places = np.flatnonzero(free)
             next_m = -np.inf
-            for place in places:
+            for place in np.flatnonzero(free):
                 if along_m[place] < next_m - 1e-9:
                     continue
                 next_m = along_m[place] + spacing_m
                 name = f"kerb {lane.id} {side} {along_m[place]:.0f} m"
-                sites.setdefault(
-                    name,
-                    SiteWish(
-                        id=name,
-                        kind="kerb",
-                        position_m=np.round(points[place], 3),
-                    ),
-                )
+                position = np.round(points[place], 3)
+                sites.setdefault(name, SiteWish(id=name, kind="kerb", position_m=position))
     return tuple(sites.values())
 
 
@@ -156,12 +150,11 @@ def _is_median(
     is_median: BoolArray = np.zeros(len(points), dtype=np.bool_)
     if not len(points):
         return is_median
-    starts = points
-    rays = shapely.linestrings(np.stack([starts, starts + _MEDIAN_M * outwards], axis=1))
+    rays = shapely.linestrings(np.stack([points, points + _MEDIAN_M * outwards], axis=1))
     for lane, line in arms:
         strip = _strip(lane, line, beside_m=0.0)
         for index in np.flatnonzero(shapely.intersects(rays, strip) & ~is_median):
-            nearest = int(np.argmin(np.hypot(*(line[:-1] - starts[index]).T)))
+            nearest = int(np.argmin(np.hypot(*(line[:-1] - points[index]).T)))
             ahead = line[nearest + 1] - line[nearest]
             across = abs(float(ahead @ outwards[index])) / float(np.hypot(*ahead))
             is_median[index] = across < np.sqrt(1.0 - _PARALLEL**2)
@@ -185,22 +178,14 @@ def tidy_sites(
             for hit in np.flatnonzero(is_under(positions, thing)):
                 reasons.setdefault(int(hit), f"inside {thing.class_name} {thing.id}")
     left = [index for index in range(len(sites)) if index not in reasons]
-    order = sorted(left, key=lambda index: (-sites[index].n_said, index))
-    if left and snap_m > 0.0:
-        tree = KDTree(positions)
-        kept: set[int] = set()
-        for index in order:
-            near = [
-                int(other)
-                for other in tree.query_ball_point(positions[index], snap_m)
-                if int(other) in kept
-            ]
-            if near:
-                distance_m = np.hypot(*(positions[near] - positions[index]).T)
-                nearest = near[int(np.argmin(distance_m))]
-                reasons[index] = f"{distance_m.min():.1f} m beside {sites[nearest].id}"
-            else:
-                kept.add(index)
+    kept: list[int] = []
+    for index in sorted(left, key=lambda index: (-sites[index].n_said, index)):
+        apart_m = np.hypot(*(positions[kept] - positions[index]).T)
+        if snap_m > 0.0 and kept and apart_m.min() <= snap_m:
+            beside = sites[kept[int(apart_m.argmin())]]
+            reasons[index] = f"{apart_m.min():.1f} m beside {beside.id}"
+        else:
+            kept.append(index)
     return (
         tuple(site for index, site in enumerate(sites) if index not in reasons),
         tuple(
@@ -441,17 +426,9 @@ def _spacing_m(where: str) -> float:
 
 def _with_plain_ids(wishes: Sequence[SiteWish]) -> list[SiteWish]:
     """Sites with unique ids that a comma-separated list can name."""
-    taken: set[str] = set()
-    plain = []
-    for wish in wishes:
-        words = "-".join(wish.id.replace(",", " ").replace("/", " ").split()) or "site"
-        name, number = words, 1
-        while name in taken:
-            number += 1
-            name = f"{words}-{number}"
-        taken.add(name)
-        plain.append(replace(wish, id=name))
-    return plain
+    taken: Counter[str] = Counter()
+    ids = [unique_id(plain_id(wish.id) or "site", taken) for wish in wishes]
+    return [replace(wish, id=name) for wish, name in zip(wishes, ids, strict=True)]
 
 
 def _kind_of(wish: SiteWish) -> PoleKind:
@@ -532,6 +509,7 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
     for thing in solid:
         for hit in np.flatnonzero(is_under(positions, thing)):
             walls.setdefault(int(hit), thing)
+    boxes = [_box(thing) for thing in solid]
     blocked = _without_gaps(shapely.buffer(road, SETBACK_M, quad_segs=4))
     places = []
     for index, position in enumerate(positions):
@@ -541,8 +519,8 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
         most_m = _MAX_MOVE_FROM_WALL_M if index in walls else _MAX_MOVE_M
         near = [
             footprint(thing).buffer(_FROM_WALL_M, join_style="mitre")
-            for thing in solid
-            if _is_near(thing, position, most_m)
+            for thing, box in zip(solid, boxes, strict=True)
+            if np.hypot(*(np.clip(position, *box) - position)) <= most_m + 1.0
         ]
         around = shapely.box(*(position - most_m - 1.0), *(position + most_m + 1.0))
         here = _without_gaps(shapely.union_all([blocked.intersection(around), *near]))
@@ -580,11 +558,6 @@ def _without_gaps(area: Any) -> Any:
     )
 
 
-def _is_near(thing: Thing, position: FloatArray, reach_m: float) -> bool:
-    low, high = thing.vertices_m[:, :2].min(axis=0), thing.vertices_m[:, :2].max(axis=0)
-    return bool(np.hypot(*(np.clip(position, low, high) - position)) <= reach_m + 1.0)
-
-
 def standing_things(surroundings: Surroundings) -> list[Thing]:
     """Things that stand on the ground; roofs, bridges and the like are passed below."""
     return [thing for thing in surroundings.things if _headroom_m(thing, surroundings) < HEADROOM_M]
@@ -613,11 +586,15 @@ def footprint(thing: Thing) -> Any:
 
 def is_under(positions_m: FloatArray, thing: Thing) -> BoolArray:
     """Which points lie within the footprint of a thing: below or above it."""
-    low, high = thing.vertices_m[:, :2].min(axis=0), thing.vertices_m[:, :2].max(axis=0)
+    low, high = _box(thing)
     result: BoolArray = ((positions_m > low) & (positions_m < high)).all(axis=1)
     if result.any():
         result[result] = shapely.intersects_xy(footprint(thing), *positions_m[result].T)
     return result
+
+
+def _box(thing: Thing) -> tuple[FloatArray, FloatArray]:
+    return thing.vertices_m[:, :2].min(axis=0), thing.vertices_m[:, :2].max(axis=0)
 
 
 def settle_poles(surroundings: Surroundings) -> tuple[Surroundings, tuple[Note, ...]]:

@@ -350,6 +350,11 @@ class Omissions:
         return tuple(entries)
 
 
+def plain_id(name: str) -> str:
+    """A name without characters that separate ids on a command line."""
+    return "-".join(name.replace(",", " ").replace("/", " ").split())
+
+
 def unique_id(wanted: str, taken: Counter[str]) -> str:
     """The wanted id, with a number if it is taken; `taken` then contains it."""
     wanted = wanted[:_MAX_ID] or "unnamed"

@@ -49,7 +49,6 @@ EXCEPTIONS = {
     # The package's own data, caches, and what the system tells of itself.
     "geometry/actors.py": {"open", "load"},
     "geometry/body_shapes.py": {"savez_compressed"},
-    "geometry/files.py": {"open"},
     "geometry/lazy_names.py": {"read_bytes"},
     "placement/detectors/built_in.py": {"read_text"},
     "placement/cache.py": {"load", "read_bytes"},

@@ -3,8 +3,8 @@
 import re
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import islice
 from xml.etree.ElementTree import Element
@@ -145,18 +145,6 @@ def _corners(
         return outer.points_m, outer.road_m
     box = box_corners(spot, turn_rad)
     return None if box is None else (road.place(*box.T)[0][:, :2], box)
-
-
-def signal_crosswalk(
-    element: Element, road: Road, s_m: float, t_m: float, length_m: float, where: str
-) -> FloatArray:
-    """Line (2, 2) across the road of a crosswalk that is written as a painted signal."""
-    points, heading = road.place(np.array([s_m]), np.array([t_m]))
-    # Around the other way is the same line: whole and half turns are of no matter.
-    angle = heading[0] + take_number_or(element, "hOffset", where, 0.0) + 0.5 * np.pi
-    across = np.array([np.cos(angle), np.sin(angle)])
-    line: FloatArray = points[0, :2] + 0.5 * length_m * np.array([[-1.0], [1.0]]) * across
-    return line
 
 
 def cross_paths(
@@ -309,49 +297,48 @@ def read_objects(roads: Mapping[str, Road], omissions: Omissions) -> Found:
     """
     found = Found()
     n_places = n_vertices = n_counted = 0
-    for kind, one in _taken_objects(roads, omissions):
+
+    def refuse_many(n: int, most: int, noun: str, where: str) -> None:
+        if n > most:
+            got = Unquoted(f"more than {most:,} {noun} up to here")
+            raise InputError(where, got, "a smaller file: cut it out first")
+
+    for kind, one in list(_taken_objects(roads, omissions)):
         places = list(islice(read_places(one.element, one.road, one.where), _MAX_PLACES + 1))
         n_places += len(places)
         if not places:
             omissions.add("objects beyond their road's end", one.name, "beyond its road's end")
-        if n_places > _MAX_PLACES:
-            got = Unquoted(f"more than {_MAX_PLACES:,} objects up to here")
-            raise InputError(one.where, got, "a smaller file: cut it out first")
+        refuse_many(n_places, _MAX_PLACES, "objects", one.where)
         for index, spot in enumerate(places):
             name = one.name if len(places) == 1 else f"{one.name}/{index}"
             if not _take(kind, one, spot, name, found):
                 omissions.add(f"objects ({kind}) without size", name, _NO_SIZE)
             n_vertices += sum(len(thing.vertices_m) for thing in found.things[n_counted:])
             n_counted = len(found.things)
-            if n_vertices > _MAX_VERTICES:
-                got = Unquoted(f"more than {_MAX_VERTICES:,} corners up to here")
-                raise InputError(one.where, got, "a smaller file: cut it out first")
+            refuse_many(n_vertices, _MAX_VERTICES, "corners", one.where)
     return found
 
 
 def _taken_objects(
     roads: Mapping[str, Road], omissions: Omissions
-) -> list[tuple[str, RoadElement]]:
+) -> Iterator[tuple[str, RoadElement]]:
     """Objects of a kind that matters; the others are noted."""
-    objects = []
     names: Counter[str] = Counter()
     for road in roads.values():
-        parent = road.element.find("objects")
         for tag, why in _NOT_TAKEN.items():
-            for element in () if parent is None else parent.findall(tag):
+            for element in road.element.findall(f"objects/{tag}"):
                 name = f"road {road.id} {tag} {element.get('id', '')[:60]}".strip()
                 omissions.add(f"{tag}s", name, why)
         if road.element.find("railroad/switch") is not None:
             omissions.add("railroads", f"road {road.id} railroad", "no road users go there")
         for one in road.listed("object", names):
             kind = object_kind(one.element)
-            if kind is None:
-                said = one.element.get("type", "") or one.element.get("name", "") or "no type"
-                why = "its kind hides nothing and carries nothing"
-                omissions.add(f"objects ({said[:40]})", one.name, why)
-            else:
-                objects.append((kind, one))
-    return objects
+            if kind is not None:
+                yield kind, one
+                continue
+            said = one.element.get("type", "") or one.element.get("name", "") or "no type"
+            why = "its kind hides nothing and carries nothing"
+            omissions.add(f"objects ({said[:40]})", one.name, why)
 
 
 def _take(kind: str, one: RoadElement, spot: Spot, name: str, found: Found) -> bool:
@@ -417,9 +404,13 @@ def read_signals(
             if not length_m and edges:
                 length_m = max(left for _, left in edges) - min(right for right, _ in edges)
             if length_m:
-                crosswalks.append(
-                    signal_crosswalk(one.element, one.road, s_m, t_m, length_m, one.where)
-                )
+                points, heading = one.road.place(np.array([s_m]), np.array([t_m]))
+                # Around the other way is the same line: whole and half turns are of no matter.
+                angle = heading[0] + take_number_or(one.element, "hOffset", one.where, 0.0)
+                angle += 0.5 * np.pi
+                across = np.array([np.cos(angle), np.sin(angle)])
+                ends_m = 0.5 * length_m * np.array([[-1.0], [1.0]])
+                crosswalks.append(points[0, :2] + ends_m * across)
         elif kind is None:
             omissions.add("painted signals", one.name, _PAINT)
         else:
@@ -504,13 +495,10 @@ def merge_poles(poles: Sequence[Pole]) -> list[Pole]:
     groups: dict[int, list[Pole]] = {}
     for pole, label in zip(poles, labels[cell.reshape(-1)], strict=True):
         groups.setdefault(int(label), []).append(pole)
-    return [_merge(group) for group in groups.values()]
-
-
-def _merge(group: Sequence[Pole]) -> Pole:
-    kind = min((pole.kind for pole in group), key=_KIND_ORDER.index)
-    stands = next((pole for pole in group if pole.kind in ("pole", "lamp post")), group[0])
-    heights = [pole.height_m for pole in group if pole.height_m is not None]
-    return Pole(
-        id=stands.id, kind=kind, position_m=stands.position_m, height_m=max(heights, default=None)
-    )
+    joined = []
+    for group in groups.values():
+        stands = next((pole for pole in group if pole.kind in ("pole", "lamp post")), group[0])
+        heights_m = [pole.height_m for pole in group if pole.height_m is not None]
+        kind = min((pole.kind for pole in group), key=_KIND_ORDER.index)
+        joined.append(replace(stands, kind=kind, height_m=max(heights_m, default=None)))
+    return joined

@@ -199,7 +199,7 @@ def _top_m(area: Area, omissions: Omissions) -> float | None:
             omissions.add("buildings", _element(area), f"{key} makes no sense; the next best taken")
     storey_m = usual["storey_height_m"]
     levels = _levels(tags, "building:levels")
-    roof_m = parse_length_m(tags["roof:height"]) if "roof:height" in tags else None
+    roof_m = parse_length_m(tags.get("roof:height", ""))
     if roof_m is None or roof_m > usual["max_height_m"]:
         roof_m = storey_m * (_levels(tags, "roof:levels") or 0.0)
     if levels is not None and storey_m * levels + roof_m > 0.0:
@@ -210,7 +210,7 @@ def _top_m(area: Area, omissions: Omissions) -> float | None:
 def _bottom_m(tags: Tags) -> float | None:
     usual = DEFAULTS["building"]
     for key in ("min_height", "building:min_height"):
-        height_m = parse_length_m(tags[key]) if key in tags else None
+        height_m = parse_length_m(tags.get(key, ""))
         if height_m is not None and height_m <= usual["max_height_m"]:
             return height_m
     for key in ("building:min_level", "min_level"):
@@ -221,9 +221,7 @@ def _bottom_m(tags: Tags) -> float | None:
 
 
 def _levels(tags: Tags, key: str) -> float | None:
-    return (
-        parse_number(tags[key], highest=DEFAULTS["building"]["max_levels"]) if key in tags else None
-    )
+    return parse_number(tags.get(key, ""), highest=DEFAULTS["building"]["max_levels"])
 
 
 # ---------- passages
@@ -246,7 +244,7 @@ class _Passages:
         self._tree = STRtree(self._strips)
 
     def _add(self, line_m: FloatArray, width_m: float, tags: Tags, clear_m: float) -> None:
-        tagged_m = parse_length_m(tags["maxheight"]) if "maxheight" in tags else None
+        tagged_m = parse_length_m(tags.get("maxheight", ""))
         self._strips.append(LineString(line_m).buffer(0.5 * width_m, cap_style="flat"))
         self._clear_m.append(tagged_m or clear_m)
         self._is_marked.append(_leads_through(tags))

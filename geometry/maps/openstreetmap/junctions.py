@@ -11,6 +11,7 @@ from shapely import Point
 from shapely.geometry.base import BaseGeometry
 
 from ...arrays import FloatArray
+from ...junction import chained
 from ...scene import LeadingRoad
 from ..source_map import MapJunction, Omissions, polygons_of
 from .elements import DEFAULTS, Elements, Tags
@@ -78,15 +79,13 @@ def place_mouths(arms: Sequence[Arm], inside: Sequence[Street]) -> list[Arm]:
         mouth_m = min(clear_m + limits["corner_m"], limits["max_mouth_m"])
         placed.append(replace(arm, mouth_m=mouth_m))
     aligned = list(placed)
-    for group in group_arms(placed):
-        if len(group) > 1:
-            mean = np.mean([placed[index].direction for index in group], axis=0)
-            ahead = {index: float(placed[index].mouth_point_m @ mean) for index in group}
-            for index in group:
-                mouth_m = placed[index].mouth_m + max(ahead.values()) - ahead[index]
-                aligned[index] = replace(
-                    placed[index], mouth_m=min(mouth_m, limits["max_mouth_m"] + 10.0)
-                )
+    for group in (found for found in group_arms(placed) if len(found) > 1):
+        mean = np.mean([placed[index].direction for index in group], axis=0)
+        ahead_m = [float(placed[index].mouth_point_m @ mean) for index in group]
+        for index, own_m in zip(group, ahead_m, strict=True):
+            mouth_m = placed[index].mouth_m + max(ahead_m) - own_m
+            mouth_m = min(mouth_m, limits["max_mouth_m"] + 10.0)
+            aligned[index] = replace(placed[index], mouth_m=mouth_m)
     return aligned
 
 
@@ -94,22 +93,15 @@ def group_arms(arms: Sequence[Arm]) -> list[list[int]]:
     """Indices of streets that lead the same way side by side, and so are one arm."""
     directions = [arm.direction for arm in arms]
     points = [arm.mouth_point_m for arm in arms]
-    group = list(range(len(arms)))
-    for index, arm in enumerate(arms):
-        for other in range(index):
-            mean = directions[index] + directions[other]
-            across_m = abs(float((points[other] - points[index]) @ [-mean[1], mean[0]]))
-            reach_m = arm.half_width_m + arms[other].half_width_m + _SAME_ARM_GAP_M
-            if (
-                group[other] != group[index]
-                and directions[index] @ directions[other] >= _SAME_ARM_COSINE
-                and across_m <= reach_m * np.hypot(*mean)
-            ):
-                group = [group[other] if number == group[index] else number for number in group]
-    return [
-        [index for index, number in enumerate(group) if number == wanted]
-        for wanted in dict.fromkeys(group)
-    ]
+
+    def is_pair(one: int, other: int) -> bool:
+        mean = directions[one] + directions[other]
+        across_m = abs(float((points[other] - points[one]) @ [-mean[1], mean[0]]))
+        reach_m = arms[one].half_width_m + arms[other].half_width_m + _SAME_ARM_GAP_M
+        is_same_way = directions[one] @ directions[other] >= _SAME_ARM_COSINE
+        return bool(is_same_way and across_m <= reach_m * np.hypot(*mean))
+
+    return chained(len(arms), is_pair)
 
 
 def _is_one_road(one: Arm, other: Arm) -> bool:
@@ -301,8 +293,7 @@ def find_junctions(
         if not _drop_small(clusters, arms, elements, omissions):
             break
     for stub in stubs:
-        edge, _ = stub.street.parts[0]
-        omissions.add("roads", f"way {edge.way_id}", _STUB)
+        omissions.add("roads", f"way {stub.street.parts[0][0].way_id}", _STUB)
     ids = {
         number: f"n{min(int(elements.node_ids[row]) for row in rows)}"
         for number, rows in clusters.members.items()
@@ -316,13 +307,18 @@ def find_junctions(
     junctions = []
     for number, here in arms.items():
         final = [replace(arm, mouth_m=mouths[arm.index, arm.is_begin]) for arm in here]
-        points = network.positions_m[clusters.members[number]]
-        outline = _outline(final, inside.get(number, []), points)
-        name = _name(final, inside.get(number, []))
-        roads = find_leading_roads(network, clusters.members[number], outline)
-        junctions.append(MapJunction(id=ids[number], name=name, outline_m=outline, roads=roads))
-    order = sorted(range(len(junctions)), key=lambda index: int(junctions[index].id[1:]))
-    return list(reaches.values()), [junctions[index] for index in order]
+        rows, streets_inside = clusters.members[number], inside.get(number, [])
+        outline = _outline(final, streets_inside, network.positions_m[rows])
+        junctions.append(
+            MapJunction(
+                id=ids[number],
+                name=_name(final, streets_inside),
+                outline_m=outline,
+                roads=find_leading_roads(network, rows, outline),
+            )
+        )
+    junctions.sort(key=lambda junction: int(junction.id[1:]))
+    return list(reaches.values()), junctions
 
 
 _Path = tuple[tuple[str, bool], ...]  # edges of a street and which way it follows them
@@ -365,9 +361,8 @@ def _take_in_forks(network: Network, clusters: Clusters, arms: Mapping[int, Sequ
     island_m = DEFAULTS["junction"]["island_m"]
     taken = []
     for number, here in arms.items():
-        group_of = {
-            index: group for group, members in enumerate(group_arms(here)) for index in members
-        }
+        groups = group_arms(here)
+        group_of = {index: group for group in range(len(groups)) for index in groups[group]}
         # Streets that end at a fork, by its node.
         branches = {
             int(arm.street.rows[-1]): group_of[index]
@@ -379,9 +374,8 @@ def _take_in_forks(network: Network, clusters: Clusters, arms: Mapping[int, Sequ
                 ends = network.ends.get(row, ())
                 if row in clusters.of_row or len(ends) < 3 or not is_fork(network, ends):
                     continue
-                is_island = (
-                    station <= island_m and branches.get(row, group_of[index]) != (group_of[index])
-                )
+                own = group_of[index]
+                is_island = station <= island_m and branches.get(row, own) != own
                 if station <= arm.mouth_m + 1.0 or is_island:
                     taken.append((row, number))
     for row, number in taken:
@@ -437,22 +431,19 @@ def _reaches(
     mouths = {(arm.index, arm.is_begin): arm.mouth_m for here in arms.values() for arm in here}
     reaches = {}
     for index, street in enumerate(streets):
-        numbers = [clusters.of_row.get(int(street.rows[at])) for at in (0, -1)]
-        if any(
-            number is not None and (index, is_begin) not in mouths
-            for number, is_begin in zip(numbers, (True, False), strict=True)
-        ):
+        names, cuts = [], []
+        for at, is_begin in ((0, True), (-1, False)):
+            number = clusters.of_row.get(int(street.rows[at]))
+            names.append("" if number is None else ids[number])
+            if number is None:
+                cuts.append(_road_beside_m(network, street, is_begin=is_begin))
+            elif (index, is_begin) in mouths:
+                cuts.append(mouths[index, is_begin])
+        if len(cuts) < 2:
             continue  # inside a junction
-        cuts = [
-            mouths[index, is_begin]
-            if number is not None
-            else _road_beside_m(network, street, is_begin=is_begin)
-            for number, is_begin in zip(numbers, (True, False), strict=True)
-        ]
         free_m = max(street.length_m - least_m, 0.0)
         if sum(cuts) > free_m:  # two junctions so near that both get less
             cuts = [cut * free_m / sum(cuts) for cut in cuts]
-        names = ["" if number is None else ids[number] for number in numbers]
         reaches[index] = Reach(
             street=street,
             begin_m=cuts[0],
@@ -465,11 +456,10 @@ def _reaches(
 
 def _road_beside_m(network: Network, street: Street, *, is_begin: bool) -> float:
     """Half the width of the road into which a yard leads without a junction, in metres."""
-    edge, _ = street.parts[0 if is_begin else -1]
-    ends = network.ends[int(street.rows[0 if is_begin else -1])]
-    others = [network.edges[index] for index, _ in ends]
-    if not edge.is_service:
+    at = 0 if is_begin else -1
+    if not street.parts[at][0].is_service:
         return 0.0
+    others = [network.edges[index] for index, _ in network.ends[int(street.rows[at])]]
     return max((0.5 * one.section.width_m for one in others if not one.is_service), default=0.0)
 
 

@@ -103,12 +103,10 @@ def _without_stubs(
         is_short = np.ptp(whole[near]) < least_m
         return bool(is_short) and sections[near].directions == sections[beyond].directions
 
-    while reach.from_junction and len(kept) > 1 and is_stub(kept[0], kept[1]):
-        stub = kept.pop(0)
-        whole[kept[0]] = (whole[stub][0], whole[kept[0]][1])
-    while reach.to_junction and len(kept) > 1 and is_stub(kept[-1], kept[-2]):
-        stub = kept.pop()
-        whole[kept[-1]] = (whole[kept[-1]][0], whole[stub][1])
+    for junction, tip, beyond in ((reach.from_junction, 0, 1), (reach.to_junction, -1, -2)):
+        while junction and len(kept) > 1 and is_stub(kept[tip], kept[beyond]):
+            pair = [whole[kept.pop(tip)], whole[kept[tip]]]
+            whole[kept[tip]] = min(low for low, _ in pair), max(high for _, high in pair)
     return kept, whole
 
 

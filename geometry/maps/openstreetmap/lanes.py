@@ -146,20 +146,18 @@ def roadside_strips(tags: Tags, note: Note, *, side: str, keeps_left: bool) -> R
         (inner if position in _ON_CARRIAGEWAY else outer).append(part)
     if cycleway in _CYCLE_TRACKS:
         outer.append(("cycling", width("cycleway", usual["cycle_track_width_m"]), cycles_forward))
-    if _has_sidewalk(tags, side):
+    sidewalk = side_value(tags, "sidewalk", side)
+    if sidewalk == "yes" or (sidewalk is None and tags.get("sidewalk") in ("both", "yes", side)):
         outer.append(("walking", width("sidewalk", usual["sidewalk_width_m"]), is_forward))
     return Roadside(inner=tuple(inner), outer=tuple(outer))
 
 
 def _cycleway(tags: Tags, side: str, *, is_near: bool) -> str:
     named = side_value(tags, "cycleway", side)
-    if named is not None:
-        return named
     plain = tags.get("cycleway", "")
-    if is_oneway(tags):
-        # Along a one-way road the plain tag means the side of its traffic, "opposite" the other.
-        return plain if plain.startswith("opposite") != is_near else ""
-    return plain
+    if named is None and is_oneway(tags) and plain.startswith("opposite") == is_near:
+        return ""  # of a one-way road the plain tag means the side of its traffic
+    return plain if named is None else named
 
 
 def _parking(tags: Tags, side: str) -> tuple[str, str]:
@@ -178,13 +176,6 @@ def _parking(tags: Tags, side: str) -> tuple[str, str]:
         where = tags.get(f"parking:lane:{side}:{old}", tags.get(f"parking:lane:both:{old}", ""))
         return _OLD_POSITIONS.get(where, "lane"), old
     return "no", ""
-
-
-def _has_sidewalk(tags: Tags, side: str) -> bool:
-    named = side_value(tags, "sidewalk", side)
-    if named is not None:
-        return named == "yes"
-    return tags.get("sidewalk") in ("both", "yes", side)
 
 
 # ---------- cross-sections
@@ -313,15 +304,20 @@ def _driving(
     """Driving lanes from left to right: direction, number from the kerb, width."""
     if counts.is_shared:
         return [("both", 0, widths.forward[0])]
-    n_forward, n_backward = len(widths.forward), len(widths.backward)
+
+    def ordered(place: str, of_lanes: Sequence[float]) -> list[tuple[str, int, float]]:
+        """Lanes from left to right in their driving direction, numbered from the kerb."""
+        last = len(of_lanes) - 1
+        return [
+            (place, number if keeps_left else last - number, width_m)
+            for number, width_m in enumerate(of_lanes)
+        ]
+
+    forward, backward = ordered("forward", widths.forward), ordered("backward", widths.backward)
     centre = [("centre", 0, widths.centre_m)] if counts.has_centre else []
     if keeps_left:
-        forward = [("forward", i, widths.forward[i]) for i in range(n_forward)]
-        backward = [("backward", i, widths.backward[i]) for i in range(n_backward)]
-        return [*forward, *centre, *reversed(backward)]
-    forward = [("forward", n_forward - 1 - i, widths.forward[i]) for i in range(n_forward)]
-    backward = [("backward", n_backward - 1 - i, widths.backward[i]) for i in range(n_backward)]
-    return [*reversed(backward), *centre, *forward]
+        return [*forward, *centre, *backward[::-1]]
+    return [*backward[::-1], *centre, *forward]
 
 
 def _lane_widths(

@@ -274,7 +274,9 @@ def pair_ends(network: Network, ends: tuple[End, ...]) -> Iterator[tuple[End, En
             n_links = sum(edge.tags["highway"].endswith("_link") for edge in pair)
             n_full = sum(not edges[end[0]].is_service for end in ends)
             is_allowed = turn <= _MAX_STRAIGHT_ON_DEG or (n_full == 2 and n_service == 0)
-            if is_allowed and n_service != 1 and _can_follow(edges, one, other):
+            # Two one-way roads that both lead here, or both away, do not follow each other.
+            leads_on = not all(edge.is_oneway for edge in pair) or one[1] != other[1]
+            if is_allowed and n_service != 1 and leads_on:
                 choices.append((n_service, n_links, turn, one, other))
     used: set[End] = set()
     for *_, one, other in sorted(choices):
@@ -283,21 +285,8 @@ def pair_ends(network: Network, ends: tuple[End, ...]) -> Iterator[tuple[End, En
             yield one, other
 
 
-def _can_follow(edges: tuple[Edge, ...], one: End, other: End) -> bool:
-    """Not two one-way roads that both lead here, or both away."""
-    if not (edges[one[0]].is_oneway and edges[other[0]].is_oneway):
-        return True
-    return one[1] != other[1]
-
-
 # ---------- lines and areas next to a street
 _MAX_MITRE = 2.0  # at sharp bends lines next to a street are cut off
-
-
-def offset_points(street: Street, stations_m: ArrayLike, left_m: ArrayLike) -> FloatArray:
-    """Points (n, 2) next to a street at ascending stations; at bends on the angle's bisector."""
-    middle, across = axis_points(street, stations_m)
-    return middle + np.asarray(left_m, dtype=np.float64).reshape(-1, 1) * across
 
 
 def axis_points(street: Street, stations_m: ArrayLike) -> tuple[FloatArray, FloatArray]:

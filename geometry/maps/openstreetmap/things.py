@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from functools import partial
+from itertools import chain
 
 import numpy as np
 import shapely
@@ -23,7 +24,7 @@ from ..source_map import (
 from .elements import DEFAULTS, Elements, Tags, Way, parse_length_m
 from .junctions import Reach
 from .lanes import Note
-from .network import Edge, Network, known_runs, level, offset_points
+from .network import Edge, Network, axis_points, known_runs, level
 
 # ---------- walls and hedges
 _KINDS = ("wall", "city_wall", "retaining_wall", "fence", "hedge")
@@ -99,25 +100,17 @@ def find_trees(
     """Trees as an upright trunk and an ellipsoid crown, each closed; woods are noted."""
     for row, tags in elements.node_tags.items():
         if tags.get("natural") == "tree":
-            element = f"node {int(elements.node_ids[row])}"
-            name = f"n{int(elements.node_ids[row])}"
-            yield _tree(name, positions_m[row], tags, element, omissions)
-    for way in elements.ways:
-        element = f"way {way.id}"
-        if way.tags.get("natural") == "tree_row":
-            number = 0
-            for rows in known_runs(way.rows, positions_m):
-                for foot in _along(positions_m[rows]):
-                    yield _tree(f"w{way.id} tree {number}", foot, way.tags, element, omissions)
-                    number += 1
-        _note_wood(way.tags, element, omissions)
-    for relation in elements.relations:
-        _note_wood(relation.tags, f"relation {relation.id}", omissions)
-
-
-def _note_wood(tags: Tags, element: str, omissions: Omissions) -> None:
-    if any(tags.get(key) == value for key, value in _WOODS):
-        omissions.add("woods", element, "the positions of its trees and bushes are unknown")
+            node_id = int(elements.node_ids[row])
+            yield _tree(f"n{node_id}", positions_m[row], tags, f"node {node_id}", omissions)
+    for one in (*elements.ways, *elements.relations):
+        element = f"{'way' if isinstance(one, Way) else 'relation'} {one.id}"
+        if isinstance(one, Way) and one.tags.get("natural") == "tree_row":
+            rows = known_runs(one.rows, positions_m)
+            feet = chain.from_iterable(_along(positions_m[part]) for part in rows)
+            for number, foot in enumerate(feet):
+                yield _tree(f"w{one.id} tree {number}", foot, one.tags, element, omissions)
+        if any(one.tags.get(key) == value for key, value in _WOODS):
+            omissions.add("woods", element, "the positions of its trees and bushes are unknown")
 
 
 def _along(line_m: FloatArray) -> FloatArray:
@@ -254,7 +247,8 @@ def _at_kerbs(places: Sequence[_Place], tags: Tags, *, keeps_left: bool) -> list
             section = reach.street.sections[reach.street.part_at(at_m)]
             sign = 1.0 if is_forward == keeps_left else -1.0  # left of the street
             beside_m = 0.5 * section.width_m + DEFAULTS["pole"]["beyond_kerb_m"]
-            foot = offset_points(reach.street, [at_m], [sign * beside_m])[0]
+            (middle,), (across,) = axis_points(reach.street, [at_m])
+            foot = middle + sign * beside_m * across
             if all(np.hypot(*(foot - other)) > 1.0 for other in feet):
                 feet.append(foot)
     return feet
