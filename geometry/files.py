@@ -59,15 +59,11 @@ def _check_found(found: os.stat_result, where: str, max_bytes: int | None) -> No
 
 def _kind(mode: int) -> str:
     """Kind of a path that is no regular file, in words."""
-    for is_kind, name in (
-        (stat.S_ISDIR, "a folder"),
-        (stat.S_ISLNK, "a link"),
-        (stat.S_ISFIFO, "a pipe"),
-        (stat.S_ISSOCK, "a socket"),
-    ):
-        if is_kind(mode):
-            return name
-    return "a device"
+    kinds = {
+        **{stat.S_IFDIR: "a folder", stat.S_IFLNK: "a link", stat.S_IFIFO: "a pipe"},
+        stat.S_IFSOCK: "a socket",
+    }
+    return kinds.get(stat.S_IFMT(mode), "a device")
 
 
 def open_file(

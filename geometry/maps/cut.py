@@ -319,16 +319,8 @@ def _lanes(
         points = _apart(points)
         if len(points) < 2:
             continue
-        found.append(
-            Lane(
-                id=lane.id,
-                kind=lane.kind,
-                width_m=lane.width_m,
-                centreline_m=points,
-                speed_limit_kmh=lane.speed_limit_kmh,
-                turns=lane.turns,
-            )
-        )
+        cut = Lane(id=lane.id, kind=lane.kind, width_m=lane.width_m, centreline_m=points)
+        found.append(replace(cut, speed_limit_kmh=lane.speed_limit_kmh, turns=lane.turns))
         if lane.kind == "driving":
             for others, at, name in ((ends, -1, lane.to_junction), (begins, 0, lane.from_junction)):
                 if name not in ("", junction.id) and (points[at] == whole[at]).all():
@@ -336,19 +328,16 @@ def _lanes(
     mapped = {lane.from_junction for lane in roads.connections}
     for lane in roads.connections:
         points = frame.take(lane.centreline_m[:, :2], roads)
-        is_own = lane.from_junction == junction.id
         height = lane.centreline_m[:, 2] - junction.height_m
-        if not is_own and (
-            _is_elsewhere(points, height, outline_m, reach_m)
-            or np.hypot(*points.T).max() > reach_m
-            or not _leads_straight_on(points)
-        ):
-            continue
+        is_taken = lane.from_junction == junction.id or (
+            not _is_elsewhere(points, height, outline_m, reach_m)
+            and np.hypot(*points.T).max() <= reach_m
+            and _leads_straight_on(points)
+        )
         points = _apart(points)
-        if len(points) > 1:
-            found.append(
-                Lane(id=lane.id, kind=CONNECTING, width_m=lane.width_m, centreline_m=points)
-            )
+        if is_taken and len(points) > 1:
+            width_m = lane.width_m
+            found.append(Lane(id=lane.id, kind=CONNECTING, width_m=width_m, centreline_m=points))
     return found, [
         lane
         for name in sorted((ends.keys() & begins.keys()) - mapped)

@@ -265,16 +265,14 @@ def _refuse_no_degrees(box: FloatArray, where: str) -> None:
     """Refuse coordinates that cannot be longitude and latitude."""
     if (np.abs(box) <= [180.0, 90.0]).all():
         return
-    if (np.abs(box[:, ::-1]) <= [180.0, 90.0]).all():
-        got = Unquoted(f"latitude and longitude swapped: a latitude of {np.abs(box[:, 1]).max():g}")
-        raise InputError(where, got, "longitude first, latitude second, in degrees")
-    raise InputError(
-        where,
-        Unquoted(
-            f"metres or another CRS where degrees are expected: coordinates around {_words(box)}"
-        ),
-        "longitude -180 to 180, latitude -90 to 90, or the coordinate reference system in the file",
+    got = f"metres or another CRS where degrees are expected: coordinates around {_words(box)}"
+    expected = (
+        "longitude -180 to 180, latitude -90 to 90, or the coordinate reference system in the file"
     )
+    if (np.abs(box[:, ::-1]) <= [180.0, 90.0]).all():
+        got = f"latitude and longitude swapped: a latitude of {np.abs(box[:, 1]).max():g}"
+        expected = "longitude first, latitude second, in degrees"
+    raise InputError(where, Unquoted(got), expected)
 
 
 def _words(box: FloatArray) -> str:

@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
@@ -55,20 +55,16 @@ def survey_junctions(source: SourceMap) -> tuple[Surveyed, ...]:
 
     Of equally large ones the one nearest to the middle of the map comes first.
     """
-    by_junction: dict[str, list[MapLane]] = {junction.id: [] for junction in source.junctions}
+    by_junction: dict[str, list[MapLane]] = defaultdict(list)
     for lane in source.lanes:
-        for name in {lane.from_junction, lane.to_junction} & by_junction.keys():
+        for name in {lane.from_junction, lane.to_junction}:
             by_junction[name].append(lane)
     lights = [pole.position_m[:2] for pole in source.poles if pole.kind == "traffic light"]
     signals = _count_near(source.junctions, np.array(lights).reshape(-1, 2))
     crossings = _count_near(source.junctions, source.crosswalks_m.mean(axis=1))
     found = [
-        replace(
-            _survey(source, one, by_junction[one.id]),
-            n_signals=signals[index],
-            n_crossings=crossings[index],
-        )
-        for index, one in enumerate(source.junctions)
+        _survey(source, one, by_junction[one.id], n_signals, n_crossings)
+        for one, n_signals, n_crossings in zip(source.junctions, signals, crossings, strict=True)
     ]
     if not found:
         return ()
@@ -248,7 +244,13 @@ def _in_map(source: SourceMap, at: tuple[float, float]) -> FloatArray:
     return transform(np.array(at), source.source_crs, source.crs)
 
 
-def _survey(source: SourceMap, junction: MapJunction, lanes: Sequence[MapLane]) -> Surveyed:
+def _survey(
+    source: SourceMap,
+    junction: MapJunction,
+    lanes: Sequence[MapLane],
+    n_signals: int,
+    n_crossings: int,
+) -> Surveyed:
     position = junction.position_m
     if source.crs and source.source_crs not in ("", source.crs):
         position = transform(position, source.crs, source.source_crs)
@@ -284,6 +286,8 @@ def _survey(source: SourceMap, junction: MapJunction, lanes: Sequence[MapLane]) 
         n_lanes=sum(len(arm.entry_lanes) + len(arm.exit_lanes) for arm in arms.values()),
         n_driven=sum(bool(arm.entry_lanes) for arm in arms.values()),
         position=position,
+        n_signals=n_signals,
+        n_crossings=n_crossings,
     )
 
 
@@ -562,11 +566,13 @@ def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOption
 def _site_notes(poles: Sequence[Pole], sites: Sequence[Site], where: str) -> Iterator[Note]:
     """Notes on sites where the map itself has no pole."""
     known = {site.id for site in sites}
-    assumed = [pole for pole in poles if pole.assumed and pole.id in known]
-    for kind, why in dict.fromkeys((pole.kind, pole.assumed) for pole in assumed):
-        ids = tuple(pole.id for pole in assumed if (pole.kind, pole.assumed) == (kind, why))
+    same: dict[tuple[str, str], list[str]] = defaultdict(list)
+    for pole in poles:
+        if pole.assumed and pole.id in known:
+            same[pole.kind, pole.assumed].append(pole.id)
+    for (kind, why), ids in same.items():
         what = f"{kind} {ids[0]}" if len(ids) == 1 else f"{len(ids)} x {kind}"
-        yield Note(what=what, why=why, kind="sites", site_ids=ids)
+        yield Note(what=what, why=why, kind="sites", site_ids=tuple(ids))
     masts = tuple(site.id for site in sites if site.kind == "kerb")
     if masts and Path(where).suffix.lower() not in LISTS:
         why = "no mast stands there in the map: each is assumed"

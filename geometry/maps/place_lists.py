@@ -268,9 +268,8 @@ def read_position(values: Mapping[str, Any], where: str, crs: str) -> FloatArray
         return np.array([x, y])
     lat, lon = read_number(values, "lat", where), read_number(values, "lon", where)
     if lat is None or lon is None:
-        missing = "lat and lon" if lat is lon is None else "lat" if lat is None else "lon"
-        if (x is None) != (y is None):
-            missing = "x" if x is None else "y"
+        given = {"x": x, "y": y} if (x is None) != (y is None) else {"lat": lat, "lon": lon}
+        missing = " and ".join(name for name, value in given.items() if value is None)
         raise InputError(f"{where}: {missing}", Unquoted("nothing"), "x and y, or lat and lon")
     if not crs:
         expected = "x and y in metres: the scene does not say where on earth it lies"
@@ -400,26 +399,25 @@ def read_counts(path: Path, *, crs: str, column: str = "") -> Counts:
     else:
         table = read_features(path)
         rows = [(feature.where, dict(feature.values)) for feature in table.features]
-        places = [_point(feature, table, crs) for feature in table.features]
+        places = []
+        for feature in table.features:
+            if feature.geometry is None or feature.geometry.is_empty:
+                raise InputError(f"{feature.where}.geometry", Unquoted("nothing"), "a Point")
+            middle = _in_crs(feature, table, crs).centroid
+            places.append(np.array([middle.x, middle.y]))
     if not rows:
         raise InputError(str(path), Unquoted("nothing"), "a row for each place")
     names = {str(name): str(name).strip().lower() for _, values in rows for name in values}
     found = _column(names, column, path)
     values = np.array([_count(row, found, where) for where, row in rows])
-    if places is not None:
-        return Counts(
-            positions_m=np.array(places).reshape(-1, 2), junctions=(), values=values, column=found
-        )
+    junctions: tuple[str, ...] = ()
     by = next((name for name, plain in names.items() if plain in _JUNCTIONS), None)
-    if by is not None:
+    if places is None and by is not None:
         junctions = tuple(str(row[by]).strip() for _, row in rows)
-        return Counts(positions_m=None, junctions=junctions, values=values, column=found)
-    return Counts(
-        positions_m=np.array([_place(row, where, crs) for where, row in rows]),
-        junctions=(),
-        values=values,
-        column=found,
-    )
+    elif places is None:
+        places = [_place(row, where, crs) for where, row in rows]
+    positions = None if places is None else np.array(places).reshape(-1, 2)
+    return Counts(positions_m=positions, junctions=junctions, values=values, column=found)
 
 
 def _place(row: Mapping[str, Any], where: str, crs: str) -> FloatArray:
@@ -448,13 +446,6 @@ def _count(row: Mapping[str, Any], column: str, where: str) -> float:
     if not (np.isfinite(number) and number >= 0.0):
         raise InputError(f"{where}: {column}", value, "a number, at least 0")
     return number
-
-
-def _point(feature: Feature, table: Features, crs: str) -> FloatArray:
-    if feature.geometry is None or feature.geometry.is_empty:
-        raise InputError(f"{feature.where}.geometry", Unquoted("nothing"), "a Point")
-    middle = _in_crs(feature, table, crs).centroid
-    return np.array([middle.x, middle.y])
 
 
 def _in_crs(feature: Feature, table: Features, crs: str) -> BaseGeometry:

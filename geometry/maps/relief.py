@@ -244,7 +244,7 @@ def _read(raster: Any, where: str, crs: str, middle_m: FloatArray, half_m: float
         raise InputError(where, Unquoted("pixels without area"), "a raster that lies on the map")
     sides = np.linspace(-half_m, half_m, 9)
     lattice = middle_m + np.stack(np.meshgrid(sides, sides), axis=-1).reshape(-1, 2)
-    columns, rows = ~grid * np.moveaxis(transform(lattice, crs, own_crs), -1, 0)
+    columns, rows = ~grid @ tuple(transform(lattice, crs, own_crs).T)
     if not (np.isfinite(columns).all() and np.isfinite(rows).all()):
         raise InputError(where, Unquoted("another part of the earth"), "heights of the junction")
     left, right = _span(columns, raster.width)
@@ -254,9 +254,9 @@ def _read(raster: Any, where: str, crs: str, middle_m: FloatArray, half_m: float
         raise InputError(where, got, "one that covers the junction")
     _check_memory(raster, (right - left) * (bottom - top), where)
     column, row = np.meshgrid(np.arange(left, right) + 0.5, np.arange(top, bottom) + 0.5)
-    places = transform(np.stack(grid * (column, row), axis=-1), own_crs, crs)
+    places = transform(np.stack(grid @ (column, row), axis=-1), own_crs, crs)
     middle = 0.5 * np.array([[left + right], [top + bottom]]) + [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
-    corners = transform(np.stack(grid * middle, axis=-1), own_crs, crs)
+    corners = transform(np.stack(grid @ tuple(middle), axis=-1), own_crs, crs)
     size_m = np.hypot(*(corners[1:] - corners[0]).T).max()
     if size_m > _COARSEST_M * 1.2:
         got = Unquoted(f"pixels of {size_m:.0f} m")

@@ -329,14 +329,12 @@ def _masts(
     nearest_m = min((float(np.hypot(*pole.position_m)) for pole in poles), default=np.inf)
     if nearest_m <= rules.near_m:
         return (), []
-    where = (
-        f"the nearest one stands {nearest_m:.0f} m from the junction's middle"
-        if poles
-        else f"none within {radius_m:g} m"
-    )
+    where = f"none within {radius_m:g} m"
+    if poles:
+        where = f"the nearest one stands {nearest_m:.0f} m from the junction's middle"
     why = f"{where}: masts every {rules.spacing_m:g} m along the kerbs were added"
-    notes = Note(what="poles of the map", why=why)
-    return _kerbs(surroundings, rules.spacing_m, radius_m), [notes]
+    note = Note(what="poles of the map", why=why)
+    return _kerbs(surroundings, rules.spacing_m, radius_m), [note]
 
 
 def _below_roofs(
@@ -381,15 +379,14 @@ def _poles(surroundings: Surroundings) -> tuple[tuple[SiteWish, ...], list[Note]
 def _kerbs(surroundings: Surroundings, spacing_m: float, radius_m: float) -> tuple[SiteWish, ...]:
     wishes = kerb_sites(surroundings.lanes, surroundings.outline_m, spacing_m)
     near = [wish for wish in wishes if np.hypot(*wish.position_m) <= radius_m]
-    near.sort(key=lambda wish: float(np.hypot(*wish.position_m)))
     count: Counter[str] = Counter()
     named = []
-    for wish in near:  # by where they lie, seen from the junction: kerb-ne-1 is the nearest there
+    # By where they lie, seen from the junction: kerb-ne-1 is the nearest there.
+    for wish in sorted(near, key=lambda wish: float(np.hypot(*wish.position_m))):
         east, north = wish.position_m
-        octant = round(np.degrees(np.arctan2(north, east)) / 45.0) % 8
-        count[_OCTANTS[octant]] += 1
-        name = f"kerb-{_OCTANTS[octant]}-{count[_OCTANTS[octant]]}"
-        named.append(replace(wish, id=name))
+        octant = _OCTANTS[round(np.degrees(np.arctan2(north, east)) / 45.0) % 8]
+        count[octant] += 1
+        named.append(replace(wish, id=f"kerb-{octant}-{count[octant]}"))
     return tuple(named)
 
 

@@ -46,9 +46,8 @@ def read_junction_records(
             raise InputError(f"{here}.id", junction_id, "every id once")
         kind = element.get("type", "default")
         if kind in _WITHOUT_SURFACE:
-            omissions.add(
-                f"{kind} junctions", f"junction {junction_id} ({kind})", _WITHOUT_SURFACE[kind]
-            )
+            name = f"junction {junction_id} ({kind})"
+            omissions.add(f"{kind} junctions", name, _WITHOUT_SURFACE[kind])
         roads = [connection.get("incomingRoad", "") for connection in element.iter("connection")]
         found[junction_id] = JunctionRecord(
             id=junction_id,
@@ -77,11 +76,9 @@ def find_road_ends(
     def junction_at(road: Road, link: RoadLink, end: str) -> str:
         known = {"junction": junctions, "road": roads}.get(link.kind, {})
         if link.kind and link.id not in known:
-            omissions.add(
-                "links to missing roads or junctions",
-                f"road {road.id}, link to {link.kind[:20]} {link.id[:40]}",
-                "the file has no such road or junction",
-            )
+            name = f"road {road.id}, link to {link.kind[:20]} {link.id[:40]}"
+            why = "the file has no such road or junction"
+            omissions.add("links to missing roads or junctions", name, why)
         found = led_to.get((road.id, end), "")
         if link.kind == "junction" and link.id in junctions:
             found = link.id
@@ -195,21 +192,16 @@ def build_junctions(
         with np.errstate(divide="ignore", invalid="ignore"):  # flags that GEOS leaves behind
             surface = _surface(pieces)
         if surface is None:
-            omissions.add(
-                "junctions without surface",
-                f"junction {record.id}",
-                "it has no connecting road with a driving lane",
-            )
+            why = "it has no connecting road with a driving lane"
+            omissions.add("junctions without surface", f"junction {record.id}", why)
             apart |= {(record.id, lane.id) for lane, _ in tips.get(record.id, [])}
             continue
         with np.errstate(divide="ignore", invalid="ignore"):
             surface, far = _fit(surface, tips.get(record.id, []))
         for lane in far:
-            omissions.add(
-                "lanes that end far from their junction",
-                f"lane {lane.id} at junction {record.id}",
-                f"its outline is more than {_MAX_REACH_M:g} m away: it does not end there",
-            )
+            why = f"its outline is more than {_MAX_REACH_M:g} m away: it does not end there"
+            name = f"lane {lane.id} at junction {record.id}"
+            omissions.add("lanes that end far from their junction", name, why)
         apart |= {(record.id, lane.id) for lane in far}
         outline = np.asarray(surface.simplify(_SIMPLIFY_M).exterior.coords)[:-1]
         middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
@@ -289,11 +281,8 @@ def _fit(surface: Any, tips: Sequence[tuple[MapLane, FloatArray]]) -> tuple[Any,
             mouth = shapely.LineString(_first_metres(line, _MOUTH_M))
             inside.append(mouth.buffer(0.5 * lane.width_m, cap_style="flat"))
     if inside:
-        rest = _largest(
-            shapely.difference(
-                surface, shapely.union_all(inside, grid_size=_GRID_M), grid_size=_GRID_M
-            )
-        )
+        mouths = shapely.union_all(inside, grid_size=_GRID_M)
+        rest = _largest(shapely.difference(surface, mouths, grid_size=_GRID_M))
         surface = surface if rest is None else rest
     far, ways = [], []
     for lane, line in tips:

@@ -286,15 +286,9 @@ def build_lanes(road: Road, sections: Sequence[SampledSection], ends: RoadEnds) 
 
 def connecting_lanes(road: Road) -> list[MapLane]:
     """Driving lanes of a connecting road that lead through its junction from end to end."""
-    return [
-        lane
-        for lane in build_lanes(
-            road,
-            sample_road(road, chord_error_m=_TURN_CHORD_ERROR_M),
-            RoadEnds(start=road.junction, end=road.junction),
-        )
-        if lane.kind == "driving" and lane.from_junction and lane.to_junction
-    ]
+    sections = sample_road(road, chord_error_m=_TURN_CHORD_ERROR_M)
+    lanes = build_lanes(road, sections, RoadEnds(start=road.junction, end=road.junction))
+    return [one for one in lanes if one.kind == "driving" and one.from_junction and one.to_junction]
 
 
 def _chains(sections: Sequence[SampledSection]) -> Iterator[dict[int, int]]:
@@ -357,13 +351,10 @@ def _runs(
     sections: Sequence[SampledSection], chain: dict[int, int]
 ) -> Iterator[tuple[FloatArray, FloatArray, bool, bool]]:
     """Stretches of a chain with a lane: centreline, widths, at the road's start, at its end."""
-    pieces = []
-    for index, number in chain.items():
-        section = sections[index]
-        lane = section.lanes[number]
-        pieces.append((section.points_at(0.5 * (lane.inner_m + lane.outer_m)), lane.width_m))
-    points = np.concatenate([piece[0] for piece in pieces])
-    widths = np.concatenate([piece[1] for piece in pieces])
+    lanes = [(sections[index], sections[index].lanes[chain[index]]) for index in chain]
+    middles = [part.points_at(0.5 * (lane.inner_m + lane.outer_m)) for part, lane in lanes]
+    points = np.concatenate(middles)
+    widths = np.concatenate([lane.width_m for _, lane in lanes])
     is_there = np.concatenate([[False], widths >= _MIN_WIDTH_M, [False]])
     changes = np.flatnonzero(is_there[1:] != is_there[:-1])
     for begin, end in changes.reshape(-1, 2):

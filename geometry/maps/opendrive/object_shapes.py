@@ -175,11 +175,17 @@ def _read_corners(
     """x, y, z, height, s, t of corners: (n, 6)."""
     foot, road_heading = place(road, spot)
     turn = take_number_or(element, "hdg", where, 0.0)
-    corners = [
-        tuple(take_number(corner, key, here) for key in "uv")
-        + (take_number_or(corner, "z", here, 0.0), take_number_or(corner, "height", here, 0.0))
-        for corner, here in numbered(outline, "cornerLocal", where)
-    ]
+
+    def read(tag: str, keys: str, height_key: str) -> list[tuple[float, ...]]:
+        return [
+            (
+                *(take_number(corner, key, here) for key in keys),
+                *(take_number_or(corner, key, here, 0.0) for key in (height_key, "height")),
+            )
+            for corner, here in numbered(outline, tag, where)
+        ]
+
+    corners = read("cornerLocal", "uv", "z")
     if corners:
         u, v, z, height = np.array(corners).T
         along, across = _turned(u, v, turn)
@@ -190,11 +196,7 @@ def _read_corners(
                 *(spot.s_m + along, spot.t_m + across),
             ]
         )
-    corners = [
-        tuple(take_number(corner, key, here) for key in "st")
-        + (take_number_or(corner, "dz", here, 0.0), take_number_or(corner, "height", here, 0.0))
-        for corner, here in numbered(outline, "cornerRoad", where)
-    ]
+    corners = read("cornerRoad", "st", "dz")
     if not corners:
         return np.empty((0, 6))
     s, t, dz, height = np.array(corners).T

@@ -87,6 +87,7 @@ def _slope(p: FloatArray, k: FloatArray) -> FloatArray:
 
 # ---------- the reference line
 SHAPES = ("line", "arc", "spiral", "poly3", "paramPoly3")
+_CURVES = SHAPES[:3]  # the first two are spirals whose curvature does not change
 MAX_COORDINATE_M = 1.0e8
 _N_CURVATURES = 33  # samples of a polynomial's curvature
 _ROUNDED_M = 1.0e-6
@@ -133,14 +134,11 @@ class ReferenceLine:
             mask = shape == wanted
             s, which = ds[mask], piece[mask]
             parameters = self.parameters[which]
-            name = SHAPES[wanted]
-            if name in ("line", "arc"):
-                points[mask], turns[mask] = arc(s, parameters[:, 0])
-            elif name == "spiral":
+            if SHAPES[wanted] in _CURVES:
                 points[mask], turns[mask] = spiral(s, parameters[:, 0], parameters[:, 1])
             else:
                 p = s * parameters[:, 8]
-                if name == "poly3":
+                if SHAPES[wanted] == "poly3":
                     for one in np.unique(which):
                         here = which == one
                         p[here] = graph_parameter(
@@ -158,10 +156,8 @@ class ReferenceLine:
         rows = np.zeros((len(self.starts_m), 3))
         rows[:, 2] = 1.0
         for index, shape in enumerate(self.shapes):
-            name, length_m, k = SHAPES[shape], self.lengths_m[index], self.parameters[index]
-            if name in ("line", "arc"):
-                rows[index, 0] = abs(k[0])
-            elif name == "spiral":
+            length_m, k = self.lengths_m[index], self.parameters[index]
+            if SHAPES[shape] in _CURVES:
                 rows[index, :2] = max(abs(k[0]), abs(k[0] + k[1] * length_m)), abs(k[1])
             else:
                 rows[index] = _polynomial_bends(k, float(length_m))

@@ -82,12 +82,10 @@ def read_elements(path: Path) -> Elements:
 def _file_format(path: Path) -> str:
     with open_file(path, max_bytes=MAX_FILE_BYTES) as file:
         begin = file.read(64)
-    if begin[:2] == b"\x1f\x8b":
-        _check_unpacked_size(path, gzip.open)
-        return "osm.gz"
-    if begin[:3] == b"BZh":
-        _check_unpacked_size(path, bz2.open)
-        return "osm.bz2"
+    for magic, unpack, name in ((b"\x1f\x8b", gzip.open, "osm.gz"), (b"BZh", bz2.open, "osm.bz2")):
+        if begin.startswith(magic):
+            _check_unpacked_size(path, unpack)
+            return name
     if begin[4:15] == b"\x0a\x09OSMHeader":
         limit = int(DEFAULTS["reading"]["max_unpacked_bytes"])
         check_pbf(path, max_unpacked_bytes=limit, expected=_EXPECTED)
@@ -134,7 +132,10 @@ def _collect(path: Path, file_format: str) -> Elements:
                 places.append(location.lon_without_check())
                 places.append(location.lat_without_check())
                 if not location.valid():
-                    got = Unquoted(_place(location))
+                    lat_deg, lon_deg = location.lat_without_check(), location.lon_without_check()
+                    is_missing = max(abs(lat_deg), abs(lon_deg)) > 214.0  # osmium's value for it
+                    words = f"latitude {lat_deg}, longitude {lon_deg}"
+                    got = Unquoted("no coordinates" if is_missing else words)
                     expected = "latitude -90..90 and longitude -180..180"
                     raise InputError(f"{path}: node {element.id}", got, expected)
                 if tags:
@@ -177,13 +178,6 @@ def _check_order(path: Path, lon_lat_deg: FloatArray, box_deg: FloatArray) -> No
         got = Unquoted(f"nodes around latitude {middle[1]:g}, longitude {middle[0]:g}")
         expected = "nodes within the file's bounds: latitude and longitude are exchanged"
         raise InputError(str(path), got, expected)
-
-
-def _place(location: Any) -> str:
-    lat_deg, lon_deg = location.lat_without_check(), location.lon_without_check()
-    if max(abs(lat_deg), abs(lon_deg)) > 214.0:  # osmium's value for a missing one
-        return "no coordinates"
-    return f"latitude {lat_deg}, longitude {lon_deg}"
 
 
 def _assemble(
@@ -274,16 +268,13 @@ def _multipolygon(
 ) -> Iterator[Area]:
     rings: dict[bool, list[FloatArray]] = {}
     for is_inner in (False, True):
-        members = [
-            by_id.get(ref) for ref, role in relation.members if (role == "inner") == is_inner
-        ]
-        ways = [way for way in members if way is not None]
+        refs = [ref for ref, role in relation.members if (role == "inner") == is_inner]
+        ways = [by_id[ref] for ref in refs if ref in by_id]
         found, is_whole = join_rings(ways)
         rings[is_inner] = [positions_m[ring] for ring in found]
-        if len(ways) < len(members) or not is_whole:
-            omissions.add(
-                "outlines", f"relation {relation.id}", "its outline is not closed, or misses nodes"
-            )
+        if len(ways) < len(refs) or not is_whole:
+            why = "its outline is not closed, or misses nodes"
+            omissions.add("outlines", f"relation {relation.id}", why)
     holes: dict[int, list[FloatArray]] = defaultdict(list)
     outers = [make_valid(Polygon(ring)) for ring in rings[False]]
     if outers and rings[True]:
