@@ -92,16 +92,14 @@ def _open_at_once(name: str, flags: int) -> int:
     return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
 
 
-def read_bytes(
-    path: Path, *, max_bytes: int = MAX_TEXT_BYTES, expected: str = "a readable file"
-) -> bytes:
+def read_bytes(path: Path, *, max_bytes: int = MAX_TEXT_BYTES) -> bytes:
     """Content of a file; raises InputError as :func:`open_file` does."""
-    with open_file(path, max_bytes=max_bytes, expected=expected) as file:
+    with open_file(path, max_bytes=max_bytes) as file:
         try:
             return file.read() or b""
         except OSError as error:
             reason = Unquoted(error.strerror or error)
-            raise InputError(str(path), reason, expected) from None
+            raise InputError(str(path), reason, "a readable file") from None
 
 
 def read_text(path: Path, kind: str, *, max_bytes: int = MAX_TEXT_BYTES) -> str:

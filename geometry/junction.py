@@ -242,7 +242,7 @@ def mirrored(junction: Junction) -> Junction:
         line = arm.crosswalk
         # From the kerb where the VUT drives to the other one, in the mirror too.
         crosswalk = Line(point_m=line.point_m * [1.0, -1.0], direction=line.direction * [-1.0, 1.0])
-        lanes = {field: turn_over(getattr(arm, field)) for field in _LANES_OF_ARM}
+        lanes: dict[str, Any] = {field: turn_over(getattr(arm, field)) for field in _LANES_OF_ARM}
         arms[name] = replace(arm, crosswalk=crosswalk, **lanes)
     return replace(
         junction,

@@ -235,8 +235,9 @@ def _objects(
 def _height_m(attributes: _Table) -> float | None:
     """Height in the first of the known attributes; None: there is none, or no number."""
     value = next((attributes[key] for key in _HEIGHTS if key in attributes), None)
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return float(value) if is_number and abs(value) <= sys.float_info.max else None
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    return float(value) if abs(value) <= sys.float_info.max else None
 
 
 def _best(

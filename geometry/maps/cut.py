@@ -20,7 +20,7 @@ from ..junction import (
     lane_line,
 )
 from ..notes import Note, assumptions
-from ..scene import Instance, Lane, LeadingRoad, Scene, Site
+from ..scene import Body, Instance, Lane, LeadingRoad, Scene, Site, join_bodies
 from ..terrain import GROUND, Terrain, houses_of, on_ground
 from .georeferences import LocalFrame, frame_at, transform
 from .relief import Elevation, find_relief
@@ -30,7 +30,6 @@ from .source_map import (
     SourceMap,
     Thing,
     build_pole_body,
-    join,
     plain_id,
 )
 
@@ -191,27 +190,21 @@ def build_scene(
     corners = half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
     plane = (np.column_stack([corners, np.zeros(4)]), faces)
-    bodies = [(GROUND, GROUND, plane if terrain is None else terrain.mesh())]
-    bodies += [
-        (thing.id, thing.class_name, (thing.vertices_m, thing.triangles))
-        for thing in surroundings.things
-    ]
+    ground = plane if terrain is None else terrain.mesh()
+    bodies: list[Body] = [(Instance(id=GROUND, class_name=GROUND), *ground)]
+    for thing in surroundings.things:
+        instance = Instance(
+            id=thing.id, class_name=thing.class_name, is_height_assumed=thing.is_height_assumed
+        )
+        bodies.append((instance, thing.vertices_m, thing.triangles))
     for pole in surroundings.poles:
-        class_name, (body, body_faces) = build_pole_body(pole)
+        class_name, (vertices, triangles) = build_pole_body(pole)
         foot = on_ground(pole.position_m[:2], terrain)
-        bodies.append((pole.id, class_name, (body + [0.0, 0.0, foot[2]], body_faces)))
-    vertices, triangles = join([mesh for _, _, mesh in bodies])
-    n_triangles = [len(faces) for _, _, (_, faces) in bodies]
-    assumed = {thing.id for thing in surroundings.things if thing.is_height_assumed}
+        instance = Instance(id=pole.id, class_name=class_name)
+        bodies.append((instance, vertices + [0.0, 0.0, foot[2]], triangles))
     scene = Scene(
         name=name,
-        vertices_m=vertices,
-        triangles=triangles,
-        triangle_instance=np.repeat(np.arange(len(bodies)), n_triangles),
-        instances=tuple(
-            Instance(id=id_, class_name=kind, is_height_assumed=id_ in assumed)
-            for id_, kind, _ in bodies
-        ),
+        **join_bodies(bodies),
         sites=tuple(
             replace(site, position_m=on_ground(site.position_m[:2], terrain)) for site in sites
         ),

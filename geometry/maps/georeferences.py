@@ -222,8 +222,11 @@ def horizontal_crs(declared: "str | CRS | None") -> "CRS | None":
     if declared is None or not str(declared).strip():
         return None
     crs = parse_crs(_spelling(declared) if isinstance(declared, str) else declared)
-    while crs.is_compound or (crs.is_bound and crs.source_crs is not None):
-        crs = crs.sub_crs_list[0] if crs.is_compound else crs.source_crs
+    while crs.is_compound or crs.is_bound:
+        inner = crs.sub_crs_list[0] if crs.is_compound else crs.source_crs
+        if inner is None:
+            break
+        crs = inner
     crs = crs.to_2d()
     return crs if crs.is_geographic or crs.is_projected else None
 

@@ -57,6 +57,11 @@ class Feature:
     geometry: BaseGeometry | None  # in the file's coordinates
     values: Mapping[str, Any]  # by name of the column; missing ones are left out
 
+    @property
+    def named(self) -> dict[str, Any]:
+        """Values by the column's name in lower case, with _ for everything between words."""
+        return {_column(key): value for key, value in self.values.items()}
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Features:
@@ -261,8 +266,7 @@ def read_footprints(path: Path, *, class_name: str = "building", layer: str = ""
     failed: list[Note] = []
     ids: Counter[str] = Counter()
     for feature, kind in solid:
-        values = {_column(key): value for key, value in feature.values.items()}
-        wanted = next((str(values[key]) for key in _IDS if key in values), "")
+        wanted = next((str(feature.named[key]) for key in _IDS if key in feature.named), "")
         thing_id = unique_id(wanted or feature.where.rpartition(": ")[2], ids)
         try:
             things.append(_raised(feature, kind, thing_id, place))
@@ -282,29 +286,23 @@ def read_footprints(path: Path, *, class_name: str = "building", layer: str = ""
 
 def _kind(feature: Feature, class_name: str, left_out: Counter[str]) -> ThingKind | None:
     """Kind of a feature; None if it is not solid."""
-    geometry = feature.geometry
-    if geometry is None or geometry.is_empty:
+    if feature.geometry is None or feature.geometry.is_empty:
         left_out["rows without geometry"] += 1
         return None
-    values = {_column(key): value for key, value in feature.values.items()}
-    words = " ".join(str(values[key]) for key in _KINDS if key in values)
-    said = kind_from_name(words)
-    is_barrier = said is not None and said.kind in ("wall", "fence", "hedge")
-    if _has(geometry, ("Polygon",)):
-        return said if is_barrier else kind_of_class(class_name)
-    if not _has(geometry, ("LineString", "LinearRing")):
+    types = {part.geom_type for part in _parts(feature.geometry)}
+    values = feature.named
+    said = kind_from_name(" ".join(str(values[key]) for key in _KINDS if key in values))
+    if said is not None and said.kind not in ("wall", "fence", "hedge"):
+        said = None
+    if "Polygon" in types:
+        return said or kind_of_class(class_name)
+    if not types & {"LineString", "LinearRing"}:
         left_out["points"] += 1
         return None
-    if is_barrier:
-        return said
-    if class_name == "wall":
-        return kind_of_class(class_name)
-    left_out["lines"] += 1
-    return None
-
-
-def _has(geometry: BaseGeometry, types: tuple[str, ...]) -> bool:
-    return any(part.geom_type in types for part in _parts(geometry))
+    if said is None and class_name != "wall":
+        left_out["lines"] += 1
+        return None
+    return said or kind_of_class(class_name)
 
 
 def _parts(geometry: BaseGeometry, depth: int = 0) -> list[BaseGeometry]:
@@ -359,17 +357,15 @@ def _span_m(values: Mapping[str, Any], kind: ThingKind) -> tuple[float, float, b
 
 def _length_m(values: Mapping[str, Any], names: tuple[str, ...]) -> float | None:
     """First finite number, in metres, of the columns with one of the names, or None."""
-    best: tuple[int, float] | None = None
+    found: dict[int, float] = {}
     for key, value in values.items():
         column = _column(key)
         base, _, unit = column.rpartition("_")
         column, scale = (base, _UNITS_M[unit]) if unit in _UNITS_M and base else (column, 1.0)
-        if column not in names:
-            continue
-        number = _number(value)
-        if number is not None and (best is None or names.index(column) < best[0]):
-            best = names.index(column), number * scale
-    return None if best is None else best[1]
+        number = _number(value) if column in names else None
+        if number is not None:
+            found.setdefault(names.index(column), number * scale)
+    return found[min(found)] if found else None
 
 
 _NUMBER = re.compile(r"([-+]?\d{1,15}(?:[.,]\d{1,15})?(?:[eE][-+]?\d{1,2})?)\s*([a-z']*)")

@@ -465,9 +465,7 @@ _LEFT_OUT = {
 }  # fmt: skip
 
 
-def read_point_cloud(
-    path: Path, *, class_name: str = "building", voxel_m: float = VOXEL_M
-) -> SourceMap:
+def read_point_cloud(path: Path, *, class_name: str = "building") -> SourceMap:
     """Read a point cloud (``.las``, ``.laz``, ``.pcd``) as things that hide what is behind them.
 
     Ground is removed: class 2 where a LAS file has it, or else by a progressive morphological
@@ -482,15 +480,13 @@ def read_point_cloud(
     ground, for the walls that must carry them.
 
     `class_name` is for points without a class of their own (LAS: 3 to 5 vegetation, 6 building).
-    `voxel_m`, the edge length, is doubled until voxels of a thin scan touch, up to 2 m. Raises
+    The edge length, 0.25 m, is doubled until voxels of a thin scan touch, up to 2 m. Raises
     InputError if the file cannot be read or claims too much; points are not finite, or spread over
     more than 16 km2; only ground is left; or there are more than five million triangles.
     """
     where = str(path)
     check_one_of("class_name", class_name, CLASS_NAMES)
-    if not (np.isfinite(voxel_m) and 0.01 <= voxel_m <= _MAX_VOXEL_M):
-        raise InputError("voxel_m", voxel_m, f"0.01 to {_MAX_VOXEL_M} m")
-    scan = _Scan(where=where, voxel_m=voxel_m)
+    scan = _Scan(where=where)
     with open_points(path) as (crs, chunks):
         for points, classes in chunks:
             if not np.isfinite(points).all():
@@ -528,7 +524,6 @@ class _Scan:
     """The part of a point cloud that is kept while it is read."""
 
     where: str
-    voxel_m: float
     place: Georeference | None = None
     origin_m: FloatArray | None = None
     keys: dict[str, IntArray] = field(default_factory=dict)
@@ -559,13 +554,13 @@ class _Scan:
         if self.origin_m is None:
             self.origin_m = np.floor(points_m.min(axis=0))
         local = points_m - self.origin_m
-        reach = MAX_VOXELS_PER_AXIS // 2 * self.voxel_m
+        reach = MAX_VOXELS_PER_AXIS // 2 * VOXEL_M
         if (np.abs(local) > reach).any():
             got = Unquoted(f"points {np.abs(local).max():.3g} m apart")
             raise InputError(self.where, got, "one place")
         self.lowest.add(local)
         self.lowest_ground.add(local[np.isin(classes, _GROUND)])
-        keys = to_keys(np.floor(local / self.voxel_m).astype(np.int64) + _MIDDLE)
+        keys = to_keys(np.floor(local / VOXEL_M).astype(np.int64) + _MIDDLE)
         kinds = {
             "vegetation": np.isin(classes, _VEGETATION),
             "roofs": np.isin(classes, _BUILDING),
@@ -576,7 +571,7 @@ class _Scan:
             self.keys[kind] = np.unique(np.concatenate([before, keys[is_kind]]))
         n_voxels = sum(len(known) for known in self.keys.values())
         if n_voxels > _MAX_VOXELS:
-            got = Unquoted(f"more than {_MAX_VOXELS:,} voxels of {self.voxel_m} m")
+            got = Unquoted(f"more than {_MAX_VOXELS:,} voxels of {VOXEL_M} m")
             raise InputError(self.where, got, "a larger voxel, or fewer points")
 
 
@@ -593,14 +588,14 @@ def _above_ground(scan: _Scan) -> tuple[dict[str, IntArray], float, list[Note]]:
         ground_m = filter_ground(lowest_m)
     heights: dict[str, IntArray] = {}
     for kind, keys in scan.keys.items():
-        middles_m = (to_cells(keys) - _MIDDLE + 0.5) * scan.voxel_m
+        middles_m = (to_cells(keys) - _MIDDLE + 0.5) * VOXEL_M
         cells = np.floor(middles_m[:, :2] / CELL_M).astype(np.int64) - low
         cells = np.clip(cells, 0, np.array(ground_m.shape) - 1)
         above_m = middles_m[:, 2] - ground_m[cells[:, 0], cells[:, 1]]
         kept = to_cells(keys)
-        kept[:, 2] = np.floor(above_m / scan.voxel_m).astype(np.int64) + _MIDDLE
+        kept[:, 2] = np.floor(above_m / VOXEL_M).astype(np.int64) + _MIDDLE
         heights[kind] = np.unique(to_keys(kept[above_m > _GROUND_M]))
-    voxel_m, notes = scan.voxel_m, []
+    voxel_m, notes = VOXEL_M, []
     solid = [keys for kind, keys in heights.items() if kind != "vegetation" and len(keys)]
     everything = np.unique(np.concatenate(solid or list(heights.values())))
     while (
@@ -611,8 +606,8 @@ def _above_ground(scan: _Scan) -> tuple[dict[str, IntArray], float, list[Note]]:
         voxel_m *= 2.0
         heights = {kind: _coarser(keys) for kind, keys in heights.items()}
         everything = _coarser(everything)
-    if voxel_m > scan.voxel_m:
-        why = f"points too far apart for voxels of {scan.voxel_m:g} m"
+    if voxel_m > VOXEL_M:
+        why = f"points too far apart for voxels of {VOXEL_M:g} m"
         notes.append(Note(what=f"detail below {voxel_m:g} m", why=why))
     return heights, voxel_m, notes
 

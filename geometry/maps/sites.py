@@ -31,7 +31,7 @@ from .source_map import (
     unique_id,
 )
 
-REACH_M = 60.0
+_REACH_M = 60.0
 _AT_OUTLINE_M = 1.5
 _JOINED_M = 0.5
 _MEDIAN_M = 8.0  # between carriageways: a narrower gap is a median, no roadside
@@ -43,15 +43,14 @@ _BELOW_ROOF_M = 0.3  # a sensor and its bracket
 
 
 def kerb_sites(
-    lanes: Sequence[Lane], outline_m: ArrayLike, spacing_m: float, *, reach_m: float = REACH_M
+    lanes: Sequence[Lane], outline_m: ArrayLike, spacing_m: float
 ) -> tuple[SiteWish, ...]:
     """Sites along both kerbs of a junction's arms, from its corners outwards.
 
     A kerb is the outer edge of a driving or parking lane that no other such lane borders on;
-    medians have none. Lanes that begin or end at the outline are arms, and are followed up to
-    `reach_m`. The ids name the lane, the side and the distance: the first site of a kerb, at the
-    outline, is a corner of the junction. Raises InputError if the spacing or the outline is not
-    valid.
+    medians have none. Lanes that begin or end at the outline are arms, and are followed for 60 m.
+    The ids name the lane, the side and the distance: the first site of a kerb, at the outline, is a
+    corner of the junction. Raises InputError if the spacing or the outline is not valid.
     """
     if not (np.isfinite(spacing_m) and spacing_m >= 0.5):
         raise InputError("spacing_m", spacing_m, "metres, at least 0.5")
@@ -60,7 +59,7 @@ def kerb_sites(
         raise InputError("outline_m", len(outline), "at least three points")
     inside = _area(outline)
     roads = [lane for lane in lanes if lane.kind in _KINDS]
-    arms = [(lane, line) for lane in roads for line in _outward(lane, roads, outline, reach_m)]
+    arms = [(lane, line) for lane in roads for line in _outward(lane, roads, outline)]
     strips = shapely.STRtree([_strip(lane, line, beside_m=SETBACK_M - 0.05) for lane, line in arms])
     sites: dict[str, SiteWish] = {}
     for lane, line in arms:
@@ -68,7 +67,7 @@ def kerb_sites(
             along_m, points, outwards = _offset(line, sign * (0.5 * lane.width_m + SETBACK_M))
             shapes = shapely.points(points)
             free = shapely.distance(shapes, inside) > 0.5 * SETBACK_M
-            free &= shapely.distance(shapes, shapely.LinearRing(outline)) <= reach_m
+            free &= shapely.distance(shapes, shapely.LinearRing(outline)) <= _REACH_M
             free[np.unique(strips.query(shapes, predicate="within")[0])] = False
             free[free] = ~_is_median(points[free], outwards[free], arms)
             next_m = -np.inf
@@ -82,9 +81,7 @@ def kerb_sites(
     return tuple(sites.values())
 
 
-def _outward(
-    lane: Lane, lanes: Sequence[Lane], outline: FloatArray, reach_m: float
-) -> list[FloatArray]:
+def _outward(lane: Lane, lanes: Sequence[Lane], outline: FloatArray) -> list[FloatArray]:
     """Centrelines (n, 2) of a lane that touches the outline, with its continuations, outwards."""
     ring = shapely.LinearRing(outline)
     lines = []
@@ -94,7 +91,7 @@ def _outward(
         if start_m > _AT_OUTLINE_M or (is_stub and end_m < start_m):
             continue
         joined, used = [line], {lane.id}
-        while _length_m(np.concatenate(joined)) < reach_m + 10.0:
+        while _length_m(np.concatenate(joined)) < _REACH_M + 10.0:
             end = joined[-1][-1]
             after = next(
                 (

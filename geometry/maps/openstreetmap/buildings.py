@@ -52,11 +52,9 @@ def find_buildings(network: Network, elements: Elements, omissions: Omissions) -
     for area in parts:
         yield from _solid(area, passages, omissions)
     for area, rest in zip(outlines, _without_parts(outlines, parts), strict=True):
-        if rest is None:
-            yield from _solid(area, passages, omissions)
-        else:
-            for piece in _pieces(area, rest, f"{area.id} beside its parts"):
-                yield from _solid(piece, passages, omissions)
+        pieces = [area] if rest is None else _pieces(area, rest, f"{area.id} beside its parts")
+        for piece in pieces:
+            yield from _solid(piece, passages, omissions)
 
 
 def _element(area: Area) -> str:
@@ -90,13 +88,12 @@ def _without_parts(outlines: Sequence[Area], parts: Sequence[Area]) -> list[list
     inside = tree.query(
         [shapely.point_on_surface(shape) for shape in part_shapes], predicate="within"
     )
-    by_outline: dict[int, list[int]] = defaultdict(list)
+    by_outline: dict[int, list[BaseGeometry]] = defaultdict(list)
     for part, outline in inside.T.tolist():
-        by_outline[outline].append(part)
+        by_outline[outline].append(part_shapes[part])
     least = DEFAULTS["building"]["parts_cover"]
     for outline, members in by_outline.items():
-        covered = shapely.union_all([part_shapes[member] for member in members])
-        rest = shapes[outline].difference(covered)
+        rest = shapes[outline].difference(shapely.union_all(members))
         is_covered = rest.area <= (1.0 - least) * shapes[outline].area
         rests[outline] = [] if is_covered else polygons_of(rest, above_m2=_LEAST_M2)
     return rests
@@ -121,13 +118,12 @@ def _solid(area: Area, passages: "_Passages", omissions: Omissions) -> Iterator[
         yield from _prism(area, span, omissions)
         return
     whole = make_valid(area.polygon)
-    for piece in _pieces(area, polygons_of(whole.difference(ways), above_m2=_LEAST_M2), area.id):
+    beside = polygons_of(whole.difference(ways), above_m2=_LEAST_M2)
+    over = polygons_of(whole.intersection(ways), above_m2=_LEAST_M2) if clear_m < span.top_m else []
+    for piece in _pieces(area, beside, area.id):
         yield from _prism(piece, span, omissions)
-    if clear_m < span.top_m:
-        over = replace(span, bottom_m=clear_m)
-        shapes = polygons_of(whole.intersection(ways), above_m2=_LEAST_M2)
-        for piece in _pieces(area, shapes, f"{area.id} over a passage"):
-            yield from _prism(piece, over, omissions)
+    for piece in _pieces(area, over, f"{area.id} over a passage"):
+        yield from _prism(piece, replace(span, bottom_m=clear_m), omissions)
 
 
 def _prism(area: Area, span: "_Span", omissions: Omissions) -> Iterator[Thing]:
@@ -252,13 +248,13 @@ class _Passages:
     def through(self, area: Area) -> tuple[BaseGeometry | None, float]:
         """Area of the ways that lead through a building, and their clear height."""
         is_gate = area.tags.get("historic") in _GATES or _kind(area.tags) in _GATES
+        whole = make_valid(area.polygon)
         found = [
             index
             for index in self._tree.query(area.polygon).tolist()
-            if is_gate or self._is_marked[index]
+            if (is_gate or self._is_marked[index])
+            and whole.intersection(self._strips[index]).area > 1.0
         ]
-        whole = make_valid(area.polygon)
-        found = [index for index in found if whole.intersection(self._strips[index]).area > 1.0]
         if not found:
             return None, 0.0
         ways = shapely.union_all([self._strips[index] for index in found])

@@ -136,19 +136,17 @@ def _at_break(strip: Strip, own: Sequence[Strip], others: Sequence[Strip]) -> tu
 
 def _lane(piece: _Piece, reach: Reach) -> MapLane | None:
     taper = DEFAULTS["cross_section"]["taper"]
-    stations: list[float] = []
-    lefts: list[float] = []
-    for strip, (low, high), ends in zip(
+    points_of_lefts: list[tuple[float, float]] = []  # stations, and how far left of the street
+    for strip, (low, high), (begin_left, end_left) in zip(
         piece.strips, piece.spans_m, piece.ends_left_m, strict=True
     ):
         half = 0.5 * (high - low)
-        for station, left, sign in ((low, ends[0], 1.0), (high, ends[1], -1.0)):
-            shift = abs(left - strip.left_m)
-            run = min(max(taper * shift, 1.0), half)
-            pair = [(station, left), (station + sign * run, strip.left_m)]
-            for one, beside in pair if sign > 0.0 else pair[::-1]:
-                stations.append(one)
-                lefts.append(beside)
+        first, last = (
+            min(max(taper * abs(left - strip.left_m), 1.0), half) for left in (begin_left, end_left)
+        )
+        points_of_lefts += [(low, begin_left), (low + first, strip.left_m)]
+        points_of_lefts += [(high - last, strip.left_m), (high, end_left)]
+    stations, lefts = zip(*points_of_lefts, strict=True)
     begin_m, end_m = piece.spans_m[0][0], piece.spans_m[-1][1]
     if end_m - begin_m < _MIN_LENGTH_M:
         return None

@@ -105,12 +105,8 @@ _CYCLE_LANES = ("lane", "opposite_lane")
 _CYCLE_TRACKS = ("track", "opposite_track")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Roadside:
-    """Strips next to the driving lanes, outwards: kind, width [m], runs as the way does."""
-
-    inner: tuple[Part, ...]  # on the carriageway
-    outer: tuple[Part, ...]  # behind the kerb
+# Strips next to the driving lanes, outwards: on the carriageway, and behind the kerb.
+Roadside = tuple[list[Part], list[Part]]
 
 
 def roadside_strips(tags: Tags, note: Note, *, side: str, keeps_left: bool) -> Roadside:
@@ -149,7 +145,7 @@ def roadside_strips(tags: Tags, note: Note, *, side: str, keeps_left: bool) -> R
     sidewalk = side_value(tags, "sidewalk", side)
     if sidewalk == "yes" or (sidewalk is None and tags.get("sidewalk") in ("both", "yes", side)):
         outer.append(("walking", width("sidewalk", usual["sidewalk_width_m"]), is_forward))
-    return Roadside(inner=tuple(inner), outer=tuple(outer))
+    return inner, outer
 
 
 def _cycleway(tags: Tags, side: str, *, is_near: bool) -> str:
@@ -236,7 +232,7 @@ def build_cross_section(
         roadside_strips(tags, note, side=side, keeps_left=keeps_left) for side in ("left", "right")
     )
     counts = count_lanes(tags, note)
-    beside_m = sum(width for _, width, _ in (*left.inner, *right.inner))
+    beside_m = sum(width for _, width, _ in (*left[0], *right[0]))
     widths, counts = _lane_widths(tags, counts, beside_m, note)
     driving = _driving(widths, counts, keeps_left=keeps_left)
     turns = {
@@ -245,10 +241,10 @@ def build_cross_section(
     }
     carriageway_m = sum(width for _, _, width in driving) + beside_m
     strips: list[Strip] = []
-    for side, sign, parts in (("left", 1.0, left), ("right", -1.0, right)):
+    for side, sign, (inner, outer) in (("left", 1.0, left), ("right", -1.0, right)):
         numbers: Counter[str] = Counter()
         # From the kerb inwards, then from the kerb outwards.
-        for step, found in ((-1.0, parts.inner[::-1]), (1.0, parts.outer)):
+        for step, found in ((-1.0, inner[::-1]), (1.0, outer)):
             edge_m = 0.5 * carriageway_m
             for kind, width_m, is_forward in found:
                 strips.append(
@@ -263,7 +259,7 @@ def build_cross_section(
                 )
                 numbers[kind] += 1
                 edge_m += step * width_m
-    at_m = 0.5 * carriageway_m - sum(width for _, width, _ in left.inner)
+    at_m = 0.5 * carriageway_m - sum(width for _, width, _ in left[0])
     for place, number, width_m in driving:
         middle_m = at_m - 0.5 * width_m
         at_m -= width_m

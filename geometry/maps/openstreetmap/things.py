@@ -177,36 +177,24 @@ def find_poles(
         if support in _NO_POLE:
             omissions.add(f"{kind}s", f"node {node_id}", "on a wall or a wire, without a pole")
             continue
-        is_on_road = row in network.ends or row in places
-        is_at_kerbs = is_on_road and kind in ("traffic light", "sign")
-        if is_at_kerbs:
+        feet, assumed = [network.positions_m[row]], ""
+        if kind in ("traffic light", "sign") and (row in network.ends or row in places):
             feet = _at_kerbs(places.get(row, ()), tags, keeps_left=keeps_left)
+            assumed = "mapped on the road: a pole at the kerb is assumed"
+            if len(feet) > 1:
+                poles_there = f"{len(feet)} poles at the kerbs are assumed"
+                assumed = f"node {node_id} is mapped on the road: {poles_there}"
             if not feet:
-                omissions.add(
-                    f"{kind}s", f"node {node_id}", "inside a junction, where nobody stops"
-                )
-        else:
-            feet = [network.positions_m[row]]
-        assumed = ""
-        if is_at_kerbs:
-            assumed = (
-                "mapped on the road: a pole at the kerb is assumed"
-                if len(feet) == 1
-                else f"node {node_id} is mapped on the road: {len(feet)} poles at the kerbs are "
-                "assumed"
-            )
+                why = "inside a junction, where nobody stops"
+                omissions.add(f"{kind}s", f"node {node_id}", why)
         height_m = parse_length_m(tags.get("height", ""))
         if not height_m or height_m > DEFAULTS["pole"]["max_height_m"]:
             height_m = None
         for number, foot in enumerate(feet):
+            name = f"n{node_id}.{number}" if number else f"n{node_id}"
+            position = np.append(foot, 0.0)
             poles.append(
-                Pole(
-                    id=f"n{node_id}.{number}" if number else f"n{node_id}",
-                    kind=kind,
-                    position_m=np.append(foot, 0.0),
-                    height_m=height_m,
-                    assumed=assumed,
-                )
+                Pole(id=name, kind=kind, position_m=position, height_m=height_m, assumed=assumed)
             )
     return tuple(poles)
 

@@ -285,9 +285,8 @@ def test_degrees_and_infinite_points_are_refused(tmp_path):
 
 def test_unknown_options_and_endings_are_refused(tmp_path):
     path = write_pcd(tmp_path, house(100))
-    for wrong in ({"class_name": "castle"}, {"voxel_m": 0.0}, {"voxel_m": np.nan}):
-        with pytest.raises(InputError):
-            read_point_cloud(path, **wrong)
+    with pytest.raises(InputError):
+        read_point_cloud(path, class_name="castle")
     with pytest.raises(InputError, match="one of"):
         read_point_cloud(tmp_path / "a.e57")
     with pytest.raises(InputError, match="readable"):
