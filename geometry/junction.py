@@ -304,9 +304,7 @@ def _ends_at_outline(
     nowhere are left out.
     """
     ends = []
-    for lane in scene.lanes:
-        if lane.kind not in kinds:
-            continue
+    for lane in (lane for lane in scene.lanes if lane.kind in kinds):
         off_m = {
             is_in: distance_to_outline_m(lane.centreline_m[-1 if is_in else 0], scene.outline_m)
             for is_in in (True, False)
@@ -596,9 +594,11 @@ def whereabouts(scene: Scene, positions_m: ArrayLike) -> list[str]:
             way = position - middle
             beside = _beside(_bearing(way), bearings)
             known = [streets[name] for name in beside if name in streets]
-            corner = _between([bearings[name] for name in beside])
+            # Halfway between two arms, unless they lead nearly straight on.
+            sides = [bearings[name] for name in beside]
+            corner = np.array([np.cos(sides).sum(), np.sin(sides).sum()])
             words = [
-                f"{compass_point(way if corner is None else corner)} corner",
+                f"{compass_point(corner if np.hypot(*corner) > _STRAIGHT else way)} corner",
                 " and ".join(dict.fromkeys(known)),
             ]
         else:
@@ -623,12 +623,6 @@ def arm_mouth(arm: Arm) -> FloatArray:
 
 def _bearing(way_m: FloatArray) -> float:
     return float(np.arctan2(way_m[1], way_m[0]))
-
-
-def _between(bearings: Sequence[float]) -> FloatArray | None:
-    """Way halfway between two arms, (2,); None where they lead nearly straight on."""
-    way: FloatArray = np.sum([[np.cos(one), np.sin(one)] for one in bearings], axis=0)
-    return way if float(np.hypot(*way)) > _STRAIGHT else None
 
 
 def _beside(bearing: float, arms: dict[str, float]) -> Sequence[str]:

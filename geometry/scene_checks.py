@@ -243,13 +243,11 @@ def _check_footprints(scene: Scene) -> Iterator[Finding]:
         return
     tree = shapely.STRtree(areas)
     one, other = tree.query(areas, predicate="intersects")
-    pairs = [(a, b) for a, b in zip(one.tolist(), other.tolist(), strict=True) if a < b]
-    overlaps = {
-        (a, b): float(shapely.area(shapely.intersection(areas[a], areas[b]))) for a, b in pairs
-    }
+    one, other = one[one < other], other[one < other]
+    overlaps = shapely.area(shapely.intersection(areas[one], areas[other]))
     twice: list[str] = []
     partly: list[str] = []
-    for (a, b), area in overlaps.items():
+    for a, b, area in zip(one.tolist(), other.tolist(), overlaps.tolist(), strict=True):
         if area > _OVERLAP_M2:
             smaller_m2, larger_m2 = sorted((areas[a].area, areas[b].area))
             is_same = area > _SAME_SHARE * smaller_m2 and smaller_m2 > _SAME_SHARE * larger_m2

@@ -252,17 +252,15 @@ def _best(
         here = f"{where}.geometry[{index}]"
         if not isinstance(geometry, Mapping):
             raise InputError(here, geometry, "a geometry")
-        kind = str(geometry.get("type"))
+        kind, level = str(geometry.get("type")), 1.0
         if kind == "GeometryInstance":
-            polygons, level = templates.place(geometry, vertices, here), 1.0
-        elif kind in _SURFACES_AT:
+            polygons = templates.place(geometry, vertices, here)
+        else:  # points and lines have none
+            polygons = _polygons(geometry, vertices, here)
             try:
-                level = float(str(geometry.get("lod", "1")))
+                level = float(str(geometry.get("lod", "1"))) if kind in _SURFACES_AT else level
             except ValueError:
                 raise InputError(f"{here}.lod", geometry.get("lod"), "0 to 3.3") from None
-            polygons = _polygons(geometry, vertices, here)
-        else:
-            continue  # points and lines
         if polygons and _rank(level) > _rank(best_level):
             best, best_level = polygons, level
     return best, best_level
@@ -354,7 +352,6 @@ def city_map(
         if n_triangles > MAX_TRIANGLES:
             got = Unquoted(f"more than {MAX_TRIANGLES:,} triangles")
             raise InputError(where, got, "a part of the city")
-    notes = [] if place.note is None else [place.note]
     if not things:
         raise InputError(where, Unquoted("no surface with an area"), "buildings" + _said(flat))
     return SourceMap(
@@ -363,7 +360,7 @@ def city_map(
         source_crs=place.source_crs,
         heights="absolute",
         things=tuple(things),
-        skipped=(*notes, *skipped, *shortened(flat)),
+        skipped=(*place.notes, *skipped, *shortened(flat)),
     )
 
 
@@ -384,15 +381,10 @@ def _thing(item: CityObject, thing_id: str) -> Thing:
     pieces = []
     for polygon in item.polygons:
         bottom_m = float(polygon[0][:, 2].min())
-        pieces.append(
-            extrude(
-                polygon[0][:, :2],
-                bottom_m=bottom_m,
-                top_m=bottom_m + raised_m,
-                holes_m=[hole[:, :2] for hole in polygon[1:] if len(hole) >= 4],
-                where=item.id,
-            )
-        )
+        outer, *holes = (ring[:, :2] for ring in polygon)
+        holes = [hole for hole in holes if len(hole) >= 4]
+        top_m = bottom_m + raised_m
+        pieces.append(extrude(outer, bottom_m=bottom_m, top_m=top_m, holes_m=holes, where=item.id))
     return Thing.of(thing_id, class_name, join(pieces), is_height_assumed=is_assumed)
 
 

@@ -122,7 +122,7 @@ class Georeference:
     is_northing_first: bool = False  # the file's first coordinate is the northing or the latitude
     is_projected: bool = False  # to_metres projects from source_crs to crs
     z_m: float = 1.0  # length of the file's unit of height
-    note: Note | None = None  # a declaration that was not followed
+    notes: tuple[Note, ...] = ()  # on a declaration that was not followed
 
     def to_metres(self, points: ArrayLike, where: str) -> FloatArray:
         """Easting, northing and height in `crs` of points (n, 2) or (n, 3) of the file.
@@ -179,7 +179,7 @@ def georeference(
             what=f"coordinate reference system {text[:80]}",
             why="not a known horizontal one: taken as metres without a place on earth",
         )
-        return Georeference(crs="", source_crs="", note=note if text else None)
+        return Georeference(crs="", source_crs="", notes=(note,) if text else ())
     name = crs_name(crs)
     z_m = _vertical_unit_m(declared)
     is_swapped = follows_authority and crs.axis_info[0].direction in ("north", "south")
@@ -198,7 +198,7 @@ def georeference(
             area = crs.area_of_use.name if crs.area_of_use else "its area"
             why = f"the coordinates lie outside {area}: taken as metres without a place on earth"
             note = Note(what=f"coordinate reference system {name}", why=why)
-            return Georeference(crs="", source_crs="", z_m=z_m, note=note)
+            return Georeference(crs="", source_crs="", z_m=z_m, notes=(note,))
         if _is_in_metres(crs, middle):
             return Georeference(
                 crs=name, source_crs=name, is_northing_first=northing_first, z_m=z_m

@@ -274,13 +274,12 @@ def read_footprints(path: Path, *, class_name: str = "building", layer: str = ""
             failed.append(Note(what=f"{kind.kind} {thing_id}", why=str(error)))
     if not things:
         raise InputError(where, Unquoted(f"no footprint with an area; {failed[0].why}"), "polygons")
-    notes = [] if place.note is None else [place.note]
     return SourceMap(
         name=path.name,
         crs=place.crs,
         source_crs=place.source_crs,
         things=tuple(things),
-        skipped=(*notes, *counted(left_out, "no area"), *shortened(failed)),
+        skipped=(*place.notes, *counted(left_out, "no area"), *shortened(failed)),
     )
 
 

@@ -152,13 +152,10 @@ def choose_junction(
             order = "longitude,latitude" if source.source_crs == "EPSG:4326" else "X,Y"
             order = "latitude,longitude" if name else order
             raise InputError(where, Unquoted(got), f"{order}: it is the other way round")
-        place_of = ", ".join(f"{value:.8g}" for value in surveyed[nearest].position)
-        raise InputError(
-            where,
-            Unquoted(got),
-            f"a point within {_NEAR_M:g} m of a junction; the nearest one, "
-            f"{surveyed[nearest].junction.id}, is at {place_of}",
-        )
+        found = surveyed[nearest]
+        place_of = ", ".join(f"{value:.8g}" for value in found.position)
+        expected = f"a point within {_NEAR_M:g} m of a junction; the nearest one, "
+        raise InputError(where, Unquoted(got), f"{expected}{found.junction.id}, is at {place_of}")
     return surveyed[nearest]
 
 
@@ -239,9 +236,8 @@ def _listed(surveyed: Sequence[Surveyed]) -> str:
 
 def _in_map(source: SourceMap, at: tuple[float, float]) -> FloatArray:
     """A point in the map's coordinates; infinite if it is nowhere on earth."""
-    if not source.crs or source.source_crs in ("", source.crs):
-        return np.array(at)
-    return transform(np.array(at), source.source_crs, source.crs)
+    is_same = not source.crs or source.source_crs in ("", source.crs)
+    return np.array(at) if is_same else transform(np.array(at), source.source_crs, source.crs)
 
 
 def _survey(

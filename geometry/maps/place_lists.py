@@ -311,17 +311,15 @@ def read_number(
     value = values.get(field)
     if value is None or value == "":
         return None
-    expected = "a finite number" + ("" if least is None else f", at least {least:g}")
-    if isinstance(value, bool):
-        raise InputError(f"{where}: {field}", value, expected)
     if isinstance(value, str) and "," in value:
         thousands = "." if value.rfind(",") > value.rfind(".") else ","
         value = value.replace(thousands, "").replace(",", ".")
     try:
-        number = float(value)
+        number = np.nan if isinstance(value, bool) else float(value)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{where}: {field}", value, expected) from None
+        number = np.nan
     if not np.isfinite(number) or (least is not None and number < least):
+        expected = "a finite number" + ("" if least is None else f", at least {least:g}")
         raise InputError(f"{where}: {field}", value, expected)
     return number
 

@@ -503,8 +503,6 @@ def read_point_cloud(path: Path, *, class_name: str = "building") -> SourceMap:
     things, small = _things(heights, voxel_m, scan, class_name)
     if not things and not len(scan.lowest_ground):
         raise InputError(where, Unquoted("only ground"), "points on something above the ground")
-    if scan.place.note is not None:
-        notes.insert(0, scan.place.note)
     notes += counted(scan.left_out, "points of a class that hides nothing here")
     if small:
         why = f"less than {_MIN_VOXELS} voxels, or below {_MIN_HEIGHT_M} m"
@@ -515,7 +513,7 @@ def read_point_cloud(path: Path, *, class_name: str = "building") -> SourceMap:
         source_crs=scan.place.source_crs,
         things=tuple(things),
         ground_m=scan.ground_m(),
-        skipped=tuple(notes),
+        skipped=(*scan.place.notes, *notes),
     )
 
 

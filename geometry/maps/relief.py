@@ -65,12 +65,12 @@ class Relief:
             for thing in things:
                 ground = self.at(thing.vertices_m[:, :2])
                 up = ground if thing.class_name == "wall" else ground.min()
-                yield _raised(thing, up), False
+                yield _lifted(thing, up), False
             return
         zero_m = self._zero_m(source, things, given_m)
         may_float = given_m is None or self.terrain is not None
         for thing in things:
-            vertices = _raised(thing, -zero_m)
+            vertices = _lifted(thing, -zero_m)
             if source is self.roads and self.roads_m is not None:
                 middle = vertices[:, :2].mean(axis=0, keepdims=True)
                 own_m = self.roads_m.at(middle) - self.roads_m.at(np.zeros(2))
@@ -90,22 +90,16 @@ class Relief:
         if self.terrain is None:
             return min(float(thing.vertices_m[:, 2].min()) for thing in things)
         # Feet of things above the ground, were heights counted as those of the ground.
-        off_m = float(
-            np.median(
-                [
-                    thing.vertices_m[:, 2].min() - self.at(thing.vertices_m[:, :2]).min()
-                    for thing in things
-                ]
-            )
-            - self.zero_m
-        )
+        feet_m = [
+            thing.vertices_m[:, 2].min() - self.at(thing.vertices_m[:, :2]).min()
+            for thing in things
+        ]
+        off_m = float(np.median(feet_m) - self.zero_m)
         return self.zero_m + (off_m if abs(off_m) > _OTHER_ZERO_M else 0.0)
 
 
-def _raised(thing: Thing, up_m: FloatArray | float) -> FloatArray:
-    vertices: FloatArray = thing.vertices_m.copy()
-    vertices[:, 2] += up_m
-    return vertices
+def _lifted(thing: Thing, up_m: FloatArray | float) -> FloatArray:
+    return np.column_stack([thing.vertices_m[:, :2], thing.vertices_m[:, 2] + up_m])
 
 
 def find_relief(

@@ -93,20 +93,18 @@ def _outward(lane: Lane, lanes: Sequence[Lane], outline: FloatArray) -> list[Flo
         joined, used = [line], {lane.id}
         while _length_m(np.concatenate(joined)) < _REACH_M + 10.0:
             end = joined[-1][-1]
-            after = next(
-                (
-                    (other, points)
-                    for other in lanes
-                    if other.id not in used and other.kind == lane.kind
-                    for points in (other.centreline_m, other.centreline_m[::-1])
-                    if np.hypot(*(points[0] - end)) <= _JOINED_M
-                ),
-                None,
+            following = (
+                (other.id, points)
+                for other in lanes
+                if other.id not in used and other.kind == lane.kind
+                for points in (other.centreline_m, other.centreline_m[::-1])
+                if np.hypot(*(points[0] - end)) <= _JOINED_M
             )
-            if after is None:
+            after, points = next(following, ("", line))
+            if not after:
                 break
-            used.add(after[0].id)
-            joined.append(after[1][1:] if len(after[1]) > 2 else after[1])
+            used.add(after)
+            joined.append(points[1:] if len(points) > 2 else points)
         whole = np.concatenate(joined)
         is_new = np.r_[True, np.hypot(*np.diff(whole, axis=0).T) > 1e-6]
         if is_new.sum() >= 2:
@@ -183,12 +181,8 @@ def tidy_sites(
             reasons[index] = f"{apart_m.min():.1f} m beside {beside.id}"
         else:
             kept.append(index)
-    return (
-        tuple(site for index, site in enumerate(sites) if index not in reasons),
-        tuple(
-            Note(what=f"site {sites[index].id}", why=reasons[index]) for index in sorted(reasons)
-        ),
-    )
+    notes = [Note(what=f"site {sites[index].id}", why=reasons[index]) for index in sorted(reasons)]
+    return tuple(sites[index] for index in sorted(kept)), tuple(notes)
 
 
 # ---------- the sites of a scene
@@ -248,12 +242,8 @@ def choose_sites(
     dropped = (*dropped, *too_low)
     notes += dropped
     if not kept:
-        raise InputError(
-            "sites",
-            where,
-            f"a site within {radius_m:g} m that stands free ({len(dropped)} do not): kerb:15, or "
-            "a list of your own",
-        )
+        free = f"a site within {radius_m:g} m that stands free ({len(dropped)} do not)"
+        raise InputError("sites", where, f"{free}: kerb:15, or a list of your own")
     return tuple(_site(wish) for wish in kept), tuple(notes)
 
 

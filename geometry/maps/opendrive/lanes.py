@@ -91,16 +91,17 @@ def _sample_section(
     n_edges = 1 + len(section.left) + len(section.right)
     _check_count(road, len(starts) * n_edges)
     center = road.offset.rebased(starts, inside)
-    edges = {0: center}
+    edges, inner_of = {0: center}, {}
     for side, sign in ((section.left, 1.0), (section.right, -1.0)):
         has_widths = any(len(lane.width.starts_m) for lane in side)
-        inner = center
+        inner, inner_number = center, 0
         for lane in side:
             if has_widths or not len(lane.border.starts_m):
                 inner = inner + sign * lane.width.rebased(starts, inside)
             else:
                 inner = _border(lane, starts, inside, center, sign)
-            edges[lane.number] = inner
+            edges[lane.number], inner_of[lane.number] = inner, inner_number
+            inner_number = lane.number
     elevation = road.elevation.rebased(starts, inside)
 
     sides = np.stack([*edges.values()])
@@ -114,11 +115,6 @@ def _sample_section(
     s_m = starts[interval] + ds
     points, heading = road.line.at(s_m, inside[interval])
     t_m = {number: evaluate(cubic[interval], ds) for number, cubic in edges.items()}
-    inner_of = {
-        lane.number: numbers
-        for side in (section.left, section.right)
-        for lane, numbers in zip(side, [0, *(lane.number for lane in side[:-1])], strict=False)
-    }
     if np.abs(points).max() > MAX_COORDINATE_M:
         got = float(np.abs(points).max())
         raise InputError(f"{road.where} planView", got, f"at most {MAX_COORDINATE_M:g} m")

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 from xml.etree.ElementTree import Element
 
 import mapbox_earcut
@@ -60,7 +61,7 @@ def read_places(element: Element, road: Road, where: str) -> Iterator[Spot]:
         s_m=take_number(element, "s", where),
         t_m=take_number(element, "t", where),
         z_m=take_number_or(element, "zOffset", where, 0.0),
-        **{f"{size}_m": take_size(element, size, where) for size in _SIZES},
+        **_read_sizes(element, "", where, None),
     )
     _check_reach(own, where)
     repeats = list(numbered(element, "repeat", where))
@@ -80,11 +81,7 @@ def read_places(element: Element, road: Road, where: str) -> Iterator[Spot]:
                 s_m=s_m,
                 t_m=take_number_or(repeat, f"t{side}", here, own.t_m),
                 z_m=take_number_or(repeat, f"zOffset{side}", here, own.z_m),
-                **{
-                    f"{size}_m": take_size(repeat, f"{size}{side}", here)
-                    or getattr(own, f"{size}_m")
-                    for size in _SIZES
-                },
+                **_read_sizes(repeat, side, here, own),
             )
             for side, s_m in (("Start", start_m), ("End", start_m + length_m))
         )
@@ -104,6 +101,14 @@ def read_places(element: Element, road: Road, where: str) -> Iterator[Spot]:
                 yield _between(start, end, index * distance_m / max(length_m, 1.0e-9), s_m)
 
 
+def _read_sizes(element: Element, side: str, where: str, own: Spot | None) -> dict[str, Any]:
+    """Sizes of a body, at one side of a <repeat> where it has them, or else the object's own."""
+    return {
+        f"{size}_m": take_size(element, f"{size}{side}", where) or getattr(own, f"{size}_m", None)
+        for size in _SIZES
+    }
+
+
 def _check_reach(spot: Spot, where: str) -> None:
     for key, value in (("t", spot.t_m), ("zOffset", spot.z_m)):
         if abs(value) > MAX_SIZE_M:
@@ -120,11 +125,12 @@ def _between(start: Spot, end: Spot, share: float, s_m: float) -> Spot:
         one, other = getattr(start, name), getattr(end, name)
         return None if one is None or other is None else one + share * (other - one)
 
+    sizes: dict[str, Any] = {f"{size}_m": mix(f"{size}_m") for size in _SIZES}
     return Spot(
         s_m=s_m,
         t_m=start.t_m + share * (end.t_m - start.t_m),
         z_m=start.z_m + share * (end.z_m - start.z_m),
-        **{f"{size}_m": mix(f"{size}_m") for size in _SIZES},
+        **sizes,
     )
 
 

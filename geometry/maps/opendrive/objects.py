@@ -241,11 +241,8 @@ def build_rows(road: Road, spaces: Sequence[Space]) -> list[MapLane]:
         else:
             rows.append([space])
             open_rows.append(rows[-1])
-    return [
-        lane
-        for index, row in enumerate(rows)
-        if (lane := _build_row(road, row, f"{road.id}/parking {index + 1}")) is not None
-    ]
+    lanes = (_build_row(road, row, f"{road.id}/parking {at + 1}") for at, row in enumerate(rows))
+    return [lane for lane in lanes if lane is not None]
 
 
 def _build_row(road: Road, row: Sequence[Space], name: str) -> MapLane | None:

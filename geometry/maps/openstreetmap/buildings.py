@@ -181,8 +181,7 @@ def _clear_height_m(kind: str, tags: Tags) -> float:
     """How high what stands on stilts or above the ground begins; 0: it stands on the ground."""
     usual = DEFAULTS["building"]
     clear_m = float(usual["clear_heights_m"].get(kind, usual["clear_height_m"]))
-    above = max(level(tags), int(kind == "bridge"))
-    return clear_m * max(above, int(kind in usual["clear_heights_m"]))
+    return clear_m * max(level(tags), int(kind == "bridge" or kind in usual["clear_heights_m"]))
 
 
 def _top_m(area: Area, omissions: Omissions) -> float | None:
@@ -209,11 +208,9 @@ def _bottom_m(tags: Tags) -> float | None:
         height_m = parse_length_m(tags.get(key, ""))
         if height_m is not None and height_m <= usual["max_height_m"]:
             return height_m
-    for key in ("building:min_level", "min_level"):
-        storeys = _levels(tags, key)
-        if storeys is not None:
-            return float(usual["storey_height_m"] * storeys)
-    return None
+    storeys = [_levels(tags, key) for key in ("building:min_level", "min_level")]
+    known = [float(usual["storey_height_m"] * n) for n in storeys if n is not None]
+    return known[0] if known else None
 
 
 def _levels(tags: Tags, key: str) -> float | None:

@@ -150,11 +150,6 @@ class Clusters:
                 self.of_row[row] = one
             self.members[one] += self.members.pop(other)
 
-    def drop(self, number: int) -> None:
-        """Remove a junction."""
-        for row in self.members.pop(number):
-            del self.of_row[row]
-
 
 def find_clusters(network: Network, node_tags: Mapping[int, Tags]) -> Clusters:
     """Nodes where roads meet, those of one junction together.
@@ -174,11 +169,9 @@ def find_clusters(network: Network, node_tags: Mapping[int, Tags]) -> Clusters:
 
 def _is_meeting(network: Network, ends: tuple[End, ...], tags: Tags) -> bool:
     edges = [network.edges[index] for index, _ in ends]
-    if all(edge.level != 0 for edge in edges):
-        return False
     n_full = sum(not edge.is_service for edge in edges)
-    has_signals = tags.get("highway") == "traffic_signals" and n_full > 0
-    return n_full >= 3 or (has_signals and len(edges) >= 3)
+    has_signals = tags.get("highway") == "traffic_signals" and n_full > 0 and len(edges) >= 3
+    return any(edge.level == 0 for edge in edges) and (n_full >= 3 or has_signals)
 
 
 def is_fork(network: Network, ends: tuple[End, ...]) -> bool:
@@ -188,23 +181,25 @@ def is_fork(network: Network, ends: tuple[End, ...]) -> bool:
         return False
     for stem in ends:
         one, other = (end for end in ends if end != stem)
-        edge, other_edge = network.edges[one[0]], network.edges[other[0]]
-        if not (edge.is_oneway and other_edge.is_oneway):
+        edges = [network.edges[end[0]] for end in (one, other, stem)]
+        if not (edges[0].is_oneway and edges[1].is_oneway):
             continue
         bearings = [network.bearing_deg(end) for end in (stem, one, other)]
-        apart = [abs((b - bearings[0] + 180.0) % 360.0 - 180.0) for b in bearings[1:]]
-        between = abs((bearings[1] - bearings[2] + 180.0) % 360.0 - 180.0)
-        if between > _FORK_DEG or min(apart) < 90.0:
+        off_stem_deg = min(_apart_deg(bearing, bearings[0]) for bearing in bearings[1:])
+        if _apart_deg(bearings[1], bearings[2]) > _FORK_DEG or off_stem_deg < 90.0:
             continue
-        stem_edge = network.edges[stem[0]]
-        is_split = not stem_edge.is_oneway and one[1] != other[1]
+        is_split = not edges[2].is_oneway and one[1] != other[1]
         is_ramp = one[1] == other[1] and any(
-            e.tags["highway"].endswith("_link") or e.tags["highway"] == "motorway"
-            for e in (edge, other_edge, stem_edge)
+            edge.tags["highway"].endswith("_link") or edge.tags["highway"] == "motorway"
+            for edge in edges
         )
         if is_split or is_ramp:
             return True
     return False
+
+
+def _apart_deg(one_deg: float, other_deg: float) -> float:
+    return abs((one_deg - other_deg + 180.0) % 360.0 - 180.0)
 
 
 def _join_roundabouts(network: Network, clusters: Clusters) -> None:
@@ -250,10 +245,9 @@ def _join_near(network: Network, clusters: Clusters) -> None:
 
 def is_between_carriageways(network: Network, street: Street) -> bool:
     """It links the two one-way carriageways of another street, across its median."""
-    names = []
-    for row in (int(street.rows[0]), int(street.rows[-1])):
-        edges = [network.edges[index] for index, _ in network.ends[row]]
-        names.append({edge.name for edge in edges if edge.is_oneway and edge.name})
+    ends = (network.ends[int(row)] for row in street.rows[[0, -1]])
+    edges = [[network.edges[index] for index, _ in here] for here in ends]
+    names = [{edge.name for edge in here if edge.is_oneway and edge.name} for here in edges]
     return bool(names[0] & names[1] - {street.parts[0][0].name})
 
 
@@ -390,12 +384,14 @@ def _take_stubs(
     least_m = DEFAULTS["cross_section"]["stub_m"]
     stubs = []
     for number, here in arms.items():
+        arms[number] = []
         for arm in here:
             is_dead_end = len(network.ends[int(arm.street.rows[-1])]) == 1
             if is_dead_end and arm.street.length_m - arm.mouth_m < least_m:
                 stubs.append(arm)
                 inside[number].append(arm.street)
-        arms[number] = [arm for arm in here if not any(arm is stub for stub in stubs)]
+            else:
+                arms[number].append(arm)
     return stubs
 
 
@@ -415,7 +411,8 @@ def _drop_small(
     for number, why in small.items():
         node = min(int(elements.node_ids[row]) for row in clusters.members[number])
         omissions.add("meetings of roads", f"node {node}", why)
-        clusters.drop(number)
+        for row in clusters.members.pop(number):
+            del clusters.of_row[row]
     return bool(small)
 
 
@@ -487,12 +484,12 @@ def _name(arms: Sequence[Arm], inside: Sequence[Street]) -> str:
     ranks: dict[str, int] = {}
     counts: Counter[str] = Counter()
     edges = [arm.street.parts[0][0] for arm in arms]
+    counts.update(edge.name for edge in edges)
     edges += [edge for street in inside for edge, _ in street.parts]
-    for index, edge in enumerate(edges):
+    for edge in edges:
         if edge.name:
             rank = DEFAULTS["roads"][edge.tags["highway"]]["rank"]
             ranks[edge.name] = min(rank, ranks.get(edge.name, rank))
-            counts[edge.name] += index < len(arms)
     return " / ".join(sorted(ranks, key=lambda name: (ranks[name], -counts[name], name)))
 
 

@@ -327,7 +327,13 @@ def _lane_widths(
     backward = _listed_widths(tags, "backward", counts.n_backward, is_alone=False)
     if not counts.is_shared and forward is not None and backward is not None:
         return _Widths(forward, backward, centre_m), counts
-    total_m = _total_width_m(tags, note)
+    total_m = None
+    for key in (key for key in ("width:carriageway", "width", "est_width") if key in tags):
+        total_m = parse_length_m(tags[key])
+        if total_m is not None and 1.0 < total_m < 100.0:
+            break
+        note(f"{key} makes no sense; usual widths taken")
+        total_m = None
     if total_m is not None:
         free_m = total_m - beside_m - centre_m
         fitting = counts
@@ -379,16 +385,6 @@ def _listed_turns(
         note("turn:lanes has another number of lanes: markings not followed")
         return unmarked
     return listed
-
-
-def _total_width_m(tags: Tags, note: Note) -> float | None:
-    for key in ("width:carriageway", "width", "est_width"):
-        if key in tags:
-            width_m = parse_length_m(tags[key])
-            if width_m is not None and 1.0 < width_m < 100.0:
-                return width_m
-            note(f"{key} makes no sense; usual widths taken")
-    return None
 
 
 # ---------- speed limits

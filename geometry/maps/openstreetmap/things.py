@@ -399,8 +399,7 @@ def _across(network: Network, row: int, place: tuple[int, int], beyond_m: float)
     index, at = place
     edge = network.edges[index]
     points = edge.points_m
-    before = points[max(at - 1, 0)]
-    after = points[min(at + 1, len(points) - 1)]
+    before, after = points[max(at - 1, 0)], points[min(at + 1, len(points) - 1)]
     ends = network.ends.get(row, ())
     if len(ends) == 2 and {one for one, _ in ends} != {index}:
         # The way ends here and another goes on: the road bends between them.
@@ -413,9 +412,7 @@ def _across(network: Network, row: int, place: tuple[int, int], beyond_m: float)
         if np.hypot(*step) > 1e-6
     ]
     along = np.sum(steps, axis=0)
-    if np.hypot(*along) < 1e-6:
-        along = steps[0]
-    along = along / np.hypot(*along)
+    along = steps[0] if np.hypot(*along) < 1e-6 else along / np.hypot(*along)
     half_m = 0.5 * edge.section.width_m + beyond_m
     left = np.array([-along[1], along[0]])
     line: FloatArray = points[at] + half_m * np.stack([-left, left])
