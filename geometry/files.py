@@ -1,4 +1,4 @@
-"""Files: TOML read into checked values, results written whole or not at all."""
+"""Files: TOML into checked values, results whole or not at all, folders that are believed."""
 
 import atexit
 import errno

@@ -1,4 +1,4 @@
-"""A junction as traffic sees it: arms, the lanes that lead in and out, where pedestrians cross."""
+"""A junction as traffic sees it: arms, lanes in and out, crosswalks; where things stand there."""
 
 import re
 from collections.abc import Callable, Sequence

@@ -1,4 +1,4 @@
-"""Things from point clouds: the ground below the points, and closed solids of voxels upon it."""
+"""Point clouds (LAS, LAZ, PCD): the ground below the points, and solids of voxels upon it."""
 
 import struct
 from collections import Counter
@@ -359,7 +359,6 @@ def _unpack_lzf(packed: bytes, n_bytes: int) -> bytes | None:
     return bytes(data) if len(data) == n_bytes else None
 
 
-# ---------- the ground
 # ---------- the ground
 CELL_M = 1.0
 _MAX_CELLS = 16_000_000  # 4 km x 4 km

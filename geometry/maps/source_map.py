@@ -1,4 +1,4 @@
-"""Content of a map file in any format: lanes, junctions, crosswalks, things, poles; their kinds."""
+"""Content of a map file in any format: lanes, junctions, things, poles; their meshes and kinds."""
 
 import re
 from collections import Counter
