@@ -384,7 +384,8 @@ def _apart(points_m: FloatArray) -> FloatArray:
     is_new = np.append(True, np.hypot(*np.diff(points_m, axis=0).T) > _DIGITS_M)
     if not is_new[-1] and is_new.sum() > 1:  # the end stays, and the point before it goes
         is_new[[np.flatnonzero(is_new)[-1], -1]] = False, True
-    return points_m[is_new]
+    apart: FloatArray = points_m[is_new]
+    return apart
 
 
 def _is_elsewhere(
@@ -578,5 +579,4 @@ def _within(
 def _is_meeting(boxes: FloatArray, square: _Square) -> BoolArray:
     """Which of some boxes (n, 2, 2) meet a rectangle, (n,)."""
     low, high = square
-    meets: BoolArray = ((boxes[:, 0] <= high) & (boxes[:, 1] >= low)).all(axis=1)
-    return meets
+    return np.asarray(((boxes[:, 0] <= high) & (boxes[:, 1] >= low)).all(axis=1), dtype=bool)

@@ -571,7 +571,7 @@ def footprint(thing: Thing) -> Any:
 def is_under(positions_m: FloatArray, thing: Thing) -> BoolArray:
     """Which points lie within the footprint of a thing: below or above it."""
     low, high = _box(thing)
-    result: BoolArray = ((positions_m > low) & (positions_m < high)).all(axis=1)
+    result = np.asarray(((positions_m > low) & (positions_m < high)).all(axis=1), dtype=bool)
     if result.any():
         result[result] = shapely.intersects_xy(footprint(thing), *positions_m[result].T)
     return result

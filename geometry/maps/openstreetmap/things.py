@@ -21,7 +21,7 @@ from ..source_map import (
     unit_ball,
     unit_cylinder,
 )
-from .elements import DEFAULTS, Elements, Tags, Way, parse_length_m
+from .elements import DEFAULTS, Elements, Relation, Tags, Way, parse_length_m
 from .junctions import Reach
 from .lanes import Note
 from .network import Edge, Network, axis_points, known_runs, level
@@ -102,7 +102,8 @@ def find_trees(
         if tags.get("natural") == "tree":
             node_id = int(elements.node_ids[row])
             yield _tree(f"n{node_id}", positions_m[row], tags, f"node {node_id}", omissions)
-    for one in (*elements.ways, *elements.relations):
+    tagged: tuple[Way | Relation, ...] = (*elements.ways, *elements.relations)
+    for one in tagged:
         element = f"{'way' if isinstance(one, Way) else 'relation'} {one.id}"
         if isinstance(one, Way) and one.tags.get("natural") == "tree_row":
             rows = known_runs(one.rows, positions_m)
