@@ -43,22 +43,12 @@ def _area(size_px: FloatArray) -> FloatArray:
     return size[..., 0] * size[..., 1]
 
 
-def mask_box(mask: ArrayLike, *, x_min_px: int = 0, y_min_px: int = 0) -> FloatArray:
+def mask_box(mask: ArrayLike) -> FloatArray:
     """Box (4,) around the set pixels of a mask (h, w); zeros if there is none.
 
-    Pixel (row, column) covers the unit square from (column, row); the mask's first pixel lies at
-    (`x_min_px`, `y_min_px`) in the image.
+    Pixel (row, column) covers the unit square from (column, row).
     """
-    pixels = np.asarray(mask, dtype=bool)
-    rows, columns = np.asarray(pixels.any(axis=1)), np.asarray(pixels.any(axis=0))
-    if not rows.any():
+    rows, columns = np.nonzero(np.asarray(mask, dtype=bool))
+    if not len(rows):
         return np.zeros(4)
-    return np.array(
-        [
-            x_min_px + columns.argmax(),
-            y_min_px + rows.argmax(),
-            x_min_px + len(columns) - columns[::-1].argmax(),
-            y_min_px + len(rows) - rows[::-1].argmax(),
-        ],
-        dtype=np.float64,
-    )
+    return np.array([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1], dtype=float)

@@ -1,13 +1,16 @@
-"""A junction as traffic sees it: arms, the lanes that lead in and out, where pedestrians cross."""
+"""A junction as traffic sees it: arms, lanes in and out, crosswalks; where things stand there."""
 
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
+import shapely
 from numpy.typing import ArrayLike
 
-from .arrays import FloatArray, freeze, set_arrays
+from .arrays import FloatArray, float_array, freeze, set_arrays
 from .errors import InputError
 from .scene import Lane, LeadingRoad, Scene, Turn
 
@@ -35,6 +38,7 @@ _STUB_M = 2.0  # a lane that is shorter, with all that leads to it, is no road
 _CROSSWALK_INSIDE_MOUTH_M = 2.0
 _SAME_ROAD_M = 20.0  # from the middle of a road to a lane of it
 _SAME_WAY = 0.5  # cosine of the angle between them
+_LANES_OF_ARM = ("lanes_in", "lanes_out", "cycleways_in", "cycleways_out")
 _MIRRORED: dict[Turn, Turn] = {"left": "right", "right": "left"}
 # Euro NCAP's junction: arms begin 11.5 m from the centre, pedestrians cross 9.5 m from it.
 
@@ -183,12 +187,13 @@ def build_junction(scene: Scene) -> Junction:
     cycleways = _beside_arms(
         _ends_at_outline(scene, _CYCLE_KINDS, within_m=_CYCLES_AT_OUTLINE_M), groups
     )
-    bearings = [
-        _mean_bearing_deg([_outward_bearing_deg(lane, is_in=is_in) for is_in, lane in group])
+    ways = [
+        np.mean([_mouth(lane, is_in=is_in).direction for is_in, lane in group], axis=0)
         for group in groups
     ]
+    bearings = np.degrees(np.arctan2(*np.transpose(ways)[::-1]))
     order = np.argsort(np.round(np.mod(bearings, 360.0), 6) % 360.0, kind="stable")
-    names = _arm_names([bearings[index] for index in order])
+    names = _arm_names(bearings[order])
     arms = {
         name: _build_arm(name, groups[index], cycleways[index], scene)
         for name, index in zip(names, order, strict=True)
@@ -222,29 +227,29 @@ def mirrored(junction: Junction) -> Junction:
     Names of arms and lanes stay.
     """
 
-    def turn_over(lane: Lane) -> Lane:
-        turns = tuple(_MIRRORED.get(turn, turn) for turn in lane.turns)
-        return replace(lane, centreline_m=lane.centreline_m * [1.0, -1.0], turns=turns)
+    def turn_over(lanes: Sequence[Lane]) -> tuple[Lane, ...]:
+        return tuple(
+            replace(
+                lane,
+                centreline_m=lane.centreline_m * [1.0, -1.0],
+                turns=tuple(_MIRRORED.get(turn, turn) for turn in lane.turns),
+            )
+            for lane in lanes
+        )
 
     arms = {}
     for name, arm in junction.arms.items():
         line = arm.crosswalk
         # From the kerb where the VUT drives to the other one, in the mirror too.
         crosswalk = Line(point_m=line.point_m * [1.0, -1.0], direction=line.direction * [-1.0, 1.0])
-        arms[name] = Arm(
-            name=name,
-            lanes_in=tuple(turn_over(lane) for lane in arm.lanes_in),
-            lanes_out=tuple(turn_over(lane) for lane in arm.lanes_out),
-            crosswalk=crosswalk,
-            cycleways_in=tuple(turn_over(lane) for lane in arm.cycleways_in),
-            cycleways_out=tuple(turn_over(lane) for lane in arm.cycleways_out),
-        )
+        lanes: dict[str, Any] = {field: turn_over(getattr(arm, field)) for field in _LANES_OF_ARM}
+        arms[name] = replace(arm, crosswalk=crosswalk, **lanes)
     return replace(
         junction,
         arms=arms,
         keeps_left=not junction.keeps_left,
-        connections=tuple(turn_over(lane) for lane in junction.connections),
-        beyond=tuple(turn_over(lane) for lane in junction.beyond),
+        connections=turn_over(junction.connections),
+        beyond=turn_over(junction.beyond),
     )
 
 
@@ -299,9 +304,7 @@ def _ends_at_outline(
     nowhere are left out.
     """
     ends = []
-    for lane in scene.lanes:
-        if lane.kind not in kinds:
-            continue
+    for lane in (lane for lane in scene.lanes if lane.kind in kinds):
         off_m = {
             is_in: distance_to_outline_m(lane.centreline_m[-1 if is_in else 0], scene.outline_m)
             for is_in in (True, False)
@@ -352,11 +355,12 @@ def _build_arm(
         for ends in (members, cycleways)
         for wanted in (True, False)
     )
+    crosswalk = _crosswalk(lanes_in, lanes_out, scene)
     return Arm(
         name=name,
         lanes_in=lanes_in,
         lanes_out=lanes_out,
-        crosswalk=_crosswalk(lanes_in, lanes_out, scene),
+        crosswalk=crosswalk,
         cycleways_in=cycleways_in,
         cycleways_out=cycleways_out,
     )
@@ -427,28 +431,32 @@ def _turn(lane: Lane, other: Lane, *, is_in: bool) -> float:
     return -float(ahead @ lane_line(after, is_in=False, length_m=5.0)[0].direction)
 
 
-def _outward_bearing_deg(lane: Lane, *, is_in: bool) -> float:
-    line, _ = lane_line(lane, is_in=is_in, length_m=10.0)
-    return line.yaw_deg + (180.0 if is_in else 0.0)
-
-
 def _group_by_arm(
     ends: Sequence[tuple[bool, Lane]], *, keeps_left: bool
 ) -> list[list[tuple[bool, Lane]]]:
     """Lane ends that lie side by side and lead the same way, chained from one to the next."""
     mouths = [_mouth(lane, is_in=is_in) for is_in, lane in ends]
-    group = list(range(len(ends)))
-    for one, mouth in enumerate(mouths):
+
+    def is_pair(one: int, other: int) -> bool:
+        reach_m = 0.5 * (ends[one][1].width_m + ends[other][1].width_m) + _SAME_ARM_GAP_M
+        return _is_beside(mouths[one], mouths[other], reach_m)
+
+    groups = [[ends[index] for index in group] for group in chained(len(ends), is_pair)]
+    return _with_both_carriageways(groups, keeps_left=keeps_left)
+
+
+def chained(n: int, is_pair: Callable[[int, int], bool]) -> list[list[int]]:
+    """Groups of 0 to n - 1 in which each is the pair of another one, in the order of the first."""
+    group = list(range(n))
+    for one in range(n):
         for other in range(one):
-            reach_m = 0.5 * (ends[one][1].width_m + ends[other][1].width_m) + _SAME_ARM_GAP_M
-            if group[one] != group[other] and _is_beside(mouth, mouths[other], reach_m):
+            if group[one] != group[other] and is_pair(one, other):
                 old, new = group[one], group[other]
                 group = [new if number == old else number for number in group]
-    groups = [
-        [end for end, number in zip(ends, group, strict=True) if number == wanted]
+    return [
+        [index for index, number in enumerate(group) if number == wanted]
         for wanted in dict.fromkeys(group)
     ]
-    return _with_both_carriageways(groups, keeps_left=keeps_left)
 
 
 def _with_both_carriageways(
@@ -501,10 +509,9 @@ def _median_m(
 
 
 def _mouth(lane: Lane, *, is_in: bool) -> Line:
-    return Line(
-        point_m=lane.centreline_m[-1 if is_in else 0],
-        direction=_unit_vector(_outward_bearing_deg(lane, is_in=is_in)),
-    )
+    """Line through the end of a lane at the junction, away from that."""
+    line, _ = lane_line(lane, is_in=is_in, length_m=10.0)
+    return line.turned(180.0) if is_in else line
 
 
 def _is_beside(one: Line, other: Line, reach_m: float) -> bool:
@@ -515,19 +522,9 @@ def _is_beside(one: Line, other: Line, reach_m: float) -> bool:
     return bool(ahead_m <= _SAME_ARM_AHEAD_M and left_m <= reach_m)
 
 
-def _unit_vector(bearing_deg: float) -> FloatArray:
-    angle = np.radians(bearing_deg)
-    return np.array([np.cos(angle), np.sin(angle)])
-
-
-def _mean_bearing_deg(bearings_deg: Sequence[float]) -> float:
-    east, north = np.mean([_unit_vector(bearing) for bearing in bearings_deg], axis=0)
-    return float(np.degrees(np.arctan2(north, east)))
-
-
-def _arm_names(bearings_deg: Sequence[float]) -> list[str]:
+def _arm_names(bearings_deg: FloatArray) -> list[str]:
     for n_points in (4, 8, 16):
-        index = np.round(np.array(bearings_deg) * n_points / 360.0).astype(int) % n_points
+        index = np.round(bearings_deg * n_points / 360.0).astype(int) % n_points
         names = [ARM_NAMES[one * (16 // n_points)] for one in index]
         if len(set(names)) == len(names):
             return names
@@ -539,6 +536,95 @@ def _arm_names(bearings_deg: Sequence[float]) -> list[str]:
 
 def distance_to_outline_m(point_m: FloatArray, outline_m: FloatArray) -> float:
     """Distance of a point to the nearest side of a closed polygon, in metres."""
-    import shapely  # takes a tenth of a second to import
-
     return float(shapely.LinearRing(outline_m).distance(shapely.Point(point_m)))
+
+
+# ---------- where things stand, in words
+_CORNER_M = 15.0  # from the outline of the junction's road surface
+_STRAIGHT = 0.7  # length of the sum of two arms' directions: an angle of 140 degrees and more
+
+
+def compass_point(way_m: FloatArray) -> str:
+    """The nearest of eight points of the compass."""
+    return COMPASS[round(np.degrees(np.arctan2(way_m[1], way_m[0])) / 45.0) % 8]
+
+
+def compass_bearing_deg(yaw_deg: float) -> float:
+    """A direction clockwise from north, at least 0 and below 360, as installers read it.
+
+    Examples
+    --------
+    >>> compass_bearing_deg(0.0), compass_bearing_deg(135.0)
+    (90.0, 315.0)
+    """
+    return (90.0 - yaw_deg) % 360.0
+
+
+def street_names(scene: Scene) -> dict[str, str]:
+    """Names of the streets of a junction's arms, by the arm; arms without a name are left out."""
+    junction = build_junction(scene)
+    names: dict[str, dict[str, None]] = {}
+    for road in scene.roads:
+        arm = arm_of_road(road, junction)
+        if arm is not None and not re.fullmatch(r"(way|road) \S+", road.name):
+            names.setdefault(arm, {})[road.name] = None
+    return {arm: " / ".join(found) for arm, found in names.items()}
+
+
+def whereabouts(scene: Scene, positions_m: ArrayLike) -> list[str]:
+    """Places at a junction in words, such as "north-west corner, Mill Lane and High Street".
+
+    `scene`: the junction. `positions_m` (n, 2): places in the world frame. Returns `words`: within
+    15 m of the junction's outline a corner, with the streets of the arms on either side; farther
+    out the nearest arm, with its street. Empty where the scene has no arms.
+    """
+    positions = float_array(positions_m, (-1, 2), "positions_m")
+    try:
+        arms = build_junction(scene).arms
+    except InputError:
+        return [""] * len(positions)
+    streets = street_names(scene)
+    middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
+    lines = {name: _lanes(arm) for name, arm in arms.items()}
+    bearings = {name: _bearing(arm_mouth(arm) - middle) for name, arm in arms.items()}
+    found = []
+    for position in positions:
+        away_m = distance_to_outline_m(position, scene.outline_m)
+        if away_m <= _CORNER_M:
+            way = position - middle
+            beside = _beside(_bearing(way), bearings)
+            known = [streets[name] for name in beside if name in streets]
+            # Halfway between two arms, unless they lead nearly straight on.
+            sides = [bearings[name] for name in beside]
+            corner = np.array([np.cos(sides).sum(), np.sin(sides).sum()])
+            words = [
+                f"{compass_point(corner if np.hypot(*corner) > _STRAIGHT else way)} corner",
+                " and ".join(dict.fromkeys(known)),
+            ]
+        else:
+            point = shapely.Point(position)
+            name = min(lines, key=lambda one: lines[one].distance(point))
+            words = [f"{name} arm", streets.get(name, ""), f"{away_m:.0f} m out"]
+        found.append(", ".join(word for word in words if word))
+    return found
+
+
+def _lanes(arm: Arm) -> Any:
+    lanes = (*arm.lanes_in, *arm.lanes_out)
+    return shapely.MultiLineString([lane.centreline_m for lane in lanes])
+
+
+def arm_mouth(arm: Arm) -> FloatArray:
+    """Middle of an arm's lanes where they meet the junction, (2,)."""
+    ends = [lane.centreline_m[-1] for lane in arm.lanes_in]
+    middle: FloatArray = np.mean([*ends, *(lane.centreline_m[0] for lane in arm.lanes_out)], axis=0)
+    return middle
+
+
+def _bearing(way_m: FloatArray) -> float:
+    return float(np.arctan2(way_m[1], way_m[0]))
+
+
+def _beside(bearing: float, arms: dict[str, float]) -> Sequence[str]:
+    turns = {name: (angle - bearing) % (2.0 * np.pi) for name, angle in arms.items()}
+    return [max(turns, key=turns.__getitem__), min(turns, key=turns.__getitem__)]

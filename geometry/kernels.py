@@ -6,7 +6,6 @@ user's cache is no such folder, a private temporary one takes its place. Loading
 second: modules that hold kernels are imported by the function that calls them, when it is called.
 """
 
-import gc
 import hashlib
 import io
 import logging
@@ -23,13 +22,13 @@ import numba
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 from .clock import stand_still_s
-from .files import write_atomically
-from .private_folders import (
+from .files import (
     open_own,
     private_temporary_folder,
     trouble_with,
     user_cache_folder,
     writable_by_others,
+    write_atomically,
 )
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -146,7 +145,7 @@ class _Cached(FunctionCache):  # type: ignore[misc]
             found = None
         if found is None:
             _tell_once("compiling for this machine, once: some seconds")
-            _start_clock()
+            _begun_s.append(time.monotonic())
         return found
 
     def save_overload(self, signature: Any, data: Any) -> None:
@@ -167,15 +166,6 @@ def _stamps_beside(function: Callable[..., Any]) -> list[tuple[str, int, int]]:
 
 
 _begun_s: list[float] = []  # compiling one function may begin with others that it calls
-_collects: list[bool] = []  # whether garbage was collected before
-
-
-def _start_clock() -> None:
-    """The compiler begins: it makes so many objects that collecting takes an eighth of its time."""
-    if not _begun_s:
-        _collects[:] = [gc.isenabled()]
-        gc.disable()
-    _begun_s.append(time.monotonic())
 
 
 def _stop_clock() -> None:
@@ -183,8 +173,6 @@ def _stop_clock() -> None:
     began_s = _begun_s.pop()
     if not _begun_s:
         stand_still_s(time.monotonic() - began_s)
-        if _collects == [True]:
-            gc.enable()
 
 
 @cache

@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+from .files import Text
+
 Kind = Literal["junction", "side of the road", "sites", "roads", "buildings", "heights", "left out"]
 """Subjects of notes, the most important first; all but the last are assumptions."""
 
@@ -24,10 +26,10 @@ class Note:
         Sites of the scene that the map does not have, or not there.
     """
 
-    what: str
-    why: str
+    what: Text
+    why: Text
     kind: Kind = "left out"
-    site_ids: tuple[str, ...] = ()
+    site_ids: tuple[Text, ...] = ()
 
     def __str__(self) -> str:
         return f"{self.what}: {self.why}"

@@ -6,6 +6,7 @@ from functools import lru_cache
 from typing import Annotated, Any, Literal
 
 import numpy as np
+import shapely
 from msgspec import Meta
 from numpy.typing import ArrayLike, NDArray
 
@@ -287,15 +288,11 @@ def road_area(scene: Scene) -> Any:
 
 def covered_area(outline_m: FloatArray, lanes: Sequence[Lane]) -> Any:
     """Area of lanes and of a junction's outline (n, 2): a shapely geometry in metres."""
-    import shapely
-
     return shapely.union_all([shapely.make_valid(shapely.Polygon(outline_m)), *strips_of(lanes)])
 
 
 def strips_of(lanes: Iterable[Lane], *, less_m: float = 0.0) -> list[Any]:
     """Surfaces of lanes, or of what is left of them some metres inside their edges: polygons."""
-    import shapely
-
     return [
         shapely.LineString(lane.centreline_m).buffer(
             max(0.5 * lane.width_m - less_m, 0.0), cap_style="flat"
@@ -316,8 +313,6 @@ def thing_footprint(scene: Scene, index: int) -> Any:
 
 def flat_union(corners_m: FloatArray) -> Any:
     """Triangles (n, 3, 3) seen from above, put together: a shapely geometry."""
-    import shapely
-
     flat = corners_m[..., :2]
     one, other = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
     double_area = np.abs(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0])

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+import shapely
 
 from .arrays import FloatArray
 from .errors import InputError
-from .junction import ASSUMED, Junction, arm_of_road, build_junction, lane_length_m
+from .junction import ASSUMED, Junction, arm_of_road, build_junction, compass_point, lane_length_m
 from .scene import (
     HANGING_KINDS,
     LeadingRoad,
@@ -19,7 +20,6 @@ from .scene import (
     strips_of,
 )
 from .terrain import HEADROOM_M, ground_height_m, standing_footprint
-from .whereabouts import compass_point
 
 _FLOATING_M = 0.5
 _SUNK_M = 3.0
@@ -88,8 +88,6 @@ def _check_roads(scene: Scene) -> Iterator[Finding]:
 
 def lanes_that_cross(scene: Scene) -> Iterator[tuple[str, str]]:
     """Pairs of driving lanes that run in opposite directions and whose middles cross, by id."""
-    import shapely
-
     lanes = [lane for lane in scene.lanes if lane.kind == "driving" and len(lane.centreline_m) > 1]
     lines = np.array([shapely.LineString(lane.centreline_m) for lane in lanes], dtype=object)
     pairs = shapely.STRtree(lines).query(lines, predicate="intersects").T if len(lines) else ()
@@ -178,8 +176,6 @@ def _check_sites(scene: Scene) -> Iterator[Finding]:
 
 
 def _check_feet(scene: Scene, sites: Sequence[Site]) -> Iterator[Finding]:
-    import shapely
-
     feet = np.array([site.position_m[:2] for site in sites])
     junction = shapely.make_valid(shapely.Polygon(scene.outline_m)).buffer(-_AT_KERB_M)
     mapped = [lane for lane in scene.lanes if lane.kind != ASSUMED and len(lane.centreline_m) > 1]
@@ -197,11 +193,12 @@ def _check_feet(scene: Scene, sites: Sequence[Site]) -> Iterator[Finding]:
 def _check_meshes(scene: Scene) -> Iterator[Finding]:
     import trimesh
 
-    holes: list[str] = []
-    floating: list[str] = []
-    raised: list[str] = []
-    sunk: list[str] = []
-    inverted: list[str] = []
+    holes = "its surface has holes above the floor"
+    floating = f"it begins more than {_FLOATING_M:g} m above the road"
+    raised = f"it begins {HEADROOM_M:g} m above the ground or higher: taken to be passed below"
+    sunk = "it is below the road, or begins far below it"
+    inverted = "its triangles face inwards"
+    found: dict[str, list[str]] = {why: [] for why in (holes, floating, raised, sunk, inverted)}
     for index, thing in enumerate(scene.instances):
         faces = scene.triangles[scene.triangle_instance == index]
         if thing.class_name not in _STANDING or not len(faces):
@@ -213,24 +210,15 @@ def _check_meshes(scene: Scene) -> Iterator[Finding]:
         ground_m = ground_height_m(scene, mesh.vertices[:, :2])
         if low - ground_m.min() > _FLOATING_M and thing.class_name != "vegetation":
             is_raised = (mesh.vertices[:, 2] - ground_m).min() >= HEADROOM_M
-            (raised if is_raised else floating).append(thing.id)
+            found[raised if is_raised else floating].append(thing.id)
         if high < ground_m.min() or (mesh.vertices[:, 2] - ground_m).min() < -_SUNK_M:
-            sunk.append(thing.id)
+            found[sunk].append(thing.id)
         # A hole in the floor, which stands on the ground, lets nothing be seen through.
         if _has_open_edges_above(mesh, low):
-            holes.append(thing.id)
+            found[holes].append(thing.id)
         elif mesh.is_watertight and mesh.volume < 0.0:
-            inverted.append(thing.id)
-    for ids, why in (
-        (holes, "its surface has holes above the floor"),
-        (floating, f"it begins more than {_FLOATING_M:g} m above the road"),
-        (
-            raised,
-            f"it begins {HEADROOM_M:g} m above the ground or higher: taken to be passed below",
-        ),
-        (sunk, "it is below the road, or begins far below it"),
-        (inverted, "its triangles face inwards"),
-    ):
+            found[inverted].append(thing.id)
+    for why, ids in found.items():
         if ids:
             yield Finding(level="warning", what=_names(ids), why=why)
 
@@ -244,8 +232,6 @@ def _has_open_edges_above(mesh: Any, floor_m: float) -> bool:
 
 
 def _check_footprints(scene: Scene) -> Iterator[Finding]:
-    import shapely
-
     shapes = {
         thing.id: standing_footprint(scene, index)
         for index, thing in enumerate(scene.instances)
@@ -257,13 +243,11 @@ def _check_footprints(scene: Scene) -> Iterator[Finding]:
         return
     tree = shapely.STRtree(areas)
     one, other = tree.query(areas, predicate="intersects")
-    pairs = [(a, b) for a, b in zip(one.tolist(), other.tolist(), strict=True) if a < b]
-    overlaps = {
-        (a, b): float(shapely.area(shapely.intersection(areas[a], areas[b]))) for a, b in pairs
-    }
+    one, other = one[one < other], other[one < other]
+    overlaps = shapely.area(shapely.intersection(areas[one], areas[other]))
     twice: list[str] = []
     partly: list[str] = []
-    for (a, b), area in overlaps.items():
+    for a, b, area in zip(one.tolist(), other.tolist(), overlaps.tolist(), strict=True):
         if area > _OVERLAP_M2:
             smaller_m2, larger_m2 = sorted((areas[a].area, areas[b].area))
             is_same = area > _SAME_SHARE * smaller_m2 and smaller_m2 > _SAME_SHARE * larger_m2

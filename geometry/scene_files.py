@@ -29,7 +29,7 @@ from .files import (
     write_atomically,
 )
 from .frames import from_gltf_points, parse_crs, to_gltf_points
-from .notes import Kind, Note
+from .notes import Note
 from .scene import Instance, Lane, LeadingRoad, Scene, Site, join_bodies
 from .study_scene import STUDY, CrosswalkEntry, crosswalk_lines, load_study_scene
 from .untrusted_files import check_gltf, refuse_bomb
@@ -119,13 +119,6 @@ class _Thing(Struct, frozen=True, kw_only=True, rename={"class_name": "class"}):
     is_height_assumed: bool = False
 
 
-class _Note(Struct, frozen=True, kw_only=True):
-    what: Text
-    why: Text
-    kind: Kind = "left out"
-    site_ids: tuple[Text, ...] = ()
-
-
 class _FolderScene(Struct, frozen=True, kw_only=True):
     name: Text
     crs: str
@@ -139,7 +132,7 @@ class _FolderScene(Struct, frozen=True, kw_only=True):
     crosswalks: tuple[CrosswalkEntry, ...]
     sites: tuple[Site, ...]
     things: tuple[_Thing, ...]
-    skipped: tuple[_Note, ...]
+    skipped: tuple[Note, ...]
     roads: tuple[LeadingRoad, ...] = ()
 
 
@@ -237,10 +230,7 @@ def load_scene_folder(path: Path) -> Scene:
         source_crs=table.source_crs,
         source_origin_m=table.source_origin_m,
         zero_height_m=table.zero_height_m,
-        notes=tuple(
-            Note(what=note.what, why=note.why, kind=note.kind, site_ids=note.site_ids)
-            for note in table.skipped
-        ),
+        notes=table.skipped,
         roads=table.roads,
     )
 

@@ -8,7 +8,6 @@ from dataclasses import replace
 from functools import cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
-from itertools import product
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -133,20 +132,7 @@ def load_box_scene(source: Path | Traversable) -> Scene:
             raise InputError(f"{where}: crosswalks[{index}].ends_m", got, "two different points")
     return Scene(
         name=table.name,
-        **join_bodies(
-            [
-                _ground_body(table.ground),
-                *(_building_body(building) for building in table.buildings),
-                *(_wall_body(wall) for wall in table.walls),
-                *(
-                    body
-                    for index, row in enumerate(table.parked_rows)
-                    for body in _row_bodies(row, f"{where}: parked_rows[{index}]")
-                ),
-                *(_pole_body(pole) for pole in table.poles),
-                *(_mast_arm_body(arm) for arm in table.mast_arms),
-            ]
-        ),
+        **join_bodies([*_bodies(table, where)]),
         sites=(
             *(_site(pole, pole.position_m, pole.kind) for pole in table.poles),
             *(_site(arm, arm.to_m, "mast arm") for arm in table.mast_arms),
@@ -182,107 +168,53 @@ def _on_road(point_carla_m: FloatArray, height_m: float = 0.0) -> FloatArray:
     return np.append(from_carla_points(point_carla_m), height_m)
 
 
-def _ground_body(ground: _Ground) -> Body:
+def _bodies(table: _BoxScene, where: str) -> Iterator[Body]:
     square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    corners = from_carla_points(ground.position_m) + ground.half_size_m * square
-    return (
-        Instance(id="ground", class_name="ground"),
-        np.column_stack([corners, np.zeros(4)]),
-        np.array([[0, 1, 2], [0, 2, 3]]),
-    )
-
-
-def _building_body(building: _Building) -> Body:
-    return _box(
-        Instance(id=building.id, class_name="building"),
-        middle_m=from_carla_points(building.position_m),
-        yaw_deg=float(from_carla_yaw(building.yaw_deg)),
-        size_m=[building.length_m, building.width_m, building.height_m],
-    )
-
-
-def _wall_body(wall: _Wall) -> Body:
-    start, end = from_carla_points(wall.from_m), from_carla_points(wall.to_m)
-    east, north = end - start
-    # Half a thickness longer at both ends: walls that meet at a corner close it.
-    length_m = float(np.hypot(east, north)) + wall.thickness_m
-    return _box(
-        Instance(id=wall.id, class_name="wall"),
-        middle_m=0.5 * (start + end),
-        yaw_deg=float(np.degrees(np.arctan2(north, east))),
-        size_m=[length_m, wall.thickness_m, wall.height_m],
-    )
-
-
-def _row_bodies(row: _NamedRow, where: str) -> Iterator[Body]:
-    for number, parked in enumerate(row.bodies(where), start=1):
-        shape = parked.actor.shapes[0]
-        instance = Instance(id=f"{row.id}-{number}", class_name="parked vehicle")
-        yield instance, to_world(shape.vertices_m, parked.pose), shape.triangles
-
-
-def _pole_body(pole: _Pole) -> Body:
-    return _cylinder(
-        Instance(id=pole.id, class_name=pole.kind),
-        start_m=_on_road(pole.position_m),
-        end_m=_on_road(pole.position_m, pole.height_m),
-        radius_m=pole.radius_m,
-    )
-
-
-def _mast_arm_body(arm: _MastArm) -> Body:
-    return _cylinder(
-        Instance(id=arm.id, class_name="traffic light"),
-        start_m=_on_road(arm.from_m, arm.height_m),
-        end_m=_on_road(arm.to_m, arm.height_m),
-        radius_m=arm.radius_m,
-    )
-
-
-# Meshes as trimesh.creation makes them, to the last bit; loading it takes half a second.
-_BOX_TRIANGLES = np.array(
-    [
-        *([1, 3, 0], [4, 1, 0], [0, 3, 2], [2, 4, 0], [1, 7, 3], [5, 1, 4]),
-        *([5, 7, 1], [3, 7, 2], [6, 4, 2], [2, 7, 6], [6, 5, 4], [7, 5, 6]),
-    ]
-)
+    corners = from_carla_points(table.ground.position_m) + table.ground.half_size_m * square
+    ground = np.column_stack([corners, np.zeros(4)])
+    yield Instance(id="ground", class_name="ground"), ground, np.array([[0, 1, 2], [0, 2, 3]])
+    for building in table.buildings:
+        yield _box(
+            Instance(id=building.id, class_name="building"),
+            middle_m=from_carla_points(building.position_m),
+            yaw_deg=float(from_carla_yaw(building.yaw_deg)),
+            size_m=[building.length_m, building.width_m, building.height_m],
+        )
+    for wall in table.walls:
+        start, end = from_carla_points(wall.from_m), from_carla_points(wall.to_m)
+        east, north = end - start
+        # Half a thickness longer at both ends: walls that meet at a corner close it.
+        length_m = float(np.hypot(east, north)) + wall.thickness_m
+        yield _box(
+            Instance(id=wall.id, class_name="wall"),
+            middle_m=0.5 * (start + end),
+            yaw_deg=float(np.degrees(np.arctan2(north, east))),
+            size_m=[length_m, wall.thickness_m, wall.height_m],
+        )
+    for index, row in enumerate(table.parked_rows):
+        parked = row.bodies(f"{where}: parked_rows[{index}]")
+        for number, body in enumerate(parked, start=1):
+            shape = body.actor.shapes[0]
+            instance = Instance(id=f"{row.id}-{number}", class_name="parked vehicle")
+            yield instance, to_world(shape.vertices_m, body.pose), shape.triangles
+    for pole in table.poles:
+        foot, top = _on_road(pole.position_m), _on_road(pole.position_m, pole.height_m)
+        yield _cylinder(Instance(id=pole.id, class_name=pole.kind), [foot, top], pole.radius_m)
+    for arm in table.mast_arms:
+        ends = [_on_road(point, arm.height_m) for point in (arm.from_m, arm.to_m)]
+        yield _cylinder(Instance(id=arm.id, class_name="traffic light"), ends, arm.radius_m)
 
 
 def _box(instance: Instance, *, middle_m: FloatArray, yaw_deg: float, size_m: list[float]) -> Body:
-    corners = np.array([*product((-0.5, 0.5), repeat=3)]) * size_m
+    import trimesh
+
+    box = trimesh.creation.box(extents=size_m)
     pose = Pose(position_m=np.append(middle_m, 0.5 * size_m[2]), yaw_deg=yaw_deg)
-    return instance, to_world(corners, pose), _BOX_TRIANGLES
+    return instance, to_world(box.vertices, pose), box.faces
 
 
-def _cylinder(
-    instance: Instance, *, start_m: FloatArray, end_m: FloatArray, radius_m: float
-) -> Body:
-    """A prism of many sides, closed at both ends: vertices 0 and 3 are the ends of its axis."""
-    angles = np.linspace(0.0, 2.0 * np.pi, _POLE_SECTIONS + 1)[:-1]
-    low = np.array([1, *range(4, 2 * _POLE_SECTIONS + 2, 2)])
-    high, half_m = low + 1, 0.5 * float(np.linalg.norm(end_m - start_m))
-    upright = np.zeros((2 * _POLE_SECTIONS + 2, 4))
-    for ring in (low, high):
-        upright[ring, :2] = radius_m * np.column_stack([np.cos(angles), np.sin(angles)])
-    upright[[0, *low], 2], upright[[3, *high], 2] = -half_m, half_m
-    upright[:, 3] = 1.0
-    T_world_upright = np.eye(4)
-    T_world_upright[:3, :3] = _turned_to(end_m - start_m) @ _turned_to(np.array([0.0, 0.0, 1.0])).T
-    T_world_upright[:3, 3] = start_m + 0.5 * (end_m - start_m)
-    next_low, next_high, end = np.roll(low, -1), np.roll(high, -1), np.zeros_like(low)
-    triangles = np.stack(
-        [
-            *(low, end, next_low, low, next_low, high),
-            *(high, next_low, next_high, high, next_high, end + 3),
-        ],
-        axis=1,
-    )
-    return instance, (T_world_upright @ upright.T).T[:, :3], triangles.reshape(-1, 3)
+def _cylinder(instance: Instance, ends_m: list[FloatArray], radius_m: float) -> Body:
+    import trimesh
 
-
-def _turned_to(vector: FloatArray) -> FloatArray:
-    """A rotation whose first axis is along a vector, (3, 3)."""
-    axes: FloatArray = np.linalg.svd(vector.reshape(3, 1))[0]
-    if np.linalg.det(axes) < 0.0:
-        axes[:, -1] *= -1.0
-    return axes
+    pole = trimesh.creation.cylinder(radius=radius_m, segment=ends_m, sections=_POLE_SECTIONS)
+    return instance, np.asarray(pole.vertices), pole.faces

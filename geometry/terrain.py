@@ -10,7 +10,9 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import shapely
 from numpy.typing import ArrayLike, NDArray
+from shapely import Polygon
 
 from .actors import PlacedActor
 from .arrays import FloatArray, float_array
@@ -163,16 +165,12 @@ def standing_footprint(scene: Scene, index: int) -> Any:
     """Ground that a thing covers, a shapely geometry; empty where people pass below it."""
     used = scene.triangles[scene.triangle_instance == index]
     if len(used) and headroom_m(scene.vertices_m[used.ravel()], terrain_of(scene)) >= HEADROOM_M:
-        from shapely import Polygon
-
         return Polygon()
     return thing_footprint(scene, index)
 
 
 def houses_of(scene: Scene) -> Any:
     """Ground that buildings and walls cover: a shapely geometry, world frame, metres."""
-    import shapely
-
     return shapely.union_all(
         [
             standing_footprint(scene, index)

@@ -30,8 +30,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.files import write_atomically
-from geometry.private_folders import open_own, trouble_with
+from geometry.files import open_own, trouble_with, write_atomically
 
 _log = logging.getLogger(__name__)
 

@@ -934,7 +934,7 @@ READERS: Mapping[str, Reader] = {
             "geometry.maps.city_models.read_citygml",
             "geometry.maps.mesh_files.read_mesh",
             "geometry.maps.point_clouds.read_point_cloud",
-            "geometry.maps.point_files.open_points",
+            "geometry.maps.point_clouds.open_points",
             "geometry.files.read_text",
         ),
         share=8,

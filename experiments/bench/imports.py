@@ -21,11 +21,11 @@ from geometry.maps.importing import (
     ImportedScene,
     ImportOptions,
     ReadingOptions,
+    choose_junction,
     import_scene,
     read_map,
     read_maps,
 )
-from geometry.maps.junctions import choose_junction
 from geometry.maps.source_map import SourceMap
 from placement.question import Question
 from placement.setting import Setting, build_setting

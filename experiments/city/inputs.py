@@ -13,8 +13,14 @@ from geometry.errors import InputError, Unquoted
 from geometry.files import read_text
 from geometry.maps.cut import Neighbourhoods
 from geometry.maps.georeferences import transform
-from geometry.maps.importing import DEFAULT_RADIUS_M, ReadingOptions, read_map
-from geometry.maps.junctions import Surveyed, choose_junction, survey_junctions
+from geometry.maps.importing import (
+    DEFAULT_RADIUS_M,
+    ReadingOptions,
+    Surveyed,
+    choose_junction,
+    read_map,
+    survey_junctions,
+)
 from geometry.maps.place_lists import areas_of, read_areas, read_counts, snap
 from geometry.maps.source_map import SourceMap
 from placement.city.choose import CityWishes, District

@@ -18,8 +18,7 @@ from typing import Any
 
 from geometry.errors import InputError, MissingExtraError
 from geometry.files import read_bytes
-from geometry.maps.importing import ImportOptions, cut_scene
-from geometry.maps.junctions import Surveyed
+from geometry.maps.importing import ImportOptions, Surveyed, cut_scene
 from geometry.maps.source_map import SourceMap
 from geometry.scene_files import save_scene
 from placement.city.junction import JunctionWishes, TimeUpError, solve_junction

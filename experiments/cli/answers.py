@@ -7,7 +7,7 @@ what it is compared with. With ``--verbose`` all are printed.
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from geometry.whereabouts import compass_bearing_deg
+from geometry.junction import compass_bearing_deg
 from placement.candidates import load_candidate_grid
 from placement.explain.agreement import Disagreement
 from scenarios.scores import AVOIDED

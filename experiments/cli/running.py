@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geometry.private_folders import user_cache_folder
+from geometry.files import user_cache_folder
 
 from ..parts import Part
 from ..progress import StageProgress, tell

@@ -13,10 +13,9 @@ from matplotlib.patheffects import withStroke
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError
-from geometry.junction import build_junction
+from geometry.junction import arm_mouth, build_junction, street_names
 from geometry.notes import assumed_sites
 from geometry.scene import Scene
-from geometry.whereabouts import arm_mouth, street_names
 from placement.candidates import CandidatePose
 from placement.layout import Layout
 from scenarios.positions import AT_ZERO

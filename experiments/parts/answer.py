@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from geometry.arrays import BoolArray
-from geometry.whereabouts import street_names
+from geometry.junction import street_names
 from placement.evaluation import Evaluation
 from placement.setting import Setting
 from scenarios.weights import weight_share

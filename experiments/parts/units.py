@@ -3,9 +3,9 @@
 from collections.abc import Mapping, Sequence
 from functools import partial
 
+from geometry.junction import compass_bearing_deg
 from geometry.scene import Scene
 from geometry.terrain import terrain_of
-from geometry.whereabouts import compass_bearing_deg
 from placement.candidates import above_ground
 from placement.layout import Layout
 from placement.setting import Setting

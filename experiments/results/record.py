@@ -8,9 +8,9 @@ import numpy as np
 from msgspec import Meta
 from msgspec.structs import replace
 
+from geometry.junction import whereabouts
 from geometry.notes import assumed_sites
 from geometry.scene import Scene
-from geometry.whereabouts import whereabouts
 from placement.layout import Certificate, Layout, layout_records
 
 

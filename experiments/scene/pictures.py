@@ -10,7 +10,7 @@ from matplotlib.patheffects import withStroke
 from geometry.arrays import BoolArray, FloatArray
 from geometry.junction import build_junction
 from geometry.maps.georeferences import transform
-from geometry.maps.junctions import Surveyed
+from geometry.maps.importing import Surveyed
 from geometry.maps.source_map import SourceMap
 from geometry.poses import camera_rotation
 from geometry.raycast import build_caster

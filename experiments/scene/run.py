@@ -11,16 +11,17 @@ from msgspec.structs import replace
 
 from geometry.errors import InputError, Unquoted
 from geometry.files import check_target, read_bytes
-from geometry.junction import build_junction
+from geometry.junction import build_junction, street_names
 from geometry.maps.georeferences import transform
 from geometry.maps.importing import (
     ImportedScene,
     ImportOptions,
     ReadingOptions,
+    Surveyed,
     import_scene,
     read_maps,
+    sort_junctions,
 )
-from geometry.maps.junctions import Surveyed, sort_junctions
 from geometry.maps.place_lists import SUFFIXES as LISTS
 from geometry.notes import Note
 from geometry.scene import Scene
@@ -35,7 +36,6 @@ from geometry.scene_files import (
 )
 from geometry.study_scene import load_study_scene
 from geometry.untrusted_files import MAX_FILE_BYTES
-from geometry.whereabouts import street_names
 from placement.question import Question, map_options
 from scenarios.ways import find_sharp_bends
 
@@ -372,7 +372,7 @@ def run_show(
     progress : StageProgress
         Shows the stages.
     sort : str
-        Order of the junctions of a map, see :func:`geometry.maps.junctions.sort_junctions`.
+        Order of the junctions of a map, see :func:`geometry.maps.importing.sort_junctions`.
 
     Raises
     ------

@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,15 +19,18 @@ from ..files import read_text
 from ..notes import Note
 from ..untrusted_files import local_name, parse_json, read_xml
 from .georeferences import crs_name, georeference, horizontal_crs
-from .solids import Polygon3D, extrude, join, surface_mesh
 from .source_map import (
     MAX_TRIANGLES,
+    Polygon3D,
     SourceMap,
     Thing,
     counted,
+    extrude,
+    join,
     kind_from_name,
     kind_of_class,
     shortened,
+    surface_mesh,
     thing_defaults,
     unique_id,
 )
@@ -108,20 +112,17 @@ def read_cityjson(path: Path) -> SourceMap:
 def _documents(text: str, where: str) -> Iterator[_Table]:
     """Parse the whole file, or each line of a sequence."""
     first = text.lstrip()[:_MAX_RING].split("\n", 1)[0]
-    lines = text.splitlines() if _is_document(first) else [text]
+    try:
+        is_sequence = isinstance(json.loads(first), dict)
+    except (ValueError, RecursionError):
+        is_sequence = False
+    lines = text.splitlines() if is_sequence else [text]
     for number, line in enumerate(lines, start=1):
         if line.strip():
             here = f"{where}: line {number}" if len(lines) > 1 else where
             yield parse_json(line, here, "CityJSON")
     if not text.strip():
         raise InputError(where, Unquoted("an empty file"), "CityJSON")
-
-
-def _is_document(line: str) -> bool:
-    try:
-        return isinstance(json.loads(line), dict)
-    except (ValueError, RecursionError):
-        return False
 
 
 def _transform(table: Any, where: str) -> tuple[FloatArray, FloatArray]:
@@ -209,7 +210,11 @@ def _objects(
             continue
         polygons, level = _best(entry.get("geometry", []), vertices, templates, here)
         children = entry.get("children", [])
-        if level < 1.0 and _have_geometry(children, table):
+        named = (
+            [one for one in children if isinstance(one, str)] if isinstance(children, list) else []
+        )
+        parts = [part for name in named if isinstance(part := table.get(name), Mapping)]
+        if level < 1.0 and any(part.get("geometry") for part in parts):
             continue
         if not polygons:
             if not children:
@@ -223,25 +228,16 @@ def _objects(
             polygons=tuple(polygons),
             words=" ".join(str(attributes[key])[:_MAX_NAME] for key in _WORDS if key in attributes),
             is_footprint=level < 1.0,
-            height_m=next(
-                (_number(attributes[key]) for key in _HEIGHTS if key in attributes), None
-            ),
+            height_m=_height_m(attributes),
         )
 
 
-def _have_geometry(children: Any, table: _Table) -> bool:
-    if not isinstance(children, list):
-        return False
-    entries = (table.get(child) for child in children if isinstance(child, str))
-    return any(isinstance(entry, Mapping) and entry.get("geometry") for entry in entries)
-
-
-def _number(value: Any) -> float | None:
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    try:
-        return float(value) if is_number else None
-    except OverflowError:
+def _height_m(attributes: _Table) -> float | None:
+    """Height in the first of the known attributes; None: there is none, or no number."""
+    value = next((attributes[key] for key in _HEIGHTS if key in attributes), None)
+    if isinstance(value, bool) or not isinstance(value, int | float):
         return None
+    return float(value) if abs(value) <= sys.float_info.max else None
 
 
 def _best(
@@ -256,17 +252,15 @@ def _best(
         here = f"{where}.geometry[{index}]"
         if not isinstance(geometry, Mapping):
             raise InputError(here, geometry, "a geometry")
-        kind = str(geometry.get("type"))
+        kind, level = str(geometry.get("type")), 1.0
         if kind == "GeometryInstance":
-            polygons, level = templates.place(geometry, vertices, here), 1.0
-        elif kind in _SURFACES_AT:
+            polygons = templates.place(geometry, vertices, here)
+        else:  # points and lines have none
+            polygons = _polygons(geometry, vertices, here)
             try:
-                level = float(str(geometry.get("lod", "1")))
+                level = float(str(geometry.get("lod", "1"))) if kind in _SURFACES_AT else level
             except ValueError:
                 raise InputError(f"{here}.lod", geometry.get("lod"), "0 to 3.3") from None
-            polygons = _polygons(geometry, vertices, here)
-        else:
-            continue  # points and lines
         if polygons and _rank(level) > _rank(best_level):
             best, best_level = polygons, level
     return best, best_level
@@ -358,7 +352,6 @@ def city_map(
         if n_triangles > MAX_TRIANGLES:
             got = Unquoted(f"more than {MAX_TRIANGLES:,} triangles")
             raise InputError(where, got, "a part of the city")
-    notes = [] if place.note is None else [place.note]
     if not things:
         raise InputError(where, Unquoted("no surface with an area"), "buildings" + _said(flat))
     return SourceMap(
@@ -367,7 +360,7 @@ def city_map(
         source_crs=place.source_crs,
         heights="absolute",
         things=tuple(things),
-        skipped=(*notes, *skipped, *shortened(flat)),
+        skipped=(*place.notes, *skipped, *shortened(flat)),
     )
 
 
@@ -388,23 +381,17 @@ def _thing(item: CityObject, thing_id: str) -> Thing:
     pieces = []
     for polygon in item.polygons:
         bottom_m = float(polygon[0][:, 2].min())
-        pieces.append(
-            extrude(
-                polygon[0][:, :2],
-                bottom_m=bottom_m,
-                top_m=bottom_m + raised_m,
-                holes_m=[hole[:, :2] for hole in polygon[1:] if len(hole) >= 4],
-                where=item.id,
-            )
-        )
+        outer, *holes = (ring[:, :2] for ring in polygon)
+        holes = [hole for hole in holes if len(hole) >= 4]
+        top_m = bottom_m + raised_m
+        pieces.append(extrude(outer, bottom_m=bottom_m, top_m=top_m, holes_m=holes, where=item.id))
     return Thing.of(thing_id, class_name, join(pieces), is_height_assumed=is_assumed)
 
 
 def _said(skipped: Sequence[Note]) -> str:
     """List of what was left out, for the end of a message."""
-    if not skipped:
-        return ""
-    return "; skipped: " + ", ".join(f"{item.what} ({item.why})" for item in skipped[:5])
+    words = ", ".join(f"{item.what} ({item.why})" for item in skipped[:5])
+    return f"; skipped: {words}" if words else ""
 
 
 # ---------- CityGML
@@ -462,13 +449,8 @@ def read_citygml(path: Path) -> SourceMap:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Shape:
-    """Polygons under a geometry property."""
-
-    level: int
-    rank: int  # 2: solid, 1: surfaces, 0: footprint
-    polygons: list[Polygon3D]
+# Level of detail; rank: 2 solid, 1 surfaces, 0 footprint; the polygons under a geometry property.
+_Shape = tuple[int, int, list[Polygon3D]]
 
 
 class _Document:
@@ -481,9 +463,8 @@ class _Document:
         self.n_visits_left = 1000
         for element in root.iter():
             self.n_visits_left += _MAX_VISITS
-            for key in _GML_ID:
-                if key in element.attrib:
-                    self.by_id.setdefault(element.attrib[key], element)
+            if name := _gml_id(element):
+                self.by_id.setdefault(name, element)
 
     def features(self, left_out: Counter[str]) -> Iterator[Element]:
         """Elements of a known type; those of other known types are counted."""
@@ -502,31 +483,28 @@ class _Document:
         """An object with its own surfaces, without those of its parts."""
         type_name = local_name(feature)
         shapes = list(self._shapes(feature, 0))
-        best = max(
-            (shape for shape in shapes if shape.polygons),
-            key=lambda shape: (shape.level if shape.level < 3 else 0.99, shape.rank),
-            default=None,
+        level, rank = max(
+            ((level, rank) for level, rank, polygons in shapes if polygons),
+            key=lambda kind: (_rank(kind[0]), kind[1]),
+            default=(-1, -1),
         )
         has_parts = any(
             local_name(part) in CLASS_OF_TYPE and part is not feature for part in feature.iter()
         )
-        if best is None or (best.level == 0 and has_parts):
+        if level < 0 or (level == 0 and has_parts):
             if not has_parts:
                 empty[type_name] += 1
             return None
         alike = [
-            polygon
-            for shape in shapes
-            if (shape.level, shape.rank) == (best.level, best.rank)
-            for polygon in shape.polygons
+            polygon for *kind, polygons in shapes if kind == [level, rank] for polygon in polygons
         ]
         texts = {local_name(child): (child.text or "").strip() for child in feature}
         return CityObject(
-            id=next((feature.attrib[key] for key in _GML_ID if key in feature.attrib), type_name),
+            id=_gml_id(feature) or type_name,
             type_name=type_name,
             polygons=tuple(alike),
             words=" ".join(texts[name] for name in _NAMES_OF_GML if texts.get(name)),
-            is_footprint=best.level == 0,
+            is_footprint=level == 0,
             height_m=_measured_height_m(feature),
         )
 
@@ -542,9 +520,8 @@ class _Document:
                 is_flat = match[2] in _FOOTPRINTS
                 if level == 0 and (not is_flat or local_name(element) in _SURFACE_TYPES[1:]):
                     continue
-                rank = 2 if "Solid" in match[2] else 1 if level else is_flat + 0
-                rank = 0 if match[2] == "RoofEdge" else rank
-                yield _Shape(level, rank, list(self._polygons(child, depth + 1, 0)))
+                rank = 2 if "Solid" in match[2] else int(match[2] != "RoofEdge")
+                yield level, rank, list(self._polygons(child, depth + 1, 0))
             elif name in ("boundedBy", "boundary") or name in _SURFACE_TYPES:
                 yield from self._shapes(child, depth + 1)
 
@@ -586,33 +563,31 @@ class _Document:
 
     def _ring(self, ring: Element, n_dimensions: int) -> FloatArray:
         """Points of a ring, (n, 3), in the file's coordinates."""
-        texts = []
+        words: list[str] = []
         for element in ring.iter():
-            name = local_name(element)
+            name, text = local_name(element), element.text or ""
             if name in ("posList", "pos"):
-                texts.append(element.text or "")
+                words += text.split()
             elif name == "coordinates":
-                texts.append((element.text or "").replace(element.attrib.get("cs") or ",", " "))
+                words += text.replace(element.attrib.get("cs") or ",", " ").split()
             n_dimensions = _n_dimensions(element) or n_dimensions
-        words = " ".join(texts).split()
+        where = f"{self.where}: {local_name(ring)} {_gml_id(ring)}".strip()
         try:
             numbers: FloatArray = np.array(words, dtype=np.float64)
         except ValueError as error:
-            got = Unquoted(error)
-            raise InputError(f"{self.where}: {self._name(ring)}", got, "numbers") from None
+            raise InputError(where, Unquoted(error), "numbers") from None
         n_dimensions = n_dimensions or 3
         if len(numbers) % n_dimensions:
             got = Unquoted(f"{len(numbers)} numbers")
-            expected = f"{n_dimensions} for every point"
-            raise InputError(f"{self.where}: {self._name(ring)}", got, expected)
+            raise InputError(where, got, f"{n_dimensions} for every point")
         points = numbers.reshape(-1, n_dimensions)
         if n_dimensions == 2:
             points = np.column_stack([points, np.zeros(len(points))])
         return points
 
-    def _name(self, element: Element) -> str:
-        name = next((element.attrib[key] for key in _GML_ID if key in element.attrib), "")
-        return f"{local_name(element)} {name}".strip()
+
+def _gml_id(element: Element) -> str:
+    return next((element.attrib[key] for key in _GML_ID if key in element.attrib), "")
 
 
 def _n_dimensions(element: Element) -> int:

@@ -3,11 +3,13 @@
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from typing import Any
 
 import numpy as np
+import shapely
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray
 from ..errors import InputError, Unquoted
 from ..junction import (
     ASSUMED,
@@ -18,12 +20,18 @@ from ..junction import (
     lane_line,
 )
 from ..notes import Note, assumptions
-from ..scene import Instance, Lane, LeadingRoad, Scene, Site
+from ..scene import Body, Instance, Lane, LeadingRoad, Scene, Site, join_bodies
 from ..terrain import GROUND, Terrain, houses_of, on_ground
 from .georeferences import LocalFrame, frame_at, transform
 from .relief import Elevation, find_relief
-from .solids import join
-from .source_map import MapJunction, Pole, SourceMap, Thing, build_pole_body
+from .source_map import (
+    MapJunction,
+    Pole,
+    SourceMap,
+    Thing,
+    build_pole_body,
+    plain_id,
+)
 
 LANES_BEYOND_M = 70.0  # cars come from farther away than anything that could hide somebody
 _SAME_LEVEL_M = 3.0
@@ -100,23 +108,23 @@ def cut_out(
             for thing in near
             if thing.class_name == "ground"
         ]
+        is_low: Counter[str] = Counter()
         n_floating = 0
-        low: Counter[str] = Counter()
         for thing, lowered in zip(solid, relief.lower(source, solid, height_m), strict=True):
             vertices, is_set_down = lowered
             n_floating += is_set_down
             if relief.above_m(vertices).max() < _LOWEST_M:
-                low[thing.class_name] += 1
-                continue
-            thing_id = _unique(thing.id, source, taken)
-            things.append(replace(thing, id=thing_id, vertices_m=vertices))
+                is_low[thing.class_name] += 1
+            else:
+                thing_id = _unique(thing.id, source, taken)
+                things.append(replace(thing, id=thing_id, vertices_m=vertices))
         if n_floating:
             why = "they would float above the ground below them: set down on it"
             what = f"{n_floating} buildings in {source.name}"
             skipped.append(Note(what=what, why=why, kind="heights"))
         skipped += [
             Note(what=f"{count} x {name} in {source.name}", why="not above the road")
-            for name, count in low.items()
+            for name, count in is_low.items()
         ]
         if source.poles:
             feet = frame.take(np.stack([pole.position_m for pole in source.poles]), source)
@@ -137,7 +145,7 @@ def cut_out(
         poles=tuple(poles),
         keeps_left=roads.keeps_left,
         skipped=tuple(skipped),
-        roads=tuple(_taken(road, frame, roads) for road in junction.roads),
+        roads=tuple(_leading_roads(junction, frame, roads)),
         terrain=relief.terrain,
         zero_height_m=None if relief.terrain is None else round(relief.zero_m, 3),
         neighbours_m=tuple(_neighbours(roads, junction, frame, radius_m + _NEIGHBOURS_BEYOND_M)),
@@ -156,9 +164,13 @@ def _neighbours(
                 yield outline
 
 
-def _taken(road: LeadingRoad, frame: LocalFrame, source: SourceMap) -> LeadingRoad:
-    begin, ahead = frame.take(np.stack([road.point_m, road.point_m + road.direction]), source)
-    return replace(road, point_m=begin, direction=(ahead - begin) / np.hypot(*(ahead - begin)))
+def _leading_roads(
+    junction: MapJunction, frame: LocalFrame, source: SourceMap
+) -> Iterator[LeadingRoad]:
+    for road in junction.roads:
+        begin, ahead = frame.take(np.stack([road.point_m, road.point_m + road.direction]), source)
+        step = ahead - begin
+        yield replace(road, point_m=begin, direction=step / np.hypot(*step))
 
 
 def build_scene(
@@ -178,27 +190,21 @@ def build_scene(
     corners = half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
     plane = (np.column_stack([corners, np.zeros(4)]), faces)
-    bodies = [(GROUND, GROUND, plane if terrain is None else terrain.mesh())]
-    bodies += [
-        (thing.id, thing.class_name, (thing.vertices_m, thing.triangles))
-        for thing in surroundings.things
-    ]
+    ground = plane if terrain is None else terrain.mesh()
+    bodies: list[Body] = [(Instance(id=GROUND, class_name=GROUND), *ground)]
+    for thing in surroundings.things:
+        instance = Instance(
+            id=thing.id, class_name=thing.class_name, is_height_assumed=thing.is_height_assumed
+        )
+        bodies.append((instance, thing.vertices_m, thing.triangles))
     for pole in surroundings.poles:
-        class_name, (body, body_faces) = build_pole_body(pole)
+        class_name, (vertices, triangles) = build_pole_body(pole)
         foot = on_ground(pole.position_m[:2], terrain)
-        bodies.append((pole.id, class_name, (body + [0.0, 0.0, foot[2]], body_faces)))
-    vertices, triangles = join([mesh for _, _, mesh in bodies])
-    n_triangles = [len(faces) for _, _, (_, faces) in bodies]
-    assumed = {thing.id for thing in surroundings.things if thing.is_height_assumed}
+        instance = Instance(id=pole.id, class_name=class_name)
+        bodies.append((instance, vertices + [0.0, 0.0, foot[2]], triangles))
     scene = Scene(
         name=name,
-        vertices_m=vertices,
-        triangles=triangles,
-        triangle_instance=np.repeat(np.arange(len(bodies)), n_triangles),
-        instances=tuple(
-            Instance(id=id_, class_name=kind, is_height_assumed=id_ in assumed)
-            for id_, kind, _ in bodies
-        ),
+        **join_bodies(bodies),
         sites=tuple(
             replace(site, position_m=on_ground(site.position_m[:2], terrain)) for site in sites
         ),
@@ -268,8 +274,6 @@ def _beyond(lane: Lane, bend_per_m: float, reach_m: float) -> FloatArray:
 
 def _free_m(chain_m: FloatArray, width_m: float, houses: Any) -> float:
     """How far a lane leads before it comes close to houses; infinite: all of it is clear."""
-    import shapely
-
     line = shapely.LineString(chain_m)
     strip = line.buffer(0.5 * width_m + _BESIDE_HOUSES_M, cap_style="flat")
     hits = shapely.get_coordinates(houses.intersection(strip))
@@ -308,16 +312,8 @@ def _lanes(
         points = _apart(points)
         if len(points) < 2:
             continue
-        found.append(
-            Lane(
-                id=lane.id,
-                kind=lane.kind,
-                width_m=lane.width_m,
-                centreline_m=points,
-                speed_limit_kmh=lane.speed_limit_kmh,
-                turns=lane.turns,
-            )
-        )
+        cut = Lane(id=lane.id, kind=lane.kind, width_m=lane.width_m, centreline_m=points)
+        found.append(replace(cut, speed_limit_kmh=lane.speed_limit_kmh, turns=lane.turns))
         if lane.kind == "driving":
             for others, at, name in ((ends, -1, lane.to_junction), (begins, 0, lane.from_junction)):
                 if name not in ("", junction.id) and (points[at] == whole[at]).all():
@@ -325,19 +321,16 @@ def _lanes(
     mapped = {lane.from_junction for lane in roads.connections}
     for lane in roads.connections:
         points = frame.take(lane.centreline_m[:, :2], roads)
-        is_own = lane.from_junction == junction.id
         height = lane.centreline_m[:, 2] - junction.height_m
-        if not is_own and (
-            _is_elsewhere(points, height, outline_m, reach_m)
-            or np.hypot(*points.T).max() > reach_m
-            or not _leads_straight_on(points)
-        ):
-            continue
+        is_taken = lane.from_junction == junction.id or (
+            not _is_elsewhere(points, height, outline_m, reach_m)
+            and np.hypot(*points.T).max() <= reach_m
+            and _leads_straight_on(points)
+        )
         points = _apart(points)
-        if len(points) > 1:
-            found.append(
-                Lane(id=lane.id, kind=CONNECTING, width_m=lane.width_m, centreline_m=points)
-            )
+        if is_taken and len(points) > 1:
+            width_m = lane.width_m
+            found.append(Lane(id=lane.id, kind=CONNECTING, width_m=width_m, centreline_m=points))
     return found, [
         lane
         for name in sorted((ends.keys() & begins.keys()) - mapped)
@@ -390,8 +383,7 @@ def _apart(points_m: FloatArray) -> FloatArray:
     """A line without points that a file with three digits could not tell from their neighbours."""
     is_new = np.append(True, np.hypot(*np.diff(points_m, axis=0).T) > _DIGITS_M)
     if not is_new[-1] and is_new.sum() > 1:  # the end stays, and the point before it goes
-        is_new[np.flatnonzero(is_new)[-1]] = False
-        is_new[-1] = True
+        is_new[[np.flatnonzero(is_new)[-1], -1]] = False, True
     apart: FloatArray = points_m[is_new]
     return apart
 
@@ -478,15 +470,14 @@ def _near_things(
     if frame.map_crs and not source.crs:
         why = (
             "the file names no coordinate reference system, and in that of the map with the roads "
-            f"they lie {why}: name it (such as EPSG:25832), or move "
-            "them"
+            f"they lie {why}: name it (such as EPSG:25832), or move them"
         )
     return near, [Note(what=f"{n_far} things in {source.name}", why=why)]
 
 
 def _unique(name: str, source: SourceMap, taken: set[str]) -> str:
-    """An id that no other thing has, without characters that separate ids on a command line."""
-    clean = "-".join(name.replace(",", " ").replace("/", " ").split()) or "thing"
+    """An id that no other thing has."""
+    clean = plain_id(name) or "thing"
     candidates = [clean, f"{source.name}-{clean}"]
     candidates += [f"{clean}-{number}" for number in range(2, len(taken) + 3)]
     for candidate in candidates:
@@ -500,34 +491,27 @@ def _unique(name: str, source: SourceMap, taken: set[str]) -> str:
 _MORE_M = 80.0  # beyond what is cut out: the ground is levelled with what lies around it
 _THINGS_MORE_M = 30.0
 _FAR_FIELDS, _NEAR_FIELDS = ("lanes", "connections"), ("junctions", "things", "poles")
-_BLOCK = 256  # points of the ground that are looked up together
 
 
-def _trees(source: SourceMap) -> dict[str, Any]:
-    """Trees of the boxes around what a map has: of crosswalks' middles, of blocks of ground."""
-    ground = source.ground_m
+def _boxes(source: SourceMap) -> dict[str, FloatArray]:
+    """Lowest and highest x and y of what a map has, (n, 2, 2); without points it is nowhere."""
     lines = {
         "lanes": [lane.centreline_m for lane in source.lanes],
         "connections": [lane.centreline_m for lane in source.connections],
         "junctions": [junction.outline_m for junction in source.junctions],
         "things": [thing.vertices_m for thing in source.things],
         "poles": [pole.position_m[None] for pole in source.poles],
-        "crosswalks": [middle[None] for middle in source.crosswalks_m.mean(axis=1)],
-        "ground": [ground[at : at + _BLOCK] for at in range(0, len(ground), _BLOCK)],
     }
-    return {name: _tree(found) for name, found in lines.items()}
-
-
-def _tree(lines: Sequence[FloatArray]) -> Any:
-    """A tree of the boxes around lines (n, 2 or more); those without points are nowhere."""
-    import shapely
-
-    return shapely.STRtree(
-        [
-            shapely.box(*line[:, :2].min(axis=0), *line[:, :2].max(axis=0)) if len(line) else None
-            for line in lines
-        ]
-    )
+    nowhere = np.full((1, 2), np.nan)
+    return {
+        name: np.array(
+            [
+                [points[:, :2].min(axis=0), points[:, :2].max(axis=0)]
+                for points in (line if len(line) else nowhere for line in found)
+            ]
+        ).reshape(-1, 2, 2)
+        for name, found in lines.items()
+    }
 
 
 class Neighbourhoods:
@@ -544,7 +528,7 @@ class Neighbourhoods:
     def __init__(self, maps: Sequence[SourceMap], *, radius_m: float) -> None:
         self._half_m = radius_m + LANES_BEYOND_M + _MORE_M
         self._share = (radius_m + _THINGS_MORE_M) / self._half_m  # of the square that has things
-        self._maps = [(source, _trees(source)) for source in maps]
+        self._maps = [(source, _boxes(source)) for source in maps]
 
     def around(self, junction: MapJunction) -> tuple[SourceMap, ...]:
         """Parts of the maps around a junction of the first one.
@@ -556,13 +540,13 @@ class Neighbourhoods:
         middle = junction.position_m
         corners = middle + self._half_m * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
         parts = []
-        for source, trees in self._maps:
+        for source, boxes in self._maps:
             here = corners
             if source.crs and roads.crs and source.crs != roads.crs:
                 here = transform(corners, roads.crs, source.crs)
             low, high = here.min(axis=0), here.max(axis=0)
             less = 0.5 * (1.0 - self._share) * (high - low)
-            part = _within(source, trees, (low, high), near=(low + less, high - less))
+            part = _within(source, boxes, (low, high), near=(low + less, high - less))
             has_any = part.things or part.poles or len(part.crosswalks_m) or len(part.ground_m)
             if source is roads or has_any:
                 parts.append(part)
@@ -573,30 +557,26 @@ _Square = tuple[FloatArray, FloatArray]  # lowest and highest x and y
 
 
 def _within(
-    source: SourceMap, trees: dict[str, Any], square: _Square, *, near: _Square
+    source: SourceMap, boxes: dict[str, FloatArray], square: _Square, *, near: _Square
 ) -> SourceMap:
     """Lanes and ground of a square, and of a smaller one what stands and is painted there."""
-    low, high = square
-    blocks = _meeting(trees["ground"], square) * _BLOCK
-    rows = (blocks[:, None] + np.arange(_BLOCK)).ravel()
-    ground = source.ground_m[rows[rows < len(source.ground_m)]]
-    is_inside = ((ground[:, :2] >= low) & (ground[:, :2] <= high)).all(axis=1)
     found: dict[str, Any] = {
-        name: tuple(getattr(source, name)[index] for index in _meeting(trees[name], place).tolist())
+        name: tuple(compress(getattr(source, name), _is_meeting(boxes[name], place)))
         for place, names in ((square, _FAR_FIELDS), (near, _NEAR_FIELDS))
         for name in names
     }
+    middles = source.crosswalks_m.mean(axis=1)
+    ground = source.ground_m[:, :2]
     return replace(
         source,
         **found,
-        crosswalks_m=source.crosswalks_m[_meeting(trees["crosswalks"], near)],
-        ground_m=ground[is_inside],
+        crosswalks_m=source.crosswalks_m[_is_meeting(np.stack([middles, middles], 1), near)],
+        ground_m=source.ground_m[_is_meeting(np.stack([ground, ground], 1), square)],
         skipped=assumptions(source.skipped),
     )
 
 
-def _meeting(tree: Any, square: _Square) -> IntArray:
-    """Indices of the boxes that meet a rectangle, ascending, (n,)."""
-    import shapely
-
-    return np.sort(tree.query(shapely.box(*square[0], *square[1])))
+def _is_meeting(boxes: FloatArray, square: _Square) -> BoolArray:
+    """Which of some boxes (n, 2, 2) meet a rectangle, (n,)."""
+    low, high = square
+    return np.asarray(((boxes[:, 0] <= high) & (boxes[:, 1] >= low)).all(axis=1), dtype=bool)

@@ -122,7 +122,7 @@ class Georeference:
     is_northing_first: bool = False  # the file's first coordinate is the northing or the latitude
     is_projected: bool = False  # to_metres projects from source_crs to crs
     z_m: float = 1.0  # length of the file's unit of height
-    note: Note | None = None  # a declaration that was not followed
+    notes: tuple[Note, ...] = ()  # on a declaration that was not followed
 
     def to_metres(self, points: ArrayLike, where: str) -> FloatArray:
         """Easting, northing and height in `crs` of points (n, 2) or (n, 3) of the file.
@@ -174,26 +174,31 @@ def georeference(
         crs = None
     if crs is None:
         _refuse_degrees(box, where)
-        return Georeference(crs="", source_crs="", note=_unknown(declared))
+        text = str(declared or "").strip()
+        note = Note(
+            what=f"coordinate reference system {text[:80]}",
+            why="not a known horizontal one: taken as metres without a place on earth",
+        )
+        return Georeference(crs="", source_crs="", notes=(note,) if text else ())
     name = crs_name(crs)
     z_m = _vertical_unit_m(declared)
     is_swapped = follows_authority and crs.axis_info[0].direction in ("north", "south")
     if crs.is_geographic:
         northing_first = is_swapped
-        box = _swap(box) if is_swapped else box
+        box = box[:, ::-1] if is_swapped else box
         _refuse_no_degrees(box, where)
         lonlat = box.mean(axis=0)
     else:
         _refuse_degrees(box, where)
         for northing_first in (is_swapped, not is_swapped) if follows_authority else (False,):
-            middle = (_swap(box) if northing_first else box).mean(axis=0)
+            middle = (box[:, ::-1] if northing_first else box).mean(axis=0)
             if _is_meant_for(crs, middle):
                 break
         else:
             area = crs.area_of_use.name if crs.area_of_use else "its area"
             why = f"the coordinates lie outside {area}: taken as metres without a place on earth"
             note = Note(what=f"coordinate reference system {name}", why=why)
-            return Georeference(crs="", source_crs="", z_m=z_m, note=note)
+            return Georeference(crs="", source_crs="", z_m=z_m, notes=(note,))
         if _is_in_metres(crs, middle):
             return Georeference(
                 crs=name, source_crs=name, is_northing_first=northing_first, z_m=z_m
@@ -217,12 +222,11 @@ def horizontal_crs(declared: "str | CRS | None") -> "CRS | None":
     if declared is None or not str(declared).strip():
         return None
     crs = parse_crs(_spelling(declared) if isinstance(declared, str) else declared)
-    while crs.is_bound and crs.source_crs is not None:
-        crs = crs.source_crs
-    if crs.is_compound:
-        crs = crs.sub_crs_list[0]
-    while crs.is_bound and crs.source_crs is not None:
-        crs = crs.source_crs
+    while crs.is_compound or crs.is_bound:
+        inner = crs.sub_crs_list[0] if crs.is_compound else crs.source_crs
+        if inner is None:
+            break
+        crs = inner
     crs = crs.to_2d()
     return crs if crs.is_geographic or crs.is_projected else None
 
@@ -236,20 +240,8 @@ def crs_name(crs: "CRS") -> str:
 def _spelling(declared: str) -> str:
     """A code that pyproj knows, for spellings that it does not."""
     text = declared.strip()[:_MAX_TEXT]
-    for pattern, code in _SPELLINGS:
-        match = re.fullmatch(pattern, text)
-        if match:
-            return code(match)
-    return text
-
-
-def _unknown(declared: "str | CRS | None") -> Note | None:
-    if declared is None or not str(declared).strip():
-        return None
-    return Note(
-        what=f"coordinate reference system {str(declared).strip()[:80]}",
-        why="not a known horizontal one: taken as metres without a place on earth",
-    )
+    found = ((re.fullmatch(pattern, text), code) for pattern, code in _SPELLINGS)
+    return next((code(match) for match, code in found if match), text)
 
 
 def _vertical_unit_m(declared: "str | CRS | None") -> float:
@@ -276,16 +268,14 @@ def _refuse_no_degrees(box: FloatArray, where: str) -> None:
     """Refuse coordinates that cannot be longitude and latitude."""
     if (np.abs(box) <= [180.0, 90.0]).all():
         return
-    if (np.abs(_swap(box)) <= [180.0, 90.0]).all():
-        got = Unquoted(f"latitude and longitude swapped: a latitude of {np.abs(box[:, 1]).max():g}")
-        raise InputError(where, got, "longitude first, latitude second, in degrees")
-    raise InputError(
-        where,
-        Unquoted(
-            f"metres or another CRS where degrees are expected: coordinates around {_words(box)}"
-        ),
-        "longitude -180 to 180, latitude -90 to 90, or the coordinate reference system in the file",
+    got = f"metres or another CRS where degrees are expected: coordinates around {_words(box)}"
+    expected = (
+        "longitude -180 to 180, latitude -90 to 90, or the coordinate reference system in the file"
     )
+    if (np.abs(box[:, ::-1]) <= [180.0, 90.0]).all():
+        got = f"latitude and longitude swapped: a latitude of {np.abs(box[:, 1]).max():g}"
+        expected = "longitude first, latitude second, in degrees"
+    raise InputError(where, Unquoted(got), expected)
 
 
 def _words(box: FloatArray) -> str:
@@ -327,7 +317,3 @@ def _is_in_metres(crs: "CRS", point: FloatArray) -> bool:
         return True
     scales = np.array([factors.meridional_scale, factors.parallel_scale])
     return bool(not np.isfinite(scales).all() or (np.abs(scales - 1.0) < _MAX_STRETCH).all())
-
-
-def _swap(box: FloatArray) -> FloatArray:
-    return box[:, ::-1]

@@ -9,9 +9,13 @@ from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import shapely
+from shapely.errors import ShapelyError
+from shapely.geometry import shape
+from shapely.geometry.base import BaseGeometry
 
 from ..errors import InputError, Unquoted, check_one_of
 from ..files import check_file, open_file, read_text
@@ -19,23 +23,19 @@ from ..notes import Note
 from ..scene import CLASS_NAMES
 from ..untrusted_files import parse_json, unpacked
 from .georeferences import WGS84, Georeference, georeference
-from .solids import extrude_polygon, join
 from .source_map import (
     SourceMap,
     Thing,
     ThingKind,
     counted,
+    extrude_polygon,
+    join,
     kind_from_name,
     kind_of_class,
     shortened,
     thing_defaults,
     unique_id,
 )
-
-if TYPE_CHECKING:
-    from shapely import Polygon
-    from shapely.geometry.base import BaseGeometry
-
 
 MAX_FEATURES = 200_000
 SUFFIXES = (".geojson", ".json", ".gpkg", ".shp")
@@ -54,8 +54,13 @@ class Feature:
     """One row of a layer."""
 
     where: str  # file and row, for messages
-    geometry: "BaseGeometry | None"  # in the file's coordinates
+    geometry: BaseGeometry | None  # in the file's coordinates
     values: Mapping[str, Any]  # by name of the column; missing ones are left out
+
+    @property
+    def named(self) -> dict[str, Any]:
+        """Values by the column's name in lower case, with _ for everything between words."""
+        return {_column(key): value for key, value in self.values.items()}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -66,7 +71,7 @@ class Features:
     crs: str  # as the file declares it; empty: it does not
 
 
-def read_features(path: Path, layer: str | None = None) -> Features:
+def read_features(path: Path, layer: str = "") -> Features:
     """Read one layer of a GeoJSON, GeoPackage or Shapefile, or of a .zip with one of them.
 
     Raises InputError if the file cannot be read, does not have the format of its suffix, has
@@ -85,9 +90,6 @@ def read_features(path: Path, layer: str | None = None) -> Features:
 
 def _read_geojson(path: Path) -> Features:
     """GeoJSON (RFC 7946), and the ``crs`` member of its predecessor; nothing is fetched."""
-    from shapely.errors import ShapelyError
-    from shapely.geometry import shape
-
     where = str(path)
     document = parse_json(read_text(path, "GeoJSON"), where, "GeoJSON")
     kind = document.get("type")
@@ -134,9 +136,8 @@ def _geojson_crs(table: Any, where: str) -> str:
     return name
 
 
-def _read_with_gdal(path: Path, layer: str | None) -> Features:
+def _read_with_gdal(path: Path, layer: str) -> Features:
     import pyogrio
-    from shapely.errors import ShapelyError
 
     where = str(path)
     magic, name = _MAGIC[path.suffix.lower()]
@@ -151,10 +152,12 @@ def _read_with_gdal(path: Path, layer: str | None) -> Features:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # rings left open and the like, which GDAL mends
             layers = [str(found) for found in pyogrio.list_layers(path)[:, 0]]
-            if layer is None and len(layers) != 1:
-                raise InputError(where, Unquoted(f"{len(layers)} layers"), _one_of(layers))
-            if layer is not None and layer not in layers:
-                raise InputError(f"{where}: layer", layer, _one_of(layers))
+            named = "one layer, by name: " + ", ".join(layers[:20]) if layers else "a layer"
+            if not layer and len(layers) != 1:
+                raise InputError(where, Unquoted(f"{len(layers)} layers"), named)
+            if layer and layer not in layers:
+                raise InputError(f"{where}: layer", layer, named)
+            layer = layer or layers[0]
             info = pyogrio.read_info(path, layer=layer)
             if info["driver"] != _DRIVERS[path.suffix.lower()]:
                 raise InputError(where, Unquoted(f"a file for {info['driver']}"), name)
@@ -169,19 +172,16 @@ def _read_with_gdal(path: Path, layer: str | None) -> Features:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise InputError(where, Unquoted(reason), name) from None
     _refuse_many(len(table), where)
-    columns = {
-        str(column): (table[column].to_numpy(), table[column].notna().to_numpy())
-        for column in table.columns
-        if column != "geometry"
-    }
+    columns = {str(name): table[name].to_numpy() for name in table.columns if name != "geometry"}
+    is_known = {name: table[name].notna().to_numpy() for name in columns}
     features = [
         Feature(
             where=f"{where}: row {index + 1}",
             geometry=geometry,
             values={
-                column: value.item() if isinstance(value := values[index], np.generic) else value
-                for column, (values, is_known) in columns.items()
-                if is_known[index]
+                name: value.item() if isinstance(value := values[index], np.generic) else value
+                for name, values in columns.items()
+                if is_known[name][index]
             },
         )
         for index, geometry in enumerate(table.geometry.to_numpy())
@@ -212,10 +212,6 @@ def _check_tables(path: Path) -> None:
         raise InputError(str(path), got, "plain tables alone")
 
 
-def _one_of(layers: list[str]) -> str:
-    return "one layer, by name: " + ", ".join(layers[:20]) if layers else "a layer"
-
-
 def _refuse_many(n_features: int, where: str) -> None:
     if n_features > MAX_FEATURES:
         got = Unquoted(f"more than {MAX_FEATURES:,} features")
@@ -240,9 +236,7 @@ _UNITS_M = {"m": 1.0, "meter": 1.0, "metre": 1.0, "meters": 1.0, "metres": 1.0, 
 _UNITS_M |= {"mm": 0.001, "ft": 0.3048, "feet": 0.3048, "foot": 0.3048, "'": 0.3048}
 
 
-def read_footprints(
-    path: Path, *, class_name: str = "building", layer: str | None = None
-) -> SourceMap:
+def read_footprints(path: Path, *, class_name: str = "building", layer: str = "") -> SourceMap:
     """Read footprints and raise them to solids.
 
     Heights come from columns such as ``height``, ``building:levels`` or ``min_height``, in metres
@@ -252,8 +246,6 @@ def read_footprints(
     Third coordinates are ignored; heights are above ground. Raises InputError if the file cannot be
     read, has no area, or has coordinates that are not finite or do not fit its reference system.
     """
-    import shapely
-
     check_one_of("class_name", class_name, CLASS_NAMES)
     table = read_features(path, layer)
     where = str(path)
@@ -274,8 +266,7 @@ def read_footprints(
     failed: list[Note] = []
     ids: Counter[str] = Counter()
     for feature, kind in solid:
-        values = {_column(key): value for key, value in feature.values.items()}
-        wanted = next((str(values[key]) for key in _IDS if key in values), "")
+        wanted = next((str(feature.named[key]) for key in _IDS if key in feature.named), "")
         thing_id = unique_id(wanted or feature.where.rpartition(": ")[2], ids)
         try:
             things.append(_raised(feature, kind, thing_id, place))
@@ -283,44 +274,37 @@ def read_footprints(
             failed.append(Note(what=f"{kind.kind} {thing_id}", why=str(error)))
     if not things:
         raise InputError(where, Unquoted(f"no footprint with an area; {failed[0].why}"), "polygons")
-    notes = [] if place.note is None else [place.note]
     return SourceMap(
         name=path.name,
         crs=place.crs,
         source_crs=place.source_crs,
         things=tuple(things),
-        skipped=(*notes, *counted(left_out, "no area"), *shortened(failed)),
+        skipped=(*place.notes, *counted(left_out, "no area"), *shortened(failed)),
     )
 
 
 def _kind(feature: Feature, class_name: str, left_out: Counter[str]) -> ThingKind | None:
     """Kind of a feature; None if it is not solid."""
-    geometry = feature.geometry
-    if geometry is None or geometry.is_empty:
+    if feature.geometry is None or feature.geometry.is_empty:
         left_out["rows without geometry"] += 1
         return None
-    values = {_column(key): value for key, value in feature.values.items()}
-    words = " ".join(str(values[key]) for key in _KINDS if key in values)
-    said = kind_from_name(words)
-    is_barrier = said is not None and said.kind in ("wall", "fence", "hedge")
-    if _has(geometry, ("Polygon",)):
-        return said if is_barrier else kind_of_class(class_name)
-    if not _has(geometry, ("LineString", "LinearRing")):
+    types = {part.geom_type for part in _parts(feature.geometry)}
+    values = feature.named
+    said = kind_from_name(" ".join(str(values[key]) for key in _KINDS if key in values))
+    if said is not None and said.kind not in ("wall", "fence", "hedge"):
+        said = None
+    if "Polygon" in types:
+        return said or kind_of_class(class_name)
+    if not types & {"LineString", "LinearRing"}:
         left_out["points"] += 1
         return None
-    if is_barrier:
-        return said
-    if class_name == "wall":
-        return kind_of_class(class_name)
-    left_out["lines"] += 1
-    return None
+    if said is None and class_name != "wall":
+        left_out["lines"] += 1
+        return None
+    return said or kind_of_class(class_name)
 
 
-def _has(geometry: "BaseGeometry", types: tuple[str, ...]) -> bool:
-    return any(part.geom_type in types for part in _parts(geometry))
-
-
-def _parts(geometry: "BaseGeometry", depth: int = 0) -> "list[BaseGeometry]":
+def _parts(geometry: BaseGeometry, depth: int = 0) -> list[BaseGeometry]:
     pieces = getattr(geometry, "geoms", None)
     if pieces is None or depth > 50:
         return [geometry]
@@ -329,22 +313,18 @@ def _parts(geometry: "BaseGeometry", depth: int = 0) -> "list[BaseGeometry]":
 
 def _raised(feature: Feature, kind: ThingKind, thing_id: str, place: Georeference) -> Thing:
     """A feature as a solid; raises InputError if it has no area."""
-    import shapely
-
-    def project(points: Any) -> Any:
-        return place.to_metres(points, feature.where)
-
-    assert feature.geometry is not None
-    geometry = shapely.transform(shapely.force_2d(feature.geometry), project)
+    geometry = shapely.transform(
+        shapely.force_2d(feature.geometry), lambda points: place.to_metres(points, feature.where)
+    )
     parts = _parts(geometry)
-    polygons: list[Polygon] = [part for part in parts if part.geom_type == "Polygon"]
+    polygons = [part for part in parts if part.geom_type == "Polygon"]
     if not polygons:
         strips = [
             part.buffer(0.5 * kind.thickness_m, cap_style="flat", join_style="mitre")
             for part in parts
             if part.geom_type in ("LineString", "LinearRing")
         ]
-        polygons = [part for strip in strips for part in _parts(strip) if not part.is_empty]
+        polygons = [part for strip in strips for part in _parts(strip)]
     bottom_m, top_m, is_assumed = _span_m(feature.values, kind)
     pieces = [
         extrude_polygon(polygon, bottom_m=bottom_m, top_m=top_m, where=thing_id)
@@ -376,17 +356,15 @@ def _span_m(values: Mapping[str, Any], kind: ThingKind) -> tuple[float, float, b
 
 def _length_m(values: Mapping[str, Any], names: tuple[str, ...]) -> float | None:
     """First finite number, in metres, of the columns with one of the names, or None."""
-    best: tuple[int, float] | None = None
+    found: dict[int, float] = {}
     for key, value in values.items():
         column = _column(key)
         base, _, unit = column.rpartition("_")
         column, scale = (base, _UNITS_M[unit]) if unit in _UNITS_M and base else (column, 1.0)
-        if column not in names:
-            continue
-        number = _number(value)
-        if number is not None and (best is None or names.index(column) < best[0]):
-            best = names.index(column), number * scale
-    return None if best is None else best[1]
+        number = _number(value) if column in names else None
+        if number is not None:
+            found.setdefault(names.index(column), number * scale)
+    return found[min(found)] if found else None
 
 
 _NUMBER = re.compile(r"([-+]?\d{1,15}(?:[.,]\d{1,15})?(?:[eE][-+]?\d{1,2})?)\s*([a-z']*)")

@@ -1,28 +1,293 @@
 """Import map files as a scene: read them, choose the junction, cut it out, decide on sites."""
 
 import json
-from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+import re
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+from difflib import SequenceMatcher
+from functools import cache
+from importlib import import_module
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
+import shapely
 
 from ..arrays import FloatArray
-from ..errors import InputError, Unquoted
-from ..files import check_file, open_file, read_text
+from ..errors import InputError, Unquoted, check_one_of
+from ..files import check_file, load_toml, open_file, read_text
 from ..frames import parse_crs
+from ..junction import build_junction
 from ..notes import Note
-from ..scene import Scene, Site
+from ..scene import Instance, Lane, Scene, Site
 from ..scene_checks import arms_that_end
 from ..untrusted_files import local_name, read_xml_root, unpacked
 from .cut import LANES_BEYOND_M, build_scene, cut_out
-from .junctions import Surveyed, choose_junction, survey_junctions
+from .georeferences import WGS84, transform
 from .place_lists import SUFFIXES as LISTS
+from .relief import read_elevation
 from .sites import choose_sites, settle_poles
-from .source_map import Pole, SourceMap, Thing
+from .source_map import MapJunction, MapLane, Pole, SourceMap, Thing
 
+_MAX_LISTED = 12
+_NEAR_M = 100.0
+_BESIDE_M = 15.0  # from the outline: signals and crosswalks of the arms
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Surveyed:
+    """A junction of a map and the lanes that lead to it."""
+
+    junction: MapJunction  # the junction itself
+    arms: tuple[str, ...]  # names of its arms; empty if no lane ends at its outline
+    n_lanes: int  # driving lanes into it and out of it
+    n_driven: int  # arms from which a driving lane leads into it
+    # (2,); its middle in the file's coordinate reference system: longitude and latitude, or metres
+    position: FloatArray
+    n_signals: int = 0  # poles with traffic lights inside it, or at most 15 m from its outline
+    n_crossings: int = 0  # crosswalks whose middle lies inside it, or at most 15 m from its outline
+
+
+def survey_junctions(source: SourceMap) -> tuple[Surveyed, ...]:
+    """All junctions of a map, the largest first: by arms, driven arms, then lanes.
+
+    Of equally large ones the one nearest to the middle of the map comes first.
+    """
+    by_junction: dict[str, list[MapLane]] = defaultdict(list)
+    for lane in source.lanes:
+        for name in {lane.from_junction, lane.to_junction}:
+            by_junction[name].append(lane)
+    lights = [pole.position_m[:2] for pole in source.poles if pole.kind == "traffic light"]
+    signals = _count_near(source.junctions, np.array(lights).reshape(-1, 2))
+    crossings = _count_near(source.junctions, source.crosswalks_m.mean(axis=1))
+    found = [
+        _survey(source, one, by_junction[one.id], n_signals, n_crossings)
+        for one, n_signals, n_crossings in zip(source.junctions, signals, crossings, strict=True)
+    ]
+    if not found:
+        return ()
+    middle = np.median([one.junction.position_m for one in found], axis=0)
+
+    def rank(one: Surveyed) -> tuple[float, ...]:
+        off_m = float(np.hypot(*(one.junction.position_m - middle)))
+        return (-len(one.arms), -one.n_driven, -one.n_lanes, off_m)
+
+    return tuple(sorted(found, key=rank))
+
+
+def _count_near(junctions: Sequence[MapJunction], points_m: FloatArray) -> list[int]:
+    """How many points lie inside each junction or next to it."""
+    if not len(points_m):
+        return [0] * len(junctions)
+    areas = [shapely.make_valid(shapely.Polygon(one.outline_m)) for one in junctions]
+    points = shapely.points(points_m)
+    hit, _ = shapely.STRtree(areas).query(points, predicate="dwithin", distance=_BESIDE_M)[::-1]
+    counts: list[int] = np.bincount(hit, minlength=len(junctions)).tolist()
+    return counts
+
+
+SORTS = ("arms", "lanes", "signals", "crossings", "name")
+
+
+def sort_junctions(surveyed: Sequence[Surveyed], sort: str) -> tuple[Surveyed, ...]:
+    """Junctions in another order: the most first, or names by the alphabet.
+
+    `surveyed`: as :func:`survey_junctions` returns them; equal ones stay in this order. `sort`: one
+    of ``SORTS``; "arms" is the order that they come in. Raises InputError: `sort` is none of them.
+    """
+    check_one_of("sort", sort, SORTS)
+    if sort == "name":
+        return tuple(sorted(surveyed, key=lambda one: one.junction.name.casefold()))
+    if sort == "arms":
+        return tuple(surveyed)
+    return tuple(sorted(surveyed, key=lambda one: -int(getattr(one, f"n_{sort}"))))
+
+
+def choose_junction(
+    source: SourceMap,
+    surveyed: Sequence[Surveyed],
+    *,
+    name: str = "",
+    at: tuple[float, float] | None = None,
+) -> Surveyed:
+    """Choose a junction by name or point; by default the first.
+
+    Raises InputError: the map has no junction, or none or several match.
+
+    Parameters
+    ----------
+    source : SourceMap
+        The map.
+    surveyed : sequence of Surveyed
+        Its junctions, as :func:`survey_junctions` returns them.
+    name : str
+        Id; or name, streets in any order: "Mannerheimintie / Kaivokatu", or some of them, also
+        shortened (St, Ave, Str.); or a part of the name that no other junction has; or "latitude,
+        longitude" within 100 m in degrees; empty: any.
+    at : (float, float), optional
+        A point within 100 m, in the file's coordinate reference system: longitude and latitude, or
+        metres.
+    """
+    if not surveyed:
+        raise InputError(source.name, Unquoted("no junction"), "a map in which roads meet")
+    where = "at"
+    if name:
+        place = _LAT_LON.fullmatch(name)
+        if place is None or any(one.junction.id == name for one in surveyed):
+            return _by_name(surveyed, name)
+        where, at = "junction", _from_degrees(source, (float(place[2]), float(place[1])), name)
+    if at is None:
+        return surveyed[0]
+    point = _in_map(source, at)
+    if not np.isfinite(point).all():
+        raise InputError(where, Unquoted(f"{at[0]:g},{at[1]:g}"), f"a point in {source.source_crs}")
+    distance = [float(np.hypot(*(one.junction.position_m - point))) for one in surveyed]
+    nearest = int(np.argmin(distance))
+    if not distance[nearest] <= _NEAR_M:
+        got = name or f"{at[0]:.8g},{at[1]:.8g}"
+        exchanged = _in_map(source, (at[1], at[0]))
+        if min(np.hypot(*(one.junction.position_m - exchanged)) for one in surveyed) <= _NEAR_M:
+            order = "longitude,latitude" if source.source_crs == "EPSG:4326" else "X,Y"
+            order = "latitude,longitude" if name else order
+            raise InputError(where, Unquoted(got), f"{order}: it is the other way round")
+        found = surveyed[nearest]
+        place_of = ", ".join(f"{value:.8g}" for value in found.position)
+        expected = f"a point within {_NEAR_M:g} m of a junction; the nearest one, "
+        raise InputError(where, Unquoted(got), f"{expected}{found.junction.id}, is at {place_of}")
+    return surveyed[nearest]
+
+
+def _by_name(surveyed: Sequence[Surveyed], name: str) -> Surveyed:
+    wanted = name.casefold()
+    for matches in (
+        [one for one in surveyed if one.junction.id == name],
+        [one for one in surveyed if one.junction.name.casefold() == wanted],
+        [one for one in surveyed if _streets(one.junction.name) == _streets(name)],
+        [one for one in surveyed if _streets(one.junction.name) >= _streets(name)],
+        [one for one in surveyed if _streets(one.junction.name) >= _streets(name, _BETWEEN)],
+        [one for one in surveyed if wanted in one.junction.name.casefold()],
+    ):
+        if len(matches) == 1:
+            return matches[0]
+        if matches:
+            raise InputError("junction", name, f"one of {_listed(matches)}")
+    close = {
+        one: SequenceMatcher(None, wanted, one.casefold()).ratio()
+        for one in {other.junction.name for other in surveyed}
+    }
+    nearest = sorted(surveyed, key=lambda one: -close[one.junction.name])
+    raise InputError("junction", name, f"one of {_listed(nearest)}")
+
+
+_LAT_LON = re.compile(r"\s*([-+]?\d{1,2}(?:\.\d+)?)\s*,\s*([-+]?\d{1,3}(?:\.\d+)?)\s*")
+_BETWEEN = re.compile(r"\s*[/&+;]\s*|\s+(?:and|und|at|x|@)\s+", re.IGNORECASE)
+
+
+def _streets(name: str, between: re.Pattern[str] = re.compile("/")) -> frozenset[str]:
+    """Names of streets that meet, in any order and case, with all their words shortened."""
+    return frozenset(_shortened(part) for part in between.split(name))
+
+
+def _shortened(street: str) -> str:
+    words, endings = _short_forms()
+    found = []
+    for word in re.findall(r"[^\W_]+", street.casefold()):
+        for long, short in endings.items():
+            if word.endswith(long) and word != long:
+                word = word.removesuffix(long) + short
+        found.append(words.get(word, word))
+    return " ".join(found)
+
+
+@cache
+def _short_forms() -> tuple[dict[str, str], dict[str, str]]:
+    """Words of street names, and their endings, to how they are shortened."""
+    table = load_toml(files(__package__) / "data" / "streets.toml")
+    words, endings = (
+        {long: short for short, longs in table[key].items() for long in longs}
+        for key in ("words", "endings")
+    )
+    return words, endings
+
+
+def _from_degrees(
+    source: SourceMap, lon_lat_deg: tuple[float, float], name: str
+) -> tuple[float, float]:
+    """A point in the map's own coordinates, as ``at`` has it."""
+    if not source.crs:
+        raise InputError("junction", name, "an id or a name: the map does not say where it lies")
+    x, y = transform(np.array(lon_lat_deg), WGS84, source.source_crs or source.crs)
+    return float(x), float(y)
+
+
+def _listed(surveyed: Sequence[Surveyed]) -> str:
+    many = len({one.junction.name for one in surveyed}) < len(surveyed)  # names tell nothing apart
+    words = []
+    for one in surveyed[:_MAX_LISTED]:
+        label = one.junction.name
+        if many:
+            label += " at " * bool(label) + ",".join(f"{value:.8g}" for value in one.position)
+        words.append(f"{one.junction.id} ({label})" if label else one.junction.id)
+    left = len(surveyed) - len(words)
+    return ", ".join(words) + (f" and {left} more" if left else "")
+
+
+def _in_map(source: SourceMap, at: tuple[float, float]) -> FloatArray:
+    """A point in the map's coordinates; infinite if it is nowhere on earth."""
+    is_same = not source.crs or source.source_crs in ("", source.crs)
+    return np.array(at) if is_same else transform(np.array(at), source.source_crs, source.crs)
+
+
+def _survey(
+    source: SourceMap,
+    junction: MapJunction,
+    lanes: Sequence[MapLane],
+    n_signals: int,
+    n_crossings: int,
+) -> Surveyed:
+    position = junction.position_m
+    if source.crs and source.source_crs not in ("", source.crs):
+        position = transform(position, source.crs, source.source_crs)
+    # Near the origin, as build_junction's other users have it; nothing but the lanes counts.
+    scene = Scene(
+        name=junction.id,
+        vertices_m=np.zeros((0, 3)),
+        triangles=np.zeros((0, 3), dtype=np.int32),
+        triangle_instance=np.zeros(0, dtype=np.int32),
+        instances=(Instance(id="ground", class_name="ground"),),
+        sites=(),
+        outline_m=junction.outline_m - junction.position_m,
+        lanes=tuple(
+            Lane(
+                id=lane.id,
+                kind=lane.kind,
+                width_m=lane.width_m,
+                centreline_m=lane.centreline_m[:, :2] - junction.position_m,
+            )
+            for lane in lanes
+            if lane.kind in ("driving", "parking")
+        ),
+        crs="",
+        keeps_left=source.keeps_left,
+    )
+    try:
+        arms = build_junction(scene).arms
+    except InputError:  # no lane ends at the outline
+        arms = {}
+    return Surveyed(
+        junction=junction,
+        arms=tuple(arms),
+        n_lanes=sum(len(arm.entry_lanes) + len(arm.exit_lanes) for arm in arms.values()),
+        n_driven=sum(bool(arm.entry_lanes) for arm in arms.values()),
+        position=position,
+        n_signals=n_signals,
+        n_crossings=n_crossings,
+    )
+
+
+# ---------- reading maps
 _MESHES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".off")
 _CLOUDS = (".las", ".laz", ".pcd")
 _FOOTPRINTS = (".geojson", ".gpkg", ".shp")
@@ -68,7 +333,7 @@ def read_map(path: Path, options: ReadingOptions | None = None) -> SourceMap:
         inside = path
         if path.suffix.lower() == ".zip":
             inside = stack.enter_context(unpacked(path, SUFFIXES[:-1]))
-        source = _reader(inside, options)(inside)
+        source = _read(inside, options)
     if options.offset_m is not None and not source.lanes:
         return _moved(source, np.array([*options.offset_m, 0.0]))
     if crs and not source.crs:
@@ -76,49 +341,34 @@ def read_map(path: Path, options: ReadingOptions | None = None) -> SourceMap:
     return source
 
 
-def _reader(path: Path, options: ReadingOptions) -> Callable[[Path], SourceMap]:
-    """The function that reads a file; heavy modules are imported only when they are needed."""
+# By the ending of a file: module, function, and options that it asks for.
+_READERS = {
+    ".xodr": ("opendrive", "read_opendrive", ()),
+    **dict.fromkeys(_STREETS, ("openstreetmap", "read_openstreetmap", ("keeps_left",))),
+    **dict.fromkeys(_FOOTPRINTS, ("gis_files", "read_footprints", ("class_name", "layer"))),
+    ".city.json": ("city_models", "read_cityjson", ()),
+    ".citygml": ("city_models", "read_citygml", ()),
+    **dict.fromkeys(_MESHES, ("mesh_files", "read_mesh", ("unit", "up", "class_name"))),
+    **dict.fromkeys(_CLOUDS, ("point_clouds", "read_point_cloud", ("class_name",))),
+}
+
+
+def _read(path: Path, options: ReadingOptions) -> SourceMap:
+    """Read a file; heavy modules are imported only when they are needed."""
     name = path.name.lower()
     kind = next((suffix for suffix in SUFFIXES if name.endswith(suffix)), "")
-    if kind == ".json":
-        kind = ".city.json" if _is_city_json(path) else ".geojson"
-    if kind == ".jsonl":
+    if kind == ".jsonl" or (kind == ".json" and _is_city_json(path)):
         kind = ".city.json"
-    if kind in (".xml", ".gml", ".citygml"):
+    elif kind == ".json":
+        kind = ".geojson"
+    elif kind in (".xml", ".gml", ".citygml"):
         kind = _kind_of_xml(path)
-    if kind == ".xodr":
-        from .opendrive import read_opendrive
-
-        return read_opendrive
-    if kind in _STREETS:
-        from .openstreetmap import read_openstreetmap
-
-        return lambda file: read_openstreetmap(file, keeps_left=options.keeps_left)
-    if kind in _FOOTPRINTS:
-        from .gis_files import read_footprints
-
-        return lambda file: read_footprints(
-            file, class_name=options.class_name, layer=options.layer or None
-        )
-    if kind == ".city.json":
-        from .city_models import read_cityjson
-
-        return read_cityjson
-    if kind == ".gml":
-        from .city_models import read_citygml
-
-        return read_citygml
-    if kind in _MESHES:
-        from .mesh_files import read_mesh
-
-        return lambda file: read_mesh(
-            file, unit=options.unit, up=options.up, class_name=options.class_name
-        )
-    if kind in _CLOUDS:
-        from .point_clouds import read_point_cloud
-
-        return lambda file: read_point_cloud(file, class_name=options.class_name)
-    raise InputError(str(path), Unquoted("another kind of file"), ", ".join(SUFFIXES))
+    if kind not in _READERS:
+        raise InputError(str(path), Unquoted("another kind of file"), ", ".join(SUFFIXES))
+    module, function, fields = _READERS[kind]
+    read = getattr(import_module(f"{__package__}.{module}"), function)
+    source: SourceMap = read(path, **{field: getattr(options, field) for field in fields})
+    return source
 
 
 def _moved(source: SourceMap, offset_m: FloatArray) -> SourceMap:
@@ -151,7 +401,7 @@ def _is_city_json(path: Path) -> bool:
 
 def _kind_of_xml(path: Path) -> str:
     root = local_name(read_xml_root(path))
-    kinds = {"OpenDRIVE": ".xodr", "osm": ".osm", "CityModel": ".gml"}
+    kinds = {"OpenDRIVE": ".xodr", "osm": ".osm", "CityModel": ".citygml"}
     if root not in kinds:
         raise InputError(str(path), Unquoted(f"<{root}>"), "OpenDRIVE, OpenStreetMap or CityGML")
     return kinds[root]
@@ -179,7 +429,7 @@ _RADIUS_LIMITS_M = (20.0, 500.0)
 class ImportOptions:
     """Which part of the maps becomes the scene."""
 
-    junction: str = ""  # name or id, see :func:`geometry.maps.junctions.choose_junction`
+    junction: str = ""  # name or id, see :func:`geometry.maps.importing.choose_junction`
     at: tuple[float, float] | None = None  # a point near the junction instead of its name
     # radius around the middle of the junction within which things are kept
     radius_m: float = DEFAULT_RADIUS_M
@@ -219,7 +469,7 @@ def read_maps(
 
     `paths`: exactly one has roads; the others have buildings and more. `reading`: answers to what
     the files leave open. Returns `maps`: the map with the roads first, then the others in the given
-    order. `junctions`: see :func:`geometry.maps.junctions.survey_junctions`. Raises InputError: a
+    order. `junctions`: see :func:`geometry.maps.importing.survey_junctions`. Raises InputError: a
     file cannot be read, or none or several have roads.
     """
     if not paths:
@@ -270,8 +520,6 @@ def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOption
         raise InputError(f"{roads.name}: junction {chosen.junction.id}", got, expected)
     elevation = None
     if options.terrain is not None:
-        from .relief import read_elevation
-
         elevation = read_elevation(
             options.terrain,
             crs=roads.crs,
@@ -314,11 +562,13 @@ def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOption
 def _site_notes(poles: Sequence[Pole], sites: Sequence[Site], where: str) -> Iterator[Note]:
     """Notes on sites where the map itself has no pole."""
     known = {site.id for site in sites}
-    assumed = [pole for pole in poles if pole.assumed and pole.id in known]
-    for kind, why in dict.fromkeys((pole.kind, pole.assumed) for pole in assumed):
-        ids = tuple(pole.id for pole in assumed if (pole.kind, pole.assumed) == (kind, why))
+    same: dict[tuple[str, str], list[str]] = defaultdict(list)
+    for pole in poles:
+        if pole.assumed and pole.id in known:
+            same[pole.kind, pole.assumed].append(pole.id)
+    for (kind, why), ids in same.items():
         what = f"{kind} {ids[0]}" if len(ids) == 1 else f"{len(ids)} x {kind}"
-        yield Note(what=what, why=why, kind="sites", site_ids=ids)
+        yield Note(what=what, why=why, kind="sites", site_ids=tuple(ids))
     masts = tuple(site.id for site in sites if site.kind == "kerb")
     if masts and Path(where).suffix.lower() not in LISTS:
         why = "no mast stands there in the map: each is assumed"

@@ -12,8 +12,16 @@ from ..errors import InputError, Unquoted, check_one_of
 from ..files import open_file, read_bytes
 from ..scene import CLASS_NAMES
 from ..untrusted_files import MAX_FILE_BYTES, check_gltf
-from .solids import is_closed, volume_m3
-from .source_map import MAX_TRIANGLES, SourceMap, Thing, counted, kind_from_name, unique_id
+from .source_map import (
+    MAX_TRIANGLES,
+    SourceMap,
+    Thing,
+    counted,
+    is_closed,
+    kind_from_name,
+    unique_id,
+    volume_m3,
+)
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")
 UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "ft": 0.3048, "in": 0.0254}
@@ -197,12 +205,9 @@ def _check_size(things: list[Thing], where: str, unit: str) -> None:
     high = np.max([thing.vertices_m.max(axis=0) for thing in things], axis=0)
     size_m = float((high - low).max())
     if not _MIN_SIZE_M <= size_m <= _MAX_SIZE_M:
-        raise InputError(
-            where,
-            Unquoted(f"a mesh {size_m:.3g} m across, taken in {unit}"),
-            f"{_MIN_SIZE_M} m to {_MAX_SIZE_M / 1000:.0f} km; another `unit` "
-            f"({', '.join(UNITS_M)})",
-        )
+        got = Unquoted(f"a mesh {size_m:.3g} m across, taken in {unit}")
+        limits = f"{_MIN_SIZE_M} m to {_MAX_SIZE_M / 1000:.0f} km"
+        raise InputError(where, got, f"{limits}; another `unit` ({', '.join(UNITS_M)})")
 
 
 def _check_roofs(things: list[Thing], where: str, up: str) -> None:
@@ -210,20 +215,19 @@ def _check_roofs(things: list[Thing], where: str, up: str) -> None:
 
     Boxes with flat roofs look the same both ways, and are not judged.
     """
-    up_m2 = down_m2 = all_m2 = 0.0
-    for thing in things:
-        if thing.class_name != "building" or not _is_solid(thing.vertices_m, thing.triangles):
-            continue
-        a, b, c = np.swapaxes(thing.vertices_m[thing.triangles], 0, 1)
-        normals = 0.5 * np.cross(b - a, c - a)
-        areas = np.linalg.norm(normals, axis=1)
-        rise = normals[:, 2] / np.where(areas > 0.0, areas, 1.0)
-        is_slanted = (np.abs(rise) > _SLANTED[0]) & (np.abs(rise) < _SLANTED[1])
-        all_m2 += float(areas.sum())
-        up_m2 += float(areas[is_slanted & (rise > 0.0)].sum())
-        down_m2 += float(areas[is_slanted & (rise < 0.0)].sum())
+    corners = [
+        thing.vertices_m[thing.triangles]
+        for thing in things
+        if thing.class_name == "building" and _is_solid(thing.vertices_m, thing.triangles)
+    ]
+    a, b, c = np.moveaxis(np.concatenate([np.empty((0, 3, 3)), *corners]), 1, 0)
+    normals = 0.5 * np.cross(b - a, c - a)
+    areas = np.linalg.norm(normals, axis=1)
+    rise = normals[:, 2] / np.where(areas > 0.0, areas, 1.0)
+    is_slanted = (np.abs(rise) > _SLANTED[0]) & (np.abs(rise) < _SLANTED[1])
+    up_m2, down_m2 = (float(areas[is_slanted & side].sum()) for side in (rise > 0.0, rise < 0.0))
     slanted_m2 = up_m2 + down_m2
-    if slanted_m2 > _MIN_SLANTED_SHARE * all_m2 and down_m2 > _SURE_SHARE * slanted_m2:
+    if slanted_m2 > _MIN_SLANTED_SHARE * areas.sum() and down_m2 > _SURE_SHARE * slanted_m2:
         other = up[1:] if up.startswith("-") else f"-{up}"
         got = Unquoted(f"{100 * down_m2 / slanted_m2:.0f} % of the slanted roofs facing down")
         raise InputError(where, got, f"an upright mesh; is up the other way: `up`={other}?")

@@ -10,6 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import shapely
+from scipy.spatial import cKDTree
+from shapely.geometry.base import BaseGeometry
 
 from ..arrays import FloatArray, set_arrays
 from ..errors import InputError, Unquoted
@@ -20,7 +23,6 @@ from .gis_files import Feature, Features, read_features
 
 if TYPE_CHECKING:
     from pyproj import CRS
-    from shapely.geometry.base import BaseGeometry
 
 
 _log = logging.getLogger(__name__)
@@ -187,15 +189,6 @@ def tell_unknown(names: Iterable[str], known: Mapping[str, str], path: Path) -> 
         _log.warning("%s: columns that are not known, and not read: %s", path, ", ".join(unknown))
 
 
-def read_place(values: Mapping[str, Any], where: str, crs: str) -> FloatArray:
-    """Position (2,) of a row by its columns x and y in `crs`, or lat and lon.
-
-    Raises InputError if there is none, or it lies nowhere.
-    """
-    fields = known_columns(list(values), where)
-    return read_position({fields[name]: values[name] for name in fields}, where, crs)
-
-
 def _geojson_rows(path: Path, crs: str) -> Iterator[_Row]:
     table = read_features(path)
     declared = _declared_crs(table, str(path))
@@ -215,7 +208,10 @@ def _geojson_rows(path: Path, crs: str) -> Iterator[_Row]:
             if declared.is_geographic and declared.to_authority() in (None, ("EPSG", "4326")):
                 values |= {"lon": x, "lat": y}
             else:
-                values |= _projected(x, y, table.crs, crs, feature.where)
+                if not crs:
+                    got = Unquoted(f"coordinates in {table.crs[:80]}")
+                    raise InputError(feature.where, got, "x and y of the scene")
+                values["x"], values["y"] = transform([x, y], table.crs, crs).tolist()
             if feature.geometry.has_z:
                 values.setdefault("z", feature.geometry.z)
         yield feature.where, values
@@ -232,13 +228,6 @@ def _declared_crs(table: Features, where: str) -> "CRS":
     if declared is None:
         raise InputError(f"{where}: crs", table.crs[:80], "a code that pyproj knows")
     return declared
-
-
-def _projected(x: float, y: float, source: str, crs: str, where: str) -> dict[str, float]:
-    if not crs:
-        raise InputError(where, Unquoted(f"coordinates in {source[:80]}"), "x and y of the scene")
-    position = transform([x, y], source, crs)
-    return {"x": float(position[0]), "y": float(position[1])}
 
 
 def _site(values: Mapping[str, Any], where: str, crs: str) -> SiteWish:
@@ -279,9 +268,8 @@ def read_position(values: Mapping[str, Any], where: str, crs: str) -> FloatArray
         return np.array([x, y])
     lat, lon = read_number(values, "lat", where), read_number(values, "lon", where)
     if lat is None or lon is None:
-        missing = "lat and lon" if lat is lon is None else "lat" if lat is None else "lon"
-        if (x is None) != (y is None):
-            missing = "x" if x is None else "y"
+        given = {"x": x, "y": y} if (x is None) != (y is None) else {"lat": lat, "lon": lon}
+        missing = " and ".join(name for name, value in given.items() if value is None)
         raise InputError(f"{where}: {missing}", Unquoted("nothing"), "x and y, or lat and lon")
     if not crs:
         expected = "x and y in metres: the scene does not say where on earth it lies"
@@ -323,17 +311,15 @@ def read_number(
     value = values.get(field)
     if value is None or value == "":
         return None
-    expected = "a finite number" + ("" if least is None else f", at least {least:g}")
-    if isinstance(value, bool):
-        raise InputError(f"{where}: {field}", value, expected)
     if isinstance(value, str) and "," in value:
         thousands = "." if value.rfind(",") > value.rfind(".") else ","
         value = value.replace(thousands, "").replace(",", ".")
     try:
-        number = float(value)
+        number = np.nan if isinstance(value, bool) else float(value)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{where}: {field}", value, expected) from None
+        number = np.nan
     if not np.isfinite(number) or (least is not None and number < least):
+        expected = "a finite number" + ("" if least is None else f", at least {least:g}")
         raise InputError(f"{where}: {field}", value, expected)
     return number
 
@@ -360,7 +346,7 @@ class Area:
 
     where: str  # file and row, for messages
     name: str
-    geometry: "BaseGeometry"  # in the coordinates of the map
+    geometry: BaseGeometry  # in the coordinates of the map
     values: Mapping[str, Any]  # by the name of the column, in lower case
 
 
@@ -411,26 +397,30 @@ def read_counts(path: Path, *, crs: str, column: str = "") -> Counts:
     else:
         table = read_features(path)
         rows = [(feature.where, dict(feature.values)) for feature in table.features]
-        places = [_point(feature, table, crs) for feature in table.features]
+        places = []
+        for feature in table.features:
+            if feature.geometry is None or feature.geometry.is_empty:
+                raise InputError(f"{feature.where}.geometry", Unquoted("nothing"), "a Point")
+            middle = _in_crs(feature, table, crs).centroid
+            places.append(np.array([middle.x, middle.y]))
     if not rows:
         raise InputError(str(path), Unquoted("nothing"), "a row for each place")
     names = {str(name): str(name).strip().lower() for _, values in rows for name in values}
     found = _column(names, column, path)
     values = np.array([_count(row, found, where) for where, row in rows])
-    if places is not None:
-        return Counts(
-            positions_m=np.array(places).reshape(-1, 2), junctions=(), values=values, column=found
-        )
+    junctions: tuple[str, ...] = ()
     by = next((name for name, plain in names.items() if plain in _JUNCTIONS), None)
-    if by is not None:
+    if places is None and by is not None:
         junctions = tuple(str(row[by]).strip() for _, row in rows)
-        return Counts(positions_m=None, junctions=junctions, values=values, column=found)
-    return Counts(
-        positions_m=np.array([read_place(row, where, crs) for where, row in rows]),
-        junctions=(),
-        values=values,
-        column=found,
-    )
+    elif places is None:
+        places = [_place(row, where, crs) for where, row in rows]
+    positions = None if places is None else np.array(places).reshape(-1, 2)
+    return Counts(positions_m=positions, junctions=junctions, values=values, column=found)
+
+
+def _place(row: Mapping[str, Any], where: str, crs: str) -> FloatArray:
+    fields = known_columns(list(row), where)
+    return read_position({fields[name]: row[name] for name in fields}, where, crs)
 
 
 def _column(names: Mapping[str, str], column: str, path: Path) -> str:
@@ -456,16 +446,7 @@ def _count(row: Mapping[str, Any], column: str, where: str) -> float:
     return number
 
 
-def _point(feature: Feature, table: Features, crs: str) -> FloatArray:
-    if feature.geometry is None or feature.geometry.is_empty:
-        raise InputError(f"{feature.where}.geometry", Unquoted("nothing"), "a Point")
-    middle = _in_crs(feature, table, crs).centroid
-    return np.array([middle.x, middle.y])
-
-
-def _in_crs(feature: Feature, table: Features, crs: str) -> "BaseGeometry":
-    import shapely
-
+def _in_crs(feature: Feature, table: Features, crs: str) -> BaseGeometry:
     assert feature.geometry is not None
     if not crs:
         got = Unquoted(f"coordinates in {table.crs[:80] or 'an unknown system'}")
@@ -489,8 +470,6 @@ def snap(
     points_m: FloatArray, junctions_m: FloatArray, *, within_m: float
 ) -> tuple[FloatArray, FloatArray]:
     """Nearest junction of each point, (n,), -1: none so near; and how far it is, (n,) metres."""
-    from scipy.spatial import cKDTree
-
     found, nearest = cKDTree(junctions_m).query(points_m)
     distance: FloatArray = np.asarray(found)
     return np.where(distance <= within_m, nearest, -1), distance
@@ -500,8 +479,6 @@ def areas_of(
     areas: Sequence[Area], points_m: FloatArray, *, within_m: float = 0.0
 ) -> list[list[int]]:
     """Indices of the areas that each point lies in, or no farther from than some metres."""
-    import shapely
-
     tree = shapely.STRtree([area.geometry for area in areas])
     points = shapely.points(points_m)
     point, area = tree.query(points, predicate="dwithin", distance=within_m)

@@ -1,19 +1,363 @@
-"""Things from point clouds: the ground below the points, and closed solids of voxels upon it."""
+"""Point clouds (LAS, LAZ, PCD): the ground below the points, and solids of voxels upon it."""
 
+import struct
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
 
+import laspy
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_fill_holes, distance_transform_edt, grey_closing, grey_opening
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError, Unquoted, check_one_of
+from ..files import open_file
 from ..notes import Note
 from ..scene import CLASS_NAMES
+from ..untrusted_files import check_unpacked
 from .georeferences import Georeference, georeference
-from .point_files import open_points
 from .source_map import MAX_TRIANGLES, SourceMap, Thing, counted
+
+if TYPE_CHECKING:
+    from pyproj import CRS
+
+
+SUFFIXES = (".las", ".laz", ".pcd")
+MAX_POINTS = 50_000_000
+CHUNK_POINTS = 1_000_000
+# LASzip's types of items in a point: their bytes; 0: as many as there are.
+_ITEM_BYTES = {0: 0, 6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29, 14: 0}
+# Of the types that are packed in layers: how many; 0: one for every byte.
+_LAYERS = {10: 9, 11: 1, 12: 2, 13: 1, 14: 0}
+
+Points = tuple[FloatArray, NDArray[np.uint8]]  # coordinates (n, 3) and LAS classes (n,), 0: none
+
+
+@contextmanager
+def open_points(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
+    """Open a ``.las``, ``.laz`` or ``.pcd`` file: yields its CRS, if any, and chunks of points.
+
+    Raises InputError if it cannot be read, claims more than 50 million points or more than it has
+    bytes for, or is damaged (also while its points are read).
+    """
+    where = str(path)
+    suffix = path.suffix.lower()
+    check_one_of(where, suffix, SUFFIXES)
+    try:
+        if suffix == ".pcd":
+            with open_file(path) as file:
+                yield None, _pcd_points(file, where)
+            return
+        _check_header(path)
+        with _las_reader(path) as reader:
+            crs = None
+            with suppress(Exception):  # whatever a damaged record makes laspy and pyproj raise
+                crs = reader.header.parse_crs()
+            yield crs, _chunks(reader, where)
+    except OSError as error:
+        raise InputError(where, Unquoted(error.strerror or error), "a readable file") from None
+
+
+# ---------- LAS and LAZ files, through laspy
+def _las_reader(path: Path) -> Any:
+    where = str(path)
+    try:
+        # One thread: the parallel one of lazrs aborts the process where a chunk table is damaged.
+        reader = laspy.open(open_file(path), laz_backend=laspy.LazBackend.Lazrs)
+    except OSError:
+        raise
+    except Exception as error:  # laspy raises whatever a damaged header makes it
+        raise InputError(where, Unquoted(_one_line(error)), "a LAS file") from None
+    scales = np.array([reader.header.scales, reader.header.offsets], dtype=np.float64)
+    if not np.isfinite(scales).all() or (scales[0] == 0.0).any():
+        reader.close()
+        raise InputError(f"{where}: header", scales.tolist(), "finite scales and offsets")
+    return reader
+
+
+def _check_header(path: Path) -> None:
+    """Raise InputError if a header claims more than the file can contain."""
+    where = str(path)
+    n_bytes = path.stat().st_size
+    with open_file(path) as file:
+        head = file.read(375)
+    if len(head) < 227 or head[:4] != b"LASF":
+        raise InputError(where, Unquoted("something else"), "a LAS file")
+    minor = head[25]
+    header_bytes, first_point, n_records = struct.unpack_from("<HII", head, 94)
+    point_format, point_bytes, n_points = struct.unpack_from("<BHI", head, 104)
+    if minor >= 4 and len(head) >= 375:
+        first_extended, n_extended, n_points_14 = struct.unpack_from("<QIQ", head, 235)
+        n_points = n_points_14 or n_points
+        if n_extended and first_extended + 60 * n_extended > n_bytes:
+            raise InputError(where, Unquoted(f"{n_extended:,} extended records"), "as many as fit")
+    if n_points > MAX_POINTS:
+        got = Unquoted(f"{n_points:,} points")
+        raise InputError(where, got, f"at most {MAX_POINTS:,}; thin it out first")
+    if not n_points:
+        raise InputError(where, Unquoted("no points"), "points")
+    if not header_bytes <= first_point <= n_bytes or header_bytes + 54 * n_records > first_point:
+        raise InputError(where, Unquoted(f"{n_records:,} records in its header"), "as many as fit")
+    is_packed = bool(point_format & 0xC0)
+    if is_packed:
+        n_layers = _n_layers(path, header_bytes, n_records, point_bytes)
+        _check_chunks(path, first_point, point_bytes, n_layers)
+    if not is_packed and first_point + n_points * point_bytes > n_bytes:
+        got = Unquoted(f"a header with {n_points:,} points in {n_bytes:,} bytes: cut off")
+        raise InputError(where, got, f"{first_point + n_points * point_bytes:,} bytes")
+    check_unpacked(n_points * max(point_bytes, 20), where)
+
+
+def _n_layers(path: Path, header_bytes: int, n_records: int, point_bytes: int) -> int:
+    """Number of layers in which chunks of points are packed; 0: they are not layered.
+
+    Raises InputError if the parts of a packed point do not make up a point.
+    """
+    where = str(path)
+    with open_file(path) as file:
+        file.seek(header_bytes)
+        for _ in range(n_records):
+            head = file.read(54)
+            if len(head) < 54:
+                break
+            owner, number, n_bytes = struct.unpack_from("<16sHH", head, 2)
+            data = file.read(n_bytes)
+            if owner.rstrip(b"\0") != b"laszip encoded" or number != 22204 or len(data) < 34:
+                continue
+            n_items = struct.unpack_from("<H", data, 32)[0]
+            items = [struct.unpack_from("<3H", data, at) for at in range(34, len(data) - 5, 6)]
+            sizes = [size for kind, size, _ in items if _ITEM_BYTES.get(kind, -1) in (0, size)]
+            if not 0 < n_items == len(items) == len(sizes) or sum(sizes) != point_bytes:
+                raise InputError(where, Unquoted("packed points of no known kind"), "LASzip")
+            if items[0][0] not in _LAYERS:
+                return 0
+            return sum(_LAYERS.get(kind, 0) or size for kind, size, _ in items)
+    raise InputError(where, Unquoted("packed points without a LASzip record"), "a LAZ file")
+
+
+def _check_chunks(path: Path, first_point: int, point_bytes: int, n_layers: int) -> None:
+    """Refuse chunks of packed points that claim more bytes than there are before their table."""
+    n_bytes = path.stat().st_size
+    with open_file(path) as file:
+        file.seek(first_point)
+        head = file.read(8)
+        at = struct.unpack("<q", head)[0] if len(head) == 8 else 0
+        if at == -1:  # of a file that was written as a stream: in its last eight bytes
+            file.seek(-8, 2)
+            at = struct.unpack("<q", file.read(8))[0]
+        if not first_point < at <= n_bytes - 8:
+            raise InputError(str(path), Unquoted("a table of chunks outside the file"), "all of it")
+        file.seek(at)
+        _, n_chunks = struct.unpack("<2I", file.read(8))
+        claimed = n_chunks * point_bytes  # the first point of a chunk is not packed
+        begin = first_point + 8
+        while n_layers and begin < at:
+            begin += point_bytes + 4
+            file.seek(begin)
+            sizes = file.read(4 * n_layers)
+            begin += len(sizes) + sum(
+                struct.unpack(f"<{len(sizes) // 4}I", sizes[: len(sizes) & ~3])
+            )
+    if claimed > n_bytes or begin > at:
+        got = Unquoted(f"{n_chunks:,} chunks of points that claim more bytes")
+        raise InputError(str(path), got, f"{at:,}")
+
+
+def _chunks(reader: Any, where: str) -> Iterator[Points]:
+    n_points = 0
+    try:
+        for points in reader.chunk_iterator(CHUNK_POINTS):
+            n_points += len(points)
+            if n_points > MAX_POINTS:
+                raise InputError(where, Unquoted(f"more than {MAX_POINTS:,} points"), "fewer")
+            xyz = np.stack([np.asarray(points[axis], dtype=np.float64) for axis in "xyz"], axis=1)
+            yield xyz, np.asarray(points.classification, dtype=np.uint8)
+    except (InputError, MemoryError, KeyboardInterrupt, SystemExit, GeneratorExit):
+        raise
+    except BaseException as error:  # laspy raises anything, lazrs even others than Exception
+        raise InputError(where, Unquoted(_one_line(error)), "undamaged points") from None
+
+
+def _one_line(error: BaseException) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:150]}"
+
+
+# ---------- PCD files
+_MAX_HEADER_BYTES = 65_536
+_MAX_LZF_BYTES = 200_000_000  # unpacked a byte at a time: half a minute
+
+_PCD_TYPES = {("F", 4): "<f4", ("F", 8): "<f8"}
+_PCD_TYPES |= {("I", n): f"<i{n}" for n in (1, 2, 4, 8)}
+_PCD_TYPES |= {("U", n): f"<u{n}" for n in (1, 2, 4, 8)}
+
+
+def _pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
+    """Points of an open PCD file, version 0.7: ascii, binary or binary_compressed; all of class 0.
+
+    Points without coordinates (NaN) are left out. Raises InputError, while points are read, if the
+    file claims more than 50 million or more than it contains, or is damaged.
+    """
+    header = _pcd_header(file, where)
+    names = header.get("FIELDS", [])
+    if not {"x", "y", "z"} <= set(names):
+        raise InputError(f"{where}: FIELDS", " ".join(names)[:80], "x, y and z among them")
+    sizes = _integers(header, "SIZE", len(names), where)
+    counts = (
+        _integers(header, "COUNT", len(names), where) if "COUNT" in header else [1] * len(sizes)
+    )
+    n_points = _integers(header, "POINTS", 1, where)[0]
+    if not 0 < n_points <= MAX_POINTS:
+        raise InputError(f"{where}: POINTS", n_points, f"1 to {MAX_POINTS:,}")
+    kinds = header.get("TYPE", [])
+    formats = []
+    for index, name in enumerate(names):
+        kind = (kinds[index] if index < len(kinds) else "", sizes[index])
+        if kind not in _PCD_TYPES or not 0 < counts[index] <= 4096:
+            raise InputError(f"{where}: field {name}", kind, "a TYPE, SIZE and COUNT of PCD")
+        formats.append((f"{index}", _PCD_TYPES[kind], (counts[index],)))
+    columns = [names.index(axis) for axis in "xyz"]
+    encoding = " ".join(header.get("DATA", []))
+    if encoding == "binary":
+        chunks = _pcd_binary(file, np.dtype(formats), columns, n_points, where)
+    elif encoding == "ascii":
+        first = np.cumsum([0, *counts])
+        chunks = _pcd_ascii(file, [int(first[column]) for column in columns], n_points, where)
+    elif encoding == "binary_compressed":
+        chunks = _pcd_compressed(file, np.dtype(formats), columns, n_points, where)
+    else:
+        raise InputError(f"{where}: DATA", encoding, "ascii, binary or binary_compressed")
+    n_found = 0
+    for xyz in chunks:
+        xyz = xyz[~np.isnan(xyz).any(axis=1)]
+        n_found += len(xyz)
+        yield xyz, np.zeros(len(xyz), dtype=np.uint8)
+    if not n_found:
+        raise InputError(where, Unquoted("only points without coordinates"), "points")
+
+
+def _pcd_header(file: BinaryIO, where: str) -> dict[str, list[str]]:
+    header: dict[str, list[str]] = {}
+    while file.tell() < _MAX_HEADER_BYTES:
+        line = file.readline(_MAX_HEADER_BYTES)
+        words = line.decode("ascii", "replace").split()
+        if not line or (not header and words and words[0] not in ("#", "VERSION", "FIELDS")):
+            if not line or not words[0].startswith("#"):
+                break
+            continue
+        if words and not words[0].startswith("#"):
+            header[words[0]] = words[1:]
+        if words and words[0] == "DATA":
+            return header
+    raise InputError(where, Unquoted("no header with FIELDS to DATA"), "a PCD file")
+
+
+def _integers(header: dict[str, list[str]], key: str, n: int, where: str) -> list[int]:
+    words = header.get(key, [])
+    if len(words) != n or not all(word.isascii() and word.isdigit() for word in words):
+        raise InputError(f"{where}: {key}", " ".join(words)[:80], f"{n} whole numbers")
+    if any(len(word) > 18 for word in words):
+        raise InputError(f"{where}: {key}", words[0][:40], "a smaller number")
+    return [int(word) for word in words]
+
+
+def _pcd_binary(
+    file: BinaryIO, record: np.dtype[Any], columns: list[int], n_points: int, where: str
+) -> Iterator[FloatArray]:
+    here = file.tell()
+    n_bytes = file.seek(0, 2) - here
+    file.seek(here)
+    if n_points * record.itemsize > n_bytes:
+        got = Unquoted(f"a header with {n_points:,} points over {n_bytes:,} bytes: cut off")
+        raise InputError(where, got, f"{n_points * record.itemsize:,} bytes")
+    chunk = max(1, min(CHUNK_POINTS, 64_000_000 // record.itemsize))
+    for first in range(0, n_points, chunk):
+        n = min(chunk, n_points - first)
+        table = np.frombuffer(file.read(n * record.itemsize), dtype=record)
+        with np.errstate(invalid="ignore"):  # NaNs of the signalling kind
+            xyz = [table[str(column)][:, 0].astype(np.float64) for column in columns]
+        yield np.stack(xyz, axis=1)
+
+
+def _pcd_ascii(
+    file: BinaryIO, columns: list[int], n_points: int, where: str
+) -> Iterator[FloatArray]:
+    n_found = 0
+    while lines := file.readlines(32_000_000):
+        lines = [line for line in lines if line.strip()][: n_points - n_found]
+        try:
+            rows = [line.split() for line in lines]
+            numbers = np.array([[row[column] for column in columns] for row in rows], dtype=float)
+        except (ValueError, IndexError):
+            raise InputError(where, Unquoted("a line without x, y and z"), "numbers") from None
+        n_found += len(lines)
+        if len(lines):
+            yield numbers.reshape(-1, 3)
+    if n_found < n_points:
+        got = Unquoted(f"{n_found:,} of {n_points:,} points: cut off")
+        raise InputError(where, got, "all of them")
+
+
+def _pcd_compressed(
+    file: BinaryIO, record: np.dtype[Any], columns: list[int], n_points: int, where: str
+) -> Iterator[FloatArray]:
+    """All x, then all y, and so on, packed by LZF after two lengths."""
+    head = file.read(8)
+    n_packed, n_bytes = struct.unpack("<2I", head) if len(head) == 8 else (0, 0)
+    if n_bytes != n_points * record.itemsize or n_bytes > _MAX_LZF_BYTES:
+        expected = f"{n_points * record.itemsize:,}, and at most {_MAX_LZF_BYTES:,}"
+        raise InputError(where, Unquoted(f"{n_bytes:,} bytes of unpacked points"), expected)
+    data = _unpack_lzf(file.read(n_packed), n_bytes)
+    if data is None:
+        raise InputError(where, Unquoted("damaged compressed points"), f"{n_bytes:,} bytes")
+    xyz = []
+    for column in columns:
+        offset = sum(record[before].itemsize for before in range(column)) * n_points
+        kind, shape = record[column].subdtype or (record[column], (1,))
+        values = np.frombuffer(data, dtype=kind, count=n_points * shape[0], offset=offset)
+        with np.errstate(invalid="ignore"):  # NaNs of the signalling kind
+            xyz.append(values[:: shape[0]].astype(np.float64))
+    yield np.stack(xyz, axis=1)
+
+
+def _unpack_lzf(packed: bytes, n_bytes: int) -> bytes | None:
+    """Unpack LZF: runs of literal bytes, and copies of earlier ones; None if the data is damaged.
+
+    A control byte below 32 is followed by one more literal byte than it says. Otherwise its upper
+    three bits are the length of a copy (7: the next byte adds to it), less two, and its lower five
+    bits and the next byte its distance, less one.
+    """
+    data = bytearray()
+    place = 0
+    try:
+        while place < len(packed) and len(data) <= n_bytes:
+            control = packed[place]
+            place += 1
+            if control < 32:
+                data += packed[place : place + control + 1]
+                place += control + 1
+                continue
+            length = control >> 5
+            if length == 7:
+                length += packed[place]
+                place += 1
+            start = len(data) - ((control & 31) << 8) - packed[place] - 1
+            place += 1
+            length += 2
+            if start < 0:
+                return None
+            piece = bytes(data[start : start + length])
+            data += (piece * (length // len(piece) + 1))[:length]
+    except IndexError:
+        return None
+    return bytes(data) if len(data) == n_bytes else None
+
 
 # ---------- the ground
 CELL_M = 1.0
@@ -62,8 +406,6 @@ class LowestPoints:
 
 def fill_gaps(heights_m: FloatArray) -> FloatArray:
     """Heights (n, m) with gaps (NaN) filled from the nearest cell. [m]."""
-    from scipy.ndimage import distance_transform_edt
-
     if not np.isnan(heights_m).any():
         return heights_m
     _, nearest = distance_transform_edt(np.isnan(heights_m), return_indices=True)
@@ -83,8 +425,6 @@ def filter_ground(heights_m: FloatArray) -> FloatArray:
     .. [1] K. Zhang et al., "A progressive morphological filter for removing nonground measurements
        from airborne lidar data", 2003.
     """
-    from scipy.ndimage import grey_closing, grey_opening
-
     surface = fill_gaps(heights_m)
     if min(surface.shape) >= 5:
         closed = grey_closing(surface, size=(3, 3))  # single points below the ground
@@ -124,9 +464,7 @@ _LEFT_OUT = {
 }  # fmt: skip
 
 
-def read_point_cloud(
-    path: Path, *, class_name: str = "building", voxel_m: float = VOXEL_M
-) -> SourceMap:
+def read_point_cloud(path: Path, *, class_name: str = "building") -> SourceMap:
     """Read a point cloud (``.las``, ``.laz``, ``.pcd``) as things that hide what is behind them.
 
     Ground is removed: class 2 where a LAS file has it, or else by a progressive morphological
@@ -141,15 +479,13 @@ def read_point_cloud(
     ground, for the walls that must carry them.
 
     `class_name` is for points without a class of their own (LAS: 3 to 5 vegetation, 6 building).
-    `voxel_m`, the edge length, is doubled until voxels of a thin scan touch, up to 2 m. Raises
+    The edge length, 0.25 m, is doubled until voxels of a thin scan touch, up to 2 m. Raises
     InputError if the file cannot be read or claims too much; points are not finite, or spread over
     more than 16 km2; only ground is left; or there are more than five million triangles.
     """
     where = str(path)
     check_one_of("class_name", class_name, CLASS_NAMES)
-    if not (np.isfinite(voxel_m) and 0.01 <= voxel_m <= _MAX_VOXEL_M):
-        raise InputError("voxel_m", voxel_m, f"0.01 to {_MAX_VOXEL_M} m")
-    scan = _Scan(where=where, voxel_m=voxel_m)
+    scan = _Scan(where=where)
     with open_points(path) as (crs, chunks):
         for points, classes in chunks:
             if not np.isfinite(points).all():
@@ -166,23 +502,17 @@ def read_point_cloud(
     things, small = _things(heights, voxel_m, scan, class_name)
     if not things and not len(scan.lowest_ground):
         raise InputError(where, Unquoted("only ground"), "points on something above the ground")
-    if scan.place.note is not None:
-        notes.insert(0, scan.place.note)
     notes += counted(scan.left_out, "points of a class that hides nothing here")
     if small:
-        notes.append(
-            Note(
-                what=f"{small} clusters of points",
-                why=f"less than {_MIN_VOXELS} voxels, or below {_MIN_HEIGHT_M} m",
-            )
-        )
+        why = f"less than {_MIN_VOXELS} voxels, or below {_MIN_HEIGHT_M} m"
+        notes.append(Note(what=f"{small} clusters of points", why=why))
     return SourceMap(
         name=path.name,
         crs=scan.place.crs,
         source_crs=scan.place.source_crs,
         things=tuple(things),
         ground_m=scan.ground_m(),
-        skipped=tuple(notes),
+        skipped=(*scan.place.notes, *notes),
     )
 
 
@@ -191,7 +521,6 @@ class _Scan:
     """The part of a point cloud that is kept while it is read."""
 
     where: str
-    voxel_m: float
     place: Georeference | None = None
     origin_m: FloatArray | None = None
     keys: dict[str, IntArray] = field(default_factory=dict)
@@ -222,13 +551,13 @@ class _Scan:
         if self.origin_m is None:
             self.origin_m = np.floor(points_m.min(axis=0))
         local = points_m - self.origin_m
-        reach = MAX_VOXELS_PER_AXIS // 2 * self.voxel_m
+        reach = MAX_VOXELS_PER_AXIS // 2 * VOXEL_M
         if (np.abs(local) > reach).any():
             got = Unquoted(f"points {np.abs(local).max():.3g} m apart")
             raise InputError(self.where, got, "one place")
         self.lowest.add(local)
         self.lowest_ground.add(local[np.isin(classes, _GROUND)])
-        keys = to_keys(np.floor(local / self.voxel_m).astype(np.int64) + _MIDDLE)
+        keys = to_keys(np.floor(local / VOXEL_M).astype(np.int64) + _MIDDLE)
         kinds = {
             "vegetation": np.isin(classes, _VEGETATION),
             "roofs": np.isin(classes, _BUILDING),
@@ -239,7 +568,7 @@ class _Scan:
             self.keys[kind] = np.unique(np.concatenate([before, keys[is_kind]]))
         n_voxels = sum(len(known) for known in self.keys.values())
         if n_voxels > _MAX_VOXELS:
-            got = Unquoted(f"more than {_MAX_VOXELS:,} voxels of {self.voxel_m} m")
+            got = Unquoted(f"more than {_MAX_VOXELS:,} voxels of {VOXEL_M} m")
             raise InputError(self.where, got, "a larger voxel, or fewer points")
 
 
@@ -256,14 +585,14 @@ def _above_ground(scan: _Scan) -> tuple[dict[str, IntArray], float, list[Note]]:
         ground_m = filter_ground(lowest_m)
     heights: dict[str, IntArray] = {}
     for kind, keys in scan.keys.items():
-        middles_m = (to_cells(keys) - _MIDDLE + 0.5) * scan.voxel_m
+        middles_m = (to_cells(keys) - _MIDDLE + 0.5) * VOXEL_M
         cells = np.floor(middles_m[:, :2] / CELL_M).astype(np.int64) - low
         cells = np.clip(cells, 0, np.array(ground_m.shape) - 1)
         above_m = middles_m[:, 2] - ground_m[cells[:, 0], cells[:, 1]]
         kept = to_cells(keys)
-        kept[:, 2] = np.floor(above_m / scan.voxel_m).astype(np.int64) + _MIDDLE
+        kept[:, 2] = np.floor(above_m / VOXEL_M).astype(np.int64) + _MIDDLE
         heights[kind] = np.unique(to_keys(kept[above_m > _GROUND_M]))
-    voxel_m, notes = scan.voxel_m, []
+    voxel_m, notes = VOXEL_M, []
     solid = [keys for kind, keys in heights.items() if kind != "vegetation" and len(keys)]
     everything = np.unique(np.concatenate(solid or list(heights.values())))
     while (
@@ -274,19 +603,14 @@ def _above_ground(scan: _Scan) -> tuple[dict[str, IntArray], float, list[Note]]:
         voxel_m *= 2.0
         heights = {kind: _coarser(keys) for kind, keys in heights.items()}
         everything = _coarser(everything)
-    if voxel_m > scan.voxel_m:
-        notes.append(
-            Note(
-                what=f"detail below {voxel_m:g} m",
-                why=f"points too far apart for voxels of {scan.voxel_m:g} m",
-            )
-        )
+    if voxel_m > VOXEL_M:
+        why = f"points too far apart for voxels of {VOXEL_M:g} m"
+        notes.append(Note(what=f"detail below {voxel_m:g} m", why=why))
     return heights, voxel_m, notes
 
 
 def _coarser(keys: IntArray) -> IntArray:
-    cells = (to_cells(keys) - _MIDDLE) // 2 + _MIDDLE
-    return np.unique(to_keys(cells))
+    return np.unique(to_keys((to_cells(keys) - _MIDDLE) // 2 + _MIDDLE))
 
 
 def _things(
@@ -315,6 +639,8 @@ def _things(
         raise InputError(scan.where, got, f"at most {_MAX_THINGS:,}; cut it out")
     things: list[Thing] = []
     names: Counter[str] = Counter()
+    assert scan.origin_m is not None
+    origin_m = np.append(scan.origin_m[:2], 0.0) - _MIDDLE * voxel_m
     n_left, n_walls = MAX_TRIANGLES, MAX_WALL_VOXELS
     for kind, part in found:
         name = "building" if kind == "roofs" else kind
@@ -324,8 +650,6 @@ def _things(
         if kind != "vegetation":
             part = filled(part, _MIDDLE)
         names[name] += 1
-        assert scan.origin_m is not None
-        origin_m = np.append(scan.origin_m[:2], 0.0) - _MIDDLE * voxel_m
         mesh = faces(
             part, origin_m=origin_m, voxel_m=voxel_m, max_triangles=n_left, where=scan.where
         )
@@ -372,9 +696,7 @@ MAX_WALL_VOXELS = 100_000_000  # of all things of a file
 _MAX_DENSE = 30_000_000  # cells of a cluster's box that is searched for voids
 _HALF_OF_NEIGHBOURS = tuple(  # differences of keys
     (x << 2 * _BITS) + (y << _BITS) + z
-    for x in (-1, 0, 1)
-    for y in (-1, 0, 1)
-    for z in (-1, 0, 1)
+    for x, y, z in product((-1, 0, 1), repeat=3)
     if (x, y, z) > (0, 0, 0)
 )
 
@@ -403,9 +725,6 @@ def clusters(keys: IntArray) -> IntArray:
 
     `keys` are sorted and unique; numbers follow the order of the clusters' first voxels.
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     n = len(keys)
     pairs = []
     for step in _HALF_OF_NEIGHBOURS:
@@ -415,9 +734,7 @@ def clusters(keys: IntArray) -> IntArray:
     first, second = np.concatenate(pairs, axis=1)
     graph = coo_array((np.ones(len(first), dtype=np.bool_), (first, second)), shape=(n, n))
     _, labels = connected_components(graph, directed=False)
-    _, seen, inverse = np.unique(labels, return_index=True, return_inverse=True)
-    order = np.argsort(np.argsort(seen))
-    return order[inverse].astype(np.int64)
+    return np.asarray(labels, dtype=np.int64)
 
 
 def bridged(keys: IntArray) -> IntArray:
@@ -439,8 +756,6 @@ def filled(keys: IntArray, floor: int) -> IntArray:
 
     `floor` is the lowest z above ground. A cluster whose box is too large stays as it is.
     """
-    from scipy.ndimage import binary_fill_holes
-
     cells = to_cells(keys)
     low = cells.min(axis=0)
     low[2] = min(low[2], floor)
@@ -507,23 +822,9 @@ def _rectangles(keys: IntArray, axis: int, sign: int) -> IntArray:
     u, v = [other for other in range(3) if other != axis]
     slab, a, b = cells[:, axis], cells[:, u], cells[:, v]
     # Runs of faces that follow one another along v, then of equal runs along u.
-    order = np.lexsort((b, a, slab))
-    slab, a, b = slab[order], a[order], b[order]
-    is_start = np.ones(len(slab), dtype=np.bool_)
-    is_start[1:] = (np.diff(slab) != 0) | (np.diff(a) != 0) | (np.diff(b) != 1)
-    start = np.flatnonzero(is_start)
-    end = np.append(start[1:], len(slab))
-    slab, a, b_low, b_high = slab[start], a[start], b[start], b[end - 1] + 1
-    order = np.lexsort((a, b_high, b_low, slab))
-    slab, a, b_low, b_high = slab[order], a[order], b_low[order], b_high[order]
-    is_start = np.ones(len(slab), dtype=np.bool_)
-    is_start[1:] = (
-        (np.diff(slab) != 0) | (np.diff(b_low) != 0) | (np.diff(b_high) != 0) | (np.diff(a) != 1)
-    )
-    start = np.flatnonzero(is_start)
-    end = np.append(start[1:], len(slab))
-    slab, a_low, a_high = slab[start], a[start], a[end - 1] + 1
-    b_low, b_high = b_low[start], b_high[start]
+    (slab, a, b_low), b_last = _runs((slab, a, b))
+    (slab, b_low, b_last, a_low), a_last = _runs((slab, b_low, b_last, a))
+    a_high, b_high = a_last + 1, b_last + 1
     plane = slab + (sign > 0)
     quads = np.empty((len(slab), 4, 3), dtype=np.int64)
     quads[:, :, axis] = plane[:, None]
@@ -532,3 +833,15 @@ def _rectangles(keys: IntArray, axis: int, sign: int) -> IntArray:
     # u, v, axis are right-handed for x and z as axes, left-handed for y.
     is_outward = (sign > 0) == (axis != 1)
     return quads if is_outward else quads[:, ::-1]
+
+
+def _runs(columns: tuple[IntArray, ...]) -> tuple[tuple[IntArray, ...], IntArray]:
+    """First rows of runs whose last column counts on while the others stay, and its last values."""
+    order = np.lexsort(columns[::-1])
+    columns = tuple(column[order] for column in columns)
+    goes_on = np.diff(columns[-1]) == 1
+    for column in columns[:-1]:
+        goes_on &= np.diff(column) == 0
+    start = np.flatnonzero(np.append(True, ~goes_on)[: len(order)])
+    last = np.append(start[1:], len(order))[: len(start)] - 1
+    return tuple(column[start] for column in columns), columns[-1][last]

@@ -65,12 +65,12 @@ class Relief:
             for thing in things:
                 ground = self.at(thing.vertices_m[:, :2])
                 up = ground if thing.class_name == "wall" else ground.min()
-                yield _raised(thing, up), False
+                yield _lifted(thing, up), False
             return
         zero_m = self._zero_m(source, things, given_m)
         may_float = given_m is None or self.terrain is not None
         for thing in things:
-            vertices = _raised(thing, -zero_m)
+            vertices = _lifted(thing, -zero_m)
             if source is self.roads and self.roads_m is not None:
                 middle = vertices[:, :2].mean(axis=0, keepdims=True)
                 own_m = self.roads_m.at(middle) - self.roads_m.at(np.zeros(2))
@@ -90,22 +90,16 @@ class Relief:
         if self.terrain is None:
             return min(float(thing.vertices_m[:, 2].min()) for thing in things)
         # Feet of things above the ground, were heights counted as those of the ground.
-        off_m = float(
-            np.median(
-                [
-                    thing.vertices_m[:, 2].min() - self.at(thing.vertices_m[:, :2]).min()
-                    for thing in things
-                ]
-            )
-            - self.zero_m
-        )
+        feet_m = [
+            thing.vertices_m[:, 2].min() - self.at(thing.vertices_m[:, :2]).min()
+            for thing in things
+        ]
+        off_m = float(np.median(feet_m) - self.zero_m)
         return self.zero_m + (off_m if abs(off_m) > _OTHER_ZERO_M else 0.0)
 
 
-def _raised(thing: Thing, up_m: FloatArray | float) -> FloatArray:
-    vertices: FloatArray = thing.vertices_m.copy()
-    vertices[:, 2] += up_m
-    return vertices
+def _lifted(thing: Thing, up_m: FloatArray | float) -> FloatArray:
+    return np.column_stack([thing.vertices_m[:, :2], thing.vertices_m[:, 2] + up_m])
 
 
 def find_relief(
@@ -244,8 +238,7 @@ def _read(raster: Any, where: str, crs: str, middle_m: FloatArray, half_m: float
         raise InputError(where, Unquoted("pixels without area"), "a raster that lies on the map")
     sides = np.linspace(-half_m, half_m, 9)
     lattice = middle_m + np.stack(np.meshgrid(sides, sides), axis=-1).reshape(-1, 2)
-    to_pixel = ~raster.transform
-    columns, rows = _affine(to_pixel, transform(lattice, crs, own_crs))
+    columns, rows = ~grid @ tuple(transform(lattice, crs, own_crs).T)
     if not (np.isfinite(columns).all() and np.isfinite(rows).all()):
         raise InputError(where, Unquoted("another part of the earth"), "heights of the junction")
     left, right = _span(columns, raster.width)
@@ -255,9 +248,10 @@ def _read(raster: Any, where: str, crs: str, middle_m: FloatArray, half_m: float
         raise InputError(where, got, "one that covers the junction")
     _check_memory(raster, (right - left) * (bottom - top), where)
     column, row = np.meshgrid(np.arange(left, right) + 0.5, np.arange(top, bottom) + 0.5)
-    east_north = np.stack(_affine(raster.transform, np.stack([column, row], axis=-1)), axis=-1)
-    places = transform(east_north, own_crs, crs)
-    size_m = _pixel_m(raster, own_crs, crs, 0.5 * (left + right), 0.5 * (top + bottom))
+    places = transform(np.stack(grid @ (column, row), axis=-1), own_crs, crs)
+    middle = 0.5 * np.array([[left + right], [top + bottom]]) + [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    corners = transform(np.stack(grid @ tuple(middle), axis=-1), own_crs, crs)
+    size_m = np.hypot(*(corners[1:] - corners[0]).T).max()
     if size_m > _COARSEST_M * 1.2:
         got = Unquoted(f"pixels of {size_m:.0f} m")
         raise InputError(where, got, f"at most {_COARSEST_M:g} m: finer heights")
@@ -292,24 +286,9 @@ def _check_memory(raster: Any, n_pixels: int, where: str) -> None:
         raise InputError(where, got, f"at most {_MAX_BLOCK_BYTES:,}: a tiled GeoTIFF")
 
 
-def _affine(matrix: Any, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Points (..., 2) by an affine transformation: its first and second coordinate."""
-    x, y = points[..., 0], points[..., 1]
-    return (
-        matrix.a * x + matrix.b * y + matrix.c,
-        matrix.d * x + matrix.e * y + matrix.f,
-    )
-
-
 def _span(values: FloatArray, size: int) -> tuple[int, int]:
     """First and last but one of the pixels that values lie in, one more on each side, inside."""
     return (
         max(int(np.floor(values.min())) - 1, 0),
         min(int(np.ceil(values.max())) + 1, size),
     )
-
-
-def _pixel_m(raster: Any, own_crs: str, crs: str, column: float, row: float) -> float:
-    corners = np.array([[column, row], [column + 1.0, row], [column, row + 1.0]])
-    at = transform(np.stack(_affine(raster.transform, corners), axis=-1), own_crs, crs)
-    return float(max(np.hypot(*(at[1] - at[0])), np.hypot(*(at[2] - at[0]))))

@@ -4,10 +4,12 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import shapely
 from numpy.typing import ArrayLike
+from shapely import Polygon
 
 from ..arrays import BoolArray, FloatArray, float_array
 from ..errors import InputError
@@ -25,13 +27,11 @@ from .source_map import (
     load_auto_sites,
     load_pole_kinds,
     mount_range_m,
+    plain_id,
+    unique_id,
 )
 
-if TYPE_CHECKING:
-    from shapely import Polygon
-
-
-REACH_M = 60.0
+_REACH_M = 60.0
 _AT_OUTLINE_M = 1.5
 _JOINED_M = 0.5
 _MEDIAN_M = 8.0  # between carriageways: a narrower gap is a median, no roadside
@@ -43,26 +43,23 @@ _BELOW_ROOF_M = 0.3  # a sensor and its bracket
 
 
 def kerb_sites(
-    lanes: Sequence[Lane], outline_m: ArrayLike, spacing_m: float, *, reach_m: float = REACH_M
+    lanes: Sequence[Lane], outline_m: ArrayLike, spacing_m: float
 ) -> tuple[SiteWish, ...]:
     """Sites along both kerbs of a junction's arms, from its corners outwards.
 
     A kerb is the outer edge of a driving or parking lane that no other such lane borders on;
-    medians have none. Lanes that begin or end at the outline are arms, and are followed up to
-    `reach_m`. The ids name the lane, the side and the distance: the first site of a kerb, at the
-    outline, is a corner of the junction. Raises InputError if the spacing or the outline is not
-    valid.
+    medians have none. Lanes that begin or end at the outline are arms, and are followed for 60 m.
+    The ids name the lane, the side and the distance: the first site of a kerb, at the outline, is a
+    corner of the junction. Raises InputError if the spacing or the outline is not valid.
     """
-    import shapely
-
     if not (np.isfinite(spacing_m) and spacing_m >= 0.5):
         raise InputError("spacing_m", spacing_m, "metres, at least 0.5")
     outline = float_array(outline_m, (-1, 2), "outline_m")
     if len(outline) < 3:
         raise InputError("outline_m", len(outline), "at least three points")
-    inside = shapely.make_valid(shapely.Polygon(outline))
+    inside = _area(outline)
     roads = [lane for lane in lanes if lane.kind in _KINDS]
-    arms = [(lane, line) for lane in roads for line in _outward(lane, roads, outline, reach_m)]
+    arms = [(lane, line) for lane in roads for line in _outward(lane, roads, outline)]
     strips = shapely.STRtree([_strip(lane, line, beside_m=SETBACK_M - 0.05) for lane, line in arms])
     sites: dict[str, SiteWish] = {}
     for lane, line in arms:
@@ -70,33 +67,22 @@ def kerb_sites(
             along_m, points, outwards = _offset(line, sign * (0.5 * lane.width_m + SETBACK_M))
             shapes = shapely.points(points)
             free = shapely.distance(shapes, inside) > 0.5 * SETBACK_M
-            free &= shapely.distance(shapes, shapely.LinearRing(outline)) <= reach_m
+            free &= shapely.distance(shapes, shapely.LinearRing(outline)) <= _REACH_M
             free[np.unique(strips.query(shapes, predicate="within")[0])] = False
             free[free] = ~_is_median(points[free], outwards[free], arms)
-            places = np.flatnonzero(free)
             next_m = -np.inf
-            for place in places:
+            for place in np.flatnonzero(free):
                 if along_m[place] < next_m - 1e-9:
                     continue
                 next_m = along_m[place] + spacing_m
                 name = f"kerb {lane.id} {side} {along_m[place]:.0f} m"
-                sites.setdefault(
-                    name,
-                    SiteWish(
-                        id=name,
-                        kind="kerb",
-                        position_m=np.round(points[place], 3),
-                    ),
-                )
+                position = np.round(points[place], 3)
+                sites.setdefault(name, SiteWish(id=name, kind="kerb", position_m=position))
     return tuple(sites.values())
 
 
-def _outward(
-    lane: Lane, lanes: Sequence[Lane], outline: FloatArray, reach_m: float
-) -> list[FloatArray]:
+def _outward(lane: Lane, lanes: Sequence[Lane], outline: FloatArray) -> list[FloatArray]:
     """Centrelines (n, 2) of a lane that touches the outline, with its continuations, outwards."""
-    import shapely
-
     ring = shapely.LinearRing(outline)
     lines = []
     for line in (lane.centreline_m, lane.centreline_m[::-1]):
@@ -105,22 +91,20 @@ def _outward(
         if start_m > _AT_OUTLINE_M or (is_stub and end_m < start_m):
             continue
         joined, used = [line], {lane.id}
-        while _length_m(np.concatenate(joined)) < reach_m + 10.0:
+        while _length_m(np.concatenate(joined)) < _REACH_M + 10.0:
             end = joined[-1][-1]
-            after = next(
-                (
-                    (other, points)
-                    for other in lanes
-                    if other.id not in used and other.kind == lane.kind
-                    for points in (other.centreline_m, other.centreline_m[::-1])
-                    if np.hypot(*(points[0] - end)) <= _JOINED_M
-                ),
-                None,
+            following = (
+                (other.id, points)
+                for other in lanes
+                if other.id not in used and other.kind == lane.kind
+                for points in (other.centreline_m, other.centreline_m[::-1])
+                if np.hypot(*(points[0] - end)) <= _JOINED_M
             )
-            if after is None:
+            after, points = next(following, ("", line))
+            if not after:
                 break
-            used.add(after[0].id)
-            joined.append(after[1][1:] if len(after[1]) > 2 else after[1])
+            used.add(after)
+            joined.append(points[1:] if len(points) > 2 else points)
         whole = np.concatenate(joined)
         is_new = np.r_[True, np.hypot(*np.diff(whole, axis=0).T) > 1e-6]
         if is_new.sum() >= 2:
@@ -128,10 +112,8 @@ def _outward(
     return lines
 
 
-def _strip(lane: Lane, line: FloatArray, *, beside_m: float) -> "Polygon":
+def _strip(lane: Lane, line: FloatArray, *, beside_m: float) -> Polygon:
     """A lane's surface with a strip on either side, extended by a metre at both ends."""
-    import shapely
-
     ends = line[[0, -1]]
     ways = ends - line[[1, -2]]
     ends = ends + _LONGER_M * ways / np.hypot(*ways.T)[:, None]
@@ -160,17 +142,14 @@ def _is_median(
     points: FloatArray, outwards: FloatArray, arms: Sequence[tuple[Lane, FloatArray]]
 ) -> BoolArray:
     """Points beyond which another lane runs parallel, a few metres further outwards."""
-    import shapely
-
     is_median: BoolArray = np.zeros(len(points), dtype=np.bool_)
     if not len(points):
         return is_median
-    starts = points
-    rays = shapely.linestrings(np.stack([starts, starts + _MEDIAN_M * outwards], axis=1))
+    rays = shapely.linestrings(np.stack([points, points + _MEDIAN_M * outwards], axis=1))
     for lane, line in arms:
         strip = _strip(lane, line, beside_m=0.0)
         for index in np.flatnonzero(shapely.intersects(rays, strip) & ~is_median):
-            nearest = int(np.argmin(np.hypot(*(line[:-1] - starts[index]).T)))
+            nearest = int(np.argmin(np.hypot(*(line[:-1] - points[index]).T)))
             ahead = line[nearest + 1] - line[nearest]
             across = abs(float(ahead @ outwards[index])) / float(np.hypot(*ahead))
             is_median[index] = across < np.sqrt(1.0 - _PARALLEL**2)
@@ -185,8 +164,6 @@ def tidy_sites(
     Of close ones the site with more details is kept, then the earlier one. `things` are in the same
     coordinates. Returns the sites kept, in order, and the others with the reason.
     """
-    from scipy.spatial import KDTree
-
     if not (np.isfinite(snap_m) and snap_m >= 0.0):
         raise InputError("snap_m", snap_m, "metres, at least 0")
     reasons: dict[int, str] = {}
@@ -196,28 +173,16 @@ def tidy_sites(
             for hit in np.flatnonzero(is_under(positions, thing)):
                 reasons.setdefault(int(hit), f"inside {thing.class_name} {thing.id}")
     left = [index for index in range(len(sites)) if index not in reasons]
-    order = sorted(left, key=lambda index: (-sites[index].n_said, index))
-    if left and snap_m > 0.0:
-        tree = KDTree(positions)
-        kept: set[int] = set()
-        for index in order:
-            near = [
-                int(other)
-                for other in tree.query_ball_point(positions[index], snap_m)
-                if int(other) in kept
-            ]
-            if near:
-                distance_m = np.hypot(*(positions[near] - positions[index]).T)
-                nearest = near[int(np.argmin(distance_m))]
-                reasons[index] = f"{distance_m.min():.1f} m beside {sites[nearest].id}"
-            else:
-                kept.add(index)
-    return (
-        tuple(site for index, site in enumerate(sites) if index not in reasons),
-        tuple(
-            Note(what=f"site {sites[index].id}", why=reasons[index]) for index in sorted(reasons)
-        ),
-    )
+    kept: list[int] = []
+    for index in sorted(left, key=lambda index: (-sites[index].n_said, index)):
+        apart_m = np.hypot(*(positions[kept] - positions[index]).T)
+        if snap_m > 0.0 and kept and apart_m.min() <= snap_m:
+            beside = sites[kept[int(apart_m.argmin())]]
+            reasons[index] = f"{apart_m.min():.1f} m beside {beside.id}"
+        else:
+            kept.append(index)
+    notes = [Note(what=f"site {sites[index].id}", why=reasons[index]) for index in sorted(reasons)]
+    return tuple(sites[index] for index in sorted(kept)), tuple(notes)
 
 
 # ---------- the sites of a scene
@@ -277,12 +242,8 @@ def choose_sites(
     dropped = (*dropped, *too_low)
     notes += dropped
     if not kept:
-        raise InputError(
-            "sites",
-            where,
-            f"a site within {radius_m:g} m that stands free ({len(dropped)} do not): kerb:15, or "
-            "a list of your own",
-        )
+        free = f"a site within {radius_m:g} m that stands free ({len(dropped)} do not)"
+        raise InputError("sites", where, f"{free}: kerb:15, or a list of your own")
     return tuple(_site(wish) for wish in kept), tuple(notes)
 
 
@@ -311,8 +272,6 @@ def _own_poles(
     wishes: Sequence[SiteWish], surroundings: Surroundings
 ) -> tuple[tuple[SiteWish, ...], list[Note]]:
     """Poles that are sites by default: no low sign posts, and none of another junction."""
-    import shapely
-
     rules = load_auto_sites()
     feet = shapely.points(np.array([wish.position_m for wish in wishes]).reshape(-1, 2))
     own_m = shapely.distance(feet, _area(surroundings.outline_m))
@@ -339,9 +298,7 @@ def _own_poles(
     return tuple(kept), notes
 
 
-def _area(outline_m: FloatArray) -> "Polygon":
-    import shapely
-
+def _area(outline_m: FloatArray) -> Polygon:
     return shapely.make_valid(shapely.Polygon(outline_m))
 
 
@@ -359,14 +316,12 @@ def _masts(
     nearest_m = min((float(np.hypot(*pole.position_m)) for pole in poles), default=np.inf)
     if nearest_m <= rules.near_m:
         return (), []
-    where = (
-        f"the nearest one stands {nearest_m:.0f} m from the junction's middle"
-        if poles
-        else f"none within {radius_m:g} m"
-    )
+    where = f"none within {radius_m:g} m"
+    if poles:
+        where = f"the nearest one stands {nearest_m:.0f} m from the junction's middle"
     why = f"{where}: masts every {rules.spacing_m:g} m along the kerbs were added"
-    notes = Note(what="poles of the map", why=why)
-    return _kerbs(surroundings, rules.spacing_m, radius_m), [notes]
+    note = Note(what="poles of the map", why=why)
+    return _kerbs(surroundings, rules.spacing_m, radius_m), [note]
 
 
 def _below_roofs(
@@ -411,15 +366,14 @@ def _poles(surroundings: Surroundings) -> tuple[tuple[SiteWish, ...], list[Note]
 def _kerbs(surroundings: Surroundings, spacing_m: float, radius_m: float) -> tuple[SiteWish, ...]:
     wishes = kerb_sites(surroundings.lanes, surroundings.outline_m, spacing_m)
     near = [wish for wish in wishes if np.hypot(*wish.position_m) <= radius_m]
-    near.sort(key=lambda wish: float(np.hypot(*wish.position_m)))
     count: Counter[str] = Counter()
     named = []
-    for wish in near:  # by where they lie, seen from the junction: kerb-ne-1 is the nearest there
+    # By where they lie, seen from the junction: kerb-ne-1 is the nearest there.
+    for wish in sorted(near, key=lambda wish: float(np.hypot(*wish.position_m))):
         east, north = wish.position_m
-        octant = round(np.degrees(np.arctan2(north, east)) / 45.0) % 8
-        count[_OCTANTS[octant]] += 1
-        name = f"kerb-{_OCTANTS[octant]}-{count[_OCTANTS[octant]]}"
-        named.append(replace(wish, id=name))
+        octant = _OCTANTS[round(np.degrees(np.arctan2(north, east)) / 45.0) % 8]
+        count[octant] += 1
+        named.append(replace(wish, id=f"kerb-{octant}-{count[octant]}"))
     return tuple(named)
 
 
@@ -456,17 +410,9 @@ def _spacing_m(where: str) -> float:
 
 def _with_plain_ids(wishes: Sequence[SiteWish]) -> list[SiteWish]:
     """Sites with unique ids that a comma-separated list can name."""
-    taken: set[str] = set()
-    plain = []
-    for wish in wishes:
-        words = "-".join(wish.id.replace(",", " ").replace("/", " ").split()) or "site"
-        name, number = words, 1
-        while name in taken:
-            number += 1
-            name = f"{words}-{number}"
-        taken.add(name)
-        plain.append(replace(wish, id=name))
-    return plain
+    taken: Counter[str] = Counter()
+    ids = [unique_id(plain_id(wish.id) or "site", taken) for wish in wishes]
+    return [replace(wish, id=name) for wish, name in zip(wishes, ids, strict=True)]
 
 
 def _kind_of(wish: SiteWish) -> PoleKind:
@@ -534,8 +480,6 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
         it; what stands inside a building or wall is moved out of it. None: that would be farther
         than 15 m, or from inside a wall 2 m.
     """
-    import shapely
-
     positions = np.asarray(positions_m, dtype=np.float64).reshape(-1, 2)
     road = covered_area(surroundings.outline_m, surroundings.lanes)
     shapely.prepare(road)
@@ -549,6 +493,7 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
     for thing in solid:
         for hit in np.flatnonzero(is_under(positions, thing)):
             walls.setdefault(int(hit), thing)
+    boxes = [_box(thing) for thing in solid]
     blocked = _without_gaps(shapely.buffer(road, SETBACK_M, quad_segs=4))
     places = []
     for index, position in enumerate(positions):
@@ -558,8 +503,8 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
         most_m = _MAX_MOVE_FROM_WALL_M if index in walls else _MAX_MOVE_M
         near = [
             footprint(thing).buffer(_FROM_WALL_M, join_style="mitre")
-            for thing in solid
-            if _is_near(thing, position, most_m)
+            for thing, box in zip(solid, boxes, strict=True)
+            if np.hypot(*(np.clip(position, *box) - position)) <= most_m + 1.0
         ]
         around = shapely.box(*(position - most_m - 1.0), *(position + most_m + 1.0))
         here = _without_gaps(shapely.union_all([blocked.intersection(around), *near]))
@@ -574,8 +519,6 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
 
 
 def _moved(position: FloatArray, edge: Any, why: str, most_m: float) -> Place:
-    import shapely
-
     point = shapely.Point(position)
     if edge.is_empty or edge.distance(point) > most_m:
         return Place(position_m=None, why=f"{why}, farther than {most_m:g} m from where it could")
@@ -587,8 +530,6 @@ def _moved(position: FloatArray, edge: Any, why: str, most_m: float) -> Place:
 
 def _without_gaps(area: Any) -> Any:
     """An area without small holes: gaps between lanes that are drawn a little apart."""
-    import shapely
-
     parts = [part for part in shapely.get_parts(area) if part.geom_type == "Polygon"]
     return shapely.union_all(
         [
@@ -599,11 +540,6 @@ def _without_gaps(area: Any) -> Any:
             for part in parts
         ]
     )
-
-
-def _is_near(thing: Thing, position: FloatArray, reach_m: float) -> bool:
-    low, high = thing.vertices_m[:, :2].min(axis=0), thing.vertices_m[:, :2].max(axis=0)
-    return bool(np.hypot(*(np.clip(position, low, high) - position)) <= reach_m + 1.0)
 
 
 def standing_things(surroundings: Surroundings) -> list[Thing]:
@@ -633,25 +569,16 @@ def footprint(thing: Thing) -> Any:
 
 
 def is_under(positions_m: FloatArray, thing: Thing) -> BoolArray:
-    """Which points lie in the footprint of a thing: below or above one of its triangles."""
-    corners = thing.vertices_m[thing.triangles][:, :, :2]
-    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    result: BoolArray = np.zeros(len(positions_m), dtype=np.bool_)
-    for index in np.flatnonzero(((positions_m > low) & (positions_m < high)).all(axis=1)):
-        a, b, c = np.swapaxes(corners - positions_m[index], 0, 1)
-        turns = np.stack([_turn(a, b), _turn(b, c), _turn(c, a)])
-        result[index] = ((turns > 0.0).all(axis=0) | (turns < 0.0).all(axis=0)).any()
-        if not result[index]:  # on the edge between two triangles
-            area = turns.sum(axis=0)
-            inside = ((turns >= 0.0).all(axis=0) & (area > 0.0)) | (
-                (turns <= 0.0).all(axis=0) & (area < 0.0)
-            )
-            result[index] = inside.sum() > 2  # roof and floor, on both sides of the edge
+    """Which points lie within the footprint of a thing: below or above it."""
+    low, high = _box(thing)
+    result = np.asarray(((positions_m > low) & (positions_m < high)).all(axis=1), dtype=bool)
+    if result.any():
+        result[result] = shapely.intersects_xy(footprint(thing), *positions_m[result].T)
     return result
 
 
-def _turn(a: FloatArray, b: FloatArray) -> FloatArray:
-    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+def _box(thing: Thing) -> tuple[FloatArray, FloatArray]:
+    return thing.vertices_m[:, :2].min(axis=0), thing.vertices_m[:, :2].max(axis=0)
 
 
 def settle_poles(surroundings: Surroundings) -> tuple[Surroundings, tuple[Note, ...]]:

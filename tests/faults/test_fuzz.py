@@ -120,7 +120,7 @@ NO_USERS_FILES = {
     "geometry.files.open_file": "the door itself: tests/faults/test_hostile_paths.py",
     "geometry.files.open_new": "writes",
     "geometry.files.read_bytes": "the door itself",
-    "geometry.private_folders.open_own": "caches: tests/geometry/test_private_folders.py",
+    "geometry.files.open_own": "caches: tests/geometry/test_private_folders.py",
     "geometry.untrusted_files.open_parquet": "within readers of traffic and results",
     "geometry.untrusted_files.open_stream": "within readers of traffic",
     "experiments.city.inputs.load_city": "maps, by read_map",

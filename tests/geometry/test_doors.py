@@ -20,7 +20,7 @@ CALLS_OF = {"np": {"load", "save", "savez", "savez_compressed"}, "os": {"replace
 EXCEPTIONS = {
     # Opened by the door before; what follows is inside the open file.
     "geometry/scene_files.py": {"ZipFile", "open"},
-    "geometry/maps/point_files.py": {"open"},  # laspy
+    "geometry/maps/point_clouds.py": {"open"},  # laspy
     "placement/verification/instances.py": {"ZipFile", "open"},
     "placement/covering.py": {"load", "savez_compressed"},
     "placement/sampling/moving/sumo.py": {"load"},
@@ -49,7 +49,6 @@ EXCEPTIONS = {
     # The package's own data, caches, and what the system tells of itself.
     "geometry/actors.py": {"open", "load"},
     "geometry/body_shapes.py": {"savez_compressed"},
-    "geometry/private_folders.py": {"open"},
     "geometry/lazy_names.py": {"read_bytes"},
     "placement/detectors/built_in.py": {"read_text"},
     "placement/cache.py": {"load", "read_bytes"},

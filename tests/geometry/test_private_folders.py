@@ -4,8 +4,8 @@ import tempfile
 
 import pytest
 
-from geometry import private_folders
-from geometry.private_folders import (
+from geometry import files
+from geometry.files import (
     open_own,
     private_temporary_folder,
     trouble_with,
@@ -122,7 +122,7 @@ def test_a_temporary_folder_is_the_same_unless_somebody_else_holds_its_name(tmp_
     first.chmod(0o777)
     removed = []
     monkeypatch.setattr(
-        private_folders.atexit, "register", lambda remove, folder, **_: removed.append(folder)
+        files.atexit, "register", lambda remove, folder, **_: removed.append(folder)
     )
     other = find()
     assert other != first

@@ -5,16 +5,13 @@ from importlib.resources import files
 
 import numpy as np
 import pytest
-import trimesh
-from hypothesis import given
-from hypothesis import strategies as st
 
 from geometry.actors import load_actors
 from geometry.errors import InputError
 from geometry.footprints import footprint_corners, footprint_separation
 from geometry.frames import from_carla_points, to_geographic
 from geometry.scene import CLASS_NAMES, containing_instance
-from geometry.study_scene import _box, _cylinder, load_box_scene, load_study_scene
+from geometry.study_scene import load_box_scene, load_study_scene
 
 TOWN05 = tomllib.loads((files("geometry") / "data" / "town05.toml").read_text(encoding="utf-8"))
 
@@ -474,25 +471,3 @@ def test_a_file_that_is_not_there_is_named(tmp_path):
     with pytest.raises(InputError) as caught:
         load_box_scene(path)
     assert str(caught.value) == f"{path}: got No such file or directory; expected a readable file"
-
-
-# Meshes
-
-
-@given(
-    size_m=st.lists(st.floats(0.1, 50.0), min_size=3, max_size=3),
-    ends_m=st.lists(st.floats(-50.0, 50.0), min_size=6, max_size=6).filter(
-        lambda ends: np.hypot.reduce(np.subtract(ends[:3], ends[3:])) > 0.1
-    ),
-)
-def test_boxes_and_cylinders_are_those_of_trimesh(size_m, ends_m):
-    thing = load_study_scene().instances[0]
-    _, corners, triangles = _box(thing, middle_m=np.zeros(2), yaw_deg=0.0, size_m=size_m)
-    box = trimesh.creation.box(extents=size_m)
-    assert corners == pytest.approx(box.vertices + [0.0, 0.0, 0.5 * size_m[2]])
-    assert np.array_equal(triangles, box.faces)
-    start_m, end_m = np.array(ends_m[:3]), np.array(ends_m[3:])
-    _, corners, triangles = _cylinder(thing, start_m=start_m, end_m=end_m, radius_m=0.3)
-    pole = trimesh.creation.cylinder(radius=0.3, segment=[start_m, end_m], sections=10)
-    assert corners == pytest.approx(pole.vertices, abs=1.0e-9)
-    assert np.array_equal(triangles, pole.faces)

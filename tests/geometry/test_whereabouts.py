@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from osm_text import OsmText
 
+from geometry.junction import street_names, whereabouts
 from geometry.maps.importing import ImportOptions, import_scene
 from geometry.study_scene import load_study_scene
-from geometry.whereabouts import street_names, whereabouts
 
 
 @pytest.fixture(scope="module")

@@ -52,7 +52,7 @@ def read_opendrive(path: Path) -> SourceMap:
     crs, source_crs = read_crs(root, omissions)
     offset = read_offset(root, where)
     roads = _read_roads(root, where, offset, omissions)
-    sampled = _sample(roads, where)
+    sampled = _sample(roads)
     records = read_junction_records(root, where, omissions)
     ends = find_road_ends(roads, records, omissions)
     lanes = join_stubs(
@@ -74,7 +74,9 @@ def read_opendrive(path: Path) -> SourceMap:
     ]
     poles, painted = read_signals(roads, sampled, offset, omissions)
     crosswalks = [*found.crosswalks_m, *painted, *cross_paths(records, roads)]
-    _note_ignored(root, omissions)
+    for element in root.iter("include"):
+        name = f"include {element.get('file', '')[:80]}"
+        omissions.add("included files", name, "other files are not read")
     return SourceMap(
         name=where,
         crs=crs,
@@ -132,7 +134,7 @@ def _beyond(link: RoadLink, joints: Mapping[str, tuple[RoadLink, RoadLink]]) -> 
     return link
 
 
-def _sample(roads: Mapping[str, Road], where: str) -> dict[str, tuple[SampledSection, ...]]:
+def _sample(roads: Mapping[str, Road]) -> dict[str, tuple[SampledSection, ...]]:
     sampled: dict[str, tuple[SampledSection, ...]] = {}
     n_points = 0
     for road in roads.values():
@@ -171,27 +173,17 @@ def _without_merges(
     kept = []
     for junction in junctions:
         arms = [roads[name] for name, at in ends.items() if junction.id in (at.start, at.end)]
-        if arms and all(road.is_motorway for road in arms):
-            why = "motorways merge or part where nobody walks"
-            omissions.add("junctions", f"junction {junction.id}", why)
-        else:
+        if not arms or not all(road.is_motorway for road in arms):
             kept.append(junction)
+            continue
+        why = "motorways merge or part where nobody walks"
+        omissions.add("junctions", f"junction {junction.id}", why)
     return kept
 
 
 def _keeps_left(roads: Mapping[str, Road], omissions: Omissions) -> bool:
     n_left = sum(road.keeps_left for road in roads.values())
     if 0 < n_left < len(roads):
-        omissions.add(
-            "rules",
-            f"rule of {min(n_left, len(roads) - n_left)} of {len(roads)} roads",
-            "traffic in a map keeps one side: that of most roads",
-        )
+        name = f"rule of {min(n_left, len(roads) - n_left)} of {len(roads)} roads"
+        omissions.add("rules", name, "traffic in a map keeps one side: that of most roads")
     return 2 * n_left > len(roads)
-
-
-def _note_ignored(root: Element, omissions: Omissions) -> None:
-    for element in root.iter("include"):
-        omissions.add(
-            "included files", f"include {element.get('file', '')[:80]}", "other files are not read"
-        )

@@ -129,27 +129,18 @@ def read_crs(root: Element, omissions: Omissions) -> tuple[str, str]:
     source = "" if element is None else " ".join("".join(element.itertext()).split())
     if not source:
         return "", ""
-    source = _with_projection(source)
-    crs = _without_heights(source)
+    if {word.partition("=")[0] for word in source.split()} == {"+lat_0", "+lon_0"}:
+        # CARLA's short form: a transverse Mercator there.
+        source = f"+proj=tmerc {source} +k=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs"
+    crs = source
+    if source.startswith("+"):
+        words = [word for word in source.split() if not word.startswith(_VERTICAL_PARAMETERS)]
+        crs = " ".join(words)
     why = _why_not(crs)
     if why:
         omissions.add("geoReferences", f"geoReference {source[:120]}", why)
         return "", source
     return crs, source
-
-
-def _without_heights(source: str) -> str:
-    if not source.startswith("+"):
-        return source
-    return " ".join(word for word in source.split() if not word.startswith(_VERTICAL_PARAMETERS))
-
-
-def _with_projection(crs: str) -> str:
-    """Complete CARLA's short form: +lat_0=49 +lon_0=8 means a transverse Mercator there."""
-    words = [word.partition("=")[0] for word in crs.split()]
-    if set(words) != {"+lat_0", "+lon_0"}:
-        return crs
-    return f"+proj=tmerc {crs} +k=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs"
 
 
 def _why_not(crs: str) -> str:

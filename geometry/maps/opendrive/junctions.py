@@ -1,11 +1,13 @@
 """Junctions: records of a file, the roads that end at them, and outlines of their road surface."""
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
+import shapely
 
 from ...arrays import FloatArray
 from ...errors import InputError, Unquoted
@@ -44,9 +46,8 @@ def read_junction_records(
             raise InputError(f"{here}.id", junction_id, "every id once")
         kind = element.get("type", "default")
         if kind in _WITHOUT_SURFACE:
-            omissions.add(
-                f"{kind} junctions", f"junction {junction_id} ({kind})", _WITHOUT_SURFACE[kind]
-            )
+            name = f"junction {junction_id} ({kind})"
+            omissions.add(f"{kind} junctions", name, _WITHOUT_SURFACE[kind])
         roads = [connection.get("incomingRoad", "") for connection in element.iter("connection")]
         found[junction_id] = JunctionRecord(
             id=junction_id,
@@ -75,11 +76,9 @@ def find_road_ends(
     def junction_at(road: Road, link: RoadLink, end: str) -> str:
         known = {"junction": junctions, "road": roads}.get(link.kind, {})
         if link.kind and link.id not in known:
-            omissions.add(
-                "links to missing roads or junctions",
-                f"road {road.id}, link to {link.kind[:20]} {link.id[:40]}",
-                "the file has no such road or junction",
-            )
+            name = f"road {road.id}, link to {link.kind[:20]} {link.id[:40]}"
+            why = "the file has no such road or junction"
+            omissions.add("links to missing roads or junctions", name, why)
         found = led_to.get((road.id, end), "")
         if link.kind == "junction" and link.id in junctions:
             found = link.id
@@ -94,14 +93,6 @@ def find_road_ends(
         for road in roads.values()
         if road.junction == NO_JUNCTION
     }
-
-
-def junction_name(record: JunctionRecord, roads: Mapping[str, Road]) -> str:
-    """Its own name, or those of the streets that meet there."""
-    if record.name:
-        return record.name
-    names = [roads[road].name for road in record.incoming if road in roads]
-    return " / ".join(dict.fromkeys(name for name in names if name))
 
 
 _AHEAD_M = 10.0  # over which the direction of a road is taken
@@ -119,35 +110,35 @@ def leading_roads(
         for junction, is_start in ((at.start, True), (at.end, False)):
             if not junction:
                 continue
-            section = sections[0 if is_start else -1]
             index = 0 if is_start else -1
-            n_lanes = {True: 0, False: 0}  # by whether they follow the road
-            edges_m = []
-            for lane in section.lanes.values():
-                wide_m = float(lane.width_m[index])
-                if lane_kind(lane.record.type) == "driving" and wide_m >= _MIN_LANE_M:
-                    follows = ((lane.record.number < 0) != road.keeps_left) != (
-                        lane.record.is_reversed
-                    )
-                    n_lanes[follows] += 1
-                    edges_m += [float(lane.inner_m[index]), float(lane.outer_m[index])]
+            section = sections[index]
+            lanes = [
+                lane
+                for lane in section.lanes.values()
+                if lane_kind(lane.record.type) == "driving"
+                and float(lane.width_m[index]) >= _MIN_LANE_M
+            ]
+            n_following = sum(
+                ((lane.record.number < 0) != road.keeps_left) != lane.record.is_reversed
+                for lane in lanes
+            )
+            edges_m = [float(m[index]) for lane in lanes for m in (lane.inner_m, lane.outer_m)]
             if not edges_m:
                 continue
             middle_m = 0.5 * (min(edges_m) + max(edges_m))
             tip = section.points_m[index, :2] + middle_m * section.left[index]
-            away = road.line.at(
-                np.array([min(_AHEAD_M, road.length_m), 0.0])
-                if is_start
-                else np.array([max(road.length_m - _AHEAD_M, 0.0), road.length_m])
-            )[0]
+            ahead_m = min(_AHEAD_M, road.length_m)
+            ends_m = (ahead_m, 0.0) if is_start else (road.length_m - ahead_m, road.length_m)
+            away = road.line.at(np.array(ends_m))[0]
             step = away[0] - away[1]
+            n_lanes = (n_following, len(lanes) - n_following)  # along the road, against it
             found.setdefault(junction, []).append(
                 LeadingRoad(
                     name=road.name or f"road {road_id}",
                     point_m=tip,
                     direction=step / max(float(np.hypot(*step)), 1e-9),
-                    lanes_in=n_lanes[not is_start],
-                    lanes_out=n_lanes[is_start],
+                    lanes_in=n_lanes[is_start],
+                    lanes_out=n_lanes[not is_start],
                 )
             )
     return {junction: tuple(here) for junction, here in found.items()}
@@ -201,72 +192,64 @@ def build_junctions(
         with np.errstate(divide="ignore", invalid="ignore"):  # flags that GEOS leaves behind
             surface = _surface(pieces)
         if surface is None:
-            omissions.add(
-                "junctions without surface",
-                f"junction {record.id}",
-                "it has no connecting road with a driving lane",
-            )
+            why = "it has no connecting road with a driving lane"
+            omissions.add("junctions without surface", f"junction {record.id}", why)
             apart |= {(record.id, lane.id) for lane, _ in tips.get(record.id, [])}
             continue
         with np.errstate(divide="ignore", invalid="ignore"):
             surface, far = _fit(surface, tips.get(record.id, []))
         for lane in far:
-            omissions.add(
-                "lanes that end far from their junction",
-                f"lane {lane.id} at junction {record.id}",
-                f"its outline is more than {_MAX_REACH_M:g} m away: it does not end there",
-            )
+            why = f"its outline is more than {_MAX_REACH_M:g} m away: it does not end there"
+            name = f"lane {lane.id} at junction {record.id}"
+            omissions.add("lanes that end far from their junction", name, why)
         apart |= {(record.id, lane.id) for lane in far}
         outline = np.asarray(surface.simplify(_SIMPLIFY_M).exterior.coords)[:-1]
         middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
         points = np.concatenate([section.points_m for section in pieces])
         nearest = np.hypot(*(points[:, :2] - middle).T).argmin()
+        streets = [roads[road].name for road in record.incoming if road in roads]
         junctions.append(
             MapJunction(
                 id=record.id,
-                name=junction_name(record, roads),
+                name=record.name or " / ".join(dict.fromkeys(filter(None, streets))),
                 outline_m=outline,
                 height_m=float(points[nearest, 2]),
             )
         )
     there = {junction.id for junction in junctions}
-
-    def known(junction: str, lane: MapLane) -> str:
-        return junction if junction in there and (junction, lane.id) not in apart else ""
-
-    return junctions, [
-        replace(
-            lane,
-            from_junction=known(lane.from_junction, lane),
-            to_junction=known(lane.to_junction, lane),
-        )
+    known = [
+        [name if name in there and (name, lane.id) not in apart else "" for name in names]
         for lane in lanes
+        for names in [(lane.from_junction, lane.to_junction)]
+    ]
+    return junctions, [
+        replace(lane, from_junction=before, to_junction=after)
+        for lane, (before, after) in zip(lanes, known, strict=True)
     ]
 
 
 def _tips_by_junction(lanes: Sequence[MapLane]) -> dict[str, list[tuple[MapLane, FloatArray]]]:
     """Lanes of arms that end or begin at each junction, as lines that lead away from it."""
-    tips: dict[str, list[tuple[MapLane, FloatArray]]] = {}
+    tips: dict[str, list[tuple[MapLane, FloatArray]]] = defaultdict(list)
     for lane in lanes:
         if lane.kind in _ARM_KINDS:
             line = lane.centreline_m[:, :2]
-            if lane.from_junction:
-                tips.setdefault(lane.from_junction, []).append((lane, line))
-            if lane.to_junction:
-                tips.setdefault(lane.to_junction, []).append((lane, line[::-1]))
+            tips[lane.from_junction].append((lane, line))
+            tips[lane.to_junction].append((lane, line[::-1]))
     return tips
 
 
 def _surface(sections: Sequence[SampledSection]) -> Any:
     """Largest part of the union of the strips of driving lanes, without holes, or None."""
-    import shapely
-
     rings = [
-        ring
+        np.concatenate([inner, outer[::-1]])
         for section in sections
         for lane in section.lanes.values()
         if lane_kind(lane.record.type) == "driving" and lane.width_m.max() > _MIN_WIDTH_M
-        for ring in _rings(section.points_at(lane.inner_m), section.points_at(lane.outer_m))
+        for edges in [(section.points_at(lane.inner_m), section.points_at(lane.outer_m))]
+        # In short pieces, so that self-intersections stay cheap to mend.
+        for at in range(0, len(section.s_m) - 1, _PIECE_POINTS)
+        for inner, outer in [[edge[at : at + _PIECE_POINTS + 1, :2] for edge in edges]]
     ]
     if not rings:
         return None
@@ -277,24 +260,8 @@ def _surface(sections: Sequence[SampledSection]) -> Any:
     return _largest(union.buffer(-_CLOSE_GAPS_M, join_style="mitre"))
 
 
-def _rings(inner_m: FloatArray, outer_m: FloatArray) -> list[FloatArray]:
-    """Outlines (k, 2) of a strip in short pieces, so that self-intersections stay cheap to mend."""
-    last = len(inner_m) - 1
-    return [
-        np.concatenate(
-            [
-                inner_m[begin : begin + _PIECE_POINTS + 1],
-                outer_m[begin : begin + _PIECE_POINTS + 1][::-1],
-            ]
-        )[:, :2]
-        for begin in range(0, last, _PIECE_POINTS)
-    ]
-
-
 def _largest(shape: Any) -> Any:
     """Largest polygon of a shape with its holes filled, or None if it is tiny."""
-    import shapely
-
     parts = [part for part in shapely.get_parts(shape) if part.geom_type == "Polygon"]
     filled = [shapely.Polygon(part.exterior) for part in parts if not part.is_empty]
     largest = max(filled, key=lambda part: part.area, default=None)
@@ -307,8 +274,6 @@ def _fit(surface: Any, tips: Sequence[tuple[MapLane, FloatArray]]) -> tuple[Any,
     The mouths of lanes that end inside are cut off, and narrow ways lead to those that end outside.
     Returns also the lanes whose ends are too far outside.
     """
-    import shapely
-
     inside = []
     for lane, line in tips:
         tip = shapely.Point(line[0])
@@ -316,11 +281,8 @@ def _fit(surface: Any, tips: Sequence[tuple[MapLane, FloatArray]]) -> tuple[Any,
             mouth = shapely.LineString(_first_metres(line, _MOUTH_M))
             inside.append(mouth.buffer(0.5 * lane.width_m, cap_style="flat"))
     if inside:
-        rest = _largest(
-            shapely.difference(
-                surface, shapely.union_all(inside, grid_size=_GRID_M), grid_size=_GRID_M
-            )
-        )
+        mouths = shapely.union_all(inside, grid_size=_GRID_M)
+        rest = _largest(shapely.difference(surface, mouths, grid_size=_GRID_M))
         surface = surface if rest is None else rest
     far, ways = [], []
     for lane, line in tips:

@@ -5,13 +5,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from ...arrays import FloatArray
 from ...errors import InputError, Unquoted
 from ..source_map import MapLane
 from .attributes import lane_kinds
-from .reference_line import MAX_COORDINATE_M, PiecewiseCubic, evaluate
-from .roads import CrossSections, LaneRecord, LaneSection, Road
+from .roads import (
+    MAX_COORDINATE_M,
+    CrossSections,
+    LaneRecord,
+    LaneSection,
+    PiecewiseCubic,
+    Road,
+    evaluate,
+)
 
 MAX_POINTS = 5_000_000  # of a file
 _CHORD_ERROR_M = 0.02  # below the 3 cm that are asked for: bounds of bends are sampled
@@ -83,16 +91,17 @@ def _sample_section(
     n_edges = 1 + len(section.left) + len(section.right)
     _check_count(road, len(starts) * n_edges)
     center = road.offset.rebased(starts, inside)
-    edges = {0: center}
+    edges, inner_of = {0: center}, {}
     for side, sign in ((section.left, 1.0), (section.right, -1.0)):
         has_widths = any(len(lane.width.starts_m) for lane in side)
-        inner = center
+        inner, inner_number = center, 0
         for lane in side:
             if has_widths or not len(lane.border.starts_m):
                 inner = inner + sign * lane.width.rebased(starts, inside)
             else:
                 inner = _border(lane, starts, inside, center, sign)
-            edges[lane.number] = inner
+            edges[lane.number], inner_of[lane.number] = inner, inner_number
+            inner_number = lane.number
     elevation = road.elevation.rebased(starts, inside)
 
     sides = np.stack([*edges.values()])
@@ -106,11 +115,6 @@ def _sample_section(
     s_m = starts[interval] + ds
     points, heading = road.line.at(s_m, inside[interval])
     t_m = {number: evaluate(cubic[interval], ds) for number, cubic in edges.items()}
-    inner_of = {
-        lane.number: numbers
-        for side in (section.left, section.right)
-        for lane, numbers in zip(side, [0, *(lane.number for lane in side[:-1])], strict=False)
-    }
     if np.abs(points).max() > MAX_COORDINATE_M:
         got = float(np.abs(points).max())
         raise InputError(f"{road.where} planView", got, f"at most {MAX_COORDINATE_M:g} m")
@@ -278,15 +282,9 @@ def build_lanes(road: Road, sections: Sequence[SampledSection], ends: RoadEnds) 
 
 def connecting_lanes(road: Road) -> list[MapLane]:
     """Driving lanes of a connecting road that lead through its junction from end to end."""
-    return [
-        lane
-        for lane in build_lanes(
-            road,
-            sample_road(road, chord_error_m=_TURN_CHORD_ERROR_M),
-            RoadEnds(start=road.junction, end=road.junction),
-        )
-        if lane.kind == "driving" and lane.from_junction and lane.to_junction
-    ]
+    sections = sample_road(road, chord_error_m=_TURN_CHORD_ERROR_M)
+    lanes = build_lanes(road, sections, RoadEnds(start=road.junction, end=road.junction))
+    return [one for one in lanes if one.kind == "driving" and one.from_junction and one.to_junction]
 
 
 def _chains(sections: Sequence[SampledSection]) -> Iterator[dict[int, int]]:
@@ -349,13 +347,10 @@ def _runs(
     sections: Sequence[SampledSection], chain: dict[int, int]
 ) -> Iterator[tuple[FloatArray, FloatArray, bool, bool]]:
     """Stretches of a chain with a lane: centreline, widths, at the road's start, at its end."""
-    pieces = []
-    for index, number in chain.items():
-        section = sections[index]
-        lane = section.lanes[number]
-        pieces.append((section.points_at(0.5 * (lane.inner_m + lane.outer_m)), lane.width_m))
-    points = np.concatenate([piece[0] for piece in pieces])
-    widths = np.concatenate([piece[1] for piece in pieces])
+    lanes = [(sections[index], sections[index].lanes[chain[index]]) for index in chain]
+    middles = [part.points_at(0.5 * (lane.inner_m + lane.outer_m)) for part, lane in lanes]
+    points = np.concatenate(middles)
+    widths = np.concatenate([lane.width_m for _, lane in lanes])
     is_there = np.concatenate([[False], widths >= _MIN_WIDTH_M, [False]])
     changes = np.flatnonzero(is_there[1:] != is_there[:-1])
     for begin, end in changes.reshape(-1, 2):
@@ -396,15 +391,13 @@ def join_stubs(lanes: Sequence[MapLane]) -> list[MapLane]:
 
 
 def _join_once(lanes: Sequence[MapLane]) -> list[MapLane]:
-    from scipy.spatial import cKDTree
-
     stubs = [
         index
         for index, lane in enumerate(lanes)
         if bool(lane.from_junction) != bool(lane.to_junction) and _length_m(lane) < _STUB_M
     ]
     if not stubs:
-        return list(lanes)
+        return [*lanes]
     trees = [cKDTree(np.array([lane.centreline_m[end] for lane in lanes])) for end in (0, -1)]
     result: dict[int, MapLane] = dict(enumerate(lanes))
     touched: set[int] = set()
@@ -415,33 +408,24 @@ def _join_once(lanes: Sequence[MapLane]) -> list[MapLane]:
         distance_m, near = trees[0 if leads_out else 1].query(tip, k=min(4, len(lanes)))
         for gap_m, other in zip(np.atleast_1d(distance_m), np.atleast_1d(near), strict=True):
             lane = lanes[int(other)]
-            is_free = not (lane.from_junction if leads_out else lane.to_junction)
-            if (
-                gap_m > _SAME_POINT_M_STUBS
-                or other == index
-                or lane.kind != stub.kind
-                or not is_free
-            ):
+            is_taken = lane.from_junction if leads_out else lane.to_junction
+            if gap_m > _SAME_POINT_M_STUBS or other == index or lane.kind != stub.kind or is_taken:
                 continue
             if touched & {index, int(other)}:
                 break  # the next round comes to it
             pieces = [stub, lane] if leads_out else [lane, stub]
-            result[int(other)] = _joined(lane, pieces)
+            lengths_m = [_length_m(piece) for piece in pieces]
+            result[int(other)] = replace(
+                lane,
+                width_m=float(np.average([one.width_m for one in pieces], weights=lengths_m)),
+                centreline_m=np.concatenate([pieces[0].centreline_m[:-1], pieces[1].centreline_m]),
+                from_junction=pieces[0].from_junction,
+                to_junction=pieces[1].to_junction,
+            )
             del result[index]
             touched |= {index, int(other)}
             break
     return list(result.values())
-
-
-def _joined(lane: MapLane, pieces: Sequence[MapLane]) -> MapLane:
-    lengths = [_length_m(piece) for piece in pieces]
-    return replace(
-        lane,
-        width_m=float(np.average([piece.width_m for piece in pieces], weights=lengths)),
-        centreline_m=np.concatenate([pieces[0].centreline_m[:-1], pieces[1].centreline_m]),
-        from_junction=pieces[0].from_junction,
-        to_junction=pieces[1].to_junction,
-    )
 
 
 def _length_m(lane: MapLane) -> float:

@@ -1,15 +1,17 @@
 """Places of objects (once, or repeated along a road, with their outlines) and their solids."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, replace
+from typing import Any
 from xml.etree.ElementTree import Element
 
+import mapbox_earcut
 import numpy as np
+import shapely
 
 from ...arrays import FloatArray
 from ...errors import InputError
-from ..solids import Mesh, extrude, join, unit_ball
+from ..source_map import Mesh, extrude, join, unit_ball
 from .attributes import (
     MAX_SIZE_M,
     assumed,
@@ -28,8 +30,8 @@ _BEYOND_M = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Copy:
-    """One place of an object, or one end of a sweep; sizes of its body where given."""
+class Spot:
+    """One place of an object; sizes of its body where given."""
 
     s_m: float
     t_m: float
@@ -38,14 +40,7 @@ class Copy:
     width_m: float | None
     height_m: float | None
     radius_m: float | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Sweep:
-    """A <repeat> without distance: one body, interpolated between two cross-sections."""
-
-    start: Copy
-    end: Copy
+    end: "Spot | None" = None  # of a <repeat> without distance: one body from here to there
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -60,13 +55,13 @@ class Outline:
     is_outer: bool  # that area is part of the object, not cut out of it
 
 
-def read_places(element: Element, road: Road, where: str) -> Iterator[Copy | Sweep]:
+def read_places(element: Element, road: Road, where: str) -> Iterator[Spot]:
     """All places of an object on its road; raises InputError if a <repeat> asks for too much."""
-    own = Copy(
+    own = Spot(
         s_m=take_number(element, "s", where),
         t_m=take_number(element, "t", where),
         z_m=take_number_or(element, "zOffset", where, 0.0),
-        **{f"{size}_m": take_size(element, size, where) for size in _SIZES},
+        **_read_sizes(element, "", where, None),
     )
     _check_reach(own, where)
     repeats = list(numbered(element, "repeat", where))
@@ -82,15 +77,11 @@ def read_places(element: Element, road: Road, where: str) -> Iterator[Copy | Swe
             key, value = ("length", length_m) if length_m < 0.0 else ("distance", distance_m)
             raise InputError(f"{here}.{key}", value, "metres, at least 0")
         start, end = (
-            Copy(
+            Spot(
                 s_m=s_m,
                 t_m=take_number_or(repeat, f"t{side}", here, own.t_m),
                 z_m=take_number_or(repeat, f"zOffset{side}", here, own.z_m),
-                **{
-                    f"{size}_m": take_size(repeat, f"{size}{side}", here)
-                    or getattr(own, f"{size}_m")
-                    for size in _SIZES
-                },
+                **_read_sizes(repeat, side, here, own),
             )
             for side, s_m in (("Start", start_m), ("End", start_m + length_m))
         )
@@ -99,9 +90,7 @@ def read_places(element: Element, road: Road, where: str) -> Iterator[Copy | Swe
         if distance_m == 0.0 and length_m > 0.0:
             if is_on(road, start_m):
                 end_m = min(end.s_m, road.length_m)
-                yield Sweep(
-                    start=start, end=_between(start, end, (end_m - start_m) / length_m, end_m)
-                )
+                yield replace(start, end=_between(start, end, (end_m - start_m) / length_m, end_m))
             continue
         n_copies = 1 if distance_m == 0.0 else int(length_m / distance_m + 1.0e-6) + 1
         if n_copies > _MAX_COPIES:
@@ -112,8 +101,16 @@ def read_places(element: Element, road: Road, where: str) -> Iterator[Copy | Swe
                 yield _between(start, end, index * distance_m / max(length_m, 1.0e-9), s_m)
 
 
-def _check_reach(copy: Copy, where: str) -> None:
-    for key, value in (("t", copy.t_m), ("zOffset", copy.z_m)):
+def _read_sizes(element: Element, side: str, where: str, own: Spot | None) -> dict[str, Any]:
+    """Sizes of a body, at one side of a <repeat> where it has them, or else the object's own."""
+    return {
+        f"{size}_m": take_size(element, f"{size}{side}", where) or getattr(own, f"{size}_m", None)
+        for size in _SIZES
+    }
+
+
+def _check_reach(spot: Spot, where: str) -> None:
+    for key, value in (("t", spot.t_m), ("zOffset", spot.z_m)):
         if abs(value) > MAX_SIZE_M:
             raise InputError(f"{where}.{key}", value, f"at most {MAX_SIZE_M:g} m off the road")
 
@@ -123,47 +120,37 @@ def is_on(road: Road, s_m: float) -> bool:
     return -_BEYOND_M <= s_m <= road.length_m + _BEYOND_M
 
 
-def _between(start: Copy, end: Copy, share: float, s_m: float) -> Copy:
+def _between(start: Spot, end: Spot, share: float, s_m: float) -> Spot:
     def mix(name: str) -> float | None:
         one, other = getattr(start, name), getattr(end, name)
         return None if one is None or other is None else one + share * (other - one)
 
-    return Copy(
+    sizes: dict[str, Any] = {f"{size}_m": mix(f"{size}_m") for size in _SIZES}
+    return Spot(
         s_m=s_m,
         t_m=start.t_m + share * (end.t_m - start.t_m),
         z_m=start.z_m + share * (end.z_m - start.z_m),
-        **{f"{size}_m": mix(f"{size}_m") for size in _SIZES},
+        **sizes,
     )
 
 
-def place(road: Road, copy: Copy) -> tuple[FloatArray, float]:
-    """Point (3,) of the road's plane below or above a copy, and heading of the road there."""
-    points, heading = road.place(np.array([copy.s_m]), np.array([copy.t_m]))
+def place(road: Road, spot: Spot) -> tuple[FloatArray, float]:
+    """Point (3,) of the road's plane below or above a place, and heading of the road there."""
+    points, heading = road.place(np.array([spot.s_m]), np.array([spot.t_m]))
     return points[0], float(heading[0])
 
 
-def stations(sweep: Sweep) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """S and t (n,) along a sweep, and the share of the way (0 .. 1)."""
-    n_points = max(2, int(np.ceil((sweep.end.s_m - sweep.start.s_m) / _STEP_M)) + 1)
-    share = np.linspace(0.0, 1.0, n_points)
-    s_m, t_m = (
-        getattr(sweep.start, key) + share * (getattr(sweep.end, key) - getattr(sweep.start, key))
-        for key in ("s_m", "t_m")
-    )
-    return s_m, t_m, share
-
-
-def read_outlines(element: Element, road: Road, copy: Copy, where: str) -> list[Outline]:
+def read_outlines(element: Element, road: Road, spot: Spot, where: str) -> list[Outline]:
     """Outlines of an object at one of its places."""
     found = [*numbered(element, "outline", where)]
     for group, here in numbered(element, "outlines", where):
         found += numbered(group, "outline", here)
     outlines = []
     for outline, here in found:
-        rows = _read_corners(outline, element, road, copy, here)
+        rows = _read_corners(outline, element, road, spot, here)
         if not len(rows):
             continue
-        reach_m = float(np.abs(rows[:, 2:] - [*place(road, copy)[0][2:], 0, copy.s_m, 0]).max())
+        reach_m = float(np.abs(rows[:, 2:] - [*place(road, spot)[0][2:], 0, spot.s_m, 0]).max())
         if reach_m > MAX_SIZE_M:
             raise InputError(f"{here}: corner", reach_m, f"at most {MAX_SIZE_M:g} m off")
         is_new = np.append(True, np.hypot(*np.diff(rows[:, :2], axis=0).T) > 1.0e-3)
@@ -189,36 +176,38 @@ def _flag(outline: Element, key: str) -> bool:
 
 
 def _read_corners(
-    outline: Element, element: Element, road: Road, copy: Copy, where: str
+    outline: Element, element: Element, road: Road, spot: Spot, where: str
 ) -> FloatArray:
     """x, y, z, height, s, t of corners: (n, 6)."""
-    foot, road_heading = place(road, copy)
+    foot, road_heading = place(road, spot)
     turn = take_number_or(element, "hdg", where, 0.0)
-    corners = [
-        tuple(take_number(corner, key, here) for key in "uv")
-        + (take_number_or(corner, "z", here, 0.0), take_number_or(corner, "height", here, 0.0))
-        for corner, here in numbered(outline, "cornerLocal", where)
-    ]
+
+    def read(tag: str, keys: str, height_key: str) -> list[tuple[float, ...]]:
+        return [
+            (
+                *(take_number(corner, key, here) for key in keys),
+                *(take_number_or(corner, key, here, 0.0) for key in (height_key, "height")),
+            )
+            for corner, here in numbered(outline, tag, where)
+        ]
+
+    corners = read("cornerLocal", "uv", "z")
     if corners:
         u, v, z, height = np.array(corners).T
         along, across = _turned(u, v, turn)
         x, y = _turned(along, across, road_heading)
         return np.column_stack(
             [
-                *(foot[0] + x, foot[1] + y, foot[2] + copy.z_m + z, height),
-                *(copy.s_m + along, copy.t_m + across),
+                *(foot[0] + x, foot[1] + y, foot[2] + spot.z_m + z, height),
+                *(spot.s_m + along, spot.t_m + across),
             ]
         )
-    corners = [
-        tuple(take_number(corner, key, here) for key in "st")
-        + (take_number_or(corner, "dz", here, 0.0), take_number_or(corner, "height", here, 0.0))
-        for corner, here in numbered(outline, "cornerRoad", where)
-    ]
+    corners = read("cornerRoad", "st", "dz")
     if not corners:
         return np.empty((0, 6))
     s, t, dz, height = np.array(corners).T
-    s = s + copy.s_m - take_number(element, "s", where)
-    t = t + copy.t_m - take_number(element, "t", where)
+    s = s + spot.s_m - take_number(element, "s", where)
+    t = t + spot.t_m - take_number(element, "t", where)
     points, _ = road.place(s, t)
     return np.column_stack([points[:, :2], points[:, 2] + dz, height, s, t])
 
@@ -228,14 +217,14 @@ def _turned(x: FloatArray, y: FloatArray, angle_rad: float) -> tuple[FloatArray,
     return x * cos - y * sin, x * sin + y * cos
 
 
-def box_corners(copy: Copy, turn_rad: float) -> FloatArray | None:
-    """Corners (4, 2) of a copy's box as s and t, or None if it has no length or width."""
-    if copy.length_m is None or copy.width_m is None:
+def box_corners(spot: Spot, turn_rad: float) -> FloatArray | None:
+    """Corners (4, 2) of a place's box as s and t, or None if it has no length or width."""
+    if spot.length_m is None or spot.width_m is None:
         return None
-    u = 0.5 * copy.length_m * np.array([-1.0, 1.0, 1.0, -1.0])
-    v = 0.5 * copy.width_m * np.array([-1.0, -1.0, 1.0, 1.0])
+    u = 0.5 * spot.length_m * np.array([-1.0, 1.0, 1.0, -1.0])
+    v = 0.5 * spot.width_m * np.array([-1.0, -1.0, 1.0, 1.0])
     along, across = _turned(u, v, turn_rad)
-    return np.stack([copy.s_m + along, copy.t_m + across], axis=1)
+    return np.stack([spot.s_m + along, spot.t_m + across], axis=1)
 
 
 # ---------- solids
@@ -257,8 +246,6 @@ def build_prism(
     With holes, or if the outline crosses itself, floor and roof are level at the lowest and highest
     corner. Raises InputError if the outline has no area, or the solid no height.
     """
-    import shapely
-
     is_flat = max(np.ptp(bottom_m), np.ptp(top_m)) < _FLAT_M or len(outline_m) < 3
     if is_flat or len(holes_m) or not shapely.Polygon(outline_m).is_valid:
         return extrude(
@@ -268,14 +255,10 @@ def build_prism(
             holes_m=holes_m,
             where=where,
         )
-    import mapbox_earcut
-
     if not (top_m > bottom_m).any():
         raise InputError(f"{where}: height", float((top_m - bottom_m).max()), "metres, > 0")
-    if shapely.LinearRing(outline_m).is_ccw:
-        corners, bottom, top = outline_m, bottom_m, np.maximum(top_m, bottom_m)
-    else:
-        corners, bottom, top = (outline_m[::-1], bottom_m[::-1], np.maximum(top_m, bottom_m)[::-1])
+    way = slice(None, None, 1 if shapely.LinearRing(outline_m).is_ccw else -1)
+    corners, bottom, top = outline_m[way], bottom_m[way], np.maximum(top_m, bottom_m)[way]
     n = len(corners)
     roof = np.asarray(
         mapbox_earcut.triangulate_float64(corners, np.array([n], dtype=np.uint32)), dtype=np.int64
@@ -285,12 +268,8 @@ def build_prism(
     roof[turns_right] = roof[turns_right][:, ::-1]
     here = np.arange(n)
     following = (here + 1) % n
-    sides = np.concatenate(
-        [
-            np.stack([here, following, following + n], axis=1),
-            np.stack([here, following + n, here + n], axis=1),
-        ]
-    )
+    sides = np.stack([[here, following, following + n], [here, following + n, here + n]])
+    sides = np.moveaxis(sides, 1, 2).reshape(-1, 3)
     vertices = np.concatenate([np.column_stack([corners, bottom]), np.column_stack([corners, top])])
     return vertices, np.concatenate([roof[:, ::-1], roof + n, sides]).astype(np.int32)
 
@@ -310,29 +289,15 @@ def build_band(
         table = table[[0, -1]]
     line, normal = table[:, :2], table[:, 2:4]
     half, bottom, top = 0.5 * table[:, 4:5], table[:, 5], table[:, 6]
-    ring = np.stack(
-        [
-            np.column_stack([line - half * normal, bottom]),
-            np.column_stack([line + half * normal, bottom]),
-            np.column_stack([line + half * normal, top]),
-            np.column_stack([line - half * normal, top]),
-        ],
-        axis=1,
-    )  # (n, 4, 3): right, left, left above, right above; seen from its end they run clockwise
+    # (n, 4, 3): right, left, left above, right above; seen from its end they run clockwise
+    corners = ((-half, bottom), (half, bottom), (half, top), (-half, top))
+    ring = np.stack([np.column_stack([line + by * normal, z]) for by, z in corners], axis=1)
     n = len(line)
     first = 4 * np.arange(n - 1)[:, None]
     corner = np.arange(4)
-    following = (corner + 1) % 4
-    sides = np.concatenate(
-        [
-            np.stack([first + corner, first + following, first + following + 4], axis=-1).reshape(
-                -1, 3
-            ),
-            np.stack([first + corner, first + following + 4, first + corner + 4], axis=-1).reshape(
-                -1, 3
-            ),
-        ]
-    )
+    here, next_one = first + corner, first + (corner + 1) % 4
+    sides = np.stack([[here, next_one, next_one + 4], [here, next_one + 4, here + 4]])
+    sides = np.moveaxis(sides, 1, -1).reshape(-1, 3)
     end = 4 * (n - 1)
     caps = np.array([[0, 2, 1], [0, 3, 2], [end, end + 1, end + 2], [end, end + 2, end + 3]])
     triangles = np.concatenate([sides, caps])
@@ -358,7 +323,9 @@ def build_box(
 
 def build_cylinder(foot_m: FloatArray, *, radius_m: float, height_m: float) -> Mesh:
     """An upright cylinder above the middle of its base (3,)."""
-    vertices, triangles = _unit_cylinder()
+    angle = 2.0 * np.pi * np.arange(_N_ROUND) / _N_ROUND
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    vertices, triangles = extrude(ring, bottom_m=0.0, top_m=1.0)
     return vertices * [radius_m, radius_m, height_m] + foot_m, triangles
 
 
@@ -368,24 +335,17 @@ def build_tree(foot_m: FloatArray, *, crown_radius_m: float, height_m: float) ->
     stem_m = shares["stem_share"] * height_m
     radius_m = min(shares["trunk_radius_share"] * height_m, crown_radius_m)
     half_m = 0.5 * (height_m - stem_m)
-    trunk, trunk_triangles = build_cylinder(foot_m, radius_m=radius_m, height_m=stem_m + half_m)
-    crown, crown_triangles = unit_ball()
-    crown = crown * [crown_radius_m, crown_radius_m, half_m] + foot_m + [0.0, 0.0, stem_m + half_m]
-    return join([(trunk, trunk_triangles), (crown, crown_triangles)])
-
-
-@cache
-def _unit_cylinder() -> Mesh:
-    angle = 2.0 * np.pi * np.arange(_N_ROUND) / _N_ROUND
-    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return extrude(ring, bottom_m=0.0, top_m=1.0)
+    trunk = build_cylinder(foot_m, radius_m=radius_m, height_m=stem_m + half_m)
+    ball, triangles = unit_ball()
+    crown = ball * [crown_radius_m, crown_radius_m, half_m] + foot_m + [0.0, 0.0, stem_m + half_m]
+    return join([trunk, (crown, triangles)])
 
 
 # ---------- bodies of objects
 def build_body(
     road: Road,
     kind: str,
-    one: Copy | Sweep,
+    spot: Spot,
     outlines: Sequence[Outline],
     *,
     turn_rad: float,
@@ -397,8 +357,7 @@ def build_body(
     wall if the file gives its height. `turn_rad` is the heading against the road. Raises InputError
     if an outline surrounds nothing, or there is no height.
     """
-    copy = one.start if isinstance(one, Sweep) else one
-    height_m = copy.height_m
+    height_m = spot.height_m
     has_outline = any(outline.is_outer for outline in outlines)
     says_height = height_m is not None or (
         has_outline and any(outline.height_m.any() for outline in outlines)
@@ -409,12 +368,12 @@ def build_body(
         thing = "wall" if kind == "obstacle" else kind.replace(" ", "_")
         height_m = assumed(f"{thing}_height_m")
     solid: Mesh | None
-    if isinstance(one, Sweep):
-        solid = _sweep(road, one, height_m)
+    if spot.end is not None:
+        solid = _sweep(road, spot, spot.end, height_m)
     elif has_outline:
         solid = _from_outlines(outlines, height_m, where)
     else:
-        solid = _simple(road, kind, copy, height_m, turn_rad)
+        solid = _simple(road, kind, spot, height_m, turn_rad)
     return None if solid is None else (solid, not says_height)
 
 
@@ -449,8 +408,6 @@ def _from_outlines(outlines: Sequence[Outline], height_m: float, where: str) -> 
 
 def _holes_inside(outline_m: FloatArray, holes: Sequence[FloatArray]) -> list[FloatArray]:
     """The holes of this outline, if an object has several outlines."""
-    import shapely
-
     if not holes or len(outline_m) < 3:
         return []
     shape = shapely.Polygon(outline_m).buffer(0.0)
@@ -473,17 +430,18 @@ def _left_of(line_m: FloatArray) -> FloatArray:
     return np.stack([-along[:, 1], along[:, 0]], axis=1)
 
 
-def _sweep(road: Road, sweep: Sweep, height_m: float) -> Mesh:
-    s_m, t_m, share = stations(sweep)
-    points, heading = road.place(s_m, t_m)
+def _sweep(road: Road, start: Spot, end: Spot, height_m: float) -> Mesh:
+    n_points = max(2, int(np.ceil((end.s_m - start.s_m) / _STEP_M)) + 1)
+    share = np.linspace(0.0, 1.0, n_points)
 
     def mix(name: str, fallback: float) -> FloatArray:
-        one, other = getattr(sweep.start, name), getattr(sweep.end, name)
+        one, other = getattr(start, name), getattr(end, name)
         one = fallback if one is None else one
         other = one if other is None else other
         return one + share * (other - one)
 
-    diameter_m = 2.0 * (sweep.start.radius_m or 0.0)
+    points, heading = road.place(mix("s_m", 0.0), mix("t_m", 0.0))
+    diameter_m = 2.0 * (start.radius_m or 0.0)
     bottom_m = points[:, 2] + mix("z_m", 0.0)
     return build_band(
         points[:, :2],
@@ -494,13 +452,13 @@ def _sweep(road: Road, sweep: Sweep, height_m: float) -> Mesh:
     )
 
 
-def _simple(road: Road, kind: str, copy: Copy, height_m: float, turn_rad: float) -> Mesh | None:
+def _simple(road: Road, kind: str, spot: Spot, height_m: float, turn_rad: float) -> Mesh | None:
     """A tree, a cylinder or a box, or None if it has no extent."""
-    foot, heading = place(road, copy)
-    foot[2] += copy.z_m
-    radius_m = copy.radius_m
-    sides = [side for side in (copy.length_m, copy.width_m) if side is not None]
-    is_tall = copy.height_m is not None and height_m >= load_facts()["tree"]["min_height_m"]
+    foot, heading = place(road, spot)
+    foot[2] += spot.z_m
+    radius_m = spot.radius_m
+    sides = [side for side in (spot.length_m, spot.width_m) if side is not None]
+    is_tall = spot.height_m is not None and height_m >= load_facts()["tree"]["min_height_m"]
     is_round = radius_m is not None or (len(sides) == 2 and max(sides) < 2.0 * min(sides))
     if kind == "tree" or (kind == "vegetation" and is_tall and is_round):
         if radius_m is None:
@@ -514,7 +472,7 @@ def _simple(road: Road, kind: str, copy: Copy, height_m: float, turn_rad: float)
     return build_box(
         foot,
         heading + turn_rad,
-        length_m=copy.length_m or thickness_m,
-        width_m=copy.width_m or thickness_m,
+        length_m=spot.length_m or thickness_m,
+        width_m=spot.width_m or thickness_m,
         height_m=height_m,
     )

@@ -3,13 +3,17 @@
 import re
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import islice
 from xml.etree.ElementTree import Element
 
 import numpy as np
+import shapely
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from ...arrays import FloatArray
 from ...errors import InputError, Unquoted
@@ -24,9 +28,8 @@ from .attributes import (
 from .junctions import JunctionRecord
 from .lanes import SampledSection, lane_kind
 from .object_shapes import (
-    Copy,
     Outline,
-    Sweep,
+    Spot,
     box_corners,
     build_body,
     is_on,
@@ -115,7 +118,7 @@ _MIN_LENGTH_M = 0.5
 
 
 def crosswalk_line(
-    road: Road, one: Copy | Sweep, outlines: Sequence[Outline], turn_rad: float
+    road: Road, spot: Spot, outlines: Sequence[Outline], turn_rad: float
 ) -> FloatArray | None:
     """Line (2, 2) on which pedestrians cross, or None if the object has no extent.
 
@@ -123,31 +126,25 @@ def crosswalk_line(
     the road. Two corners are the line itself. `turn_rad` is the heading of the object against the
     road.
     """
-    copy = one.start if isinstance(one, Sweep) else one
-    _, heading = place(road, copy)
-    outer = next((outline for outline in outlines if outline.is_outer), None)
-    if outer is not None:
-        corners = outer.points_m
-    else:
-        box = box_corners(copy, turn_rad)
-        if box is None:
-            return None
-        corners = road.place(box[:, 0], box[:, 1])[0][:, :2]
+    found = _corners(road, spot, outlines, turn_rad)
+    if found is None:
+        return None
+    corners, _ = found
     if len(corners) == 2:
         return corners if np.hypot(*(corners[1] - corners[0])) > _MIN_LENGTH_M else None
+    _, heading = place(road, spot)
     return _long_way(corners, np.array([-np.sin(heading), np.cos(heading)]))
 
 
-def signal_crosswalk(
-    element: Element, road: Road, s_m: float, t_m: float, length_m: float, where: str
-) -> FloatArray:
-    """Line (2, 2) across the road of a crosswalk that is written as a painted signal."""
-    points, heading = road.place(np.array([s_m]), np.array([t_m]))
-    # Around the other way is the same line: whole and half turns are of no matter.
-    angle = heading[0] + take_number_or(element, "hOffset", where, 0.0) + 0.5 * np.pi
-    across = np.array([np.cos(angle), np.sin(angle)])
-    line: FloatArray = points[0, :2] + 0.5 * length_m * np.array([[-1.0], [1.0]]) * across
-    return line
+def _corners(
+    road: Road, spot: Spot, outlines: Sequence[Outline], turn_rad: float
+) -> tuple[FloatArray, FloatArray] | None:
+    """Corners (n, 2) of an object's outline or box: on the map, and as s and t; None: no extent."""
+    outer = next((outline for outline in outlines if outline.is_outer), None)
+    if outer is not None:
+        return outer.points_m, outer.road_m
+    box = box_corners(spot, turn_rad)
+    return None if box is None else (road.place(*box.T)[0][:, :2], box)
 
 
 def cross_paths(
@@ -166,8 +163,6 @@ def cross_paths(
 
 
 def _long_way(corners_m: FloatArray, across_road: FloatArray) -> FloatArray | None:
-    import shapely
-
     with np.errstate(divide="ignore", invalid="ignore"):  # flags that GEOS leaves behind
         box = shapely.MultiPoint(corners_m).minimum_rotated_rectangle
     if box.geom_type != "Polygon":
@@ -207,23 +202,20 @@ class Space:
         return 0.5 * (self.right_m + self.left_m)
 
 
-def read_space(one: Copy | Sweep, outlines: Sequence[Outline], turn_rad: float) -> Space | None:
+def read_space(
+    road: Road, spot: Spot, outlines: Sequence[Outline], turn_rad: float
+) -> Space | None:
     """One parking space, or a strip of them; None if it has no extent."""
-    if isinstance(one, Sweep):
-        start, end = one.start, one.end
-        if start.width_m is None:
+    if spot.end is not None:
+        if spot.width_m is None:
             return None
-        t_m, half_m = 0.5 * (start.t_m + end.t_m), 0.5 * start.width_m
-        corners = np.array([[start.s_m, t_m - half_m], [end.s_m, t_m + half_m]])
+        t_m, half_m = 0.5 * (spot.t_m + spot.end.t_m), 0.5 * spot.width_m
+        corners = np.array([[spot.s_m, t_m - half_m], [spot.end.s_m, t_m + half_m]])
     else:
-        outer = next((outline for outline in outlines if outline.is_outer), None)
-        if outer is not None:
-            corners = outer.road_m
-        else:
-            box = box_corners(one, turn_rad)
-            if box is None:
-                return None
-            corners = box
+        found = _corners(road, spot, outlines, turn_rad)
+        if found is None:
+            return None
+        _, corners = found
     (first_m, right_m), (last_m, left_m) = corners.min(axis=0), corners.max(axis=0)
     if min(last_m - first_m, left_m - right_m) < _MIN_SIZE_M:
         return None
@@ -249,11 +241,8 @@ def build_rows(road: Road, spaces: Sequence[Space]) -> list[MapLane]:
         else:
             rows.append([space])
             open_rows.append(rows[-1])
-    return [
-        lane
-        for index, row in enumerate(rows)
-        if (lane := _build_row(road, row, f"{road.id}/parking {index + 1}")) is not None
-    ]
+    lanes = (_build_row(road, row, f"{road.id}/parking {at + 1}") for at, row in enumerate(rows))
+    return [lane for lane in lanes if lane is not None]
 
 
 def _build_row(road: Road, row: Sequence[Space], name: str) -> MapLane | None:
@@ -305,59 +294,59 @@ def read_objects(roads: Mapping[str, Road], omissions: Omissions) -> Found:
     """
     found = Found()
     n_places = n_vertices = n_counted = 0
-    for kind, one in _taken_objects(roads, omissions):
+
+    def refuse_many(n: int, most: int, noun: str, where: str) -> None:
+        if n > most:
+            got = Unquoted(f"more than {most:,} {noun} up to here")
+            raise InputError(where, got, "a smaller file: cut it out first")
+
+    for kind, one in list(_taken_objects(roads, omissions)):
         places = list(islice(read_places(one.element, one.road, one.where), _MAX_PLACES + 1))
         n_places += len(places)
         if not places:
             omissions.add("objects beyond their road's end", one.name, "beyond its road's end")
-        if n_places > _MAX_PLACES:
-            got = Unquoted(f"more than {_MAX_PLACES:,} objects up to here")
-            raise InputError(one.where, got, "a smaller file: cut it out first")
+        refuse_many(n_places, _MAX_PLACES, "objects", one.where)
         for index, spot in enumerate(places):
             name = one.name if len(places) == 1 else f"{one.name}/{index}"
             if not _take(kind, one, spot, name, found):
                 omissions.add(f"objects ({kind}) without size", name, _NO_SIZE)
             n_vertices += sum(len(thing.vertices_m) for thing in found.things[n_counted:])
             n_counted = len(found.things)
-            if n_vertices > _MAX_VERTICES:
-                got = Unquoted(f"more than {_MAX_VERTICES:,} corners up to here")
-                raise InputError(one.where, got, "a smaller file: cut it out first")
+            refuse_many(n_vertices, _MAX_VERTICES, "corners", one.where)
     return found
 
 
 def _taken_objects(
     roads: Mapping[str, Road], omissions: Omissions
-) -> list[tuple[str, RoadElement]]:
+) -> Iterator[tuple[str, RoadElement]]:
     """Objects of a kind that matters; the others are noted."""
-    objects = []
     names: Counter[str] = Counter()
     for road in roads.values():
-        parent = road.element.find("objects")
         for tag, why in _NOT_TAKEN.items():
-            for element in () if parent is None else parent.findall(tag):
+            for element in road.element.findall(f"objects/{tag}"):
                 name = f"road {road.id} {tag} {element.get('id', '')[:60]}".strip()
                 omissions.add(f"{tag}s", name, why)
         if road.element.find("railroad/switch") is not None:
             omissions.add("railroads", f"road {road.id} railroad", "no road users go there")
         for one in road.listed("object", names):
             kind = object_kind(one.element)
-            if kind is None:
-                said = one.element.get("type", "") or one.element.get("name", "") or "no type"
-                why = "its kind hides nothing and carries nothing"
-                omissions.add(f"objects ({said[:40]})", one.name, why)
-            else:
-                objects.append((kind, one))
-    return objects
+            if kind is not None:
+                yield kind, one
+                continue
+            said = one.element.get("type", "") or one.element.get("name", "") or "no type"
+            why = "its kind hides nothing and carries nothing"
+            omissions.add(f"objects ({said[:40]})", one.name, why)
 
 
-def _take(kind: str, one: RoadElement, spot: Copy | Sweep, name: str, found: Found) -> bool:
+def _take(kind: str, one: RoadElement, spot: Spot, name: str, found: Found) -> bool:
     """Add an object at one of its places to `found`; False: it has no size."""
     if kind in POLE_KINDS:
-        found.poles.append(_build_pole(kind, one.road, spot, name))
+        top_m = 0.0 if spot.height_m is None else spot.z_m + spot.height_m
+        height_m = top_m if top_m > 0.0 else None
+        foot_m, _ = place(one.road, spot)
+        found.poles.append(Pole(id=name, kind=kind, position_m=foot_m, height_m=height_m))
         return True
-    outlines = (
-        [] if isinstance(spot, Sweep) else read_outlines(one.element, one.road, spot, one.where)
-    )
+    outlines = [] if spot.end is not None else read_outlines(one.element, one.road, spot, one.where)
     turn_rad = take_number_or(one.element, "hdg", one.where, 0.0)
     if kind == "crosswalk":
         line = crosswalk_line(one.road, spot, outlines, turn_rad)
@@ -365,7 +354,7 @@ def _take(kind: str, one: RoadElement, spot: Copy | Sweep, name: str, found: Fou
             found.crosswalks_m.append(line)
         return line is not None
     if kind == "parking space":
-        space = read_space(spot, outlines, turn_rad)
+        space = read_space(one.road, spot, outlines, turn_rad)
         if space is not None:
             found.spaces.setdefault(one.road.id, []).append(space)
         return space is not None
@@ -382,26 +371,8 @@ def _take(kind: str, one: RoadElement, spot: Copy | Sweep, name: str, found: Fou
     return True
 
 
-def _build_pole(kind: str, road: Road, spot: Copy | Sweep, name: str) -> Pole:
-    copy = spot.start if isinstance(spot, Sweep) else spot
-    foot, _ = place(road, copy)
-    top_m = 0.0 if copy.height_m is None else copy.z_m + copy.height_m
-    return Pole(id=name, kind=kind, position_m=foot, height_m=top_m if top_m > 0.0 else None)
-
-
 # ---------- signals
 _PAINT = "paint on the road, or nothing above it"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Position:
-    """Foot below a signal, its top above that, and its place on a road (empty: unknown)."""
-
-    foot_m: FloatArray
-    top_m: float
-    road: str
-    s_m: float
-    t_m: float
 
 
 def read_signals(
@@ -415,6 +386,7 @@ def read_signals(
     A signal that hangs over a driving lane has no pole there. Raises InputError if a number is
     missing or not finite.
     """
+    facts = load_facts()["signals"]
     poles: list[Pole] = []
     crosswalks: list[FloatArray] = []
     names: Counter[str] = Counter()
@@ -424,28 +396,44 @@ def read_signals(
         if not is_on(one.road, s_m):
             omissions.add("signals beyond their road's end", one.name, "beyond its road's end")
         elif kind == "crosswalk":
-            across_m = take_size(one.element, "width", one.where)
-            length_m = across_m or _road_width_m(sampled[one.road.id], s_m)
+            length_m = take_size(one.element, "width", one.where)
+            edges = _driving_edges(sampled[one.road.id], s_m)
+            if not length_m and edges:
+                length_m = max(left for _, left in edges) - min(right for right, _ in edges)
             if length_m:
-                crosswalks.append(
-                    signal_crosswalk(one.element, one.road, s_m, t_m, length_m, one.where)
-                )
+                points, heading = one.road.place(np.array([s_m]), np.array([t_m]))
+                # Around the other way is the same line: whole and half turns are of no matter.
+                angle = heading[0] + take_number_or(one.element, "hOffset", one.where, 0.0)
+                angle += 0.5 * np.pi
+                across = np.array([np.cos(angle), np.sin(angle)])
+                ends_m = 0.5 * length_m * np.array([[-1.0], [1.0]])
+                crosswalks.append(points[0, :2] + ends_m * across)
         elif kind is None:
             omissions.add("painted signals", one.name, _PAINT)
         else:
-            position = _find_position(one, s_m, t_m, roads, offset)
-            why = _why_no_pole(kind, position, sampled)
-            if why:
+            foot_m, top_m, at = _find_position(one, s_m, t_m, roads, offset)
+            is_light = kind == "traffic light"
+            if not is_light and top_m < facts["min_sign_top_m"]:
+                omissions.add(f"signals ({kind})", one.name, _PAINT)
+            elif at is not None and any(
+                right < at[2] < left for right, left in _driving_edges(sampled[at[0]], at[1])
+            ):
+                why = "it hangs over a lane: there is no pole below it"
                 omissions.add(f"signals ({kind})", one.name, why)
             else:
-                poles.append(_signal_pole(one.name, kind, position))
+                least_m = facts["min_light_top_m" if is_light else "min_sign_top_m"]
+                height_m = top_m if top_m >= least_m else None
+                poles.append(Pole(id=one.name, kind=kind, position_m=foot_m, height_m=height_m))
     return poles, crosswalks
 
 
 def _find_position(
     one: RoadElement, s_m: float, t_m: float, roads: Mapping[str, Road], offset: Offset
-) -> _Position:
-    """Position of a signal, which may be given apart from the place where it applies."""
+) -> tuple[FloatArray, float, tuple[str, float, float] | None]:
+    """Foot below a signal, its top above that, and road, s and t of its place (None: unknown).
+
+    The place may be given apart from that where it applies.
+    """
     height_m = take_size(one.element, "height", one.where) or 0.0
     road = one.road
     z_m = take_number_or(one.element, "zOffset", one.where, 0.0)
@@ -458,36 +446,10 @@ def _find_position(
     foot = road.place(np.array([s_m]), np.array([t_m]))[0][0]
     inertial = one.element.find("positionInertial")
     if inertial is None:
-        return _Position(foot_m=foot, top_m=z_m + height_m, road=road.id, s_m=s_m, t_m=t_m)
+        return foot, z_m + height_m, (road.id, s_m, t_m)
     x, y, z = (take_number(inertial, key, f"{one.where} positionInertial") for key in "xyz")
     foot[:2] = offset.apply(np.array([[x, y]]))[0]
-    top_m = z + offset.z_m - float(foot[2]) + height_m
-    return _Position(foot_m=foot, top_m=top_m, road="", s_m=0.0, t_m=0.0)
-
-
-def _why_no_pole(
-    kind: str, position: _Position, sampled: Mapping[str, Sequence[SampledSection]]
-) -> str:
-    """Why a signal has no pole below it; empty: it has."""
-    if kind != "traffic light" and position.top_m < load_facts()["signals"]["min_sign_top_m"]:
-        return _PAINT
-    if position.road and any(
-        right < position.t_m < left
-        for right, left in _driving_edges(sampled[position.road], position.s_m)
-    ):
-        return "it hangs over a lane: there is no pole below it"
-    return ""
-
-
-def _signal_pole(name: str, kind: str, position: _Position) -> Pole:
-    is_light = kind == "traffic light"
-    least_m = load_facts()["signals"]["min_light_top_m" if is_light else "min_sign_top_m"]
-    return Pole(
-        id=name,
-        kind=kind,
-        position_m=position.foot_m,
-        height_m=position.top_m if position.top_m >= least_m else None,
-    )
+    return foot, z + offset.z_m - float(foot[2]) + height_m, None
 
 
 def _driving_edges(sections: Sequence[SampledSection], s_m: float) -> list[tuple[float, float]]:
@@ -504,19 +466,10 @@ def _driving_edges(sections: Sequence[SampledSection], s_m: float) -> list[tuple
     return edges
 
 
-def _road_width_m(sections: Sequence[SampledSection], s_m: float) -> float:
-    edges = _driving_edges(sections, s_m)
-    return max(left for _, left in edges) - min(right for right, _ in edges) if edges else 0.0
-
-
 # ---------- poles
 _CELL_M = 0.05
-_KIND_ORDER = (
-    "traffic light",
-    "lamp post",
-    "sign",
-    "pole",
-)  # the kind of a pole with several signals is the first of these
+# The kind of a pole with several signals is the first of these.
+_KIND_ORDER = ("traffic light", "lamp post", "sign", "pole")
 
 
 def merge_poles(poles: Sequence[Pole]) -> list[Pole]:
@@ -525,10 +478,6 @@ def merge_poles(poles: Sequence[Pole]) -> list[Pole]:
     A joined pole is as high as the highest and of the most telling kind; it stands where the file
     has the pole itself, or else where the first signal hangs.
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
-
     if len(poles) < 2:
         return list(poles)
     positions = np.array([pole.position_m[:2] for pole in poles])
@@ -543,13 +492,10 @@ def merge_poles(poles: Sequence[Pole]) -> list[Pole]:
     groups: dict[int, list[Pole]] = {}
     for pole, label in zip(poles, labels[cell.reshape(-1)], strict=True):
         groups.setdefault(int(label), []).append(pole)
-    return [_merge(group) for group in groups.values()]
-
-
-def _merge(group: Sequence[Pole]) -> Pole:
-    kind = min((pole.kind for pole in group), key=_KIND_ORDER.index)
-    stands = next((pole for pole in group if pole.kind in ("pole", "lamp post")), group[0])
-    heights = [pole.height_m for pole in group if pole.height_m is not None]
-    return Pole(
-        id=stands.id, kind=kind, position_m=stands.position_m, height_m=max(heights, default=None)
-    )
+    joined = []
+    for group in groups.values():
+        stands = next((pole for pole in group if pole.kind in ("pole", "lamp post")), group[0])
+        heights_m = [pole.height_m for pole in group if pole.height_m is not None]
+        kind = min((pole.kind for pole in group), key=_KIND_ORDER.index)
+        joined.append(replace(stands, kind=kind, height_m=max(heights_m, default=None)))
+    return joined

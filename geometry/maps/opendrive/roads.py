@@ -7,18 +7,311 @@ from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.special import fresnel
 
 from ...arrays import FloatArray
 from ...errors import InputError, Unquoted
 from .attributes import Offset, lane_kinds, numbered, take_id, take_number, take_number_or
-from .reference_line import (
-    PiecewiseCubic,
-    ReferenceLine,
-    build_cubics,
-    read_cubics,
-    read_reference_line,
-)
 
+_ARC_BELOW_RAD = 1.0e-9  # a clothoid that turns by so much more or less than an arc is one
+_N_ARC_LENGTH = 2049
+
+
+def arc(s_m: FloatArray, curvature: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Points (n, 2) and headings (n,) of circular arcs at arc lengths.
+
+    Positive curvature, in 1/m, turns to the left; 0 is a straight line.
+    """
+    half = 0.5 * curvature * s_m
+    chord = s_m * np.sinc(half / np.pi)
+    return np.stack([chord * np.cos(half), chord * np.sin(half)], axis=1), 2.0 * half
+
+
+def spiral(
+    s_m: FloatArray, start_curvature: FloatArray, curvature_slope: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Points (n, 2) and headings (n,) of clothoids; the slope is the change of curvature per metre.
+
+    References
+    ----------
+    .. [1] Abramowitz, Stegun, section 7.3: completing the square in the heading
+       k0 s + k' s^2 / 2 leaves the Fresnel integrals C and S.
+    """
+    points, heading = arc(s_m, start_curvature + 0.5 * curvature_slope * s_m)
+    bent = np.abs(curvature_slope) * s_m**2 > _ARC_BELOW_RAD
+    if bent.any():
+        s, k0, slope = s_m[bent], start_curvature[bent], curvature_slope[bent]
+        scale = np.sqrt(np.abs(slope) / np.pi)
+        begin, end = scale * k0 / slope, scale * (s + k0 / slope)
+        (sine_0, cosine_0), (sine_1, cosine_1) = fresnel(begin), fresnel(end)
+        along = (cosine_1 - cosine_0) / scale
+        across = np.sign(slope) * (sine_1 - sine_0) / scale
+        turn = -0.5 * k0**2 / slope
+        points[bent] = np.stack(
+            [
+                along * np.cos(turn) - across * np.sin(turn),
+                along * np.sin(turn) + across * np.cos(turn),
+            ],
+            axis=1,
+        )
+    return points, heading
+
+
+def polynomial(p: FloatArray, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Points (n, 2) and headings (n,) of two cubics with coefficients a, b, c, d in u and v."""
+    points = np.stack([_cubic(p, u), _cubic(p, v)], axis=1)
+    du, dv = _slope(p, u), _slope(p, v)
+    # Where the curve starts with a standstill its second derivative says where it leads.
+    stands = du**2 + dv**2 < 1.0e-18
+    du = np.where(stands, 2.0 * u[..., 2] + 6.0 * u[..., 3] * p, du)
+    dv = np.where(stands, 2.0 * v[..., 2] + 6.0 * v[..., 3] * p, dv)
+    return points, np.arctan2(dv, du)
+
+
+def graph_parameter(s_m: FloatArray, v: FloatArray, length_m: float) -> FloatArray:
+    """The u, (n,), at which a curve v(u) has a given arc length from 0 to `length_m`."""
+    grid = np.linspace(0.0, length_m, _N_ARC_LENGTH)
+    speed = np.hypot(1.0, _slope(grid, v))
+    steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(grid)
+    return np.interp(s_m, np.append(0.0, np.cumsum(steps)), grid)
+
+
+def _cubic(p: FloatArray, k: FloatArray) -> FloatArray:
+    return k[..., 0] + p * (k[..., 1] + p * (k[..., 2] + p * k[..., 3]))
+
+
+def _slope(p: FloatArray, k: FloatArray) -> FloatArray:
+    return k[..., 1] + p * (2.0 * k[..., 2] + 3.0 * p * k[..., 3])
+
+
+# ---------- the reference line
+SHAPES = ("line", "arc", "spiral", "poly3", "paramPoly3")
+_CURVES = SHAPES[:3]  # the first two are spirals whose curvature does not change
+MAX_COORDINATE_M = 1.0e8
+_N_CURVATURES = 33  # samples of a polynomial's curvature
+_ROUNDED_M = 1.0e-6
+_MAX_GAP_M = 1.0  # by which lengths of a file may miss one another
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ReferenceLine:
+    """Pieces one after the other.
+
+    `parameters` has nine columns: curvature (of a line: 0), or that of the start and its slope; or
+    coefficients a, b, c, d of u and of v, and the factor from arc length to parameter.
+    """
+
+    starts_m: FloatArray  # (n,), along the road
+    lengths_m: FloatArray  # (n,)
+    origins_m: FloatArray  # (n, 2), begins of the pieces
+    headings_rad: FloatArray  # (n,)
+    shapes: NDArray[np.int64]  # (n,), indices into SHAPES
+    parameters: FloatArray  # (n, 9)
+    wheres: tuple[str, ...]  # for messages
+
+    def at(
+        self, s_m: FloatArray, inside_m: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Points (k, 2) and headings (k,) at arc lengths, which are clipped to the line.
+
+        `inside_m` (k,) are stations that select the piece where two meet.
+        """
+        lookup = s_m if inside_m is None else inside_m
+        piece = np.maximum(np.searchsorted(self.starts_m, lookup, side="right") - 1, 0)
+        ds = np.clip(s_m - self.starts_m[piece], 0.0, self.lengths_m[piece])
+        points, turns = self._local(piece, ds)
+        heading = self.headings_rad[piece]
+        cos, sin = np.cos(heading), np.sin(heading)
+        x, y = points.T
+        turned = np.stack([x * cos - y * sin, x * sin + y * cos], axis=1)
+        return self.origins_m[piece] + turned, heading + turns
+
+    def _local(self, piece: NDArray[np.int64], ds: FloatArray) -> tuple[FloatArray, FloatArray]:
+        points, turns = np.empty((len(ds), 2)), np.empty(len(ds))
+        shape = self.shapes[piece]
+        for wanted in np.unique(shape):
+            mask = shape == wanted
+            s, which = ds[mask], piece[mask]
+            parameters = self.parameters[which]
+            if SHAPES[wanted] in _CURVES:
+                points[mask], turns[mask] = spiral(s, parameters[:, 0], parameters[:, 1])
+            else:
+                p = s * parameters[:, 8]
+                if SHAPES[wanted] == "poly3":
+                    for one in np.unique(which):
+                        here = which == one
+                        p[here] = graph_parameter(
+                            s[here], self.parameters[one, 4:8], float(self.lengths_m[one])
+                        )
+                points[mask], turns[mask] = polynomial(p, parameters[:, :4], parameters[:, 4:8])
+        return points, turns
+
+    def bends(self) -> FloatArray:
+        """How fast each piece turns, (n, 3).
+
+        The largest curvature [1/m], its largest change per metre [1/m^2], and the largest distance
+        that the line takes per metre of s (1 except for parametric polynomials).
+        """
+        rows = np.zeros((len(self.starts_m), 3))
+        rows[:, 2] = 1.0
+        for index, shape in enumerate(self.shapes):
+            length_m, k = self.lengths_m[index], self.parameters[index]
+            if SHAPES[shape] in _CURVES:
+                rows[index, :2] = max(abs(k[0]), abs(k[0] + k[1] * length_m)), abs(k[1])
+            else:
+                rows[index] = _polynomial_bends(k, float(length_m))
+        return rows
+
+
+def _polynomial_bends(k: FloatArray, length_m: float) -> tuple[float, float, float]:
+    s = np.linspace(0.0, length_m, _N_CURVATURES)
+    p = s * k[8]
+    du, dv = _slope(p, k[:4]), _slope(p, k[4:8])
+    ddu, ddv = (2.0 * k[i + 2] + 6.0 * p * k[i + 3] for i in (0, 4))
+    speed = np.maximum(np.hypot(du, dv), 1.0e-6)
+    curvature = (du * ddv - dv * ddu) / speed**3
+    # A curve that stands still at its start has no curvature there: it is taken next to it.
+    curvature[speed <= 1.0e-5] = 0.0
+    change = np.abs(np.diff(curvature)) / np.maximum(np.diff(s), 1.0e-9)
+    stride = 1.0 if k[8] == 0.0 else float(speed.max() * k[8])
+    return float(np.abs(curvature).max()), float(change.max()), stride
+
+
+def read_reference_line(
+    road: Element, where: str, *, length_m: float, offset: Offset
+) -> ReferenceLine:
+    """Read a road's planView.
+
+    Raises InputError if there is no piece of a length above 0, a number is missing or not finite, a
+    piece begins outside the road or far from its start, or has an unknown shape.
+    """
+    rows = []
+    for element, here in numbered(road.find("planView"), "geometry", where):
+        row = _read_piece(element, here)
+        if row[0] > length_m + _MAX_GAP_M or row[0] < -_MAX_GAP_M:
+            raise InputError(f"{here}.s", row[0], f"0 .. {length_m:g}, the road's length")
+        if row[4] > _ROUNDED_M:
+            rows.append((row, here))
+    if not rows:
+        raise InputError(f"{where} planView", Unquoted("no geometry"), "pieces of a length above 0")
+    rows.sort(key=lambda pair: pair[0][0])
+    table = np.array([row for row, _ in rows])
+    starts_m = table[:, 0].copy()
+    if starts_m[0] > _MAX_GAP_M:
+        raise InputError(f"{rows[0][1]}.s", float(starts_m[0]), "0: a road begins there")
+    starts_m[0] = 0.0
+    return ReferenceLine(
+        starts_m=starts_m,
+        lengths_m=table[:, 4],
+        origins_m=offset.apply(table[:, 1:3]),
+        headings_rad=table[:, 3] + offset.heading_rad,
+        shapes=table[:, 5].astype(np.int64),
+        parameters=table[:, 6:],
+        wheres=tuple(here for _, here in rows),
+    )
+
+
+def _read_piece(element: Element, where: str) -> tuple[float, ...]:
+    """s, x, y, hdg, length, index of the shape, nine parameters."""
+    s, x, y, heading, length_m = (
+        take_number(element, key, where) for key in ("s", "x", "y", "hdg", "length")
+    )
+    for key, value in (("x", x), ("y", y)):
+        if abs(value) > MAX_COORDINATE_M:
+            raise InputError(f"{where}.{key}", value, f"at most {MAX_COORDINATE_M:g} m")
+    if length_m < -_ROUNDED_M:
+        raise InputError(f"{where}.length", length_m, "metres, at least 0")
+    shape = next((child for child in element if child.tag in SHAPES), None)
+    if shape is None:
+        tags = [str(child.tag) for child in element]
+        got = Unquoted(", ".join(tags)[:80] or "no shape")
+        raise InputError(where, got, "one of " + ", ".join(SHAPES))
+    return (
+        *(s, x, y, heading, length_m, SHAPES.index(str(shape.tag))),
+        *_read_shape(shape, f"{where} {shape.tag}", length_m),
+    )
+
+
+def _read_shape(shape: Element, where: str, length_m: float) -> tuple[float, ...]:
+    if shape.tag == "line" or length_m <= _ROUNDED_M:
+        return (0.0,) * 9
+    if shape.tag == "arc":
+        return (take_number(shape, "curvature", where), *(0.0,) * 8)
+    if shape.tag == "spiral":
+        start, end = (take_number(shape, key, where) for key in ("curvStart", "curvEnd"))
+        return (start, (end - start) / length_m, *(0.0,) * 7)
+    if shape.tag == "poly3":
+        v = tuple(take_number(shape, key, where) for key in "abcd")
+        return (0.0, 1.0, 0.0, 0.0, *v, 1.0)
+    keys = [f"{key}{axis}" for axis in "UV" for key in "abcd"]
+    p_range = shape.get("pRange", "normalized")  # OpenDRIVE 1.4: the default
+    if p_range not in ("normalized", "arcLength"):
+        raise InputError(f"{where}.pRange", p_range, "normalized or arcLength")
+    per_metre = 1.0 / length_m if p_range == "normalized" else 1.0
+    return (*(take_number(shape, key, where) for key in keys), per_metre)
+
+
+# ---------- cubics along a road
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PiecewiseCubic:
+    """a + b ds + c ds^2 + d ds^3 with ds counted from the start of a piece; 0 before the first."""
+
+    starts_m: FloatArray  # (n,), begins of the pieces, ascending
+    coefficients: FloatArray  # (n, 4): a, b, c, d
+
+    def rebased(self, starts_m: FloatArray, inside_m: FloatArray) -> FloatArray:
+        """Coefficients (k, 4) of the same polynomials counted from other stations (Taylor's shift).
+
+        `inside_m` (k,) are stations that select the piece where two meet.
+        """
+        if not len(self.starts_m):
+            return np.zeros((len(starts_m), 4))
+        piece = np.searchsorted(self.starts_m, inside_m, side="right") - 1
+        a, b, c, d = self.coefficients[np.maximum(piece, 0)].T
+        h = starts_m - self.starts_m[np.maximum(piece, 0)]
+        shifted = np.stack(
+            [a + h * (b + h * (c + h * d)), b + h * (2.0 * c + 3.0 * h * d), c + 3.0 * h * d, d],
+            axis=1,
+        )
+        return np.where((piece >= 0)[:, None], shifted, 0.0)
+
+    def at(self, s_m: FloatArray) -> FloatArray:
+        """Values, (k,)."""
+        return self.rebased(s_m, s_m)[:, 0]
+
+
+def evaluate(coefficients: FloatArray, ds_m: FloatArray) -> FloatArray:
+    """Values of one cubic per point, (n,): coefficients (n, 4) at ds_m (n,)."""
+    return _cubic(ds_m, coefficients)
+
+
+def read_cubics(
+    parent: Element | None, tag: str, where: str, *, start_key: str = "s", first_m: float = 0.0
+) -> PiecewiseCubic:
+    """Read the children of `parent` with a tag and attributes a, b, c, d, sorted by begin.
+
+    `first_m` is the zero of the attribute `start_key`. Of several that begin at one station the
+    last one holds.
+    """
+    rows = [
+        (
+            first_m + take_number(element, start_key, here),
+            *(take_number(element, key, here) for key in "abcd"),
+        )
+        for element, here in numbered(parent, tag, where)
+    ]
+    return build_cubics(rows)
+
+
+def build_cubics(rows: Sequence[tuple[float, ...]]) -> PiecewiseCubic:
+    """From rows of start, a, b, c, d."""
+    table = np.array(sorted(rows, key=lambda row: row[0]), dtype=np.float64).reshape(-1, 5)
+    is_last = np.append(np.diff(table[:, 0]) > 0.0, True)[: len(table)]
+    return PiecewiseCubic(starts_m=table[is_last, 0], coefficients=table[is_last, 1:])
+
+
+# ---------- roads
 NO_JUNCTION = "-1"
 _MAX_LENGTH_M = 100_000.0
 _MAX_SECTION_GAP_M = 1.0e-3
@@ -145,16 +438,13 @@ class Road:
                 return here[-1]
         return None
 
-    def height_at(self, s_m: FloatArray) -> FloatArray:
-        """Height of the reference line, (n,)."""
-        return self.elevation.at(np.clip(s_m, 0.0, self.length_m)) + self.base_m
-
     def place(self, s_m: FloatArray, t_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Points (n, 3) on the road's surface, and headings (n,) of its reference line there."""
         s_m = np.clip(s_m, 0.0, self.length_m)
         points, heading = self.line.at(s_m)
         left = np.stack([-np.sin(heading), np.cos(heading)], axis=1)
-        height_m = self.height_at(s_m) + t_m * np.sin(self.bank.at(s_m)) + self.shape.at(s_m, t_m)
+        bank_m = t_m * np.sin(self.bank.at(s_m))
+        height_m = self.elevation.at(s_m) + self.base_m + bank_m + self.shape.at(s_m, t_m)
         return np.column_stack([points + t_m[:, None] * left, height_m]), heading
 
     def listed(self, tag: str, names: Counter[str]) -> Iterator["RoadElement"]:
@@ -240,18 +530,17 @@ def _speed_kmh(speed: Element) -> float | None:
 
 def read_links(road: Element) -> tuple[RoadLink, RoadLink]:
     """Links to what lies before and after a road."""
-    return _read_link(road, "predecessor"), _read_link(road, "successor")
-
-
-def _read_link(road: Element, side: str) -> RoadLink:
-    element = road.find(f"link/{side}")
-    if element is None:
-        return RoadLink()
-    return RoadLink(
-        kind=element.get("elementType", ""),
-        id=element.get("elementId", "").strip(),
-        contact=element.get("contactPoint", ""),
+    before, after = (
+        RoadLink()
+        if element is None
+        else RoadLink(
+            kind=element.get("elementType", ""),
+            id=element.get("elementId", "").strip(),
+            contact=element.get("contactPoint", ""),
+        )
+        for element in (road.find("link/predecessor"), road.find("link/successor"))
     )
+    return before, after
 
 
 def _read_sections(lanes: Element | None, where: str, length_m: float) -> tuple[LaneSection, ...]:
@@ -285,7 +574,10 @@ def _read_side(section: Element, side: str, where: str, start_m: float) -> tuple
     sign = 1 if side == "left" else -1
     records: dict[int, LaneRecord] = {}
     for element, here in numbered(section.find(side), "lane", f"{where} {side}"):
-        number = _take_lane_number(element, here)
+        value = take_number(element, "id", here)
+        number = int(value)
+        if value != number:
+            raise InputError(f"{here}.id", value, "a whole number")
         if number * sign <= 0 or number in records:
             expected = f"{'positive' if sign > 0 else 'negative'} on the {side}, every one once"
             raise InputError(f"{here}.id", number, expected)
@@ -304,13 +596,6 @@ def _read_side(section: Element, side: str, where: str, start_m: float) -> tuple
     if len(records) > _MAX_LANES:
         raise InputError(f"{where} {side}", len(records), f"at most {_MAX_LANES} lanes")
     return tuple(records[number] for number in sorted(records, key=abs))
-
-
-def _take_lane_number(element: Element, where: str) -> int:
-    value = take_number(element, "id", where)
-    if value != int(value):
-        raise InputError(f"{where}.id", value, "a whole number")
-    return int(value)
 
 
 def _linked_lanes(lane: Element, side: str) -> tuple[int, ...]:

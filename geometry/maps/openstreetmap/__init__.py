@@ -15,13 +15,12 @@ from ...notes import Note
 from ..georeferences import WGS84, local_crs, transform
 from ..source_map import Omissions, SourceMap
 from .buildings import find_bridges, find_buildings
-from .crosswalks import find_crosswalks
 from .elements import DEFAULTS, Elements, Way, parse_length_m, read_elements
 from .junctions import find_junctions
 from .lane_lines import build_lanes
 from .lanes import is_oneway, runs_backward
 from .network import build_network, is_for_cars, known_runs
-from .things import find_barriers, find_poles, find_trees
+from .things import find_barriers, find_crosswalks, find_poles, find_trees
 
 __all__ = ["fetch_openstreetmap", "read_openstreetmap"]
 
@@ -37,13 +36,9 @@ def find_driving_side(elements: Elements, positions_m: FloatArray) -> tuple[bool
     carriageway. `positions_m` (n, 2) are those of the nodes.
     """
     ways = [way for way in elements.ways if is_for_cars(way.tags)]
-    tagged = Counter(
-        way.tags["driving_side"]
-        for way in ways
-        if way.tags.get("driving_side") in ("left", "right")
-    )
-    if tagged:
-        return tagged["left"] > tagged["right"], "its tag"
+    sides = Counter(way.tags.get("driving_side") for way in ways)
+    if sides["left"] or sides["right"]:
+        return sides["left"] > sides["right"], "its tag"
     for votes, how in (
         (_roundabouts(ways, positions_m), "roundabouts"),
         (_carriageways(ways, positions_m), "carriageways"),
@@ -78,21 +73,21 @@ def _roundabouts(ways: list[Way], positions_m: FloatArray) -> Counter[bool]:
 def _carriageways(ways: list[Way], positions_m: FloatArray) -> Counter[bool]:
     """Votes of streets: the other carriageway lies on the right if traffic keeps left."""
     votes: Counter[bool] = Counter()
-    starts, ends, names = [], [], []
+    segments_m: list[FloatArray] = []
+    names: list[str] = []
     for way in ways:
         name = way.tags.get("name") or way.tags.get("ref")
         if name and is_oneway(way.tags) and way.tags.get("junction") is None:
             for points in _points(way, positions_m):
-                starts.append(points[:-1])
-                ends.append(points[1:])
+                segments_m.append(np.stack([points[:-1], points[1:]], axis=1))
                 names += [name] * (len(points) - 1)
     if not names:
         return votes
-    begin, end = np.concatenate(starts), np.concatenate(ends)
+    lines = np.concatenate(segments_m)
+    begin, end = lines[:, 0], lines[:, 1]
     middle, step = 0.5 * (begin + end), end - begin
     step /= np.hypot(*step.T)[:, None]
-    segments = shapely.linestrings(np.stack([begin, end], axis=1))
-    tree = shapely.STRtree(segments)
+    tree = shapely.STRtree(shapely.linestrings(lines))
     low_m, high_m = _CARRIAGEWAYS_M
     one, other = tree.query(shapely.points(middle), predicate="dwithin", distance=high_m)
     is_opposite = np.einsum("ij,ij->i", step[one], step[other]) < -0.95
@@ -124,11 +119,9 @@ def read_openstreetmap(path: Path, *, keeps_left: bool | None = None) -> SourceM
         raise InputError(str(path), Unquoted(found), "a map with roads")
     positions_m, crs = _project(elements, rows, path)
     elements = _near(elements, positions_m)
-    omissions = Omissions()
-    side = ""
+    omissions, side = Omissions(), "given"
     if keeps_left is None:
         keeps_left, side = find_driving_side(elements, positions_m)
-        side = side or "nothing"
     network = build_network(elements, positions_m, keeps_left=keeps_left, omissions=omissions)
     if not network.edges:
         raise InputError(str(path), Unquoted("no road with two nodes"), "a map with roads")
@@ -143,13 +136,9 @@ def read_openstreetmap(path: Path, *, keeps_left: bool | None = None) -> SourceM
         *find_trees(elements, positions_m, omissions),
     ]
     skipped = omissions.listed()
-    if side == "nothing":
-        assumed = Note(
-            what="side of the road",
-            why="no tag, roundabout or pair of carriageways shows it: taken to keep right",
-            kind="side of the road",
-        )
-        skipped = (assumed, *skipped)
+    if not side:
+        why = "no tag, roundabout or pair of carriageways shows it: taken to keep right"
+        skipped = (Note(what="side of the road", why=why, kind="side of the road"), *skipped)
     return SourceMap(
         name=path.name,
         crs=crs,
@@ -182,14 +171,9 @@ def _project(elements: Elements, rows: np.ndarray, path: Path) -> tuple[FloatArr
     low, high = lon_lat.min(axis=0), lon_lat.max(axis=0)
     limit_deg = DEFAULTS["reading"]["max_span_deg"]
     if (high - low).max() > limit_deg:
-        raise InputError(
-            str(path),
-            Unquoted(
-                f"roads from latitude {low[1]:g} to {high[1]:g}, "
-                f"longitude {low[0]:g} to {high[0]:g}"
-            ),
-            f"a map of a place, at most {limit_deg:g} degree wide; cut it out first",
-        )
+        place = f"latitude {low[1]:g} to {high[1]:g}, longitude {low[0]:g} to {high[0]:g}"
+        expected = f"a map of a place, at most {limit_deg:g} degree wide; cut it out first"
+        raise InputError(str(path), Unquoted(f"roads from {place}"), expected)
     crs = local_crs(0.5 * (low + high), WGS84, where=str(path))
     # Far from the roads the projection ends, and nothing is needed there.
     is_near = (np.abs(elements.lon_lat_deg - 0.5 * (low + high)) <= 2.0 * limit_deg).all(axis=1)

@@ -11,8 +11,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ...arrays import FloatArray
 from ...errors import InputError
-from ..solids import extrude, extrude_polygon, polygons_of
-from ..source_map import Omissions, Thing
+from ..source_map import Omissions, Thing, extrude, extrude_polygon, polygons_of
 from .elements import (
     DEFAULTS,
     Area,
@@ -53,11 +52,9 @@ def find_buildings(network: Network, elements: Elements, omissions: Omissions) -
     for area in parts:
         yield from _solid(area, passages, omissions)
     for area, rest in zip(outlines, _without_parts(outlines, parts), strict=True):
-        if rest is None:
-            yield from _solid(area, passages, omissions)
-        else:
-            for piece in _pieces(area, rest, f"{area.id} beside its parts"):
-                yield from _solid(piece, passages, omissions)
+        pieces = [area] if rest is None else _pieces(area, rest, f"{area.id} beside its parts")
+        for piece in pieces:
+            yield from _solid(piece, passages, omissions)
 
 
 def _element(area: Area) -> str:
@@ -91,13 +88,12 @@ def _without_parts(outlines: Sequence[Area], parts: Sequence[Area]) -> list[list
     inside = tree.query(
         [shapely.point_on_surface(shape) for shape in part_shapes], predicate="within"
     )
-    by_outline: dict[int, list[int]] = defaultdict(list)
+    by_outline: dict[int, list[BaseGeometry]] = defaultdict(list)
     for part, outline in inside.T.tolist():
-        by_outline[outline].append(part)
+        by_outline[outline].append(part_shapes[part])
     least = DEFAULTS["building"]["parts_cover"]
     for outline, members in by_outline.items():
-        covered = shapely.union_all([part_shapes[member] for member in members])
-        rest = shapes[outline].difference(covered)
+        rest = shapes[outline].difference(shapely.union_all(members))
         is_covered = rest.area <= (1.0 - least) * shapes[outline].area
         rests[outline] = [] if is_covered else polygons_of(rest, above_m2=_LEAST_M2)
     return rests
@@ -122,13 +118,12 @@ def _solid(area: Area, passages: "_Passages", omissions: Omissions) -> Iterator[
         yield from _prism(area, span, omissions)
         return
     whole = make_valid(area.polygon)
-    for piece in _pieces(area, polygons_of(whole.difference(ways), above_m2=_LEAST_M2), area.id):
+    beside = polygons_of(whole.difference(ways), above_m2=_LEAST_M2)
+    over = polygons_of(whole.intersection(ways), above_m2=_LEAST_M2) if clear_m < span.top_m else []
+    for piece in _pieces(area, beside, area.id):
         yield from _prism(piece, span, omissions)
-    if clear_m < span.top_m:
-        over = replace(span, bottom_m=clear_m)
-        shapes = polygons_of(whole.intersection(ways), above_m2=_LEAST_M2)
-        for piece in _pieces(area, shapes, f"{area.id} over a passage"):
-            yield from _prism(piece, over, omissions)
+    for piece in _pieces(area, over, f"{area.id} over a passage"):
+        yield from _prism(piece, replace(span, bottom_m=clear_m), omissions)
 
 
 def _prism(area: Area, span: "_Span", omissions: Omissions) -> Iterator[Thing]:
@@ -186,8 +181,7 @@ def _clear_height_m(kind: str, tags: Tags) -> float:
     """How high what stands on stilts or above the ground begins; 0: it stands on the ground."""
     usual = DEFAULTS["building"]
     clear_m = float(usual["clear_heights_m"].get(kind, usual["clear_height_m"]))
-    above = max(level(tags), int(kind == "bridge"))
-    return clear_m * max(above, int(kind in usual["clear_heights_m"]))
+    return clear_m * max(level(tags), int(kind == "bridge" or kind in usual["clear_heights_m"]))
 
 
 def _top_m(area: Area, omissions: Omissions) -> float | None:
@@ -200,7 +194,7 @@ def _top_m(area: Area, omissions: Omissions) -> float | None:
             omissions.add("buildings", _element(area), f"{key} makes no sense; the next best taken")
     storey_m = usual["storey_height_m"]
     levels = _levels(tags, "building:levels")
-    roof_m = parse_length_m(tags["roof:height"]) if "roof:height" in tags else None
+    roof_m = parse_length_m(tags.get("roof:height", ""))
     if roof_m is None or roof_m > usual["max_height_m"]:
         roof_m = storey_m * (_levels(tags, "roof:levels") or 0.0)
     if levels is not None and storey_m * levels + roof_m > 0.0:
@@ -211,20 +205,16 @@ def _top_m(area: Area, omissions: Omissions) -> float | None:
 def _bottom_m(tags: Tags) -> float | None:
     usual = DEFAULTS["building"]
     for key in ("min_height", "building:min_height"):
-        height_m = parse_length_m(tags[key]) if key in tags else None
+        height_m = parse_length_m(tags.get(key, ""))
         if height_m is not None and height_m <= usual["max_height_m"]:
             return height_m
-    for key in ("building:min_level", "min_level"):
-        storeys = _levels(tags, key)
-        if storeys is not None:
-            return float(usual["storey_height_m"] * storeys)
-    return None
+    storeys = [_levels(tags, key) for key in ("building:min_level", "min_level")]
+    known = [float(usual["storey_height_m"] * n) for n in storeys if n is not None]
+    return known[0] if known else None
 
 
 def _levels(tags: Tags, key: str) -> float | None:
-    return (
-        parse_number(tags[key], highest=DEFAULTS["building"]["max_levels"]) if key in tags else None
-    )
+    return parse_number(tags.get(key, ""), highest=DEFAULTS["building"]["max_levels"])
 
 
 # ---------- passages
@@ -247,7 +237,7 @@ class _Passages:
         self._tree = STRtree(self._strips)
 
     def _add(self, line_m: FloatArray, width_m: float, tags: Tags, clear_m: float) -> None:
-        tagged_m = parse_length_m(tags["maxheight"]) if "maxheight" in tags else None
+        tagged_m = parse_length_m(tags.get("maxheight", ""))
         self._strips.append(LineString(line_m).buffer(0.5 * width_m, cap_style="flat"))
         self._clear_m.append(tagged_m or clear_m)
         self._is_marked.append(_leads_through(tags))
@@ -255,13 +245,13 @@ class _Passages:
     def through(self, area: Area) -> tuple[BaseGeometry | None, float]:
         """Area of the ways that lead through a building, and their clear height."""
         is_gate = area.tags.get("historic") in _GATES or _kind(area.tags) in _GATES
+        whole = make_valid(area.polygon)
         found = [
             index
             for index in self._tree.query(area.polygon).tolist()
-            if is_gate or self._is_marked[index]
+            if (is_gate or self._is_marked[index])
+            and whole.intersection(self._strips[index]).area > 1.0
         ]
-        whole = make_valid(area.polygon)
-        found = [index for index in found if whole.intersection(self._strips[index]).area > 1.0]
         if not found:
             return None, 0.0
         ways = shapely.union_all([self._strips[index] for index in found])

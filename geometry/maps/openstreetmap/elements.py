@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import osmium
 from shapely import Polygon, STRtree, make_valid
 
 from ...arrays import FloatArray, IntArray
@@ -73,8 +74,7 @@ def read_elements(path: Path) -> Elements:
     large, or a node lies nowhere on earth.
     """
     try:
-        file_format = _file_format(path)
-        return _collect(path, file_format)
+        return _collect(path, _file_format(path))
     except OSError as error:
         raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
 
@@ -82,12 +82,10 @@ def read_elements(path: Path) -> Elements:
 def _file_format(path: Path) -> str:
     with open_file(path, max_bytes=MAX_FILE_BYTES) as file:
         begin = file.read(64)
-    if begin[:2] == b"\x1f\x8b":
-        _check_unpacked_size(path, gzip.open)
-        return "osm.gz"
-    if begin[:3] == b"BZh":
-        _check_unpacked_size(path, bz2.open)
-        return "osm.bz2"
+    for magic, unpack, name in ((b"\x1f\x8b", gzip.open, "osm.gz"), (b"BZh", bz2.open, "osm.bz2")):
+        if begin.startswith(magic):
+            _check_unpacked_size(path, unpack)
+            return name
     if begin[4:15] == b"\x0a\x09OSMHeader":
         limit = int(DEFAULTS["reading"]["max_unpacked_bytes"])
         check_pbf(path, max_unpacked_bytes=limit, expected=_EXPECTED)
@@ -113,8 +111,6 @@ def _check_unpacked_size(path: Path, unpack: Any) -> None:
 
 
 def _collect(path: Path, file_format: str) -> Elements:
-    import osmium
-
     ids, places = array("q"), array("d")
     tags_by_id: dict[int, Tags] = {}
     ways: dict[int, tuple[list[int], Tags]] = {}
@@ -136,7 +132,10 @@ def _collect(path: Path, file_format: str) -> Elements:
                 places.append(location.lon_without_check())
                 places.append(location.lat_without_check())
                 if not location.valid():
-                    got = Unquoted(_place(location))
+                    lat_deg, lon_deg = location.lat_without_check(), location.lon_without_check()
+                    is_missing = max(abs(lat_deg), abs(lon_deg)) > 214.0  # osmium's value for it
+                    words = f"latitude {lat_deg}, longitude {lon_deg}"
+                    got = Unquoted("no coordinates" if is_missing else words)
                     expected = "latitude -90..90 and longitude -180..180"
                     raise InputError(f"{path}: node {element.id}", got, expected)
                 if tags:
@@ -179,13 +178,6 @@ def _check_order(path: Path, lon_lat_deg: FloatArray, box_deg: FloatArray) -> No
         got = Unquoted(f"nodes around latitude {middle[1]:g}, longitude {middle[0]:g}")
         expected = "nodes within the file's bounds: latitude and longitude are exchanged"
         raise InputError(str(path), got, expected)
-
-
-def _place(location: Any) -> str:
-    lat_deg, lon_deg = location.lat_without_check(), location.lon_without_check()
-    if max(abs(lat_deg), abs(lon_deg)) > 214.0:  # osmium's value for a missing one
-        return "no coordinates"
-    return f"latitude {lat_deg}, longitude {lon_deg}"
 
 
 def _assemble(
@@ -276,16 +268,13 @@ def _multipolygon(
 ) -> Iterator[Area]:
     rings: dict[bool, list[FloatArray]] = {}
     for is_inner in (False, True):
-        members = [
-            by_id.get(ref) for ref, role in relation.members if (role == "inner") == is_inner
-        ]
-        ways = [way for way in members if way is not None]
-        rows, is_whole = join_rings(ways)
-        rings[is_inner] = [positions_m[ring] for ring in rows]
-        if len(ways) < len(members) or not is_whole:
-            omissions.add(
-                "outlines", f"relation {relation.id}", "its outline is not closed, or misses nodes"
-            )
+        refs = [ref for ref, role in relation.members if (role == "inner") == is_inner]
+        ways = [by_id[ref] for ref in refs if ref in by_id]
+        found, is_whole = join_rings(ways)
+        rings[is_inner] = [positions_m[ring] for ring in found]
+        if len(ways) < len(refs) or not is_whole:
+            why = "its outline is not closed, or misses nodes"
+            omissions.add("outlines", f"relation {relation.id}", why)
     holes: dict[int, list[FloatArray]] = defaultdict(list)
     outers = [make_valid(Polygon(ring)) for ring in rings[False]]
     if outers and rings[True]:
@@ -340,22 +329,10 @@ def join_rings(ways: Sequence[Way]) -> tuple[list[np.ndarray], bool]:
 _FOOT_M = 0.3048
 _INCH_M = 0.0254
 _UNITS_M = {
-    "": 1.0,
-    "m": 1.0,
-    "metre": 1.0,
-    "metres": 1.0,
-    "meter": 1.0,
-    "meters": 1.0,
-    "cm": 0.01,
-    "km": 1000.0,
-    "ft": _FOOT_M,
-    "foot": _FOOT_M,
-    "feet": _FOOT_M,
-    "'": _FOOT_M,
-    "in": _INCH_M,
-    "inch": _INCH_M,
-    "inches": _INCH_M,
-    '"': _INCH_M,
+    **dict.fromkeys(("", "m", "metre", "metres", "meter", "meters"), 1.0),
+    **{"cm": 0.01, "km": 1000.0},
+    **dict.fromkeys(("ft", "foot", "feet", "'"), _FOOT_M),
+    **dict.fromkeys(("in", "inch", "inches", '"'), _INCH_M),
 }
 _NUMBER = r"([0-9]{1,7}(?:[.,][0-9]{1,9})?)"
 _LENGTH = re.compile(rf"{_NUMBER}\s*([a-z]*|'|\")\.?")
@@ -375,20 +352,13 @@ def parse_length_m(text: str) -> float | None:
     2.0066
     """
     text = text.strip().lower().removeprefix("~").strip()
-    if match := _LENGTH.fullmatch(text):
-        number, unit = match.groups()
-        if unit not in _UNITS_M:
-            return None
-        return _number(number) * _UNITS_M[unit]
     if match := _FEET_AND_INCHES.fullmatch(text):
-        feet, inches = match.groups()
-        return _number(feet) * _FOOT_M + _number(inches) * _INCH_M
-    if match := _RANGE.fullmatch(text):
-        low, high, unit = match.groups()
-        if unit not in _UNITS_M:
-            return None
-        return 0.5 * (_number(low) + _number(high)) * _UNITS_M[unit]
-    return None
+        return _number(match[1]) * _FOOT_M + _number(match[2]) * _INCH_M
+    match = _LENGTH.fullmatch(text) or _RANGE.fullmatch(text)
+    *numbers, unit = match.groups() if match else ("", "?")
+    if unit not in _UNITS_M:
+        return None
+    return sum(map(_number, numbers)) / len(numbers) * _UNITS_M[unit]
 
 
 def _number(text: str) -> float:
@@ -397,11 +367,8 @@ def _number(text: str) -> float:
 
 def parse_count(text: str, *, highest: int) -> int | None:
     """A whole number from 1 to `highest`, or None."""
-    text = text.strip()
-    if not re.fullmatch(r"[0-9]{1,6}(\.0+)?", text):
-        return None
-    number = int(float(text))
-    return number if 1 <= number <= highest else None
+    number = parse_number(text, highest=highest)
+    return int(number) if number and number == int(number) else None
 
 
 def parse_number(text: str, *, highest: float) -> float | None:

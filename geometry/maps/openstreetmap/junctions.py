@@ -7,12 +7,13 @@ from itertools import count
 
 import numpy as np
 import shapely
-from shapely import MultiPolygon, Point, Polygon
+from shapely import Point
 from shapely.geometry.base import BaseGeometry
 
 from ...arrays import FloatArray
+from ...junction import chained
 from ...scene import LeadingRoad
-from ..source_map import MapJunction, Omissions
+from ..source_map import MapJunction, Omissions, polygons_of
 from .elements import DEFAULTS, Elements, Tags
 from .network import Edge, End, Network, Street, axis_points, surface, trace_streets
 
@@ -78,15 +79,13 @@ def place_mouths(arms: Sequence[Arm], inside: Sequence[Street]) -> list[Arm]:
         mouth_m = min(clear_m + limits["corner_m"], limits["max_mouth_m"])
         placed.append(replace(arm, mouth_m=mouth_m))
     aligned = list(placed)
-    for group in group_arms(placed):
-        if len(group) > 1:
-            mean = np.mean([placed[index].direction for index in group], axis=0)
-            ahead = {index: float(placed[index].mouth_point_m @ mean) for index in group}
-            for index in group:
-                mouth_m = placed[index].mouth_m + max(ahead.values()) - ahead[index]
-                aligned[index] = replace(
-                    placed[index], mouth_m=min(mouth_m, limits["max_mouth_m"] + 10.0)
-                )
+    for group in (found for found in group_arms(placed) if len(found) > 1):
+        mean = np.mean([placed[index].direction for index in group], axis=0)
+        ahead_m = [float(placed[index].mouth_point_m @ mean) for index in group]
+        for index, own_m in zip(group, ahead_m, strict=True):
+            mouth_m = placed[index].mouth_m + max(ahead_m) - own_m
+            mouth_m = min(mouth_m, limits["max_mouth_m"] + 10.0)
+            aligned[index] = replace(placed[index], mouth_m=mouth_m)
     return aligned
 
 
@@ -94,22 +93,15 @@ def group_arms(arms: Sequence[Arm]) -> list[list[int]]:
     """Indices of streets that lead the same way side by side, and so are one arm."""
     directions = [arm.direction for arm in arms]
     points = [arm.mouth_point_m for arm in arms]
-    group = list(range(len(arms)))
-    for index, arm in enumerate(arms):
-        for other in range(index):
-            mean = directions[index] + directions[other]
-            across_m = abs(float((points[other] - points[index]) @ [-mean[1], mean[0]]))
-            reach_m = arm.half_width_m + arms[other].half_width_m + _SAME_ARM_GAP_M
-            if (
-                group[other] != group[index]
-                and directions[index] @ directions[other] >= _SAME_ARM_COSINE
-                and across_m <= reach_m * np.hypot(*mean)
-            ):
-                group = [group[other] if number == group[index] else number for number in group]
-    return [
-        [index for index, number in enumerate(group) if number == wanted]
-        for wanted in dict.fromkeys(group)
-    ]
+
+    def is_pair(one: int, other: int) -> bool:
+        mean = directions[one] + directions[other]
+        across_m = abs(float((points[other] - points[one]) @ [-mean[1], mean[0]]))
+        reach_m = arms[one].half_width_m + arms[other].half_width_m + _SAME_ARM_GAP_M
+        is_same_way = directions[one] @ directions[other] >= _SAME_ARM_COSINE
+        return bool(is_same_way and across_m <= reach_m * np.hypot(*mean))
+
+    return chained(len(arms), is_pair)
 
 
 def _is_one_road(one: Arm, other: Arm) -> bool:
@@ -158,11 +150,6 @@ class Clusters:
                 self.of_row[row] = one
             self.members[one] += self.members.pop(other)
 
-    def drop(self, number: int) -> None:
-        """Remove a junction."""
-        for row in self.members.pop(number):
-            del self.of_row[row]
-
 
 def find_clusters(network: Network, node_tags: Mapping[int, Tags]) -> Clusters:
     """Nodes where roads meet, those of one junction together.
@@ -182,11 +169,9 @@ def find_clusters(network: Network, node_tags: Mapping[int, Tags]) -> Clusters:
 
 def _is_meeting(network: Network, ends: tuple[End, ...], tags: Tags) -> bool:
     edges = [network.edges[index] for index, _ in ends]
-    if all(edge.level != 0 for edge in edges):
-        return False
     n_full = sum(not edge.is_service for edge in edges)
-    has_signals = tags.get("highway") == "traffic_signals" and n_full > 0
-    return n_full >= 3 or (has_signals and len(edges) >= 3)
+    has_signals = tags.get("highway") == "traffic_signals" and n_full > 0 and len(edges) >= 3
+    return any(edge.level == 0 for edge in edges) and (n_full >= 3 or has_signals)
 
 
 def is_fork(network: Network, ends: tuple[End, ...]) -> bool:
@@ -196,23 +181,25 @@ def is_fork(network: Network, ends: tuple[End, ...]) -> bool:
         return False
     for stem in ends:
         one, other = (end for end in ends if end != stem)
-        edge, other_edge = network.edges[one[0]], network.edges[other[0]]
-        if not (edge.is_oneway and other_edge.is_oneway):
+        edges = [network.edges[end[0]] for end in (one, other, stem)]
+        if not (edges[0].is_oneway and edges[1].is_oneway):
             continue
         bearings = [network.bearing_deg(end) for end in (stem, one, other)]
-        apart = [abs((b - bearings[0] + 180.0) % 360.0 - 180.0) for b in bearings[1:]]
-        between = abs((bearings[1] - bearings[2] + 180.0) % 360.0 - 180.0)
-        if between > _FORK_DEG or min(apart) < 90.0:
+        off_stem_deg = min(_apart_deg(bearing, bearings[0]) for bearing in bearings[1:])
+        if _apart_deg(bearings[1], bearings[2]) > _FORK_DEG or off_stem_deg < 90.0:
             continue
-        stem_edge = network.edges[stem[0]]
-        is_split = not stem_edge.is_oneway and one[1] != other[1]
+        is_split = not edges[2].is_oneway and one[1] != other[1]
         is_ramp = one[1] == other[1] and any(
-            e.tags["highway"].endswith("_link") or e.tags["highway"] == "motorway"
-            for e in (edge, other_edge, stem_edge)
+            edge.tags["highway"].endswith("_link") or edge.tags["highway"] == "motorway"
+            for edge in edges
         )
         if is_split or is_ramp:
             return True
     return False
+
+
+def _apart_deg(one_deg: float, other_deg: float) -> float:
+    return abs((one_deg - other_deg + 180.0) % 360.0 - 180.0)
 
 
 def _join_roundabouts(network: Network, clusters: Clusters) -> None:
@@ -258,10 +245,9 @@ def _join_near(network: Network, clusters: Clusters) -> None:
 
 def is_between_carriageways(network: Network, street: Street) -> bool:
     """It links the two one-way carriageways of another street, across its median."""
-    names = []
-    for row in (int(street.rows[0]), int(street.rows[-1])):
-        edges = [network.edges[index] for index, _ in network.ends[row]]
-        names.append({edge.name for edge in edges if edge.is_oneway and edge.name})
+    ends = (network.ends[int(row)] for row in street.rows[[0, -1]])
+    edges = [[network.edges[index] for index, _ in here] for here in ends]
+    names = [{edge.name for edge in here if edge.is_oneway and edge.name} for here in edges]
     return bool(names[0] & names[1] - {street.parts[0][0].name})
 
 
@@ -301,8 +287,7 @@ def find_junctions(
         if not _drop_small(clusters, arms, elements, omissions):
             break
     for stub in stubs:
-        edge, _ = stub.street.parts[0]
-        omissions.add("roads", f"way {edge.way_id}", _STUB)
+        omissions.add("roads", f"way {stub.street.parts[0][0].way_id}", _STUB)
     ids = {
         number: f"n{min(int(elements.node_ids[row]) for row in rows)}"
         for number, rows in clusters.members.items()
@@ -316,13 +301,18 @@ def find_junctions(
     junctions = []
     for number, here in arms.items():
         final = [replace(arm, mouth_m=mouths[arm.index, arm.is_begin]) for arm in here]
-        points = network.positions_m[clusters.members[number]]
-        outline = _outline(final, inside.get(number, []), points)
-        name = _name(final, inside.get(number, []))
-        roads = find_leading_roads(network, clusters.members[number], outline)
-        junctions.append(MapJunction(id=ids[number], name=name, outline_m=outline, roads=roads))
-    order = sorted(range(len(junctions)), key=lambda index: int(junctions[index].id[1:]))
-    return list(reaches.values()), [junctions[index] for index in order]
+        rows, streets_inside = clusters.members[number], inside.get(number, [])
+        outline = _outline(final, streets_inside, network.positions_m[rows])
+        junctions.append(
+            MapJunction(
+                id=ids[number],
+                name=_name(final, streets_inside),
+                outline_m=outline,
+                roads=find_leading_roads(network, rows, outline),
+            )
+        )
+    junctions.sort(key=lambda junction: int(junction.id[1:]))
+    return list(reaches.values()), junctions
 
 
 _Path = tuple[tuple[str, bool], ...]  # edges of a street and which way it follows them
@@ -365,9 +355,8 @@ def _take_in_forks(network: Network, clusters: Clusters, arms: Mapping[int, Sequ
     island_m = DEFAULTS["junction"]["island_m"]
     taken = []
     for number, here in arms.items():
-        group_of = {
-            index: group for group, members in enumerate(group_arms(here)) for index in members
-        }
+        groups = group_arms(here)
+        group_of = {index: group for group in range(len(groups)) for index in groups[group]}
         # Streets that end at a fork, by its node.
         branches = {
             int(arm.street.rows[-1]): group_of[index]
@@ -379,9 +368,8 @@ def _take_in_forks(network: Network, clusters: Clusters, arms: Mapping[int, Sequ
                 ends = network.ends.get(row, ())
                 if row in clusters.of_row or len(ends) < 3 or not is_fork(network, ends):
                     continue
-                is_island = (
-                    station <= island_m and branches.get(row, group_of[index]) != (group_of[index])
-                )
+                own = group_of[index]
+                is_island = station <= island_m and branches.get(row, own) != own
                 if station <= arm.mouth_m + 1.0 or is_island:
                     taken.append((row, number))
     for row, number in taken:
@@ -396,12 +384,14 @@ def _take_stubs(
     least_m = DEFAULTS["cross_section"]["stub_m"]
     stubs = []
     for number, here in arms.items():
+        arms[number] = []
         for arm in here:
             is_dead_end = len(network.ends[int(arm.street.rows[-1])]) == 1
             if is_dead_end and arm.street.length_m - arm.mouth_m < least_m:
                 stubs.append(arm)
                 inside[number].append(arm.street)
-        arms[number] = [arm for arm in here if not any(arm is stub for stub in stubs)]
+            else:
+                arms[number].append(arm)
     return stubs
 
 
@@ -421,7 +411,8 @@ def _drop_small(
     for number, why in small.items():
         node = min(int(elements.node_ids[row]) for row in clusters.members[number])
         omissions.add("meetings of roads", f"node {node}", why)
-        clusters.drop(number)
+        for row in clusters.members.pop(number):
+            del clusters.of_row[row]
     return bool(small)
 
 
@@ -437,22 +428,19 @@ def _reaches(
     mouths = {(arm.index, arm.is_begin): arm.mouth_m for here in arms.values() for arm in here}
     reaches = {}
     for index, street in enumerate(streets):
-        numbers = [clusters.of_row.get(int(street.rows[at])) for at in (0, -1)]
-        if any(
-            number is not None and (index, is_begin) not in mouths
-            for number, is_begin in zip(numbers, (True, False), strict=True)
-        ):
+        names, cuts = [], []
+        for at, is_begin in ((0, True), (-1, False)):
+            number = clusters.of_row.get(int(street.rows[at]))
+            names.append("" if number is None else ids[number])
+            if number is None:
+                cuts.append(_road_beside_m(network, street, is_begin=is_begin))
+            elif (index, is_begin) in mouths:
+                cuts.append(mouths[index, is_begin])
+        if len(cuts) < 2:
             continue  # inside a junction
-        cuts = [
-            mouths[index, is_begin]
-            if number is not None
-            else _road_beside_m(network, street, is_begin=is_begin)
-            for number, is_begin in zip(numbers, (True, False), strict=True)
-        ]
         free_m = max(street.length_m - least_m, 0.0)
         if sum(cuts) > free_m:  # two junctions so near that both get less
             cuts = [cut * free_m / sum(cuts) for cut in cuts]
-        names = ["" if number is None else ids[number] for number in numbers]
         reaches[index] = Reach(
             street=street,
             begin_m=cuts[0],
@@ -465,11 +453,10 @@ def _reaches(
 
 def _road_beside_m(network: Network, street: Street, *, is_begin: bool) -> float:
     """Half the width of the road into which a yard leads without a junction, in metres."""
-    edge, _ = street.parts[0 if is_begin else -1]
-    ends = network.ends[int(street.rows[0 if is_begin else -1])]
-    others = [network.edges[index] for index, _ in ends]
-    if not edge.is_service:
+    at = 0 if is_begin else -1
+    if not street.parts[at][0].is_service:
         return 0.0
+    others = [network.edges[index] for index, _ in network.ends[int(street.rows[at])]]
     return max((0.5 * one.section.width_m for one in others if not one.is_service), default=0.0)
 
 
@@ -487,30 +474,22 @@ def _outline(arms: Sequence[Arm], inside: Sequence[Street], points_m: FloatArray
         for arm in arms
     ]
     rest = rounded.union(whole).difference(shapely.union_all(beyond))
-    polygon = _largest(rest)
+    smallest = Point(0.0, 0.0).buffer(1.0)
+    polygon = max(polygons_of(rest), key=lambda part: part.area, default=smallest)
     ring = shapely.simplify(polygon.exterior, 0.02)
     return np.asarray(ring.coords)[:-1]
-
-
-def _largest(shape: BaseGeometry) -> Polygon:
-    if isinstance(shape, Polygon) and not shape.is_empty:
-        return shape
-    parts = [part for part in getattr(shape, "geoms", []) if isinstance(part, Polygon)]
-    if isinstance(shape, MultiPolygon) or parts:
-        return max(parts, key=lambda part: part.area)
-    return Point(0.0, 0.0).buffer(1.0)
 
 
 def _name(arms: Sequence[Arm], inside: Sequence[Street]) -> str:
     ranks: dict[str, int] = {}
     counts: Counter[str] = Counter()
     edges = [arm.street.parts[0][0] for arm in arms]
+    counts.update(edge.name for edge in edges)
     edges += [edge for street in inside for edge, _ in street.parts]
-    for index, edge in enumerate(edges):
+    for edge in edges:
         if edge.name:
             rank = DEFAULTS["roads"][edge.tags["highway"]]["rank"]
             ranks[edge.name] = min(rank, ranks.get(edge.name, rank))
-            counts[edge.name] += index < len(arms)
     return " / ".join(sorted(ranks, key=lambda name: (ranks[name], -counts[name], name)))
 
 
@@ -528,26 +507,31 @@ def is_merge(arms: Sequence[tuple[Edge, bool]], nodes: Iterable[Tags]) -> bool:
     of the nodes where they meet: signals and crossings are for people.
     """
     edges = [(edge, is_away) for edge, is_away in arms if not edge.is_service]
-    if not edges or len(edges) < len(arms) or any(_has_people(edge.tags) for edge, _ in edges):
+    if (
+        not edges
+        or len(edges) < len(arms)
+        or any(
+            edge.tags.get("foot") in ("yes", "designated")
+            or edge.tags.get("sidewalk") in _SIDEWALKS
+            for edge, _ in edges
+        )
+    ):
         return False
     if any(tags.get("highway") in _FOR_PEOPLE for tags in nodes):
         return False
-    if all(_is_motorway(edge.tags) for edge, _ in edges):
-        return True
     n_away = sum(is_away for _, is_away in edges)
-    return (
+    is_motorway = [
+        edge.tags["highway"] in _MOTORWAYS or edge.tags.get("motorroad") == "yes"
+        for edge, _ in edges
+    ]
+    return all(is_motorway) or (
         all(edge.is_oneway for edge, _ in edges)
-        and all(_is_motorway(edge.tags) or edge.tags["highway"] in _TRUNKS for edge, _ in edges)
+        and all(
+            is_fast or edge.tags["highway"] in _TRUNKS
+            for is_fast, (edge, _) in zip(is_motorway, edges, strict=True)
+        )
         and min(n_away, len(edges) - n_away) <= 1
     )
-
-
-def _is_motorway(tags: Tags) -> bool:
-    return tags["highway"] in _MOTORWAYS or tags.get("motorroad") == "yes"
-
-
-def _has_people(tags: Tags) -> bool:
-    return tags.get("foot") in ("yes", "designated") or tags.get("sidewalk") in _SIDEWALKS
 
 
 # ---------- roads that lead to a junction

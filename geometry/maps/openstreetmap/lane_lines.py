@@ -103,12 +103,10 @@ def _without_stubs(
         is_short = np.ptp(whole[near]) < least_m
         return bool(is_short) and sections[near].directions == sections[beyond].directions
 
-    while reach.from_junction and len(kept) > 1 and is_stub(kept[0], kept[1]):
-        stub = kept.pop(0)
-        whole[kept[0]] = (whole[stub][0], whole[kept[0]][1])
-    while reach.to_junction and len(kept) > 1 and is_stub(kept[-1], kept[-2]):
-        stub = kept.pop()
-        whole[kept[-1]] = (whole[kept[-1]][0], whole[stub][1])
+    for junction, tip, beyond in ((reach.from_junction, 0, 1), (reach.to_junction, -1, -2)):
+        while junction and len(kept) > 1 and is_stub(kept[tip], kept[beyond]):
+            pair = [whole[kept.pop(tip)], whole[kept[tip]]]
+            whole[kept[tip]] = min(low for low, _ in pair), max(high for _, high in pair)
     return kept, whole
 
 
@@ -138,19 +136,17 @@ def _at_break(strip: Strip, own: Sequence[Strip], others: Sequence[Strip]) -> tu
 
 def _lane(piece: _Piece, reach: Reach) -> MapLane | None:
     taper = DEFAULTS["cross_section"]["taper"]
-    stations: list[float] = []
-    lefts: list[float] = []
-    for strip, (low, high), ends in zip(
+    points_of_lefts: list[tuple[float, float]] = []  # stations, and how far left of the street
+    for strip, (low, high), (begin_left, end_left) in zip(
         piece.strips, piece.spans_m, piece.ends_left_m, strict=True
     ):
         half = 0.5 * (high - low)
-        for station, left, sign in ((low, ends[0], 1.0), (high, ends[1], -1.0)):
-            shift = abs(left - strip.left_m)
-            run = min(max(taper * shift, 1.0), half)
-            pair = [(station, left), (station + sign * run, strip.left_m)]
-            for one, beside in pair if sign > 0.0 else pair[::-1]:
-                stations.append(one)
-                lefts.append(beside)
+        first, last = (
+            min(max(taper * abs(left - strip.left_m), 1.0), half) for left in (begin_left, end_left)
+        )
+        points_of_lefts += [(low, begin_left), (low + first, strip.left_m)]
+        points_of_lefts += [(high - last, strip.left_m), (high, end_left)]
+    stations, lefts = zip(*points_of_lefts, strict=True)
     begin_m, end_m = piece.spans_m[0][0], piece.spans_m[-1][1]
     if end_m - begin_m < _MIN_LENGTH_M:
         return None

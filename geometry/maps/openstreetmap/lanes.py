@@ -105,12 +105,8 @@ _CYCLE_LANES = ("lane", "opposite_lane")
 _CYCLE_TRACKS = ("track", "opposite_track")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Roadside:
-    """Strips next to the driving lanes, outwards: kind, width [m], runs as the way does."""
-
-    inner: tuple[Part, ...]  # on the carriageway
-    outer: tuple[Part, ...]  # behind the kerb
+# Strips next to the driving lanes, outwards: on the carriageway, and behind the kerb.
+Roadside = tuple[list[Part], list[Part]]
 
 
 def roadside_strips(tags: Tags, note: Note, *, side: str, keeps_left: bool) -> Roadside:
@@ -146,20 +142,18 @@ def roadside_strips(tags: Tags, note: Note, *, side: str, keeps_left: bool) -> R
         (inner if position in _ON_CARRIAGEWAY else outer).append(part)
     if cycleway in _CYCLE_TRACKS:
         outer.append(("cycling", width("cycleway", usual["cycle_track_width_m"]), cycles_forward))
-    if _has_sidewalk(tags, side):
+    sidewalk = side_value(tags, "sidewalk", side)
+    if sidewalk == "yes" or (sidewalk is None and tags.get("sidewalk") in ("both", "yes", side)):
         outer.append(("walking", width("sidewalk", usual["sidewalk_width_m"]), is_forward))
-    return Roadside(inner=tuple(inner), outer=tuple(outer))
+    return inner, outer
 
 
 def _cycleway(tags: Tags, side: str, *, is_near: bool) -> str:
     named = side_value(tags, "cycleway", side)
-    if named is not None:
-        return named
     plain = tags.get("cycleway", "")
-    if is_oneway(tags):
-        # Along a one-way road the plain tag means the side of its traffic, "opposite" the other.
-        return plain if plain.startswith("opposite") != is_near else ""
-    return plain
+    if named is None and is_oneway(tags) and plain.startswith("opposite") == is_near:
+        return ""  # of a one-way road the plain tag means the side of its traffic
+    return plain if named is None else named
 
 
 def _parking(tags: Tags, side: str) -> tuple[str, str]:
@@ -178,13 +172,6 @@ def _parking(tags: Tags, side: str) -> tuple[str, str]:
         where = tags.get(f"parking:lane:{side}:{old}", tags.get(f"parking:lane:both:{old}", ""))
         return _OLD_POSITIONS.get(where, "lane"), old
     return "no", ""
-
-
-def _has_sidewalk(tags: Tags, side: str) -> bool:
-    named = side_value(tags, "sidewalk", side)
-    if named is not None:
-        return named == "yes"
-    return tags.get("sidewalk") in ("both", "yes", side)
 
 
 # ---------- cross-sections
@@ -245,7 +232,7 @@ def build_cross_section(
         roadside_strips(tags, note, side=side, keeps_left=keeps_left) for side in ("left", "right")
     )
     counts = count_lanes(tags, note)
-    beside_m = sum(width for _, width, _ in (*left.inner, *right.inner))
+    beside_m = sum(width for _, width, _ in (*left[0], *right[0]))
     widths, counts = _lane_widths(tags, counts, beside_m, note)
     driving = _driving(widths, counts, keeps_left=keeps_left)
     turns = {
@@ -254,10 +241,10 @@ def build_cross_section(
     }
     carriageway_m = sum(width for _, _, width in driving) + beside_m
     strips: list[Strip] = []
-    for side, sign, parts in (("left", 1.0, left), ("right", -1.0, right)):
+    for side, sign, (inner, outer) in (("left", 1.0, left), ("right", -1.0, right)):
         numbers: Counter[str] = Counter()
         # From the kerb inwards, then from the kerb outwards.
-        for step, found in ((-1.0, parts.inner[::-1]), (1.0, parts.outer)):
+        for step, found in ((-1.0, inner[::-1]), (1.0, outer)):
             edge_m = 0.5 * carriageway_m
             for kind, width_m, is_forward in found:
                 strips.append(
@@ -272,7 +259,7 @@ def build_cross_section(
                 )
                 numbers[kind] += 1
                 edge_m += step * width_m
-    at_m = 0.5 * carriageway_m - sum(width for _, width, _ in left.inner)
+    at_m = 0.5 * carriageway_m - sum(width for _, width, _ in left[0])
     for place, number, width_m in driving:
         middle_m = at_m - 0.5 * width_m
         at_m -= width_m
@@ -313,15 +300,20 @@ def _driving(
     """Driving lanes from left to right: direction, number from the kerb, width."""
     if counts.is_shared:
         return [("both", 0, widths.forward[0])]
-    n_forward, n_backward = len(widths.forward), len(widths.backward)
+
+    def ordered(place: str, of_lanes: Sequence[float]) -> list[tuple[str, int, float]]:
+        """Lanes from left to right in their driving direction, numbered from the kerb."""
+        last = len(of_lanes) - 1
+        return [
+            (place, number if keeps_left else last - number, width_m)
+            for number, width_m in enumerate(of_lanes)
+        ]
+
+    forward, backward = ordered("forward", widths.forward), ordered("backward", widths.backward)
     centre = [("centre", 0, widths.centre_m)] if counts.has_centre else []
     if keeps_left:
-        forward = [("forward", i, widths.forward[i]) for i in range(n_forward)]
-        backward = [("backward", i, widths.backward[i]) for i in range(n_backward)]
-        return [*forward, *centre, *reversed(backward)]
-    forward = [("forward", n_forward - 1 - i, widths.forward[i]) for i in range(n_forward)]
-    backward = [("backward", n_backward - 1 - i, widths.backward[i]) for i in range(n_backward)]
-    return [*reversed(backward), *centre, *forward]
+        return [*forward, *centre, *backward[::-1]]
+    return [*backward[::-1], *centre, *forward]
 
 
 def _lane_widths(
@@ -335,7 +327,13 @@ def _lane_widths(
     backward = _listed_widths(tags, "backward", counts.n_backward, is_alone=False)
     if not counts.is_shared and forward is not None and backward is not None:
         return _Widths(forward, backward, centre_m), counts
-    total_m = _total_width_m(tags, note)
+    total_m = None
+    for key in (key for key in ("width:carriageway", "width", "est_width") if key in tags):
+        total_m = parse_length_m(tags[key])
+        if total_m is not None and 1.0 < total_m < 100.0:
+            break
+        note(f"{key} makes no sense; usual widths taken")
+        total_m = None
     if total_m is not None:
         free_m = total_m - beside_m - centre_m
         fitting = counts
@@ -387,16 +385,6 @@ def _listed_turns(
         note("turn:lanes has another number of lanes: markings not followed")
         return unmarked
     return listed
-
-
-def _total_width_m(tags: Tags, note: Note) -> float | None:
-    for key in ("width:carriageway", "width", "est_width"):
-        if key in tags:
-            width_m = parse_length_m(tags[key])
-            if width_m is not None and 1.0 < width_m < 100.0:
-                return width_m
-            note(f"{key} makes no sense; usual widths taken")
-    return None
 
 
 # ---------- speed limits

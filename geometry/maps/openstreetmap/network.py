@@ -3,7 +3,7 @@
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -108,46 +108,39 @@ def build_network(
     elements: Elements, positions_m: FloatArray, *, keeps_left: bool, omissions: Omissions
 ) -> Network:
     """The roads for cars; ways with missing nodes and senseless tags are noted."""
-    parts: list[tuple[Way, int, IntArray]] = []
+    runs: list[tuple[Way, list[IntArray]]] = []
     for way in elements.ways:
         if is_for_cars(way.tags):
-            found = list(known_runs(way.rows, positions_m))
-            if (way.rows < 0).any() or not found:
+            runs.append((way, list(known_runs(way.rows, positions_m))))
+            if (way.rows < 0).any() or not runs[-1][1]:
                 why = "nodes are missing in the file, as at the edge of a cut-out"
                 omissions.add("roads", f"way {way.id}", f"partly left out: {why}")
-            parts += [(way, part, rows) for part, rows in enumerate(found)]
     n_uses = np.zeros(len(positions_m), dtype=np.int64)
-    for _, _, rows in parts:
+    for rows in chain.from_iterable(found for _, found in runs):
         np.add.at(n_uses, rows[1:-1], 1)
         np.add.at(n_uses, rows[[0, -1]], 2)  # edges end where ways do
     edges: list[Edge] = []
-    sections: dict[int, tuple[Tags, CrossSection]] = {}
-    counts: dict[int, int] = defaultdict(int)
-    for way, _, rows in parts:
-        if way.id not in sections:
-            tags = reversed_tags(way.tags) if runs_backward(way.tags) else dict(way.tags)
-            if runs_backward(way.tags):
-                tags |= {"oneway": "yes", "oneway:turned": "yes"}
-            section = build_cross_section(
-                tags, element=f"way {way.id}", keeps_left=keeps_left, omissions=omissions
+    for way, found in runs:
+        if not found:
+            continue
+        tags, step = dict(way.tags), 1
+        if runs_backward(way.tags):
+            tags, step = reversed_tags(tags) | {"oneway": "yes", "oneway:turned": "yes"}, -1
+        section = build_cross_section(
+            tags, element=f"way {way.id}", keeps_left=keeps_left, omissions=omissions
+        )
+        parts = (
+            rows[begin : end + 1]
+            for rows in (run[::step] for run in found)
+            for begin, end in pairwise(np.flatnonzero(n_uses[rows] > 1))
+        )
+        for number, rows in enumerate(parts):
+            name = f"w{way.id}.{number}" if number else f"w{way.id}"
+            points = positions_m[rows]
+            edge = Edge(
+                id=name, way_id=way.id, rows=rows, points_m=points, tags=tags, section=section
             )
-            sections[way.id] = (tags, section)
-        tags, section = sections[way.id]
-        rows = rows[::-1] if runs_backward(way.tags) else rows
-        breaks = np.flatnonzero(n_uses[rows] > 1)
-        for begin, end in pairwise(breaks):
-            number = counts[way.id]
-            counts[way.id] += 1
-            edges.append(
-                Edge(
-                    id=f"w{way.id}.{number}" if number else f"w{way.id}",
-                    way_id=way.id,
-                    rows=rows[begin : end + 1],
-                    points_m=positions_m[rows[begin : end + 1]],
-                    tags=tags,
-                    section=section,
-                )
-            )
+            edges.append(edge)
     ends: dict[int, list[End]] = defaultdict(list)
     for index, edge in enumerate(edges):
         ends[int(edge.rows[0])].append((index, True))
@@ -274,7 +267,9 @@ def pair_ends(network: Network, ends: tuple[End, ...]) -> Iterator[tuple[End, En
             n_links = sum(edge.tags["highway"].endswith("_link") for edge in pair)
             n_full = sum(not edges[end[0]].is_service for end in ends)
             is_allowed = turn <= _MAX_STRAIGHT_ON_DEG or (n_full == 2 and n_service == 0)
-            if is_allowed and n_service != 1 and _can_follow(edges, one, other):
+            # Two one-way roads that both lead here, or both away, do not follow each other.
+            leads_on = not all(edge.is_oneway for edge in pair) or one[1] != other[1]
+            if is_allowed and n_service != 1 and leads_on:
                 choices.append((n_service, n_links, turn, one, other))
     used: set[End] = set()
     for *_, one, other in sorted(choices):
@@ -283,21 +278,8 @@ def pair_ends(network: Network, ends: tuple[End, ...]) -> Iterator[tuple[End, En
             yield one, other
 
 
-def _can_follow(edges: tuple[Edge, ...], one: End, other: End) -> bool:
-    """Not two one-way roads that both lead here, or both away."""
-    if not (edges[one[0]].is_oneway and edges[other[0]].is_oneway):
-        return True
-    return one[1] != other[1]
-
-
 # ---------- lines and areas next to a street
 _MAX_MITRE = 2.0  # at sharp bends lines next to a street are cut off
-
-
-def offset_points(street: Street, stations_m: ArrayLike, left_m: ArrayLike) -> FloatArray:
-    """Points (n, 2) next to a street at ascending stations; at bends on the angle's bisector."""
-    middle, across = axis_points(street, stations_m)
-    return middle + np.asarray(left_m, dtype=np.float64).reshape(-1, 1) * across
 
 
 def axis_points(street: Street, stations_m: ArrayLike) -> tuple[FloatArray, FloatArray]:

@@ -1,26 +1,30 @@
-"""Walls, hedges, trees and poles."""
+"""Walls, hedges, trees, poles and crosswalks."""
 
 from collections.abc import Iterator, Sequence
-from functools import cache, partial
+from functools import partial
+from itertools import chain
 
 import numpy as np
+import shapely
 from shapely import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from ...arrays import FloatArray
 from ...errors import InputError
-from ..solids import Mesh, extrude_polygon, join, polygons_of, unit_ball
-from ..source_map import Omissions, Pole, Thing
-from .elements import (
-    DEFAULTS,
-    Elements,
-    Tags,
-    Way,
-    parse_length_m,
+from ..source_map import (
+    Omissions,
+    Pole,
+    Thing,
+    extrude_polygon,
+    join,
+    polygons_of,
+    unit_ball,
+    unit_cylinder,
 )
+from .elements import DEFAULTS, Elements, Relation, Tags, Way, parse_length_m
 from .junctions import Reach
 from .lanes import Note
-from .network import Network, known_runs, offset_points
+from .network import Edge, Network, axis_points, known_runs, level
 
 # ---------- walls and hedges
 _KINDS = ("wall", "city_wall", "retaining_wall", "fence", "hedge")
@@ -53,19 +57,12 @@ def find_barriers(
 
 
 def _footprints(way: Way, positions_m: FloatArray, thickness_m: float) -> Iterator[Polygon]:
-    is_area = way.tags.get("area") == "yes" and way.is_closed and (way.rows >= 0).all()
-    shapes: list[BaseGeometry] = (
-        [Polygon(positions_m[way.rows]).buffer(0.0)]
-        if is_area
-        else [
-            LineString(positions_m[rows]).buffer(
-                0.5 * thickness_m, cap_style="flat", join_style="mitre"
-            )
-            for rows in known_runs(way.rows, positions_m)
-        ]
-    )
-    for shape in shapes:
-        yield from polygons_of(shape)
+    if way.tags.get("area") == "yes" and way.is_closed and (way.rows >= 0).all():
+        yield from polygons_of(Polygon(positions_m[way.rows]).buffer(0.0))
+        return
+    for rows in known_runs(way.rows, positions_m):
+        line = LineString(positions_m[rows])
+        yield from polygons_of(line.buffer(0.5 * thickness_m, cap_style="flat", join_style="mitre"))
 
 
 def _size_m(
@@ -103,25 +100,18 @@ def find_trees(
     """Trees as an upright trunk and an ellipsoid crown, each closed; woods are noted."""
     for row, tags in elements.node_tags.items():
         if tags.get("natural") == "tree":
-            element = f"node {int(elements.node_ids[row])}"
-            name = f"n{int(elements.node_ids[row])}"
-            yield _tree(name, positions_m[row], tags, element, omissions)
-    for way in elements.ways:
-        element = f"way {way.id}"
-        if way.tags.get("natural") == "tree_row":
-            number = 0
-            for rows in known_runs(way.rows, positions_m):
-                for foot in _along(positions_m[rows]):
-                    yield _tree(f"w{way.id} tree {number}", foot, way.tags, element, omissions)
-                    number += 1
-        _note_wood(way.tags, element, omissions)
-    for relation in elements.relations:
-        _note_wood(relation.tags, f"relation {relation.id}", omissions)
-
-
-def _note_wood(tags: Tags, element: str, omissions: Omissions) -> None:
-    if any(tags.get(key) == value for key, value in _WOODS):
-        omissions.add("woods", element, "the positions of its trees and bushes are unknown")
+            node_id = int(elements.node_ids[row])
+            yield _tree(f"n{node_id}", positions_m[row], tags, f"node {node_id}", omissions)
+    tagged: tuple[Way | Relation, ...] = (*elements.ways, *elements.relations)
+    for one in tagged:
+        element = f"{'way' if isinstance(one, Way) else 'relation'} {one.id}"
+        if isinstance(one, Way) and one.tags.get("natural") == "tree_row":
+            rows = known_runs(one.rows, positions_m)
+            feet = chain.from_iterable(_along(positions_m[part]) for part in rows)
+            for number, foot in enumerate(feet):
+                yield _tree(f"w{one.id} tree {number}", foot, one.tags, element, omissions)
+        if any(one.tags.get(key) == value for key, value in _WOODS):
+            omissions.add("woods", element, "the positions of its trees and bushes are unknown")
 
 
 def _along(line_m: FloatArray) -> FloatArray:
@@ -150,21 +140,11 @@ def _tree(name: str, foot_m: FloatArray, tags: Tags, element: str, omissions: Om
     ball, ball_faces = unit_ball()
     middle_m = 0.5 * (base_m + height_m)
     crown = ball * [0.5 * crown_m, 0.5 * crown_m, height_m - middle_m] + [0.0, 0.0, middle_m]
-    prism, prism_faces = _prism()
-    trunk = prism * [0.5 * trunk_m, 0.5 * trunk_m, middle_m]
-    vertices, triangles = join([(trunk, prism_faces), (crown, ball_faces)])
+    trunk, trunk_faces = unit_cylinder(_TRUNK_SIDES)
+    trunk = trunk * [0.5 * trunk_m, 0.5 * trunk_m, middle_m]
+    vertices, triangles = join([(trunk, trunk_faces), (crown, ball_faces)])
     mesh = vertices + np.append(foot_m, 0.0), triangles
     return Thing.of(name, "vegetation", mesh, is_height_assumed=tagged_m is None)
-
-
-@cache
-def _prism() -> Mesh:
-    import trimesh
-
-    prism = trimesh.creation.cylinder(
-        radius=1.0, segment=[[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]], sections=_TRUNK_SIDES
-    )
-    return np.asarray(prism.vertices, dtype=np.float64), np.asarray(prism.faces, dtype=np.int32)
 
 
 # ---------- poles
@@ -198,33 +178,26 @@ def find_poles(
         if support in _NO_POLE:
             omissions.add(f"{kind}s", f"node {node_id}", "on a wall or a wire, without a pole")
             continue
-        is_on_road = row in network.ends or row in places
-        is_at_kerbs = is_on_road and kind in ("traffic light", "sign")
-        if is_at_kerbs:
+        feet, assumed = [network.positions_m[row]], ""
+        if kind in ("traffic light", "sign") and (row in network.ends or row in places):
             feet = _at_kerbs(places.get(row, ()), tags, keeps_left=keeps_left)
+            assumed = "mapped on the road: a pole at the kerb is assumed"
+            if len(feet) > 1:
+                poles_there = f"{len(feet)} poles at the kerbs are assumed"
+                assumed = f"node {node_id} is mapped on the road: {poles_there}"
             if not feet:
-                omissions.add(
-                    f"{kind}s", f"node {node_id}", "inside a junction, where nobody stops"
-                )
-        else:
-            feet = [network.positions_m[row]]
+                why = "inside a junction, where nobody stops"
+                omissions.add(f"{kind}s", f"node {node_id}", why)
+        height_m = parse_length_m(tags.get("height", ""))
+        if not height_m or height_m > DEFAULTS["pole"]["max_height_m"]:
+            height_m = None
         for number, foot in enumerate(feet):
+            name = f"n{node_id}.{number}" if number else f"n{node_id}"
+            position = np.append(foot, 0.0)
             poles.append(
-                Pole(
-                    id=f"n{node_id}.{number}" if number else f"n{node_id}",
-                    kind=kind,
-                    position_m=np.append(foot, 0.0),
-                    height_m=_height_m(tags),
-                    assumed=_assumed_place(node_id, len(feet)) if is_at_kerbs else "",
-                )
+                Pole(id=name, kind=kind, position_m=position, height_m=height_m, assumed=assumed)
             )
     return tuple(poles)
-
-
-def _assumed_place(node_id: int, n_poles: int) -> str:
-    if n_poles == 1:
-        return "mapped on the road: a pole at the kerb is assumed"
-    return f"node {node_id} is mapped on the road: {n_poles} poles at the kerbs are assumed"
 
 
 def _kind(tags: Tags) -> str:
@@ -239,11 +212,6 @@ def _kind(tags: Tags) -> str:
     if tags.get("man_made") == "surveillance" and tags.get("camera:mount") == "pole":
         return "pole"
     return ""
-
-
-def _height_m(tags: Tags) -> float | None:
-    height_m = parse_length_m(tags["height"]) if "height" in tags else None
-    return height_m if height_m and height_m <= DEFAULTS["pole"]["max_height_m"] else None
 
 
 _Place = tuple[Reach, float]  # a street and how far along it [m]
@@ -268,7 +236,8 @@ def _at_kerbs(places: Sequence[_Place], tags: Tags, *, keeps_left: bool) -> list
             section = reach.street.sections[reach.street.part_at(at_m)]
             sign = 1.0 if is_forward == keeps_left else -1.0  # left of the street
             beside_m = 0.5 * section.width_m + DEFAULTS["pole"]["beyond_kerb_m"]
-            foot = offset_points(reach.street, [at_m], [sign * beside_m])[0]
+            (middle,), (across,) = axis_points(reach.street, [at_m])
+            foot = middle + sign * beside_m * across
             if all(np.hypot(*(foot - other)) > 1.0 for other in feet):
                 feet.append(foot)
     return feet
@@ -301,3 +270,161 @@ def _directions(reach: Reach, station_m: float, tags: Tags) -> list[bool]:
     if min(to_begin, to_end) > _NEAR_JUNCTION_M:
         return driven
     return [bool(to_end <= to_begin)]
+
+
+# ---------- crosswalks
+_FOOTWAYS = ("footway", "path", "pedestrian")
+_PARALLEL = 0.8  # cosine: two lines that differ more are not one crosswalk
+_LEAST_M = 0.5  # of a footway on a carriageway
+
+
+def find_crosswalks(network: Network, elements: Elements, omissions: Omissions) -> FloatArray:
+    """Lines (n, 2, 2) on which pedestrians cross the carriageways of roads.
+
+    Where a mapped footway leads over roads there is a straight line over each of them, along the
+    footway's direction on the carriageway; otherwise a line runs across the road at the mapped
+    point. All end a little beyond the kerbs. Crossings without a road are noted.
+    """
+    limits = DEFAULTS["crosswalk"]
+    lines: list[FloatArray] = []
+    covered: set[int] = set()  # nodes that lie on a mapped footway over a road
+    tree = shapely.STRtree([shapely.linestrings(edge.points_m) for edge in network.edges])
+    for way in elements.ways:
+        if way.tags.get("footway") != "crossing" or way.tags.get("highway") not in _FOOTWAYS:
+            continue
+        for rows in known_runs(way.rows, network.positions_m):
+            walk = LineString(network.positions_m[rows])
+            edges = [
+                network.edges[index]
+                for index in tree.query(walk, predicate="intersects").tolist()
+                if network.edges[index].level == level(way.tags)
+            ]
+            found = [
+                line
+                for line in _over_roads(walk, edges)
+                if 1.0 < np.hypot(*(line[1] - line[0])) <= limits["max_length_m"]
+            ]
+            if not found:
+                omissions.add("crossings", f"way {way.id}", "no road for cars below it")
+                continue
+            covered.update(rows.tolist())
+            lines += found
+    at_row = _edges_at(network)
+    for row, tags in elements.node_tags.items():
+        if tags.get("highway") != "crossing" or tags.get("crossing") == "no":
+            continue
+        if row in covered or row not in at_row:
+            continue
+        lines.append(_across(network, row, at_row[row], limits["beyond_kerb_m"]))
+    taken: list[FloatArray] = []
+    for line in lines:
+        if not any(_is_same(line, other) for other in taken):
+            taken.append(line)
+    return np.array(taken).reshape(-1, 2, 2)
+
+
+def _over_roads(walk: LineString, edges: Sequence[Edge]) -> Iterator[FloatArray]:
+    """A line (2, 2) over each road that a footway crosses, from beyond one kerb to the other.
+
+    Carriageways that are crossed one after the other in one direction are one road's.
+    """
+    limits = DEFAULTS["crosswalk"]
+    joined: list[tuple[LineString, BaseGeometry]] = []  # parts of the footway, and carriageways
+    crossed = [
+        (part, area)
+        for edge in edges
+        for area in [LineString(edge.points_m).buffer(0.5 * edge.section.width_m, cap_style="flat")]
+        for part in _parts_over(walk, edge, area)
+    ]
+    crossed.sort(key=lambda pair: walk.project(shapely.Point(pair[0].coords[0])))
+    for part, carriageway in crossed:
+        if joined and (
+            part.distance(joined[-1][0]) <= limits["median_m"]
+            and abs(_direction(part) @ _direction(joined[-1][0])) > _PARALLEL
+        ):
+            before, area = joined.pop()
+            whole = LineString([before.coords[0], part.coords[-1]])
+            part, carriageway = whole, area.union(carriageway)
+        joined.append((part, carriageway))
+    for part, carriageway in joined:
+        yield _from_kerb_to_kerb(part, carriageway, limits["beyond_kerb_m"])
+
+
+def _parts_over(walk: LineString, edge: Edge, carriageway: BaseGeometry) -> Iterator[LineString]:
+    """Stretches of a footway on a carriageway that meet the road's axis."""
+    axis = LineString(edge.points_m)
+    on_road = shapely.line_merge(shapely.intersection(walk, carriageway))
+    for part in shapely.get_parts(on_road):
+        if isinstance(part, LineString) and part.length > _LEAST_M and part.distance(axis) < 1e-6:
+            is_along = walk.project(shapely.Point(part.coords[0])) <= walk.project(
+                shapely.Point(part.coords[-1])
+            )
+            yield part if is_along else part.reverse()
+
+
+def _direction(line: LineString) -> FloatArray:
+    begin, end = np.asarray(line.coords)[[0, -1], :2]
+    unit: FloatArray = (end - begin) / max(float(np.hypot(*(end - begin))), 1e-9)
+    return unit
+
+
+def _from_kerb_to_kerb(part: LineString, carriageway: BaseGeometry, beyond_m: float) -> FloatArray:
+    """The straight line through a footway's ends on a carriageway, beyond the kerbs.
+
+    A footway that is mapped only as far as the middle of the road is led on to the other kerb.
+    """
+    begin, along = np.asarray(part.coords)[0, :2], _direction(part)
+    reach_m = 2.0 * DEFAULTS["crosswalk"]["max_length_m"]
+    ray = LineString([begin - reach_m * along, begin + reach_m * along])
+    stations = [
+        np.sort((shapely.get_coordinates(piece) - begin) @ along)
+        for piece in shapely.get_parts(shapely.intersection(ray, carriageway))
+    ]
+    own = [ends for ends in stations if ends[0] < part.length and ends[-1] > 0.0]
+    low, high = min(ends[0] for ends in own), max(ends[-1] for ends in own)
+    return begin + np.array([[low - beyond_m], [high + beyond_m]]) * along
+
+
+def _edges_at(network: Network) -> dict[int, tuple[int, int]]:
+    """An edge through each node of the roads, and which of its points lies there."""
+    found: dict[int, tuple[int, int]] = {}
+    for index, edge in enumerate(network.edges):
+        for at, row in enumerate(edge.rows.tolist()):
+            if row not in found or network.edges[found[row][0]].is_service:
+                found[row] = (index, at)
+    return found
+
+
+def _across(network: Network, row: int, place: tuple[int, int], beyond_m: float) -> FloatArray:
+    """A line from kerb to kerb and a little farther, square to the road at one of its nodes."""
+    index, at = place
+    edge = network.edges[index]
+    points = edge.points_m
+    before, after = points[max(at - 1, 0)], points[min(at + 1, len(points) - 1)]
+    ends = network.ends.get(row, ())
+    if len(ends) == 2 and {one for one, _ in ends} != {index}:
+        # The way ends here and another goes on: the road bends between them.
+        other, is_start = next(end for end in ends if end[0] != index)
+        beyond = network.edges[other].points_m[1 if is_start else -2]
+        before, after = (beyond, after) if at == 0 else (before, beyond)
+    steps = [
+        step / np.hypot(*step)
+        for step in (points[at] - before, after - points[at])
+        if np.hypot(*step) > 1e-6
+    ]
+    along = np.sum(steps, axis=0)
+    along = steps[0] if np.hypot(*along) < 1e-6 else along / np.hypot(*along)
+    half_m = 0.5 * edge.section.width_m + beyond_m
+    left = np.array([-along[1], along[0]])
+    line: FloatArray = points[at] + half_m * np.stack([-left, left])
+    return line
+
+
+def _is_same(one: FloatArray, other: FloatArray) -> bool:
+    """True if two lines are one crosswalk that is mapped in two ways."""
+    apart_m = np.hypot(*(one.mean(axis=0) - other.mean(axis=0)))
+    if apart_m > DEFAULTS["crosswalk"]["same_m"]:
+        return False
+    step, other_step = one[1] - one[0], other[1] - other[0]
+    cosine = abs(step @ other_step) / (np.hypot(*step) * np.hypot(*other_step))
+    return bool(cosine > _PARALLEL)

@@ -8,7 +8,7 @@ import numpy as np
 
 from geometry.actors import Actor, MovingActor, PlacedActor
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
-from geometry.footprints import FootprintSizes, separation_between
+from geometry.footprints import FootprintSizes, gaps_between
 from scenarios.runs import Run
 
 _GAP_STEPS = 1.5  # a vehicle that is away for longer than so many steps has left and come back
@@ -282,6 +282,6 @@ def _is_nearer(
         length_b_m=other.length_m,
         width_b_m=other.width_m,
     )
-    apart = separation_between(offset_m, yaw_a_deg, yaw_b_deg, sizes=sizes)
+    apart = gaps_between(offset_m, yaw_a_deg, yaw_b_deg, sizes=sizes).max(axis=0)
     nearer: BoolArray = apart <= limit_m
     return nearer

@@ -7,7 +7,7 @@ import pytest
 from osm_text import OsmText, arm_lanes, arms_of, as_drawn
 
 from geometry.errors import InputError
-from geometry.maps.junctions import choose_junction, sort_junctions, survey_junctions
+from geometry.maps.importing import choose_junction, sort_junctions, survey_junctions
 from geometry.maps.openstreetmap import read_openstreetmap
 from geometry.maps.source_map import SourceMap
 from geometry.scene import LeadingRoad

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from geometry.errors import InputError
 from geometry.maps.city_models import read_cityjson
-from geometry.maps.solids import is_closed, volume_m3
-from geometry.maps.source_map import kind_of_class
+from geometry.maps.source_map import is_closed, kind_of_class, volume_m3
 
 # A house of 6 m x 8 m x 5 m in millimetres.
 CORNERS = [[x, y, z] for x in (0, 6000) for y in (0, 8000) for z in (0, 5000)]

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from geometry.errors import InputError
 from geometry.maps.city_models import read_citygml, read_cityjson
-from geometry.maps.solids import is_closed, volume_m3
+from geometry.maps.source_map import is_closed, volume_m3
 
 ORIGIN = np.array([390_000.0, 5_819_000.0, 30.0])
 BOX = np.array([[x, y, z] for x in (0, 6) for y in (0, 8) for z in (0, 5)], dtype=float)

@@ -10,13 +10,13 @@ from geometry.errors import InputError
 from geometry.junction import Line, build_junction
 from geometry.maps.cut import build_scene, cut_out
 from geometry.maps.georeferences import frame_at, transform
-from geometry.maps.solids import extrude
 from geometry.maps.source_map import (
     MapJunction,
     MapLane,
     Pole,
     SourceMap,
     Thing,
+    extrude,
 )
 from geometry.scene import thing_footprint
 from geometry.scene_checks import arms_that_end, check_scene

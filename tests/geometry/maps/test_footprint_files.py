@@ -13,8 +13,7 @@ from shapely.geometry import GeometryCollection, LineString, MultiPolygon, Point
 from geometry.errors import InputError
 from geometry.maps import gis_files
 from geometry.maps.gis_files import read_footprints
-from geometry.maps.solids import is_closed, volume_m3
-from geometry.maps.source_map import kind_of_class, thing_defaults
+from geometry.maps.source_map import is_closed, kind_of_class, thing_defaults, volume_m3
 
 X, Y = 390_000.0, 5_819_000.0
 HOUSE = box(X, Y, X + 10, Y + 8)

@@ -17,7 +17,7 @@ def in_wgs84(crs, points):
 
 def test_projected_metres_stay():
     place = georeference(BERLIN_UTM, "EPSG:25833", where="f")
-    assert (place.crs, place.source_crs, place.note) == ("EPSG:25833", "EPSG:25833", None)
+    assert (place.crs, place.source_crs, place.notes) == ("EPSG:25833", "EPSG:25833", ())
     assert np.array_equal(place.to_metres(BERLIN_UTM, "f"), BERLIN_UTM)
 
 
@@ -89,7 +89,7 @@ def test_latitude_comes_first_where_the_definition_says_so():
 def test_coordinates_from_nowhere_lose_their_reference_system_with_a_note():
     place = georeference([[0.0, 0.0], [100.0, 100.0]], "EPSG:3068", where="f")
     assert place.crs == ""
-    assert "Berlin" in place.note.why
+    assert "Berlin" in place.notes[0].why
 
 
 def test_data_beside_an_area_of_use_keep_their_reference_system():
@@ -101,13 +101,13 @@ def test_data_beside_an_area_of_use_keep_their_reference_system():
 def test_unknown_reference_systems_are_noted(declared):
     place = georeference(BERLIN_UTM, declared, where="f")
     assert place.crs == ""
-    assert declared in place.note.what
+    assert declared in place.notes[0].what
 
 
 @pytest.mark.parametrize("declared", ["", None])
 def test_no_reference_system_needs_no_note(declared):
     place = georeference(BERLIN_UTM, declared, where="f")
-    assert (place.crs, place.note) == ("", None)
+    assert (place.crs, place.notes) == ("", ())
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,7 @@ import pytest
 
 from geometry.errors import InputError
 from geometry.maps.georeferences import WGS84, transform
-from geometry.maps.importing import ReadingOptions, read_map
-from geometry.maps.junctions import choose_junction, survey_junctions
+from geometry.maps.importing import ReadingOptions, choose_junction, read_map, survey_junctions
 from geometry.maps.source_map import MapJunction, MapLane, SourceMap
 
 SQUARE_M = 8.0 * np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])

@@ -6,8 +6,7 @@ from hypothesis import strategies as st
 from geometry.errors import InputError
 from geometry.maps.place_lists import SiteWish
 from geometry.maps.sites import SETBACK_M, kerb_sites, tidy_sites
-from geometry.maps.solids import extrude
-from geometry.maps.source_map import Thing
+from geometry.maps.source_map import Thing, extrude
 from geometry.scene import Lane
 
 SQUARE = np.array([[-8, -8], [8, -8], [8, 8], [-8, 8]], dtype=float)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from geometry.errors import InputError
 from geometry.maps import mesh_files
 from geometry.maps.mesh_files import UNITS_M, UP_AXES, read_mesh
-from geometry.maps.solids import is_closed, volume_m3
+from geometry.maps.source_map import is_closed, volume_m3
 
 FORMATS = ["obj", "ply", "stl", "off"]
 

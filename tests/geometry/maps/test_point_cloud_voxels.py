@@ -6,7 +6,7 @@ from scipy import ndimage
 
 from geometry.errors import InputError
 from geometry.maps import point_clouds as voxels
-from geometry.maps.solids import volume_m3
+from geometry.maps.source_map import volume_m3
 
 SHAPE = (6, 5, 4)
 FIRST = 1000

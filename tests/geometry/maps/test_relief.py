@@ -8,8 +8,7 @@ import pytest
 from geometry.maps.cut import build_scene, cut_out
 from geometry.maps.importing import ImportOptions, import_scene
 from geometry.maps.relief import Elevation
-from geometry.maps.solids import extrude
-from geometry.maps.source_map import MapJunction, MapLane, Pole, SourceMap, Thing
+from geometry.maps.source_map import MapJunction, MapLane, Pole, SourceMap, Thing, extrude
 from geometry.scene_files import load_scene_folder, save_scene
 from geometry.terrain import ground_height_m, terrain_of
 

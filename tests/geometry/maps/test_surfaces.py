@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from shapely.geometry import Polygon
 
-from geometry.maps.solids import (
+from geometry.maps.source_map import (
     is_closed,
     surface_mesh,
     triangulate,

@@ -6,7 +6,7 @@ from oracles import distance_to_chain_m
 
 from geometry.junction import CONNECTING, build_junction
 from geometry.maps.cut import build_scene, cut_out
-from geometry.maps.junctions import survey_junctions
+from geometry.maps.importing import survey_junctions
 from geometry.maps.opendrive import read_opendrive
 from geometry.scene_files import load_study_scene
 from placement.question import Question
