@@ -18,6 +18,7 @@ from geometry.sensors import CameraModel
 from ..candidates import CandidatePose, is_turn_useless
 from ..compute import DEFAULT_COMPUTE, Compute, Progress
 from ..layout import Certificate
+from ..live import LiveTable
 from ..optimiser import (
     Effort,
     PlacementProblem,
@@ -38,7 +39,6 @@ from .poses import (
     Bench,
     Move,
     Places,
-    RayRows,
     RowBuilder,
     add_poses,
     aimed,
@@ -196,6 +196,7 @@ def _steps(unit: CandidatePose, origin: int, places: Places) -> list[CandidatePo
 # ---------- the search
 
 
+_MAX_MOUNTS = 16  # whose rays are cached, some ten megabytes each at the study's junction
 _SHRINK = 0.5  # of the spread of new poses after a round without improvement
 _MAX_IDLE_ROUNDS = 3
 _SOLVER_SHARE = 0.5  # of the time left, before the units are turned
@@ -491,7 +492,7 @@ def refine(
         setting,
         placement,
         candidates,
-        build_rows=RayRows(setting, seed=compute.seed, workers=compute.workers),
+        build_rows=LiveTable(setting, compute=compute, max_mounts=_MAX_MOUNTS).packed,
         solver=Effort() if solver is None else solver,
         rng=np.random.default_rng(compute.seed),
         effort=effort,
