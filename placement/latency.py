@@ -72,18 +72,10 @@ class LatencyPart:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LatencyBudget:
-    """Parts that add up, each independent of the others.
+    """Parts that add up, each independent of the others."""
 
-    Attributes
-    ----------
-    name : str
-        Name.
-    parts : tuple of LatencyPart
-        In the order in which they happen; names are unique.
-    """
-
-    name: str
-    parts: tuple[LatencyPart, ...]
+    name: str  # name
+    parts: tuple[LatencyPart, ...]  # in the order in which they happen; names are unique
 
     def __post_init__(self) -> None:
         where = f"{self.name}.parts"

@@ -83,9 +83,9 @@ class LiveTable:
         with threadpool_limits(1), ThreadPoolExecutor(self._compute.workers) as pool:
             for start in range(0, len(keys), self._max_mounts):
                 part = keys[start : start + self._max_mounts]
-                for key, known in zip(part, pool.map(fill, part), strict=True):
-                    self.n_casts += self._mounts.get(key) is not known
-                    _put(self._mounts, key, known, most=self._max_mounts)
+                for key, mount in zip(part, pool.map(fill, part), strict=True):
+                    self.n_casts += self._mounts.get(key) is not mount
+                    _put(self._mounts, key, mount, most=self._max_mounts)
         for rows in missing.values():
             for row in rows:
                 _put(self._rows, _row_key(units[row]), packed[row], most=MAX_ROWS)

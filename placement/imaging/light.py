@@ -90,10 +90,9 @@ class HeadLamp:
         share *= np.exp(-np.maximum(below_deg, 0.0) / np.float32(beam["depth_deg"]))
         share *= np.exp(-0.5 * (to_kerb_deg / np.float32(beam["width_deg"])) ** 2)
         above = np.float32(beam["above_cd"])
-        intensity: FloatRays = np.where(
+        return np.where(
             is_ahead, above + np.float32(beam["peak_cd"] - beam["above_cd"]) * share, np.float32(0)
         )
-        return intensity
 
 
 Lamp = StreetLamp | HeadLamp
@@ -173,8 +172,7 @@ def _read_lamp(name: str) -> tuple[dict[str, float], FloatArray]:
 def _colour(table: Mapping[str, object], key: str, where: str) -> FloatArray:
     """A colour (3,), scaled to a luminance of 1."""
     colour = float_array(take(table, key, where), (3,), f"{where}.{key}")
-    unit: FloatArray = colour / (LUMINANCE @ colour)
-    return unit
+    return colour / (LUMINANCE @ colour)
 
 
 # ---------- the sky and the air

@@ -109,8 +109,7 @@ class Window(NamedTuple):
     def in_whole(self, pixels: IntArray, camera: CameraModel) -> IntArray:
         """Pixels of the window, row * width + column, as pixels of the camera's whole image."""
         down, across = np.divmod(pixels, self.width)
-        whole: IntArray = (down + self.top) * camera.width_px + across + self.left
-        return whole
+        return (down + self.top) * camera.width_px + across + self.left
 
 
 def whole_image(camera: CameraModel) -> Window:
@@ -195,8 +194,7 @@ def pixel_rays(shot: Shot, columns_px: FloatRays, rows_px: FloatRays) -> FloatRa
     in_camera[:, 0] = (columns_px - 0.5 * camera.width_px) / camera.focal_length_px
     in_camera[:, 1] = (rows_px - 0.5 * camera.height_px) / camera.focal_length_px
     in_camera[:, 2] = 1.0
-    ways: FloatRays = in_camera @ shot.R_world_camera.T.astype(np.float32)
-    return ways
+    return in_camera @ shot.R_world_camera.T.astype(np.float32)
 
 
 def _find_hits(
@@ -232,10 +230,7 @@ def _interpolated_normals(mesh: FrameMesh, triangle: IntArray, points: FloatRays
     shares = np.clip(np.stack([1.0 - share_b - share_c, share_b, share_c], axis=1), 0.0, 1.0)
     mean = np.einsum("ij,ijk->ik", shares, normals)
     length = np.linalg.norm(mean, axis=1, keepdims=True)
-    between: FloatRays = np.where(
-        length > 1e-3, mean / np.maximum(length, np.float32(1e-3)), normals[:, 0]
-    )
-    return between
+    return np.where(length > 1e-3, mean / np.maximum(length, np.float32(1e-3)), normals[:, 0])
 
 
 def _shade(shot: Shot, class_name: str, hits: Hits, ahead: FloatRays) -> tuple[FloatRays, Surfaces]:

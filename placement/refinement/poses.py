@@ -7,7 +7,7 @@ from itertools import count
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
+from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.poses import Pose, wrap_deg
 from geometry.scene import Scene, Site, containing_instance
 from geometry.sensors import CameraModel, with_fov
@@ -37,13 +37,6 @@ class WeakSpots:
     # (n,): how often each is to be aimed at; they sum to 1, or there is no frame at all.
     probability: FloatArray
     vru_m: FloatArray  # (n, 3): middle of the VRU's body [m]
-
-    def __post_init__(self) -> None:
-        for field in ("frame_index", "probability", "vru_m"):
-            object.__setattr__(self, field, freeze(np.asarray(getattr(self, field))))
-
-    def __len__(self) -> int:
-        return len(self.frame_index)
 
 
 def find_weak_spots(
@@ -253,16 +246,16 @@ def aimed(
     """
     free = np.flatnonzero(places.is_free)
     found: list[tuple[int, CandidatePose | None]] = []
-    if len(spots) == 0 or len(free) == 0:
+    if not len(spots.frame_index) or not len(free):
         return []
-    for first in rng.choice(len(spots), size=_N_AIMED_MOUNTS, p=spots.probability):
+    for first in rng.choice(len(spots.frame_index), size=_N_AIMED_MOUNTS, p=spots.probability):
         frame = spots.frame_index[first]
         sees = (table.packed[free, frame // 8] >> (frame % 8)) & 1 == 1
         sites = np.unique(places.site_index[free[sees] if sees.any() else free])
         of_site = free[places.site_index[free] == rng.choice(sites)]
         origin = int(rng.choice(of_site))
         height_m = rng.uniform(*places.height_range_m(origin))
-        others = rng.choice(len(spots), size=_PER_AIMED_MOUNT - 1, p=spots.probability)
+        others = rng.choice(len(spots.frame_index), size=_PER_AIMED_MOUNT - 1, p=spots.probability)
         for spot in (first, *others):
             position_m = np.append(places.candidates[origin].pose.position_m[:2], height_m)
             yaw_deg, pitch_deg = _direction_deg(spots.vru_m[spot] - position_m)
@@ -298,8 +291,7 @@ def _steps(
     yaw, one in pitch. Steps of one size would hardly ever stay on it.
     """
     scale = largest * 0.5 ** rng.uniform(0.0, n_halvings, shape)
-    steps: FloatArray = scale * rng.standard_normal(shape)
-    return steps
+    return scale * rng.standard_normal(shape)
 
 
 def _pitch_to_same_point_deg(
@@ -435,8 +427,7 @@ def promising_rows(
         site = reduced.limits.site_index[best_first]
         first_of_sites = [best_first[site == one][:n_per_site] for one in np.unique(site)]
         found += [reduced.pose_index[rows] for rows in (best_first[:n_best], *first_of_sites)]
-    rows: IntArray = np.unique(np.concatenate(found))
-    return rows
+    return np.unique(np.concatenate(found))
 
 
 def _limits_of(limits: Limits, origin: IntArray, is_new: NDArray[np.bool_]) -> Limits:
