@@ -69,8 +69,10 @@ class LiveTable:
             else:
                 self._rows.move_to_end(_row_key(unit))
                 packed[row] = known
+        if not missing:
+            return packed
         keys = list(missing)
-        if missing and self._world is None:
+        if self._world is None:
             self._world = self._build_world()
 
         def fill(key: _Key) -> tuple[Sensing, float]:
@@ -83,12 +85,13 @@ class LiveTable:
         with threadpool_limits(1), ThreadPoolExecutor(self._compute.workers) as pool:
             for start in range(0, len(keys), self._max_mounts):
                 part = keys[start : start + self._max_mounts]
-                for key, mount in zip(part, pool.map(fill, part), strict=True):
+                mounts = list(pool.map(fill, part))  # all, before any is given up
+                for key, mount in zip(part, mounts, strict=True):
                     self.n_casts += self._mounts.get(key) is not mount
                     _put(self._mounts, key, mount, most=self._max_mounts)
         for rows in missing.values():
             for row in rows:
-                _put(self._rows, _row_key(units[row]), packed[row], most=MAX_ROWS)
+                _put(self._rows, _row_key(units[row]), packed[row].copy(), most=MAX_ROWS)
         return packed
 
     def _build_world(self) -> World:

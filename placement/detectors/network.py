@@ -69,7 +69,13 @@ def recognise_export(outputs: Outputs, *, path: Path, names: str | None) -> Expo
     no class is known.
     """
     where = f"{path}: metadata 'names'"
-    export = _recognise(outputs, _numberings(names, where))
+    numberings = _numberings(names, where)
+    if len(outputs) >= 3:
+        export = _labelled(outputs, numberings)
+    else:
+        family = _queries if len(outputs) == 2 else _table
+        exports = (family(outputs, numbering) for numbering in numberings)
+        export = next((export for export in exports if export is not None), None)
     if export is None:
         shapes = ", ".join(f"{name} {value.shape}" for name, value in outputs.items())
         raise InputError(str(path), Unquoted(f"outputs {shapes}"), _EXPECTED)
@@ -87,14 +93,6 @@ def onnx_setting(key: str) -> Any:
 @cache
 def _settings() -> dict[str, Any]:
     return load_toml(files(__package__) / "data" / "onnx.toml")
-
-
-def _recognise(outputs: Outputs, numberings: list[_Numbering]) -> Export | None:
-    if len(outputs) >= 3:
-        return _labelled(outputs, numberings)
-    family = _queries if len(outputs) == 2 else _table
-    exports = (family(outputs, numbering) for numbering in numberings)
-    return next((export for export in exports if export is not None), None)
 
 
 def _labelled(outputs: Outputs, numberings: list[_Numbering]) -> Export | None:

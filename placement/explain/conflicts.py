@@ -199,9 +199,7 @@ class Relaxation:
     # of a demand that lists poses, sites or rivals: those that have to go. Poses, and rows of
     # the limits' rivals; sites for "forced_sites".
     given_up: tuple[int, ...] = ()
-    suffices: bool = (
-        False  # whether the whole wish can be met then; else only this conflict is settled
-    )
+    suffices: bool = False  # the whole wish can be met then; else only this conflict is settled
     is_least: bool = True  # proven: less does not do
     pose_index: tuple[int, ...] = ()  # a set of poses that does
 

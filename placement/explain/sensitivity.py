@@ -13,7 +13,7 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
-from geometry.files import Table, load_toml, take_list, take_number, take_text
+from geometry.files import Table, load_toml, take_list, take_number
 from geometry.poses import Pose, wrap_deg
 from geometry.scene import Scene, containing_instance
 from scenarios.aeb import TIME_TOLERANCE_S, AebRule, is_in_time, last_brake_time_s
@@ -25,6 +25,7 @@ from ..candidates import CandidatePose
 from ..compute import DEFAULT_COMPUTE, Compute
 from ..detectors import GeometricDetector, PlanningDetector, ResponseDetector
 from ..evaluation import leave_each_out
+from ..latency import REASONS, refuse_unknown, take_reason
 from ..layout import Layout
 from ..optimiser.problem import Fusion
 from ..setting import Setting
@@ -35,7 +36,6 @@ from ..visibility.build import Look, detected_frames
 
 STAGE = "what if"
 _FILE = "sensitivity.toml"
-_REASONS = ("source", "assumption")
 
 # Name to smallest and largest value that can be varied to.
 RANGES: Mapping[str, tuple[float, float]] = {
@@ -82,10 +82,7 @@ def _read(name: str, table: Any, where: str) -> Assumption:
         raise InputError(where, Unquoted("an unknown assumption"), "one of " + ", ".join(RANGES))
     if not isinstance(table, dict):
         raise InputError(where, table, "a table with values")
-    known = ("values", *_REASONS)
-    for key in table:
-        if key not in known:
-            raise InputError(f"{where}.{key}", Unquoted("an unknown key"), ", ".join(known))
+    refuse_unknown(table, ("values", *REASONS), where)
     low, high = RANGES[name]
     values = []
     for index, _ in enumerate(entries := take_list(table, "values", where)):
@@ -99,16 +96,8 @@ def _read(name: str, table: Any, where: str) -> Assumption:
         values.append(value)
     if not values:
         raise InputError(f"{where}.values", Unquoted("none"), "at least one")
-    reasons = [key for key in _REASONS if key in table]
-    if len(reasons) != 1:
-        got = " and ".join(reasons) or "neither"
-        raise InputError(where, Unquoted(got), "either source or assumption")
-    return Assumption(
-        name=name,
-        values=tuple(sorted(set(values))),
-        reason=take_text(table, reasons[0], where),
-        is_ours=reasons == ["assumption"],
-    )
+    reason, is_ours = take_reason(table, where)
+    return Assumption(name=name, values=tuple(sorted(set(values))), reason=reason, is_ours=is_ours)
 
 
 # ---------- outcomes: what a layout achieves by the frames that its units detect

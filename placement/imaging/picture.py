@@ -134,6 +134,11 @@ class Surfaces(NamedTuple):
     mirrored: FloatRays  # where the mirrored ray goes; zeros where none is cast
 
 
+def blank_surfaces(*size: int) -> Surfaces:
+    """Surfaces, (size, 3), of which nothing is known yet."""
+    return Surfaces(*(np.zeros((*size, 3), dtype=np.float32) for _ in Surfaces._fields))
+
+
 def shade_rays(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
     """Shades and surfaces of rays (n, 3) from the camera, one metre deep, in the world's axes."""
     camera, mesh, sky = shot.camera, shot.mesh, shot.sky
@@ -144,7 +149,7 @@ def shade_rays(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
     is_hit = triangle >= 0
     instance = np.full(len(ways), -1, dtype=np.int32)
     radiance = np.empty((len(ways), 3), dtype=np.float32)
-    surfaces = Surfaces(*(np.zeros((len(ways), 3), dtype=np.float32) for _ in Surfaces._fields))
+    surfaces = blank_surfaces(len(ways))
     nothing = np.flatnonzero(~is_hit)
     radiance[nothing] = sky.luminance(ways[nothing, 2] / length[nothing])
     met = np.flatnonzero(is_hit)
@@ -408,7 +413,7 @@ def draw_picture(
     from .exposure import find_edges  # loads the compiler
 
     with start_pool(compute) as pool:
-        image = shade_image(shot, pool)
+        image = shade_image(shot, whole_image(camera), pool)
         edges = np.flatnonzero(find_edges(image.radiance))
         smooth_image(shot, whole_image(camera), image.radiance, edges, pool.map)
         rgb = expose_image(shot, image.radiance, pose, [compute.seed, frame_index], pool)
@@ -459,21 +464,13 @@ def start_pool(compute: Compute) -> Iterator[ThreadPoolExecutor]:
         yield pool
 
 
-def shade_image(shot: Shot, pool: ThreadPoolExecutor) -> Shades:
-    """Shades through the middles of a camera's pixels, before lens and noise, (h, w)."""
-    return _shade_tiles(shot, whole_image(shot.camera), pool, None)
-
-
-def shade_surfaces(shot: Shot, window: Window, pool: ThreadPoolExecutor) -> tuple[Shades, Surfaces]:
-    """Shades in a window, as of :func:`shade_image`, and the surfaces there, (h, w, 3)."""
-    size = (window.height, window.width)
-    surfaces = Surfaces(*(np.empty((*size, 3), dtype=np.float32) for _ in Surfaces._fields))
-    return _shade_tiles(shot, window, pool, surfaces), surfaces
-
-
-def _shade_tiles(
-    shot: Shot, window: Window, pool: ThreadPoolExecutor, surfaces: Surfaces | None
+def shade_image(
+    shot: Shot, window: Window, pool: ThreadPoolExecutor, surfaces: Surfaces | None = None
 ) -> Shades:
+    """Shades through the middles of a window's pixels, before lens and noise, (h, w).
+
+    The surfaces there are filled in, where asked for.
+    """
     size = (window.height, window.width)
     image = Shades(
         np.empty((*size, 3), dtype=np.float32),

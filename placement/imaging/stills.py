@@ -52,14 +52,15 @@ from .picture import (
     Shot,
     Surfaces,
     Window,
+    blank_surfaces,
     build_shot,
     expose_image,
     ground_albedo,
     names_of,
     pixel_rays,
     ray_parts,
+    shade_image,
     shade_rays,
-    shade_surfaces,
     smooth_image,
     start_pool,
     tile_rays,
@@ -133,7 +134,8 @@ def draw_still(
     mesh = mesh or place_mesh(backdrop.mesh, pose.position_m)
     shot = build_shot(backdrop, mesh, pose, camera, weather, materials=materials)
     with start_pool(compute) as pool:
-        raw, surfaces = shade_surfaces(shot, window, pool)
+        surfaces = blank_surfaces(window.height, window.width)
+        raw = shade_image(shot, window, pool, surfaces)
         is_edge = find_edges(raw.radiance)
         smooth = raw.radiance.copy()
         smooth_image(shot, window, smooth, np.flatnonzero(is_edge), pool.map)

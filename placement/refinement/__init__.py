@@ -36,7 +36,6 @@ from ..optimiser.solve import build_stage
 from ..pipeline import Placement
 from ..setting import Setting
 from .poses import (
-    Bench,
     Move,
     Places,
     RowBuilder,
@@ -100,72 +99,6 @@ def certify(values: Sequence[StageValue], certificate: Certificate, solver: str)
 
 STEPS_DEG = (8.0, 4.0, 2.0, 1.0, 0.5)
 """Of yaw and pitch; and, in per cent, of the field of view of a varifocal lens."""
-
-
-def turn(
-    grid: PlacementProblem,
-    bench: Bench,
-    rows: Sequence[int],
-    *,
-    places: Places,
-    build_rows: RowBuilder,
-    end_s: float,
-) -> tuple[Bench, tuple[int, ...]]:
-    """Compass search over yaw, pitch and field of view, one unit after the other.
-
-    It begins with the set `rows` of the bench and stops at `end_s` of `geometry.clock`. Returns
-    the bench with all poses that were tried behind, and the best set in it. In the end no step of
-    any unit alone improves the set, unless time was up; it is never worse than before in the order
-    of the stages.
-
-    Compass search shrinks its step where none improves (Kolda, Lewis, Torczon, "Optimization by
-    direct search", SIAM Review 45, 2003, section 3). What a set is worth is a step function here -
-    runs are avoided or not, frames come every tenth of a second -, so that a larger step may
-    improve where smaller ones change nothing: all steps are tried at once.
-    """
-    best = list(rows)
-    values = stage_values(bench.problem(grid), best)
-    position, n_settled = 0, 0
-    while n_settled < len(best) and now_s() < end_s:
-        bench, found = _best_step(grid, bench, best, position, values, places, build_rows)
-        if found is not None:
-            best[position], values = found
-            n_settled = 0
-        else:
-            n_settled += 1
-            position = (position + 1) % len(best)
-    return bench, tuple(best)
-
-
-def _best_step(
-    grid: PlacementProblem,
-    bench: Bench,
-    rows: Sequence[int],
-    position: int,
-    values: Sequence[StageValue],
-    places: Places,
-    build_rows: RowBuilder,
-) -> tuple[Bench, tuple[int, tuple[StageValue, ...]] | None]:
-    """Try the steps of one unit each way; the row of the best one, if that is an improvement."""
-    unit, origin = bench.candidates[rows[position]], int(bench.origin[rows[position]])
-    if not places.is_free[origin]:
-        return bench, None
-    steps = _steps(unit, origin, places)
-    bench = add_poses(
-        bench, grid, [(origin, pose) for pose in steps], places=places, build_rows=build_rows
-    )
-    known = {candidate.id: row for row, candidate in enumerate(bench.candidates)}
-    # Only those in question: a problem on the whole bench takes longer to put together.
-    others = [row for index, row in enumerate(rows) if index != position]
-    tried = [known[pose.id] for pose in steps if known[pose.id] not in others]
-    problem = bench.only(np.array([*others, *tried], dtype=np.int64)).problem(grid)
-    best: tuple[int, tuple[StageValue, ...]] | None = None
-    for index, row in enumerate(tried):
-        units = [*range(len(others)), len(others) + index]
-        own = stage_values(problem, units)
-        if improves(own, values if best is None else best[1]) and is_feasible(problem, units):
-            best = row, own
-    return bench, best
 
 
 def _steps(unit: CandidatePose, origin: int, places: Places) -> list[CandidatePose]:
@@ -292,16 +225,50 @@ class Search:
         return n_rounds
 
     def turn(self) -> bool:
-        """Turn the units one after the other, see :func:`turn`; whether that improves."""
-        self.bench, rows = turn(
-            self.grid,
-            self.bench,
-            self.rows,
-            places=self.places,
-            build_rows=self.build_rows,
-            end_s=self.search_end_s,
-        )
+        """Compass search over yaw, pitch and field of view, unit by unit; whether that improves.
+
+        In the end no step of any unit alone improves the set, unless time was up.
+
+        Compass search shrinks its step where none improves (Kolda, Lewis, Torczon, "Optimization by
+        direct search", SIAM Review 45, 2003, section 3). What a set is worth is a step function
+        here - runs are avoided or not, frames come every tenth of a second -, so that a larger step
+        may improve where smaller ones change nothing: all steps are tried at once.
+        """
+        rows, values = list(self.rows), self.values
+        position, n_settled = 0, 0
+        while n_settled < len(rows) and now_s() < self.search_end_s:
+            found = self._best_step(rows, position, values)
+            if found is not None:
+                rows[position], values = found
+                n_settled = 0
+            else:
+                n_settled += 1
+                position = (position + 1) % len(rows)
         return self._take(rows)
+
+    def _best_step(
+        self, rows: Sequence[int], position: int, values: Sequence[StageValue]
+    ) -> tuple[int, tuple[StageValue, ...]] | None:
+        """Try the steps of one unit each way; row and values of the best, if that improves."""
+        row = rows[position]
+        unit, origin = self.bench.candidates[row], int(self.bench.origin[row])
+        if not self.places.is_free[origin]:
+            return None
+        steps = _steps(unit, origin, self.places)
+        self._add([(origin, pose) for pose in steps])
+        known = {candidate.id: row for row, candidate in enumerate(self.bench.candidates)}
+        # Only those in question: a problem on the whole bench takes longer to put together.
+        others = [row for index, row in enumerate(rows) if index != position]
+        tried = [known[pose.id] for pose in steps if known[pose.id] not in others]
+        part = self.bench.only(np.array([*others, *tried], dtype=np.int64))
+        problem = part.problem(self.grid)
+        best: tuple[int, tuple[StageValue, ...]] | None = None
+        for index, row in enumerate(tried):
+            units = [*range(len(others)), len(others) + index]
+            own = stage_values(problem, units)
+            if improves(own, values if best is None else best[1]) and is_feasible(problem, units):
+                best = row, own
+        return best
 
     def solve(self, end_s: float) -> bool:
         """Solve on all poses at hand; whether that improves."""
@@ -372,7 +339,10 @@ class Search:
         chosen = [(int(self.bench.origin[row]), self.bench.candidates[row]) for row in self.rows]
         spots = find_weak_spots(self._problem(), self.rows, self.setting.runs)
         proposals = around(self.places, chosen, self.rng, spread=spread)
-        proposals += aimed(self.places, self.grid.table, spots, self.rng)
+        self._add([*proposals, *aimed(self.places, self.grid.table, spots, self.rng)])
+
+    def _add(self, proposals: Sequence[tuple[int, CandidatePose]]) -> None:
+        """Put poses, with the rows of the grid that they stand for, on the bench."""
         self.bench = add_poses(
             self.bench, self.grid, proposals, places=self.places, build_rows=self.build_rows
         )
