@@ -27,7 +27,7 @@ from .pipeline import assemble as assemble
 from .pipeline import place as place
 from .question import Question as Question
 from .question import load_question as load_question
-from .refinement.refine import refine as refine
+from .refinement import refine as refine
 from .setting import Radio as Radio
 from .setting import Setting as Setting
 from .setting import build_setting as build_setting

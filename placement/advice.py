@@ -34,26 +34,18 @@ LEAST_GAIN = 1.0e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Advice:
-    """A layout that answers a question, and how good it is proven to be.
+    """A layout that answers a question, and how good it is proven to be."""
 
-    Attributes
-    ----------
-    units : tuple of CandidatePose
-        All that would be mounted then; those that stay keep their ids.
-    before, after : PlacementValue
-        Worth of the present and the new layout on the detection table; `before` is None where
-        nothing is mounted. Costs are of the same kind: of what is new, or of everything.
-    certificate : Certificate, optional
-        Of a search; None where all alternatives were tried one by one.
-    n_compared : int
-        How many were tried so; 0 of a search.
-    """
-
+    # all that would be mounted then; those that stay keep their ids
     units: tuple[CandidatePose, ...]
+    # before, after: worth of the present and the new layout on the detection table; `before`
+    # is None where nothing is mounted. Costs are of the same kind: of what is new, or of
+    # everything.
     before: PlacementValue | None
     after: PlacementValue
+    # of a search; None where all alternatives were tried one by one
     certificate: Certificate | None = None
-    n_compared: int = 0
+    n_compared: int = 0  # how many were tried so; 0 of a search
 
     @property
     def is_proven(self) -> bool:
@@ -79,13 +71,8 @@ class Advice:
 class Adviser:
     """Answers to questions about layouts in one setting.
 
-    Parameters
-    ----------
-    assembly : Assembly
-        Setting, candidates to choose from, and the wishes that always hold (forbidden sites,
-        capacities, prices), without a budget.
-    grid : CandidateGrid
-        Directions in which units are re-aimed.
+    The assembly has the candidates to choose from, and the wishes that always hold (forbidden
+    sites, capacities, prices), without a budget; units are re-aimed in the directions of the grid.
     """
 
     def __init__(self, assembly: Assembly, grid: CandidateGrid) -> None:

@@ -27,20 +27,11 @@ _MOUTH_M = 10.0  # of a lane next to the junction that says where the lane leads
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RandomLayouts:
-    """Worth of layouts of poses drawn at random, on the detection table.
+    """Worth of layouts of poses drawn at random, on the detection table."""
 
-    Attributes
-    ----------
-    n_units : int
-        Of each.
-    apr : (n,) float
-        Accident prevention ratio of each, 0..1.
-    mean_by_world : (n_worlds,) float
-        Mean of all in each sampled world; one number where nothing was sampled.
-    """
-
-    n_units: int
-    apr: FloatArray
+    n_units: int  # of each
+    apr: FloatArray  # (n,): accident prevention ratio of each, 0..1
+    # (n_worlds,): mean of all in each sampled world; one number where nothing was sampled
     mean_by_world: FloatArray
 
     def __post_init__(self) -> None:
@@ -107,48 +98,27 @@ def random_sets(
 # ---------- an expert's rule of thumb
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Corner:
-    """A corner of a junction: the place between two neighbouring arms."""
-
-    arms: tuple[str, str]  # names of the arms, counter-clockwise
-    # (2,): midway between where the kerbs of both arms reach the junction. World frame. [m]
-    position_m: FloatArray
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "position_m", float_array(self.position_m, (2,), "position_m"))
-
-    @property
-    def name(self) -> str:
-        """The arms with a stroke between."""
-        return "/".join(self.arms)
-
-    def __repr__(self) -> str:
-        return f"Corner({self.name!r})"
-
-
-def find_corners(junction: Junction) -> tuple[Corner, ...]:
+def find_corners(junction: Junction) -> dict[str, FloatArray]:
     """Corners between neighbouring arms, clockwise from the first one behind north.
 
-    At a junction of three arms one of them is the straight side; an arm that is alone has none.
+    Named by the two arms, "north/west": midway between where their kerbs reach the junction, (2,),
+    world frame, in metres. At a junction of three arms one of them is the straight side; an arm
+    that is alone has none.
     """
     arms = [*junction.arms.values()]
     if len(arms) < 2:
-        return ()
-    corners = [
-        Corner(
-            arms=(arm.name, following.name),
-            position_m=0.5 * (_kerbs_m(arm)[0] + _kerbs_m(following)[1]),
-        )
+        return {}
+    corners = {
+        f"{arm.name}/{following.name}": 0.5 * (_kerbs_m(arm)[0] + _kerbs_m(following)[1])
         for arm, following in pairwise([*arms, arms[0]])
-    ]
-    middle = np.mean([corner.position_m for corner in corners], axis=0)
+    }
+    middle = np.mean([*corners.values()], axis=0)
 
-    def bearing_deg(corner: Corner) -> float:  # clockwise from north
-        east, north = corner.position_m - middle
+    def bearing_deg(corner: tuple[str, FloatArray]) -> float:  # clockwise from north
+        east, north = corner[1] - middle
         return float(np.degrees(np.arctan2(east, north))) % 360.0
 
-    return tuple(sorted(corners, key=bearing_deg))
+    return dict(sorted(corners.items(), key=bearing_deg))
 
 
 def _kerbs_m(arm: Arm) -> tuple[FloatArray, FloatArray]:
@@ -201,12 +171,8 @@ def corner_poses(
 
     Each corner has a site of its own: the nearest one, and where two corners want the same, those
     that are the nearest in sum. Corners for which there is no site are left out. Poses and sites
-    that are forbidden do not count; of poses that look equally directly the first one does.
-
-    Returns
-    -------
-    rows : dict of str to int
-        Candidates by the names of the corners, clockwise from north.
+    that are forbidden do not count; of poses that look equally directly the first one does. Gives
+    rows of candidates by the names of the corners, clockwise from north.
     """
     from scipy.optimize import linear_sum_assignment
 
@@ -215,9 +181,10 @@ def corner_poses(
     if not corners or not sites:
         return {}
     on_ground = np.array([candidates[row].pose.position_m[:2] for row in best.values()])
-    distance_m = np.array([np.hypot(*(on_ground - corner.position_m).T) for corner in corners])
+    distance_m = np.array([np.hypot(*(on_ground - corner).T) for corner in corners.values()])
     pairs = zip(*linear_sum_assignment(distance_m), strict=True)
-    return {corners[corner].name: best[sites[site]] for corner, site in pairs}
+    names = [*corners]
+    return {names[corner]: best[sites[site]] for corner, site in pairs}
 
 
 def _most_direct(
@@ -287,21 +254,12 @@ def propose(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Baselines:
-    """Layouts to compare a layout with.
+    """Layouts to compare a layout with."""
 
-    Attributes
-    ----------
-    random : RandomLayouts, optional
-        None where no random layout is within the limits.
-    expert : tuple of int
-        Rows of the detection table, ascending; empty where the rule is not within the limits.
-    corners : tuple of str
-        Corners whose camera is among them, in the order of choice.
-    """
-
-    random: RandomLayouts | None
+    random: RandomLayouts | None  # None where no random layout is within the limits
+    # rows of the detection table, ascending; empty where the rule is not within the limits
     expert: tuple[int, ...]
-    corners: tuple[str, ...]
+    corners: tuple[str, ...]  # corners whose camera is among them, in the order of choice
 
 
 def judge_proposals(problem: PlacementProblem, proposals: Proposals) -> Baselines:

@@ -169,12 +169,7 @@ class CachedArrays:
     """Small arrays by key that belong to one fingerprint, such as the frames that units detect.
 
     Without a folder nothing is cached. Where two processes write at once, what one of them found
-    may be lost and made anew later.
-
-    Attributes
-    ----------
-    arrays : dict of str to array
-        What is known, by key.
+    may be lost and made anew later. What is known, by key, is in `arrays`.
     """
 
     def __init__(self, folder: Path | None, name: str, *, kind: str, fingerprint: str) -> None:
@@ -329,10 +324,7 @@ _PLAIN = (bool, int, float, str, NoneType)
 def to_bytes(value: object) -> bytes:
     """A value of dataclasses, named tuples, tuples, arrays, numbers and text as bytes.
 
-    Raises
-    ------
-    TypeError
-        It has a part of another kind.
+    Raises TypeError if it has a part of another kind.
     """
     writer = _Writer()
     root = writer.plain(value)
@@ -342,12 +334,8 @@ def to_bytes(value: object) -> bytes:
 def from_bytes(content: bytes, hint: Any, *, classes: Sequence[type] = ()) -> Any:
     """A value of a type hint from bytes; dataclasses and arrays are shared as they were.
 
-    `classes` are dataclasses that stand where a hint names a protocol.
-
-    Raises
-    ------
-    Exception
-        Of any kind: the bytes are of something else.
+    `classes` are dataclasses that stand where a hint names a protocol. Raises an exception of any
+    kind if the bytes are of something else.
     """
     objects, arrays, root = msgspec.msgpack.decode(content, type=_Content)
     return _Reader(objects, arrays, {one.__name__: one for one in classes}).value(root, hint)
@@ -406,7 +394,8 @@ class _Reader:
         """Value of a type hint from plain data; ValueError if that is of another kind."""
         origin, hints = get_origin(hint), get_args(hint)
         if origin in (Union, UnionType):
-            return None if plain is None else self.value(plain, *_without_none(hints))
+            (some,) = (one for one in hints if one is not NoneType)
+            return None if plain is None else self.value(plain, some)
         if origin is Literal:
             if plain in hints:
                 return plain
@@ -442,10 +431,6 @@ class _Reader:
         if is_dataclass(hint) and type(found) is not hint:
             raise ValueError(f"its content is of another kind: {type(found).__name__}")
         return found
-
-
-def _without_none(hints: Sequence[Any]) -> list[Any]:
-    return [one for one in hints if one is not NoneType]
 
 
 def _array(dtype: str, shape: list[int], is_writeable: bool, content: bytes) -> Any:

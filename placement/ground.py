@@ -109,11 +109,7 @@ def find_ground_coverage(scene: Scene, units: Sequence[CandidatePose]) -> Ground
             continue
         mount = unit.pose.position_m - origin
         is_open = is_in_sight(caster, mount, points - origin, near_m=camera.near_m)
-        column, row, depth = project_points(points, unit.pose, camera).T
-        with np.errstate(invalid="ignore"):
-            is_open &= (column >= 0.0) & (column < camera.width_px) & (depth > camera.near_m)
-            is_open &= (row >= 0.0) & (row < camera.height_px)
-        seen = np.where(is_open, camera.focal_length_px / np.maximum(depth, camera.near_m), 0.0)
+        seen = is_open * (camera.focal_length_px / _depth_in_picture(points, unit))
         density = np.maximum(density, seen)
     is_road = shapely.contains_xy(road_area(scene), grid[..., 0], grid[..., 1])
     return GroundCoverage(
@@ -231,13 +227,6 @@ class PrivateSight:
     What lies open to a place is looked up once, so that a camera there is turned and zoomed fast.
     What parks or drives hides nothing for long, and is left out. LiDARs take no pictures: they see
     none.
-
-    Parameters
-    ----------
-    scene : Scene
-        What stands in front of private ground.
-    ground : PrivateGround
-        The areas.
     """
 
     def __init__(self, scene: Scene, ground: PrivateGround) -> None:
@@ -264,7 +253,7 @@ class PrivateSight:
             if len(self._open) > _MAX_PLACES:
                 self._open.popitem(last=False)
         self._open.move_to_end(place)
-        return self._open[place] & _in_picture(self._points_m, candidate)
+        return self._open[place] & np.isfinite(_depth_in_picture(self._points_m, candidate))
 
     def shares(self, candidates: Sequence[CandidatePose]) -> FloatArray:
         """Share of each area's points that each pose sees, (n_candidates, n_areas)."""
@@ -308,17 +297,13 @@ def _place(candidate: CandidatePose) -> tuple[float, ...]:
     return (*candidate.pose.position_m.tolist(), candidate.sensor.near_m)
 
 
-def _in_picture(points_m: FloatArray, candidate: CandidatePose) -> BoolArray:
+def _depth_in_picture(points_m: FloatArray, candidate: CandidatePose) -> FloatArray:
+    """Depth of points (n, 3) in a camera's picture, hidden or not; infinite outside of it."""
     camera = candidate.sensor
     if not isinstance(camera, CameraModel):
-        return np.zeros(len(points_m), dtype=bool)
+        return np.full(len(points_m), np.inf)
     column, row, depth = project_points(points_m, candidate.pose, camera).T
     with np.errstate(invalid="ignore"):
-        inside: BoolArray = (
-            (depth > camera.near_m)
-            & (column >= 0.0)
-            & (column < camera.width_px)
-            & (row >= 0.0)
-            & (row < camera.height_px)
-        )
-    return inside
+        is_inside = (column >= 0.0) & (column < camera.width_px) & (depth > camera.near_m)
+        is_inside &= (row >= 0.0) & (row < camera.height_px)
+    return np.where(is_inside, depth, np.inf)

@@ -38,7 +38,7 @@ MAX_LATENCY_S = 10.0
 
 _MAX_RANGES = 8  # the distribution of their sum has 2^n terms
 _FILE = "latency.toml"
-_FIXED, _RANGE, _REASONS = ("fixed_s",), ("low_s", "high_s"), ("source", "assumption")
+_FIXED, _RANGE, REASONS = ("fixed_s",), ("low_s", "high_s"), ("source", "assumption")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,18 +73,10 @@ class LatencyPart:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LatencyBudget:
-    """Parts that add up, each independent of the others.
+    """Parts that add up, each independent of the others."""
 
-    Attributes
-    ----------
-    name : str
-        Name.
-    parts : tuple of LatencyPart
-        In the order in which they happen; names are unique.
-    """
-
-    name: str
-    parts: tuple[LatencyPart, ...]
+    name: str  # name
+    parts: tuple[LatencyPart, ...]  # in the order in which they happen; names are unique
 
     def __post_init__(self) -> None:
         where = f"{self.name}.parts"
@@ -202,7 +194,7 @@ def _read_budgets(document: Table, file: str) -> dict[str, LatencyBudget]:
         where = f"{file}: {name}"
         if not isinstance(table, dict):
             raise InputError(where, table, "a table with parts")
-        _refuse_unknown(table, ("parts",), where)
+        refuse_unknown(table, ("parts",), where)
         parts = []
         for index, entry in enumerate(take_list(table, "parts", where)):
             if not isinstance(entry, dict):
@@ -216,7 +208,7 @@ def _read_budgets(document: Table, file: str) -> dict[str, LatencyBudget]:
 
 
 def _read_part(entry: Table, name: str) -> LatencyPart:
-    _refuse_unknown(entry, ("name", *_FIXED, *_RANGE, *_REASONS), name)
+    refuse_unknown(entry, ("name", *_FIXED, *_RANGE, *REASONS), name)
     if not any(key in entry for key in (*_FIXED, *_RANGE)):
         raise InputError(name, Unquoted("no time"), "fixed_s, or low_s and high_s")
     ends = _FIXED * 2 if "fixed_s" in entry else _RANGE
@@ -226,20 +218,21 @@ def _read_part(entry: Table, name: str) -> LatencyPart:
     low_s, high_s = (take_number(entry, key, name) for key in ends)
     if "fixed_s" in entry and not 0.0 <= low_s <= MAX_LATENCY_S:
         raise InputError(f"{name}.fixed_s", low_s, f"0 to {MAX_LATENCY_S:g} seconds")
-    reasons = [key for key in _REASONS if key in entry]
+    source, is_ours = take_reason(entry, name)
+    return LatencyPart(name=name, low_s=low_s, high_s=high_s, source=source, is_assumption=is_ours)
+
+
+def take_reason(table: Table, where: str) -> tuple[str, bool]:
+    """Where the numbers of a table come from, and whether that is an assumption of this project."""
+    reasons = [key for key in REASONS if key in table]
     if len(reasons) != 1:
         got = " and ".join(reasons) or "neither"
-        raise InputError(name, Unquoted(got), "either source or assumption")
-    return LatencyPart(
-        name=name,
-        low_s=low_s,
-        high_s=high_s,
-        source=take_text(entry, reasons[0], name),
-        is_assumption=reasons == ["assumption"],
-    )
+        raise InputError(where, Unquoted(got), "either source or assumption")
+    return take_text(table, reasons[0], where), reasons == ["assumption"]
 
 
-def _refuse_unknown(table: Table, known: tuple[str, ...], where: str) -> None:
+def refuse_unknown(table: Table, known: tuple[str, ...], where: str) -> None:
+    """Raise InputError for a key that is not known."""
     for key in table:
         if key not in known:
             raise InputError(f"{where}.{key}", Unquoted("an unknown key"), ", ".join(known))

@@ -8,14 +8,15 @@ tilt and zoom from there by the detection table's own kernels. Its rows are thos
 
 from collections import OrderedDict
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from geometry.arrays import BoolArray
-from geometry.catalogue import Sensor
 from geometry.lidar import LidarModel
-from geometry.sensors import CameraModel
 from scenarios.runs import find_onsets
 
 from .candidates import CandidatePose
@@ -33,93 +34,101 @@ MAX_ROWS = 4096
 """Poses whose frames are cached: some kilobytes each."""
 
 _Key = tuple[object, ...]
+_T = TypeVar("_T")
 
 
 class LiveTable:
     """Rows of a detection table, made when they are asked for; not for several threads at once.
 
-    Parameters
-    ----------
-    setting : Setting
-        Scene, runs, and the planning detector.
-    compute : Compute
-        Its seed and its library of rays; results are those of a table with the same seed.
+    `compute` has the seed of a table with the same rows; up to `max_mounts` positions are cached.
     """
 
-    def __init__(self, setting: Setting, *, compute: Compute = DEFAULT_COMPUTE) -> None:
-        self._setting, self._compute = setting, compute
+    def __init__(
+        self, setting: Setting, *, compute: Compute = DEFAULT_COMPUTE, max_mounts: int = MAX_MOUNTS
+    ) -> None:
+        self._setting, self._compute, self._max_mounts = setting, compute, max_mounts
         self._world: World | None = None
-        self._mounts: OrderedDict[_Key, Sensing] = OrderedDict()
-        self._rows: OrderedDict[_Key, BoolArray] = OrderedDict()
-
-    @property
-    def n_mounts(self) -> int:
-        """Number of mount positions whose rays are at hand."""
-        return len(self._mounts)
+        self._mounts: OrderedDict[_Key, tuple[Sensing, float]] = OrderedDict()  # and their reach
+        self._rows: OrderedDict[_Key, NDArray[np.uint8]] = OrderedDict()
+        self.n_casts = 0
 
     def detected(self, units: Sequence[CandidatePose]) -> BoolArray:
         """Frames in which units detect the VRU, (n_units, n_frames) bool."""
-        frames = np.zeros((len(units), self._setting.axis.n_frames), dtype=bool)
+        n_frames = self._setting.axis.n_frames
+        bits = np.unpackbits(self.packed(units), axis=1, count=n_frames, bitorder="little")
+        return bits.astype(bool)
+
+    def packed(self, units: Sequence[CandidatePose]) -> NDArray[np.uint8]:
+        """The same as bits, lowest first, (n_units, ceil(n_frames / 8))."""
+        packed = np.zeros((len(units), -(-self._setting.axis.n_frames // 8)), dtype=np.uint8)
         missing: dict[_Key, list[int]] = {}
-        for index, unit in enumerate(units):
+        for row, unit in enumerate(units):
             known = self._rows.get(_row_key(unit))
             if known is None:
-                missing.setdefault(_mount_key(unit), []).append(index)
+                missing.setdefault(_mount_key(unit), []).append(row)
             else:
                 self._rows.move_to_end(_row_key(unit))
-                frames[index] = known
-        for rows in missing.values():
-            alike = [units[row] for row in rows]
-            with threadpool_limits(1):
-                bits = self._sensing(alike[0]).packed(alike)
-            found = np.unpackbits(bits, axis=1, count=frames.shape[1], bitorder="little")
-            frames[rows] = found
-            for unit, row in zip(alike, found.astype(bool), strict=True):
-                self._rows[_row_key(unit)] = row
-        while len(self._rows) > MAX_ROWS:
-            self._rows.popitem(last=False)
-        return frames
-
-    def _sensing(self, unit: CandidatePose) -> Sensing:
-        """View from a unit's mount, in every direction."""
-        key = _mount_key(unit)
-        if key in self._mounts:
-            self._mounts.move_to_end(key)
-            return self._mounts[key]
-        setting = self._setting
+                packed[row] = known
+        if not missing:
+            return packed
+        keys = list(missing)
         if self._world is None:
-            self._world = build_world(
-                setting.scene,
-                setting.runs,
-                n_points=N_POINTS,
-                seed=self._compute.seed,
-                rays=self._compute.rays,
-            )
+            self._world = self._build_world()
+
+        def fill(key: _Key) -> tuple[Sensing, float]:
+            alike = [units[row] for row in missing[key]]
+            known = self._sensing(key, alike)
+            packed[missing[key]] = known[0].packed(alike)
+            return known
+
+        # One BLAS thread per worker: the matrices are small, and idle BLAS threads spin.
+        with threadpool_limits(1), ThreadPoolExecutor(self._compute.workers) as pool:
+            for start in range(0, len(keys), self._max_mounts):
+                part = keys[start : start + self._max_mounts]
+                mounts = list(pool.map(fill, part))  # all, before any is given up
+                for key, mount in zip(part, mounts, strict=True):
+                    self.n_casts += self._mounts.get(key) is not mount
+                    _put(self._mounts, key, mount, most=self._max_mounts)
+        for rows in missing.values():
+            for row in rows:
+                _put(self._rows, _row_key(units[row]), packed[row].copy(), most=MAX_ROWS)
+        return packed
+
+    def _build_world(self) -> World:
+        setting, compute = self._setting, self._compute
+        return build_world(
+            setting.scene, setting.runs, n_points=N_POINTS, seed=compute.seed, rays=compute.rays
+        )
+
+    def _sensing(self, key: _Key, units: Sequence[CandidatePose]) -> tuple[Sensing, float]:
+        """View from the mount of units in every direction, as far as they reach, and how far."""
+        assert self._world is not None
+        detector = self._setting.table_detector
+        needed_m = max(reach_m(unit.sensor, detector, self._world) for unit in units)
+        if key in self._mounts and self._mounts[key][1] >= needed_m:
+            return self._mounts[key]
+        position_m, sensor = units[0].pose.position_m, units[0].sensor
         sight = cast_sight(
             self._world,
-            unit.pose.position_m,
-            near_m=unit.sensor.near_m,
-            max_distance_m=reach_m(unit.sensor, setting.table_detector, self._world),
-            for_lidar=isinstance(unit.sensor, LidarModel),
+            position_m,
+            near_m=sensor.near_m,
+            max_distance_m=needed_m,
+            for_lidar=isinstance(sensor, LidarModel),
         )
-        sensing = build_sensing(self._world, sight, unit.pose.position_m, setting.table_detector)
-        self._mounts[key] = sensing
-        while len(self._mounts) > MAX_MOUNTS:
-            self._mounts.popitem(last=False)
-        return sensing
+        return build_sensing(self._world, sight, position_m, detector), needed_m
+
+
+def _put(cached: OrderedDict[_Key, _T], key: _Key, value: _T, *, most: int) -> None:
+    """Cache a value as the newest one; the oldest is given up where there are too many."""
+    cached[key] = value
+    cached.move_to_end(key)
+    if len(cached) > most:
+        cached.popitem(last=False)
 
 
 def _mount_key(unit: CandidatePose) -> _Key:
-    """Equal for units that look from the same place, with any setting of the same lens."""
-    return (*unit.pose.position_m.tolist(), _lens_free(unit.sensor))
-
-
-def _lens_free(sensor: Sensor) -> _Key:
-    """Key of a sensor as far as rays depend on it: not how its lens is set."""
-    if isinstance(sensor, CameraModel) and sensor.fov_range_deg is not None:
-        size = (sensor.width_px, sensor.height_px, sensor.near_m)
-        return ("camera", *size, sensor.fov_range_deg)
-    return (sensor,)
+    """Equal for units that share all rays."""
+    return (*unit.pose.position_m.tolist(), unit.sensor.near_m, isinstance(unit.sensor, LidarModel))
 
 
 def _row_key(unit: CandidatePose) -> _Key:

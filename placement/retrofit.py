@@ -6,6 +6,7 @@ the units already in place. All values are those of the detection table.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cmp_to_key
 from importlib.resources import files
 
 import numpy as np
@@ -174,26 +175,14 @@ class Change:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Retrofit:
-    """The best changes of a layout, by kind.
+    """The best changes of a layout, by kind."""
 
-    Attributes
-    ----------
-    before : PlacementValue
-        Of what is mounted now.
-    removals : tuple of Change
-        Of every unit, the one that loses least first.
-    re_aims : tuple of Change
-        The best of every unit, the best first; they may be worse than no change.
-    addition : Change or None
-        The best new unit; None if no addition is an improvement.
-    combination : Change or None
-        The best re-aims and additions together within the budget, if there is one.
-    """
-
-    before: PlacementValue
-    removals: tuple[Change, ...]
+    before: PlacementValue  # of what is mounted now
+    removals: tuple[Change, ...]  # of every unit, the one that loses least first
+    # the best of every unit, the best first; they may be worse than no change
     re_aims: tuple[Change, ...]
-    addition: Change | None
+    addition: Change | None  # the best new unit; None if no addition is an improvement
+    # the best re-aims and additions together within the budget, if there is one
     combination: Change | None
 
 
@@ -364,18 +353,12 @@ def _change(
 
 def _best_first(changes: Sequence[Change]) -> tuple[Change, ...]:
     """Changes by the value of what is mounted afterwards; equal ones keep their order."""
-    ordered: list[Change] = []
-    for change in changes:
-        place = next(
-            (
-                index
-                for index, other in enumerate(ordered)
-                if is_better(_without_cost(change.value), _without_cost(other.value))
-            ),
-            len(ordered),
-        )
-        ordered.insert(place, change)
-    return tuple(ordered)
+
+    def compare(one: Change, other: Change) -> int:
+        values = _without_cost(one.value), _without_cost(other.value)
+        return is_better(*values[::-1]) - is_better(*values)
+
+    return tuple(sorted(changes, key=cmp_to_key(compare)))
 
 
 def _without_cost(value: PlacementValue) -> PlacementValue:

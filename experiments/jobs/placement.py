@@ -25,15 +25,18 @@ from placement.explain import OtherSensors, Pool, find_pool
 from placement.explain.other_sensors import STAGE as OTHER_SENSORS
 from placement.explain.other_sensors import find_other_sensors
 from placement.explain.sensitivity import STAGE as WHAT_IF
-from placement.explain.sensitivity import Sensitivity, find_sensitivity, prepare_sensitivity
-from placement.explain.tolerances import Standing
+from placement.explain.sensitivity import (
+    Sensitivity,
+    Standing,
+    find_sensitivity,
+    prepare_sensitivity,
+)
 from placement.ground import PrivateGround, load_private_ground
 from placement.layout import Layout, check_layout, find_baseline
 from placement.optimiser.front import Front, front_below
 from placement.pipeline import Assembly, Placement, assemble, place
-from placement.prices import assumed_prices
 from placement.question import Question
-from placement.refinement.refine import Refinement, refine
+from placement.refinement import Refinement, refine
 from placement.sampling.out_of_sample import (
     STAGE as OUT_OF_SAMPLE,
 )
@@ -45,6 +48,7 @@ from placement.sampling.out_of_sample import (
 )
 from placement.sampling.uncertainty import Uncertainty, load_drawn
 from placement.setting import Setting, build_setting
+from placement.wishes import assumed_prices
 
 from ..parts.alternatives import (
     begin_standing,

@@ -8,7 +8,7 @@ from geometry.catalogue import sensor_kind
 from geometry.notes import assumed_sites
 from geometry.scene import Scene, Site
 from placement.layout import Layout
-from placement.prices import assumed_prices, load_prices
+from placement.wishes import assumed_prices, load_prices
 
 from ..results.csv_text import csv_text
 from ..results.numbers import several

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from placement.evaluation import Evaluation
-from placement.explain.failures import MAX_PAIR_UNITS, Failure, Failures, find_failures
+from placement.explain.contributions import MAX_PAIR_UNITS, Failure, Failures, find_failures
 from scenarios.aeb import AebRule
 
 from ..results.numbers import NOTHING, count_runs, first_of, milliseconds, number, percent

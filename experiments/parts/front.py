@@ -25,8 +25,8 @@ from placement.optimiser.front import Front, FrontPoint, StageChoice, cost_front
 from placement.optimiser.presolve import PresolveStatistics
 from placement.optimiser.steering import COST_TOLERANCE_EUR, TOLERANCE
 from placement.pipeline import Assembly, assemble, pick_layout
-from placement.prices import assumed_prices, load_prices
 from placement.question import Question
+from placement.wishes import assumed_prices, load_prices
 
 from ..export.json import to_json_text
 from ..figures.axes import BLUE, VERMILION, WIDTH_IN, Style, finish_axes, new_figure, to_png

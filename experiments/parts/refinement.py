@@ -6,8 +6,8 @@ from typing import Annotated, cast
 import msgspec
 
 from placement.optimiser.objectives import Objective
+from placement.refinement import Refinement
 from placement.refinement.poses import Move
-from placement.refinement.refine import Refinement
 
 from ..results.numbers import joined, number, percent
 from ..results.record import (

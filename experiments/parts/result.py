@@ -16,8 +16,7 @@ from placement.evaluation import Evaluation
 from placement.explain import NextUnit
 from placement.explain.agreement import Disagreement, find_disagreements
 from placement.explain.alternatives import ByRuns, Sturdier
-from placement.explain.sensitivity import Sensitivity
-from placement.explain.tolerances import Standing
+from placement.explain.sensitivity import Sensitivity, Standing
 from placement.optimiser import Failing, placement_value, run_margins_s
 from placement.pipeline import Placement
 from placement.setting import Setting

@@ -14,7 +14,6 @@ from placement.compute import Compute
 from placement.layout import Layout, check_layout
 from placement.optimiser import PlacementValue, is_better
 from placement.pipeline import assemble
-from placement.prices import assumed_prices
 from placement.question import Question
 from placement.retrofit import (
     Change,
@@ -26,6 +25,7 @@ from placement.retrofit import (
     load_labour,
 )
 from placement.setting import Setting
+from placement.wishes import assumed_prices
 
 from ..export.json import to_json_text
 from ..progress import WRITING, StageProgress

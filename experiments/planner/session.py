@@ -474,7 +474,7 @@ class Session:
             await self._changed.wait()
             self._changed.clear()
             workspace = self.workspace
-            if workspace.live.n_mounts == 0:
+            if workspace.live.n_casts == 0:
                 self._do("rays", "prepare the rays")
                 await asyncio.to_thread(workspace.numbers_by_table, self._first_units())
                 self._do("rays", "")

@@ -64,12 +64,11 @@ class GeometricDetector:
 
     def is_expected(self, evidence: Evidence) -> BoolArray:
         """Rows that it detects, (n,)."""
-        expected: BoolArray = (
+        return (
             (iou(evidence.visible_px, evidence.amodal_px) > self.min_iou)
             & (box_height_px(evidence.visible_px) >= self.min_box_height_px)
             & (evidence.contrast >= self.min_contrast)
         )
-        return expected
 
     def least_height_px(self, evidence: Evidence) -> FloatArray:
         """The least height where the contrast is enough, infinite elsewhere, (n,)."""
@@ -195,8 +194,7 @@ class ResponseDetector:
 
     def is_expected(self, evidence: Evidence) -> BoolArray:
         """Rows that are detected with at least `plan_probability`, (n,)."""
-        expected: BoolArray = self.probability(evidence) >= self.plan_probability
-        return expected
+        return self.probability(evidence) >= self.plan_probability
 
     def least_height_px(self, evidence: Evidence) -> FloatArray:
         """Height at which the probability reaches `plan_probability`, (n,)."""
@@ -236,13 +234,12 @@ class ResponseDetector:
     def _most(self, evidence: Evidence) -> FloatArray:
         """Probability of a correct detection of a box of any height, (n,)."""
         seen = evidence.visible_share * evidence.inside_share
-        most: FloatArray = (
+        return (
             np.interp(seen, self.seen_share, self.recall)
             * self.class_factor[evidence.vru_class]
             * self._aspect_factor(evidence.aspect_deg, evidence.vru_class)
             * self._contrast_factor(evidence.contrast)
         )
-        return most
 
     def _aspect_factor(self, aspect_deg: FloatArray, vru_class: IntArray) -> FloatArray:
         factor, is_cyclist = np.ones(len(aspect_deg)), vru_class == VRU_CLASSES.index("cyclist")
@@ -352,19 +349,6 @@ def _defaults() -> dict[str, Any]:
     return load_toml(_source())
 
 
-_NUMBERS = (
-    "height_half_px",
-    "height_steepness",
-    "min_box_height_px",
-    "cyclist_end_on",
-    "contrast_half",
-    "contrast_steepness",
-    "box_noise_share",
-    "frame_correlation",
-    "plan_probability",
-)
-
-
 def _read_response(source: Path | Traversable, document: Table, *, name: str) -> ResponseDetector:
     """Response table of a document; errors name the file and the line."""
     table = document.get("response")
@@ -375,7 +359,9 @@ def _read_response(source: Path | Traversable, document: Table, *, name: str) ->
             float_array(take_list(table, key, "response"), (-1,), key)
             for key in ("seen_share", "recall")
         )
-        numbers = {key: take_number(table, key, "response") for key in _NUMBERS}
+        numbers = {
+            key: take_number(table, key, "response") for key in (*_POSITIVES, *_PROBABILITIES)
+        }
         factors, assumed = _read_classes(table)
         for key, factor in factors.items():
             if not 0.0 <= factor <= 1.0:

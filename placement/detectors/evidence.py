@@ -38,8 +38,7 @@ def aspects_deg(sightline_m: FloatArray, yaw_deg: FloatArray) -> FloatArray:
     array([ 0., 80.])
     """
     turned = yaw_deg - np.degrees(np.arctan2(sightline_m[:, 1], sightline_m[:, 0]))
-    aspect: FloatArray = np.abs((turned + 90.0) % 180.0 - 90.0)
-    return aspect
+    return np.abs((turned + 90.0) % 180.0 - 90.0)
 
 
 @dataclass(frozen=True, slots=True)

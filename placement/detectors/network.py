@@ -19,7 +19,7 @@ from PIL import Image as PilImage
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError, MissingExtraError, Unquoted
-from geometry.files import check_file, load_toml, pick, take
+from geometry.files import check_file, load_toml, take
 from geometry.image_boxes import clip_boxes, iou
 
 from .evidence import VRU_CLASSES, Crop, Detections, Evidence, Image, load_min_iou
@@ -75,16 +75,20 @@ class _Numbering:
     is_coco91: bool = False
 
 
-def recognise_export(
-    outputs: Outputs, *, path: Path, names: str | None, classes: str | None
-) -> Export:
+def recognise_export(outputs: Outputs, *, path: Path, names: str | None) -> Export:
     """How the outputs of a trial run, and of all further ones, are to be read.
 
-    `names` are the class names in the file's metadata; without them, `classes` is "coco80" or
-    "coco91", by default what fits. Raises InputError if this is no detector or no class is known.
+    `names` are the class names in the file's metadata. Raises InputError if this is no detector or
+    no class is known.
     """
     where = f"{path}: metadata 'names'"
-    export = _recognise(outputs, _numberings(names, classes, where))
+    numberings = _numberings(names, where)
+    if len(outputs) >= 3:
+        export = _labelled(outputs, numberings)
+    else:
+        family = _queries if len(outputs) == 2 else _table
+        exports = (family(outputs, numbering) for numbering in numberings)
+        export = next((export for export in exports if export is not None), None)
     if export is None:
         shapes = ", ".join(f"{name} {value.shape}" for name, value in outputs.items())
         raise InputError(str(path), Unquoted(f"outputs {shapes}"), _EXPECTED)
@@ -102,14 +106,6 @@ def onnx_setting(key: str) -> Any:
 @cache
 def _settings() -> dict[str, Any]:
     return load_toml(files(__package__) / "data" / "onnx.toml")
-
-
-def _recognise(outputs: Outputs, numberings: list[_Numbering]) -> Export | None:
-    if len(outputs) >= 3:
-        return _labelled(outputs, numberings)
-    family = _queries if len(outputs) == 2 else _table
-    exports = (family(outputs, numbering) for numbering in numberings)
-    return next((export for export in exports if export is not None), None)
 
 
 def _labelled(outputs: Outputs, numberings: list[_Numbering]) -> Export | None:
@@ -210,19 +206,19 @@ def _best(scores: Array) -> tuple[Array, Array]:
     return scores.argmax(axis=1), scores.max(axis=1)
 
 
-def _numberings(names: str | None, classes: str | None, where: str) -> list[_Numbering]:
+def _numberings(names: str | None, where: str) -> list[_Numbering]:
     """Possible numberings: the file's own, or COCO's."""
-    coco = {
-        key: _Numbering(
+    named = None if names is None else _read_names(names, where)
+    if named is not None:
+        return [named]
+    return [
+        _Numbering(
             n_classes=entry["n_classes"],
             kinds={entry[kind]: kind for kind in KINDS if kind in entry},
             is_coco91=key == "coco91",
         )
         for key, entry in onnx_setting("classes").items()
-    }
-    fitting = list(coco.values()) if classes is None else [pick(coco, classes, "classes")]
-    named = None if names is None else _read_names(names, where)
-    return fitting if named is None else [named]
+    ]
 
 
 def _read_names(text: str, where: str) -> _Numbering | None:
@@ -298,7 +294,7 @@ _PIXEL_TYPES: dict[str, type[np.generic]] = {
 _SIDE_INPUTS = ("pixel_mask", "orig_target_sizes")  # of DETR and RT-DETR: known without asking
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class ImageBoxes:
     """Boxes that a network finds in an image, in descending order of confidence."""
 
@@ -306,6 +302,12 @@ class ImageBoxes:
     class_ids: IntArray  # (n,), as the network numbers its classes
     confidence: FloatArray  # (n,), 0 .. 1
     kinds: Mapping[int, str]  # class to one of ``KINDS``; others are left out
+
+    def take(self, rows: IntArray) -> "ImageBoxes":
+        """Some of the boxes, in the given order."""
+        return ImageBoxes(
+            self.boxes_px[rows], self.class_ids[rows], self.confidence[rows], self.kinds
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -410,32 +412,27 @@ class OnnxModel:
         if not self._export.is_suppressed:
             left = suppress(boxes[order], class_ids[order], max_iou=onnx_setting("max_iou"))
             order = order[left]
-        return ImageBoxes(
-            boxes_px=boxes[order],
-            class_ids=class_ids[order],
-            confidence=confidence[order],
-            kinds=self._export.kinds,
-        )
+        found = ImageBoxes(boxes, class_ids, confidence, self._export.kinds)
+        return found.take(order)
 
 
-def load_onnx_model(path: Path, *, classes: str | None = None, threads: int = 1) -> OnnxModel:
+def load_onnx_model(path: Path) -> OnnxModel:
     """Load a detector as exported from torchvision, YOLO (v5, v8 and later, end to end) or DETR.
 
     A grey image is shown to the network once, to see what it gives. YOLOX cannot be distinguished
     from YOLOv5, but expects blue first and 0 .. 255, and gives steps of its grid instead of pixels:
-    its boxes come out wrong. `classes` is "coco80" or "coco91", by default decided by the number of
-    classes, 91 where the file gives labels only; class names in the file's metadata take
-    precedence. Raises InputError, or MissingExtraError if onnxruntime is not installed.
+    its boxes come out wrong. Without class names in the file's metadata, COCO's 80 or 91 classes
+    are decided by their number, 91 where the file gives labels only. Raises InputError, or
+    MissingExtraError if onnxruntime is not installed.
     """
     if not path.is_file():
         raise InputError(str(path), Unquoted("no such file"), "an ONNX file")
-    session = _open(path, threads)
+    session = _open(path)
     side = onnx_setting("probe_px")
     shape = (session.height_px or side, session.width_px or side, 3)
     grey = np.full(shape, onnx_setting("fill"), dtype=np.uint8)
-    export = recognise_export(
-        session.run(grey, is_imagenet=False), path=path, names=session.class_names, classes=classes
-    )
+    outputs = session.run(grey, is_imagenet=False)
+    export = recognise_export(outputs, path=path, names=session.class_names)
     return OnnxModel(path=path, _session=session, _export=export)
 
 
@@ -503,11 +500,11 @@ def _fit(image: NDArray[np.uint8], session: _Session, stride_px: int) -> Letterb
 
 def _of_kind(found: ImageBoxes, kind: str) -> ScoredBoxes:
     ids = [class_id for class_id, name in found.kinds.items() if name == kind]
-    mask = np.isin(found.class_ids, ids)
-    return ScoredBoxes(boxes_px=found.boxes_px[mask], confidence=found.confidence[mask])
+    mine = found.take(np.flatnonzero(np.isin(found.class_ids, ids)))
+    return ScoredBoxes(boxes_px=mine.boxes_px, confidence=mine.confidence)
 
 
-def _open(path: Path, threads: int) -> _Session:
+def _open(path: Path) -> _Session:
     try:
         import onnxruntime
     except ModuleNotFoundError:
@@ -517,7 +514,7 @@ def _open(path: Path, threads: int) -> _Session:
         ) from None
     check_file(path)
     options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
+    options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
     options.use_deterministic_compute = True
     options.log_severity_level = 4  # errors are reported once, by us
@@ -615,12 +612,7 @@ class NetworkDetector:
         confidence = np.concatenate([found.confidence for found, _ in parts])
         order = np.argsort(-confidence, kind="stable")
         left = order[suppress(boxes[order], class_ids[order], max_iou=onnx_setting("max_iou"))]
-        return ImageBoxes(
-            boxes_px=boxes[left],
-            class_ids=class_ids[left],
-            confidence=confidence[left],
-            kinds=parts[0][0].kinds,
-        )
+        return ImageBoxes(boxes, class_ids, confidence, parts[0][0].kinds).take(left)
 
     def look_at(self, crop: Crop) -> ImageBoxes:
         """Find road users in a part of a picture; boxes are in pixels of the whole one."""

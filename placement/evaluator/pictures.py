@@ -30,10 +30,16 @@ from ..imaging import (
     render_picture,
     scan_cloud,
 )
-from ..imaging.crops import crop_onto, draw_crop, meter, window_around
 from ..imaging.mesh import FrameMesh, move_origin, place_mesh, vut_pose
 from ..imaging.picture import Picture, Window
-from ..imaging.stills import Still, draw_still
+from ..imaging.stills import (
+    Still,
+    crop_onto,
+    draw_crop,
+    draw_still,
+    meter,
+    window_around,
+)
 from ..layout import Layout
 from .surroundings import VutCamera, load_vut_camera, load_vut_lidar, vut_pitch_deg
 

@@ -1,11 +1,11 @@
 """Explanations of a layout: what its units contribute, what it misses, what else would do.
 
-``contributions`` takes one or two units away, ``next_unit`` adds one, ``other_sensors`` exchanges
-them; ``unavoided`` says why runs are not avoided, ``agreement`` where detection table and evaluator
-differ, ``sensitivity`` what wrong assumptions do, ``tolerances`` what mounting errors do. ``pool``
-lists other sets that are as good, ``alternatives`` those that other priorities would choose, of
-which it picks one by the evaluator. ``conflicts`` finds the smallest set of
-``demands`` that no layout meets, with the search of ``feasible_sets``.
+``contributions`` takes one or two units away, or adds one, ``other_sensors`` exchanges them;
+``unavoided`` says why runs are not avoided, ``agreement`` where detection table and evaluator
+differ, ``sensitivity`` what wrong assumptions and errors of mounting do. ``pool`` lists other sets
+that are as good, ``alternatives`` those that other priorities would choose, of which it picks one
+by the evaluator. ``conflicts`` finds the smallest set of demands that no layout meets, with the
+search of ``feasible_sets``.
 """
 
 from .conflicts import (
@@ -18,8 +18,7 @@ from .conflicts import (
     find_refusal,
     relax,
 )
-from .contributions import Contribution, find_contributions
-from .next_unit import NextUnit, find_next_unit
+from .contributions import Contribution, NextUnit, find_contributions, find_next_unit
 from .other_sensors import OtherSensor, OtherSensors, find_other_sensors
 from .pool import Pool, PooledSet, find_pool
 from .unavoided import Reason, Rescue, Unavoided, find_unavoided

@@ -8,14 +8,14 @@ import numpy as np
 from geometry.arrays import BoolArray, IntArray
 from geometry.image_boxes import box_height_px, iou
 from geometry.lidar import LidarModel
-from scenarios.runs import find_onsets
 
 from ..cache import cached_value
 from ..candidates import CandidatePose
 from ..compute import DEFAULT_COMPUTE, Compute
 from ..detection_table import DetectionTable
 from ..detectors import Evidence
-from ..evaluation import Evaluation, earliest_arrival_s
+from ..evaluation import Evaluation
+from ..live import table_verdict
 from ..setting import Setting
 from ..visibility import table_fingerprint
 
@@ -87,7 +87,8 @@ def _find_disagreements(
         (units, evaluation.rsu_all),
     ):
         is_fused = verdict is evaluation.rsu_all
-        avoided = _avoided_on_table(setting, parties, on_table)
+        rows = np.array([on_table[unit.id] for unit in parties])
+        avoided = table_verdict(parties, rows, setting).is_avoided
         for run in np.flatnonzero(avoided != verdict.is_avoided).tolist():
             differing = [
                 (unit, _differing_frames(setting, run, on_table[unit.id], evaluation, unit))
@@ -103,16 +104,6 @@ def _find_disagreements(
                 )
             )
     return tuple(found)
-
-
-def _avoided_on_table(
-    setting: Setting, parties: Sequence[CandidatePose], on_table: dict[str, BoolArray]
-) -> BoolArray:
-    axis, rule = setting.axis, setting.rule
-    arrival = earliest_arrival_s(
-        [(on_table[unit.id], unit.latency(rule)) for unit in parties], axis
-    )
-    return find_onsets(arrival, axis, rule=rule).is_in_time
 
 
 def _differing_frames(

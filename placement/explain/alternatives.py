@@ -181,17 +181,11 @@ Deciding = Literal["apr", "apr_one_failed", "mounting", "order"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrontRunner:
-    """A layout that leads on the detection table, by the evaluator.
+    """A layout that leads on the detection table, by the evaluator."""
 
-    Attributes
-    ----------
-    layout : Layout
-        Its units.
-    apr, apr_one_failed : float
-        All units together, and when the most needed one fails; 0 for a single unit. 0..1
-    """
-
-    layout: Layout
+    layout: Layout  # its units
+    # apr, apr_one_failed: all units together, and when the most needed one fails; 0 for a
+    # single unit. 0..1
     apr: float
     apr_one_failed: float
 

@@ -43,20 +43,13 @@ Kind = Literal[
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Demand:
-    """One of the pieces: it can be dropped, or relaxed, without the others.
+    """One of the pieces: it can be dropped, or relaxed, without the others."""
 
-    Attributes
-    ----------
-    kind : str
-        "budget_units", "budget_eur"; "floor": one of them, without failures; "survive": that all
-        floors hold when units fail; "capacity": of all sites; "separation": rivals among the
-        sites; "forced_sites", "forbidden", "forced": all of them together.
-    floor : int, optional
-        Index of the floor.
-    """
-
+    # "budget_units", "budget_eur"; "floor": one of them, without failures; "survive": that
+    # all floors hold when units fail; "capacity": of all sites; "separation": rivals among
+    # the sites; "forced_sites", "forbidden", "forced": all of them together
     kind: Kind
-    floor: int | None = None
+    floor: int | None = None  # index of the floor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -197,32 +190,18 @@ _MAX_TRIALS = 40
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Relaxation:
-    """The least by which a demand gives way.
+    """The least by which a demand gives way."""
 
-    Attributes
-    ----------
-    demand : Demand
-        Which.
-    value : float
-        What can be had in place of its number: units, euros, share, failed units, units per site,
-        metres. NaN where it has none.
-    given_up : tuple of int
-        Of a demand that lists poses, sites or rivals: those that have to go. Poses, and rows of
-        the limits' rivals; sites for "forced_sites".
-    suffices : bool
-        Whether the whole wish can be met then; else only this conflict is settled.
-    is_least : bool
-        Proven: less does not do.
-    pose_index : tuple of int
-        A set of poses that does.
-    """
-
-    demand: Demand
-    value: float
-    given_up: tuple[int, ...]
-    suffices: bool
-    is_least: bool
-    pose_index: tuple[int, ...]
+    demand: Demand  # which
+    # what can be had in place of its number: units, euros, share, failed units, units per
+    # site, metres. NaN where it has none.
+    value: float = np.nan
+    # of a demand that lists poses, sites or rivals: those that have to go. Poses, and rows of
+    # the limits' rivals; sites for "forced_sites".
+    given_up: tuple[int, ...] = ()
+    suffices: bool = False  # the whole wish can be met then; else only this conflict is settled
+    is_least: bool = True  # proven: less does not do
+    pose_index: tuple[int, ...] = ()  # a set of poses that does
 
 
 def relax(
@@ -328,8 +307,6 @@ def _of_value(demand: Demand, answer: Answer) -> Relaxation | None:
     return Relaxation(
         demand=demand,
         value=answer.value,
-        given_up=(),
-        suffices=False,
         is_least=answer.is_proven,
         pose_index=answer.pose_index,
     )
@@ -419,14 +396,8 @@ class _Trial:
     def _relaxation(
         self, value: float, given_up: Sequence[tuple[int, ...]], poses: tuple[int, ...] = ()
     ) -> Relaxation:
-        return Relaxation(
-            demand=self.demand,
-            value=value,
-            given_up=tuple(part for item in given_up for part in item),
-            suffices=False,
-            is_least=True,
-            pose_index=poses,
-        )
+        gone = tuple(part for item in given_up for part in item)
+        return Relaxation(demand=self.demand, value=value, given_up=gone, pose_index=poses)
 
     def _try(self, value: float, given_up: Sequence[tuple[int, ...]]) -> Relaxation:
         """A relaxation; no poses if it cannot be met, and then whether that is proven."""
@@ -443,20 +414,10 @@ _MAX_SETS = 20_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Conflict:
-    """Demands that cannot all be met; any part of them can.
+    """Demands that cannot all be met; any part of them can."""
 
-    Attributes
-    ----------
-    demands : tuple of Demand
-        In the order of ``Wish.demands``.
-    is_smallest : bool
-        Proven: no conflict has fewer demands. Else time was short, and some may be needless.
-    relaxations : tuple of Relaxation
-        For each demand the least by which it has to give way, where that was found.
-    """
-
-    demands: tuple[Demand, ...]
-    is_smallest: bool
+    demands: tuple[Demand, ...]  # in the order of ``Wish.demands``
+    # for each demand the least by which it has to give way, where that was found
     relaxations: tuple[Relaxation, ...]
 
 
@@ -493,16 +454,15 @@ def find_conflicts(
         return ()
     left, found = wish.everything, []
     while left and _is_refused(ask(left)):
-        numbers, is_smallest = _smallest_conflict(wish, left, ask)
-        found.append((numbers, is_smallest))
+        numbers = _smallest_conflict(wish, left, ask)
+        found.append(numbers)
         left -= numbers
     return tuple(
         Conflict(
             demands=tuple(wish.demands[number] for number in sorted(numbers)),
-            is_smallest=is_smallest,
             relaxations=_relaxations(wish, oracle, numbers, ask),
         )
-        for numbers, is_smallest in found
+        for numbers in found
     )
 
 
@@ -512,16 +472,16 @@ def _is_refused(answer: Answer) -> bool:
 
 def _smallest_conflict(
     wish: Wish, demands: frozenset[int], ask: Callable[[frozenset[int]], Answer]
-) -> tuple[frozenset[int], bool]:
-    """A conflict among demands that cannot all be met, and whether no other one is smaller."""
+) -> frozenset[int]:
+    """A smallest conflict among demands that cannot all be met; any, where time is short."""
     complements: list[frozenset[int]] = []
     while True:
         tried = _smallest_hitting_set(complements, demands)
         answer = ask(tried)
         if _is_refused(answer):
-            return tried, True
+            return tried
         if answer.pose_index is None:  # time is up
-            return _thinned(demands, ask), False
+            return _thinned(demands, ask)
         complements.append(demands - wish.met_by(answer.pose_index, tried))
 
 

@@ -1,47 +1,45 @@
-"""Contribution of each unit to a layout, and the achievement of the others when units fail."""
+"""Contribution of each unit to a layout: what is left without some, and what one more would add."""
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from scenarios.aeb import AebRule, live_confirmation_time_s
+from scenarios.runs import find_onsets
+from scenarios.weights import weight_share
 
-from ..optimiser import PlacementProblem, PlacementValue, placement_value, run_margins_s
+from ..evaluation import Evaluation, earliest_arrival_s, leave_each_out, units_by_site
+from ..optimiser import (
+    PlacementProblem,
+    PlacementValue,
+    ReducedProblem,
+    apr,
+    placement_value,
+    run_margins_s,
+)
+from ..optimiser.bitsets import avoided_with_each
+from ..optimiser.limits import fitting
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Contribution:
-    """The contribution of one unit of a set, on the detection table.
+    """The contribution of one unit of a set, on the detection table."""
 
-    Attributes
-    ----------
-    pose_index : int
-        Row of the table.
-    only_runs : (n,) int
-        Runs with weight that are avoided with it and not without it.
-    marginal_apr : float
-        APR of the whole set less that of the others, 0..1.
-    without : PlacementValue
-        What the others are worth.
-    mean_delay_s : float
-        By how much later, on average by weight, the runs that the others avoid, too, are confirmed
-        without it. [s]
-    max_delay_s : float
-        The most of it in any of these runs. [s]
-    first_share : float
-        Its part in the confirmations for which the runs that the set avoids are braked for, by
-        weight: of the tracks that are alive at the last moment. The parts of all units sum to 1,
-        or are 0 where nothing is avoided.
-    """
-
-    pose_index: int
-    only_runs: IntArray
-    marginal_apr: float
-    without: PlacementValue
+    pose_index: int  # row of the table
+    only_runs: IntArray  # (n,): runs with weight that are avoided with it and not without it
+    marginal_apr: float  # APR of the whole set less that of the others, 0..1
+    without: PlacementValue  # what the others are worth
+    # by how much later, on average by weight, the runs that the others avoid, too, are
+    # confirmed without it. [s]
     mean_delay_s: float
-    max_delay_s: float
+    max_delay_s: float  # the most of it in any of these runs. [s]
+    # its part in the confirmations for which the runs that the set avoids are braked for, by
+    # weight: of the tracks that are alive at the last moment. The parts of all units sum to
+    # 1, or are 0 where nothing is avoided.
     first_share: float
 
     def __post_init__(self) -> None:
@@ -125,3 +123,144 @@ def _parts_of_firsts(
     is_first = confirmed_s == confirmed_s.min()
     parts: FloatArray = is_first / is_first.sum()
     return parts
+
+
+# ---------- failures of units and poles (N-1, N-2)
+
+
+MAX_PAIR_UNITS = 12
+"""For layouts with more units, only single failures are evaluated."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Failure:
+    """A layout without some of its units."""
+
+    unit_ids: tuple[str, ...]  # the units that fail
+    # accident prevention ratio of the others, fused, 0 .. 1; 0 where there are no others.
+    apr: float
+    # of the runs with weight that the others still avoid, the least time from the onset of
+    # braking to the last moment; NaN where they avoid none. [s]
+    smallest_margin_s: float
+    # runs with weight that all units together avoid and the others do not, those with the
+    # highest speed first
+    lost_run_ids: tuple[str, ...]
+    # the site that fails with all its units; empty: units fail, their poles stand
+    site_id: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Failures:
+    """All evaluated failures of a layout, the worst first."""
+
+    none_failed: Failure  # of all units together
+    one_failed: tuple[Failure, ...]  # one for each unit
+    # one for each pair; empty for a layout of one unit or of more than ``MAX_PAIR_UNITS``
+    two_failed: tuple[Failure, ...]
+    # one for each site: power or a crash takes all of its units at once
+    site_failed: tuple[Failure, ...] = ()
+
+
+def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
+    """Evaluate the failure of each unit of a layout, of each pair, and of each site.
+
+    In each frame any remaining unit may be the one that detects. The worst comes first: the lowest
+    APR (:func:`placement.evaluation.apr_one_failed` is that of `one_failed`), then the smallest
+    margin, then the layout's order.
+    """
+    axis, units = evaluation.axis, evaluation.layout.units
+    arrivals_s = np.stack(
+        [
+            earliest_arrival_s([(evaluation.units[unit.id].detected, unit.latency(rule))], axis)
+            for unit in units
+        ]
+    )
+    earliest_s, without = leave_each_out(arrivals_s)
+    pairs = combinations(range(len(units)), 2) if len(units) <= MAX_PAIR_UNITS else ()
+    counts = axis.weight > 0.0
+
+    avoided_by_all = find_onsets(earliest_s, axis, rule=rule).is_in_time
+
+    def failure(failed: tuple[int, ...], arrival_s: FloatArray, site_id: str = "") -> Failure:
+        onsets = find_onsets(arrival_s, axis, rule=rule)
+        avoided = onsets.is_in_time
+        margin = (axis.last_brake_time_s - onsets.onset_s)[avoided & counts]
+        lost = np.flatnonzero(avoided_by_all & ~avoided & counts)
+        fastest_first = lost[np.argsort(-axis.vut_speed_kmh[lost], kind="stable")]
+        return Failure(
+            unit_ids=tuple(units[index].id for index in failed),
+            apr=weight_share(avoided, axis.weight),
+            smallest_margin_s=float(margin.min()) if len(margin) else math.nan,
+            lost_run_ids=tuple(axis.run_ids[index] for index in fastest_first),
+            site_id=site_id,
+        )
+
+    def without_units(failed: tuple[int, ...]) -> FloatArray:
+        left: FloatArray = np.delete(arrivals_s, failed, axis=0).min(axis=0, initial=np.inf)
+        return left
+
+    return Failures(
+        none_failed=failure((), earliest_s),
+        one_failed=_worst_first([failure((unit,), left) for unit, left in enumerate(without)]),
+        two_failed=_worst_first([failure(pair, without_units(pair)) for pair in pairs]),
+        site_failed=_worst_first(
+            [
+                failure(tuple(failed), without_units(tuple(failed)), site_id)
+                for site_id, failed in units_by_site(evaluation.layout).items()
+            ]
+        ),
+    )
+
+
+def _worst_first(failures: Sequence[Failure]) -> tuple[Failure, ...]:
+    def key(failure: Failure) -> tuple[float, float]:
+        margin_s = failure.smallest_margin_s
+        return failure.apr, -math.inf if math.isnan(margin_s) else margin_s
+
+    return tuple(sorted(failures, key=key))
+
+
+# ---------- one more unit
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NextUnit:
+    """The further unit that greedy choice would add, budgets aside, on the detection table.
+
+    Attributes
+    ----------
+    pose : str
+        Id of the candidate pose.
+    apr : float
+        Accident prevention ratio with it, 0..1.
+    gain : float
+        How much higher that is than without.
+    """
+
+    pose: str
+    apr: float
+    gain: float
+
+
+def find_next_unit(
+    problem: PlacementProblem, reduced: ReducedProblem, pose_index: Sequence[int]
+) -> NextUnit | None:
+    """The pose whose APR together with a layout is the highest, as greedy choice would go on.
+
+    Budgets do not count: this is what one more unit buys. Sites, rivals and wishes do. Another
+    layout of as many units may be better still.
+
+    `reduced` is what presolve left of the problem: poses that fell out see no more than others that
+    are left. `pose_index` are rows of the table, all among those left. None where no further pose
+    fits.
+    """
+    units = np.flatnonzero(np.isin(reduced.pose_index, pose_index))
+    limits = replace(reduced.limits, budget_units=None, budget_eur=None)
+    free = np.flatnonzero(fitting(limits, units))
+    if not len(free):
+        return None
+    ratios = reduced.measure.of(avoided_with_each(reduced, units)[free])
+    row = int(reduced.pose_index[free[int(ratios.argmax())]])
+    with_it = apr(problem, [*pose_index, row])
+    gain = with_it - apr(problem, pose_index)
+    return NextUnit(pose=problem.table.pose_ids[row], apr=with_it, gain=gain)

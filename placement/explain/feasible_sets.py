@@ -103,8 +103,7 @@ def _ratios(measure: Measure, is_avoided: BoolArray) -> FloatArray:
 
 def is_within(value: float | FloatArray, threshold: float) -> BoolArray:
     """Mask of values that reach a threshold, rounding noise aside."""
-    within: BoolArray = np.asarray(value) >= threshold - TOLERANCE * max(1.0, abs(threshold))
-    return within
+    return np.asarray(value) >= threshold - TOLERANCE * max(1.0, abs(threshold))
 
 
 def exceeds_clearly(value: float, other: float) -> bool:

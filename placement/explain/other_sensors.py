@@ -1,12 +1,10 @@
 """Other sensor models at the mounts of a layout: what a longer lens would buy."""
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.catalogue import Sensor, load_cameras
@@ -30,50 +28,26 @@ _LEVEL_DEG = 0.0  # no lens is tilted up: there is nobody in the sky
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OtherSensor:
-    """One model in place of the sensors of a layout, on the detection table.
+    """One model in place of the sensors of a layout, on the detection table."""
 
-    Attributes
-    ----------
-    sensor : CameraModel or LidarModel
-        The model; a varifocal lens as the catalogue has it.
-    unit_index : int
-        The unit for which it does most.
-    one : CandidatePose
-        That unit with it, turned for the most.
-    apr_one : float
-        Accident prevention ratio with that unit exchanged alone, 0..1.
-    all : tuple of CandidatePose
-        All units that may be exchanged with it, turned one after the other, each for the most.
-    apr_all : float
-        Accident prevention ratio with these.
-    apr_not_turned : float
-        Accident prevention ratio with all exchanged and none turned; of a varifocal lens at its
-        widest.
-    """
-
-    sensor: Sensor
-    unit_index: int
-    one: CandidatePose
-    apr_one: float
+    sensor: Sensor  # the model; a varifocal lens as the catalogue has it
+    unit_index: int  # the unit for which it does most
+    one: CandidatePose  # that unit with it, turned for the most
+    apr_one: float  # accident prevention ratio with that unit exchanged alone, 0..1
+    # all units that may be exchanged with it, turned one after the other, each for the most
     all: tuple[CandidatePose, ...]
-    apr_all: float
+    apr_all: float  # accident prevention ratio with these
+    # accident prevention ratio with all exchanged and none turned; of a varifocal lens at its
+    # widest
     apr_not_turned: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OtherSensors:
-    """Other models at the mounts of a layout.
+    """Other models at the mounts of a layout."""
 
-    Attributes
-    ----------
-    apr : float
-        Accident prevention ratio of the layout as it is, on the same table.
-    models : tuple of OtherSensor
-        The model that gains most in place of one unit first.
-    """
-
-    apr: float
-    models: tuple[OtherSensor, ...]
+    apr: float  # accident prevention ratio of the layout as it is, on the same table
+    models: tuple[OtherSensor, ...]  # the model that gains most in place of one unit first
 
 
 def find_other_sensors(
@@ -88,31 +62,12 @@ def find_other_sensors(
 ) -> OtherSensors | None:
     """Exchange the sensors of a layout for other models, by the rules of the detection table.
 
-    Parameters
-    ----------
-    setting : Setting
-        The world as planned.
-    units : sequence of CandidatePose
-        The layout.
-    models : collection of CameraModel or LidarModel, optional
-        By default the cameras of the catalogue. A LiDAR takes a second or two of processor time for
-        each mount: all of its rays are cast anew.
-    kept : collection of str
-        Ids of units that stay as they are.
-    fusion : str
-        "any": a frame counts if any unit detects; "single": one unit must confirm alone.
-    may_look : function of poses, optional
-        Which of them may be used, (n,) bool; by default all.
-    compute : Compute
-        Threads, the seed of the layout's table, and where progress is shown.
-
-    Returns
-    -------
-    found : OtherSensors or None
-        None where no unit may be exchanged, or there is no other model. Each unit is turned by up
-        to 45 degrees in steps of 15 and tilted so that either the middle of the picture or its
-        upper edge stays where it was, which is where the far end of an arm is; a varifocal lens is
-        tried at three settings. Mounts stay.
+    Each unit is turned by up to 45 degrees in steps of 15 and tilted so that either the middle of
+    the picture or its upper edge stays where it was, which is where the far end of an arm is; a
+    varifocal lens is tried at three settings. Mounts stay, and units whose ids are `kept` stay as
+    they are. `models` are by default the cameras of the catalogue; a LiDAR takes a second or two of
+    processor time for each mount. `may_look` says which poses may be used, (n,) bool. `compute` has
+    the seed of the layout's table. None where no unit may be exchanged, or there is no other model.
     """
     asked = load_cameras().values() if models is None else models
     looks, owner, model = _looks(units, asked, kept)
@@ -121,10 +76,8 @@ def find_other_sensors(
         looks, owner, model = [looks[row] for row in free], owner[free], model[free]
     if not looks:
         return None
-    compute.progress(STAGE, 0, 0)
     everyone = [(pose, setting.table_detector) for pose in (*units, *looks)]
-    with threadpool_limits(1), ThreadPoolExecutor(compute.workers) as pool:
-        frames = detected_frames(setting, everyone, pool=pool, compute=compute.within(STAGE))
+    frames = detected_frames(setting, everyone, stage=STAGE, compute=compute)
     bench = _Bench(setting, frames[: len(units)], frames[len(units) :], fusion)
     found = []
     for name in dict.fromkeys(model.tolist()):

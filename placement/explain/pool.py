@@ -282,49 +282,26 @@ Scope = Literal["all", "found"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PooledSet:
-    """A set of poses.
+    """A set of poses."""
 
-    Attributes
-    ----------
-    pose_index : tuple of int
-        Rows of the table, ascending.
-    value : PlacementValue
-        What it is worth.
-    objective : float
-        Its value in the first stage.
-    """
-
-    pose_index: tuple[int, ...]
-    value: PlacementValue
-    objective: float
+    pose_index: tuple[int, ...]  # rows of the table, ascending
+    value: PlacementValue  # what it is worth
+    objective: float  # its value in the first stage
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Pool:
-    """Sets of poses that are the best one's equals in the first stage.
+    """Sets of poses that are the best one's equals in the first stage."""
 
-    Attributes
-    ----------
-    stage : str
-        Name of the first stage, as in the certificate.
-    scope : {"all", "found"}
-        "all": every set was gone through, and no set of the table that is better than the last one
-        listed is missing. "found": what exchanging units one for one has led to; there may be more.
-    sets : tuple of PooledSet
-        The best first, by all stages in order.
-    n_within : int
-        Sets that are as good: all that there are, or those listed if scope is "found".
-    pose_share : (n_poses,) float
-        Share of the `n_within` sets that have each pose.
-    site_share : (n_sites,) float
-        Share of them that have a unit at each site of the problem's limits.
-    """
-
-    stage: str
+    stage: str  # name of the first stage, as in the certificate
+    # "all": every set was gone through, and no set of the table that is better than the last
+    # one listed is missing. "found": what exchanging units one for one has led to; there may
+    # be more.
     scope: Scope
-    sets: tuple[PooledSet, ...]
-    n_within: int
-    pose_share: FloatArray
+    sets: tuple[PooledSet, ...]  # the best first, by all stages in order
+    n_within: int  # sets that are as good: all that there are, or those listed if scope is "found"
+    pose_share: FloatArray  # (n_poses,): share of the `n_within` sets that have each pose
+    # (n_sites,): share of them that have a unit at each site of the problem's limits
     site_share: FloatArray
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Sensitivity of a layout to wrong assumptions."""
+"""Sensitivity of a layout to wrong assumptions, and its tolerances of mounting."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -7,14 +7,13 @@ from dataclasses import asdict, dataclass, replace
 from functools import cache
 from importlib.resources import files
 from itertools import chain
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
-from geometry.files import Table, load_toml, take_list, take_number, take_text
+from geometry.files import Table, load_toml, take_list, take_number
 from geometry.poses import Pose, wrap_deg
 from geometry.scene import Scene, containing_instance
 from scenarios.aeb import TIME_TOLERANCE_S, AebRule, is_in_time, last_brake_time_s
@@ -26,6 +25,7 @@ from ..candidates import CandidatePose
 from ..compute import DEFAULT_COMPUTE, Compute
 from ..detectors import GeometricDetector, PlanningDetector, ResponseDetector
 from ..evaluation import leave_each_out
+from ..latency import REASONS, refuse_unknown, take_reason
 from ..layout import Layout
 from ..optimiser.problem import Fusion
 from ..setting import Setting
@@ -36,7 +36,6 @@ from ..visibility.build import Look, detected_frames
 
 STAGE = "what if"
 _FILE = "sensitivity.toml"
-_REASONS = ("source", "assumption")
 
 # Name to smallest and largest value that can be varied to.
 RANGES: Mapping[str, tuple[float, float]] = {
@@ -83,10 +82,7 @@ def _read(name: str, table: Any, where: str) -> Assumption:
         raise InputError(where, Unquoted("an unknown assumption"), "one of " + ", ".join(RANGES))
     if not isinstance(table, dict):
         raise InputError(where, table, "a table with values")
-    known = ("values", *_REASONS)
-    for key in table:
-        if key not in known:
-            raise InputError(f"{where}.{key}", Unquoted("an unknown key"), ", ".join(known))
+    refuse_unknown(table, ("values", *REASONS), where)
     low, high = RANGES[name]
     values = []
     for index, _ in enumerate(entries := take_list(table, "values", where)):
@@ -100,16 +96,8 @@ def _read(name: str, table: Any, where: str) -> Assumption:
         values.append(value)
     if not values:
         raise InputError(f"{where}.values", Unquoted("none"), "at least one")
-    reasons = [key for key in _REASONS if key in table]
-    if len(reasons) != 1:
-        got = " and ".join(reasons) or "neither"
-        raise InputError(where, Unquoted(got), "either source or assumption")
-    return Assumption(
-        name=name,
-        values=tuple(sorted(set(values))),
-        reason=take_text(table, reasons[0], where),
-        is_ours=reasons == ["assumption"],
-    )
+    reason, is_ours = take_reason(table, where)
+    return Assumption(name=name, values=tuple(sorted(set(values))), reason=reason, is_ours=is_ours)
 
 
 # ---------- outcomes: what a layout achieves by the frames that its units detect
@@ -276,8 +264,7 @@ def _probability_of_track(known: FloatArray, axis: FrameAxis, rule: AebRule) -> 
 def runs_lost(planned: Outcome, outcome: Outcome) -> list[int]:
     """Indices of runs avoided as planned, and then with a probability below ``SURE``."""
     lost = (planned.avoided_share >= SURE) & (outcome.avoided_share < SURE)
-    indices: list[int] = np.flatnonzero(lost).tolist()
-    return indices
+    return np.flatnonzero(lost).tolist()
 
 
 # ---------- sensitivity
@@ -379,12 +366,15 @@ def find_sensitivity(
     values = {one.name: _new_values(one, setting) for one in assumptions}
     asked = [(name, value) for name in (*_MOUNTING, *_DETECTOR) for value in values.get(name, ())]
     looks = {} if is_large else {key: _looks_at(units, *key, setting) for key in asked}
-    frames, axes = _detect_and_brake(
-        setting,
-        [*((unit, setting.table_detector) for unit in units), *chain(*looks.values())],
-        values.get("deceleration_mps2", ()),
-        compute,
-    )
+    everyone = [*((unit, setting.table_detector) for unit in units), *chain(*looks.values())]
+    with ThreadPoolExecutor(1) as pool:  # encounters are braked while rays are cast
+        braking = values.get("deceleration_mps2", ())
+        brakes = pool.submit(find_last_brake_times, setting, braking, compute=compute)
+        frames = detected_frames(setting, everyone, stage=STAGE, compute=compute)
+        axes = {
+            value: replace(setting.axis, last_brake_time_s=last_s)
+            for value, last_s in brakes.result().items()
+        }
     as_planned, *others = (
         Watched(units=units, detected=part, axis=setting.axis, rule=rule, fusion=fusion)
         for part in frames.reshape(-1, len(units), setting.axis.n_frames)
@@ -430,32 +420,6 @@ def find_sensitivity(
     return Sensitivity(
         planned=planned.worth, assumptions=tuple(vary_all(one) for one in assumptions)
     )
-
-
-def _detect_and_brake(
-    setting: Setting, looks: Sequence[Look], decelerations_mps2: Sequence[float], compute: Compute
-) -> tuple[BoolArray, dict[float, FrameAxis]]:
-    """Frames detected in each look, and the axis with the brake times of each deceleration."""
-    compute.progress(STAGE, 0, 0)
-    with threadpool_limits(1), ThreadPoolExecutor(compute.workers) as pool:
-        try:
-            brakes = pool.submit(
-                find_last_brake_times, setting, decelerations_mps2, compute=compute
-            )
-            frames = detected_frames(
-                setting,
-                looks,
-                pool=pool,
-                compute=compute.within(STAGE),
-            )
-            axes = {
-                value: replace(setting.axis, last_brake_time_s=last_s)
-                for value, last_s in brakes.result().items()
-            }
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
-    return frames, axes
 
 
 def _finite(value: float | None) -> float | None:
@@ -552,20 +516,248 @@ def _looks_at(
 
 def _off(unit: CandidatePose, name: str, value: float, scene: Scene) -> CandidatePose:
     """A unit mounted wrongly, at no site; the unit itself if it would be inside something."""
-    pose = unit.pose
-    position, yaw_deg, pitch_deg = pose.position_m, pose.yaw_deg, pose.pitch_deg
-    if name == "yaw_deg":
-        yaw_deg = float(wrap_deg(yaw_deg + value))
-    elif name == "pitch_deg":
-        pitch_deg = float(np.clip(pitch_deg + value, -90.0, 90.0))
-    elif name == "height_m":
-        position = position + [0.0, 0.0, value]
-    else:
-        yaw = math.radians(yaw_deg)
-        position = position + value * np.array([math.cos(yaw), math.sin(yaw), 0.0])
-    if position is not pose.position_m and (
-        position[2] < _LOWEST_M or containing_instance(scene, position) is not None
-    ):
+    if name in ("yaw_deg", "pitch_deg"):
+        is_yaw = name == "yaw_deg"
+        return _mounted(unit, yaw_deg=value * is_yaw, pitch_deg=value * (not is_yaw))
+    yaw = math.radians(unit.pose.yaw_deg)
+    ahead = [0.0, 0.0, 1.0] if name == "height_m" else [math.cos(yaw), math.sin(yaw), 0.0]
+    position_m = unit.pose.position_m + value * np.array(ahead)
+    if position_m[2] < _LOWEST_M or containing_instance(scene, position_m) is not None:
         return unit
-    moved = Pose(position_m=position, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
-    return replace(unit, site_id="", pose=moved)
+    return _mounted(unit, position_m=position_m)
+
+
+def _mounted(
+    unit: CandidatePose,
+    *,
+    position_m: FloatArray | None = None,
+    yaw_deg: float = 0.0,
+    pitch_deg: float = 0.0,
+) -> CandidatePose:
+    """A unit at another place, or turned; at no site: it is mounted wrongly."""
+    pose = Pose(
+        position_m=unit.pose.position_m if position_m is None else position_m,
+        yaw_deg=float(wrap_deg(unit.pose.yaw_deg + yaw_deg)),
+        pitch_deg=float(np.clip(unit.pose.pitch_deg + pitch_deg, -90.0, 90.0)),
+    )
+    return replace(unit, site_id="", pose=pose)
+
+
+# ---------- tolerances: by how much one unit may be off before a run is lost, and what then is
+
+
+TOLERANCES = "tolerances"
+TURNS_DEG = (0.5, 1.0, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0)
+LIFTS_M = (0.05, 0.1, 0.2, 0.3, 0.5, 0.75, 1.0)
+
+ErrorKind = Literal["yaw", "pitch", "height"]
+Steps = Mapping[ErrorKind, tuple[float, ...]]
+STEPS: Steps = {"yaw": TURNS_DEG, "pitch": TURNS_DEG, "height": LIFTS_M}
+
+USUAL_DEG, USUAL_M = 1.0, 0.05
+"""Errors of a careful mounting: half a bubble of a spirit level, the play of a clamp."""
+
+_QUICK_STEPS: Steps = {
+    "yaw": (0.5, USUAL_DEG, 2.0),
+    "pitch": (0.5, USUAL_DEG, 2.0),
+    "height": (USUAL_M,),
+}
+_USUAL: Mapping[ErrorKind, float] = {"yaw": USUAL_DEG, "pitch": USUAL_DEG, "height": USUAL_M}
+
+MAX_UNITS = 30
+"""Of larger layouts nobody asks what a usual error loses: one look for each takes too long."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tolerance:
+    """By how much one unit may be off if all others are mounted as planned."""
+
+    unit_id: str  # the unit
+    # yaw_deg, pitch_deg: clockwise (right) and counter-clockwise (left); down and up: the
+    # largest of the tried turns up to which every run that the layout avoids is still
+    # avoided; 0: not even the smallest. [deg]
+    yaw_deg: tuple[float, float]
+    pitch_deg: tuple[float, float]
+    height_m: tuple[float, float]  # lower and higher, the same. [m]
+
+
+def find_tolerances(
+    setting: Setting,
+    units: Sequence[CandidatePose],
+    *,
+    fusion: Fusion = "any",
+    compute: Compute = DEFAULT_COMPUTE,
+) -> tuple[Tolerance, ...]:
+    """By how much each unit of a layout may be off; `compute` has the seed of the layout's table.
+
+    One thing is off at a time: a unit that is turned and too low at once may lose a run within both
+    tolerances.
+    """
+    return _find_errors(setting, units, STEPS, fusion=fusion, compute=compute).tolerances()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MountingError:
+    """One unit that is off, all others as planned.
+
+    Attributes
+    ----------
+    unit_id : str
+        The unit.
+    kind : {"yaw", "pitch", "height"}
+        Turned counter-clockwise, tilted up, or raised ...
+    step : float
+        ... by so much. [deg, m]
+    apr : float
+        Accident prevention ratio that is left, 0..1.
+    lost_run_ids : tuple of str
+        Runs that are avoided as planned and then no longer.
+    """
+
+    unit_id: str
+    kind: ErrorKind
+    step: float
+    apr: float
+    lost_run_ids: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Standing:
+    """Bearing of usual errors of mounting, on the detection table.
+
+    Attributes
+    ----------
+    aim_deg : float
+        Any one unit may be turned or tilted by so much and no run is lost; 0: not even by the
+        smallest step tried. The largest step tried is 2 degrees. [deg]
+    height_m : float
+        Or raised or lowered by so much; the only step tried is the usual one. [m]
+    worst : MountingError
+        Of the usual errors the one that leaves the least.
+    """
+
+    aim_deg: float
+    height_m: float
+    worst: MountingError
+
+
+def find_standing(
+    setting: Setting,
+    units: Sequence[CandidatePose],
+    *,
+    fusion: Fusion = "any",
+    compute: Compute = DEFAULT_COMPUTE,
+) -> Standing:
+    """Cost of the usual errors of mounting, one unit and one error at a time."""
+    errors = _find_errors(setting, units, _QUICK_STEPS, fusion=fusion, compute=compute)
+    found = errors.tolerances()
+    usual = [
+        errors.error(number, kind, sign * _USUAL[kind])
+        for number in range(len(units))
+        for kind in _USUAL
+        for sign in (-1, 1)
+    ]
+    return Standing(
+        aim_deg=min(min(*one.yaw_deg, *one.pitch_deg) for one in found),
+        height_m=min(min(one.height_m) for one in found),
+        worst=min(usual, key=lambda one: (one.apr, -len(one.lost_run_ids))),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Errors:
+    """Runs that are avoided with one unit off, by its number, what is off and by how much."""
+
+    setting: Setting
+    units: Sequence[CandidatePose]
+    steps: Steps
+    planned: BoolArray  # (n_runs,)
+    avoided: Mapping[tuple[int, ErrorKind, float], BoolArray]  # (n_runs,) each
+
+    def error(self, number: int, kind: ErrorKind, step: float) -> MountingError:
+        axis = self.setting.axis
+        return MountingError(
+            unit_id=self.units[number].id,
+            kind=kind,
+            step=step,
+            apr=weight_share(self.avoided[number, kind, step], axis.weight),
+            lost_run_ids=tuple(axis.run_ids[run] for run in self._lost(number, kind, step)),
+        )
+
+    def _lost(self, number: int, kind: ErrorKind, step: float) -> list[int]:
+        return np.flatnonzero(self.planned & ~self.avoided[number, kind, step]).tolist()
+
+    def tolerances(self) -> tuple[Tolerance, ...]:
+        return tuple(
+            Tolerance(
+                unit_id=unit.id,
+                yaw_deg=self._both(number, "yaw"),
+                pitch_deg=self._both(number, "pitch"),
+                height_m=self._both(number, "height"),
+            )
+            for number, unit in enumerate(self.units)
+        )
+
+    def _both(self, number: int, kind: ErrorKind) -> tuple[float, float]:
+        return self._last_good(number, kind, -1), self._last_good(number, kind, 1)
+
+    def _last_good(self, number: int, kind: ErrorKind, sign: int) -> float:
+        """The largest step before the first one that loses a run."""
+        good = 0.0
+        for step in self.steps[kind]:
+            if self._lost(number, kind, sign * step):
+                break
+            good = step
+        return good
+
+
+def _find_errors(
+    setting: Setting,
+    units: Sequence[CandidatePose],
+    steps: Steps,
+    *,
+    fusion: Fusion,
+    compute: Compute,
+) -> _Errors:
+    keys = [
+        (number, kind, sign * step)
+        for number in range(len(units))
+        for kind, sizes in steps.items()
+        for step in sizes
+        for sign in (-1, 1)
+    ]
+    everyone = [*units, *(_off_by(units[number], kind, step) for number, kind, step in keys)]
+    looks = [(unit, setting.table_detector) for unit in everyone]
+    frames = detected_frames(setting, looks, stage=TOLERANCES, compute=compute)
+    latency_s = np.array([unit.latency(setting.rule) for unit in everyone])
+    arrival_s = np.where(frames, setting.axis.time_s + latency_s[:, None], np.inf)
+
+    def avoided(rows: Sequence[int]) -> BoolArray:
+        parties = arrival_s[rows]
+        if fusion == "any":
+            parties = parties.min(axis=0, keepdims=True)
+        in_time = [
+            find_onsets(party, setting.axis, rule=setting.rule).is_in_time for party in parties
+        ]
+        is_avoided: BoolArray = np.any(in_time, axis=0)
+        return is_avoided
+
+    numbers = list(range(len(units)))
+    return _Errors(
+        setting=setting,
+        units=units,
+        steps=steps,
+        planned=avoided(numbers),
+        avoided={
+            key: avoided([row if number == key[0] else number for number in numbers])
+            for row, key in enumerate(keys, start=len(units))
+        },
+    )
+
+
+def _off_by(unit: CandidatePose, kind: ErrorKind, step: float) -> CandidatePose:
+    """The unit, off by one error; never below the road."""
+    if kind == "height":
+        east, north, up = unit.pose.position_m
+        return _mounted(unit, position_m=np.array([east, north, max(up + step, _LOWEST_M)]))
+    return _mounted(unit, yaw_deg=step * (kind == "yaw"), pitch_deg=step * (kind == "pitch"))

@@ -1,7 +1,7 @@
 """Runs that a layout does not avoid: what is in the way, how late it brakes, what would help."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -30,6 +30,7 @@ from ..visibility.sensing import build_sensing
 Cause = Literal["hidden", "out of view", "cut off", "too dark", "too far", "otherwise"]
 
 THE_VUT = "the VUT"
+Names = tuple[NDArray[np.object_], list[list[str]]]
 _OFF_SURFACE_M = 1.0e-3  # rays end this much before the point they are cast to
 
 
@@ -73,7 +74,7 @@ def find_reasons(
     runs = [setting.runs[index] for index in run_index]
     ends = np.cumsum([0, *(len(run.time_s) for run in runs)])
     world = build_world(setting.scene, runs, n_points=N_POINTS, seed=compute.seed)
-    names = _triangle_names(setting.scene, runs)
+    names = _names(setting.scene, runs)
     reasons: list[tuple[Reason, ...]] = [()] * len(looks)
     units = {id(look.unit): look.unit for look in looks}
     for key, unit in units.items():
@@ -96,7 +97,7 @@ def find_reasons(
 def _causes(
     setting: Setting,
     world: World,
-    names: Sequence[NDArray[np.object_]],
+    names: Names,
     unit: CandidatePose,
     frames: IntArray,
 ) -> list[tuple[Cause, str]]:
@@ -119,7 +120,9 @@ def _causes(
     in_the_open = sensing.detected([unit])[0, weathers, entries]
     bright = replace(sensing, contrast=np.ones_like(sensing.contrast))
     in_full_light = bright.detected([unit])[0, weathers, entries]
-    inside = _inside_shares(world, unit, frames)
+    views = world.views
+    points = views.points_m[views.view_of_frame[frames]].astype(np.float64) + world.origin_m
+    inside = is_in_view(unit, points.reshape(-1, 3)).reshape(points.shape[:2]).mean(axis=1)
     things = iter(_things_between(world, names, unit, frames[in_the_open], open_sight))
     causes: list[tuple[Cause, str]] = []
     for frame in range(len(frames)):
@@ -133,38 +136,34 @@ def _causes(
     return causes
 
 
-def _inside_shares(world: World, unit: CandidatePose, frames: IntArray) -> FloatArray:
-    """Share of the body's points in the field of view of a unit, (n_frames,)."""
-    views = world.views
-    points = views.points_m[views.view_of_frame[frames]].astype(np.float64) + world.origin_m
-    share: FloatArray = is_in_view(unit, points.reshape(-1, 3)).reshape(points.shape[:2]).mean(1)
-    return share
-
-
 def _things_between(
     world: World,
-    names: Sequence[NDArray[np.object_]],
+    names: Names,
     unit: CandidatePose,
     frames: IntArray,
     open_sight: Sight,
 ) -> list[str]:
     """The thing that blocks most rays to the road user in each frame; empty where nothing does."""
-    views = world.views
+    views, vehicles = world.views, world.vehicles
     eye = unit.pose.position_m - world.origin_m
+    of_triangles, of_standing = names
     things = []
     for frame in frames.tolist():
         view = int(views.view_of_frame[frame])
         faces_eye = open_sight.is_visible[open_sight.entry_of_frame[frame]]
         rays = _rays(eye, views.points_m[view][faces_eye], unit.sensor.near_m)
-        index = int(views.obstruction_index[view])
+        group = int(views.obstruction_index[view])
         share, triangle = world.shared.caster.first_triangle(*rays)
-        nearer, parked = world.standing.first_triangle(index, *rays)
-        of_bodies = len(world.shared.triangles_m) + parked
-        share, triangle = np.minimum(share, nearer), np.where(nearer < share, of_bodies, triangle)
-        thing = names[index][np.where(share < 1.0, triangle, -1)]
-        for name, nearer in _vehicle_shares(world, frame, rays):
-            is_nearer = nearer < np.minimum(share, 1.0)
-            thing[is_nearer], share = name, np.minimum(share, nearer)
+        thing = of_triangles[np.where(share < 1.0, triangle, -1)]
+        standing = (hits for _, hits in world.standing.first_hits(group, *rays))
+        driving = (
+            (THE_VUT if kind == 0 else f"{vehicles.actors[kind].name}, driving", hits)
+            for body, hits in vehicles.first_hits(frame, *rays)
+            for kind in [int(vehicles.kind[body])]
+        )
+        for name, hits in (*zip(of_standing[group], standing, strict=True), *driving):
+            thing[hits < np.minimum(share, 1.0)] = name
+            share = np.minimum(share, hits)
         blockers = Counter(thing[thing != ""].tolist()).most_common(1)
         things.append(blockers[0][0] if blockers else "")
     return things
@@ -182,44 +181,20 @@ def _rays(eye_m: FloatArray, points_m: FloatRays, near_m: float) -> tuple[FloatR
     return starts, ways.astype(np.float32)
 
 
-def _vehicle_shares(
-    world: World, frame: int, rays: tuple[FloatRays, FloatRays]
-) -> Iterator[tuple[str, FloatRays]]:
-    """Share of each ray up to its first hit on a vehicle, and the vehicle's name."""
-    vehicles = world.vehicles
-    starts, ways = rays
-    for row in vehicles.of_group(frame).tolist():
-        index = int(vehicles.kind[row])
-        rotation = vehicles.rotation[row]
-        position = vehicles.position_m[row]
-        name = THE_VUT if index == 0 else f"{vehicles.actors[index].name}, driving"
-        yield (
-            name,
-            vehicles.casters[index].first_hit(
-                ((starts - position) @ rotation).astype(np.float32),
-                (ways @ rotation).astype(np.float32),
-            ),
-        )
-
-
-def _triangle_names(scene: Scene, runs: Sequence[Run]) -> list[NDArray[np.object_]]:
-    """Name of the thing to which each triangle belongs: those of the scene, then of the bodies."""
+def _names(scene: Scene, runs: Sequence[Run]) -> Names:
+    """Name of the thing of each triangle of the scene, and of each body of every obstruction."""
     instances = [scene.instances[index].id for index in scene.triangle_instance]
-    names = []
+    of_standing = []
     for parked in find_obstructions(runs)[0]:
         bodies = [body.actor.name for body in parked]
-        labels = [
-            name if bodies.count(name) == 1 else f"{name} ({bodies[: number + 1].count(name)})"
-            for number, name in enumerate(bodies)
-        ]
-        of_bodies = [
-            label
-            for label, body in zip(labels, parked, strict=True)
-            for _ in range(len(body.actor.shapes[0].triangles))
-        ]
-        # One more at the end: nothing is hit (index -1).
-        names.append(np.array([*instances, *of_bodies, ""], dtype=object))
-    return names
+        of_standing.append(
+            [
+                name if bodies.count(name) == 1 else f"{name} ({bodies[: number + 1].count(name)})"
+                for number, name in enumerate(bodies)
+            ]
+        )
+    # One more at the end: nothing is hit (index -1).
+    return np.array([*instances, ""], dtype=object), of_standing
 
 
 # ---------- runs
@@ -343,39 +318,19 @@ def _find_unavoided(
         _find_miss(setting, problem, candidates, chosen, run)
         for run in np.flatnonzero(is_missed & (axis.weight > 0.0)).tolist()
     ]
-    looks = [miss.look for miss in misses if miss.look is not None]
+    looks = [look for _, look in misses if look is not None]
     reasons = iter(find_reasons(setting, looks, compute=compute))
     joining = _find_joining(problem, candidates, chosen)
-    unavoided = []
-    for miss in misses:
-        has_hope = miss.look is not None
-        unavoided.append(
-            Unavoided(
-                run=axis.run_ids[miss.run],
-                outcome=miss.outcome,
-                late_s=miss.late_s if np.isfinite(miss.late_s) else None,
-                frames_in_time=int(miss.counts.sum()),
-                frames_seen=int((miss.counts & miss.seen).sum()),
-                unit="" if miss.look is None else miss.look.unit.id,
-                reasons=next(reasons) if has_hope else (),
-                rescue=_nearest_rescue(problem, candidates, chosen, joining, miss.run)
-                if has_hope
-                else None,
-            )
+    return tuple(
+        miss
+        if look is None
+        else replace(
+            miss,
+            reasons=next(reasons),
+            rescue=_nearest_rescue(problem, candidates, chosen, joining, look.run_index),
         )
-    return tuple(unavoided)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Miss:
-    """A run that is not avoided."""
-
-    run: int
-    outcome: Outcome
-    late_s: float
-    counts: BoolArray  # (n,): frames of the run from which braking in time could follow
-    seen: BoolArray  # (n,): frames in which a chosen unit detects the road user
-    look: Look | None  # what the unit that should see best has missed; None: hopeless
+        for miss, look in misses
+    )
 
 
 def _find_miss(
@@ -384,8 +339,8 @@ def _find_miss(
     candidates: Sequence[CandidatePose],
     chosen: list[int],
     run: int,
-) -> _Miss:
-    """Outcome of a run with the chosen units, and the frames that one of them should have seen."""
+) -> tuple[Unavoided, Look | None]:
+    """Outcome of a run with the chosen units, and what the one that should see best has missed."""
     axis, rule = problem.table.axis, problem.rule
     time_s = axis.time_s[axis.frames_of(run)]
     last_brake_s = axis.last_brake_time_s[run]
@@ -394,7 +349,7 @@ def _find_miss(
     seen = np.logical_or.reduce(detected, axis=0)
     together = seen if problem.fusion == "any" else detected
     confirmed = confirmation_mask(together, n_confirmations=rule.n_confirmations)
-    late_s = np.where(confirmed & ~counts, time_s, np.inf).min(initial=np.inf) + rule.latency_s
+    braking_s = np.where(confirmed & ~counts, time_s, np.inf).min(initial=np.inf) + rule.latency_s
     outcome: Outcome = "too late"
     look = None
     if int(counts.sum()) < rule.n_confirmations:
@@ -404,7 +359,7 @@ def _find_miss(
             outcome = "never seen"
         elif not confirmed.any():
             outcome = "never confirmed"
-        elif not np.isfinite(late_s):
+        elif not np.isfinite(braking_s):
             outcome = "lost again"
         units = [candidates[pose] for pose in chosen]
         nearest = _who_should_see(setting.runs[run], units, np.flatnonzero(counts))
@@ -413,14 +368,18 @@ def _find_miss(
             run_index=run,
             frame_index=np.flatnonzero(counts & ~detected[nearest]),
         )
-    return _Miss(
-        run=run,
+    late_s = float(braking_s - last_brake_s) if np.isfinite(last_brake_s) else np.inf
+    miss = Unavoided(
+        run=axis.run_ids[run],
         outcome=outcome,
-        late_s=float(late_s - last_brake_s) if np.isfinite(last_brake_s) else np.inf,
-        counts=counts,
-        seen=seen,
-        look=look,
+        late_s=late_s if np.isfinite(late_s) else None,
+        frames_in_time=int(counts.sum()),
+        frames_seen=int((counts & seen).sum()),
+        unit="" if look is None else look.unit.id,
+        reasons=(),
+        rescue=None,
     )
+    return miss, look
 
 
 def _who_should_see(run: Run, units: Sequence[CandidatePose], frames: IntArray) -> int:

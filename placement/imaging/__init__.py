@@ -2,8 +2,8 @@
 
 ``mesh`` gathers a frame's triangles and scans them with a LiDAR, ``ground`` draws the road plane;
 ``materials`` says what surfaces send back, ``light`` what falls on them; ``picture`` casts the rays
-of one frame, ``stills`` those of many by one camera, ``crops`` those of a part; ``exposure`` adds
-glare and drops, and exposes.
+of one frame, ``stills`` those of many by one camera, or of a part; ``exposure`` adds glare and
+drops, and exposes.
 """
 
 from .mesh import PointCloud, scan_cloud

@@ -122,8 +122,7 @@ def _zebras(scene: Scene, marks: Mapping[str, float]) -> Iterator[list[float]]:
 def _lengths(line: FloatArray) -> FloatArray:
     """Arc length at each point of a line."""
     steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
-    lengths: FloatArray = np.concatenate([[0.0], np.cumsum(steps)])
-    return lengths
+    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def _at(line: FloatArray, length_m: float, offset_m: float) -> tuple[FloatArray, FloatArray]:
@@ -292,8 +291,7 @@ def sky_left(distance_m: FloatArray, thing: Thing) -> FloatRays:
     seen = length / np.hypot(length, 2.0 * outside)
     share = 1.0 - 0.5 * seen * (1.0 - outside / np.hypot(outside, height))
     below = 0.5 * np.exp(np.minimum(distance_m, 0.0) / _CLEARANCE_M)
-    left: FloatRays = np.where(distance_m > 0.0, share, np.maximum(below, 0.08)).astype(np.float32)
-    return left
+    return np.where(distance_m > 0.0, share, np.maximum(below, 0.08)).astype(np.float32)
 
 
 def grain_at(noise: FloatRays, east: FloatRays, north: FloatRays, per_m: FloatRays) -> FloatRays:

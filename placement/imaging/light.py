@@ -90,10 +90,9 @@ class HeadLamp:
         share *= np.exp(-np.maximum(below_deg, 0.0) / np.float32(beam["depth_deg"]))
         share *= np.exp(-0.5 * (to_kerb_deg / np.float32(beam["width_deg"])) ** 2)
         above = np.float32(beam["above_cd"])
-        intensity: FloatRays = np.where(
+        return np.where(
             is_ahead, above + np.float32(beam["peak_cd"] - beam["above_cd"]) * share, np.float32(0)
         )
-        return intensity
 
 
 Lamp = StreetLamp | HeadLamp
@@ -173,8 +172,7 @@ def _read_lamp(name: str) -> tuple[dict[str, float], FloatArray]:
 def _colour(table: Mapping[str, object], key: str, where: str) -> FloatArray:
     """A colour (3,), scaled to a luminance of 1."""
     colour = float_array(take(table, key, where), (3,), f"{where}.{key}")
-    unit: FloatArray = colour / (LUMINANCE @ colour)
-    return unit
+    return colour / (LUMINANCE @ colour)
 
 
 # ---------- the sky and the air
@@ -295,7 +293,11 @@ def illuminance(
     if (level > 0.0).any() and not (upness > 0.999).all():
         lux += below[:, None] * level.astype(np.float32)
     if (sky.sun_lux > 0.0).any() and sky.to_sun[2] > 0.0:
-        _add_sun(lux, hits, starts, caster, sky)
+        cosine = hits.normals @ sky.to_sun.astype(np.float32)
+        facing = np.flatnonzero(cosine > 0.0)
+        way = np.broadcast_to((_SUN_WAY_M * sky.to_sun).astype(np.float32), (len(facing), 3))
+        free = facing[~caster.is_blocked(starts[facing], way)]
+        lux[free] += cosine[free, None] * sky.sun_lux.astype(np.float32)
     # Lamps that drive come last: pictures of what stands still are made without them.
     for group in (
         [lamp for lamp in lamps if not isinstance(lamp, HeadLamp)],
@@ -320,14 +322,6 @@ def add_headlights(
     starts += np.float32(_OFF_SURFACE_M) * hits.normals
     below = np.float32(ground_albedo) * (0.5 - 0.5 * hits.normals[:, 2])
     _add_lamps(lux, hits, starts, caster, headlights, below)
-
-
-def _add_sun(lux: FloatRays, hits: Hits, starts: FloatRays, caster: RayCaster, sky: Sky) -> None:
-    cosine = hits.normals @ sky.to_sun.astype(np.float32)
-    facing = np.flatnonzero(cosine > 0.0)
-    way = np.broadcast_to((_SUN_WAY_M * sky.to_sun).astype(np.float32), (len(facing), 3))
-    free = facing[~caster.is_blocked(starts[facing], way)]
-    lux[free] += cosine[free, None] * sky.sun_lux.astype(np.float32)
 
 
 def _add_lamps(

@@ -331,8 +331,7 @@ def _round_normals(vertices_m: FloatArray, triangles: Index) -> FloatRays:
 
 def _face_normals(vertices_m: FloatArray, triangles: Index) -> FloatRays:
     a, b, c = np.swapaxes(vertices_m[triangles], 0, 1)
-    normals: FloatRays = np.cross(b - a, c - a).astype(np.float32)
-    return normals
+    return np.cross(b - a, c - a).astype(np.float32)
 
 
 def _unit(vectors: FloatRays) -> FloatRays:

@@ -112,8 +112,7 @@ class Window(NamedTuple):
     def in_whole(self, pixels: IntArray, camera: CameraModel) -> IntArray:
         """Pixels of the window, row * width + column, as pixels of the camera's whole image."""
         down, across = np.divmod(pixels, self.width)
-        whole: IntArray = (down + self.top) * camera.width_px + across + self.left
-        return whole
+        return (down + self.top) * camera.width_px + across + self.left
 
 
 def whole_image(camera: CameraModel) -> Window:
@@ -138,6 +137,11 @@ class Surfaces(NamedTuple):
     mirrored: FloatRays  # where the mirrored ray goes; zeros where none is cast
 
 
+def blank_surfaces(*size: int) -> Surfaces:
+    """Surfaces, (size, 3), of which nothing is known yet."""
+    return Surfaces(*(np.zeros((*size, 3), dtype=np.float32) for _ in Surfaces._fields))
+
+
 def shade_rays(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
     """Shades and surfaces of rays (n, 3) from the camera, one metre deep, in the world's axes."""
     camera, mesh, sky = shot.camera, shot.mesh, shot.sky
@@ -148,7 +152,7 @@ def shade_rays(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
     is_hit = triangle >= 0
     instance = np.full(len(ways), -1, dtype=np.int32)
     radiance = np.empty((len(ways), 3), dtype=np.float32)
-    surfaces = Surfaces(*(np.zeros((len(ways), 3), dtype=np.float32) for _ in Surfaces._fields))
+    surfaces = blank_surfaces(len(ways))
     nothing = np.flatnonzero(~is_hit)
     radiance[nothing] = sky.luminance(ways[nothing, 2] / length[nothing])
     met = np.flatnonzero(is_hit)
@@ -198,8 +202,7 @@ def pixel_rays(shot: Shot, columns_px: FloatRays, rows_px: FloatRays) -> FloatRa
     in_camera[:, 0] = (columns_px - 0.5 * camera.width_px) / camera.focal_length_px
     in_camera[:, 1] = (rows_px - 0.5 * camera.height_px) / camera.focal_length_px
     in_camera[:, 2] = 1.0
-    ways: FloatRays = in_camera @ shot.R_world_camera.T.astype(np.float32)
-    return ways
+    return in_camera @ shot.R_world_camera.T.astype(np.float32)
 
 
 def _find_hits(
@@ -235,10 +238,7 @@ def _interpolated_normals(mesh: FrameMesh, triangle: IntArray, points: FloatRays
     shares = np.clip(np.stack([1.0 - share_b - share_c, share_b, share_c], axis=1), 0.0, 1.0)
     mean = np.einsum("ij,ijk->ik", shares, normals)
     length = np.linalg.norm(mean, axis=1, keepdims=True)
-    between: FloatRays = np.where(
-        length > 1e-3, mean / np.maximum(length, np.float32(1e-3)), normals[:, 0]
-    )
-    return between
+    return np.where(length > 1e-3, mean / np.maximum(length, np.float32(1e-3)), normals[:, 0])
 
 
 def _shade(shot: Shot, class_name: str, hits: Hits, ahead: FloatRays) -> tuple[FloatRays, Surfaces]:
@@ -418,7 +418,7 @@ def draw_picture(
     from .exposure import find_edges  # loads the compiler
 
     with start_pool(compute) as pool:
-        image = shade_image(shot, pool)
+        image = shade_image(shot, whole_image(camera), pool)
         edges = np.flatnonzero(find_edges(image.radiance))
         smooth_image(shot, whole_image(camera), image.radiance, edges, pool.map)
         rgb = expose_image(shot, image.radiance, pose, [compute.seed, frame_index], pool)
@@ -469,21 +469,13 @@ def start_pool(compute: Compute) -> Iterator[ThreadPoolExecutor]:
         yield pool
 
 
-def shade_image(shot: Shot, pool: ThreadPoolExecutor) -> Shades:
-    """Shades through the middles of a camera's pixels, before lens and noise, (h, w)."""
-    return _shade_tiles(shot, whole_image(shot.camera), pool, None)
-
-
-def shade_surfaces(shot: Shot, window: Window, pool: ThreadPoolExecutor) -> tuple[Shades, Surfaces]:
-    """Shades in a window, as of :func:`shade_image`, and the surfaces there, (h, w, 3)."""
-    size = (window.height, window.width)
-    surfaces = Surfaces(*(np.empty((*size, 3), dtype=np.float32) for _ in Surfaces._fields))
-    return _shade_tiles(shot, window, pool, surfaces), surfaces
-
-
-def _shade_tiles(
-    shot: Shot, window: Window, pool: ThreadPoolExecutor, surfaces: Surfaces | None
+def shade_image(
+    shot: Shot, window: Window, pool: ThreadPoolExecutor, surfaces: Surfaces | None = None
 ) -> Shades:
+    """Shades through the middles of a window's pixels, before lens and noise, (h, w).
+
+    The surfaces there are filled in, where asked for.
+    """
     size = (window.height, window.width)
     image = Shades(
         np.empty((*size, 3), dtype=np.float32),

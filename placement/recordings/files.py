@@ -6,7 +6,7 @@ Reading is strict: every error names file, line and field.
 import itertools
 import math
 import shutil
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -229,6 +229,7 @@ def _number(
     return value
 
 
+_BICYCLE = "bycicle"  # as the study's paper spells it
 CONFIDENCE = 1.0
 """Of every detection that is written."""
 
@@ -273,18 +274,15 @@ def write_recording(
     folder: Path,
     drives: Sequence[WrittenDrive],
     *,
-    bicycle_name: str = "bycicle",
     n_reset_frames: int | None = None,
-    left_out: Collection[str] = (),
     also: Mapping[str, str] | None = None,
 ) -> None:
     """Write drives (with the same units) as the study's generator does, whole or not at all.
 
     Frame numbers run on over all drives. After each drive there are `n_reset_frames` frames, by
     default as many as the generator's, with the bodies back at their starts, as in its first frame.
-    `bicycle_name` is spelled as in the study's paper; `left_out` are files that shall be missing,
-    such as "3/0_17.txt", and `also` others that shall be there, with their text. Raises InputError
-    if units differ, or the folder is not empty or not writable.
+    `also` are other files that shall be there, with their text. Raises InputError if units differ,
+    or the folder is not empty or not writable.
     """
     form = load_format()
     if not drives:
@@ -294,14 +292,9 @@ def write_recording(
         if list(drive.labels_px) != units:
             raise InputError("units", list(drive.labels_px), f"those of the first drive: {units}")
     n_resets = form.n_reset_frames if n_reset_frames is None else n_reset_frames
-    texts = (
-        (name, text)
-        for name, text in _files(drives, form, bicycle_name, n_resets)
-        if name not in left_out
-    )
     write_folder(
         folder,
-        itertools.chain(texts, (also or {}).items()),
+        itertools.chain(_files(drives, form, n_resets), (also or {}).items()),
         folders=(*units, form.world_folder, form.eval_folder),
     )
 
@@ -332,12 +325,12 @@ def write_folder(
 
 
 def _files(
-    drives: Sequence[WrittenDrive], form: RecordingFormat, bicycle_name: str, n_resets: int
+    drives: Sequence[WrittenDrive], form: RecordingFormat, n_resets: int
 ) -> Iterator[tuple[str, str]]:
     """Names relative to the folder, and contents."""
     number = 0
     for drive in drives:
-        actor = bicycle_name if drive.vru_class == "bicycle" else drive.vru_class
+        actor = _BICYCLE if drive.vru_class == "bicycle" else drive.vru_class
         for frame in [*range(len(drive.distance_m)), *[0] * n_resets]:
             name = FrameKey(drive.scenario, number).file_name
             number += 1

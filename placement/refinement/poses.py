@@ -1,18 +1,13 @@
 """Promising poses, old and new, and the placement problem on them."""
 
-from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
-from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
-from geometry.catalogue import Sensor
-from geometry.lidar import LidarModel
+from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.poses import Pose, wrap_deg
 from geometry.scene import Scene, Site, containing_instance
 from geometry.sensors import CameraModel, with_fov
@@ -25,10 +20,6 @@ from ..layout import Layout
 from ..optimiser import Limits, PlacementProblem, ReducedProblem, run_margins_s
 from ..optimiser.bitsets import values_with_each
 from ..optimiser.limits import fitting
-from ..setting import Setting
-from ..visibility.build import N_POINTS
-from ..visibility.casting import build_world, cast_sight
-from ..visibility.sensing import Sensing, build_sensing, has_lidar, reach_m
 
 # ---------- weak spots
 
@@ -46,13 +37,6 @@ class WeakSpots:
     # (n,): how often each is to be aimed at; they sum to 1, or there is no frame at all.
     probability: FloatArray
     vru_m: FloatArray  # (n, 3): middle of the VRU's body [m]
-
-    def __post_init__(self) -> None:
-        for field in ("frame_index", "probability", "vru_m"):
-            object.__setattr__(self, field, freeze(np.asarray(getattr(self, field))))
-
-    def __len__(self) -> int:
-        return len(self.frame_index)
 
 
 def find_weak_spots(
@@ -262,16 +246,16 @@ def aimed(
     """
     free = np.flatnonzero(places.is_free)
     found: list[tuple[int, CandidatePose | None]] = []
-    if len(spots) == 0 or len(free) == 0:
+    if not len(spots.frame_index) or not len(free):
         return []
-    for first in rng.choice(len(spots), size=_N_AIMED_MOUNTS, p=spots.probability):
+    for first in rng.choice(len(spots.frame_index), size=_N_AIMED_MOUNTS, p=spots.probability):
         frame = spots.frame_index[first]
         sees = (table.packed[free, frame // 8] >> (frame % 8)) & 1 == 1
         sites = np.unique(places.site_index[free[sees] if sees.any() else free])
         of_site = free[places.site_index[free] == rng.choice(sites)]
         origin = int(rng.choice(of_site))
         height_m = rng.uniform(*places.height_range_m(origin))
-        others = rng.choice(len(spots), size=_PER_AIMED_MOUNT - 1, p=spots.probability)
+        others = rng.choice(len(spots.frame_index), size=_PER_AIMED_MOUNT - 1, p=spots.probability)
         for spot in (first, *others):
             position_m = np.append(places.candidates[origin].pose.position_m[:2], height_m)
             yaw_deg, pitch_deg = _direction_deg(spots.vru_m[spot] - position_m)
@@ -307,8 +291,7 @@ def _steps(
     yaw, one in pitch. Steps of one size would hardly ever stay on it.
     """
     scale = largest * 0.5 ** rng.uniform(0.0, n_halvings, shape)
-    steps: FloatArray = scale * rng.standard_normal(shape)
-    return steps
+    return scale * rng.standard_normal(shape)
 
 
 def _pitch_to_same_point_deg(
@@ -333,7 +316,8 @@ def _any_fov_deg(grid: CandidatePose, rng: np.random.Generator) -> float | None:
 # ---------- poses at hand
 
 
-# ---------- poses at hand
+RowBuilder = Callable[[Sequence[CandidatePose]], NDArray[np.uint8]]
+"""Packed rows of candidate poses on the frame axis of a problem, (n_poses, ceil(n_frames / 8))."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -399,7 +383,7 @@ def add_poses(
     proposals: Sequence[tuple[int, CandidatePose]],
     *,
     places: Places,
-    build_rows: Callable[[Sequence[CandidatePose]], NDArray[np.uint8]],
+    build_rows: RowBuilder,
 ) -> Bench:
     """A bench with new poses behind those that it has; equal ids mean equal poses.
 
@@ -443,110 +427,12 @@ def promising_rows(
         site = reduced.limits.site_index[best_first]
         first_of_sites = [best_first[site == one][:n_per_site] for one in np.unique(site)]
         found += [reduced.pose_index[rows] for rows in (best_first[:n_best], *first_of_sites)]
-    rows: IntArray = np.unique(np.concatenate(found))
-    return rows
+    return np.unique(np.concatenate(found))
 
 
 def _limits_of(limits: Limits, origin: IntArray, is_new: NDArray[np.bool_]) -> Limits:
     part = limits.of_poses(origin)
     return replace(part, is_forced=part.is_forced & ~is_new)
-
-
-# ---------- detection rows of new poses
-
-
-RowBuilder = Callable[[Sequence[CandidatePose]], NDArray[np.uint8]]
-"""Packed rows of candidate poses on the frame axis of a problem, (n_poses, ceil(n_frames / 8))."""
-
-_KEPT_MOUNTS = 16  # some ten megabytes each at the study's junction
-
-
-class RayRows:
-    """Rows of candidate poses at mounts that are remembered.
-
-    The rows are those of :func:`placement.visibility.build_detection_table`. What takes its time
-    there, and is spared here when a mount comes again, are the rays: another direction or field of
-    view only projects the points that they reach.
-    """
-
-    def __init__(self, setting: Setting, *, seed: int = 0, workers: int = 1) -> None:
-        self.detector = setting.table_detector
-        self.world = build_world(setting.scene, setting.runs, n_points=N_POINTS, seed=seed)
-        self.workers = workers
-        self.n_casts = 0
-        self._reach_m: dict[Sensor, float] = {}
-        self._mounts: OrderedDict[tuple[float, ...], tuple[Sensing, float]] = OrderedDict()
-
-    def __call__(self, candidates: Sequence[CandidatePose]) -> NDArray[np.uint8]:
-        """Packed rows, lowest bit first, (n_poses, ceil(n_frames / 8))."""
-        n_frames = len(self.world.views.view_of_frame)
-        packed = np.zeros((len(candidates), -(-n_frames // 8)), dtype=np.uint8)
-        mounts: dict[tuple[float, ...], list[int]] = {}
-        for row, candidate in enumerate(candidates):
-            mounts.setdefault(_mount_key(candidate), []).append(row)
-        keys = list(mounts)
-
-        def project(row: int, sensing: Sensing) -> None:
-            packed[row] = sensing.packed([candidates[row]])[0]
-
-        # One BLAS thread per worker: the matrices are small, and idle BLAS threads spin.
-        with threadpool_limits(1), ThreadPoolExecutor(self.workers) as pool:
-            for start in range(0, len(keys), _KEPT_MOUNTS):
-                part = keys[start : start + _KEPT_MOUNTS]
-                sensings = dict(
-                    zip(
-                        part,
-                        pool.map(
-                            self._sensing, part, [[candidates[i] for i in mounts[k]] for k in part]
-                        ),
-                        strict=True,
-                    )
-                )
-                jobs = [
-                    pool.submit(project, row, sensing)
-                    for key, (sensing, _) in sensings.items()
-                    for row in mounts[key]
-                ]
-                for job in jobs:
-                    job.result()
-                self._remember(sensings)
-        return packed
-
-    def _sensing(
-        self, key: tuple[float, ...], candidates: Sequence[CandidatePose]
-    ) -> tuple[Sensing, float]:
-        """View from a mount as far as its sensors reach, and how far that is."""
-        needed_m = max(self._reach_of(candidate.sensor) for candidate in candidates)
-        if key in self._mounts and self._mounts[key][1] >= needed_m:
-            return self._mounts[key]
-        position_m, near_m = candidates[0].pose.position_m, candidates[0].sensor.near_m
-        sight = cast_sight(
-            self.world,
-            position_m,
-            near_m=near_m,
-            max_distance_m=needed_m,
-            for_lidar=has_lidar(candidates),
-        )
-        return build_sensing(self.world, sight, position_m, self.detector), needed_m
-
-    def _reach_of(self, sensor: Sensor) -> float:
-        if sensor not in self._reach_m:
-            self._reach_m[sensor] = reach_m(sensor, self.detector, self.world)
-        return self._reach_m[sensor]
-
-    def _remember(self, sensings: dict[tuple[float, ...], tuple[Sensing, float]]) -> None:
-        for key, known in sensings.items():
-            self.n_casts += self._mounts.get(key) is not known
-            self._mounts[key] = known
-            self._mounts.move_to_end(key)
-        while len(self._mounts) > _KEPT_MOUNTS:
-            self._mounts.popitem(last=False)
-
-
-def _mount_key(candidate: CandidatePose) -> tuple[float, ...]:
-    """Equal for poses that share all rays."""
-    is_lidar = isinstance(candidate.sensor, LidarModel)
-    return (*candidate.pose.position_m.tolist(), candidate.sensor.near_m, is_lidar)
 
 
 # ---------- moves

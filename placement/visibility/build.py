@@ -1,17 +1,14 @@
 """Candidate poses and runs to a detection table, and tables cached on disk."""
 
-import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from geometry.actors import Actor
 from geometry.arrays import BoolArray
 from geometry.errors import InputError
 from geometry.lidar import LidarModel, load_lidar_detection
@@ -52,24 +49,17 @@ def build_detection_table(
         scene, runs, n_points=N_POINTS, seed=compute.seed, rays=compute.rays, shared=shared
     )
     looks = [(candidate, detector) for candidate in candidates]
-    # One BLAS thread per worker: the matrices are small, and idle BLAS threads spin.
-    with threadpool_limits(1), ThreadPoolExecutor(compute.workers) as pool:
-        try:
-            packed = _pack_rows(world, looks, pool, compute)
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
     return DetectionTable(
-        pose_ids=tuple(candidate.id for candidate in candidates), axis=axis, packed=packed
+        pose_ids=tuple(candidate.id for candidate in candidates),
+        axis=axis,
+        packed=_pack_rows(world, looks, compute),
     )
 
 
 Look = tuple[CandidatePose, PlanningDetector]
 
 
-def _pack_rows(
-    world: World, looks: Sequence[Look], pool: ThreadPoolExecutor, compute: Compute
-) -> NDArray[np.uint8]:
+def _pack_rows(world: World, looks: Sequence[Look], compute: Compute) -> NDArray[np.uint8]:
     """Rows of all looks, as bits; rays are cast once for all from one place."""
     mounts: dict[tuple[float, ...], list[int]] = {}  # rows of the same position and near limit
     for row, (candidate, _) in enumerate(looks):
@@ -77,10 +67,16 @@ def _pack_rows(
         mounts.setdefault(key, []).append(row)
     n_frames = len(world.views.view_of_frame)
     packed = np.zeros((len(looks), -(-n_frames // 8)), dtype=np.uint8)
-    pending = [pool.submit(_fill, packed, world, looks, rows) for rows in mounts.values()]
-    for done, future in enumerate(as_completed(pending), start=1):
-        future.result()
-        compute.progress(STAGE, done, len(mounts))
+    # One BLAS thread per worker: the matrices are small, and idle BLAS threads spin.
+    with threadpool_limits(1), ThreadPoolExecutor(compute.workers) as pool:
+        try:
+            pending = [pool.submit(_fill, packed, world, looks, rows) for rows in mounts.values()]
+            for done, future in enumerate(as_completed(pending), start=1):
+                future.result()
+                compute.progress(STAGE, done, len(mounts))
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
     return packed
 
 
@@ -102,14 +98,15 @@ def _fill(
 
 
 def detected_frames(
-    setting: Setting, looks: Sequence[Look], *, pool: ThreadPoolExecutor, compute: Compute
+    setting: Setting, looks: Sequence[Look], *, stage: str, compute: Compute
 ) -> BoolArray:
     """Frames in which units detect, each with a detector of its own, (n_looks, n_frames) bool.
 
     These are the rows that :func:`build_detection_table` has for each. Rays are cast once for all
     from one place, and only to what any of them has in its view. Frames that are cached by an
-    earlier call are not looked for again.
+    earlier call are not looked for again. Progress is that of the `stage`.
     """
+    compute.progress(stage, 0, 0)
     hashes = Fingerprints()
     names = [
         hashes.of(unit.pose, unit.sensor, detector.fingerprint(), load_lidar_detection())
@@ -126,7 +123,7 @@ def detected_frames(
         world = build_world(
             setting.scene, setting.runs, n_points=N_POINTS, seed=compute.seed, rays=compute.rays
         )
-        packed = _pack_rows(world, [*new.values()], pool, compute)
+        packed = _pack_rows(world, [*new.values()], compute.within(stage))
         frames = np.unpackbits(packed, axis=1, count=setting.axis.n_frames, bitorder="little")
         cached.add(dict(zip(new, frames.astype(bool), strict=True)))
     return np.array([cached.arrays[name] for name in names])
@@ -134,9 +131,8 @@ def detected_frames(
 
 # ---------- tables on disk, under a hash of everything that went into them
 
-_FORMAT = "place-rsus/table/6"  # raise it whenever the same inputs give another table
+_FORMAT = "place-rsus/table/7"  # raise it whenever the same inputs give another table
 _WHAT = "detection table"
-_T = TypeVar("_T")
 
 
 def table_fingerprint(
@@ -148,59 +144,28 @@ def table_fingerprint(
     seed: int,
 ) -> str:
     """Hash of all that a detection table depends on, 32 hexadecimal digits."""
-    digest = hashlib.blake2b(digest_size=16)
-
-    def add(*values: object) -> None:
-        for value in values:
-            if isinstance(value, np.ndarray):
-                digest.update(f"{value.dtype}{value.shape}".encode())
-                digest.update(np.ascontiguousarray(value).tobytes())
-            else:
-                digest.update(repr(value).encode())
-            digest.update(b"\0")
-
-    add(_FORMAT, N_POINTS, seed, detector.fingerprint())
-    add(scene.vertices_m, scene.triangles, scene.outline_m)
-    # By number, not by name: names may be equal.
-    sensors = _numbered(candidate.sensor for candidate in candidates)
-    for sensor in sensors:
-        add(type(sensor).__name__, asdict(sensor))
-    if any(isinstance(sensor, LidarModel) for sensor in sensors):
-        add(asdict(load_lidar_detection()))
-    add([(candidate.id, sensors[candidate.sensor]) for candidate in candidates])
-    add(np.array([candidate.pose.position_m for candidate in candidates]))
-    add(np.array([(c.pose.yaw_deg, c.pose.pitch_deg) for c in candidates]))
-    # By content: runs that were cached on disk bring actors of their own.
-    hashes = Fingerprints()
-    prints = {
-        actor: hashes.of(
-            *(actor.name, actor.length_m, actor.width_m, actor.height_m),
-            [(shape.vertices_m, shape.triangles) for shape in actor.shapes],
-        )
-        for actor in {actor for run in runs for actor in _actors_of(run)}
-    }
-    for name in dict.fromkeys(run.weather for run in runs):
-        add(asdict(pick_weather(name, "runs: weather")))
-    for run in runs:
-        add(run.id, run.weather, [prints[actor] for actor in _actors_of(run)], run.time_s)
-        add(run.vut_position_m, run.vut_yaw_deg)
-        add(run.vru_position_m, run.vru_yaw_deg, run.vru_shape)
-        for parked in run.obstruction:
-            add(parked.pose.position_m, parked.pose.yaw_deg, parked.pose.pitch_deg)
-        for body in run.traffic:
-            add(body.position_m, body.yaw_deg)
-        add("end of run")
-    return digest.hexdigest()
-
-
-def _actors_of(run: Run) -> list[Actor]:
-    parked, driving = ([thing.actor for thing in group] for group in (run.obstruction, run.traffic))
-    return [run.encounter.vut, run.encounter.vru, *parked, *driving]
-
-
-def _numbered(things: Iterable[_T]) -> dict[_T, int]:
-    """Number of each distinct thing, in the order in which they first appear."""
-    return {thing: number for number, thing in enumerate(dict.fromkeys(things))}
+    sensors = list(dict.fromkeys(candidate.sensor for candidate in candidates))
+    has_lidar = any(isinstance(sensor, LidarModel) for sensor in sensors)
+    poses = [candidate.pose for candidate in candidates]
+    return Fingerprints().of(
+        (_FORMAT, N_POINTS, seed, detector.fingerprint()),
+        (scene.vertices_m, scene.triangles, scene.outline_m),
+        (sensors, load_lidar_detection() if has_lidar else None),
+        # By number, not by name: names may be equal.
+        [(candidate.id, sensors.index(candidate.sensor)) for candidate in candidates],
+        np.array([pose.position_m for pose in poses]),
+        np.array([(pose.yaw_deg, pose.pitch_deg) for pose in poses]),
+        [pick_weather(name, "runs: weather") for name in dict.fromkeys(r.weather for r in runs)],
+        [
+            (
+                *(run.id, run.weather, run.encounter.vut, run.encounter.vru, run.time_s),
+                *(run.vut_position_m, run.vut_yaw_deg),
+                *(run.vru_position_m, run.vru_yaw_deg, run.vru_shape),
+                *(run.obstruction, run.traffic),
+            )
+            for run in runs
+        ],
+    )
 
 
 def save_table(path: Path, table: DetectionTable, *, fingerprint: str) -> None:

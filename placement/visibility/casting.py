@@ -6,7 +6,7 @@ taken into the frame of each body that they may meet, and cast against its shape
 is prepared for a shape serves wherever it is.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
@@ -72,27 +72,19 @@ class Bodies:
         """Bodies of a group."""
         return self.members[self.first[group] : self.first[group + 1]]
 
-    def first_triangle(
+    def first_hits(
         self, group: int, origins_m: FloatRays, vectors_m: FloatRays
-    ) -> tuple[FloatRays, IntArray]:
-        """First hits of rays on the bodies of a group; see :class:`.RayCaster`.
-
-        Their triangles are numbered body after body.
-        """
-        share = np.full(len(origins_m), np.inf, dtype=np.float32)
-        index = np.full(len(origins_m), -1, dtype=np.int64)
-        n_before = 0
+    ) -> Iterator[tuple[int, FloatRays]]:
+        """Bodies of a group, each with the share of every ray up to its first hit on it."""
         for body in self.of_group(group).tolist():
-            rotation, kind = self.rotation[body], self.kind[body]
-            hit, triangle = self.casters[kind].first_triangle(
-                ((origins_m - self.position_m[body]) @ rotation).astype(np.float32),
-                (vectors_m @ rotation).astype(np.float32),
+            rotation = self.rotation[body]
+            yield (
+                body,
+                self.casters[self.kind[body]].first_hit(
+                    ((origins_m - self.position_m[body]) @ rotation).astype(np.float32),
+                    (vectors_m @ rotation).astype(np.float32),
+                ),
             )
-            is_nearer = hit < share
-            share[is_nearer] = hit[is_nearer]
-            index[is_nearer] = n_before + triangle[is_nearer]
-            n_before += len(self.actors[kind].shapes[0].triangles)
-        return share, index
 
 
 @lru_cache(maxsize=256)
@@ -102,14 +94,10 @@ def shape_caster(shape: Shape, rays: str) -> RayCaster:
 
 
 @lru_cache(maxsize=256)
-def _shape_box_m(shape: Shape) -> FloatArray:
-    return np.array([shape.vertices_m.min(axis=0), shape.vertices_m.max(axis=0)])
-
-
 def _box_m(shape: Shape) -> FloatArray:
     """Lowest and highest coordinates, (2, 3), of all ways that are cast against a shape."""
-    box: FloatArray = _shape_box_m(shape) + [[-AROUND_BODY_M], [AROUND_BODY_M]]
-    return box
+    vertices = shape.vertices_m
+    return np.array([vertices.min(axis=0) - AROUND_BODY_M, vertices.max(axis=0) + AROUND_BODY_M])
 
 
 def find_obstructions(runs: Sequence[Run]) -> tuple[list[tuple[PlacedActor, ...]], IntArray]:
@@ -341,7 +329,11 @@ def cast_sight(
     near_views = np.flatnonzero(is_near if is_asked is None else is_near & is_asked)
     foreseen = None if is_foreseen is None else np.flatnonzero(is_foreseen)
     blocked = _hidden_by_scene(world, eye, near_views, foreseen, near_m=near_m)
-    _add_hidden_by_standing(world, eye, near_views, blocked, near_m=near_m)
+    obstruction = views.obstruction_index[near_views]
+    row, body = _find_between(world, eye, world.standing, near_views, obstruction)
+    _add_hidden_by_bodies(
+        *(world, eye, world.standing, body, near_views[row], row, blocked), near_m=near_m
+    )
     n_blocked = count_in_rows(blocked)
     row_of_view = np.full(len(views.yaw_deg), -1)
     is_left = n_blocked < blocked.shape[1]
@@ -482,17 +474,6 @@ def _find_between(
     )
     row, body = pairs[:n_pairs].T.astype(np.int64)
     return row, body
-
-
-def _add_hidden_by_standing(
-    world: World, eye_m: FloatArray, view_index: IntArray, hidden: BoolArray, *, near_m: float
-) -> None:
-    """Add the points that standing bodies hide to `hidden`, (n, n_points)."""
-    obstruction = world.views.obstruction_index[view_index]
-    row, body = _find_between(world, eye_m, world.standing, view_index, obstruction)
-    _add_hidden_by_bodies(
-        world, eye_m, world.standing, body, view_index[row], row, hidden, near_m=near_m
-    )
 
 
 def _add_hidden_by_bodies(

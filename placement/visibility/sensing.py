@@ -49,10 +49,7 @@ class Sensing:
         """
         detected = np.zeros((len(candidates), *self.contrast.shape), dtype=bool)
         for lidar, rows in _rows_by_lidar(candidates).items():
-            echoes = find_echoes(self.world, self.sight, self.eye_m, self.vru_class, lidar)
-            alike = [candidates[row] for row in rows]
-            is_near = np.stack([self._in_cone(candidate) for candidate in alike])
-            detected[rows] = echoes.detected(alike, is_near)
+            detected[rows] = _detect_echoes(self, lidar, [candidates[row] for row in rows])
         least_px = self._least_height_px()
         for boxes in self._boxes(candidates):
             high_px = box_height_px(boxes.plain_px)
@@ -326,53 +323,21 @@ def _evidence(sensing: Sensing, boxes: _Boxes, *, is_plain: bool) -> tuple[IntAr
 _SLACK_LIMIT = 1.0e-12  # of a cosine and a sine: limits of a field of view count
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Echoes:
-    """Points on VRUs that a LiDAR model may see from a mount, and how many beams each sends back.
+def _detect_echoes(
+    sensing: Sensing, lidar: LidarModel, candidates: Sequence[CandidatePose]
+) -> BoolArray:
+    """Entries on which LiDARs of one model have enough points, (n, n_weathers, n_entries).
 
     Each visible point stands for the part of the surface around it: its solid angle, seen from the
     LiDAR, times the density of beams in that direction is the number of beams that hit it.
     """
+    from .point_kernels import count_echoes
 
-    lidar: LidarModel
-    first: IntArray  # (n_entries + 1,): points from first[i] to first[i + 1] are on entry i
-    directions: FloatArray  # (k, 3): unit vectors from the mount
-    # (n_weathers, k): beams that come back where these are as dense as at the LiDAR's horizon
-    expected: FloatArray
-    needed: FloatArray  # (n_entries,): for a detection
-
-    def detected(self, candidates: Sequence[CandidatePose], is_near: BoolArray) -> BoolArray:
-        """Entries on which each of these LiDARs has enough points, in each weather.
-
-        `is_near` (n, n_entries): entries of which some part may be in its field of view. The result
-        has the shape (n, n_weathers, n_entries).
-        """
-        from .point_kernels import count_echoes
-
-        found = np.zeros((len(candidates), len(self.expected), len(self.needed)), dtype=bool)
-        poses = [candidate.pose for candidate in candidates]
-        count_echoes(
-            np.stack([body_rotation(pose.yaw_deg, pose.pitch_deg) for pose in poses]),
-            is_near,
-            self.first,
-            self.directions,
-            self.expected,
-            self.needed,
-            math.cos(math.radians(0.5 * self.lidar.horizontal_fov_deg)) - _SLACK_LIMIT,
-            math.sin(math.radians(0.5 * self.lidar.vertical_fov_deg)) + _SLACK_LIMIT,
-            found,
-        )
-        return found
-
-
-def find_echoes(
-    world: World, sight: Sight, eye_m: FloatArray, vru_class: IntArray, lidar: LidarModel
-) -> Echoes:
-    """All that does not depend on where a LiDAR looks; `eye_m` and classes as in ``Sensing``."""
+    world, sight, vru_class = sensing.world, sensing.sight, sensing.vru_class
     views = world.views
     entry, point = np.nonzero(sight.is_visible)
     view = sight.view_index[entry]
-    offsets = views.points_m[view, point] - eye_m
+    offsets = views.points_m[view, point] - sensing.eye_m
     distance = np.linalg.norm(offsets, axis=-1)
     areas = np.stack([surface.area_m2 for surface in world.surfaces])
     area = areas[views.surface_index[view], point]
@@ -407,10 +372,17 @@ def find_echoes(
         ]
     )
     counts = np.bincount(entry, minlength=len(sight.view_index))
-    return Echoes(
-        lidar=lidar,
-        first=np.concatenate([[0], np.cumsum(counts)]),
-        directions=np.ascontiguousarray(offsets / distance[:, None]),
-        expected=np.ascontiguousarray(expected),
-        needed=needed[vru_class],
+    found = np.zeros((len(candidates), *sensing.contrast.shape), dtype=bool)
+    poses = [candidate.pose for candidate in candidates]
+    count_echoes(
+        np.stack([body_rotation(pose.yaw_deg, pose.pitch_deg) for pose in poses]),
+        np.stack([sensing._in_cone(candidate) for candidate in candidates]),
+        np.concatenate([[0], np.cumsum(counts)]),
+        np.ascontiguousarray(offsets / distance[:, None]),
+        np.ascontiguousarray(expected),
+        needed[vru_class],
+        math.cos(math.radians(0.5 * lidar.horizontal_fov_deg)) - _SLACK_LIMIT,
+        math.sin(math.radians(0.5 * lidar.vertical_fov_deg)) + _SLACK_LIMIT,
+        found,
     )
+    return found

@@ -15,9 +15,8 @@ from placement.candidates import (
     load_candidate_grid,
 )
 from placement.layout import Layout
-from placement.prices import load_prices
 from placement.question import Question
-from placement.wishes import read_wishes
+from placement.wishes import load_prices, read_wishes
 
 KINDS = ("lamp post", "traffic light", "mast arm")  # of the sites of the study's junction
 

@@ -107,9 +107,9 @@ def test_mean_and_ends_are_those_of_the_ratios():
 
 def test_the_corners_of_the_studys_junction_lie_between_its_arms_clockwise():
     corners = find_corners(build_junction(SCENE))
-    assert [corner.name for corner in corners] == [*AT_CORNERS]
+    assert [*corners] == [*AT_CORNERS]
     middle = middle_m(SCENE)[:2]
-    signs = [tuple(np.sign(corner.position_m - middle)) for corner in corners]
+    signs = [tuple(np.sign(corner - middle)) for corner in corners.values()]
     assert signs == [(1, 1), (1, -1), (-1, -1), (-1, 1)]
 
 
@@ -117,19 +117,19 @@ def test_three_arms_have_a_corner_on_the_straight_side_and_one_arm_has_none():
     junction = build_junction(SCENE)
     arms = {name: arm for name, arm in junction.arms.items() if name != "south"}
     corners = find_corners(replace(junction, arms=arms))
-    assert [corner.name for corner in corners] == ["east/north", "west/east", "north/west"]
-    straight = corners[1].position_m  # half way along the southern kerb, below the middle
+    assert [*corners] == ["east/north", "west/east", "north/west"]
+    straight = corners["west/east"]  # half way along the southern kerb, below the middle
     assert straight == pytest.approx(middle_m(SCENE)[:2], abs=9.0)
     assert straight[1] < -7.0
-    assert find_corners(replace(junction, arms={"east": arms["east"]})) == ()
+    assert find_corners(replace(junction, arms={"east": arms["east"]})) == {}
 
 
 def test_in_a_mirror_corners_are_mirrored():
     """Kerbs are told by where they lie, not by the side on which traffic keeps."""
     plain, turned = (find_corners(one) for one in _both_ways())
     assert len(plain) == len(turned) == 4
-    expected = {tuple((corner.position_m * [1.0, -1.0]).round(6)) for corner in plain}
-    assert {tuple(corner.position_m.round(6)) for corner in turned} == expected
+    expected = {tuple((corner * [1.0, -1.0]).round(6)) for corner in plain.values()}
+    assert {tuple(corner.round(6)) for corner in turned.values()} == expected
 
 
 def _both_ways():

@@ -86,18 +86,17 @@ def test_a_turn_casts_no_ray_and_a_lift_does(setting):
     fresh = LiveTable(setting)
     fresh.detected([unit(setting)])
     fresh.detected([unit(setting, yaw_deg=33.0, pitch_deg=-20.0), unit(setting, yaw_deg=34.0)])
-    assert fresh.n_mounts == 1
+    assert fresh.n_casts == 1
     fresh.detected([unit(setting, height_m=6.5)])
-    assert fresh.n_mounts == 2
+    assert fresh.n_casts == 2
 
 
 def test_what_is_given_up_is_found_again_the_same(setting, monkeypatch):
-    monkeypatch.setattr(live, "MAX_MOUNTS", 1)
     monkeypatch.setattr(live, "MAX_ROWS", 1)
-    few = LiveTable(setting)
+    few = LiveTable(setting, max_mounts=1)
     units = [unit(setting, site=site, yaw_deg=210.0, name=f"U{site}") for site in range(3)]
     first, again = few.detected(units), few.detected(units)
-    assert few.n_mounts == 1
+    assert few.n_casts == 5  # one row is still known
     assert (first == again).all()
     assert (first == built(setting, units)).all()
 

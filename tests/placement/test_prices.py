@@ -5,7 +5,7 @@ import pytest
 
 from geometry.errors import InputError
 from geometry.scene import Site
-from placement.prices import Part, SitePrices, assumed_prices, load_prices
+from placement.wishes import Part, SitePrices, assumed_prices, load_prices
 
 
 def site(kind: str, cost_eur: float = 0.0) -> Site:

@@ -21,10 +21,10 @@ from placement.detectors.evidence import VRU_CLASSES, vru_class
 from placement.evaluator import load_vut_camera
 from placement.evaluator.pictures import vut_camera_pose
 from placement.imaging import Backdrop, build_backdrop
-from placement.imaging.crops import draw_crop, silhouette
 from placement.imaging.materials import load_materials, vary_materials
 from placement.imaging.mesh import FrameMesh, build_moving_meshes, place_mesh
 from placement.imaging.picture import Picture, Window
+from placement.imaging.stills import draw_crop, silhouette
 from placement.question import Question
 from placement.setting import Setting, build_setting
 from scenarios.runs import Run

@@ -19,7 +19,7 @@ from geometry.poses import Pose
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
 from placement.layout import Layout
-from placement.prices import load_prices
+from placement.wishes import load_prices
 
 
 @pytest.fixture(scope="module")

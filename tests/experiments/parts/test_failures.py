@@ -16,7 +16,7 @@ from experiments.results.numbers import NOTHING
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict
-from placement.explain.failures import Failure, Failures, find_failures
+from placement.explain.contributions import Failure, Failures, find_failures
 from placement.layout import Layout
 
 LABELS = {"A": "#1", "B": "#2", "C": "#3"}

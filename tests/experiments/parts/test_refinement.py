@@ -9,8 +9,8 @@ from geometry.catalogue import pick_sensor
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.layout import Certificate, Layout, Stage
+from placement.refinement import Refinement, StageValue
 from placement.refinement.poses import rename
-from placement.refinement.refine import Refinement, StageValue
 
 MINUS = "\N{MINUS SIGN}"
 NAMES = ("apr", "apr_one_failed", "smallest_margin_s", "mean_margin_s", "cost_eur")

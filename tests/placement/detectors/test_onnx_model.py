@@ -228,10 +228,10 @@ def test_masks_beside_boxes_labels_and_scores_are_left_alone(path):
     np.testing.assert_allclose(found.boxes_px, [PERSON])
 
 
-def test_detection_is_the_same_every_time_and_with_more_threads(path):
+def test_detection_is_the_same_every_time(path):
     save_bright(path, FREE)
     image = picture(90, 70, (11, 13, 37, 41))
-    one, two = load_onnx_model(path), load_onnx_model(path, threads=2)
+    one, two = load_onnx_model(path), load_onnx_model(path)
     for found in (one.detect(image), one.detect(image), two.detect(image)):
         assert found.boxes_px.tolist() == [[11.0, 13.0, 37.0, 41.0]]
         assert found.confidence.tolist() == [0.75]
@@ -382,17 +382,9 @@ COCO80 = {0: "person", 1: "bicycle", 2: "car", 3: "motorcycle"}
 COCO91 = {1: "person", 2: "bicycle", 3: "car", 4: "motorcycle"}
 
 
-@pytest.mark.parametrize(
-    ("classes", "kinds"),
-    [
-        (None, COCO91),
-        ("coco91", COCO91),
-        ("coco80", COCO80),
-    ],
-)
-def test_labels_are_cocos_91_unless_said_otherwise(path, classes, kinds):
+def test_labels_are_cocos_91(path):
     save_constants(path, as_torchvision([PERSON], [0], [0.75]))
-    assert load_onnx_model(path, classes=classes).detect(GREY).kinds == kinds
+    assert load_onnx_model(path).detect(GREY).kinds == COCO91
 
 
 @pytest.mark.parametrize(
@@ -404,7 +396,7 @@ def test_labels_are_cocos_91_unless_said_otherwise(path, classes, kinds):
 )
 def test_names_in_the_file_come_first(path, names, kinds):
     save_constants(path, as_torchvision([PERSON], [0], [0.75]), metadata={"names": names})
-    assert load_onnx_model(path, classes="coco80").detect(GREY).kinds == kinds
+    assert load_onnx_model(path).detect(GREY).kinds == kinds
 
 
 def test_names_that_are_but_numbers_count_as_none(path):
@@ -603,12 +595,6 @@ def test_names_that_say_nothing(path, names, expected):
     with pytest.raises(InputError) as caught:
         load_onnx_model(path)
     assert str(caught.value) == f"{path}: metadata 'names': got {names!r}; expected {expected}"
-
-
-def test_an_unknown_numbering(path):
-    save_constants(path, as_torchvision([PERSON], [0], [0.75]))
-    with pytest.raises(InputError, match="classes: got 'voc'; expected one of coco80, coco91"):
-        load_onnx_model(path, classes="voc")
 
 
 def test_boxes_that_are_not_numbers(path):

@@ -14,8 +14,8 @@ from placement.detectors import is_matched, load_detector, load_min_iou
 from placement.evaluator import build_surroundings, load_vut_camera
 from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
 from placement.evaluator.pictures import PictureSource
-from placement.imaging.crops import window_around
 from placement.imaging.picture import Window
+from placement.imaging.stills import window_around
 
 POSE = Pose(position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=44.5, pitch_deg=-34.3)
 PER_FRAME = (

@@ -105,7 +105,6 @@ def check_conflicts(problem, separation, **options):
     assert (len(found) == 0) == (len(feasible) > 0)
     left = list(demands)
     for conflict in found:
-        assert conflict.is_smallest
         for size in range(1, len(conflict.demands)):
             for fewer in combinations(left, size):
                 assert met_together(problem, separation, fewer)

@@ -12,7 +12,7 @@ from geometry.catalogue import load_cameras
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict, apr_one_failed, apr_one_site_failed
-from placement.explain.failures import MAX_PAIR_UNITS, find_failures
+from placement.explain.contributions import MAX_PAIR_UNITS, find_failures
 from placement.layout import Layout
 from scenarios.aeb import load_aeb_rule
 

@@ -1,4 +1,3 @@
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -192,13 +191,8 @@ def test_rays_to_what_is_in_view_give_the_rows_of_the_table(setting, layout):
     table = build_detection_table(
         setting.scene, units, setting.runs, setting.axis, detector=setting.table_detector
     )
-    with ThreadPoolExecutor(1) as pool:
-        frames = detected_frames(
-            setting,
-            [(one, setting.table_detector) for one in units],
-            compute=Compute(),
-            pool=pool,
-        )
+    looks = [(one, setting.table_detector) for one in units]
+    frames = detected_frames(setting, looks, stage="looks", compute=Compute())
     assert frames[:2].any(axis=1).all()
     assert (frames == table.detected(slice(None))).all()
 

@@ -8,9 +8,9 @@ from strategies import numbers
 
 from geometry.catalogue import pick_sensor
 from geometry.poses import Pose, body_rotation
+from placement import refinement
 from placement.candidates import CandidateGrid, CandidatePose, build_candidates
 from placement.optimiser import Limits
-from placement.refinement import refine
 from placement.refinement.poses import (
     WeakSpots,
     aimed,
@@ -209,11 +209,11 @@ def test_a_level_ring_is_tilted_and_never_only_turned(meadow):
     )
     candidates = build_candidates(meadow.scene, grid)
     places = build_places(meadow.scene, candidates, _limits(candidates))
-    steps = refine._steps(candidates[0], 0, places)
+    steps = refinement._steps(candidates[0], 0, places)
     assert steps
     assert all(step.pose.pitch_deg != 0.0 for step in steps)
     tilted = replace(candidates[0].pose, pitch_deg=-8.0)
-    steps = refine._steps(replace(candidates[0], id="tilted", pose=tilted), 0, places)
+    steps = refinement._steps(replace(candidates[0], id="tilted", pose=tilted), 0, places)
     # Eight degrees up it is level again: then it is not turned.
     assert [step.pose.yaw_deg for step in steps if step.pose.pitch_deg == 0.0] == [0.0]
     assert any(step.pose.yaw_deg != 0.0 and step.pose.pitch_deg == -8.0 for step in steps)

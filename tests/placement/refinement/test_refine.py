@@ -10,7 +10,7 @@ from placement.compute import Compute
 from placement.layout import check_layout, layout_from_records, layout_records
 from placement.optimiser import is_feasible, placement_value
 from placement.pipeline import Assembly, place
-from placement.refinement.refine import RefinementEffort, improves, refine, stage_values
+from placement.refinement import RefinementEffort, improves, refine, stage_values
 from placement.visibility import build_detection_table
 from placement.wishes import Wishes
 

@@ -16,7 +16,7 @@ from placement.optimiser import (
     solve_placement,
 )
 from placement.optimiser.objectives import Objective
-from placement.refinement.refine import (
+from placement.refinement import (
     StageValue,
     certify,
     improves,
