@@ -196,13 +196,7 @@ ONLY_DRIVEN = fields_in(
 
 
 def field_option(field: QuestionField, default: Any = None) -> Decorator:
-    """The option of a field of a question.
-
-    Parameters
-    ----------
-    default : object
-        In place of the field's own.
-    """
+    """The option of a field of a question; `default` in place of the field's own."""
     default = field.default if default is None else default
     shown = OPTIONS[field.name]
     kind, *limits = get_args(field.kind) if get_origin(field.kind) is Annotated else [field.kind]
@@ -245,17 +239,10 @@ def question_options(
 ) -> Decorator:
     """Options of a command that asks something; the command gets them as one `question`.
 
-    Parameters
-    ----------
-    names : str
-        Fields of :class:`placement.question.Question`. The others keep their defaults, also where
-        a question file gives them: one file serves every command.
-    defaults : dict, optional
-        In place of the fields' own.
-    named_apart : sequence of str
-        Fields whose parameters the command adds itself.
-    has_file : bool
-        Whether there are ``--question`` and ``--save-question``.
+    Fields that are not named keep their defaults, also where a question file gives them: one file
+    serves every command. `defaults` are in place of the fields' own; parameters of the fields in
+    `named_apart` are added by the command itself. `has_file`: with ``--question`` and ``--save-
+    question``.
     """
     known = question_fields()
     options = [
@@ -455,10 +442,7 @@ _rays_option = option(
 def compute_options(*, has_cache: bool = False) -> Decorator:
     """Options that say how to compute; the command gets them as one `compute`.
 
-    Parameters
-    ----------
-    has_cache : bool
-        Whether the command builds detection tables, which can be kept.
+    `has_cache`: the command builds detection tables, which can be kept.
     """
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:

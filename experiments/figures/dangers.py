@@ -72,24 +72,8 @@ def plot_dangers(
 ) -> Axes:
     """The junction from above with the share of runs avoided at each place: the darker the fewer.
 
-    Parameters
-    ----------
-    setting : Setting
-        Junction and runs.
-    layout : Layout
-        Its units are drawn as triangles that point where they look.
-    is_avoided : (n_runs,) bool
-        Runs that it avoids.
-    places : sequence of Place, optional
-        By default :func:`find_places`.
-    width_in : float
-        Of a new figure. [inch]
-
-    Returns
-    -------
-    axes : Axes
-        In metres, north up; the numbers are per cent. A place where all runs are avoided is a
-        small white square without a number.
+    In metres, north up; the numbers are per cent. Units are triangles that point where they look. A
+    place where all runs are avoided is a small white square without a number.
     """
     places = find_places(setting) if places is None else places
     axes = new_axes(width_in, width_in + (0.55 if width_in >= WIDTH_IN else 0.3))

@@ -104,18 +104,9 @@ def heatmap_indices(evaluation: Evaluation, setting: Setting, run_ids: Sequence[
 def plot_apr_by_case(evaluations: Mapping[str, Evaluation], *, axes: Axes | None = None) -> Axes:
     """Accident prevention ratio by case and over all runs, as a shaded table.
 
-    Parameters
-    ----------
-    evaluations : mapping of str to Evaluation
-        By display name; the first one is the subject. Shown are all RSUs together of each, the
-        VUT alone, and the VUT with the subject's RSUs.
-    axes : Axes, optional
-        Where to draw; by default in a new figure.
-
-    Returns
-    -------
-    axes : Axes
-        One row per case, the first for all runs; the more accidents are left, the darker.
+    A row per case, the first for all runs; the more accidents are left, the darker. Columns: all
+    RSUs together of each layout, the VUT alone, and the VUT with the RSUs of the subject, the first
+    one.
     """
     columns = _apr_columns(evaluations)
     rows = list(next(iter(columns.values())))
@@ -211,21 +202,9 @@ def plot_heatmaps(
 ) -> list[Axes]:
     """Who detects the VRU when, one pair of axes per run, in a new figure.
 
-    Parameters
-    ----------
-    evaluation : Evaluation
-        Of a layout.
-    run_indices : sequence of int
-        Which runs, at least one.
-    width_in : float
-        Of the figure. [inch]
-
-    Returns
-    -------
-    axes : list of Axes
-        Rows: the VUT, each RSU, all RSUs together. Columns: frames, by their time before the
-        impact. The dashed red line is the last brake time; a diamond is a confirmation. Of many
-        RSUs only those that confirm first have a row; an axis label tells how many.
+    Rows: the VUT, each RSU, all RSUs together. Columns: frames, by their time before the impact.
+    The dashed red line is the last brake time; a diamond is a confirmation. Of many RSUs only those
+    that confirm first have a row; an axis label tells how many.
     """
     rows = _heatmap_rows(evaluation, run_indices)
     is_narrow = width_in < WIDTH_IN

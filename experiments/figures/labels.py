@@ -68,16 +68,8 @@ def draw_labels(
 ) -> None:
     """Write labels, the first ones first, each where it hides no other and no mark.
 
-    Parameters
-    ----------
-    axes : Axes
-        With its final limits; as long in east as in north.
-    labels : sequence of Label
-        Those beyond the limits are left out.
-    marks_m : (n, 2) float, optional
-        Middles of marks. [m]
-    mark : float
-        Half the size of a mark. [points]
+    The axes have their final limits and are as long in east as in north; labels beyond are left
+    out. `marks_m` are the middles of marks, (n, 2) [m], half of whose size is `mark` [points].
     """
     (west, east), (south, north) = axes.get_xlim(), axes.get_ylim()
     box = axes.get_position()

@@ -79,19 +79,8 @@ def run_verification(
 ) -> VerificationResult:
     """Check a result folder: certificate, instance and layout, and every other file.
 
-    Parameters
-    ----------
-    folder : Path
-        As an optimisation has written it.
-    scene : str
-        Where the scene is that it was made in; empty: the study's junction, if it says so.
-    progress : StageProgress
-        Shows the stages.
-
-    Raises
-    ------
-    InputError
-        There is no such folder, or a file in it is missing, damaged or no such file at all.
+    `scene` says where the scene is; empty: the study's junction, if the folder says so. Raises
+    InputError if a file is missing, damaged or no such file at all.
     """
     if not folder.is_dir():
         raise InputError(str(folder), Unquoted("no folder"), "a folder with results")
@@ -228,30 +217,10 @@ def check_folder_files(
     summary: Mapping[str, Any] | None,
     scene: Scene | None,
 ) -> FolderChecks:
-    """Compare all files of a folder.
+    """Compare all files of a folder: every check, and what there is nothing to compare with.
 
-    Parameters
-    ----------
-    folder : Path
-        Of a placement.
-    stored, problem : StoredCertificate, PlacementProblem
-        Its certificate, and what that is about.
-    layout : Layout, optional
-        Its ``layout.json``; a recording has none.
-    summary : mapping, optional
-        Its ``summary.json``, if it has one.
-    scene : Scene, optional
-        What it was made in, if that is known to be the one.
-
-    Returns
-    -------
-    found : FolderChecks
-        Every check, and what there is nothing to compare with.
-
-    Raises
-    ------
-    InputError
-        ``SHA256SUMS`` is no such list, or a file cannot be read.
+    A recording has no layout; the scene is None unless it is known to be the one. Raises InputError
+    if ``SHA256SUMS`` is no such list, or a file cannot be read.
     """
     found = FolderChecks()
     others = _check_manifest(folder, found)

@@ -63,12 +63,8 @@ def write_results(
     `folder` is replaced as a whole, or left as it was. The first of the evaluations, by display
     name, is the subject. Where a placement found it, its certificate is written, too: `candidates`
     are the rows of its table. `recommended` is what the evaluator prefers to the subject, `bill`
-    knows more of its costs than the scene, and `command` makes the result again.
-
-    Raises
-    ------
-    InputError
-        Something cannot be written: names the folder where the answer is all the same.
+    knows more of its costs than the scene, and `command` makes the result again. Raises InputError
+    if something cannot be written: it names the folder where the answer is all the same.
     """
     progress(WRITING, 0, 0)
     result = msgspec.structs.replace(result, seconds=progress.seconds.copy())

@@ -122,19 +122,10 @@ def build_explained_record(
     pool: Pool | None = None,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> ExplainedRecord:
-    """Explanation of a placement.
+    """Explanation of a placement; `candidates` are the rows of its table.
 
     Runs that are not avoided are those of the world as planned; where worlds were sampled, nobody
-    looks for what would save them.
-
-    Parameters
-    ----------
-    candidates : sequence of CandidatePose
-        Rows of the placement's table: a refinement's own, if there was one.
-    pool : Pool, optional
-        Other layouts that are as good, where they were asked for.
-    compute : Compute
-        With the seed of the table.
+    looks for what would save them. `pool` has other layouts that are as good.
     """
     problem, chosen = placement.problem, placement.pose_index
     names = {

@@ -509,30 +509,9 @@ def run_pareto(
 ) -> FrontResult:
     """Find what each further unit, or more money, buys; write it to `out` if asked to.
 
-    Parameters
-    ----------
-    question : Question
-        What is driven and asked, and how long to search: its time is for all points together.
-    by : {"units", "cost"}
-        See :class:`placement.optimiser.front.Front`.
-    max_units : int
-        Most units, next to existing ones.
-    all_stages : bool
-        Optimise margins and cost, too.
-    out : Path, optional
-        Folder that gets ``pareto.csv``, ``pareto.json`` and ``pareto.png``; what else it holds
-        stays.
-    compute : Compute
-        Seed, threads, cache; its progress is `progress`.
-    command : str
-        Command line that makes the result again.
-    progress : StageProgress
-        Gets the stages.
-
-    Raises
-    ------
-    InputError
-        A wish cannot be met, or `out` cannot be written.
+    The question's time is for all points together; `max_units` are next to existing ones, and
+    `all_stages` optimises margins and cost, too. Raises InputError if a wish cannot be met, or
+    `out` cannot be written.
     """
     scene = load_scene(question.scene)
     if out is not None:
@@ -619,13 +598,9 @@ def describe_front(
 
 
 def front_table(front: FrontRecord) -> "pd.DataFrame":
-    """One row per point.
+    """A row per point: units, apr, apr_bound and so on, is_proven, and ids of poses.
 
-    Returns
-    -------
-    table : DataFrame
-        Columns units, apr, apr_bound and so on, is_proven, poses: ids with spaces between. The
-        bound of what was not optimised is missing.
+    The bound of what was not optimised is missing.
     """
     rows = []
     for point in front.points:

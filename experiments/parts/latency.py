@@ -148,30 +148,11 @@ def run_latency(
 ) -> LatencyResult:
     """APR of every sensing party against latency; table and figure to `out` if asked to.
 
-    Parameters
-    ----------
-    question : Question
-        What is driven. Its latency, if it has one, is the budget.
-    layout : Layout
-        Evaluated once.
-    budget : str, optional
-        See :func:`placement.latency.load_latency_budget`; by default the study's.
-    vut_latency_s : float, optional
-        See :func:`placement.latency.apr_by_latency`. [s]
-    max_latency_s : float, optional
-        Shown up to here; by default as far as the budget reaches, and the RSUs' APR falls. [s]
-    out : Path, optional
-        Folder that gets ``latency.csv`` and ``latency.png``; what else it holds stays.
-    compute : Compute
-        Seed and threads; its progress is `progress`.
-    progress : StageProgress
-        Gets the stages.
-
-    Raises
-    ------
-    InputError
-        The budget is unknown or given twice, a unit is inside something, or `out` cannot be
-        written.
+    The budget is the question's latency, or what :func:`placement.latency.load_latency_budget`
+    finds by its name; for `vut_latency_s` see :func:`placement.latency.apr_by_latency`. Shown up to
+    `max_latency_s`, by default as far as the budget reaches and the RSUs' APR falls. Raises
+    InputError if the budget is unknown or given twice, a unit is inside something, or `out` cannot
+    be written.
     """
     chosen = pick_budget(question, budget)
     if out is not None:
@@ -205,13 +186,7 @@ def run_latency(
 
 
 def pick_budget(question: Question, budget: str | None) -> LatencyBudget:
-    """The budget that a user named, or the one latency of a question.
-
-    Raises
-    ------
-    InputError
-        Both are given, or the budget is not what it should be.
-    """
+    """The budget that a user named, or the one latency of a question; not both."""
     if question.latency_s is None:
         return load_latency_budget(*([] if budget is None else [budget]), where="--budget")
     if budget is not None:
@@ -222,20 +197,10 @@ def pick_budget(question: Question, budget: str | None) -> LatencyBudget:
 
 
 def latency_table(curves: Mapping[str, LatencyCurve], *, max_latency_s: float) -> "pd.DataFrame":
-    """Every step of every curve.
+    """Every step of every curve up to a latency.
 
-    Parameters
-    ----------
-    curves : mapping of str to LatencyCurve
-        By sensing party.
-    max_latency_s : float
-        Steps beyond are left out. [s]
-
-    Returns
-    -------
-    table : DataFrame
-        Columns party, above_s, until_s, apr: the APR for latencies above the one and up to the
-        other; a party's first row holds for 0, too.
+    Columns party, above_s, until_s, apr: the APR for latencies above the one and up to the other; a
+    party's first row holds for 0, too.
     """
     rows = []
     for party, curve in curves.items():
@@ -285,19 +250,7 @@ def plot_latency(
 ) -> list[Axes]:
     """APR of the sensing parties as steps, the budget's range shaded, its parts as bars below.
 
-    Parameters
-    ----------
-    curves : mapping of str to LatencyCurve
-        By sensing party: "vut", "rsu_all", "vut_and_rsus", and the units by id.
-    budget : LatencyBudget
-        Best, mean and worst total, part by part.
-    max_latency_s : float
-        Right end. [s]
-
-    Returns
-    -------
-    axes : list of Axes
-        Two pairs in a new figure, in milliseconds; the lower one has a scale of its own.
+    Two pairs of axes in a new figure, in milliseconds; the lower one has a scale of its own.
     """
     n_rows = 1 if _is_fixed(budget) else 2
     height = 3.9 + 0.3 * n_rows + 0.17 * ((len(budget.parts) + 2) // 3)

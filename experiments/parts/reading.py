@@ -86,22 +86,9 @@ class StoredResult:
 
 
 def load_result(folder: Path | str) -> StoredResult:
-    """Results from the folder that ``--out`` names.
+    """Results from the folder that ``--out`` names, checked to be whole and to belong together.
 
-    Parameters
-    ----------
-    folder : Path or str
-        Written by a placement, an evaluation or a comparison.
-
-    Returns
-    -------
-    result : StoredResult
-        All of it, checked to be whole and to belong together.
-
-    Raises
-    ------
-    InputError
-        A file is missing, broken, of another version, or not of the same results as the others.
+    Raises InputError if a file is missing, broken, of another version, or of other results.
 
     Examples
     --------
@@ -140,13 +127,7 @@ def _load_summary(path: Path) -> Result:
 
 
 def check_schema(summary: Mapping[str, object], where: str) -> str:
-    """Kind and version of a summary, known to be one of today's.
-
-    Raises
-    ------
-    InputError
-        It is of another version: names that and those expected.
-    """
+    """Kind and version of a summary, known to be one of today's; else InputError names those."""
     schema = summary.get("schema", Unquoted("nothing"))
     if schema not in KINDS:
         older = ": an older version, make it anew" if str(schema).startswith(_OLDER) else ""

@@ -206,27 +206,9 @@ def run_retrofit(
 ) -> RetrofitResult:
     """Find what to remove, re-aim or add, and write it to `out` if asked to.
 
-    Parameters
-    ----------
-    question : Question
-        What is driven, what may be added, the money for all together, and how long to search.
-    layout : Layout
-        What is mounted.
-    visit_eur : float, optional
-        Of a re-aim or a removal; by default by :func:`placement.retrofit.load_labour`. [EUR]
-    out : Path, optional
-        Folder that gets ``retrofit.csv`` and ``retrofit.json``; what else it holds stays.
-    compute : Compute
-        Seed, threads, cache; its progress is `progress`.
-    command : str
-        Command line that makes the result again.
-    progress : StageProgress
-        Gets the stages.
-
-    Raises
-    ------
-    InputError
-        A unit is inside something, a word is unknown, or `out` cannot be written.
+    The question says what may be added, the money for all together, and how long to search. A visit
+    is by default priced as :func:`placement.retrofit.load_labour` does. Raises InputError if a unit
+    is inside something, a word is unknown, or `out` cannot be written.
     """
     scene = load_scene(question.scene)
     if out is not None:
@@ -306,15 +288,7 @@ def _build_result(
 
 
 def retrofit_table(result: RetrofitResult) -> "pd.DataFrame":
-    """One row per change.
-
-    Returns
-    -------
-    table : DataFrame
-        Columns kind, change, price_eur, apr, apr_one_failed, smallest_margin_s, mean_margin_s,
-        gained, lost (run ids with spaces between), is_better, is_proven. The first row is what
-        is mounted.
-    """
+    """A row per change, the first one for what is mounted; run ids have spaces between."""
     before = {name: value for name, value in fields_of(result.before).items() if name != "cost_eur"}
     changes = [
         *(("remove", change) for change in result.removals),

@@ -123,26 +123,9 @@ def build_sampled_record(
 ) -> SampledRecord:
     """Layouts in the same sampled worlds: the first one is the subject, the others baselines.
 
-    Parameters
-    ----------
-    judged : sequence of SampledApr
-        At least one, all in the same worlds.
-    uncertainty : Uncertainty
-        What was drawn.
-    tail : float
-        The worst share of the worlds that is summed up, 0 .. 1.
-    seed : int
-        Of the draws.
-    planned_apr, chosen_apr : mapping of str to float, optional
-        By name of the layout: APR as planned, with nothing uncertain, and in the worlds that it
-        was chosen in.
-    chosen_in : int, optional
-        How many worlds those were.
-
-    Raises
-    ------
-    InputError
-        There is no layout, or they were judged in different numbers of worlds.
+    `tail` is the worst share of the worlds that is summed up. By name of the layout, `planned_apr`
+    is the APR with nothing uncertain, and `chosen_apr` that in the `chosen_in` worlds that it was
+    chosen in.
     """
     if not judged:
         raise InputError("layouts", Unquoted("none"), "at least one")

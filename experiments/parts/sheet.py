@@ -57,24 +57,10 @@ def mounting_sheet(
     *,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> bytes:
-    """A PDF with a page for each unit: where, how high, where it looks, what it will see.
+    """A PDF with an A4 page for each unit: where, how high, where it looks, what it will see.
 
-    Parameters
-    ----------
-    layout : Layout
-        The units.
-    setting : Setting
-        Scene and runs; the picture shows one of these, the unit's first in which the road user
-        is near.
-    tolerances : sequence of Tolerance
-        One for each unit, in their order.
-    compute : Compute
-        Its seed is that of sensor noise.
-
-    Returns
-    -------
-    pdf : bytes
-        A4 pages.
+    The picture shows the run and frame in which the road user is nearest; `tolerances` are in the
+    order of the units.
     """
     labels = unit_labels(layout)
     buffer = io.BytesIO()
@@ -345,13 +331,7 @@ def run_sheet(
     compute: Compute,
     progress: StageProgress,
 ) -> SheetResult:
-    """Write the mounting sheet of a layout.
-
-    Raises
-    ------
-    InputError
-        A unit is inside something, or `out` cannot be written.
-    """
+    """Write the mounting sheet; InputError if a unit is inside something, or `out` not writable."""
     if out.is_dir():
         raise InputError("--out", Unquoted(f"{out}, a folder"), "a PDF file to write")
     check_target(out)

@@ -105,33 +105,11 @@ def render_report(
 ) -> str:
     """A result as one HTML page that loads nothing from elsewhere.
 
-    Parameters
-    ----------
-    result : Result
-        Of a placement, an evaluation or a comparison.
-    setting : Setting
-        What the layouts were evaluated in.
-    evaluations : mapping of str to Evaluation
-        By display name; the first one is the subject. One named "greedy" appears in tables and
-        bars only.
-    command : str
-        Command line that makes the result again.
-    heatmap_runs : sequence of str
-        Ids of the runs to draw; else see :func:`experiments.figures.evaluation.pick_heatmap_runs`.
-    sampled_figure : Axes or Figure, optional
-        Of the APR in sampled worlds, where they were asked for.
-    bill : BillOfMaterials, optional
-        What the first layout takes, where more is known of its costs than the scene tells.
-
-    Returns
-    -------
-    page : str
-        HTML.
-
-    Raises
-    ------
-    InputError
-        There is no evaluation, or a run is unknown.
+    Evaluations are by display name: the first one is the subject, one named "greedy" appears in
+    tables and bars only. `command` makes the result again; `heatmap_runs` are ids of the runs to
+    draw, else see :func:`experiments.figures.evaluation.pick_heatmap_runs`; `sampled_figure` is
+    that of the APR in sampled worlds; `bill` knows more of the costs than the scene. Raises
+    InputError if there is no evaluation, or a run is unknown.
     """
     page, _ = _build_report(
         result,
