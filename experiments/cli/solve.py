@@ -12,7 +12,7 @@ from .running import print_result, unwritable
 from .terminal import sentences
 
 if TYPE_CHECKING:
-    from ..results.solutions import CoveringResult, PlacementSolution
+    from ..jobs.solve import CoveringResult, PlacementSolution
 
 _QUESTIONS = {
     "budget_units": "--budget",

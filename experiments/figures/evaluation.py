@@ -104,9 +104,18 @@ def heatmap_indices(evaluation: Evaluation, setting: Setting, run_ids: Sequence[
 def plot_apr_by_case(evaluations: Mapping[str, Evaluation], *, axes: Axes | None = None) -> Axes:
     """Accident prevention ratio by case and over all runs, as a shaded table.
 
-    A row per case, the first for all runs; the more accidents are left, the darker. Columns: all
-    RSUs together of each layout, the VUT alone, and the VUT with the RSUs of the subject, the first
-    one.
+    Parameters
+    ----------
+    evaluations : mapping of str to Evaluation
+        By display name; the first one is the subject. Shown are all RSUs together of each, the
+        VUT alone, and the VUT with the subject's RSUs.
+    axes : Axes, optional
+        Where to draw; by default in a new figure.
+
+    Returns
+    -------
+    axes : Axes
+        One row per case, the first for all runs; the more accidents are left, the darker.
     """
     columns = _apr_columns(evaluations)
     rows = list(next(iter(columns.values())))

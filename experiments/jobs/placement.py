@@ -55,14 +55,9 @@ from ..parts.alternatives import (
 from ..parts.baselines import build_baselines, compare_layout, compare_placement
 from ..parts.bill_of_materials import BillOfMaterials, build_bill
 from ..parts.comparison import EXPERT, GREEDY
-from ..parts.coverage import coverage_section
-from ..parts.explanation import (
-    ExplainedRecord,
-    PrivateGroundRecord,
-    build_explained_record,
-    build_private_ground_record,
-)
+from ..parts.explanation import ExplainedRecord, build_explained_record
 from ..parts.front import FrontRecord, describe_front
+from ..parts.ground import PrivateGroundRecord, build_private_ground_record, coverage_section
 from ..parts.next_unit import build_exchanges
 from ..parts.refinement import build_refinement_record
 from ..parts.result import (

@@ -22,10 +22,55 @@ from placement.optimiser.steering import SolverName
 from placement.verification.instances import load_problem
 
 from ..progress import WRITING, StageProgress
-from ..results.record import build_stage_records
-from ..results.solutions import CoveringResult, PlacementSolution
+from ..results.record import Record, StageRecord, build_stage_records
 
-# ---------- what ``place-rsus solve`` does
+
+class CoveringResult(Record, frozen=True, kw_only=True):
+    """A covering instance solved; columns are numbered as in the file."""
+
+    file: str
+    problem: str
+    budget: int | None
+    budget_cost: float | None
+    target: float | None
+    objective: float
+    bound: float
+    gap: float
+    chosen: tuple[int, ...]
+    numbered_from: int
+    chosen_names: tuple[str, ...] | None
+    seconds: float
+    is_proven: bool
+    solver: str
+    cost: float
+    covered_weight: float
+    coverable_weight: float
+    total_weight: float
+    columns: int
+    rows: int
+
+
+class PlacementSolution(Record, frozen=True, kw_only=True):
+    """A placement problem solved, with its frames and windows."""
+
+    file: str
+    problem: str
+    goal: str
+    fusion: str
+    objective: float
+    bound: float
+    gap: float
+    chosen: tuple[int, ...]
+    numbered_from: int
+    chosen_names: tuple[str, ...]
+    seconds: float
+    is_proven: bool
+    solver: str
+    cost: float
+    stages: tuple[StageRecord, ...]
+    columns: int
+    rows: int
+    presolve_effect: str
 
 
 def run_solve(

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
+from msgspec import UNSET, UnsetType
 
 from geometry.arrays import BoolArray
 from geometry.errors import InputError, Unquoted
@@ -38,7 +39,6 @@ from ..parts import bill_of_materials
 from ..parts.comparison import GREEDY
 from ..parts.reading import StoredResult, check_schema, load_result
 from ..progress import StageProgress
-from ..results.csv_text import plain_cell
 from ..results.folders import (
     APR_FILE,
     LAYOUT_FILE,
@@ -48,9 +48,8 @@ from ..results.folders import (
     changed_files,
     read_manifest,
 )
-from ..results.record import to_plain
-from ..results.solutions import CheckRecord, VerificationResult, VerifiedStageRecord
-from ..results.tables import ALL
+from ..results.record import Record, to_plain
+from ..results.tables import ALL, plain_cell
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -60,6 +59,38 @@ _TOLERANCE = 1.0e-9
 _COMPARED = {LAYOUT_FILE, MARKER, RUNS_FILE, APR_FILE, "certificate.json", "instance.npz"}
 _CSV, _GEOJSON = "layout.csv", "layout.geojson"
 _EXPECTED = (_CSV, bill_of_materials.FILE_NAME, "report.html")
+
+
+class CheckRecord(Record, frozen=True, kw_only=True):
+    """One check of a certificate, and what it found."""
+
+    name: str
+    passed: bool
+    detail: str
+
+
+class VerifiedStageRecord(Record, frozen=True, kw_only=True):
+    """A stage of a certificate; the last three are UNSET where its proof was not looked at."""
+
+    name: str
+    objective: float
+    bound: float
+    gap: float
+    claims_optimum: bool | UnsetType = UNSET
+    is_proven_again: bool | UnsetType = UNSET
+    reason: str | UnsetType = UNSET
+
+
+class VerificationResult(Record, frozen=True, kw_only=True):
+    """A folder of results, checked without the optimiser."""
+
+    folder: str
+    is_verified: bool
+    checks: tuple[CheckRecord, ...]
+    stages: tuple[VerifiedStageRecord, ...]
+    solver: str
+    not_checked: tuple[str, ...]
+    seconds: dict[str, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

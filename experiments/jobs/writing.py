@@ -28,7 +28,6 @@ from ..parts.bill_of_materials import BillOfMaterials, bill_of_materials_csv, bu
 from ..parts.result import Result
 from ..progress import WRITING, StageProgress
 from ..report.page import begin_tasks, write_report
-from ..results.csv_text import csv_text
 from ..results.folders import (
     APR_FILE,
     LAYOUT_FILE,
@@ -37,7 +36,7 @@ from ..results.folders import (
     RUNS_FILE,
     new_result_folder,
 )
-from ..results.tables import apr_table, runs_table
+from ..results.tables import apr_table, csv_text, runs_table
 from ..side_process import SideProcess
 
 _R = TypeVar("_R", bound=Result)

@@ -10,8 +10,8 @@ from geometry.scene import Scene, Site
 from placement.layout import Layout
 from placement.prices import assumed_prices, load_prices
 
-from ..results.csv_text import csv_text
 from ..results.numbers import several
+from ..results.tables import csv_text
 from .section import Block, Bullets, Section, Table
 
 UNKNOWN = "unknown"

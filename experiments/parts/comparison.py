@@ -10,13 +10,18 @@ import numpy as np
 from placement.evaluation import Evaluation, apr, apr_one_failed
 from scenarios.aeb import AebRule
 
-from ..results.evaluations import EvaluationRecord, build_evaluation_record, price_eur
 from ..results.numbers import NOTHING, count_runs, number, or_nan, percent
-from ..results.record import UnitRecord, build_unit_records
+from ..results.record import (
+    EvaluationRecord,
+    UnitRecord,
+    build_evaluation_record,
+    build_unit_records,
+    price_eur,
+)
 from ..results.tables import margin_s
 from .baselines import Baselines
 from .baselines import words as baseline_words
-from .explanation import PrivateGroundRecord
+from .ground import PrivateGroundRecord
 from .sampled_worlds import SampledPairRecord, SampledRecord, is_open, plot_differences
 from .section import Block, Bullets, Section, Subheading, Table, build_picture
 

@@ -8,7 +8,6 @@ from typing import Annotated, cast
 import numpy as np
 
 from geometry.arrays import FloatArray
-from geometry.scene import Scene
 from placement.candidates import CandidatePose
 from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.explain import (
@@ -19,7 +18,6 @@ from placement.explain import (
     find_contributions,
     find_unavoided,
 )
-from placement.ground import PrivateGround, private_shares
 from placement.optimiser import PlacementProblem
 from placement.optimiser.objectives import Objective
 from placement.pipeline import Placement
@@ -95,20 +93,6 @@ class ExplainedRecord(Record, frozen=True, kw_only=True):
         int, says("How many runs have weight 0, and are left out.", ge=0)
     ]
     pool: Annotated[PoolRecord | None, says("Layouts as good; null unless asked for with --pool.")]
-
-
-class PrivateAreaRecord(Record, frozen=True, kw_only=True):
-    """An area."""
-
-    name: Annotated[str, says("Name in the file.")]
-    area_m2: Annotated[float, says("Size, in square metres.", ge=0)]
-
-
-class PrivateGroundRecord(Record, frozen=True, kw_only=True):
-    """Views of cameras into areas that they must not look into."""
-
-    areas: Annotated[tuple[PrivateAreaRecord, ...], says("The areas.")]
-    units: Annotated[dict[str, dict[str, Share]], says("Of each unit, by its id.")]
 
 
 # ---------- explanations
@@ -197,26 +181,6 @@ def _frequent(share: FloatArray) -> list[int]:
     order = np.argsort(-share, kind="stable")
     indices: list[int] = order[share[order] > 0.0].tolist()
     return indices
-
-
-# ---------- private ground
-
-
-def build_private_ground_record(
-    units: Sequence[CandidatePose], scene: Scene, ground: PrivateGround
-) -> PrivateGroundRecord:
-    """Shares of private ground that units see."""
-    shares = private_shares(scene, units, ground)
-    return PrivateGroundRecord(
-        areas=tuple(
-            PrivateAreaRecord(name=name, area_m2=float(area))
-            for name, area in zip(ground.names, ground.area_m2, strict=True)
-        ),
-        units={
-            unit.id: dict(zip(ground.names, row.tolist(), strict=True))
-            for unit, row in zip(units, shares, strict=True)
-        },
-    )
 
 
 # ---------- in sentences

@@ -32,7 +32,6 @@ from placement.question import Question
 from ..export.json import to_json_text
 from ..figures.axes import BLUE, VERMILION, WIDTH_IN, Style, finish_axes, new_figure, to_png
 from ..progress import WRITING, StageProgress
-from ..results.csv_text import csv_text
 from ..results.drives import RefusalRecord, build_drives_record, versions
 from ..results.folders import check_folder, write_files
 from ..results.numbers import NOTHING, euros, number, percent, points
@@ -46,6 +45,7 @@ from ..results.record import (
     build_unit_records,
     says,
 )
+from ..results.tables import csv_text
 from .section import Block, Bullets, Section, Table, build_picture
 
 

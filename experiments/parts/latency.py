@@ -39,11 +39,11 @@ from ..figures.axes import (
     to_png,
 )
 from ..progress import WRITING, StageProgress
-from ..results.csv_text import csv_text
 from ..results.drives import DrivesRecord, build_drives_record, versions
 from ..results.folders import check_folder, write_files
 from ..results.numbers import percent
 from ..results.record import Record, UnitRecord, build_unit_records
+from ..results.tables import csv_text
 
 if TYPE_CHECKING:
     import pandas as pd

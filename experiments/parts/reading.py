@@ -18,9 +18,8 @@ from geometry.untrusted_files import open_parquet
 from placement.layout import Layout, load_layout
 from scenarios.positions import AT_ZERO
 
-from ..results.csv_text import plain_cell
 from ..results.folders import APR_FILE, LAYOUT_FILE, MARKER, RUNS_FILE
-from ..results.tables import ALL
+from ..results.tables import ALL, plain_cell
 from .result import KINDS, Result
 
 _KINDS = {"text": is_string_dtype, "numbers": is_numeric_dtype, "true or false": is_bool_dtype}

@@ -40,10 +40,9 @@ from scenarios.aeb import AebRule
 from ..export.json import to_json_text
 from ..progress import WRITING, StageProgress
 from ..results.drives import RefusalRecord, versions
-from ..results.evaluations import PartyAprRecord
 from ..results.folders import MARKER, check_result_folder, new_result_folder
 from ..results.numbers import finite_or_none
-from ..results.record import Record, StageRecord, build_stage_records, to_plain
+from ..results.record import PartyAprRecord, Record, StageRecord, build_stage_records, to_plain
 
 _T = TypeVar("_T")
 

@@ -29,7 +29,6 @@ from placement.setting import Setting
 
 from ..export.json import to_json_text
 from ..progress import WRITING, StageProgress
-from ..results.csv_text import csv_text
 from ..results.drives import DrivesRecord, build_drives_record, versions
 from ..results.folders import check_folder, write_files
 from ..results.numbers import count_runs, euros, percent
@@ -41,6 +40,7 @@ from ..results.record import (
     build_stage_records,
     build_unit_records,
 )
+from ..results.tables import csv_text
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -33,8 +33,7 @@ from placement.setting import Setting, build_setting
 from scenarios.runs import Run
 
 from ..figures.axes import BLUE, VERMILION, literal, unit_labels
-from ..figures.plan import draw_scene, ground_footprint
-from ..figures.sensors import ALL_ROUND, blind_footprint, ring_path
+from ..figures.plan import ALL_ROUND, blind_footprint, draw_scene, ground_footprint, ring_path
 from ..progress import WRITING, StageProgress
 from ..results.folders import check_folder
 from ..results.record import Record

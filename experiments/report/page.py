@@ -23,13 +23,12 @@ from ..parts.accidents import accidents_section, alone_section, apr_picture
 from ..parts.assumptions import again_section, assumption_sentences, assumptions_section
 from ..parts.bill_of_materials import BillOfMaterials, bill_section, build_bill
 from ..parts.comparison import EXPERT, GREEDY
-from ..parts.coverage import coverage_section
 from ..parts.explanation import explanation_sections
 from ..parts.failures import failures_section
 from ..parts.front import front_section
+from ..parts.ground import coverage_section, private_ground_section
 from ..parts.margins import margins_section
 from ..parts.player import interactive_part
-from ..parts.private_ground import private_ground_section
 from ..parts.result import EvaluationResult, PlacementResult, Result
 from ..parts.runs import build_heatmaps, cases_section, heatmaps_section, runs_section
 from ..parts.sampled_worlds import sampled_picture, sampled_section

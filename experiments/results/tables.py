@@ -1,7 +1,8 @@
 """Tables of verdicts, for other programs: ratios by group, and every run's outcome."""
 
+import unicodedata
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -10,6 +11,8 @@ from placement.evaluation import Evaluation, Verdict, apr
 from scenarios.positions import sort_positions
 from scenarios.runs import FrameAxis
 
+if TYPE_CHECKING:
+    import pandas as pd
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -179,3 +182,46 @@ def groups_by_speed(axis: FrameAxis) -> list[RunGroup]:
 def _equal(words: Sequence[str], order: Sequence[str] | None = None) -> list[RunGroup]:
     of_run = np.array(words)
     return [(word, of_run == word) for word in order or dict.fromkeys(words)]
+
+
+# ---------- cells of CSV: a text that looks like a formula must not run as one
+
+
+_BEGINNINGS = (*"=+-@", "\t", "\r", "\n")
+
+
+def csv_text(table: "pd.DataFrame") -> str:
+    """A table as CSV, every text in it safe to open in a spreadsheet."""
+    text: str = table.map(safe_cell).to_csv(index=False, lineterminator="\n")
+    return text
+
+
+def safe_cell(cell: Any) -> Any:
+    """A cell as it is, or behind an apostrophe if a spreadsheet would take it for a formula.
+
+    Examples
+    --------
+    >>> safe_cell("=SUM(A1)"), safe_cell("-3.5"), safe_cell("north")
+    ("'=SUM(A1)", '-3.5', 'north')
+    """
+    return f"'{cell}" if _is_like_formula(cell) else cell
+
+
+def plain_cell(cell: Any) -> Any:
+    """The cell that :func:`safe_cell` was given."""
+    is_safe = isinstance(cell, str) and cell.startswith("'") and _is_like_formula(cell[1:])
+    return cell[1:] if is_safe else cell
+
+
+def _is_like_formula(cell: Any) -> bool:
+    """A text begins as formulas do; also one that has such an apostrophe already."""
+    if not isinstance(cell, str) or len(cell) == 1:
+        return False
+    first = unicodedata.normalize("NFKC", cell.lstrip("'")[:1])  # also as wide as in Japanese
+    if not first.startswith(_BEGINNINGS):
+        return False
+    try:
+        float(cell)
+    except ValueError:
+        return True
+    return False
