@@ -129,18 +129,10 @@ _WHOLE_NUMBER = re.compile("-?[0-9]{1,100}")
 class WordedOption(click.Option):
     """An option that stands in a section of the help, and words errors as this project does.
 
-    Parameters
-    ----------
-    section : str
-        Title in the help; empty: a command's own options, which stand before all sections.
-    is_common : bool
-        Whether the short help shows it, too.
-    expected : str
-        What a value must be; for the message about another one.
-    takes_infinity : bool
-        Whether a number may be "inf".
-    needs, excludes : str
-        Parameter without which, and with which, the option has no effect: then it is refused.
+    The `section` is a title in the help; empty: a command's own options, which stand before all
+    sections. The short help shows only `is_common` ones. `expected` is what a value must be, for
+    the message about another one; a number `takes_infinity` as "inf". Without the parameter that it
+    `needs`, or beside the one that it `excludes`, the option is refused.
     """
 
     def __init__(
@@ -195,7 +187,7 @@ class WordedOption(click.Option):
         except click.BadParameter:
             if not self.expected:
                 raise
-            raise input_error(option_name(self), value, self.expected) from None
+            raise InputError(option_name(self), value, self.expected) from None
         # Python also reads 1_0, other scripts' digits and spaces as numbers, and NaN as a float.
         is_odd = isinstance(value, str) and (
             not (math.isfinite(typed) or (self.takes_infinity and value == "inf"))
@@ -203,7 +195,7 @@ class WordedOption(click.Option):
             else isinstance(typed, int) and not _WHOLE_NUMBER.fullmatch(value)
         )
         if self.expected and is_odd:
-            raise input_error(option_name(self), value, self.expected)
+            raise InputError(option_name(self), value, self.expected)
         return typed
 
     def get_help_extra(self, ctx: click.Context) -> Any:
@@ -221,11 +213,6 @@ def option(*names: str, **settings: Any) -> Decorator:
 def option_name(param: click.Parameter) -> str:
     """The long name of an option."""
     return max(param.opts, key=len)
-
-
-def input_error(where: str, got: object, expected: str) -> Exception:
-    """The error of a value that the user can mend."""
-    return InputError(where, got, expected)
 
 
 def is_given(name: str) -> bool:

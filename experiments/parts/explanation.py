@@ -25,7 +25,7 @@ from placement.setting import Setting
 
 from ..results.numbers import NOTHING, count_runs, number, percent
 from ..results.record import LayoutValueRecord, Record, RunId, Share, StageName, says
-from .section import Block, Section, Table
+from .section import Block, Section, Table, tabulate
 
 
 class ContributionRecord(Record, frozen=True, kw_only=True):
@@ -328,33 +328,25 @@ def contribution_table(
     explained: ExplainedRecord, labels: Mapping[str, str] | None = None
 ) -> Table:
     """Contributions, a row for each unit; `labels` are short names of the units, by id."""
-    return Table(
-        caption="What each unit is there for, on the detection table",
-        columns=[
-            "unit",
-            "runs that only it saves",
-            "APR it adds",
-            "APR without it",
-            "smallest time to spare without it (s)",
-            "mean time to spare without it (s)",
-            "later without it, mean (s)",
-            "later, at most (s)",
-            "its part in first confirmations",
-        ],
-        rows=[
-            [
-                (labels or {}).get(part.unit, part.unit),
-                str(len(part.only_runs)),
-                percent(part.marginal_apr),
-                percent(part.without.apr),
-                _of_others(part, part.without.smallest_margin_s),
-                _of_others(part, part.without.mean_margin_s),
-                _of_others(part, part.mean_delay_s),
-                _of_others(part, part.max_delay_s),
-                percent(part.first_share),
-            ]
-            for part in explained.contributions
-        ],
+    names = labels or {}
+    return tabulate(
+        "What each unit is there for, on the detection table",
+        explained.contributions,
+        {
+            "unit": lambda part: names.get(part.unit, part.unit),
+            "runs that only it saves": lambda part: str(len(part.only_runs)),
+            "APR it adds": lambda part: percent(part.marginal_apr),
+            "APR without it": lambda part: percent(part.without.apr),
+            "smallest time to spare without it (s)": lambda part: _of_others(
+                part, part.without.smallest_margin_s
+            ),
+            "mean time to spare without it (s)": lambda part: _of_others(
+                part, part.without.mean_margin_s
+            ),
+            "later without it, mean (s)": lambda part: _of_others(part, part.mean_delay_s),
+            "later, at most (s)": lambda part: _of_others(part, part.max_delay_s),
+            "its part in first confirmations": lambda part: percent(part.first_share),
+        },
         numeric=range(1, 9),
     )
 
@@ -367,13 +359,15 @@ def _of_others(part: ContributionRecord, value_s: float) -> str:
 def missed_table(explained: ExplainedRecord) -> Table:
     """Runs that are not avoided, why, and what would save them: a row each, to unfold."""
     n_runs = len(explained.not_avoided)
-    return Table(
-        caption="Runs that are not avoided, on the detection table",
-        columns=["run", "outcome", "why", "nearest further unit that would save it"],
-        rows=[
-            [entry.run, _outcome(entry), _why(entry), _rescue(entry)]
-            for entry in explained.not_avoided
-        ],
+    return tabulate(
+        "Runs that are not avoided, on the detection table",
+        explained.not_avoided,
+        {
+            "run": lambda entry: entry.run,
+            "outcome": _outcome,
+            "why": _why,
+            "nearest further unit that would save it": _rescue,
+        },
         summary=f"{count_runs(n_runs)}: why, and what would save {'it' if n_runs == 1 else 'them'}",
         is_open=n_runs <= _MAX_UNFOLDED,
     )
@@ -407,27 +401,17 @@ def _rescue(entry: Unavoided) -> str:
 
 def pool_table(pool: PoolRecord) -> Table:
     """Layouts that are as good: a row each, the best first."""
-    return Table(
-        caption="Layouts as good, the best first",
-        columns=[
-            "layout",
-            "APR",
-            "if the most needed unit fails",
-            "smallest time to spare (s)",
-            "mean time to spare (s)",
-            "cost (EUR)",
-        ],
-        rows=[
-            [
-                " + ".join(entry.units),
-                percent(entry.apr),
-                percent(entry.apr_one_failed),
-                number(entry.smallest_margin_s),
-                number(entry.mean_margin_s),
-                f"{entry.cost_eur:,.0f}",
-            ]
-            for entry in pool.sets
-        ],
+    return tabulate(
+        "Layouts as good, the best first",
+        pool.sets,
+        {
+            "layout": lambda entry: " + ".join(entry.units),
+            "APR": lambda entry: percent(entry.apr),
+            "if the most needed unit fails": lambda entry: percent(entry.apr_one_failed),
+            "smallest time to spare (s)": lambda entry: number(entry.smallest_margin_s),
+            "mean time to spare (s)": lambda entry: number(entry.mean_margin_s),
+            "cost (EUR)": lambda entry: f"{entry.cost_eur:,.0f}",
+        },
         numeric=range(1, 6),
     )
 

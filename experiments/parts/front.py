@@ -91,41 +91,6 @@ class FrontRecord(Record, frozen=True, kw_only=True):
     sentences: Annotated[tuple[str, ...], says("What each unit buys, in words.")]
 
 
-def build_front_record(
-    front: Front,
-    problem: PlacementProblem,
-    candidates: Sequence[CandidatePose],
-    *,
-    sentences: Sequence[str],
-    n_kept: int = 0,
-) -> FrontRecord:
-    """A front, with the units of every point.
-
-    Parameters
-    ----------
-    candidates : sequence of CandidatePose
-        Rows of the problem's table.
-    sentences : sequence of str
-        Of what each unit, or more money, buys.
-    n_kept : int
-        Units that are mounted already.
-    """
-    return FrontRecord(
-        by=front.by,
-        optimised=front.stages,
-        candidates=problem.table.n_poses,
-        runs=problem.table.axis.n_runs,
-        fusion=problem.fusion,
-        kept=n_kept,
-        settled=front.settled,
-        is_proven=front.is_proven,
-        presolve=front.presolve,
-        refused=tuple(RefusedSizeRecord(units=units, reason=why) for units, why in front.refused),
-        points=tuple(_point(point, candidates) for point in front.points),
-        sentences=tuple(sentences),
-    )
-
-
 def _point(point: FrontPoint, candidates: Sequence[CandidatePose]) -> FrontPointRecord:
     layout = pick_layout(candidates, point.pose_index, f"front-{point.units}")
     return FrontPointRecord(
@@ -584,7 +549,10 @@ def describe_front(
     *,
     n_kept: int = 0,
 ) -> FrontRecord:
-    """A front with the sentences that say what each unit, or more money, buys."""
+    """A front with the units of every point, and what each unit, or more money, buys.
+
+    `candidates` are the rows of the problem's table; `n_kept` units are mounted already.
+    """
     by_pole = replace(problem, limits=replace(problem.limits, failing="site"))
 
     def pole_failed(point: FrontPoint) -> float:
@@ -594,7 +562,20 @@ def describe_front(
         sentences = describe_units(front, n_kept=n_kept, pole_failed=pole_failed)
     else:
         sentences = describe_money(front, pole_failed=pole_failed)
-    return build_front_record(front, problem, candidates, sentences=sentences, n_kept=n_kept)
+    return FrontRecord(
+        by=front.by,
+        optimised=front.stages,
+        candidates=problem.table.n_poses,
+        runs=problem.table.axis.n_runs,
+        fusion=problem.fusion,
+        kept=n_kept,
+        settled=front.settled,
+        is_proven=front.is_proven,
+        presolve=front.presolve,
+        refused=tuple(RefusedSizeRecord(units=units, reason=why) for units, why in front.refused),
+        points=tuple(_point(point, candidates) for point in front.points),
+        sentences=tuple(sentences),
+    )
 
 
 def front_table(front: FrontRecord) -> "pd.DataFrame":
@@ -654,7 +635,10 @@ def plot_front(front: FrontRecord) -> Axes:
     panels = figure.subplots(
         2 if has_times else 1, 1, sharex=True, squeeze=False, height_ratios=[3, 2][: 1 + has_times]
     )[:, 0]
-    handles = _draw_shares(panels[0], front)
+    shares: Axes = panels[0]
+    handles = _draw(shares, front, _CURVES, scale=100.0)
+    shares.set_ylabel("share of the runs avoided (%)", fontsize=8)
+    shares.set_ylim(-4.0, 104.0)
     if has_times:
         times = _draw(panels[1], front, _TIMES, scale=1.0)
         panels[1].set_ylabel("time to spare (s)", fontsize=8)
@@ -668,16 +652,7 @@ def plot_front(front: FrontRecord) -> Axes:
         fontsize=8,
         frameon=False,
     )
-    shares: Axes = panels[0]
     return shares
-
-
-def _draw_shares(axes: Axes, front: FrontRecord) -> list[Any]:
-    """Draw what is avoided; returns the entries of the legend."""
-    handles = _draw(axes, front, _CURVES, scale=100.0)
-    axes.set_ylabel("share of the runs avoided (%)", fontsize=8)
-    axes.set_ylim(-4.0, 104.0)
-    return handles
 
 
 def _draw(axes: Axes, front: FrontRecord, curves: dict[str, Style], *, scale: float) -> list[Any]:

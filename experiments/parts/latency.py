@@ -37,6 +37,7 @@ from ..figures.axes import (
     literal,
     new_figure,
     to_png,
+    write_beside,
 )
 from ..progress import WRITING, StageProgress
 from ..results.drives import DrivesRecord, build_drives_record, versions
@@ -334,14 +335,7 @@ def _draw_parts(axes: Axes, budget: LatencyBudget) -> None:
                 **_fill(index),
             )
             left += _MS * length_s
-        axes.annotate(
-            f"{left:.4g} ms",
-            xy=(left, row),
-            xytext=(3.0, 0.0),
-            textcoords="offset points",
-            va="center",
-            fontsize=8,
-        )
+        write_beside(axes, f"{left:.4g} ms", (left, row), away_pt=(3.0, 0.0))
     axes.set_xlim(0.0, 1.15 * _MS * max(budget.worst_s, _LEAST_BAR_S))
     axes.set_yticks(range(len(rows)), list(rows), fontsize=8)
     axes.set_ylim(len(rows) - 0.5, -0.5)

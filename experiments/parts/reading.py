@@ -24,32 +24,16 @@ from .result import KINDS, Result
 
 _KINDS = {"text": is_string_dtype, "numbers": is_numeric_dtype, "true or false": is_bool_dtype}
 _RUNS_COLUMNS = {
-    "layout": "text",
-    "party": "text",
-    "run": "text",
-    "case": "text",
-    "approach": "text",
-    "position": "text",
-    "weather": "text",
-    "vut_speed_kmh": "numbers",
-    "weight": "numbers",
-    "last_brake_time_s": "numbers",
-    "confirmation_time_s": "numbers",
-    "margin_s": "numbers",
+    **dict.fromkeys(("layout", "party", "run", "case", "approach", "position", "weather"), "text"),
+    **dict.fromkeys(("vut_speed_kmh", "weight", "last_brake_time_s"), "numbers"),
+    **dict.fromkeys(("confirmation_time_s", "margin_s"), "numbers"),
     "is_avoided": "true or false",
     "detected_share": "numbers",
 }
 _APR_COLUMNS = {
-    "layout": "text",
-    "party": "text",
-    "case": "text",
-    "approach": "text",
-    "position": "text",
-    "weather": "text",
+    **dict.fromkeys(("layout", "party", "case", "approach", "position", "weather"), "text"),
     "vut_speed_kmh": "text",  # a speed, or "all"
-    "apr": "numbers",
-    "n_runs": "numbers",
-    "n_avoided": "numbers",
+    **dict.fromkeys(("apr", "n_runs", "n_avoided"), "numbers"),
 }
 _OLDER = "place-rsus/result/"
 _A_WHOLE = "a whole file, as place-rsus has written it"
@@ -59,26 +43,15 @@ _A_WHOLE = "a whole file, as place-rsus has written it"
 class StoredResult:
     """A folder that a placement, an evaluation or a comparison has written.
 
-    Attributes
-    ----------
-    folder : Path
-        Where it was read from.
-    summary : Result
-        The numbers of ``summary.json``.
-    layout : Layout
-        What was found or evaluated; of a comparison the first one.
-    runs : DataFrame
-        A row per layout, sensing party and run; see :func:`experiments.results.tables.runs_table`.
-    apr : DataFrame
-        A row per layout, sensing party and group of runs; see
-        :func:`experiments.results.tables.apr_table`.
+    For the tables see :func:`experiments.results.tables.runs_table` and
+    :func:`~experiments.results.tables.apr_table`.
     """
 
     folder: Path
     summary: Result
-    layout: Layout
-    runs: pd.DataFrame
-    apr: pd.DataFrame
+    layout: Layout  # found or evaluated; of a comparison the first one
+    runs: pd.DataFrame  # a row per layout, sensing party and run
+    apr: pd.DataFrame  # a row per layout, sensing party and group of runs
 
     def __repr__(self) -> str:
         return f"Result({self.layout.name!r}, {self.summary.runs} runs, {str(self.folder)!r})"

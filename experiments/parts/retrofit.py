@@ -31,7 +31,7 @@ from ..export.json import to_json_text
 from ..progress import WRITING, StageProgress
 from ..results.drives import DrivesRecord, build_drives_record, versions
 from ..results.folders import check_folder, write_files
-from ..results.numbers import count_runs, euros, percent
+from ..results.numbers import count_runs, euros, first_of, percent
 from ..results.record import (
     LayoutValueRecord,
     Record,
@@ -184,8 +184,7 @@ def _proof(change: ChangeRecord) -> str:
 
 
 def _ids(runs: Sequence[str]) -> str:
-    shown = ", ".join(runs[:_MAX_RUNS])
-    return shown if len(runs) <= _MAX_RUNS else f"{shown} and {len(runs) - _MAX_RUNS} more"
+    return first_of(runs, _MAX_RUNS)
 
 
 # ---------- the job, and the table
@@ -228,13 +227,8 @@ def run_retrofit(
     progress("retrofit", 0, 0)
     labour = load_labour() if visit_eur is None else _at_price(visit_eur)
     retrofit = find_retrofit(
-        problem,
-        poses,
-        labour=labour,
-        budget_eur=question.budget_cost,
-        effort=plan.effort,
+        problem, poses, labour=labour, budget_eur=question.budget_cost, effort=plan.effort
     )
-
     result = _build_result(
         retrofit, poses, layout, setting, question, labour=labour, command=command
     )

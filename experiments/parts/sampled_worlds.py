@@ -14,7 +14,18 @@ from placement.sampling.moving.trajectories import TrafficCount
 from placement.sampling.out_of_sample import SampledApr, cvar, estimate_mean
 from placement.sampling.uncertainty import MountingErrors, Uncertainty
 
-from ..figures.axes import BLUE, GREEN, PINK, VERMILION, WIDTH_IN, finish_axes, literal, new_axes
+from ..figures.axes import (
+    BLUE,
+    GREEN,
+    PINK,
+    VERMILION,
+    WIDTH_IN,
+    Style,
+    finish_axes,
+    literal,
+    new_axes,
+    write_beside,
+)
 from ..results.numbers import number, or_nan, percent, points, shortened
 from ..results.record import Record, RunId, Share, says
 from .section import Picture, Section, build_picture
@@ -443,10 +454,8 @@ def plot_intervals(judged: Sequence[SampledApr]) -> Axes:
             linestyle=(0, (1.0, 1.5)), zorder=2,
         )  # fmt: skip
         _whisker(axes, row, estimate.mean, estimate.low, estimate.high)
-        axes.annotate(
-            percent(estimate.mean), (1.0, row), xycoords=("axes fraction", "data"),
-            xytext=(4.0, 0.0), textcoords="offset points", va="center", fontsize=8,
-        )  # fmt: skip
+        to_the_right: Style = {"away_pt": (4.0, 0.0), "xycoords": ("axes fraction", "data")}
+        write_beside(axes, percent(estimate.mean), (1.0, row), **to_the_right)
     axes.set_yticks(range(len(judged)), [_name(item.layout.name) for item in judged], fontsize=8)
     axes.set_ylim(len(judged) - 0.5, -0.5)
     words = (

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from geometry.errors import InputError
 from placement.explain.sensitivity import Sensitivity, Varied, VariedAssumption, Worth
 
-from ..figures.axes import BLUE, VERMILION, WIDTH_IN, finish_axes, new_axes
+from ..figures.axes import BLUE, VERMILION, WIDTH_IN, finish_axes, new_axes, write_beside
 from ..results.numbers import NOTHING, count_runs, number, or_nan, percent
 from .section import Block, Section, Table, build_picture
 
@@ -177,28 +177,12 @@ def _draw_row(
 
 
 def _label(axes: Axes, x: float, row: int, text: str, *, side: str) -> None:
-    is_left = side == "left"
-    axes.annotate(
-        text,
-        (x, row),
-        xytext=(-4.0 if is_left else 4.0, 0.0),
-        textcoords="offset points",
-        ha="right" if is_left else "left",
-        va="center",
-        fontsize=8,
-    )
+    away, ha = (-4.0, "right") if side == "left" else (4.0, "left")
+    write_beside(axes, text, (x, row), away_pt=(away, 0.0), ha=ha)
 
 
 def _note(axes: Axes, planned: float, row: int, text: str) -> None:
-    axes.annotate(
-        text,
-        (planned, row),
-        xytext=(5.0, 0.0),
-        textcoords="offset points",
-        va="center",
-        fontsize=7,
-        color="#555555",
-    )
+    write_beside(axes, text, (planned, row), away_pt=(5.0, 0.0), fontsize=7, color="#555555")
 
 
 # ---------- sentences, tables, and the section of the report

@@ -121,7 +121,7 @@ def _rows(unit: CandidatePose, scene: Scene, tolerance: Tolerance) -> list[tuple
     if scene.crs:
         lon_deg, lat_deg = to_geographic(unit.pose.position_m[None], scene.crs)[0]
         where += f"\n{lat_deg:.6f}\N{DEGREE SIGN} latitude, {lon_deg:.6f}\N{DEGREE SIGN} longitude"
-    rows = [
+    return [
         ("Mount", _mount(unit, scene)),
         ("Where", where),
         ("Height", f"{z:.2f} m above the road"),
@@ -130,7 +130,6 @@ def _rows(unit: CandidatePose, scene: Scene, tolerance: Tolerance) -> list[tuple
         ("May be off", _tolerance_text(tolerance)),
         ("Landmarks", "\n".join(_landmarks(unit, scene)) or "none within 40 m"),
     ]
-    return rows
 
 
 def _mount(unit: CandidatePose, scene: Scene) -> str:

@@ -72,8 +72,6 @@ StageValues = Annotated[
     Meta(extra_json_schema={"propertyNames": {"enum": list(get_args(StageName))}}),
 ]
 """Value of each stage, in the unit that its name ends in."""
-BeforeAfter = tuple[Annotated[int, Meta(ge=0)], Annotated[int, Meta(ge=0)]]
-"""Before presolve, after it."""
 
 
 def to_plain(record: object) -> dict[str, Any]:
