@@ -26,6 +26,7 @@ from placement.layout import Layout
 from placement.setting import Setting
 from scenarios.runs import Run
 
+from ..results.numbers import shortened
 from .axes import (
     BLUE,
     GREEN,
@@ -458,10 +459,6 @@ def _draw_compass(axes: Axes, middle_m: FloatArray, half_size_m: float) -> None:
     )
 
 
-def _shortened(name: str) -> str:
-    return name if len(name) <= _MAX_NAME else f"{name[: _MAX_NAME - 1]}\N{HORIZONTAL ELLIPSIS}"
-
-
 def _plan_legend(setting: Setting, layout: Layout, others: Sequence[Layout]) -> list[Any]:
     bodies = ["vut", *dict.fromkeys(run.case.vru.class_name for run in setting.runs)]
     paths = [
@@ -483,7 +480,7 @@ def _plan_legend(setting: Setting, layout: Layout, others: Sequence[Layout]) -> 
         Line2D(
             [],
             [],
-            label=literal(f"{_shortened(layout.name)}: {what}"),
+            label=literal(f"{shortened(layout.name, _MAX_NAME)}: {what}"),
             markerfacecolor=BLUE,
             markeredgecolor="black",
             **camera,
@@ -492,7 +489,7 @@ def _plan_legend(setting: Setting, layout: Layout, others: Sequence[Layout]) -> 
             Line2D(
                 [],
                 [],
-                label=literal(f"{_shortened(name)}: camera"),
+                label=literal(f"{shortened(name, _MAX_NAME)}: camera"),
                 markerfacecolor="white",
                 markeredgecolor="#555555",
                 **camera,
@@ -502,7 +499,7 @@ def _plan_legend(setting: Setting, layout: Layout, others: Sequence[Layout]) -> 
     ]
     if any(is_ring(unit.sensor) for unit in layout.units):
         style: Style = {"markerfacecolor": BLUE, "markeredgecolor": "black"}
-        label = literal(f"{_shortened(layout.name)}: LiDAR that scans all round")
+        label = literal(f"{shortened(layout.name, _MAX_NAME)}: LiDAR that scans all round")
         units.insert(1, Line2D([], [], label=label, markersize=8.0, **style, **_ROUND_MARKER))
     if all(is_ring(unit.sensor) for unit in layout.units):
         del units[0]

@@ -1,11 +1,10 @@
 """The player: runs as its script reads them, in whole centimetres and milliseconds, packed bits."""
 
-import base64
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray, IntArray
 from geometry.catalogue import sensor_kind
@@ -168,15 +167,9 @@ def interactive_part(
 def pack_bits(bits: ArrayLike) -> str:
     """Rows of bits, each padded to whole bytes, the first bit highest, in base64.
 
-    `bits` is (n_rows, n); :func:`unpack_bits` and the player's script give it back.
+    `bits` is (n_rows, n); the player's script gives it back.
     """
     return to_base64(np.packbits(np.asarray(bits, dtype=bool), axis=1))
-
-
-def unpack_bits(text: str, *, n_rows: int, n: int) -> NDArray[np.bool_]:
-    """Rows of bits, (n_rows, n), from :func:`pack_bits`."""
-    data = np.frombuffer(base64.b64decode(text), dtype=np.uint8).reshape(n_rows, -1)
-    return np.unpackbits(data, axis=1, count=n).astype(bool)
 
 
 # ---------- runs

@@ -4,7 +4,7 @@ Files are checked to be whole, of this version, and to belong together.
 """
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -169,17 +169,13 @@ def _check_columns(table: pd.DataFrame, columns: Mapping[str, str], path: Path) 
     missing = [name for name in columns if name not in table.columns]
     if missing:
         raise InputError(
-            str(path), Unquoted(f"no column {missing[0]}"), f"columns {_listed(list(columns))}"
+            str(path), Unquoted(f"no column {missing[0]}"), f"columns {', '.join(columns)}"
         )
     for name, kind in columns.items():
         column = table[name]
         # An empty or mixed column has no kind of its own: is_string_dtype looks at the values.
         if not len(column) or not _KINDS[kind](column):
             raise InputError(f"{path}: {name}", Unquoted(f"{column.dtype} values"), kind)
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names)
 
 
 def _first_line(error: Exception) -> str:
