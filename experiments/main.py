@@ -16,7 +16,7 @@ from .cli.doctor import doctor
 from .cli.evaluate import evaluate
 from .cli.export import export
 from .cli.latency import latency
-from .cli.option_names import with_option_names
+from .cli.options import with_option_names
 from .cli.pareto import pareto
 from .cli.place import cli
 from .cli.retrofit import retrofit

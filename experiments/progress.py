@@ -75,33 +75,18 @@ class StageProgress:
 
     A bar on a terminal; elsewhere a line per stage, and in long ones one each half minute; nothing
     before :meth:`start` or with ``quiet``.
-
-    Attributes
-    ----------
-    stage : str
-        The stage that runs, or ran last.
-    seconds : dict of str to float
-        Time per finished stage. [s]
-    kept : str
-        What is on disk if the program ends now, in words.
-    is_verbose : bool
-        Whether the seconds of each stage are told when it ends.
-    shows_tracebacks : bool
-        Whether an unexpected error is shown in full.
-    signum : int
-        The signal that came, or 0.
     """
 
     def __init__(self) -> None:
-        self.stage = "start"
-        self.seconds: dict[str, float] = {}
-        self.kept = "nothing was written"
+        self.stage = "start"  # that runs, or ran last
+        self.seconds: dict[str, float] = {}  # of each finished stage
+        self.kept = "nothing was written"  # what is on disk if the program ends now
         self._began_s = self._line_s = time.perf_counter()
         self._prints_lines = False
         self._bar: Any = None
         self.is_verbose = False
         self.shows_tracebacks = False
-        self.signum = 0
+        self.signum = 0  # the signal that came
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Show a stage; a new name ends the one before."""
@@ -216,11 +201,6 @@ def ending_on_signals(progress: StageProgress) -> Iterator[None]:
     A solver, a kernel or a worker thread can go on for long before Python raises anything. Unless
     files are being written, the process is then ended from a thread of its own, within a second.
     Files elsewhere (detection tables, machine code) are put in place whole by their writers.
-
-    Parameters
-    ----------
-    progress : StageProgress
-        Says what to tell the user.
     """
     read_end, write_end = os.pipe()
     os.set_blocking(write_end, False)

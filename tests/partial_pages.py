@@ -14,9 +14,9 @@ from matplotlib.legend import Legend
 from matplotlib.text import Text
 from PIL import Image
 
-from experiments.figures import dangers, plan
+from experiments.figures import plan
 from experiments.figures.axes import root_figure
-from experiments.parts import coverage, section
+from experiments.parts import dangers, ground, section
 from experiments.parts.result import KINDS, Result
 from experiments.parts.section import Bullets, Picture, Section, Table
 from experiments.report.page import page_environment
@@ -53,7 +53,7 @@ def blank_pictures() -> Iterator[None]:
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(section, "to_png", blank_png)
-        for module in (coverage, dangers, pictures, plan):
+        for module in (ground, dangers, pictures, plan):
             patch.setattr(module, "draw_scene", lambda axes, scene: None)
         yield
 

@@ -39,11 +39,11 @@ from ..export.places import placed_records
 from ..figures.axes import to_png
 from ..parts.bill_of_materials import build_bill
 from ..progress import WRITING, StageProgress, follow_parent
-from ..results.csv_text import csv_text
 from ..results.drives import versions
 from ..results.folders import LAYOUT_FILE, check_folder, sha256, write_files, write_manifest
 from ..results.numbers import several
 from ..results.record import to_plain
+from ..results.tables import csv_text
 from .answer import (
     FRONT,
     FRONTS,

@@ -3,7 +3,8 @@
 import math
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
@@ -24,18 +25,106 @@ from placement.question import (
     save_question,
 )
 
-from .question_options import (
-    ASKED,
-    DRIVEN,
-    MOUNTED,
-    OPTIONS,
-    SECTIONS,
-    SEEN,
-    SOUGHT,
-    help_of,
-    option_of,
-)
 from .running import cache_folder, check_address_space
+
+ASKED = "What is asked"
+MOUNTED = "What may be mounted, and where"
+SOUGHT = "How it is looked for"
+DRIVEN = "What is driven"
+SEEN = "What is seen, told and braked"
+SECTIONS = (ASKED, MOUNTED, SOUGHT, DRIVEN, SEEN)
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """The option of a field of :class:`placement.question.Question`."""
+
+    section: str  # of the help
+    metavar: str = ""  # what the help shows for a value; empty: what the type says
+    is_common: bool = False  # most people need it: the short help shows it
+    is_path: bool = False  # a shell completes the value as a path
+    takes_infinity: bool = False
+    needs: str = ""  # field without which this one has no effect
+    excludes: str = ""  # field with which this one has no effect
+
+
+OPTIONS = {
+    "budget": Shown(ASKED, is_common=True),
+    "budget_cost": Shown(ASKED, metavar="EUR", is_common=True),
+    "target": Shown(ASKED, metavar="SHARE", is_common=True),
+    "least": Shown(ASKED, is_common=True, needs="target"),
+    "min_case_apr": Shown(ASKED),
+    "survive": Shown(ASKED, metavar="N|unit|site", is_common=True),
+    "keep": Shown(MOUNTED, metavar="LAYOUT", is_common=True, is_path=True),
+    "within": Shown(MOUNTED, metavar="LAYOUT", is_common=True, is_path=True),
+    "force_site": Shown(MOUNTED, metavar="SITES"),
+    "forbid_site": Shown(MOUNTED, metavar="SITES"),
+    "site_capacity": Shown(MOUNTED),
+    "site_cost_eur": Shown(MOUNTED, metavar="EUR"),
+    "separation_m": Shown(MOUNTED, metavar="METRES"),
+    "sensors": Shown(MOUNTED, metavar="NAMES", is_common=True, excludes="within"),
+    "heights": Shown(MOUNTED, metavar="METRES"),
+    "yaw_step_deg": Shown(MOUNTED, metavar="DEGREES"),
+    "pitches": Shown(MOUNTED, metavar="DEGREES"),
+    "no_look": Shown(MOUNTED, metavar="FILE", is_path=True),
+    "no_look_share": Shown(MOUNTED, needs="no_look"),
+    "solver": Shown(SOUGHT),
+    "time_limit_s": Shown(SOUGHT, metavar="SECONDS", is_common=True),
+    "gap": Shown(SOUGHT),
+    "refine": Shown(SOUGHT, is_common=True),
+    "samples": Shown(SOUGHT),
+    "uncertainty": Shown(SOUGHT, metavar="NAME", needs="samples"),
+    "traffic": Shown(SOUGHT, metavar="sumo|FILE", is_path=True, needs="samples"),
+    "traffic_offset": Shown(SOUGHT, metavar="EAST,NORTH", needs="traffic"),
+    "risk": Shown(SOUGHT, metavar="HOW", needs="samples"),
+    "pool": Shown(SOUGHT),
+    "scene": Shown(DRIVEN, metavar="PATH", is_common=True, is_path=True),
+    "junction": Shown(DRIVEN, metavar="NAME", is_common=True),
+    "at": Shown(DRIVEN, metavar="X,Y"),
+    "sites": Shown(DRIVEN, metavar="WHERE"),
+    "driving_side": Shown(DRIVEN),
+    "cases": Shown(DRIVEN, metavar="CASES", is_common=True),
+    "case_range": Shown(DRIVEN),
+    "protect": Shown(DRIVEN, is_common=True),
+    "along_arms": Shown(DRIVEN, metavar="METRES", is_common=True),
+    "speeds": Shown(DRIVEN, metavar="KMH"),
+    "approaches": Shown(DRIVEN, metavar="ARMS"),
+    "weather": Shown(DRIVEN, metavar="WEATHER", is_common=True),
+    "force": Shown(DRIVEN, needs="speeds"),
+    "strict": Shown(DRIVEN),
+    "weights": Shown(DRIVEN, metavar="HOW"),
+    "near": Shown(DRIVEN, metavar="LAT,LON", needs="weights"),
+    "accidents_within_m": Shown(DRIVEN, metavar="METRES", needs="weights"),
+    "score": Shown(DRIVEN),
+    "fusion": Shown(SEEN, is_common=True),
+    "detector": Shown(SEEN, metavar="HOW", is_common=True),
+    "vut_sensors": Shown(SEEN, metavar="SENSORS"),
+    "packet_loss": Shown(SEEN),
+    "vam_rate": Shown(SEEN),
+    "n_confirmations": Shown(SEEN),
+    "track_memory_s": Shown(SEEN, metavar="SECONDS", takes_infinity=True),
+    "latency_s": Shown(SEEN, metavar="SECONDS"),
+    "latency_budget": Shown(SEEN, metavar="NAME|FILE"),
+    "deceleration_mps2": Shown(SEEN, metavar="M/S2"),
+    "build_up_s": Shown(SEEN, metavar="SECONDS"),
+}
+"""One for each field, in the fields' order."""
+
+
+def option_of(field: QuestionField) -> str:
+    """The option of a field, such as "--site-cost"."""
+    return "--" + field.key.replace("_", "-")
+
+
+def help_of(field: QuestionField) -> str:
+    """A field's description with options in place of the other fields' names."""
+    known = question_fields()
+
+    def named(found: re.Match[str]) -> str:
+        return option_of(known[found[1]]) if found[1] in known else found[0]
+
+    return re.sub("`([a-z_0-9]+)`", named, field.description)
+
 
 PROGRAM = "The program itself"
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
@@ -45,18 +134,10 @@ _WHOLE_NUMBER = re.compile("-?[0-9]{1,100}")
 class WordedOption(click.Option):
     """An option that stands in a section of the help, and words errors as this project does.
 
-    Parameters
-    ----------
-    section : str
-        Title in the help; empty: a command's own options, which stand before all sections.
-    is_common : bool
-        Whether the short help shows it, too.
-    expected : str
-        What a value must be; for the message about another one.
-    takes_infinity : bool
-        Whether a number may be "inf".
-    needs, excludes : str
-        Parameter without which, and with which, the option has no effect: then it is refused.
+    The `section` is a title in the help; empty: a command's own options, which stand before all
+    sections. The short help shows only `is_common` ones. `expected` is what a value must be, for
+    the message about another one; a number `takes_infinity` as "inf". Without the parameter that it
+    `needs`, or beside the one that it `excludes`, the option is refused.
     """
 
     def __init__(
@@ -111,7 +192,7 @@ class WordedOption(click.Option):
         except click.BadParameter:
             if not self.expected:
                 raise
-            raise input_error(option_name(self), value, self.expected) from None
+            raise InputError(option_name(self), value, self.expected) from None
         # Python also reads 1_0, other scripts' digits and spaces as numbers, and NaN as a float.
         is_odd = isinstance(value, str) and (
             not (math.isfinite(typed) or (self.takes_infinity and value == "inf"))
@@ -119,7 +200,7 @@ class WordedOption(click.Option):
             else isinstance(typed, int) and not _WHOLE_NUMBER.fullmatch(value)
         )
         if self.expected and is_odd:
-            raise input_error(option_name(self), value, self.expected)
+            raise InputError(option_name(self), value, self.expected)
         return typed
 
     def get_help_extra(self, ctx: click.Context) -> Any:
@@ -137,11 +218,6 @@ def option(*names: str, **settings: Any) -> Decorator:
 def option_name(param: click.Parameter) -> str:
     """The long name of an option."""
     return max(param.opts, key=len)
-
-
-def input_error(where: str, got: object, expected: str) -> Exception:
-    """The error of a value that the user can mend."""
-    return InputError(where, got, expected)
 
 
 def is_given(name: str) -> bool:
@@ -199,13 +275,7 @@ ONLY_DRIVEN = fields_in(
 
 
 def field_option(field: QuestionField, default: Any = None) -> Decorator:
-    """The option of a field of a question.
-
-    Parameters
-    ----------
-    default : object
-        In place of the field's own.
-    """
+    """The option of a field of a question; `default` in place of the field's own."""
     default = field.default if default is None else default
     shown = OPTIONS[field.name]
     kind, *limits = get_args(field.kind) if get_origin(field.kind) is Annotated else [field.kind]
@@ -248,17 +318,10 @@ def question_options(
 ) -> Decorator:
     """Options of a command that asks something; the command gets them as one `question`.
 
-    Parameters
-    ----------
-    names : str
-        Fields of :class:`placement.question.Question`. The others keep their defaults, also where
-        a question file gives them: one file serves every command.
-    defaults : dict, optional
-        In place of the fields' own.
-    named_apart : sequence of str
-        Fields whose parameters the command adds itself.
-    has_file : bool
-        Whether there are ``--question`` and ``--save-question``.
+    Fields that are not named keep their defaults, also where a question file gives them: one file
+    serves every command. `defaults` are in place of the fields' own; parameters of the fields in
+    `named_apart` are added by the command itself. `has_file`: with ``--question`` and ``--save-
+    question``.
     """
     known = question_fields()
     options = [
@@ -455,10 +518,7 @@ _rays_option = option(
 def compute_options(*, has_cache: bool = False) -> Decorator:
     """Options that say how to compute; the command gets them as one `compute`.
 
-    Parameters
-    ----------
-    has_cache : bool
-        Whether the command builds detection tables, which can be kept.
+    `has_cache`: the command builds detection tables, which can be kept.
     """
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -577,3 +637,37 @@ class SectionedGroup(click.Group):
         """Write commands first: whoever looks for one need not pass by the options."""
         self.format_commands(ctx, formatter)
         _write_sections(self, ctx, formatter)
+
+
+# ---------- names of options in messages of the library
+
+
+def with_option_names(message: str, group: click.Group) -> str:
+    """Put the names of options in place of the fields that a message of the library names.
+
+    A message names a field at its beginning, before a colon or "in", or anywhere between backticks:
+    "budget: got 0; expected 1 or more, or `target`". Names that no option has stay as they are.
+    """
+    names = dict(_option_names(group))
+
+    def name(found: re.Match[str]) -> str:
+        return names.get(found[1], found[0])
+
+    message = re.sub(r"`([a-z0-9_]+)`", name, message)
+    return re.sub(r"\A([a-z0-9_]+)(?=:| in )", name, message)
+
+
+def _option_names(group: click.Group) -> Iterator[tuple[str, str]]:
+    """Names of parameters with those of their options, of a group after those of its commands."""
+    for command in group.commands.values():
+        if isinstance(command, click.Group):
+            yield from _option_names(command)
+        else:
+            yield from _names_of(command)
+    yield from _names_of(group)
+
+
+def _names_of(command: click.Command) -> Iterator[tuple[str, str]]:
+    for param in command.params:
+        if isinstance(param, click.Option) and param.name is not None:
+            yield param.name, max(param.opts, key=len)

@@ -11,7 +11,9 @@ from placement.question import Question
 from ..progress import StageProgress
 from ..results.numbers import or_nan, percent
 from .options import (
+    ASKED,
     JUDGED,
+    MOUNTED,
     Decorator,
     SectionedCommand,
     fields_in,
@@ -20,7 +22,6 @@ from .options import (
     option,
     question_options,
 )
-from .question_options import ASKED, MOUNTED
 from .running import begin, command_line, print_result
 from .terminal import driven_lines, sentences, table
 

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..results.numbers import or_nan, percent
-from .options import is_given, option, option_name
-from .question_options import SEEN
+from .options import SEEN, is_given, option, option_name
 from .terminal import sentences, table, wide_table
 
 if TYPE_CHECKING:

@@ -12,6 +12,7 @@ from placement.question import Question
 from ..progress import StageProgress
 from ..results.numbers import percent, several
 from .options import (
+    MOUNTED,
     SectionedCommand,
     fields_in,
     folder_option,
@@ -20,7 +21,6 @@ from .options import (
     option,
 )
 from .pareto import front_options
-from .question_options import MOUNTED
 from .running import begin, command_line, load_one_layout, print_result
 from .terminal import driven_lines, sentences, table
 

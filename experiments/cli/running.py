@@ -64,13 +64,7 @@ def load_one_layout(names: Sequence[str], question: "Question | None" = None) ->
     """The layout of a command that takes ``--layout`` once.
 
     With a question, a list of units with places on earth may stand in its place: CSV, or JSON.
-
-    Raises
-    ------
-    click.UsageError
-        It is given several times, or not at all.
-    InputError
-        There is no such layout.
+    Raises click.UsageError if it is given several times or not at all, InputError if there is none.
     """
     if len(names) != 1:
         given = f"{len(names)} layouts" if names else "nothing"

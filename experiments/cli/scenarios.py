@@ -27,6 +27,7 @@ from .running import begin, print_result, unwritable
 from .terminal import sentences, table
 
 if TYPE_CHECKING:
+    from geometry.scene import Scene
     from placement.setting import Drives
     from scenarios.cases import Case
     from scenarios.runs import Run
@@ -281,14 +282,9 @@ def show(
     progress: StageProgress, *, question: Question, position: str, out: Path | None, quiet: bool
 ) -> None:
     """Draw a run from above: bodies, paths, obstruction, what the VUT has in sight."""
-    from geometry.scene_files import load_scene
-    from placement.setting import drive_one
-
     from ..figures.film import save_film
 
-    question = begin(progress, question, quiet=quiet)
-    scene = load_scene(question.scene)
-    run = drive_one(question, scene, position=position)
+    scene, run = _drive_one(progress, question, position, quiet=quiet)
     path = out or Path("results", "scenarios", run.id.replace("/", "_") + ".png")
     progress("draw", 0, 0)
     _write(
@@ -311,19 +307,26 @@ Examples:
 def export(progress: StageProgress, *, question: Question, position: str, out: Path | None) -> None:
     """Write a run as OpenSCENARIO XML, for the roads of an OpenDRIVE file."""
     from geometry.files import write_atomically
-    from geometry.scene_files import load_scene
-    from placement.setting import drive_one
 
     from ..export.openscenario import to_openscenario
 
-    question = begin(progress, question, quiet=True)
-    scene = load_scene(question.scene)
-    run = drive_one(question, scene, position=position)
+    scene, run = _drive_one(progress, question, position, quiet=True)
     text = to_openscenario(run, road_network=scene.road_network)
     if out is None:
         write_out(text)
     else:
         _write(out, lambda: write_atomically(out, text))
+
+
+def _drive_one(
+    progress: StageProgress, question: Question, position: str, *, quiet: bool
+) -> "tuple[Scene, Run]":
+    from geometry.scene_files import load_scene
+    from placement.setting import drive_one
+
+    question = begin(progress, question, quiet=quiet)
+    scene = load_scene(question.scene)
+    return scene, drive_one(question, scene, position=position)
 
 
 def _write(path: Path, write: Callable[[], Any], *, makes_folder: bool = False) -> None:

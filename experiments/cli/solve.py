@@ -1,7 +1,7 @@
 """``place-rsus solve``: covering instances from files, solved and proven."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -12,7 +12,7 @@ from .running import print_result, unwritable
 from .terminal import sentences
 
 if TYPE_CHECKING:
-    from ..results.solutions import CoveringResult, PlacementSolution
+    from ..jobs.solve import CoveringResult, PlacementSolution
 
 _QUESTIONS = {
     "budget_units": "--budget",
@@ -85,6 +85,7 @@ Examples:
 )
 @option(
     "--time-limit",
+    "time_limit_s",
     type=click.FloatRange(min=0.0, min_open=True),
     metavar="SECONDS",
     expected="seconds, more than 0",
@@ -122,19 +123,16 @@ Examples:
 @click.pass_obj
 def solve(
     progress: StageProgress,
+    /,
     *,
     file: Path,
-    budget_units: int | None,
-    budget_cost: float | None,
     target: float | None,
     track_memory_s: float | None,
-    solver: str,
-    time_limit: float,
-    gap: float,
     format_name: str,
     out: Path | None,
     as_json: bool,
     quiet: bool,
+    **asked: Any,
 ) -> None:
     """Solve a covering or placement problem from a file, and prove it.
 
@@ -157,14 +155,10 @@ def solve(
             raise click.UsageError(f"--out: got {out}; expected it with covering problems only")
         solution = solve.run_solve_windows(
             file,
-            budget_units=budget_units,
-            budget_cost=budget_cost,
             target=float("inf") if target is None and is_given("target") else target,
             track_memory_s=track_memory_s,
-            solver=solver,
-            time_limit_s=time_limit,
-            gap=gap,
             progress=progress,
+            **asked,
         )
         print_result(solution, progress, as_json, lambda: window_text(solution))
         return
@@ -176,14 +170,10 @@ def solve(
         summary = solve.run_solve(
             file,
             format_name=None if format_name == "auto" else format_name,
-            budget_units=budget_units,
-            budget_cost=budget_cost,
             target=target,
-            solver=solver,
-            time_limit_s=time_limit,
-            gap=gap,
             out=out,
             progress=progress,
+            **asked,
         )
     except OSError as error:
         if out is None:

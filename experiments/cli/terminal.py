@@ -27,12 +27,8 @@ def sentences(
 ) -> list[str]:
     """Lines of paragraphs; an empty text gives none.
 
-    Parameters
-    ----------
-    indent, hanging : int
-        Spaces before every line, and so many more before all but the first.
-    head : str
-        Stands before each text, on its first line alone.
+    `indent` spaces stand before every line, and `hanging` more before all but the first; `head`
+    stands before each text, on its first line alone.
     """
     return [
         line.replace("\N{NO-BREAK SPACE}", " ")
@@ -117,19 +113,9 @@ def table(
 ) -> list[str]:
     """Lines of a table.
 
-    Parameters
-    ----------
-    heads : sequence of str
-        One per column.
-    rows : iterable of sequence of str
-        A cell per column.
-    n_left : int
-        Columns whose cells begin on the left; those of the others end on the right. A left one is
-        made narrower, and its cells go on below, where the table would be too wide.
-    indent : int
-        Spaces before every line.
-    widths : sequence of int or None, optional
-        Of the columns; None: what the cells need.
+    The cells of the first `n_left` columns begin on the left; those of the others end on the right.
+    A left one is made narrower, and its cells go on below, where the table would be too wide.
+    `widths` of columns are by default what the cells need.
     """
     from rich.console import Console
     from rich.table import Table
@@ -191,14 +177,8 @@ def wide_table(
 ) -> list[str]:
     """Lines of a table with many columns: as many side by side as fit, the others below.
 
-    Parameters
-    ----------
-    head : str
-        Of the first column, which each block repeats.
-    rows : sequence of str
-        Cells of the first column.
-    columns : mapping of str to sequence of str
-        Cells by head; a head of several words stands on several lines.
+    Each block repeats the first column, with `head` and `rows`. A head of several words stands on
+    several lines.
     """
     first = max(map(len, (head, *rows)))
     # The widest columns among those that need the fewest blocks.

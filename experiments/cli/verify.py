@@ -12,7 +12,7 @@ from .running import print_result
 from .terminal import sentences
 
 if TYPE_CHECKING:
-    from ..results.solutions import VerificationResult
+    from ..jobs.verify import VerificationResult
 
 _EXIT_FAILED = 1
 

@@ -3,7 +3,7 @@
 from geometry.scene import Scene
 from placement.layout import Layout
 
-from ..results.csv_text import csv_text
+from ..results.tables import csv_text
 from .formats import ExportFormat
 from .places import placed_records
 

@@ -68,6 +68,14 @@ def finish_axes(
         axes.spines[side].set_visible(False)
 
 
+def write_beside(
+    axes: Axes, text: str, at: tuple[float, float], *, away_pt: tuple[float, float], **style: Any
+) -> None:
+    """Write a text so many points away from a point of the axes."""
+    drawn: Style = {"va": "center", "fontsize": 8} | style
+    axes.annotate(text, xy=at, xytext=away_pt, textcoords="offset points", **drawn)
+
+
 def show_square(axes: Axes, middle_m: FloatArray, half_size_m: float) -> None:
     """Show a square of the ground, as long in east as in north."""
     axes.set_aspect("equal")

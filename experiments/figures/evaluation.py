@@ -12,7 +12,6 @@ from matplotlib.patches import Patch
 
 from geometry.arrays import BoolArray
 from geometry.catalogue import sensor_kind
-from geometry.errors import InputError
 from placement.evaluation import (
     Evaluation,
     Verdict,
@@ -20,7 +19,6 @@ from placement.evaluation import (
     apr_by_case,
     run_outcome,
 )
-from placement.setting import Setting
 
 from ..results.numbers import percent
 from ..results.tables import margin_s
@@ -35,6 +33,7 @@ from .axes import (
     new_figure,
     root_figure,
     unit_labels,
+    write_beside,
 )
 
 # ---------- which runs have a heatmap, and which units have a row in it
@@ -67,7 +66,7 @@ def units_in_heatmap(evaluation: Evaluation, run_indices: Sequence[int]) -> list
     return sorted(units, key=rank)[:MAX_HEATMAP_UNITS]
 
 
-def pick_heatmap_runs(setting: Setting, evaluation: Evaluation) -> tuple[str, ...]:
+def pick_heatmap_runs(evaluation: Evaluation) -> tuple[str, ...]:
     """Runs whose heatmaps are worth drawing.
 
     At most three, of different cases: the study's own, at the speeds at which it shows them or
@@ -85,17 +84,6 @@ def pick_heatmap_runs(setting: Setting, evaluation: Evaluation) -> tuple[str, ..
         if axis.weight[index] > 0.0:
             picked.setdefault(axis.cases[index], axis.run_ids[index])
     return tuple(picked.values())[:_MAX_HEATMAPS]
-
-
-def heatmap_indices(evaluation: Evaluation, setting: Setting, run_ids: Sequence[str]) -> list[int]:
-    """Indices of runs by their ids; none: those of :func:`pick_heatmap_runs`."""
-    axis = evaluation.axis
-    for run_id in run_ids:
-        if run_id not in axis.run_ids:
-            raise InputError("heatmap run", run_id, "the id of a run")
-    return [
-        axis.run_ids.index(run_id) for run_id in run_ids or pick_heatmap_runs(setting, evaluation)
-    ]
 
 
 # ---------- APR by case
@@ -201,7 +189,7 @@ def plot_heatmap(
     """Who detects the VRU when, in one run; see :func:`plot_heatmaps`."""
     if axes is None:
         return plot_heatmaps(evaluation, [run_index], width_in=width_in)[0]
-    _draw_heatmap(axes, evaluation, _heatmap_rows(evaluation, [run_index]), run_index)
+    _draw_heatmap(axes, evaluation, heatmap_rows(evaluation, [run_index]), run_index)
     axes.set_xlabel(_TIME_LABEL, fontsize=9)
     return axes
 
@@ -211,23 +199,11 @@ def plot_heatmaps(
 ) -> list[Axes]:
     """Who detects the VRU when, one pair of axes per run, in a new figure.
 
-    Parameters
-    ----------
-    evaluation : Evaluation
-        Of a layout.
-    run_indices : sequence of int
-        Which runs, at least one.
-    width_in : float
-        Of the figure. [inch]
-
-    Returns
-    -------
-    axes : list of Axes
-        Rows: the VUT, each RSU, all RSUs together. Columns: frames, by their time before the
-        impact. The dashed red line is the last brake time; a diamond is a confirmation. Of many
-        RSUs only those that confirm first have a row; an axis label tells how many.
+    Rows: the VUT, each RSU, all RSUs together. Columns: frames, by their time before the impact.
+    The dashed red line is the last brake time; a diamond is a confirmation. Of many RSUs only those
+    that confirm first have a row; an axis label tells how many.
     """
-    rows = _heatmap_rows(evaluation, run_indices)
+    rows = heatmap_rows(evaluation, run_indices)
     is_narrow = width_in < WIDTH_IN
     height = 0.75 + 0.2 * is_narrow + len(run_indices) * (0.85 + 0.21 * len(rows))
     figure = new_figure(width_in, height)
@@ -245,10 +221,13 @@ def plot_heatmaps(
     return list(panels)
 
 
-def _heatmap_rows(evaluation: Evaluation, run_indices: Sequence[int]) -> dict[str, Verdict]:
+def heatmap_rows(
+    evaluation: Evaluation, run_indices: Sequence[int], *, vut: str = "VUT"
+) -> dict[str, Verdict]:
+    """Who has a row in a heatmap of runs, by what it is called; the VUT as it is said."""
     labels = unit_labels(evaluation.layout)
     return {
-        "VUT": evaluation.vut,
+        vut: evaluation.vut,
         **{
             labels[unit_id]: evaluation.units[unit_id]
             for unit_id in units_in_heatmap(evaluation, run_indices)
@@ -309,15 +288,9 @@ def _draw_heatmap(
 def _draw_last_moment(axes: Axes, last_brake_s: float, n_rows: int) -> None:
     first_s, last_s = axes.get_xlim()
     if last_brake_s < first_s:
-        axes.annotate(
-            "no braking in this run comes early enough",
-            xy=(0.0, 1.0),
-            xytext=(0.0, 3.0),
-            xycoords="axes fraction",
-            textcoords="offset points",
-            fontsize=8,
-            color=_RED,
-        )
+        words = "no braking in this run comes early enough"
+        style: Style = {"xycoords": "axes fraction", "va": "baseline", "color": _RED}
+        write_beside(axes, words, (0.0, 1.0), away_pt=(0.0, 3.0), **style)
         return
     # White below the gaps between the dashes: it stands out from dark cells without colour, too.
     axes.axvline(last_brake_s, color="white", linewidth=3.2, zorder=4)
@@ -325,16 +298,10 @@ def _draw_last_moment(axes: Axes, last_brake_s: float, n_rows: int) -> None:
         last_brake_s, color=_RED, linestyle=_DASHES, linewidth=1.8, zorder=4, gid="last brake time"
     )
     is_right = last_brake_s > 0.5 * (first_s + last_s)
-    axes.annotate(
-        f"last moment to brake: {last_brake_s:.2f} s".replace("-", "\N{MINUS SIGN}"),
-        xy=(last_brake_s, -0.5),
-        xytext=(4.0 if not is_right else -4.0, 3.0),
-        textcoords="offset points",
-        ha="right" if is_right else "left",
-        va="bottom",
-        fontsize=8,
-        color=_RED,
-    )
+    words = f"last moment to brake: {last_brake_s:.2f} s".replace("-", "\N{MINUS SIGN}")
+    away, ha = (-4.0, "right") if is_right else (4.0, "left")
+    style = {"away_pt": (away, 3.0), "ha": ha, "va": "bottom", "color": _RED}
+    write_beside(axes, words, (last_brake_s, -0.5), **style)
 
 
 _CONFIRMATION_STYLE: Style = {

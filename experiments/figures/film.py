@@ -46,20 +46,10 @@ _FAR_M = 500.0
 
 
 def plot_film(scene: Scene, run: Run) -> list[Axes]:
-    """Film strip of a run: six plan views from its begin to the impact.
+    """Film strip of a run in which nobody brakes: six plan views from its begin to the impact.
 
-    Parameters
-    ----------
-    scene : Scene
-        What stands still.
-    run : Run
-        What moves. Nobody brakes.
-
-    Returns
-    -------
-    axes : list of Axes
-        One pair per instant, in metres, north up. The fourth shows the last frame in which
-        braking still helps, the last one the impact.
+    In metres, north up. The fourth shows the last frame in which braking still helps, the last one
+    the impact.
     """
     figure = new_figure(_COLUMNS * _PANEL_IN, _ROWS * (_PANEL_IN + 0.3) + 1.0, dpi=_DPI)
     figure.suptitle(_title(run), fontsize=11)
@@ -77,21 +67,8 @@ def plot_film(scene: Scene, run: Run) -> list[Axes]:
 def save_film(path: Path, scene: Scene, run: Run, *, progress: Progress = silent) -> None:
     """Write a run as a film strip or, to a ``.gif``, as an animation in real time.
 
-    Parameters
-    ----------
-    path : Path
-        Its suffix says what is written.
-    scene, run
-        As for :func:`plot_film`.
-    progress : Progress
-        Gets the frames of an animation.
-
-    Raises
-    ------
-    InputError
-        The suffix is unknown.
-    OSError
-        The file cannot be written.
+    `progress` gets the frames of an animation. Raises InputError if the suffix is unknown, OSError
+    if the file cannot be written.
     """
     suffix = path.suffix.lower()
     if suffix == ANIMATION:

@@ -33,32 +33,14 @@ _MORE_POINTS = (0.0, 7.0, 15.0, 26.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Label:
-    """A text next to a point.
-
-    Attributes
-    ----------
-    text : str
-        One line.
-    point_m : (float, float)
-        In the axes' data. [m]
-    toward_deg : float
-        Side on which it is put if that is free, counter-clockwise from east.
-    gap : float
-        From the point to the text. [points]
-    size : float
-        Of the letters. [points]
-    is_kept : bool
-        Whether it is drawn where no side is free, too.
-    style : dict
-        Further properties of the text.
-    """
+    """A text of one line next to a point."""
 
     text: str
-    point_m: tuple[float, float]
-    toward_deg: float = 45.0
-    gap: float = 4.0
-    size: float = 8.0
-    is_kept: bool = True
+    point_m: tuple[float, float]  # in the axes' data. [m]
+    toward_deg: float = 45.0  # side that it is put on if free, counter-clockwise from east
+    gap: float = 4.0  # from the point to the text. [points]
+    size: float = 8.0  # of the letters. [points]
+    is_kept: bool = True  # drawn where no side is free, too
     style: Style | None = None
 
 
@@ -67,16 +49,8 @@ def draw_labels(
 ) -> None:
     """Write labels, the first ones first, each where it hides no other and no mark.
 
-    Parameters
-    ----------
-    axes : Axes
-        With its final limits; as long in east as in north.
-    labels : sequence of Label
-        Those beyond the limits are left out.
-    marks_m : (n, 2) float, optional
-        Middles of marks. [m]
-    mark : float
-        Half the size of a mark. [points]
+    The axes have their final limits and are as long in east as in north; labels beyond are left
+    out. `marks_m` are the middles of marks, (n, 2) [m], half of whose size is `mark` [points].
     """
     (west, east), (south, north) = axes.get_xlim(), axes.get_ylim()
     box = axes.get_position()

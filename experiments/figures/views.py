@@ -19,8 +19,7 @@ from placement.detectors import VRU_CLASSES, Evidence, vru_class
 from placement.ground import LOOK_AT_M, is_in_sight
 from placement.setting import Setting
 
-from .plan import ground_footprint
-from .sensors import ground_rings, is_wide
+from .plan import ground_footprint, ground_rings, is_wide
 
 MAX_RANGE_M = 150.0
 """Views are drawn up to here: nothing that is driven starts farther from a junction's poles."""

@@ -37,9 +37,7 @@ from placement.optimiser.front import Front, front_below
 from placement.pipeline import Assembly, Placement, assemble, place
 from placement.question import Question
 from placement.refinement import Refinement, refine
-from placement.sampling.out_of_sample import (
-    STAGE as OUT_OF_SAMPLE,
-)
+from placement.sampling.out_of_sample import STAGE as OUT_OF_SAMPLE
 from placement.sampling.out_of_sample import (
     FreshWorlds,
     judge_layouts,
@@ -59,14 +57,9 @@ from ..parts.alternatives import (
 from ..parts.baselines import build_baselines, compare_layout, compare_placement
 from ..parts.bill_of_materials import BillOfMaterials, build_bill
 from ..parts.comparison import EXPERT, GREEDY
-from ..parts.coverage import coverage_section
-from ..parts.explanation import (
-    ExplainedRecord,
-    PrivateGroundRecord,
-    build_explained_record,
-    build_private_ground_record,
-)
+from ..parts.explanation import ExplainedRecord, build_explained_record
 from ..parts.front import FrontRecord, describe_front
+from ..parts.ground import PrivateGroundRecord, build_private_ground_record, coverage_section
 from ..parts.next_unit import build_exchanges
 from ..parts.refinement import build_refinement_record
 from ..parts.result import (
@@ -178,16 +171,11 @@ def run_placement(
 ) -> PlacementResult:
     """Find, prove, evaluate and compare a layout, and write everything to `out`.
 
-    `side` may have a second process, which was begun while this one was loading.
-
-    Raises
-    ------
-    InputError
-        A wish cannot be met, or `out` cannot be written.
+    `side` may have a second process, which was begun while this one was loading. Raises InputError
+    if a wish cannot be met, or `out` cannot be written.
     """
-    check_result_folder(out)
+    _check_out(out, progress)
     scene = load_scene(question.scene)
-    progress.kept = left_as_it_was(out)
     plan = assemble(question, scene=scene, compute=compute)
     with _begin_job(
         question, scene, setting=plan.setting, compute=compute, progress=progress, side=side
@@ -220,7 +208,8 @@ def run_placement(
             found,
             evaluations,
             begun,
-            study=None if study is None else evaluations[study.name],
+            bill,
+            study=study,
             explained=explained,
             front=front,
             by_runs=by_runs,
@@ -229,10 +218,6 @@ def run_placement(
             mounting=mounting,
             study_cases=study_cases,
             baselines=build_baselines(proposed, evaluations.get(EXPERT), job.setting),
-            sites_eur=bill.sites_eur,
-            assumed_prices=bill.assumed
-            if plan.wishes.prices is None
-            else assumed_prices(plan.wishes.prices, scene.sites),
         )
         result, sampled_figure = _in_fresh_worlds(job, found, result, evaluations, begun.fresh)
         return write_results(
@@ -265,26 +250,30 @@ def _result(
     found: _Found,
     evaluations: Mapping[str, Evaluation],
     begun: _Begun,
+    bill: BillOfMaterials,
     *,
-    study: Evaluation | None,
+    study: Layout | None,
     **parts: Any,
 ) -> PlacementResult:
     """All of the result, with what either process has computed meanwhile; `parts` by name."""
     placement, layout = found.placement, found.placement.layout
     exchanged = begun.other_sensors.result(job.on_wait(OTHER_SENSORS))
     sensitivity = begun.what_if.result(job.on_wait(WHAT_IF))
+    prices = found.plan.wishes.prices
     return build_placement_result(
         placement,
         job.setting,
         found=evaluations[layout.name],
         greedy=evaluations[GREEDY],
-        baseline=study,
+        baseline=None if study is None else evaluations[study.name],
         compute=job.compute,
         sensitivity=sensitivity,
         next_unit=placement.next_unit,
         other_sensors=() if exchanged is None else build_exchanges(layout, exchanged),
         private_ground=_private_ground(layout, job.scene, found.plan.private_ground),
         refinement=found.refinement and build_refinement_record(found.refinement),
+        sites_eur=bill.sites_eur,
+        assumed_prices=bill.assumed if prices is None else assumed_prices(prices, job.scene.sites),
         **parts,
     )
 
@@ -487,10 +476,8 @@ def run_evaluation(
 ) -> EvaluationResult:
     """Evaluate a layout, and write a report if asked to.
 
-    Raises
-    ------
-    InputError
-        A unit is mounted underground or inside something, or `out` cannot be written.
+    Raises InputError if a unit is mounted underground or inside something, or `out` cannot be
+    written.
     """
     scene = load_scene(question.scene)
     _check_out(out, progress)
@@ -530,12 +517,7 @@ def run_comparison(
     """Compare two layouts or more on the same runs; write a report if asked to.
 
     With samples, they are compared in so many sampled worlds, too: the same ones for all, so that
-    differences have an interval.
-
-    Raises
-    ------
-    InputError
-        A unit is mounted underground or inside something, or `out` cannot be written.
+    differences have an interval. Raises InputError as :func:`run_evaluation`.
     """
     scene = load_scene(question.scene)
     drawn = load_drawn(replace(question, uncertainty=uncertainty), scene, n_samples=samples)

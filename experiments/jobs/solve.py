@@ -21,10 +21,55 @@ from placement.optimiser.steering import SolverName
 from placement.verification.instances import load_problem
 
 from ..progress import WRITING, StageProgress
-from ..results.record import build_stage_records
-from ..results.solutions import CoveringResult, PlacementSolution
+from ..results.record import Record, StageRecord, build_stage_records
 
-# ---------- what ``place-rsus solve`` does
+
+class CoveringResult(Record, frozen=True, kw_only=True):
+    """A covering instance solved; columns are numbered as in the file."""
+
+    file: str
+    problem: str
+    budget: int | None
+    budget_cost: float | None
+    target: float | None
+    objective: float
+    bound: float
+    gap: float
+    chosen: tuple[int, ...]
+    numbered_from: int
+    chosen_names: tuple[str, ...] | None
+    seconds: float
+    is_proven: bool
+    solver: str
+    cost: float
+    covered_weight: float
+    coverable_weight: float
+    total_weight: float
+    columns: int
+    rows: int
+
+
+class PlacementSolution(Record, frozen=True, kw_only=True):
+    """A placement problem solved, with its frames and windows."""
+
+    file: str
+    problem: str
+    goal: str
+    fusion: str
+    objective: float
+    bound: float
+    gap: float
+    chosen: tuple[int, ...]
+    numbered_from: int
+    chosen_names: tuple[str, ...]
+    seconds: float
+    is_proven: bool
+    solver: str
+    cost: float
+    stages: tuple[StageRecord, ...]
+    columns: int
+    rows: int
+    presolve_effect: str
 
 
 def run_solve(
@@ -40,31 +85,11 @@ def run_solve(
     out: Path | None,
     progress: StageProgress,
 ) -> CoveringResult:
-    """Read an instance and solve it.
+    """Read a covering instance and solve it; its own format is written to `out` if asked to.
 
-    Parameters
-    ----------
-    path : Path
-        The instance.
-    format_name : str or None
-        Of the file; None: told from its content.
-    budget_units, budget_cost : int, float or None
-        With one of them it is a maximal covering problem.
-    target : float or None
-        Without a budget: share of the weight to cover; None: all that can be covered.
-    solver, time_limit_s, gap
-        See :func:`placement.covering.solve_lscp`.
-    out : Path or None
-        Where to write the instance in this program's own format.
-    progress : StageProgress
-        Shows what happens.
-
-    Raises
-    ------
-    InputError
-        The file holds no instance, or the question has no answer.
-    OSError
-        `out` cannot be written.
+    With a budget it is a maximal covering problem, else `target` is the share of the weight to
+    cover: None for all that can be covered. Raises InputError if the file holds no instance or the
+    question has no answer, OSError if `out` cannot be written.
     """
     progress("read", 0, 0)
     instance = load_instance(path, format_name=format_name)
@@ -129,30 +154,11 @@ def run_solve_windows(
     gap: float,
     progress: StageProgress,
 ) -> PlacementSolution:
-    """Read a placement problem and solve it.
+    """Read a placement problem, ``instance.npz`` of a result folder, and solve it.
 
-    Parameters
-    ----------
-    path : Path
-        As ``place-rsus`` writes it: ``instance.npz`` of a result folder.
-    budget_units, budget_cost : int, float or None
-        In place of the file's own question.
-    target : float or None
-        In place of the file's own question: share of the runs to avoid, with the fewest units;
-        infinity: all that can be avoided.
-    track_memory_s : float or None
-        In place of that of the file's own rule. [s]
-    solver : str
-        auto, exact, relax, greedy, or a mixed-integer solver by its name in cvxpy.
-    time_limit_s, gap
-        See :class:`placement.optimiser.Effort`.
-    progress : StageProgress
-        Shows what happens.
-
-    Raises
-    ------
-    InputError
-        The file is damaged, or the question has no answer.
+    Budgets, target (infinity: all that can be avoided, with the fewest units) and memory of tracks
+    are in place of the file's own. Raises InputError if the file is damaged, or the question has no
+    answer.
     """
     progress("read", 0, 0)
     problem = load_problem(path)
@@ -167,11 +173,7 @@ def run_solve_windows(
         solver = "exact"
     if solver not in _SEARCHES:
         raise InputError("--solver", solver, f"one of {', '.join(_SEARCHES)}, {HIGHS}")
-    effort = Effort(
-        solver=cast(SolverName, solver),
-        time_limit_s=time_limit_s,
-        gap=gap,
-    )
+    effort = Effort(solver=cast(SolverName, solver), time_limit_s=time_limit_s, gap=gap)
     began_s = time.perf_counter()
     solution = solve_placement(
         problem, effort=effort, on_stage=lambda stage: progress(f"solve: {stage}", 0, 0)

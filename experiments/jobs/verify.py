@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
+from msgspec import UNSET, UnsetType
 
 from geometry.arrays import BoolArray
 from geometry.errors import InputError, Unquoted
@@ -39,7 +40,6 @@ from ..parts import bill_of_materials
 from ..parts.comparison import GREEDY
 from ..parts.reading import StoredResult, check_schema, load_result
 from ..progress import StageProgress
-from ..results.csv_text import plain_cell
 from ..results.folders import (
     APR_FILE,
     LAYOUT_FILE,
@@ -49,9 +49,8 @@ from ..results.folders import (
     changed_files,
     read_manifest,
 )
-from ..results.record import to_plain
-from ..results.solutions import CheckRecord, VerificationResult, VerifiedStageRecord
-from ..results.tables import ALL
+from ..results.record import Record, to_plain
+from ..results.tables import ALL, plain_cell
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -61,6 +60,38 @@ _TOLERANCE = 1.0e-9
 _COMPARED = {LAYOUT_FILE, MARKER, RUNS_FILE, APR_FILE, "certificate.json", "instance.npz"}
 _CSV, _GEOJSON = "layout.csv", "layout.geojson"
 _EXPECTED = (_CSV, bill_of_materials.FILE_NAME, "report.html")
+
+
+class CheckRecord(Record, frozen=True, kw_only=True):
+    """One check of a certificate, and what it found."""
+
+    name: str
+    passed: bool
+    detail: str
+
+
+class VerifiedStageRecord(Record, frozen=True, kw_only=True):
+    """A stage of a certificate; the last three are UNSET where its proof was not looked at."""
+
+    name: str
+    objective: float
+    bound: float
+    gap: float
+    claims_optimum: bool | UnsetType = UNSET
+    is_proven_again: bool | UnsetType = UNSET
+    reason: str | UnsetType = UNSET
+
+
+class VerificationResult(Record, frozen=True, kw_only=True):
+    """A folder of results, checked without the optimiser."""
+
+    folder: str
+    is_verified: bool
+    checks: tuple[CheckRecord, ...]
+    stages: tuple[VerifiedStageRecord, ...]
+    solver: str
+    not_checked: tuple[str, ...]
+    seconds: dict[str, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,19 +111,8 @@ def run_verification(
 ) -> VerificationResult:
     """Check a result folder: certificate, instance and layout, and every other file.
 
-    Parameters
-    ----------
-    folder : Path
-        As an optimisation has written it.
-    scene : str
-        Where the scene is that it was made in; empty: the study's junction, if it says so.
-    progress : StageProgress
-        Shows the stages.
-
-    Raises
-    ------
-    InputError
-        There is no such folder, or a file in it is missing, damaged or no such file at all.
+    `scene` says where the scene is; empty: the study's junction, if the folder says so. Raises
+    InputError if a file is missing, damaged or no such file at all.
     """
     if not folder.is_dir():
         raise InputError(str(folder), Unquoted("no folder"), "a folder with results")
@@ -229,30 +249,10 @@ def check_folder_files(
     summary: Mapping[str, Any] | None,
     scene: Scene | None,
 ) -> FolderChecks:
-    """Compare all files of a folder.
+    """Compare all files of a folder: every check, and what there is nothing to compare with.
 
-    Parameters
-    ----------
-    folder : Path
-        Of a placement.
-    stored, problem : StoredCertificate, PlacementProblem
-        Its certificate, and what that is about.
-    layout : Layout, optional
-        Its ``layout.json``; a recording has none.
-    summary : mapping, optional
-        Its ``summary.json``, if it has one.
-    scene : Scene, optional
-        What it was made in, if that is known to be the one.
-
-    Returns
-    -------
-    found : FolderChecks
-        Every check, and what there is nothing to compare with.
-
-    Raises
-    ------
-    InputError
-        ``SHA256SUMS`` is no such list, or a file cannot be read.
+    A recording has no layout; the scene is None unless it is known to be the one. Raises InputError
+    if ``SHA256SUMS`` is no such list, or a file cannot be read.
     """
     found = FolderChecks()
     others = _check_manifest(folder, found)

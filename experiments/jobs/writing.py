@@ -28,7 +28,6 @@ from ..parts.bill_of_materials import BillOfMaterials, bill_of_materials_csv, bu
 from ..parts.result import Result
 from ..progress import WRITING, StageProgress
 from ..report.page import begin_tasks, write_report
-from ..results.csv_text import csv_text
 from ..results.folders import (
     APR_FILE,
     LAYOUT_FILE,
@@ -37,7 +36,7 @@ from ..results.folders import (
     RUNS_FILE,
     new_result_folder,
 )
-from ..results.tables import apr_table, runs_table
+from ..results.tables import apr_table, csv_text, runs_table
 from ..side_process import SideProcess
 
 _R = TypeVar("_R", bound=Result)
@@ -63,12 +62,8 @@ def write_results(
     `folder` is replaced as a whole, or left as it was. The first of the evaluations, by display
     name, is the subject. Where a placement found it, its certificate is written, too: `candidates`
     are the rows of its table. `recommended` is what the evaluator prefers to the subject, `bill`
-    knows more of its costs than the scene, and `command` makes the result again.
-
-    Raises
-    ------
-    InputError
-        Something cannot be written: names the folder where the answer is all the same.
+    knows more of its costs than the scene, and `command` makes the result again. Raises InputError
+    if something cannot be written: it names the folder where the answer is all the same.
     """
     progress(WRITING, 0, 0)
     result = msgspec.structs.replace(result, seconds=progress.seconds.copy())

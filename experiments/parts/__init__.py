@@ -25,29 +25,16 @@ if TYPE_CHECKING:
 class Part:
     """A part of an answer, as a terminal prints it.
 
-    Attributes
-    ----------
-    title : str
-        Heading; empty: none, and the sentences begin on the left.
-    words : sequence of str
-        Sentences, a paragraph each.
-    table : Table, optional
-        Where it is too wide and its last column is text, that stands below each row; else columns
-        that do not fit stand in a further table below.
-    notes : sequence of str
-        Sentences below the table.
-    text : str
-        Further lines as they are.
-    is_short : bool
-        Printed without ``--verbose``, too.
+    Where the table is too wide and its last column is text, that stands below each row; else
+    columns that do not fit stand in a further table below.
     """
 
-    title: str = ""
-    words: Sequence[str] = ()
+    title: str = ""  # empty: none, and the sentences begin on the left
+    words: Sequence[str] = ()  # a paragraph each
     table: "Table | None" = None
-    notes: Sequence[str] = ()
-    text: str = ""
-    is_short: bool = False
+    notes: Sequence[str] = ()  # sentences below the table
+    text: str = ""  # further lines as they are
+    is_short: bool = False  # printed without ``--verbose``, too
 
     def __bool__(self) -> bool:
         """There is something to print."""

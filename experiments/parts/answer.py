@@ -13,8 +13,8 @@ from . import dangers, proof
 from .accidents import count_sensors, is_weighted
 from .alternatives import doubt_sentences, recommended_sentences
 from .dangers import avoided_runs
+from .ground import private_ground_sentences
 from .next_unit import next_unit_sentence
-from .private_ground import private_ground_sentences
 from .refinement import refinement_sentences
 from .result import ComparisonResult, EvaluationResult, PlacementResult, Result
 from .sampled_worlds import overtaken_sentences, uncertainty_sentences

@@ -162,24 +162,12 @@ class Baselines:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Proposed:
-    """Random layouts and an expert's on the detection table.
+    """Random layouts and an expert's on the detection table."""
 
-    Attributes
-    ----------
-    random : RandomLayouts, optional
-        None where no random layout is within the limits.
-    expert : Layout, optional
-        None where the rule of thumb is not within the limits.
-    corners : tuple of str
-        Corners at which it has a camera, in the order of choice.
-    expert_on_table : float
-        Its APR, 0..1.
-    """
-
-    random: RandomLayouts | None
-    expert: Layout | None
-    corners: tuple[str, ...]
-    expert_on_table: float
+    random: RandomLayouts | None  # None: no random layout is within the limits
+    expert: Layout | None  # None: the rule of thumb is not
+    corners: tuple[str, ...]  # at which it has a camera, in the order of choice
+    expert_on_table: float  # its APR
 
 
 def compare_placement(

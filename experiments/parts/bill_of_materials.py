@@ -10,8 +10,8 @@ from geometry.scene import Scene, Site
 from placement.layout import Layout
 from placement.wishes import assumed_prices, load_prices
 
-from ..results.csv_text import csv_text
 from ..results.numbers import several
+from ..results.tables import csv_text
 from .section import Block, Bullets, Section, Table
 
 UNKNOWN = "unknown"
@@ -32,36 +32,16 @@ _NO_SITE = "no site of the scene"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Item:
-    """One line of the bill.
+    """One line of the bill."""
 
-    Attributes
-    ----------
-    part : str
-        "sensor" or "site".
-    name : str
-        The sensor's model, or the site's id.
-    kind : str
-        What it is: "camera", "LiDAR", "lamp post" and so on.
-    count : int
-        Sensors to buy; of a site: 1 if it is to be made ready, 0 if it has units already.
-    n_units : int
-        Units of this model, or at this site, with those that are there already.
-    price_eur : float or None
-        Of one; None: unknown. [EUR]
-    price_source : {"catalogue", "told", "assumption", ""}
-        Where the price comes from; empty: it is unknown.
-    assumed : str
-        What is assumed of a site that the map does not have where it is; empty: nothing.
-    """
-
-    part: str
-    name: str
-    kind: str
-    count: int
-    n_units: int
-    price_eur: float | None
-    price_source: str = ""
-    assumed: str = ""
+    part: str  # "sensor" or "site"
+    name: str  # the sensor's model, or the site's id
+    kind: str  # "camera", "LiDAR", "lamp post" and so on
+    count: int  # sensors to buy; of a site: 1 to be made ready, 0 if it has units already
+    n_units: int  # with those that are there already
+    price_eur: float | None  # of one; None: unknown. [EUR]
+    price_source: str = ""  # "catalogue", "told" or "assumption"; empty: the price is unknown
+    assumed: str = ""  # of a site that the map does not have where it is
 
     @property
     def sum_eur(self) -> float | None:
@@ -73,21 +53,11 @@ class Item:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BillOfMaterials:
-    """Sensors and sites that a layout needs, with their prices.
+    """Sensors and sites that a layout needs, with their prices."""
 
-    Attributes
-    ----------
-    sensors : tuple of Item
-        One per model.
-    sites : tuple of Item
-        One per site that is used, in the layout's order.
-    assumed : tuple of str
-        What is assumed of sites without a price, in sentences.
-    """
-
-    sensors: tuple[Item, ...]
-    sites: tuple[Item, ...]
-    assumed: tuple[str, ...] = ()
+    sensors: tuple[Item, ...]  # one per model
+    sites: tuple[Item, ...]  # that are used, in the layout's order
+    assumed: tuple[str, ...] = ()  # of sites without a price, in sentences
 
     @property
     def sites_eur(self) -> float | None:

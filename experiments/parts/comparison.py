@@ -10,15 +10,20 @@ import numpy as np
 from placement.evaluation import Evaluation, apr, apr_one_failed
 from scenarios.aeb import AebRule
 
-from ..results.evaluations import EvaluationRecord, build_evaluation_record, price_eur
 from ..results.numbers import NOTHING, count_runs, number, or_nan, percent
-from ..results.record import UnitRecord, build_unit_records
+from ..results.record import (
+    EvaluationRecord,
+    UnitRecord,
+    build_evaluation_record,
+    build_unit_records,
+    price_eur,
+)
 from ..results.tables import margin_s
 from .baselines import Baselines
 from .baselines import words as baseline_words
-from .explanation import PrivateGroundRecord
+from .ground import PrivateGroundRecord
 from .sampled_worlds import SampledPairRecord, SampledRecord, is_open, plot_differences
-from .section import Block, Bullets, Section, Subheading, Table, build_picture
+from .section import Block, Bullets, Section, Subheading, Table, build_picture, tabulate
 
 GREEDY, EXPERT = "greedy", "expert rule"
 """Display names of layouts to compare with: they appear in tables and bars only."""
@@ -197,31 +202,19 @@ def difference_rows(differences: Sequence[Difference]) -> list[list[str]]:
 
 def significance_table(sampled: SampledRecord) -> Table:
     """Every pair of layouts in the same sampled worlds: the one that avoids more comes first."""
-    return Table(
-        caption=f"Differences of the APR in the same {sampled.samples} sampled worlds",
-        columns=[
-            "layout",
-            "against",
-            "more in",
-            "the same in",
-            "less in",
-            "mean difference (points)",
-            "95 % interval (points)",
-            "is that sure?",
-        ],
-        rows=[
-            [
-                pair.first,
-                pair.second,
-                percent(pair.more_share),
-                percent(pair.equal_share),
-                percent(pair.less_share),
-                _points(pair.mean),
-                f"{_points(pair.low)} to {_points(pair.high)}",
-                "no sure difference" if is_open(pair) else "yes",
-            ]
-            for pair in map(_better_first, sampled.pairs)
-        ],
+    return tabulate(
+        f"Differences of the APR in the same {sampled.samples} sampled worlds",
+        map(_better_first, sampled.pairs),
+        {
+            "layout": lambda pair: pair.first,
+            "against": lambda pair: pair.second,
+            "more in": lambda pair: percent(pair.more_share),
+            "the same in": lambda pair: percent(pair.equal_share),
+            "less in": lambda pair: percent(pair.less_share),
+            "mean difference (points)": lambda pair: _points(pair.mean),
+            "95 % interval (points)": lambda pair: f"{_points(pair.low)} to {_points(pair.high)}",
+            "is that sure?": lambda pair: "no sure difference" if is_open(pair) else "yes",
+        },
         numeric=range(2, 7),
     )
 

@@ -8,7 +8,6 @@ from typing import Annotated, cast
 import numpy as np
 
 from geometry.arrays import FloatArray
-from geometry.scene import Scene
 from placement.candidates import CandidatePose
 from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.detection_table import run_of_level
@@ -20,7 +19,6 @@ from placement.explain import (
     find_contributions,
     find_unavoided,
 )
-from placement.ground import PrivateGround, private_shares
 from placement.optimiser import PlacementProblem
 from placement.optimiser.objectives import Objective
 from placement.pipeline import Placement
@@ -28,7 +26,7 @@ from placement.setting import Setting
 
 from ..results.numbers import NOTHING, count_runs, number, percent
 from ..results.record import LayoutValueRecord, Record, RunId, Share, StageName, says
-from .section import Block, Section, Table
+from .section import Block, Section, Table, tabulate
 
 
 class ContributionRecord(Record, frozen=True, kw_only=True):
@@ -98,20 +96,6 @@ class ExplainedRecord(Record, frozen=True, kw_only=True):
     pool: Annotated[PoolRecord | None, says("Layouts as good; null unless asked for with --pool.")]
 
 
-class PrivateAreaRecord(Record, frozen=True, kw_only=True):
-    """An area."""
-
-    name: Annotated[str, says("Name in the file.")]
-    area_m2: Annotated[float, says("Size, in square metres.", ge=0)]
-
-
-class PrivateGroundRecord(Record, frozen=True, kw_only=True):
-    """Views of cameras into areas that they must not look into."""
-
-    areas: Annotated[tuple[PrivateAreaRecord, ...], says("The areas.")]
-    units: Annotated[dict[str, dict[str, Share]], says("Of each unit, by its id.")]
-
-
 # ---------- explanations
 
 
@@ -123,19 +107,10 @@ def build_explained_record(
     pool: Pool | None = None,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> ExplainedRecord:
-    """Explanation of a placement.
+    """Explanation of a placement; `candidates` are the rows of its table.
 
     Runs that are not avoided are those of the world as planned; where worlds were sampled, nobody
-    looks for what would save them.
-
-    Parameters
-    ----------
-    candidates : sequence of CandidatePose
-        Rows of the placement's table: a refinement's own, if there was one.
-    pool : Pool, optional
-        Other layouts that are as good, where they were asked for.
-    compute : Compute
-        With the seed of the table.
+    looks for what would save them. `pool` has other layouts that are as good.
     """
     problem, chosen = placement.problem, placement.pose_index
     names = {
@@ -209,26 +184,6 @@ def _frequent(share: FloatArray) -> list[int]:
     order = np.argsort(-share, kind="stable")
     indices: list[int] = order[share[order] > 0.0].tolist()
     return indices
-
-
-# ---------- private ground
-
-
-def build_private_ground_record(
-    units: Sequence[CandidatePose], scene: Scene, ground: PrivateGround
-) -> PrivateGroundRecord:
-    """Shares of private ground that units see."""
-    shares = private_shares(scene, units, ground)
-    return PrivateGroundRecord(
-        areas=tuple(
-            PrivateAreaRecord(name=name, area_m2=float(area))
-            for name, area in zip(ground.names, ground.area_m2, strict=True)
-        ),
-        units={
-            unit.id: dict(zip(ground.names, row.tolist(), strict=True))
-            for unit, row in zip(units, shares, strict=True)
-        },
-    )
 
 
 # ---------- in sentences
@@ -376,33 +331,25 @@ def contribution_table(
     explained: ExplainedRecord, labels: Mapping[str, str] | None = None
 ) -> Table:
     """Contributions, a row for each unit; `labels` are short names of the units, by id."""
-    return Table(
-        caption="What each unit is there for, on the detection table",
-        columns=[
-            "unit",
-            "runs that only it saves",
-            "APR it adds",
-            "APR without it",
-            "smallest time to spare without it (s)",
-            "mean time to spare without it (s)",
-            "later without it, mean (s)",
-            "later, at most (s)",
-            "its part in first confirmations",
-        ],
-        rows=[
-            [
-                (labels or {}).get(part.unit, part.unit),
-                str(len(part.only_runs)),
-                percent(part.marginal_apr),
-                percent(part.without.apr),
-                _of_others(part, part.without.smallest_margin_s),
-                _of_others(part, part.without.mean_margin_s),
-                _of_others(part, part.mean_delay_s),
-                _of_others(part, part.max_delay_s),
-                percent(part.first_share),
-            ]
-            for part in explained.contributions
-        ],
+    names = labels or {}
+    return tabulate(
+        "What each unit is there for, on the detection table",
+        explained.contributions,
+        {
+            "unit": lambda part: names.get(part.unit, part.unit),
+            "runs that only it saves": lambda part: str(len(part.only_runs)),
+            "APR it adds": lambda part: percent(part.marginal_apr),
+            "APR without it": lambda part: percent(part.without.apr),
+            "smallest time to spare without it (s)": lambda part: _of_others(
+                part, part.without.smallest_margin_s
+            ),
+            "mean time to spare without it (s)": lambda part: _of_others(
+                part, part.without.mean_margin_s
+            ),
+            "later without it, mean (s)": lambda part: _of_others(part, part.mean_delay_s),
+            "later, at most (s)": lambda part: _of_others(part, part.max_delay_s),
+            "its part in first confirmations": lambda part: percent(part.first_share),
+        },
         numeric=range(1, 9),
     )
 
@@ -415,13 +362,15 @@ def _of_others(part: ContributionRecord, value_s: float) -> str:
 def missed_table(explained: ExplainedRecord) -> Table:
     """Runs that are not avoided, why, and what would save them: a row each, to unfold."""
     n_runs = len(explained.not_avoided)
-    return Table(
-        caption="Runs that are not avoided, on the detection table",
-        columns=["run", "outcome", "why", "nearest further unit that would save it"],
-        rows=[
-            [entry.run, _outcome(entry), _why(entry), _rescue(entry)]
-            for entry in explained.not_avoided
-        ],
+    return tabulate(
+        "Runs that are not avoided, on the detection table",
+        explained.not_avoided,
+        {
+            "run": lambda entry: entry.run,
+            "outcome": _outcome,
+            "why": _why,
+            "nearest further unit that would save it": _rescue,
+        },
         summary=f"{count_runs(n_runs)}: why, and what would save {'it' if n_runs == 1 else 'them'}",
         is_open=n_runs <= _MAX_UNFOLDED,
     )
@@ -455,27 +404,17 @@ def _rescue(entry: Unavoided) -> str:
 
 def pool_table(pool: PoolRecord) -> Table:
     """Layouts that are as good: a row each, the best first."""
-    return Table(
-        caption="Layouts as good, the best first",
-        columns=[
-            "layout",
-            "APR",
-            "if the most needed unit fails",
-            "smallest time to spare (s)",
-            "mean time to spare (s)",
-            "cost (EUR)",
-        ],
-        rows=[
-            [
-                " + ".join(entry.units),
-                percent(entry.apr),
-                percent(entry.apr_one_failed),
-                number(entry.smallest_margin_s),
-                number(entry.mean_margin_s),
-                f"{entry.cost_eur:,.0f}",
-            ]
-            for entry in pool.sets
-        ],
+    return tabulate(
+        "Layouts as good, the best first",
+        pool.sets,
+        {
+            "layout": lambda entry: " + ".join(entry.units),
+            "APR": lambda entry: percent(entry.apr),
+            "if the most needed unit fails": lambda entry: percent(entry.apr_one_failed),
+            "smallest time to spare (s)": lambda entry: number(entry.smallest_margin_s),
+            "mean time to spare (s)": lambda entry: number(entry.mean_margin_s),
+            "cost (EUR)": lambda entry: f"{entry.cost_eur:,.0f}",
+        },
         numeric=range(1, 6),
     )
 

@@ -1,14 +1,15 @@
 """Failures of units and poles, in sentences and tables."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Literal
 
 from placement.evaluation import Evaluation
 from placement.explain.contributions import MAX_PAIR_UNITS, Failure, Failures, find_failures
 from scenarios.aeb import AebRule
 
 from ..results.numbers import NOTHING, count_runs, first_of, milliseconds, number, percent
-from .section import Section, Table
+from .section import Section, Table, tabulate
 
 MAX_ROWS = 12
 """Rows of a table: beyond, only the worst are shown."""
@@ -86,68 +87,30 @@ def _two_sentences(failures: Failures, labels: Mapping[str, str]) -> list[str]:
 
 
 def failure_table(
-    failures: Sequence[Failure], labels: Mapping[str, str], *, n_together: int
+    failures: Sequence[Failure], labels: Mapping[str, str], *, of: Literal["unit", "pair", "pole"]
 ) -> Table:
-    """A row per failure of one unit, or of two at once, the worst first.
+    """A row per failure of a unit, of two at once, or of a pole with its units, the worst first.
 
     It has at most ``MAX_ROWS`` rows; the caption says what is left out.
     """
-    what, many = ("one unit fails", "units") if n_together == 1 else ("two units fail", "pairs")
+    what, many, head = {
+        "unit": ("one unit fails", " units", "fails"),
+        "pair": ("two units fail", " pairs", "fail"),
+        "pole": ("one pole fails", "", "its units"),
+    }[of]
     caption = f"If {what}"
     if len(failures) > MAX_ROWS:
-        caption += f": the {MAX_ROWS} worst of {len(failures)} {many}"
-    return Table(
-        caption=caption,
-        columns=[
-            "fails" if n_together == 1 else "fail",
-            "APR of the rest",
-            "smallest margin of the rest (ms)",
-            "runs lost",
-            "which",
-        ],
-        rows=[
-            [
-                _names(item, labels),
-                percent(item.apr),
-                number(1000.0 * item.smallest_margin_s, 0),
-                str(len(item.lost_run_ids)),
-                first_of(item.lost_run_ids, _MAX_RUNS) or NOTHING,
-            ]
-            for item in failures[:MAX_ROWS]
-        ],
-        numeric=range(1, 4),
-    )
-
-
-def site_table(failures: Sequence[Failure], labels: Mapping[str, str]) -> Table:
-    """A row per pole that fails with its units, the worst first, at most ``MAX_ROWS``."""
-    caption = "If one pole fails"
-    if len(failures) > MAX_ROWS:
-        caption += f": the {MAX_ROWS} worst of {len(failures)}"
-    rows = [
-        [
-            item.site_id,
-            _names(item, labels),
-            percent(item.apr),
-            number(1000.0 * item.smallest_margin_s, 0),
-            str(len(item.lost_run_ids)),
-            first_of(item.lost_run_ids, _MAX_RUNS) or NOTHING,
-        ]
-        for item in failures[:MAX_ROWS]
-    ]
-    return Table(
-        caption=caption,
-        columns=[
-            "pole",
-            "its units",
-            "APR of the rest",
-            "smallest margin of the rest (ms)",
-            "runs lost",
-            "which",
-        ],
-        rows=rows,
-        numeric=range(2, 5),
-    )
+        caption += f": the {MAX_ROWS} worst of {len(failures)}{many}"
+    pole: dict[str, Callable[[Failure], str]] = {"pole": lambda item: item.site_id}
+    columns: dict[str, Callable[[Failure], str]] = (pole if of == "pole" else {}) | {
+        head: lambda item: _names(item, labels),
+        "APR of the rest": lambda item: percent(item.apr),
+        "smallest margin of the rest (ms)": lambda item: number(1000.0 * item.smallest_margin_s, 0),
+        "runs lost": lambda item: str(len(item.lost_run_ids)),
+        "which": lambda item: first_of(item.lost_run_ids, _MAX_RUNS) or NOTHING,
+    }
+    numeric = range(len(columns) - 4, len(columns) - 1)
+    return tabulate(caption, failures[:MAX_ROWS], columns, numeric=numeric)
 
 
 def failures_section(evaluation: Evaluation, rule: AebRule, labels: Mapping[str, str]) -> Section:
@@ -157,11 +120,11 @@ def failures_section(evaluation: Evaluation, rule: AebRule, labels: Mapping[str,
     are short names of the units, by id.
     """
     failures = find_failures(evaluation, rule)
-    tables = [failure_table(failures.one_failed, labels, n_together=1)]
+    tables = [failure_table(failures.one_failed, labels, of="unit")]
     if len(failures.two_failed) > 1:
-        tables.append(failure_table(failures.two_failed, labels, n_together=2))
+        tables.append(failure_table(failures.two_failed, labels, of="pair"))
     if any(len(item.unit_ids) > 1 for item in failures.site_failed):
-        tables.append(site_table(failures.site_failed, labels))
+        tables.append(failure_table(failures.site_failed, labels, of="pole"))
     note = (
         "Roadside units only, from what the evaluator sees with each; what the car sees by itself "
         "comes on top. A run is lost if all units together avoid it and those that are left do "

@@ -31,7 +31,6 @@ from placement.wishes import assumed_prices, load_prices
 from ..export.json import to_json_text
 from ..figures.axes import BLUE, VERMILION, WIDTH_IN, Style, finish_axes, new_figure, to_png
 from ..progress import WRITING, StageProgress
-from ..results.csv_text import csv_text
 from ..results.drives import RefusalRecord, build_drives_record, versions
 from ..results.folders import check_folder, write_files
 from ..results.numbers import NOTHING, euros, number, percent, points
@@ -45,6 +44,7 @@ from ..results.record import (
     build_unit_records,
     says,
 )
+from ..results.tables import csv_text
 from .section import Block, Bullets, Section, Table, build_picture
 
 
@@ -88,41 +88,6 @@ class FrontRecord(Record, frozen=True, kw_only=True):
     refused: Annotated[tuple[RefusedSizeRecord, ...], says("Sizes that cannot be.")]
     points: Annotated[tuple[FrontPointRecord, ...], says("In ascending order.")]
     sentences: Annotated[tuple[str, ...], says("What each unit buys, in words.")]
-
-
-def build_front_record(
-    front: Front,
-    problem: PlacementProblem,
-    candidates: Sequence[CandidatePose],
-    *,
-    sentences: Sequence[str],
-    n_kept: int = 0,
-) -> FrontRecord:
-    """A front, with the units of every point.
-
-    Parameters
-    ----------
-    candidates : sequence of CandidatePose
-        Rows of the problem's table.
-    sentences : sequence of str
-        Of what each unit, or more money, buys.
-    n_kept : int
-        Units that are mounted already.
-    """
-    return FrontRecord(
-        by=front.by,
-        optimised=front.stages,
-        candidates=problem.table.n_poses,
-        runs=problem.table.axis.n_runs,
-        fusion=problem.fusion,
-        kept=n_kept,
-        settled=front.settled,
-        is_proven=front.is_proven,
-        presolve=front.presolve,
-        refused=tuple(RefusedSizeRecord(units=units, reason=why) for units, why in front.refused),
-        points=tuple(_point(point, candidates) for point in front.points),
-        sentences=tuple(sentences),
-    )
 
 
 def _point(point: FrontPoint, candidates: Sequence[CandidatePose]) -> FrontPointRecord:
@@ -508,30 +473,9 @@ def run_pareto(
 ) -> FrontResult:
     """Find what each further unit, or more money, buys; write it to `out` if asked to.
 
-    Parameters
-    ----------
-    question : Question
-        What is driven and asked, and how long to search: its time is for all points together.
-    by : {"units", "cost"}
-        See :class:`placement.optimiser.front.Front`.
-    max_units : int
-        Most units, next to existing ones.
-    all_stages : bool
-        Optimise margins and cost, too.
-    out : Path, optional
-        Folder that gets ``pareto.csv``, ``pareto.json`` and ``pareto.png``; what else it holds
-        stays.
-    compute : Compute
-        Seed, threads, cache; its progress is `progress`.
-    command : str
-        Command line that makes the result again.
-    progress : StageProgress
-        Gets the stages.
-
-    Raises
-    ------
-    InputError
-        A wish cannot be met, or `out` cannot be written.
+    The question's time is for all points together; `max_units` are next to existing ones, and
+    `all_stages` optimises margins and cost, too. Raises InputError if a wish cannot be met, or
+    `out` cannot be written.
     """
     scene = load_scene(question.scene)
     if out is not None:
@@ -604,7 +548,10 @@ def describe_front(
     *,
     n_kept: int = 0,
 ) -> FrontRecord:
-    """A front with the sentences that say what each unit, or more money, buys."""
+    """A front with the units of every point, and what each unit, or more money, buys.
+
+    `candidates` are the rows of the problem's table; `n_kept` units are mounted already.
+    """
     by_pole = replace(problem, limits=replace(problem.limits, failing="site"))
 
     def pole_failed(point: FrontPoint) -> float:
@@ -614,17 +561,26 @@ def describe_front(
         sentences = describe_units(front, n_kept=n_kept, pole_failed=pole_failed)
     else:
         sentences = describe_money(front, pole_failed=pole_failed)
-    return build_front_record(front, problem, candidates, sentences=sentences, n_kept=n_kept)
+    return FrontRecord(
+        by=front.by,
+        optimised=front.stages,
+        candidates=problem.table.n_poses,
+        runs=problem.table.axis.n_runs,
+        fusion=problem.fusion,
+        kept=n_kept,
+        settled=front.settled,
+        is_proven=front.is_proven,
+        presolve=front.presolve,
+        refused=tuple(RefusedSizeRecord(units=units, reason=why) for units, why in front.refused),
+        points=tuple(_point(point, candidates) for point in front.points),
+        sentences=tuple(sentences),
+    )
 
 
 def front_table(front: FrontRecord) -> "pd.DataFrame":
-    """One row per point.
+    """A row per point: units, apr, apr_bound and so on, is_proven, and ids of poses.
 
-    Returns
-    -------
-    table : DataFrame
-        Columns units, apr, apr_bound and so on, is_proven, poses: ids with spaces between. The
-        bound of what was not optimised is missing.
+    The bound of what was not optimised is missing.
     """
     rows = []
     for point in front.points:
@@ -678,7 +634,10 @@ def plot_front(front: FrontRecord) -> Axes:
     panels = figure.subplots(
         2 if has_times else 1, 1, sharex=True, squeeze=False, height_ratios=[3, 2][: 1 + has_times]
     )[:, 0]
-    handles = _draw_shares(panels[0], front)
+    shares: Axes = panels[0]
+    handles = _draw(shares, front, _CURVES, scale=100.0)
+    shares.set_ylabel("share of the runs avoided (%)", fontsize=8)
+    shares.set_ylim(-4.0, 104.0)
     if has_times:
         times = _draw(panels[1], front, _TIMES, scale=1.0)
         panels[1].set_ylabel("time to spare (s)", fontsize=8)
@@ -692,16 +651,7 @@ def plot_front(front: FrontRecord) -> Axes:
         fontsize=8,
         frameon=False,
     )
-    shares: Axes = panels[0]
     return shares
-
-
-def _draw_shares(axes: Axes, front: FrontRecord) -> list[Any]:
-    """Draw what is avoided; returns the entries of the legend."""
-    handles = _draw(axes, front, _CURVES, scale=100.0)
-    axes.set_ylabel("share of the runs avoided (%)", fontsize=8)
-    axes.set_ylim(-4.0, 104.0)
-    return handles
 
 
 def _draw(axes: Axes, front: FrontRecord, curves: dict[str, Style], *, scale: float) -> list[Any]:

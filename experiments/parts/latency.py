@@ -37,13 +37,14 @@ from ..figures.axes import (
     literal,
     new_figure,
     to_png,
+    write_beside,
 )
 from ..progress import WRITING, StageProgress
-from ..results.csv_text import csv_text
 from ..results.drives import DrivesRecord, build_drives_record, versions
 from ..results.folders import check_folder, write_files
 from ..results.numbers import percent
 from ..results.record import Record, UnitRecord, build_unit_records
+from ..results.tables import csv_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -148,30 +149,11 @@ def run_latency(
 ) -> LatencyResult:
     """APR of every sensing party against latency; table and figure to `out` if asked to.
 
-    Parameters
-    ----------
-    question : Question
-        What is driven. Its latency, if it has one, is the budget.
-    layout : Layout
-        Evaluated once.
-    budget : str, optional
-        See :func:`placement.latency.load_latency_budget`; by default the study's.
-    vut_latency_s : float, optional
-        See :func:`placement.latency.apr_by_latency`. [s]
-    max_latency_s : float, optional
-        Shown up to here; by default as far as the budget reaches, and the RSUs' APR falls. [s]
-    out : Path, optional
-        Folder that gets ``latency.csv`` and ``latency.png``; what else it holds stays.
-    compute : Compute
-        Seed and threads; its progress is `progress`.
-    progress : StageProgress
-        Gets the stages.
-
-    Raises
-    ------
-    InputError
-        The budget is unknown or given twice, a unit is inside something, or `out` cannot be
-        written.
+    The budget is the question's latency, or what :func:`placement.latency.load_latency_budget`
+    finds by its name; for `vut_latency_s` see :func:`placement.latency.apr_by_latency`. Shown up to
+    `max_latency_s`, by default as far as the budget reaches and the RSUs' APR falls. Raises
+    InputError if the budget is unknown or given twice, a unit is inside something, or `out` cannot
+    be written.
     """
     chosen = pick_budget(question, budget)
     if out is not None:
@@ -205,13 +187,7 @@ def run_latency(
 
 
 def pick_budget(question: Question, budget: str | None) -> LatencyBudget:
-    """The budget that a user named, or the one latency of a question.
-
-    Raises
-    ------
-    InputError
-        Both are given, or the budget is not what it should be.
-    """
+    """The budget that a user named, or the one latency of a question; not both."""
     if question.latency_s is None:
         return load_latency_budget(*([] if budget is None else [budget]), where="--budget")
     if budget is not None:
@@ -222,20 +198,10 @@ def pick_budget(question: Question, budget: str | None) -> LatencyBudget:
 
 
 def latency_table(curves: Mapping[str, LatencyCurve], *, max_latency_s: float) -> "pd.DataFrame":
-    """Every step of every curve.
+    """Every step of every curve up to a latency.
 
-    Parameters
-    ----------
-    curves : mapping of str to LatencyCurve
-        By sensing party.
-    max_latency_s : float
-        Steps beyond are left out. [s]
-
-    Returns
-    -------
-    table : DataFrame
-        Columns party, above_s, until_s, apr: the APR for latencies above the one and up to the
-        other; a party's first row holds for 0, too.
+    Columns party, above_s, until_s, apr: the APR for latencies above the one and up to the other; a
+    party's first row holds for 0, too.
     """
     rows = []
     for party, curve in curves.items():
@@ -285,19 +251,7 @@ def plot_latency(
 ) -> list[Axes]:
     """APR of the sensing parties as steps, the budget's range shaded, its parts as bars below.
 
-    Parameters
-    ----------
-    curves : mapping of str to LatencyCurve
-        By sensing party: "vut", "rsu_all", "vut_and_rsus", and the units by id.
-    budget : LatencyBudget
-        Best, mean and worst total, part by part.
-    max_latency_s : float
-        Right end. [s]
-
-    Returns
-    -------
-    axes : list of Axes
-        Two pairs in a new figure, in milliseconds; the lower one has a scale of its own.
+    Two pairs of axes in a new figure, in milliseconds; the lower one has a scale of its own.
     """
     n_rows = 1 if _is_fixed(budget) else 2
     height = 3.9 + 0.3 * n_rows + 0.17 * ((len(budget.parts) + 2) // 3)
@@ -381,14 +335,7 @@ def _draw_parts(axes: Axes, budget: LatencyBudget) -> None:
                 **_fill(index),
             )
             left += _MS * length_s
-        axes.annotate(
-            f"{left:.4g} ms",
-            xy=(left, row),
-            xytext=(3.0, 0.0),
-            textcoords="offset points",
-            va="center",
-            fontsize=8,
-        )
+        write_beside(axes, f"{left:.4g} ms", (left, row), away_pt=(3.0, 0.0))
     axes.set_xlim(0.0, 1.15 * _MS * max(budget.worst_s, _LEAST_BAR_S))
     axes.set_yticks(range(len(rows)), list(rows), fontsize=8)
     axes.set_ylim(len(rows) - 0.5, -0.5)

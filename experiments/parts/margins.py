@@ -26,6 +26,7 @@ from ..figures.axes import (
     literal,
     new_axes,
     new_figure,
+    write_beside,
 )
 from ..results.numbers import NOTHING, count_runs, milliseconds, number
 from ..results.tables import (
@@ -129,15 +130,8 @@ def plot_margin_strip(verdict: Verdict, axis: FrameAxis, *, axes: Axes | None = 
     axes.tick_params(axis="y", length=0)
     axes.set_xlabel("margin (ms)", fontsize=8)
     for words, side, away_pt in (("too late", "right", -3.0), ("to spare", "left", 3.0)):
-        axes.annotate(
-            words,
-            xy=(0.0, -0.5 - _TOP_ROWS),
-            xytext=(away_pt, -2.0),
-            textcoords="offset points",
-            ha=side,
-            va="top",
-            fontsize=7,
-        )
+        at = (0.0, -0.5 - _TOP_ROWS)
+        write_beside(axes, words, at, away_pt=(away_pt, -2.0), ha=side, va="top", fontsize=7)
     return axes
 
 
@@ -238,33 +232,19 @@ def margin_m(verdict: Verdict, axis: FrameAxis) -> FloatArray:
 class MarginSummary:
     """Margins of a group of runs; what there is none of is NaN.
 
-    Attributes
-    ----------
-    n_runs, n_avoided : int
-        Runs of the group, and those that are avoided.
-    smallest_s, smallest_m, median_s, median_m : float
-        Of the avoided runs; the smallest in seconds and the smallest in metres may be of
-        different runs. [s], [m]
-    n_never, n_lost : int
-        Runs not avoided in which braking never sets in: the road user is never confirmed, or is
-        lost again before the last moment.
-    n_hopeless : int
-        Runs not avoided that no braking avoids; they are not among `n_never` and `n_lost`.
-    worst_late_s, worst_late_m : float
-        Of the runs not avoided in which braking sets in, by how much it comes too late at
-        the most. [s], [m]
+    The smallest in seconds and the smallest in metres may be of different runs.
     """
 
     n_runs: int
     n_avoided: int
-    smallest_s: float
+    smallest_s: float  # this and the next three: of the avoided runs
     smallest_m: float
     median_s: float
     median_m: float
-    n_never: int
-    n_lost: int
-    n_hopeless: int
-    worst_late_s: float
+    n_never: int  # not avoided: never confirmed
+    n_lost: int  # not avoided: lost again before the last moment
+    n_hopeless: int  # no braking avoids them; in neither of the two before
+    worst_late_s: float  # of those not avoided in which braking sets in
     worst_late_m: float
 
     @property

@@ -9,7 +9,7 @@ from placement.explain import NextUnit, OtherSensors
 from placement.layout import Layout
 
 from ..results.numbers import percent, points
-from .section import Section, Table
+from .section import Section, Table, tabulate
 
 _NOTHING_GAINED = 0.5e-9
 
@@ -149,35 +149,22 @@ def section(unit: NextUnit | None, exchanges: Sequence[Exchange]) -> Section | N
 
 def table(exchanges: Sequence[Exchange]) -> Table:
     """A row per model."""
-    return Table(
-        caption="Other models of the catalogue at the mounts of this layout, on the detection "
+    return tabulate(
+        "Other models of the catalogue at the mounts of this layout, on the detection "
         "table: in place of the unit for which they gain most, turned by up to 45 degrees and "
         "tilted so that the middle or the upper edge of the picture stays; and in place of all "
         "units, turned one after the other, or not turned",
-        columns=[
-            "model",
-            "field of view (deg)",
-            "in place of",
-            "APR",
-            "points more",
-            "EUR more",
-            "APR, all exchanged",
-            "not turned",
-            "EUR more, all",
-        ],
-        rows=[
-            [
-                exchange.model,
-                f"{exchange.horizontal_fov_deg:g}",
-                exchange.unit,
-                percent(exchange.apr),
-                f"{100.0 * exchange.gain:+.1f}",
-                f"{exchange.extra_eur:+,.0f}",
-                percent(exchange.apr_all),
-                percent(exchange.apr_not_turned),
-                f"{exchange.extra_all_eur:+,.0f}",
-            ]
-            for exchange in exchanges
-        ],
+        exchanges,
+        {
+            "model": lambda one: one.model,
+            "field of view (deg)": lambda one: f"{one.horizontal_fov_deg:g}",
+            "in place of": lambda one: one.unit,
+            "APR": lambda one: percent(one.apr),
+            "points more": lambda one: f"{100.0 * one.gain:+.1f}",
+            "EUR more": lambda one: f"{one.extra_eur:+,.0f}",
+            "APR, all exchanged": lambda one: percent(one.apr_all),
+            "not turned": lambda one: percent(one.apr_not_turned),
+            "EUR more, all": lambda one: f"{one.extra_all_eur:+,.0f}",
+        },
         numeric=(1, *range(3, 9)),
     )

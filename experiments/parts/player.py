@@ -1,11 +1,10 @@
 """The player: runs as its script reads them, in whole centimetres and milliseconds, packed bits."""
 
-import base64
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray, IntArray
 from geometry.catalogue import sensor_kind
@@ -14,7 +13,7 @@ from geometry.footprints import footprint_corners
 from geometry.junction import build_junction
 from geometry.scene import Lane, Scene, thing_footprint
 from placement.candidates import CandidatePose, above_ground, is_ring
-from placement.evaluation import Evaluation, Verdict
+from placement.evaluation import Evaluation
 from placement.layout import Layout
 from placement.setting import Setting
 from scenarios.runs import Run
@@ -22,7 +21,7 @@ from scenarios.runs import Run
 from ..figures.axes import describe_run, unit_labels
 from ..figures.plan import CLASS_STYLES
 from ..figures.views import GroundViews
-from ..results.tables import margin_s
+from ..results.tables import margin_s, parties
 from .view_3d import (
     COLOURS,
     DASHES,
@@ -168,15 +167,9 @@ def interactive_part(
 def pack_bits(bits: ArrayLike) -> str:
     """Rows of bits, each padded to whole bytes, the first bit highest, in base64.
 
-    `bits` is (n_rows, n); :func:`unpack_bits` and the player's script give it back.
+    `bits` is (n_rows, n); the player's script gives it back.
     """
     return to_base64(np.packbits(np.asarray(bits, dtype=bool), axis=1))
-
-
-def unpack_bits(text: str, *, n_rows: int, n: int) -> NDArray[np.bool_]:
-    """Rows of bits, (n_rows, n), from :func:`pack_bits`."""
-    data = np.frombuffer(base64.b64decode(text), dtype=np.uint8).reshape(n_rows, -1)
-    return np.unpackbits(data, axis=1, count=n).astype(bool)
 
 
 # ---------- runs
@@ -197,19 +190,15 @@ def party_records(evaluations: Mapping[str, Evaluation]) -> list[dict[str, str]]
     Each has a name and a kind: "vut", "unit", "rsu_all" (the subject's) or "other". Of other
     layouts than the subject, the first one, only all units together count.
     """
-    subject_name, subject = next(iter(evaluations.items()))
+    subject, *_ = evaluations.values()
     labels = unit_labels(subject.layout)
+    kinds = {**dict.fromkeys(subject.units, "unit"), "vut": "vut", "rsu_all": "rsu_all"}
     return [
-        {"name": _PARTY_NAMES["vut"], "kind": "vut"},
-        *({"name": labels[unit_id], "kind": "unit"} for unit_id in subject.units),
-        {"name": _PARTY_NAMES["rsu_all"], "kind": "rsu_all"},
-        {"name": _PARTY_NAMES["vut_and_rsus"], "kind": "other"},
-        *({"name": _PARTY_NAMES.get(name, name), "kind": "other"} for name in subject.others),
         *(
-            {"name": f"{name}: all RSUs", "kind": "other"}
-            for name in evaluations
-            if name != subject_name
+            {"name": labels.get(key, _PARTY_NAMES.get(key, key)), "kind": kinds.get(key, "other")}
+            for key in parties(subject)
         ),
+        *({"name": f"{name}: all RSUs", "kind": "other"} for name in [*evaluations][1:]),
     ]
 
 
@@ -222,22 +211,10 @@ def run_record(run: Run, evaluations: Mapping[str, Evaluation], *, group: str) -
     subject, *others = evaluations.values()
     axis = subject.axis
     index = axis.run_ids.index(run.id)
-    parties: list[tuple[Evaluation, Verdict]] = [
-        (subject, subject.vut),
-        *((subject, verdict) for verdict in subject.units.values()),
-        (subject, subject.rsu_all),
-        (subject, subject.vut_and_rsus),
-        *((subject, verdict) for verdict in subject.others.values()),
-        *((other, other.rsu_all) for other in others),
-    ]
-    at = [item.axis.run_ids.index(run.id) for item, _ in parties]
-    detected = np.array(
-        [
-            verdict.detected[item.axis.frames_of(position)]
-            for (item, verdict), position in zip(parties, at, strict=True)
-        ]
-    )
-    verdicts = [verdict for _, verdict in parties]
+    judged = [(subject, verdict) for verdict in parties(subject).values()]
+    judged += [(other, other.rsu_all) for other in others]
+    rows = [(item, verdict, item.axis.run_ids.index(run.id)) for item, verdict in judged]
+    detected = [verdict.detected[item.axis.frames_of(at)] for item, verdict, at in rows]
     return {
         "id": run.id,
         "group": group,
@@ -267,19 +244,10 @@ def run_record(run: Run, evaluations: Mapping[str, Evaluation], *, group: str) -
             for body in run.obstruction
         ],
         **_on_slope(run),
-        "bits": pack_bits(detected),
-        "confirmed": [
-            _milliseconds(verdict.confirmation_time_s[position])
-            for verdict, position in zip(verdicts, at, strict=True)
-        ],
-        "onset": [
-            _milliseconds(verdict.onset_time_s[position])
-            for verdict, position in zip(verdicts, at, strict=True)
-        ],
-        "avoided": [
-            bool(verdict.is_avoided[position])
-            for verdict, position in zip(verdicts, at, strict=True)
-        ],
+        "bits": pack_bits(np.array(detected)),
+        "confirmed": [_milliseconds(one.confirmation_time_s[at]) for _, one, at in rows],
+        "onset": [_milliseconds(one.onset_time_s[at]) for _, one, at in rows],
+        "avoided": [bool(one.is_avoided[at]) for _, one, at in rows],
     }
 
 

@@ -7,7 +7,7 @@ from placement.optimiser.objectives import Objective
 from ..results.numbers import NOTHING, number, or_nan, percent
 from ..results.record import StageRecord
 from .result import PlacementResult
-from .section import Block, Section, Table
+from .section import Block, Section, Table, tabulate
 
 
 def words(result: PlacementResult) -> str:
@@ -97,26 +97,16 @@ def agreement_section(result: PlacementResult) -> Section:
     )
     runs: Block = "Nor do they differ on any run for any unit by itself."
     if result.disagreements:
-        runs = Table(
-            caption="Runs that only one of them calls avoided, for each unit by itself and for all "
-            "fused",
-            columns=[
-                "run",
-                "unit",
-                "avoided by the",
-                "frames that differ",
-                "what the evaluator sees in the first of them",
-            ],
-            rows=[
-                [
-                    entry.run_id,
-                    entry.party,
-                    "table" if entry.on_table else "evaluator",
-                    entry.n_frames,
-                    entry.cause,
-                ]
-                for entry in result.disagreements
-            ],
+        runs = tabulate(
+            "Runs that only one of them calls avoided, for each unit by itself and for all fused",
+            result.disagreements,
+            {
+                "run": lambda entry: entry.run_id,
+                "unit": lambda entry: entry.party,
+                "avoided by the": lambda entry: "table" if entry.on_table else "evaluator",
+                "frames that differ": lambda entry: entry.n_frames,
+                "what the evaluator sees in the first of them": lambda entry: entry.cause,
+            },
             numeric=[3],
         )
     return Section("models", "Do the two models agree?", [text, runs])

@@ -4,7 +4,7 @@ Files are checked to be whole, of this version, and to belong together.
 """
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,40 +19,23 @@ from geometry.untrusted_files import open_parquet
 from placement.layout import Layout, load_layout
 from scenarios.positions import AT_ZERO
 
-from ..results.csv_text import plain_cell
 from ..results.folders import APR_FILE, LAYOUT_FILE, MARKER, RUNS_FILE
-from ..results.tables import ALL
+from ..results.tables import ALL, plain_cell
 from .result import KINDS, Result
 
 _KINDS = {"text": is_string_dtype, "numbers": is_numeric_dtype, "true or false": is_bool_dtype}
 _RUNS_COLUMNS = {
-    "layout": "text",
-    "party": "text",
-    "run": "text",
-    "case": "text",
-    "approach": "text",
-    "position": "text",
-    "weather": "text",
-    "vut_speed_kmh": "numbers",
-    "weight": "numbers",
-    "last_brake_time_s": "numbers",
-    "confirmation_time_s": "numbers",
-    "margin_s": "numbers",
+    **dict.fromkeys(("layout", "party", "run", "case", "approach", "position", "weather"), "text"),
+    **dict.fromkeys(("vut_speed_kmh", "weight", "last_brake_time_s"), "numbers"),
+    **dict.fromkeys(("confirmation_time_s", "margin_s"), "numbers"),
     "is_avoided": "true or false",
     "detected_share": "numbers",
     "impact_speed_kmh": "numbers",
 }
 _APR_COLUMNS = {
-    "layout": "text",
-    "party": "text",
-    "case": "text",
-    "approach": "text",
-    "position": "text",
-    "weather": "text",
+    **dict.fromkeys(("layout", "party", "case", "approach", "position", "weather"), "text"),
     "vut_speed_kmh": "text",  # a speed, or "all"
-    "apr": "numbers",
-    "n_runs": "numbers",
-    "n_avoided": "numbers",
+    **dict.fromkeys(("apr", "n_runs", "n_avoided"), "numbers"),
 }
 _OLDER = "place-rsus/result/"
 _A_WHOLE = "a whole file, as place-rsus has written it"
@@ -62,48 +45,24 @@ _A_WHOLE = "a whole file, as place-rsus has written it"
 class StoredResult:
     """A folder that a placement, an evaluation or a comparison has written.
 
-    Attributes
-    ----------
-    folder : Path
-        Where it was read from.
-    summary : Result
-        The numbers of ``summary.json``.
-    layout : Layout
-        What was found or evaluated; of a comparison the first one.
-    runs : DataFrame
-        A row per layout, sensing party and run; see :func:`experiments.results.tables.runs_table`.
-    apr : DataFrame
-        A row per layout, sensing party and group of runs; see
-        :func:`experiments.results.tables.apr_table`.
+    For the tables see :func:`experiments.results.tables.runs_table` and
+    :func:`~experiments.results.tables.apr_table`.
     """
 
     folder: Path
     summary: Result
-    layout: Layout
-    runs: pd.DataFrame
-    apr: pd.DataFrame
+    layout: Layout  # found or evaluated; of a comparison the first one
+    runs: pd.DataFrame  # a row per layout, sensing party and run
+    apr: pd.DataFrame  # a row per layout, sensing party and group of runs
 
     def __repr__(self) -> str:
         return f"Result({self.layout.name!r}, {self.summary.runs} runs, {str(self.folder)!r})"
 
 
 def load_result(folder: Path | str) -> StoredResult:
-    """Results from the folder that ``--out`` names.
+    """Results from the folder that ``--out`` names, checked to be whole and to belong together.
 
-    Parameters
-    ----------
-    folder : Path or str
-        Written by a placement, an evaluation or a comparison.
-
-    Returns
-    -------
-    result : StoredResult
-        All of it, checked to be whole and to belong together.
-
-    Raises
-    ------
-    InputError
-        A file is missing, broken, of another version, or not of the same results as the others.
+    Raises InputError if a file is missing, broken, of another version, or of other results.
 
     Examples
     --------
@@ -142,13 +101,7 @@ def _load_summary(path: Path) -> Result:
 
 
 def check_schema(summary: Mapping[str, object], where: str) -> str:
-    """Kind and version of a summary, known to be one of today's.
-
-    Raises
-    ------
-    InputError
-        It is of another version: names that and those expected.
-    """
+    """Kind and version of a summary, known to be one of today's; else InputError names those."""
     schema = summary.get("schema", Unquoted("nothing"))
     if schema not in KINDS:
         older = ": an older version, make it anew" if str(schema).startswith(_OLDER) else ""
@@ -220,17 +173,13 @@ def _check_columns(table: pd.DataFrame, columns: Mapping[str, str], path: Path) 
     missing = [name for name in columns if name not in table.columns]
     if missing:
         raise InputError(
-            str(path), Unquoted(f"no column {missing[0]}"), f"columns {_listed(list(columns))}"
+            str(path), Unquoted(f"no column {missing[0]}"), f"columns {', '.join(columns)}"
         )
     for name, kind in columns.items():
         column = table[name]
         # An empty or mixed column has no kind of its own: is_string_dtype looks at the values.
         if not len(column) or not _KINDS[kind](column):
             raise InputError(f"{path}: {name}", Unquoted(f"{column.dtype} values"), kind)
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names)
 
 
 def _first_line(error: Exception) -> str:

@@ -40,10 +40,9 @@ from scenarios.aeb import AebRule
 from ..export.json import to_json_text
 from ..progress import WRITING, StageProgress
 from ..results.drives import RefusalRecord, versions
-from ..results.evaluations import PartyAprRecord
 from ..results.folders import MARKER, check_result_folder, new_result_folder
 from ..results.numbers import finite_or_none
-from ..results.record import Record, StageRecord, build_stage_records, to_plain
+from ..results.record import PartyAprRecord, Record, StageRecord, build_stage_records, to_plain
 
 _T = TypeVar("_T")
 
@@ -281,23 +280,8 @@ def run_recording(
 ) -> RecordedResult:
     """Judge the units of a recording, and write ``summary.json`` if asked to.
 
-    Parameters
-    ----------
-    question : Question
-        Only how the VUT confirms and brakes counts.
-    folder : Path
-        In the study's format, see :mod:`placement.recordings`.
-    min_confidence : float
-        Detections below do not count.
-    out : Path, optional
-        Result folder; else nothing is written.
-    progress : StageProgress
-        Gets the stages.
-
-    Raises
-    ------
-    InputError
-        The recording is not what it should be, or `out` cannot be written.
+    Of the question only how the VUT confirms and brakes counts; detections below `min_confidence`
+    do not. Raises InputError if the recording is not what it should be, or `out` cannot be written.
     """
     rule = _build_rule(question)
     recording, evaluation = _evaluate(folder, rule, min_confidence, out, progress)
@@ -314,13 +298,9 @@ def run_recorded_placement(
 ) -> RecordedResult:
     """Choose the best roadside units among those of a recording, and prove the choice.
 
-    Parameters are those of :func:`run_recording`; of the question count budget, fusion and how hard
-    to try, too. A recording has no sites and no prices.
-
-    Raises
-    ------
-    InputError
-        As :func:`run_recording`, or the budget is more than the units recorded.
+    As :func:`run_recording`; of the question count budget, fusion and how hard to try, too. A
+    recording has no sites and no prices. Raises InputError if the budget is more than the units
+    recorded.
     """
     rule = _build_rule(question)
     recording, everything = _evaluate(folder, rule, min_confidence, out, progress)

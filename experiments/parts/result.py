@@ -23,21 +23,24 @@ from placement.setting import Setting
 from scenarios.scores import AVOIDED
 
 from ..results.drives import DrivesRecord, build_drives_record, versions
-from ..results.evaluations import EvaluationRecord, build_evaluation_record, price_eur
 from ..results.record import (
+    EvaluationRecord,
     Share,
     StageRecord,
     UnitRecord,
+    build_evaluation_record,
     build_stage_records,
     build_unit_records,
+    price_eur,
     says,
 )
 from .alternatives import FrontRunners, HeavyRun, find_heavy_runs
 from .baselines import Baselines
 from .comparison import Compared, Difference, build_compared, find_differences
 from .dangers import Dangers, avoided_runs, build_dangers
-from .explanation import ExplainedRecord, PrivateGroundRecord
+from .explanation import ExplainedRecord
 from .front import FrontRecord
+from .ground import PrivateGroundRecord
 from .next_unit import Exchange
 from .refinement import RefinementRecord
 from .sampled_worlds import SampledRecord

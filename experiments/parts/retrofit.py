@@ -29,10 +29,9 @@ from placement.wishes import assumed_prices
 
 from ..export.json import to_json_text
 from ..progress import WRITING, StageProgress
-from ..results.csv_text import csv_text
 from ..results.drives import DrivesRecord, build_drives_record, versions
 from ..results.folders import check_folder, write_files
-from ..results.numbers import count_runs, euros, percent
+from ..results.numbers import count_runs, euros, first_of, percent
 from ..results.record import (
     LayoutValueRecord,
     Record,
@@ -41,6 +40,7 @@ from ..results.record import (
     build_stage_records,
     build_unit_records,
 )
+from ..results.tables import csv_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -184,8 +184,7 @@ def _proof(change: ChangeRecord) -> str:
 
 
 def _ids(runs: Sequence[str]) -> str:
-    shown = ", ".join(runs[:_MAX_RUNS])
-    return shown if len(runs) <= _MAX_RUNS else f"{shown} and {len(runs) - _MAX_RUNS} more"
+    return first_of(runs, _MAX_RUNS)
 
 
 # ---------- the job, and the table
@@ -206,27 +205,9 @@ def run_retrofit(
 ) -> RetrofitResult:
     """Find what to remove, re-aim or add, and write it to `out` if asked to.
 
-    Parameters
-    ----------
-    question : Question
-        What is driven, what may be added, the money for all together, and how long to search.
-    layout : Layout
-        What is mounted.
-    visit_eur : float, optional
-        Of a re-aim or a removal; by default by :func:`placement.retrofit.load_labour`. [EUR]
-    out : Path, optional
-        Folder that gets ``retrofit.csv`` and ``retrofit.json``; what else it holds stays.
-    compute : Compute
-        Seed, threads, cache; its progress is `progress`.
-    command : str
-        Command line that makes the result again.
-    progress : StageProgress
-        Gets the stages.
-
-    Raises
-    ------
-    InputError
-        A unit is inside something, a word is unknown, or `out` cannot be written.
+    The question says what may be added, the money for all together, and how long to search. A visit
+    is by default priced as :func:`placement.retrofit.load_labour` does. Raises InputError if a unit
+    is inside something, a word is unknown, or `out` cannot be written.
     """
     scene = load_scene(question.scene)
     if out is not None:
@@ -246,13 +227,8 @@ def run_retrofit(
     progress("retrofit", 0, 0)
     labour = load_labour() if visit_eur is None else _at_price(visit_eur)
     retrofit = find_retrofit(
-        problem,
-        poses,
-        labour=labour,
-        budget_eur=question.budget_cost,
-        effort=plan.effort,
+        problem, poses, labour=labour, budget_eur=question.budget_cost, effort=plan.effort
     )
-
     result = _build_result(
         retrofit, poses, layout, setting, question, labour=labour, command=command
     )
@@ -306,15 +282,7 @@ def _build_result(
 
 
 def retrofit_table(result: RetrofitResult) -> "pd.DataFrame":
-    """One row per change.
-
-    Returns
-    -------
-    table : DataFrame
-        Columns kind, change, price_eur, apr, apr_one_failed, smallest_margin_s, mean_margin_s,
-        gained, lost (run ids with spaces between), is_better, is_proven. The first row is what
-        is mounted.
-    """
+    """A row per change, the first one for what is mounted; run ids have spaces between."""
     before = {name: value for name, value in fields_of(result.before).items() if name != "cost_eur"}
     changes = [
         *(("remove", change) for change in result.removals),

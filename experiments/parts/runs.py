@@ -11,8 +11,8 @@ from placement.setting import Setting
 from scenarios.aeb import AebRule
 from scenarios.positions import AT_ZERO
 
-from ..figures.axes import NARROW_IN, describe_run, unit_labels
-from ..figures.evaluation import plot_heatmap, units_in_heatmap
+from ..figures.axes import NARROW_IN, describe_run
+from ..figures.evaluation import heatmap_rows, plot_heatmap
 from ..results.drives import describe_limits, describe_places
 from ..results.numbers import count_runs, number, percent
 from ..results.tables import margin_s
@@ -59,22 +59,14 @@ def _lost_words(rule: AebRule) -> str:
 
 
 def _heatmap(evaluation: Evaluation, run_index: int) -> Picture:
-    axis, labels = evaluation.axis, unit_labels(evaluation.layout)
-    rows = {
-        "the VUT": evaluation.vut,
-        **{
-            labels[unit_id]: evaluation.units[unit_id]
-            for unit_id in units_in_heatmap(evaluation, [run_index])
-        },
-        "all RSUs": evaluation.rsu_all,
-    }
+    axis = evaluation.axis
     run = describe_run(axis, run_index)
     last_moment = number(axis.last_brake_time_s[run_index])
     confirmed = [
         f"{name} at {number(verdict.confirmation_time_s[run_index], 1)} s"
         if math.isfinite(verdict.confirmation_time_s[run_index])
         else f"{name} never"
-        for name, verdict in rows.items()
+        for name, verdict in heatmap_rows(evaluation, [run_index], vut="the VUT").items()
     ]
     return build_picture(
         plot_heatmap(evaluation, run_index, width_in=NARROW_IN),  # several stand side by side

@@ -14,7 +14,18 @@ from placement.sampling.moving.trajectories import TrafficCount
 from placement.sampling.out_of_sample import SampledApr, cvar, estimate_mean
 from placement.sampling.uncertainty import MountingErrors, RoadUsers, Uncertainty
 
-from ..figures.axes import BLUE, GREEN, PINK, VERMILION, WIDTH_IN, finish_axes, literal, new_axes
+from ..figures.axes import (
+    BLUE,
+    GREEN,
+    PINK,
+    VERMILION,
+    WIDTH_IN,
+    Style,
+    finish_axes,
+    literal,
+    new_axes,
+    write_beside,
+)
 from ..results.numbers import number, or_nan, percent, points, shortened
 from ..results.record import Record, RunId, Share, says
 from .section import Picture, Section, build_picture
@@ -126,26 +137,9 @@ def build_sampled_record(
 ) -> SampledRecord:
     """Layouts in the same sampled worlds: the first one is the subject, the others baselines.
 
-    Parameters
-    ----------
-    judged : sequence of SampledApr
-        At least one, all in the same worlds.
-    uncertainty : Uncertainty
-        What was drawn.
-    tail : float
-        The worst share of the worlds that is summed up, 0 .. 1.
-    seed : int
-        Of the draws.
-    planned_apr, chosen_apr : mapping of str to float, optional
-        By name of the layout: APR as planned, with nothing uncertain, and in the worlds that it
-        was chosen in.
-    chosen_in : int, optional
-        How many worlds those were.
-
-    Raises
-    ------
-    InputError
-        There is no layout, or they were judged in different numbers of worlds.
+    `tail` is the worst share of the worlds that is summed up. By name of the layout, `planned_apr`
+    is the APR with nothing uncertain, and `chosen_apr` that in the `chosen_in` worlds that it was
+    chosen in.
     """
     if not judged:
         raise InputError("layouts", Unquoted("none"), "at least one")
@@ -466,10 +460,8 @@ def plot_intervals(judged: Sequence[SampledApr]) -> Axes:
             linestyle=(0, (1.0, 1.5)), zorder=2,
         )  # fmt: skip
         _whisker(axes, row, estimate.mean, estimate.low, estimate.high)
-        axes.annotate(
-            percent(estimate.mean), (1.0, row), xycoords=("axes fraction", "data"),
-            xytext=(4.0, 0.0), textcoords="offset points", va="center", fontsize=8,
-        )  # fmt: skip
+        to_the_right: Style = {"away_pt": (4.0, 0.0), "xycoords": ("axes fraction", "data")}
+        write_beside(axes, percent(estimate.mean), (1.0, row), **to_the_right)
     axes.set_yticks(range(len(judged)), [_name(item.layout.name) for item in judged], fontsize=8)
     axes.set_ylim(len(judged) - 0.5, -0.5)
     words = (

@@ -123,6 +123,9 @@ def _tidy(node: Any) -> Any:
             tidy[key] = " ".join(inspect.cleandoc(value).split())
         elif key == "title" and isinstance(value, str) and value.isidentifier():
             continue  # the name of a class
+        elif key == "minimum":
+            # Annotations that are equal are one for Python, whether they say 0 or 0.0.
+            tidy[key] = int(value) if value == int(value) else value
         elif key == "enum" and len(value) == 1:
             tidy["const"] = value[0]
         else:

@@ -1,10 +1,10 @@
 """Sections of the report: a heading, and below it text, tables and figures."""
 
 import base64
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
-from typing import ClassVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,28 +15,43 @@ from geometry.arrays import FloatArray
 
 from ..figures.axes import root_figure, to_png
 
+_T = TypeVar("_T")
+
 # ---------- what a section holds; text is a paragraph, and markup in it is shown as it is
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table:
-    """A table; with `summary` one to unfold, below these words.
-
-    Attributes
-    ----------
-    numeric : collection of int
-        Columns that are numbers.
-    is_open : bool
-        Whether a table to unfold is unfolded from the start.
-    """
+    """A table; with `summary` one to unfold, below these words."""
 
     kind: ClassVar[str] = "table"
     caption: str
     columns: Sequence[str]
     rows: Sequence[Sequence[object]]
-    numeric: Collection[int] = ()
+    numeric: Collection[int] = ()  # columns that are numbers
     summary: str = ""
-    is_open: bool = False
+    is_open: bool = False  # unfolded from the start
+
+
+def tabulate(
+    caption: str,
+    items: Iterable[_T],
+    columns: Mapping[str, Callable[[_T], object]],
+    *,
+    numeric: Collection[int] = (),
+    summary: str = "",
+    is_open: bool = False,
+) -> Table:
+    """A table with a row per item: each column has a head, and what it says of an item."""
+    rows = [[cell(item) for cell in columns.values()] for item in items]
+    return Table(
+        caption=caption,
+        columns=[*columns],
+        rows=rows,
+        numeric=numeric,
+        summary=summary,
+        is_open=is_open,
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,33 +97,17 @@ class Box:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Picture:
-    """A figure as the page shows it.
-
-    Attributes
-    ----------
-    title, caption : str
-        Below the picture.
-    alt : str
-        In its place, for those who do not see it.
-    png : str
-        PNG file, base64.
-    width_px, height_px : int
-        Its size.
-    width_in : float
-        The width for which its letters are drawn: those of 8 pt are that high at this width.
-    narrow : Picture, optional
-        The same for a phone.
-    """
+    """A figure as the page shows it, with title and caption below."""
 
     kind: ClassVar[str] = "picture"
     title: str
     caption: str
-    alt: str
-    png: str
+    alt: str  # for those who do not see it
+    png: str  # base64
     width_px: int
     height_px: int
-    width_in: float
-    narrow: "Picture | None" = None
+    width_in: float  # at which letters of 8 pt are that high
+    narrow: "Picture | None" = None  # the same for a phone
 
 
 Block = str | Table | Bullets | Subheading | Terms | Code | Box | Picture

@@ -1,45 +1,48 @@
 """Sensitivity to assumptions ("what if"): in sentences, tables, figures, and as a section."""
 
 from operator import attrgetter
+from typing import NamedTuple
 
 from matplotlib.axes import Axes
 
 from geometry.errors import InputError
 from placement.explain.sensitivity import Sensitivity, Varied, VariedAssumption, Worth
 
-from ..figures.axes import BLUE, VERMILION, WIDTH_IN, finish_axes, new_axes
+from ..figures.axes import BLUE, VERMILION, WIDTH_IN, finish_axes, new_axes, write_beside
 from ..results.numbers import NOTHING, count_runs, number, or_nan, percent
 from .section import Block, Section, Table, build_picture
 
 # ---------- assumptions and their values in words, for tables and figures alike
 
 
-TITLES = {
-    "latency_s": "end-to-end latency",
-    "n_confirmations": "frames that confirm",
-    "track_memory_s": "memory of tracks",
-    "deceleration_mps2": "deceleration",
-    "packet_loss": "messages lost",
-    "min_box_height_share": "detector's smallest box",
-    "min_iou": "overlap (IoU) it needs",
-    "yaw_deg": "all units turned",
-    "pitch_deg": "all units tilted",
-    "height_m": "all units lifted",
-    "position_m": "all units moved ahead",
+class _Words(NamedTuple):
+    """An assumption: its title, a phrase about its value, and the unit that this is shown in."""
+
+    title: str
+    phrase: str
+    unit: str = ""
+    scale: float = 1.0  # of these units in one of ours
+
+
+WORDS = {
+    "latency_s": _Words("end-to-end latency", "an end-to-end latency of {}", " ms", 1000.0),
+    "n_confirmations": _Words("frames that confirm", "{} frames that confirm"),
+    "track_memory_s": _Words("memory of tracks", "tracks kept {} without detections", " s"),
+    "deceleration_mps2": _Words("deceleration", "a deceleration of {}", " m/s\N{SUPERSCRIPT TWO}"),
+    "packet_loss": _Words("messages lost", "{} of the messages lost", " %", 100.0),
+    "min_box_height_share": _Words(
+        "detector's smallest box",
+        "a detector whose smallest box is {} of the plan's",
+        " %",
+        100.0,
+    ),
+    "min_iou": _Words("overlap (IoU) it needs", "a detector that needs an overlap (IoU) of {}"),
+    "yaw_deg": _Words("all units turned", "all units turned by {}", "\N{DEGREE SIGN}"),
+    "pitch_deg": _Words("all units tilted", "all units tilted by {}", "\N{DEGREE SIGN}"),
+    "height_m": _Words("all units lifted", "all units lifted by {}", " cm", 100.0),
+    "position_m": _Words("all units moved ahead", "all units moved ahead by {}", " cm", 100.0),
 }
-_PHRASES = {
-    "latency_s": "an end-to-end latency of {}",
-    "n_confirmations": "{} frames that confirm",
-    "track_memory_s": "tracks kept {} without detections",
-    "deceleration_mps2": "a deceleration of {}",
-    "packet_loss": "{} of the messages lost",
-    "min_box_height_share": "a detector whose smallest box is {} of the plan's",
-    "min_iou": "a detector that needs an overlap (IoU) of {}",
-    "yaw_deg": "all units turned by {}",
-    "pitch_deg": "all units tilted by {}",
-    "height_m": "all units lifted by {}",
-    "position_m": "all units moved ahead by {}",
-}
+_SIGNED = ("yaw_deg", "pitch_deg", "height_m", "position_m")
 _MINUS = "\N{MINUS SIGN}"
 
 
@@ -53,22 +56,11 @@ def value_text(name: str, value: float | None) -> str:
     """
     if value is None:
         return "for ever"
-    if name == "latency_s":
-        return f"{1000.0 * value:g} ms"
-    if name == "track_memory_s":
-        return f"{value:g} s"
-    if name == "n_confirmations":
-        return f"{value:g}"
-    if name == "deceleration_mps2":
-        return f"{value:g} m/s\N{SUPERSCRIPT TWO}"
-    if name in ("packet_loss", "min_box_height_share"):
-        return f"{100.0 * value:g} %"
-    if name == "min_iou":
-        return f"{value:g}"
-    sign = "+" if value > 0.0 else _MINUS if value < 0.0 else ""
-    if name in ("height_m", "position_m"):
-        return f"{sign}{100.0 * abs(value):g} cm"
-    return f"{sign}{abs(value):g}\N{DEGREE SIGN}"
+    words = WORDS[name]
+    shown = f"{words.scale * abs(value):g}{words.unit}"
+    if name not in _SIGNED or value == 0.0:
+        return shown
+    return f"{'+' if value > 0.0 else _MINUS}{shown}"
 
 
 def phrase(name: str, value: float | None) -> str:
@@ -79,7 +71,7 @@ def phrase(name: str, value: float | None) -> str:
     >>> phrase("latency_s", 0.3)
     'an end-to-end latency of 300 ms'
     """
-    return _PHRASES[name].format(value_text(name, value))
+    return WORDS[name].phrase.format(value_text(name, value))
 
 
 # ---------- the figure, a tornado: how far each assumption moves a layout's worth, the most on top
@@ -118,7 +110,7 @@ def plot_sensitivity(found: Sensitivity, *, quantity: str = "apr") -> Axes:
     for row, one in enumerate(rows):
         _draw_row(axes, row, one.name, ends[one.name], planned)
     axes.axvline(planned, color="black", linewidth=1.2, zorder=4, gid="planned")
-    axes.set_yticks(range(len(rows)), [TITLES[one.name] for one in rows], fontsize=8)
+    axes.set_yticks(range(len(rows)), [WORDS[one.name].title for one in rows], fontsize=8)
     axes.set_ylim(-0.6, len(rows) - 0.4)
     reached = [planned, *(end[0] for pair in ends.values() for end in pair)]
     span = max(max(reached) - min(reached), _LEAST_SPAN[quantity])
@@ -177,28 +169,12 @@ def _draw_row(
 
 
 def _label(axes: Axes, x: float, row: int, text: str, *, side: str) -> None:
-    is_left = side == "left"
-    axes.annotate(
-        text,
-        (x, row),
-        xytext=(-4.0 if is_left else 4.0, 0.0),
-        textcoords="offset points",
-        ha="right" if is_left else "left",
-        va="center",
-        fontsize=8,
-    )
+    away, ha = (-4.0, "right") if side == "left" else (4.0, "left")
+    write_beside(axes, text, (x, row), away_pt=(away, 0.0), ha=ha)
 
 
 def _note(axes: Axes, planned: float, row: int, text: str) -> None:
-    axes.annotate(
-        text,
-        (planned, row),
-        xytext=(5.0, 0.0),
-        textcoords="offset points",
-        va="center",
-        fontsize=7,
-        color="#555555",
-    )
+    write_beside(axes, text, (planned, row), away_pt=(5.0, 0.0), fontsize=7, color="#555555")
 
 
 # ---------- sentences, tables, and the section of the report
@@ -383,7 +359,7 @@ def _alt(found: Sensitivity, quantity: str, words: str) -> str:
 
 
 def _title(one: VariedAssumption) -> str:
-    return TITLES[one.name]
+    return WORDS[one.name].title
 
 
 def _count(n: int) -> str:

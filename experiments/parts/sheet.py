@@ -32,8 +32,7 @@ from placement.setting import Setting, build_setting
 from scenarios.runs import Run
 
 from ..figures.axes import BLUE, VERMILION, literal, unit_labels
-from ..figures.plan import draw_scene, ground_footprint
-from ..figures.sensors import ALL_ROUND, blind_footprint, ring_path
+from ..figures.plan import ALL_ROUND, blind_footprint, draw_scene, ground_footprint, ring_path
 from ..progress import WRITING, StageProgress
 from ..results.folders import check_folder
 from ..results.record import Record
@@ -56,24 +55,10 @@ def mounting_sheet(
     *,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> bytes:
-    """A PDF with a page for each unit: where, how high, where it looks, what it will see.
+    """A PDF with an A4 page for each unit: where, how high, where it looks, what it will see.
 
-    Parameters
-    ----------
-    layout : Layout
-        The units.
-    setting : Setting
-        Scene and runs; the picture shows one of these, the unit's first in which the road user
-        is near.
-    tolerances : sequence of Tolerance
-        One for each unit, in their order.
-    compute : Compute
-        Its seed is that of sensor noise.
-
-    Returns
-    -------
-    pdf : bytes
-        A4 pages.
+    The picture shows the run and frame in which the road user is nearest; `tolerances` are in the
+    order of the units.
     """
     labels = unit_labels(layout)
     buffer = io.BytesIO()
@@ -135,7 +120,7 @@ def _rows(unit: CandidatePose, scene: Scene, tolerance: Tolerance) -> list[tuple
     if scene.crs:
         lon_deg, lat_deg = to_geographic(unit.pose.position_m[None], scene.crs)[0]
         where += f"\n{lat_deg:.6f}\N{DEGREE SIGN} latitude, {lon_deg:.6f}\N{DEGREE SIGN} longitude"
-    rows = [
+    return [
         ("Mount", _mount(unit, scene)),
         ("Where", where),
         ("Height", f"{z:.2f} m above the road"),
@@ -144,7 +129,6 @@ def _rows(unit: CandidatePose, scene: Scene, tolerance: Tolerance) -> list[tuple
         ("May be off", _tolerance_text(tolerance)),
         ("Landmarks", "\n".join(_landmarks(unit, scene)) or "none within 40 m"),
     ]
-    return rows
 
 
 def _mount(unit: CandidatePose, scene: Scene) -> str:
@@ -344,13 +328,7 @@ def run_sheet(
     compute: Compute,
     progress: StageProgress,
 ) -> SheetResult:
-    """Write the mounting sheet of a layout.
-
-    Raises
-    ------
-    InputError
-        A unit is inside something, or `out` cannot be written.
-    """
+    """Write the mounting sheet; InputError if a unit is inside something, or `out` not writable."""
     if out.is_dir():
         raise InputError("--out", Unquoted(f"{out}, a folder"), "a PDF file to write")
     check_target(out)

@@ -89,25 +89,9 @@ def on_study_cases(
     """Score layouts on the study's cases, where these are a part of what was asked about.
 
     None at another junction than the study's, where some of its cases are left out, and where its
-    runs are all that was asked about.
-
-    Parameters
-    ----------
-    question : Question
-        What was asked.
-    asked : Setting
-        What it led to, and the layouts were evaluated in.
-    evaluations : mapping of str to Evaluation
-        By display name. Where the same frames were looked at there, nobody looks again.
-    build : function of Question
-        Setting of a question at the same scene.
-    compute : Compute
-        Of further evaluations.
-
-    Raises
-    ------
-    InputError
-        No arm of the junction carries any of the study's cases.
+    runs are all that was asked about. Evaluations are those in the setting `asked`; `build` makes
+    the setting of a question at the same scene. Raises InputError if no arm carries any of the
+    cases.
     """
     if find_baseline(asked.scene) is None or not _has_cases(question):
         return None

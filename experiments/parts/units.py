@@ -11,8 +11,7 @@ from placement.layout import Layout
 from placement.setting import Setting
 
 from ..figures.axes import NARROW_IN, WIDTH_IN, unit_labels
-from ..figures.plan import plot_plan
-from ..figures.sensors import compass_word, looking_words
+from ..figures.plan import compass_word, looking_words, plot_plan
 from ..results.numbers import NOTHING, number
 from ..results.record import build_unit_records
 from .section import Box, Picture, Section, Table, build_picture

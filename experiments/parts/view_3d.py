@@ -22,8 +22,7 @@ from placement.candidates import CandidatePose, above_ground, is_ring
 from placement.layout import Layout
 
 from ..figures.axes import BLUE, GREEN, ORANGE, PINK, SKY, VERMILION, unit_labels
-from ..figures.plan import CLASS_STYLES
-from ..figures.sensors import ground_rings
+from ..figures.plan import CLASS_STYLES, ground_rings
 
 COLOURS = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY)
 DASHES = ("", "7 4", "7 3 1.5 3", "1.5 3")

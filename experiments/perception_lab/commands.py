@@ -20,11 +20,11 @@ from ..cli.options import (
     json_option,
     layout_option,
     option,
+    option_of,
     question_options,
     quiet_option,
     scene_option,
 )
-from ..cli.question_options import option_of
 from ..cli.running import begin, command_line, load_one_layout, print_result, unwritable
 from ..cli.terminal import sentences, table
 from ..progress import StageProgress, tell

@@ -15,6 +15,7 @@ from placement.question import Question
 
 from ..cli.options import (
     JUDGED,
+    MOUNTED,
     SectionedCommand,
     compute_options,
     fields_in,
@@ -23,7 +24,6 @@ from ..cli.options import (
     question_options,
     quiet_option,
 )
-from ..cli.question_options import MOUNTED
 from ..cli.running import begin
 from ..progress import Interrupted, StageProgress, tell
 

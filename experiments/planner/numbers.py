@@ -22,8 +22,8 @@ from ..figures.axes import describe_run
 from ..parts.bill_of_materials import build_bill
 from ..parts.player import plan_record, svg_path, unit_records
 from ..parts.view_3d import to_base64
-from ..results.evaluations import build_evaluation_record
 from ..results.numbers import euros, finite_or_none, percent
+from ..results.record import build_evaluation_record
 from .plan import SCHEMA, Background, History, PlanState
 
 BY_TABLE, BY_EVALUATOR = "table", "evaluator"

@@ -17,19 +17,18 @@ from placement.evaluation import Evaluation
 from placement.setting import Setting
 
 from ..figures.axes import unit_labels
-from ..figures.evaluation import heatmap_indices
+from ..figures.evaluation import pick_heatmap_runs
 from ..parts import answer, comparison, dangers, next_unit, proof, study_cases
 from ..parts.accidents import accidents_section, alone_section, apr_picture
 from ..parts.assumptions import again_section, assumption_sentences, assumptions_section
 from ..parts.bill_of_materials import BillOfMaterials, bill_section, build_bill
 from ..parts.comparison import EXPERT, GREEDY
-from ..parts.coverage import coverage_section
 from ..parts.explanation import explanation_sections
 from ..parts.failures import failures_section
 from ..parts.front import front_section
+from ..parts.ground import coverage_section, private_ground_section
 from ..parts.margins import margins_section
 from ..parts.player import interactive_part
-from ..parts.private_ground import private_ground_section
 from ..parts.result import EvaluationResult, PlacementResult, Result
 from ..parts.runs import build_heatmaps, cases_section, heatmaps_section, runs_section
 from ..parts.sampled_worlds import sampled_picture, sampled_section
@@ -64,28 +63,14 @@ def write_report(
     result: Result,
     setting: Setting,
     evaluations: Mapping[str, Evaluation],
-    *,
-    command: str,
-    heatmap_runs: Sequence[str] = (),
-    sampled_figure: Axes | Figure | None = None,
-    bill: BillOfMaterials | None = None,
-    side: SideProcess | None = None,
+    **options: Any,
 ) -> Path:
-    """Write :func:`render_report`'s page to ``report.html`` in `folder`, which must exist.
+    """Write the page of :func:`build_report` to ``report.html`` in `folder`, which must exist.
 
     The plan, the APR by case, the heatmaps of the first layout and the APR in sampled worlds are
-    written next to it as PNG files.
+    written next to it as PNG files. `options` are those of :func:`build_report`.
     """
-    page, pictures = _build_report(
-        result,
-        setting,
-        evaluations,
-        command=command,
-        heatmap_runs=heatmap_runs,
-        sampled_figure=sampled_figure,
-        bill=bill,
-        side=side,
-    )
+    page, pictures = build_report(result, setting, evaluations, **options)
     for name, picture in pictures.items():
         write_atomically(folder / f"{name}.png", base64.b64decode(picture.png))
     path = folder / FILE_NAME
@@ -93,72 +78,25 @@ def write_report(
     return path
 
 
-def render_report(
+def build_report(
     result: Result,
     setting: Setting,
     evaluations: Mapping[str, Evaluation],
     *,
     command: str,
-    heatmap_runs: Sequence[str] = (),
     sampled_figure: Axes | Figure | None = None,
     bill: BillOfMaterials | None = None,
-) -> str:
-    """A result as one HTML page that loads nothing from elsewhere.
-
-    Parameters
-    ----------
-    result : Result
-        Of a placement, an evaluation or a comparison.
-    setting : Setting
-        What the layouts were evaluated in.
-    evaluations : mapping of str to Evaluation
-        By display name; the first one is the subject. One named "greedy" appears in tables and
-        bars only.
-    command : str
-        Command line that makes the result again.
-    heatmap_runs : sequence of str
-        Ids of the runs to draw; else see :func:`experiments.figures.evaluation.pick_heatmap_runs`.
-    sampled_figure : Axes or Figure, optional
-        Of the APR in sampled worlds, where they were asked for.
-    bill : BillOfMaterials, optional
-        What the first layout takes, where more is known of its costs than the scene tells.
-
-    Returns
-    -------
-    page : str
-        HTML.
-
-    Raises
-    ------
-    InputError
-        There is no evaluation, or a run is unknown.
-    """
-    page, _ = _build_report(
-        result,
-        setting,
-        evaluations,
-        command=command,
-        heatmap_runs=heatmap_runs,
-        sampled_figure=sampled_figure,
-        bill=bill,
-    )
-    return page
-
-
-def _build_report(
-    result: Result,
-    setting: Setting,
-    evaluations: Mapping[str, Evaluation],
-    *,
-    command: str,
-    heatmap_runs: Sequence[str],
-    sampled_figure: Axes | Figure | None,
-    bill: BillOfMaterials | None,
     side: SideProcess | None = None,
 ) -> tuple[str, dict[str, Picture]]:
-    """The page, and those of its pictures that are worth a file, by name."""
+    """A result as one HTML page that loads nothing, and its pictures worth a file, by name.
+
+    Evaluations are by display name: the first one is the subject, one named "greedy" appears in
+    tables and bars only. `command` makes the result again; `sampled_figure` is that of the APR in
+    sampled worlds; `bill` knows more of the costs than the scene. Raises InputError if there is
+    no evaluation.
+    """
     side = side or SideProcess()
-    tasks = begin_tasks(side, result, setting, evaluations, heatmap_runs=heatmap_runs)
+    tasks = begin_tasks(side, result, setting, evaluations)
     subject_name = next(iter(evaluations))
     shown, _ = _shown(result, evaluations)
     interactive = interactive_part(setting, shown, first_runs=tasks.run_ids)
@@ -258,7 +196,7 @@ def _details(
 class Tasks:
     """Pictures and sections of a report that a second process may make."""
 
-    run_ids: list[str]  # of the heatmaps
+    run_ids: tuple[str, ...]  # of the heatmaps
     plans: Task[list[Picture]]
     heatmaps: Task[dict[str, list[Picture]]]
     dangers: Task[Section | None]
@@ -279,12 +217,10 @@ def begin_tasks(
     result: Result,
     setting: Setting,
     evaluations: Mapping[str, Evaluation],
-    *,
-    heatmap_runs: Sequence[str] = (),
 ) -> Tasks:
     """Begin what takes long to draw; once begun, the report that is written takes it from there.
 
-    Arguments as for :func:`render_report`.
+    Arguments as for :func:`build_report`.
     """
     if not evaluations:
         raise InputError("evaluations", Unquoted("none"), "at least one")
@@ -293,9 +229,10 @@ def begin_tasks(
     layouts = {name: item.layout for name, item in detailed.items()}
     others = [item.layout for item in [*shown.values()][1:]] if len(detailed) == 1 else []
     front = result.front if isinstance(result, PlacementResult) else None
-    run_indices = heatmap_indices(subject, setting, heatmap_runs)
+    run_ids = pick_heatmap_runs(subject)
+    run_indices = [subject.axis.run_ids.index(run_id) for run_id in run_ids]
     return Tasks(  # what takes the longest comes first
-        run_ids=[subject.axis.run_ids[index] for index in run_indices],
+        run_ids=run_ids,
         plans=side.begin("plans", build_plans, setting, layouts, others),
         heatmaps=side.begin("heatmaps", build_heatmaps, detailed, run_indices),
         dangers=side.begin("dangers", dangers.section, setting, shown, fusion=result.fusion),

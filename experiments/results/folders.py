@@ -46,10 +46,7 @@ def write_manifest(folder: Path) -> None:
 def read_manifest(folder: Path) -> dict[str, str]:
     """Hashes by file name, as ``SHA256SUMS`` lists them; nothing where there is no such file.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, or is not a list of hashes and names.
+    Raises InputError if the file cannot be read, or is not a list of hashes and names.
     """
     path = folder / MANIFEST
     if not path.exists():
@@ -65,13 +62,7 @@ def read_manifest(folder: Path) -> dict[str, str]:
 
 
 def changed_files(folder: Path) -> dict[str, str]:
-    """Files that are not as ``SHA256SUMS`` lists them: "missing", "changed" or "not listed".
-
-    Raises
-    ------
-    InputError
-        As :func:`read_manifest`; or a file cannot be read.
-    """
+    """Files not as ``SHA256SUMS`` lists them, each "missing", "changed" or "not listed" there."""
     listed, found = read_manifest(folder), _files(folder)
     changes = {name: "missing" for name in listed if name not in found}
     for name, path in found.items():
@@ -110,15 +101,7 @@ def _is_filled_folder(path: Path) -> bool:
 def check_result_folder(folder: Path) -> None:
     """Check, before anything is computed, that a result folder can be written; changes nothing.
 
-    Parameters
-    ----------
-    folder : Path
-        New, empty, or an earlier result as it was written.
-
-    Raises
-    ------
-    InputError
-        It is a file, holds other things, or cannot be replaced or written to.
+    It must be new, empty, or an earlier result as it was written; else InputError says what it is.
     """
     _check_name(folder)
     try:
@@ -143,24 +126,12 @@ def check_result_folder(folder: Path) -> None:
 
 @contextmanager
 def new_result_folder(folder: Path) -> Iterator[Path]:
-    """Fill a temporary folder, then put it in the place of `folder`.
+    """Fill a temporary folder, then put it in the place of `folder`, which may be a link.
 
-    Parameters
-    ----------
-    folder : Path
-        Where the results shall be, see :func:`check_result_folder`; a link is followed.
-
-    Yields
-    ------
-    temporary : Path
-        Write here. If the block raises, `folder` stays as it was. What was written so far is kept
-        next to it if ``summary.json`` is among it, unless the user ends the program.
-
-    Raises
-    ------
-    InputError
-        As :func:`check_result_folder`: much may have changed since the results were asked for. Or
-        writing failed: names the folder in which the results are kept.
+    If the block raises, `folder` stays as it was. What was written so far is kept next to it if
+    ``summary.json`` is among it, unless the user ends the program. Raises InputError as
+    :func:`check_result_folder`, for much may have changed since the results were asked for; or
+    writing failed: it names the folder in which the results are kept.
     """
     check_result_folder(folder)
     real = folder.resolve()
@@ -313,13 +284,7 @@ def _reason(error: Exception) -> str:
 
 
 def check_folder(folder: Path) -> None:
-    """Find out before anything is computed whether a folder is there, or can be made.
-
-    Raises
-    ------
-    InputError
-        It cannot be written to.
-    """
+    """Find out before anything is computed whether a folder can be written; else InputError."""
     _check_name(folder)
     existing = folder
     while not existing.exists() and existing != existing.parent:
@@ -332,13 +297,7 @@ def check_folder(folder: Path) -> None:
 
 
 def write_files(folder: Path, contents: Mapping[str, bytes]) -> None:
-    """Write files by name, each whole or not at all.
-
-    Raises
-    ------
-    InputError
-        The folder cannot be written to.
-    """
+    """Write files by name, each whole or not at all; InputError if the folder is not writable."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, content in contents.items():

@@ -1,7 +1,8 @@
 """Tables of verdicts, for other programs: ratios by group, and every run's outcome."""
 
+import unicodedata
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -10,6 +11,8 @@ from placement.evaluation import Evaluation, Verdict, apr
 from scenarios.positions import sort_positions
 from scenarios.runs import FrameAxis
 
+if TYPE_CHECKING:
+    import pandas as pd
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -31,19 +34,9 @@ def parties(evaluation: Evaluation) -> dict[str, Verdict]:
 
 
 def margin_s(verdict: Verdict, axis: FrameAxis) -> FloatArray:
-    """Last brake time minus (confirmation + latency), per run.
+    """Last brake time minus (confirmation + latency) of each run in seconds: (n_runs,) float.
 
-    Parameters
-    ----------
-    verdict : Verdict
-        Whose.
-    axis : FrameAxis
-        Runs.
-
-    Returns
-    -------
-    margin_s : (n_runs,) float
-        Negative: too late. Minus infinity: never confirmed, or no braking avoids. [s]
+    Negative: too late. Minus infinity: never confirmed, or no braking avoids.
     """
     # At most one infinity of each sign: an onset is never -inf, so this is never NaN.
     margin: FloatArray = axis.last_brake_time_s - verdict.onset_time_s
@@ -51,21 +44,13 @@ def margin_s(verdict: Verdict, axis: FrameAxis) -> FloatArray:
 
 
 def apr_table(evaluations: Mapping[str, Evaluation]) -> "pd.DataFrame":
-    """Accident prevention ratios of every party, by case, approach, position, weather and speed.
+    """Ratios of every party, by case, approach, position, weather and speed.
 
-    Parameters
-    ----------
-    evaluations : mapping of str to Evaluation
-        By the layout's display name.
-
-    Returns
-    -------
-    table : DataFrame
-        Columns layout, party, case, approach, position, weather, vut_speed_kmh, apr, n_runs,
-        n_avoided. "all" stands for every case, approach, position, weather or speed; a single
-        position, weather or speed has no rows of its own. Speeds are those of all approaches,
-        positions and weathers together, positions of all weathers and speeds, either of all
-        approaches or of all cases together. The ratio is missing where none of the runs has weight.
+    Columns layout, party, case, approach, position, weather, vut_speed_kmh, apr, n_runs, n_avoided.
+    "all" stands for every case, approach, position, weather or speed; a single position, weather or
+    speed has no rows of its own. Speeds are those of all approaches, positions and weathers
+    together, positions of all weathers and speeds, either of all approaches or of all cases
+    together. The ratio is missing where none of the runs has weight.
     """
     import pandas as pd
 
@@ -88,18 +73,10 @@ def apr_table(evaluations: Mapping[str, Evaluation]) -> "pd.DataFrame":
 
 
 def runs_table(evaluations: Mapping[str, Evaluation]) -> "pd.DataFrame":
-    """Every run's outcome for every party.
+    """Every run's outcome for every party: a row per layout, party and run.
 
-    Parameters
-    ----------
-    evaluations : mapping of str to Evaluation
-        By the layout's display name.
-
-    Returns
-    -------
-    table : DataFrame
-        One row per layout, party and run. Times that do not exist (never confirmed, no braking
-        avoids) are missing; so are speeds where nobody braked bodies.
+    Times that do not exist (never confirmed, no braking avoids) are missing; so are
+    speeds where nobody braked bodies.
     """
     import pandas as pd
 
@@ -209,3 +186,46 @@ def groups_by_speed(axis: FrameAxis) -> list[RunGroup]:
 def _equal(words: Sequence[str], order: Sequence[str] | None = None) -> list[RunGroup]:
     of_run = np.array(words)
     return [(word, of_run == word) for word in order or dict.fromkeys(words)]
+
+
+# ---------- cells of CSV: a text that looks like a formula must not run as one
+
+
+_BEGINNINGS = (*"=+-@", "\t", "\r", "\n")
+
+
+def csv_text(table: "pd.DataFrame") -> str:
+    """A table as CSV, every text in it safe to open in a spreadsheet."""
+    text: str = table.map(safe_cell).to_csv(index=False, lineterminator="\n")
+    return text
+
+
+def safe_cell(cell: Any) -> Any:
+    """A cell as it is, or behind an apostrophe if a spreadsheet would take it for a formula.
+
+    Examples
+    --------
+    >>> safe_cell("=SUM(A1)"), safe_cell("-3.5"), safe_cell("north")
+    ("'=SUM(A1)", '-3.5', 'north')
+    """
+    return f"'{cell}" if _is_like_formula(cell) else cell
+
+
+def plain_cell(cell: Any) -> Any:
+    """The cell that :func:`safe_cell` was given."""
+    is_safe = isinstance(cell, str) and cell.startswith("'") and _is_like_formula(cell[1:])
+    return cell[1:] if is_safe else cell
+
+
+def _is_like_formula(cell: Any) -> bool:
+    """A text begins as formulas do; also one that has such an apostrophe already."""
+    if not isinstance(cell, str) or len(cell) == 1:
+        return False
+    first = unicodedata.normalize("NFKC", cell.lstrip("'")[:1])  # also as wide as in Japanese
+    if not first.startswith(_BEGINNINGS):
+        return False
+    try:
+        float(cell)
+    except ValueError:
+        return True
+    return False

@@ -14,7 +14,7 @@ import pytest
 
 from experiments import main as program
 from experiments import start
-from experiments.results.csv_text import csv_text
+from experiments.results.tables import csv_text
 from geometry.errors import InputError
 from geometry.files import check_target, open_file, read_text, write_atomically
 from geometry.frames import parse_crs

@@ -19,10 +19,9 @@ from small_results import build_small_setting, write_small_results
 
 from experiments.export.csv import to_csv
 from experiments.export.geojson import to_geojson
-from experiments.jobs.verify import run_verification
+from experiments.jobs.verify import VerificationResult, run_verification
 from experiments.progress import StageProgress
 from experiments.results.folders import MANIFEST, write_manifest
-from experiments.results.solutions import VerificationResult
 from geometry.errors import InputError
 from geometry.scene_files import save_scene
 from geometry.study_scene import load_study_scene

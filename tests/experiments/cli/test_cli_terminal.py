@@ -10,8 +10,7 @@ import pytest
 from click.shell_completion import ShellComplete
 from click.testing import CliRunner
 
-from experiments.cli.options import PROGRAM
-from experiments.cli.question_options import SECTIONS
+from experiments.cli.options import PROGRAM, SECTIONS
 from experiments.cli.terminal import sentences
 from experiments.main import cli
 from experiments.progress import StderrLog

@@ -1,7 +1,7 @@
 import click
 import pytest
 
-from experiments.cli.option_names import with_option_names
+from experiments.cli.options import with_option_names
 from experiments.main import cli
 
 

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from experiments.cli.question_options import OPTIONS, SECTIONS, help_of, option_of
+from experiments.cli.options import OPTIONS, SECTIONS, help_of, option_of
 from placement.question import question_fields
 
 

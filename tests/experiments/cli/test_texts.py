@@ -15,8 +15,8 @@ from experiments.cli.answers import (
     placement_parts,
 )
 from experiments.cli.terminal import answer_text
-from experiments.results.evaluations import EvaluationRecord, PartyAprRecord
 from experiments.results.numbers import percent
+from experiments.results.record import EvaluationRecord, PartyAprRecord
 
 OUT = Path("results/latest")
 

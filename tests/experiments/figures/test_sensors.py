@@ -11,12 +11,13 @@ from hypothesis import strategies as st
 from matplotlib.patches import PathPatch
 
 from experiments.figures.axes import new_axes
-from experiments.figures.plan import ground_footprint, plot_plan
-from experiments.figures.sensors import (
+from experiments.figures.plan import (
     blind_footprint,
     compass_word,
+    ground_footprint,
     ground_rings,
     looking_words,
+    plot_plan,
 )
 from experiments.parts.player import unit_records
 from experiments.parts.sheet import _direction, _draw_plan, _tilt

@@ -5,7 +5,7 @@ import pytest
 from msgspec import UNSET
 from partial_pages import render_section
 
-from experiments.cli.explanations import explanation_text
+from experiments.cli.answers import explanation_text
 from experiments.parts.explanation import (
     ExplainedRecord,
     contribution_sentences,

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.cli.explanations import explanation_text
+from experiments.cli.answers import explanation_text
 from experiments.parts.explanation import (
     build_explained_record,
     missed_table,

@@ -10,7 +10,6 @@ from experiments.parts.failures import (
     failure_sentences,
     failure_table,
     failures_section,
-    site_table,
 )
 from experiments.results.numbers import NOTHING
 from geometry.poses import Pose
@@ -81,7 +80,7 @@ def test_a_table_lists_the_first_runs_and_says_how_many_are_left_out():
     table = failure_table(
         [left("A", 0.5, [f"run{index}" for index in range(6)]), left("B", 0.0, (), math.nan)],
         LABELS,
-        n_together=1,
+        of="unit",
     )
     assert table.caption == "If one unit fails"
     assert table.rows == [
@@ -92,11 +91,11 @@ def test_a_table_lists_the_first_runs_and_says_how_many_are_left_out():
 
 def test_of_many_failures_the_worst_are_shown_and_it_is_told():
     units = [left([f"U{index}"], index / 200.0) for index in range(200)]
-    table = failure_table(units, {}, n_together=1)
+    table = failure_table(units, {}, of="unit")
     assert table.caption == f"If one unit fails: the {MAX_ROWS} worst of 200 units"
     assert [row[0] for row in table.rows] == [f"U{index}" for index in range(MAX_ROWS)]
     pairs = [left(["a", "b"], 0.5)] * 13
-    assert failure_table(pairs, {}, n_together=2).caption.endswith("12 worst of 13 pairs")
+    assert failure_table(pairs, {}, of="pair").caption.endswith("12 worst of 13 pairs")
     assert any(
         "up to 12 units; there are 200" in sentence
         for sentence in failure_sentences(build_failures(units), {})
@@ -167,7 +166,7 @@ def test_a_pole_with_two_units_is_told_beside_the_units():
         "A pole fails with all its units (power, a crash). If that of #1 and #2 does, 25.0 %"
         " are left and 1 run is lost; no other pole leaves less."
     )
-    assert [row[:3] for row in site_table(failures.site_failed, LABELS).rows] == [
+    assert [row[:3] for row in failure_table(failures.site_failed, LABELS, of="pole").rows] == [
         ["lamp 7", "#1 and #2", "25.0 %"],
         ["lamp 8", "#3", "100.0 %"],
     ]

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from interactive_pages import EVIL, build_evaluation, build_layout, page_around, with_evil_names
+from packed_bits import unpack_bits
 
 from experiments.parts.player import (
     ALL_OTHERS,
@@ -22,7 +23,6 @@ from experiments.parts.player import (
     interactive_part,
     pack_bits,
     plan_record,
-    unpack_bits,
 )
 from experiments.parts.view_3d import (
     dashes,

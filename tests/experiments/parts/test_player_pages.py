@@ -13,9 +13,10 @@ from interactive_pages import (
     page_around,
     with_evil_names,
 )
+from packed_bits import unpack_bits
 from PIL import Image
 
-from experiments.parts.player import interactive_part, unpack_bits
+from experiments.parts.player import interactive_part
 
 pytestmark = pytest.mark.system
 

@@ -7,8 +7,8 @@ import pytest
 from shapely import box
 from small_results import assemble_without_runs
 
-from experiments.parts.explanation import build_private_ground_record
-from experiments.parts.private_ground import (
+from experiments.parts.ground import (
+    build_private_ground_record,
     private_ground_sentence,
 )
 from geometry.errors import InputError

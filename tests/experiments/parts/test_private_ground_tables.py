@@ -2,8 +2,12 @@ import msgspec
 from msgspec import UNSET
 from partial_pages import render_section, tables_of
 
-from experiments.parts.explanation import PrivateGroundRecord
-from experiments.parts.private_ground import MAX_AREAS, MAX_UNITS, private_ground_section
+from experiments.parts.ground import (
+    MAX_AREAS,
+    MAX_UNITS,
+    PrivateGroundRecord,
+    private_ground_section,
+)
 
 
 def summary(shares):

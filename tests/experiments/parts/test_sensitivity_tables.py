@@ -9,7 +9,7 @@ from partial_pages import pictures_of, render_section, tables_of
 from experiments.export.json import to_json_text
 from experiments.figures.axes import to_png
 from experiments.parts.sensitivity import (
-    TITLES,
+    WORDS,
     phrase,
     plot_sensitivity,
     sensitivity_section,
@@ -136,7 +136,7 @@ def test_the_table_has_the_plan_and_a_row_for_each_value(summary):
     ]  # fmt: skip
     (lost,) = (row for row in table.rows if row[0] == "messages lost")
     assert lost[5] == "by chance"
-    (left_out,) = (row for row in table.rows if row[0] == TITLES["min_iou"])
+    (left_out,) = (row for row in table.rows if row[0] == WORDS["min_iou"].title)
     assert left_out[2] == "no such limit"
 
 
@@ -158,7 +158,7 @@ def test_bars_reach_from_the_plan_to_the_worst_and_the_best(summary):
     # The widest on top; told apart without colour.
     labels = [label.get_text() for label in axes.get_yticklabels()]
     assert labels[-1] == "deceleration"
-    assert TITLES["min_iou"] not in labels
+    assert WORDS["min_iou"].title not in labels
     hatches = {patch.get_hatch() for group in axes.containers for patch in group.patches}
     assert len(hatches) == 2
     assert to_png(axes).startswith(b"\x89PNG")
@@ -196,7 +196,7 @@ def test_where_nothing_is_avoided_the_figures_still_stand():
 
 
 def test_every_assumption_has_words():
-    assert set(TITLES) == set(RANGES)
+    assert set(WORDS) == set(RANGES)
     for name in RANGES:
         assert value_text(name, 1.0) in phrase(name, 1.0)
     assert value_text("height_m", -0.25) == "\N{MINUS SIGN}25 cm"

@@ -12,7 +12,7 @@ from experiments.parts.result import (
     disagreeing_runs,
 )
 from experiments.results.drives import DrivesRecord, build_drives_record, versions
-from experiments.results.evaluations import build_evaluation_record
+from experiments.results.record import build_evaluation_record
 from geometry.poses import Pose
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.cli.explanations import uncertainty_text
+from experiments.cli.answers import uncertainty_text
 from experiments.figures.axes import to_png
 from experiments.parts.sampled_worlds import (
     build_sampled_record,

@@ -12,11 +12,10 @@ from msgspec.structs import replace as replace_fields
 from partial_pages import blank_pictures, build_result
 
 from experiments.figures.evaluation import pick_heatmap_runs
-from experiments.report.page import render_report, write_report
+from experiments.report.page import build_report, write_report
 from experiments.results.numbers import percent
 from experiments.results.record import StageRecord
 from experiments.results.tables import margin_s
-from geometry.errors import InputError
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict, apr
@@ -29,6 +28,11 @@ from scenarios.runs import Refusal, build_frame_axis
 VOID = {"source", "meta", "img", "br", "hr", "link", "input"}
 COMMAND = "place-rsus --budget 2 --out 'a <folder>'"
 EVIL = "<script>alert(1)</script>"
+
+
+def _page_of(*given, **options):
+    page, _ = build_report(*given, **options)
+    return page
 
 
 class Page(HTMLParser):
@@ -166,21 +170,21 @@ def placement_result(evaluations):
 
 @pytest.fixture(scope="module")
 def placement_page(placement_result, setting, evaluations):
-    return render_report(placement_result, setting, evaluations, command=COMMAND)
+    return _page_of(placement_result, setting, evaluations, command=COMMAND)
 
 
 @pytest.fixture(scope="module")
 def comparison_page(setting, evaluations):
     pair = {name: evaluations[name] for name in ("found", "carlancap-12")}
     with blank_pictures():
-        return render_report(plain_result(pair["found"]), setting, pair, command=COMMAND)
+        return _page_of(plain_result(pair["found"]), setting, pair, command=COMMAND)
 
 
 @pytest.fixture(scope="module")
 def evaluation_page(setting, evaluations):
     one = {"found": evaluations["found"]}
     with blank_pictures():
-        return render_report(plain_result(one["found"]), setting, one, command=COMMAND)
+        return _page_of(plain_result(one["found"]), setting, one, command=COMMAND)
 
 
 @pytest.fixture(params=["placement_page", "comparison_page", "evaluation_page"])
@@ -267,7 +271,7 @@ def test_placement_page_shows_the_certificate(placement_page):
 @pytest.mark.usefixtures("with_blank_pictures")
 def test_open_gap_is_not_called_proven(placement_result, setting, evaluations):
     stages = [{"name": "apr", "objective": 0.9, "bound": 0.95, "gap": 0.055556, "seconds": 60.0}]
-    page = render_report(
+    page = _page_of(
         replace_fields(placement_result, stages=(msgspec.convert(stages[0], StageRecord),)),
         setting,
         {"found": evaluations["found"]},
@@ -281,7 +285,7 @@ def test_open_gap_is_not_called_proven(placement_result, setting, evaluations):
 @pytest.mark.usefixtures("with_blank_pictures")
 def test_each_by_itself_where_one_unit_must_confirm(placement_result, setting, evaluations):
     found = evaluations["found"]
-    page = render_report(
+    page = _page_of(
         replace_fields(placement_result, fusion="single"),
         setting,
         {"found": found},
@@ -327,39 +331,12 @@ def test_names_are_escaped(setting, evaluations):
     )
     evaluation = build_evaluation(setting, layout, seed=7)
     result = plain_result(evaluation, versions={EVIL: EVIL}, seconds={EVIL: 1.0})
-    page = render_report(
-        result, setting, {EVIL: evaluation, "b": evaluations["found"]}, command=EVIL
-    )
+    page = _page_of(result, setting, {EVIL: evaluation, "b": evaluations["found"]}, command=EVIL)
     plain = _without_scripts(page)
     assert "<script" not in plain
     parsed = Page(plain)
     assert parsed.text.count(EVIL) > 5
     assert page.count("<script") == page.count("</script>")
-
-
-@pytest.mark.usefixtures("with_blank_pictures")
-def test_runs_to_draw_can_be_chosen(setting, evaluations):
-    one = {"found": evaluations["found"]}
-    page = render_report(
-        plain_result(one["found"]),
-        setting,
-        one,
-        command=COMMAND,
-        heatmap_runs=["CPNC-50/east/55", "CBLA/west/50"],
-    )
-    alts = [image["alt"] for image in Page(page).images if image["alt"].startswith("Heatmap")]
-    assert [alt.split(".")[0] for alt in alts] == [
-        "Heatmap of CPNC-50 from the east at 55 km/h",
-        "Heatmap of CBLA from the west at 50 km/h",
-    ]
-
-
-def test_unknown_run_is_named(setting, evaluations):
-    with pytest.raises(InputError) as caught:
-        render_report(
-            build_result("any"), setting, evaluations, command="", heatmap_runs=["CPNC-50/east/56"]
-        )
-    assert str(caught.value) == "heatmap run: got 'CPNC-50/east/56'; expected the id of a run"
 
 
 @pytest.mark.usefixtures("with_blank_pictures")
@@ -385,7 +362,7 @@ def table_rows(page, caption):
 
 def page_of(setting, layout, *, seed=5):
     evaluation = build_evaluation(setting, layout, seed=seed)
-    page = render_report(plain_result(evaluation), setting, {"found": evaluation}, command=COMMAND)
+    page = _page_of(plain_result(evaluation), setting, {"found": evaluation}, command=COMMAND)
     return page, evaluation
 
 
@@ -528,7 +505,7 @@ def test_announcements_are_in_the_table_and_not_said_to_be_in_the_figure(setting
     found = evaluations["found"]
     others = {"vam": found.vut, "all_sources": found.vut_and_rsus}
     announced = {"found": replace(found, others=others), "greedy": evaluations["greedy"]}
-    page = render_report(plain_result(found), setting, announced, command=COMMAND)
+    page = _page_of(plain_result(found), setting, announced, command=COMMAND)
     head, over_all, *_ = table_rows(page, "Accident prevention ratio by case<")
     assert head[-2:] == ["road users' messages (VAM) alone", "car (VUT), found and VAM"]
     shares = [percent(apr(verdict, found.axis)) for verdict in others.values()]
@@ -562,14 +539,14 @@ def test_braking_and_the_moment_of_the_frames_are_told(setting, layout, evaluati
 
 def test_heatmaps_are_of_the_studys_runs_where_they_are_driven(setting, evaluations):
     study = ("CPNC-50/east/55", "CBNA/east/60", "CBLA/east/50")
-    assert pick_heatmap_runs(setting, evaluations["found"]) == study
+    assert pick_heatmap_runs(evaluations["found"]) == study
 
 
 def test_heatmaps_are_otherwise_of_the_hardest_runs_that_count_each_of_another_case(layout):
     question = Question(cases="CPNC-50,CPLA-50,CPNCO-50,CPTAfs-50,CBTAfo-50", along_arms="0")
     setting = build_setting(question, load_study_scene())
     evaluation = build_evaluation(setting, layout, seed=5)
-    first, *others = pick_heatmap_runs(setting, evaluation)
+    first, *others = pick_heatmap_runs(evaluation)
     assert first == "CPNC-50/east/55"
     margin = margin_s(evaluation.rsu_all, setting.axis)
     by_id = dict(zip(setting.axis.run_ids, margin, strict=True))
@@ -582,8 +559,6 @@ def test_heatmaps_are_otherwise_of_the_hardest_runs_that_count_each_of_another_c
     # What does not count is not drawn.
     weight = np.array([case != cases[0] for case in setting.axis.cases], dtype=float)
     uncounted = replace(setting.axis, weight=weight / weight.sum())
-    picked = pick_heatmap_runs(
-        replace(setting, axis=uncounted), replace(evaluation, axis=uncounted)
-    )
+    picked = pick_heatmap_runs(replace(evaluation, axis=uncounted))
     assert not any(run_id.startswith(f"{cases[0]}/") for run_id in picked)
     assert len(picked) == 3

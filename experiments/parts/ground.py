@@ -1,6 +1,7 @@
 """The ground by pixel density: a map, and the shares in words."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Annotated
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -9,13 +10,21 @@ from matplotlib.patches import Patch
 
 from geometry.junction import COMPASS
 from geometry.scene import Scene
-from placement.ground import BANDS, GroundCoverage, find_ground_coverage
+from placement.candidates import CandidatePose
+from placement.ground import (
+    BANDS,
+    GroundCoverage,
+    PrivateGround,
+    find_ground_coverage,
+    private_shares,
+)
 from placement.layout import Layout
 
 from ..figures.axes import WIDTH_IN, finish_axes, new_axes
 from ..figures.plan import CLASS_STYLES, draw_scene
 from ..results.numbers import NOTHING, percent
-from .section import Section, Table, build_picture
+from ..results.record import Record, Share, says
+from .section import Block, Section, Table, build_picture
 
 # One hue from light to dark: in greyscale the order stays.
 _SHADES = ("#ffffff", "#f1eef6", "#d0d1e6", "#a6bddb", "#67a9cf", "#3690c0", "#016c59", "#014636")
@@ -138,3 +147,136 @@ def _largest_blind_spot(coverage: GroundCoverage) -> tuple[float, str] | None:
     spot = np.array([coverage.east_m[columns].mean(), coverage.north_m[rows].mean()]) - middle
     point = COMPASS[round(float(np.degrees(np.arctan2(spot[1], spot[0]))) / 45.0) % 8]
     return float(sizes.max()), f"{np.hypot(*spot):.0f} m to the {point} of the junction's middle"
+
+
+# ---------- private ground
+
+
+class PrivateAreaRecord(Record, frozen=True, kw_only=True):
+    """An area."""
+
+    name: Annotated[str, says("Name in the file.")]
+    area_m2: Annotated[float, says("Size, in square metres.", ge=0)]
+
+
+class PrivateGroundRecord(Record, frozen=True, kw_only=True):
+    """Views of cameras into areas that they must not look into."""
+
+    areas: Annotated[tuple[PrivateAreaRecord, ...], says("The areas.")]
+    units: Annotated[dict[str, dict[str, Share]], says("Of each unit, by its id.")]
+
+
+def build_private_ground_record(
+    units: Sequence[CandidatePose], scene: Scene, ground: PrivateGround
+) -> PrivateGroundRecord:
+    """Shares of private ground that units see."""
+    shares = private_shares(scene, units, ground)
+    return PrivateGroundRecord(
+        areas=tuple(
+            PrivateAreaRecord(name=name, area_m2=float(area))
+            for name, area in zip(ground.names, ground.area_m2, strict=True)
+        ),
+        units={
+            unit.id: dict(zip(ground.names, row.tolist(), strict=True))
+            for unit, row in zip(units, shares, strict=True)
+        },
+    )
+
+
+def private_ground_sentence(found: PrivateGroundRecord) -> str:
+    """Which unit sees how much of which area."""
+    seen = [
+        f"{unit} sees {percent(share)} of {name}"
+        for unit, shares in found.units.items()
+        for name, share in shares.items()
+        if share > 0.0
+    ]
+    n_areas = len(found.areas)
+    what = "the private area" if n_areas == 1 else f"any of the {n_areas} private areas"
+    if not seen:
+        return f"No camera has {what} in its picture."
+    return f"Of private ground, {'; '.join(seen)}."
+
+
+def private_ground_sentences(
+    found: PrivateGroundRecord | None, others: Mapping[str, PrivateGroundRecord | None]
+) -> list[str]:
+    """The same of a result; `others` are those of layouts compared with it, by name."""
+    if found is None:
+        return []
+    return [
+        private_ground_sentence(found),
+        *(f"{name}: {private_ground_sentence(other)}" for name, other in others.items() if other),
+    ]
+
+
+# ---------- the section of the report
+
+
+MAX_UNITS, MAX_AREAS = 12, 60
+"""Columns and rows of the table: beyond, only what is seen the most."""
+_MAX_NAMED = 6  # pairs of unit and area in a sentence
+
+
+def private_ground_section(
+    found: PrivateGroundRecord | None, labels: Mapping[str, str]
+) -> Section | None:
+    """Shares of private ground that units see, the most seen areas first; None without any.
+
+    `labels` are short names of the units, by id.
+    """
+    if not found:
+        return None
+    units, areas = found.units, found.areas
+    most_seen = {
+        area.name: max((shares[area.name] for shares in units.values()), default=0.0)
+        for area in areas
+    }
+    seeing = sorted(units, key=lambda unit_id: -max(units[unit_id].values(), default=0.0))
+    shown = [unit_id for unit_id in units if unit_id in set(seeing[:MAX_UNITS])]
+    rows = sorted(areas, key=lambda area: -most_seen[area.name])[:MAX_AREAS]
+    caption = "Share of each private area that a unit sees"
+    for n_shown, n_all, what in (
+        (len(shown), len(units), "units"),
+        (len(rows), len(areas), "areas"),
+    ):
+        if n_shown < n_all:
+            caption += f"; of {n_all} {what} the {n_shown} that matter most"
+    table = Table(
+        caption=caption,
+        columns=[
+            "area",
+            "size (m\N{SUPERSCRIPT TWO})",
+            "most, by one unit",
+            *(labels.get(unit_id, unit_id) for unit_id in shown),
+        ],
+        rows=[
+            [
+                area.name,
+                f"{area.area_m2:.0f}",
+                percent(most_seen[area.name]),
+                *(percent(units[unit_id][area.name]) for unit_id in shown),
+            ]
+            for area in rows
+        ],
+        numeric=range(1, 3 + len(shown)),
+    )
+    note = (
+        "Seen is what lies in a camera's picture with nothing in between, at the height of "
+        "people's eyes. LiDARs take no pictures."
+    )
+    blocks: list[Block] = [_short_sentence(found, most_seen), table, note]
+    return Section("private-ground", "Private ground", blocks)
+
+
+def _short_sentence(found: PrivateGroundRecord, most_seen: Mapping[str, float]) -> str:
+    """Who sees what, where few do; where many do, only how many."""
+    n_seen = sum(share > 0.0 for share in most_seen.values())
+    n_seeing = sum(max(shares.values()) > 0.0 for shares in found.units.values())
+    if n_seen * n_seeing <= _MAX_NAMED:
+        return private_ground_sentence(found)
+    worst = max(most_seen, key=lambda name: most_seen[name])
+    return (
+        f"{n_seeing} of {len(found.units)} units see something of {n_seen} of "
+        f"{len(most_seen)} private areas; the most is {percent(most_seen[worst])} of {worst}."
+    )
