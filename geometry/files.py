@@ -458,12 +458,15 @@ def lock_while_alive(path: Path) -> Iterator[None]:
         os.close(handle)
 
 
-def is_abandoned(path: Path) -> bool:
-    """True if no living process holds a temporary file or folder; False where that is not known."""
+def is_abandoned(path: Path, *, min_age_s: float = _YOUNG_S) -> bool:
+    """True if no living process holds a temporary file or folder; False where that is not known.
+
+    `min_age_s` may be 0 when nobody makes any there.
+    """
     try:
         import fcntl
 
-        if time.time() - path.stat().st_mtime < _YOUNG_S:
+        if time.time() - path.stat().st_mtime < min_age_s:
             return False
         handle = os.open(path, os.O_RDONLY)
     except (ImportError, OSError):

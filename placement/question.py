@@ -217,7 +217,10 @@ class Question:
     sensors: str = ""
     heights: str = ""
     yaw_step_deg: (
-        Annotated[float, Meta(gt=0.0, le=360.0, description="degrees that divide 360 evenly")]
+        Annotated[
+            float,
+            Meta(ge=0.1, le=360.0, description="degrees that divide 360 evenly, at least 0.1"),
+        ]
         | None
     ) = None
     pitches: str = ""

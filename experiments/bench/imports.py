@@ -27,6 +27,7 @@ from geometry.maps.importing import (
     read_maps,
 )
 from geometry.maps.source_map import SourceMap
+from geometry.notes import assumptions
 from placement.question import Question
 from placement.setting import Setting, build_setting
 from scenarios.staging import BENDS, ON_ROAD, lateral_acceleration_mps2
@@ -39,7 +40,7 @@ _BESIDE_M = 14.0  # from the middle of the junction to the corner of the houses
 _HEADS = (
     *("file", "junction", "arms", "lanes", "things", "sites", "of them kerb", "runs"),
     *("driven of possible", "driven of all", "no kerb", "too fast for bends"),
-    *("largest to the side (m/s²)", "most often refused"),
+    *("largest to the side (m/s²)", "most often refused", "assumed"),
     *("read and cut (s)", "lay runs (s)"),
 )
 
@@ -142,9 +143,16 @@ def _row(task: _Task, imported: ImportedScene, cut_s: float) -> list[str]:
         str(sum(site.kind == "kerb" for site in scene.sites)),
         str(setting.axis.n_runs),
         *_driven(setting),
+        _assumed(imported),
         f"{cut_s:.1f}",
         f"{time.perf_counter() - began_s:.1f}",
     ]
+
+
+def _assumed(imported: ImportedScene) -> str:
+    """How many things are assumed of each kind, as the answer lists them."""
+    kinds = Counter(note.kind for note in assumptions(imported.scene.notes))
+    return ", ".join(f"{kind} ({count})" for kind, count in kinds.items()) or "nothing"
 
 
 def _driven(setting: Setting) -> tuple[str, ...]:
@@ -181,7 +189,8 @@ def _page(rows: Sequence[Sequence[str]], notes: Sequence[str], command: str) -> 
         "speed would ask for more than 4 m/s² to the side (these two also as shares of all runs: "
         "no kerb, too fast for bends), or where it is faster than the map's speed limit. To the "
         "side: the largest acceleration of a car before the impact. The reason is "
-        "the one that keeps most possible runs away.",
+        "the one that keeps most possible runs away. Assumed: how many notes of each kind stand in "
+        "the answer's list of what the map leaves open.",
         "",
         "| " + " | ".join(_HEADS) + " |",
         "|" + " --- |" * len(_HEADS),

@@ -1,6 +1,8 @@
 """Figures in one style: sizes, colours, axes, labels, PNG files; without pyplot's global state."""
 
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from io import BytesIO
 from typing import Any
 
@@ -91,14 +93,20 @@ def root_figure(drawn: Axes | Figure) -> Figure:
     return figure
 
 
+@contextmanager
+def drawing_any_name() -> Iterator[None]:
+    """A name in a script that the font lacks is drawn as boxes, without a warning on stderr."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+        yield
+
+
 def to_png(drawn: Axes | Figure) -> bytes:
     """A figure, or the one that some axes are in, as a PNG file; equal ones give equal bytes."""
     figure = root_figure(drawn)
     engine = figure.get_layout_engine()
     buffer = BytesIO()
-    with warnings.catch_warnings():
-        # A name in a script that the font lacks is drawn as boxes; the report spells it out.
-        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+    with drawing_any_name():
         # savefig would draw everything twice, and before that twice more to lay it out.
         if engine is not None:
             engine.execute(figure)

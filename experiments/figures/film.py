@@ -28,7 +28,17 @@ from placement.visibility.casting import build_static_mesh
 from scenarios.positions import AT_ZERO
 from scenarios.runs import Run
 
-from .axes import BLUE, SKY, VERMILION, Style, literal, new_figure, root_figure, show_square
+from .axes import (
+    BLUE,
+    SKY,
+    VERMILION,
+    Style,
+    drawing_any_name,
+    literal,
+    new_figure,
+    root_figure,
+    show_square,
+)
 from .plan import PARKED_STYLE, draw_parked, draw_scene
 
 STILLS = (".png", ".svg", ".pdf")
@@ -76,7 +86,9 @@ def save_film(path: Path, scene: Scene, run: Run, *, progress: Progress = silent
     elif suffix in STILLS:
         buffer = BytesIO()
         metadata = {"Software": None} if suffix == ".png" else {}
-        root_figure(plot_film(scene, run)[0]).savefig(buffer, format=suffix[1:], metadata=metadata)
+        with drawing_any_name():
+            figure = root_figure(plot_film(scene, run)[0])
+            figure.savefig(buffer, format=suffix[1:], metadata=metadata)
         data = buffer.getvalue()
     else:
         raise InputError(
@@ -101,7 +113,7 @@ def _animate(scene: Scene, run: Run, progress: Progress) -> bytes:
         return []
 
     animation = FuncAnimation(figure, draw, frames=frames, init_func=list)
-    with TemporaryDirectory() as folder:  # the library writes to names only
+    with TemporaryDirectory() as folder, drawing_any_name():  # the library writes to names only
         name = Path(folder) / "film.gif"
         rate_hz = round(1.0 / float(np.diff(run.time_s[-2:])[0]))
         animation.save(

@@ -31,7 +31,7 @@ from placement.question import Question
 from placement.setting import Setting, build_setting
 from scenarios.runs import Run
 
-from ..figures.axes import BLUE, VERMILION, literal, unit_labels
+from ..figures.axes import BLUE, VERMILION, drawing_any_name, literal, unit_labels
 from ..figures.plan import ALL_ROUND, blind_footprint, draw_scene, ground_footprint, ring_path
 from ..progress import WRITING, StageProgress
 from ..results.folders import check_folder
@@ -62,7 +62,8 @@ def mounting_sheet(
     """
     labels = unit_labels(layout)
     buffer = io.BytesIO()
-    with PdfPages(buffer, metadata={"Title": f"Mounting sheet: {layout.name}"}) as pages:
+    metadata = {"Title": f"Mounting sheet: {layout.name}"}
+    with drawing_any_name(), PdfPages(buffer, metadata=metadata) as pages:
         for unit, tolerance in zip(layout.units, tolerances, strict=True):
             figure = _page(layout, unit, labels[unit.id], setting, tolerance, compute)
             pages.savefig(figure)

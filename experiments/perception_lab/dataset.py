@@ -20,7 +20,7 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray
 from geometry.catalogue import pick_sensor
 from geometry.errors import InputError, Unquoted
-from geometry.files import read_bytes, read_text, write_atomically
+from geometry.files import is_abandoned, read_bytes, read_text, write_atomically
 from geometry.lidar import LidarModel
 from geometry.poses import Pose
 from geometry.sensors import CameraModel
@@ -194,6 +194,7 @@ def run_dataset(
         n_missing = sum(len(task.frames) for task in tasks)
         tell(_size_sentence(n_pictures, n_missing, out, tasks, lidar))
         n_bytes = draw_all(tasks, new_executor, progress)
+        _remove_left(out)
         if record.vehicles and record.format == "coco":
             _add_vehicles(out)
     progress.kept = f"the dataset is in {out}"
@@ -208,6 +209,13 @@ def run_dataset(
         size_bytes=n_bytes,
         seconds=seconds.get(DRAW, 0.0),
     )
+
+
+def _remove_left(out: Path) -> None:
+    """Remove temporary files of workers that were killed while they wrote."""
+    for left in out.rglob(".*.tmp"):
+        if is_abandoned(left, min_age_s=0.0):
+            left.unlink(missing_ok=True)
 
 
 def _pick_viewers(layout: Layout, names: str) -> tuple[Viewer, ...]:

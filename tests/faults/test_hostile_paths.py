@@ -233,6 +233,10 @@ def refusal(capsys, *arguments: str) -> str:
         ("--deceleration 1e-300", "--deceleration: got 1e-300; expected a number, 1 to 15"),
         ("--brake-build-up 1e308", "--brake-build-up: got 1e+308; expected a number, 0 to 2"),
         ("--site-capacity 1000000000000000000000", "expected units per site, 1 to 1,000"),
+        (
+            "--yaw-step 1e-9",
+            "--yaw-step: got '1e-9'; expected degrees that divide 360 evenly, at lea",
+        ),
         ("--time-limit 1e308", "expected seconds, more than 0, at most 10,000,000"),
     ],
 )

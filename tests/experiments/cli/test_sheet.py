@@ -20,7 +20,7 @@ def run_sheet(run, small_setting, monkeypatch):
 
 def test_a_page_for_each_unit(run_sheet, tmp_path):
     unit = {"site": "", "z_m": 8.0, "yaw_deg": -135.0, "pitch_deg": -25.0}
-    camera = unit | {"id": "a$b_c", "x_m": -115.0, "y_m": 8.6, "camera": "carla-ncap-rgb"}
+    camera = unit | {"id": "a$b_雪", "x_m": -115.0, "y_m": 8.6, "camera": "carla-ncap-rgb"}
     lidar = unit | {"id": "L", "x_m": -113.5, "y_m": 8.6, "lidar": "carla-ncap-lidar"}
     layout = tmp_path / "layout.json"
     layout.write_text(json.dumps({"name": "mine", "layout": [camera, lidar]}))
@@ -28,7 +28,7 @@ def test_a_page_for_each_unit(run_sheet, tmp_path):
     code, text, err = run_sheet("--layout", layout, "--out", out, "--json", "--quiet")
     assert (code, err) == (0, "")
     summary = json.loads(text)
-    assert [entry["unit_id"] for entry in summary["units"]] == ["a$b_c", "L"]
+    assert [entry["unit_id"] for entry in summary["units"]] == ["a$b_雪", "L"]
     pdf = out.read_bytes()
     assert pdf.startswith(b"%PDF")
     assert pdf.count(b"/Type /Page\n") == 2 or pdf.count(b"/Type /Page ") == 2
