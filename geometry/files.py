@@ -20,9 +20,7 @@ from pathlib import Path
 from typing import Annotated, Any, BinaryIO, Literal, TypeVar, get_args, get_origin
 
 import msgspec
-import numpy as np
 
-from .arrays import float_array
 from .errors import InputError, Unquoted
 
 Table = Mapping[str, Any]
@@ -286,6 +284,10 @@ def _join(where: str, path: str) -> str:
 
 def _read_array(kind: Any, value: object) -> Any:
     """Convert a list to an array of the shape that its type states; msgspec's hook."""
+    import numpy as np  # here: messages and help need no numbers
+
+    from .arrays import float_array
+
     if get_origin(kind) is not np.ndarray:
         raise NotImplementedError(f"no reader for {kind}")
     axes = get_args(get_args(kind)[0])

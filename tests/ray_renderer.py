@@ -50,12 +50,16 @@ class View:
     @property
     def amodal_box_px(self) -> FloatArray:
         """Box of the whole VRU inside the image, (4,); zeros if it is not there."""
-        return mask_box(self.amodal_mask, x_min_px=self.x_min_px, y_min_px=self.y_min_px)
+        return self._box_px(self.amodal_mask)
 
     @property
     def visible_box_px(self) -> FloatArray:
         """Box of the part of the VRU that is seen, (4,); zeros if none is."""
-        return mask_box(self.instance == VRU, x_min_px=self.x_min_px, y_min_px=self.y_min_px)
+        return self._box_px(self.instance == VRU)
+
+    def _box_px(self, mask: BoolArray) -> FloatArray:
+        shift_px = np.array([self.x_min_px, self.y_min_px] * 2)
+        return mask_box(mask) + shift_px if mask.any() else np.zeros(4)
 
 
 def build_lens(pose: Pose, camera: CameraModel) -> Lens:

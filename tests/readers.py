@@ -505,9 +505,12 @@ def _uncertainties() -> Mapping[str, tuple[str, Files]]:
     from importlib.resources import files
 
     text = (files("placement") / "data" / "uncertainty.toml").read_text(encoding="utf-8")
-    start, end = text.index("[default"), text.index("[none")
-    table = text[start:end].replace("[default.", "[").replace("[[default.", "[[")
-    return {"example": _example("uncertainty.toml"), "default": _one("a.toml", table)}
+    starts = [text.index(f"[{name}") for name in ("default", "robustness", "none")]
+    files_of = {"example": _example("uncertainty.toml")}
+    for name, start, end in zip(("default", "robustness"), starts, starts[1:], strict=False):
+        table = text[start:end].replace(f"[{name}]\n", "").replace(f"[{name}.", "[")
+        files_of[name] = _one("a.toml", table)
+    return files_of
 
 
 def _read_detector(path: Path) -> Any:

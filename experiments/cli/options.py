@@ -85,7 +85,7 @@ OPTIONS = {
     "driving_side": Shown(DRIVEN),
     "cases": Shown(DRIVEN, metavar="CASES", is_common=True),
     "case_range": Shown(DRIVEN),
-    "protect": Shown(DRIVEN, is_common=True),
+    "protect": Shown(DRIVEN),
     "along_arms": Shown(DRIVEN, metavar="METRES", is_common=True),
     "speeds": Shown(DRIVEN, metavar="KMH"),
     "approaches": Shown(DRIVEN, metavar="ARMS"),

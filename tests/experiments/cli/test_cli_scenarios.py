@@ -119,7 +119,7 @@ def test_unknown_weights_are_one_line(run, how):
     line = refusal(run("--budget", "1", *FEW, "--weights", how, "--quiet"))
     assert line == (
         f"--weights: got '{how}'; expected run, case, fhwa-crash-types, euroncap-rating-2026, "
-        "or a CSV file that exists"
+        "unfallatlas:FILE, stats19:FILE, or a CSV file that exists"
     )
 
 

@@ -49,7 +49,7 @@ def test_weights_that_somebody_chose_are_meant(weights, asks, monkeypatch):
     monkeypatch.setattr(alternatives, "find_by_runs", lambda *given, **options: asked.append(1))
     monkeypatch.setattr(alternatives, "find_sturdier", lambda *given, **options: None)
     nothing = type("Nothing", (), {"problem": None, "pose_index": (), "cache_folder": None})
-    question = type("Asked", (), {"weights": weights, "effort": Effort()})
+    question = type("Asked", (), {"weights": weights, "score": "avoided", "effort": Effort()})
     alternatives.find_other_priorities(
         nothing, question, question, compute=nothing, progress=lambda *given: None
     )

@@ -218,7 +218,9 @@ def test_vehicles_are_in_coco_once(dataset):
     assert _files("data") == before
 
 
-MET = ("--cases", str(MET_CASES), "--approaches", "east", "--along-arms", "0")
+MET = (
+    *("--cases", str(MET_CASES), "--protect", "all", "--approaches", "east", "--along-arms", "0"),
+)
 KINDS = {"MEET-CAR": "car", "MEET-MOTORCYCLE": "motorcycle"}
 
 

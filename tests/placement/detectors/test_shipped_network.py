@@ -59,7 +59,7 @@ def test_what_it_has_not_learnt_is_refused():
 
 def test_runs_with_it_are_checked_before_anything_is_built(caplog):
     pytest.importorskip("onnxruntime")
-    met = Question(cases=str(MET_CASES), approaches="east", along_arms="0")
+    met = Question(cases=str(MET_CASES), protect="all", approaches="east", along_arms="0")
     with pytest.raises(InputError, match="detector cnn: got runs with a car; expected a network"):
         build_setting(replace(met, detector="cnn"))
     build_setting(replace(met, detector="cnn-table"))
