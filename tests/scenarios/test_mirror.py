@@ -43,8 +43,8 @@ def test_where_traffic_keeps_left_every_run_is_the_mirror_image_of_one_where_it_
     assert len(refused) == len(refused_left)
     ours = {run.id: run for run in left}
     for run in right:
-        name = f"{run.case.name}/{OTHER_SIDE[run.approach]}/{run.vut_speed_kmh:g}"
-        twin = ours.pop(name)
+        other_side = f"/{OTHER_SIDE[run.approach]}/"
+        twin = ours.pop(run.id.replace(f"/{run.approach}/", other_side))
         assert twin.last_brake_time_s == pytest.approx(run.last_brake_time_s, abs=1e-6)
         for who in ("vut", "vru"):
             position = getattr(run, f"{who}_position_m") * [1.0, -1.0]
