@@ -55,6 +55,14 @@ def test_show_writes_a_film_strip_where_results_lie(run):
     assert path.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.parametrize(("case", "speed"), [("CCFtap", "10x30"), ("CMRs-50", "50")])
+def test_both_speeds_of_a_run_make_a_file_name(run, case, speed):
+    arguments = ("scenarios", "show", case, "--approach", "east", "--speed", speed, "--quiet")
+    path = Path(f"results/scenarios/{case}_east_{speed}.png")
+    assert run(*arguments) == (0, f"Written to {path}.\n", "")
+    assert path.read_bytes().startswith(b"\x89PNG")
+
+
 def test_a_run_away_from_the_junction_is_shown(run):
     arguments = ("scenarios", "show", "CPNA-25", "--approach", "north", "--speed", "40", "--quiet")
     code, out, _ = run(*arguments, "--position", "-15", "--out", "away.png")

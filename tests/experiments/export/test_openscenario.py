@@ -24,6 +24,18 @@ CASES = {
     "CBNA": 20.0,  # a cyclist behind the corner
 }
 MET = ("MEET-CAR", "MEET-MOTORCYCLE")
+JUNCTION_2026 = {
+    "CCCscp-near": (30.0, 50.0),  # a car behind three parked ones
+    "CMCscp-far": (30.0, 50.0),
+    "CCFtap": (10.0, 30.0),  # turning
+    "CMFtap": (10.0, 30.0),
+    "CMRs-50": (50.0, 0.0),  # stands
+    "CMRb-50": (50.0, 50.0),  # brakes
+    "CCRs-2026-50": (50.0, 0.0),
+    "CCRm-2026-50": (50.0, 20.0),
+    "CCRb-2026-50": (50.0, 50.0),
+    "CCFhos-2026-50": (30.0, 50.0),
+}
 needs_library = pytest.mark.skipif(
     importlib.util.find_spec("scenariogeneration") is None,
     reason="the extra openscenario is not installed",
@@ -37,6 +49,13 @@ def some_runs():
         replace(load_cases()[name], vut_speeds_kmh=(speed_kmh,))
         for name, speed_kmh in CASES.items()
     ]
+    new = [
+        replace(load_cases()[name], vut_speeds_kmh=(pair[0],), pairs_kmh=(pair,))
+        if load_cases()[name].pairs_kmh
+        else replace(load_cases()[name], vut_speeds_kmh=(pair[0],))
+        for name, pair in JUNCTION_2026.items()
+    ]
+    newer, _ = build_runs(load_study_scene(), new, vut=load_actors()["vut"], rule=load_aeb_rule())
     runs, _ = build_runs(
         load_study_scene(),
         cases,
@@ -50,7 +69,7 @@ def some_runs():
         vut=load_actors()["vut"],
         rule=load_aeb_rule(),
     )
-    return {(run.case.name, run.weather): run for run in reversed([*runs, *met])}
+    return {(run.case.name, run.weather): run for run in reversed([*runs, *met, *newer])}
 
 
 def rear_axle_m(actor):
@@ -129,7 +148,7 @@ def schema():
 @pytest.mark.parametrize(
     ("case", "weather"),
     [
-        *((case, "day") for case in (*CASES, *MET)),
+        *((case, "day") for case in (*CASES, *MET, *JUNCTION_2026)),
         *(("CPNCO-50", weather) for weather in WEATHERS[1:]),
     ],
 )
@@ -139,7 +158,7 @@ def test_the_schema_accepts_every_kind_of_run(schema, some_runs, case, weather):
 
 
 @needs_library
-@pytest.mark.parametrize("case", [*CASES, *MET])
+@pytest.mark.parametrize("case", [*CASES, *MET, *JUNCTION_2026])
 def test_trajectories_read_back_are_the_frames_to_a_millimetre(some_runs, case):
     run = some_runs[case, "day"]
     tracks = read_trajectories(to_openscenario(run, road_network="Town05.xodr"))
@@ -185,7 +204,7 @@ def test_a_run_whose_last_frame_is_before_the_impact_still_ends_at_the_impact(so
 
 
 @needs_library
-@pytest.mark.parametrize("case", [*CASES, *MET])
+@pytest.mark.parametrize("case", [*CASES, *MET, *JUNCTION_2026])
 def test_bodies_start_where_their_trajectories_do_and_as_fast(some_runs, case):
     run = some_runs[case, "day"]
     text = to_openscenario(run, road_network="Town05.xodr")
@@ -204,7 +223,7 @@ def test_bodies_start_where_their_trajectories_do_and_as_fast(some_runs, case):
 
 
 @needs_library
-@pytest.mark.parametrize("case", [*CASES, *MET])
+@pytest.mark.parametrize("case", [*CASES, *MET, *JUNCTION_2026])
 def test_boxes_stand_on_the_road_around_the_middle_that_the_run_gives(some_runs, case):
     run = some_runs[case, "day"]
     root = ET.fromstring(to_openscenario(run, road_network="Town05.xodr"))
@@ -238,7 +257,7 @@ def test_boxes_stand_on_the_road_around_the_middle_that_the_run_gives(some_runs,
 @needs_library
 def test_parked_bodies_stand_where_the_run_has_them(some_runs):
     n_seen = 0
-    for case in CASES:
+    for case in (*CASES, *JUNCTION_2026):
         run = some_runs[case, "day"]
         root = ET.fromstring(to_openscenario(run, road_network="Town05.xodr"))
         for index, placed in enumerate(run.obstruction, 1):
@@ -249,7 +268,7 @@ def test_parked_bodies_stand_where_the_run_has_them(some_runs):
             np.testing.assert_allclose(middle_m, placed.pose.position_m[:2], atol=1e-3, rtol=0.0)
             assert np.degrees(yaw_rad) == pytest.approx(placed.pose.yaw_deg, abs=1e-3)
             n_seen += 1
-    assert n_seen >= 2
+    assert n_seen >= 8
 
 
 @needs_library
@@ -365,6 +384,16 @@ def test_the_file_says_what_the_run_is_and_when_it_would_have_to_brake(some_runs
     (condition,) = stop.iter("SimulationTimeCondition")
     assert condition.get("rule") == "greaterThan"
     assert float(condition.get("value")) == times_s["impact_time_s"]
+
+
+@needs_library
+@pytest.mark.parametrize("case", JUNCTION_2026)
+def test_both_speeds_of_the_new_cases_stand_in_the_file(some_runs, case):
+    root = ET.fromstring(to_openscenario(some_runs[case, "day"], road_network="Town05.xodr"))
+    said = {p.get("name"): p.get("value") for p in root.find("FileHeader").iter("Property")}
+    speeds_kmh = float(said["vut_speed_kmh"]), float(said["vru_speed_kmh"])
+    assert speeds_kmh == JUNCTION_2026[case]
+    assert init_speed_mps(root, "vru") == pytest.approx(JUNCTION_2026[case][1] / 3.6, abs=2e-3)
 
 
 @needs_library
