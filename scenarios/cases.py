@@ -129,6 +129,9 @@ class Case:
         and not the middle of its front.
     braking : Braking or None
         How the VRU ahead brakes.
+    impact_turn : (int, int)
+        Number of its impact point, and how many take turns along the arms: (0, 1): none
+        do, as everywhere but in "all".
     not_laid : str
         Why it cannot be laid anywhere; empty: it can.
     """
@@ -158,6 +161,7 @@ class Case:
     range: Range = "standard"
     meets_corner: bool = False
     braking: Braking | None = None
+    impact_turn: tuple[int, int] = (0, 1)
     not_laid: str = ""
 
     def __repr__(self) -> str:
@@ -667,12 +671,55 @@ def pick_cases(text: str, where: str, *, case_range: Range = "standard") -> tupl
             known = ", ".join([*load_case_sets(), *families])
             expected = f"one of {known}, a .toml file, or several with commas between"
             raise InputError(where, word, expected)
+        within = []
         for case in found:
             is_named = case.name == word and case.range == "extended"
             in_it = in_range(case, "extended" if is_named else case_range)
             if in_it is not None:
-                picked.setdefault(case.name, in_it)
+                within.append(in_it)
+        for case in _each_once(within) if word == ALL_CASES else within:
+            picked.setdefault(case.name, case)
     return tuple(picked.values())
+
+
+def _each_once(cases: Sequence[Case]) -> list[Case]:
+    """Cases without what 2026 drives as 2023 did; impact points of the same case take turns."""
+    before = {_alike(case): case for case in cases if case.source == "protocol-4.5.1"}
+    kept = []
+    for case in cases:
+        twin = before.get(_alike(case))
+        if case.source == "protocol-2026" and twin is not None and not case.pairs_kmh:
+            new = tuple(sorted({*case.vut_speeds_kmh} - {*twin.vut_speeds_kmh}))
+            if not new:
+                continue
+            case = replace(case, vut_speeds_kmh=new, speed_limits_kmh=(new[0], new[-1]))
+        kept.append(case)
+    points: dict[object, list[str]] = {}
+    for case in kept:
+        points.setdefault(_but_for_the_point(case), []).append(case.name)
+    return [
+        replace(case, impact_turn=(names.index(case.name), len(names)))
+        for case in kept
+        for names in [points[_but_for_the_point(case)]]
+    ]
+
+
+def _alike(case: Case) -> Case:
+    """The case but for its names and speeds."""
+    return replace(
+        case,
+        name=case.family,
+        title="",
+        source="",
+        vut_speeds_kmh=(),
+        speed_limits_kmh=(0.0, 0.0),
+        extended_pairs_kmh=(),
+        range="standard",
+    )
+
+
+def _but_for_the_point(case: Case) -> tuple[Case, str, tuple[float, ...]]:
+    return replace(_alike(case), impact_percent=0.0), case.source, case.vut_speeds_kmh
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

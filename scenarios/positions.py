@@ -195,20 +195,31 @@ def positions_of(case: Case, positions: Sequence[Position]) -> tuple[Position, .
 
 
 def spread_speeds(
-    speeds_kmh: Sequence[float], position: Position, *, turn: int
+    speeds_kmh: Sequence[float],
+    position: Position,
+    *,
+    turn: int,
+    impact_turn: tuple[int, int] = (0, 1),
 ) -> tuple[float, ...]:
     """The speeds that are driven at a position.
 
-    All at position 0; elsewhere each n-th, beginning with another one from turn to turn.
+    All at position 0; elsewhere each n-th, beginning with another one from turn to turn. Where
+    impact points take turns, each of these speeds is driven with one of them, another one from
+    speed to speed and from round to round.
     `speeds_kmh`: of the case. `position`: where. `turn`: number of the approach plus number of the
-    position.
+    position. `impact_turn`: number of the case's impact point, and how many take turns.
 
     Examples
     --------
     >>> spread_speeds((20.0, 25.0, 30.0, 35.0), Position(distance_m=15.0), turn=0)
     (20.0, 35.0)
+    >>> spread_speeds((20.0, 25.0, 30.0, 35.0), AT_ZERO, turn=1, impact_turn=(0, 2))
+    (25.0, 35.0)
     """
-    if position == AT_ZERO:
-        return tuple(speeds_kmh)
-    stride = load_position_rules().every_nth_speed
-    return tuple(speeds_kmh[turn % stride :: stride])
+    stride = 1 if position == AT_ZERO else load_position_rules().every_nth_speed
+    number, n_points = impact_turn
+    return tuple(
+        speed_kmh
+        for index, speed_kmh in enumerate(speeds_kmh)
+        if (index - turn) % stride == 0 and (index + turn // stride) % n_points == number
+    )

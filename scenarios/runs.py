@@ -23,7 +23,7 @@ from .aeb import AebRule, confirmation_mask, held_frames, is_in_time, last_brake
 from .cases import Case, at_vru_speed, worded_for
 from .encounters import Encounter
 from .obstructions import make_room
-from .positions import AT_ZERO, Position, positions_of, read_position, spread_speeds
+from .positions import AT_ZERO, Position, is_bound, positions_of, read_position, spread_speeds
 from .protocol import stage_by_protocol
 from .published import find_placement, stage_published
 from .staging import CannotCarryError, NoRoadError, Staging, is_vehicle, mirror_staging
@@ -431,7 +431,10 @@ def build_runs(
                 speeds_kmh = case.vut_speeds_kmh
                 if is_spread:
                     turn = tuple(junction.arms).index(approach) + number
-                    speeds_kmh = spread_speeds(speeds_kmh, position, turn=turn)
+                    impact_turn = (0, 1) if is_bound(case) else case.impact_turn
+                    speeds_kmh = spread_speeds(
+                        speeds_kmh, position, turn=turn, impact_turn=impact_turn
+                    )
                 drive = _Drive(
                     case=case,
                     scene=scene,

@@ -655,3 +655,22 @@ def test_cars_park_on_spaces_that_a_wide_lane_has_beside_who_drives(vut, rule):
     assert "would stand on the carriageway" in refusal.reason
     runs, refusals = laid(build_scene([*wide, row]), "CPNCO-50", position, vut, rule)
     assert runs, refusals
+
+
+@pytest.mark.parametrize("n_points", [2, 3, 5])
+@pytest.mark.parametrize("position", [AT_ZERO, Position(distance_m=15.0)])
+def test_impact_points_take_turns_and_every_speed_is_driven_with_one(n_points, position):
+    speeds = tuple(10.0 * number for number in range(1, 7))
+    driven = {speed: set() for speed in speeds}
+    for turn in range(3 * n_points):
+        everything = spread_speeds(speeds, position, turn=turn)
+        parts = [
+            spread_speeds(speeds, position, turn=turn, impact_turn=(number, n_points))
+            for number in range(n_points)
+        ]
+        assert sorted(speed for part in parts for speed in part) == sorted(everything)
+        for number, part in enumerate(parts):
+            for speed in part:
+                driven[speed].add(number)
+    # every speed comes to every impact point
+    assert all(numbers == set(range(n_points)) for numbers in driven.values())
