@@ -280,7 +280,9 @@ def drive(
         for case in selection.unprotected
     ]
     left_out = tuple(
-        left_out_case(case, approach, *why) for case, *why in reasons for approach in approaches
+        left_out_case(case, approach, reason, left_out)
+        for case, reason, left_out in reasons
+        for approach in approaches
     )
     return Drives(runs=runs, refused=refused, left_out=left_out)
 

@@ -164,8 +164,6 @@ def test_an_evaluation_and_a_comparison_have_the_same_head(setting, evaluation_o
     of_one, of_both = single.pop("road_users"), both.pop("road_users")
     groups = (of_one["groups"][0], of_both["groups"][0])
     parties = [[party["name"] for party in group["parties"]] for group in groups]
-        [party["name"] for party in one["groups"][0]["parties"]] for one in (of_one, of_both)
-    ]
     assert parties == [["mine", "VUT alone"], ["mine", "other", "VUT alone"]]
     assert {key: both[key] for key in single} == single
 
