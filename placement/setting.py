@@ -17,7 +17,7 @@ from geometry.scene_files import load_scene
 from geometry.sensors import CameraModel
 from scenarios.accidents import split_source
 from scenarios.aeb import AebRule, load_aeb_rule, load_track_memory_s
-from scenarios.cases import Selection, select_cases
+from scenarios.cases import Case, Selection, select_cases
 from scenarios.paths import CoursePath, StraightPath, TowedPath, TurnPath
 from scenarios.positions import (
     AT_ZERO,
@@ -30,6 +30,7 @@ from scenarios.positions import (
 from scenarios.runs import (
     WEATHERS,
     FrameAxis,
+    LeftOut,
     Refusal,
     Run,
     build_frame_axis,
@@ -266,16 +267,22 @@ def drive(
         made_from=(scene, selection.cases, laid),
         packages=("geometry", "scenarios"),
     )
-    reasons = [
-        (case, f"none of the speeds asked for ({question.speeds}) is one of this case")
+    reasons: list[tuple[Case, str, LeftOut]] = [
+        (case, f"none of the speeds asked for ({question.speeds}) is one of this case", "speeds")
         for case in selection.left_out
     ]
     reasons += [
-        (case, f"a {case.road_user} is met, and only vulnerable road users are protected")
+        (
+            case,
+            f"a {case.road_user} is met, and only vulnerable road users are protected",
+            "unprotected",
+        )
         for case in selection.unprotected
     ]
     left_out = tuple(
-        left_out_case(case, approach, reason) for case, reason in reasons for approach in approaches
+        left_out_case(case, approach, reason, left_out)
+        for case, reason, left_out in reasons
+        for approach in approaches
     )
     return Drives(runs=runs, refused=refused, left_out=left_out)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -314,6 +315,10 @@ def _earliest(times_s: FloatArray, axis: FrameAxis) -> FloatArray:
     return np.minimum.reduceat(times_s, axis.run_start[:-1], axis=-1)
 
 
+LeftOut = Literal["", "unprotected", "not laid", "speeds"]
+"""Why a case is left out whatever the junction; empty: it is not."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Refusal:
     """A case that an approach does not carry at some speeds, and the reason.
@@ -337,6 +342,9 @@ class Refusal:
         missing is room.
     limit_kmh : float, optional
         The map's speed limit, where the speeds are above it; else None. [km/h]
+    left_out : {"", "unprotected", "not laid", "speeds"}
+        Why it is not the junction's doing: whoever is met is not to be protected, the case is laid
+        nowhere, or none of its speeds was asked for. Empty: the junction does not carry it.
     """
 
     case: Case
@@ -347,6 +355,7 @@ class Refusal:
     limit_kmh: float | None = None
     position: str = AT_ZERO.name
     vru_speeds_kmh: tuple[float, ...] = ()
+    left_out: LeftOut = ""
 
     @property
     def speeds_text(self) -> str:
@@ -424,7 +433,7 @@ def build_runs(
     for case in (worded_for(case, keeps_left=junction.keeps_left) for case in cases):
         for approach in dict.fromkeys(approaches or junction.arms):
             if case.not_laid:
-                refusals.append(left_out_case(case, approach, case.not_laid))
+                refusals.append(left_out_case(case, approach, case.not_laid, "not laid"))
                 continue
             limit_kmh = limits_kmh[approach]
             for number, position in enumerate(positions_of(case, positions)):
@@ -452,7 +461,7 @@ def build_runs(
     return tuple(runs), tuple(refusals)
 
 
-def left_out_case(case: Case, approach: str, reason: str) -> Refusal:
+def left_out_case(case: Case, approach: str, reason: str, left_out: LeftOut) -> Refusal:
     """Refusal of a case at all its speeds, whatever the junction looks like."""
     pairs = [(vut, vru) for vut in case.vut_speeds_kmh for vru in case.vru_speeds_kmh(vut)]
     return Refusal(
@@ -462,6 +471,7 @@ def left_out_case(case: Case, approach: str, reason: str) -> Refusal:
         vru_speeds_kmh=tuple(vru for _, vru in pairs) if case.pairs_kmh else (),
         reason=reason,
         is_possible=False,
+        left_out=left_out,
     )
 
 

@@ -13,7 +13,7 @@ from placement.explain import Unavoided
 from placement.explain.agreement import Disagreement
 from scenarios.scores import AVOIDED
 
-from ..parts import Part, answer, baselines, dangers, next_unit, proof, study_cases
+from ..parts import Part, answer, baselines, dangers, next_unit, proof, road_users, study_cases
 from ..parts.assumptions import assumption_sentences
 from ..parts.baselines import Baselines, Score
 from ..parts.explanation import (
@@ -28,6 +28,7 @@ from ..parts.explanation import (
     pool_sentences,
 )
 from ..parts.result import ComparisonResult, EvaluationResult, PlacementResult, Result
+from ..parts.road_users import RoadUserGroups
 from ..parts.sampled_worlds import SampledRecord, moving_sentence
 from ..parts.section import Table
 from ..parts.study_cases import StudyCases
@@ -243,7 +244,19 @@ def _head(result: Result) -> list[Part]:
         *_said(answer.preferred(result)),
         *_said([*result.driven[:1], *result.without_effect]),
         Part(notes=reasons),
+        *_road_users(result.road_users),
         *assumption_parts(result),
+    ]
+
+
+def _road_users(found: RoadUserGroups | None) -> list[Part]:
+    """Whose runs count; the numbers of each group where there are several."""
+    if found is None:
+        return []
+    several_groups = len(found.groups) > 1
+    return [
+        *_said(road_users.words(found)),
+        Part(table=road_users.table(found)) if several_groups else Part(),
     ]
 
 

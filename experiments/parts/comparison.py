@@ -7,8 +7,16 @@ from itertools import combinations
 import msgspec
 import numpy as np
 
-from placement.evaluation import Evaluation, apr, apr_one_failed
+from placement.evaluation import (
+    Evaluation,
+    Verdict,
+    apr,
+    apr_one_failed,
+    mean_impact_speed_kmh,
+    score,
+)
 from scenarios.aeb import AebRule
+from scenarios.runs import FrameAxis
 
 from ..results.numbers import NOTHING, count_runs, number, or_nan, percent
 from ..results.record import (
@@ -122,47 +130,76 @@ def _only_first(one: Evaluation, other: Evaluation) -> tuple[str, ...]:
 def side_by_side_table(
     evaluations: Mapping[str, Evaluation], rule: AebRule, baselines: Baselines | None = None
 ) -> Table:
-    """A row per layout, by display name, and one of what random layouts prevent."""
+    """A row per layout, by display name, one of the VUT alone, one of what random layouts prevent.
+
+    The score has a column where one was asked for.
+    """
+    subject = next(iter(evaluations.values()))
+    axis, levels = subject.axis, subject.levels
+    verdicts = [*(item.rsu_all for item in evaluations.values()), subject.vut]
+    own = [
+        [
+            name,
+            str(len(item.layout.units)),
+            f"{sum(unit.sensor.price_eur for unit in item.layout.units):,.0f}",
+            percent(apr(item.rsu_all, axis)),
+            f"{int(item.rsu_all.is_avoided.sum())} of {axis.n_runs}",
+            percent(apr_one_failed(item, rule)),
+            number(_smallest_margin_s(item.rsu_all, axis)),
+        ]
+        for name, item in evaluations.items()
+    ]
+    vut = subject.vut
+    own.append(
+        [
+            "VUT alone",
+            NOTHING,
+            NOTHING,
+            percent(apr(vut, axis)),
+            f"{int(vut.is_avoided.sum())} of {axis.n_runs}",
+            NOTHING,
+            number(_smallest_margin_s(vut, axis)),
+        ]
+    )
+    for row, verdict in zip(own, verdicts, strict=True):
+        row.append(number(mean_impact_speed_kmh(verdict, axis), 1))
+        if levels is not None:
+            row.append(percent(score(verdict, axis, levels)))
+    columns = [
+        "layout",
+        "units",
+        "cost of the units (EUR)",
+        "APR",
+        "runs avoided",
+        "APR if the most needed unit fails",
+        "smallest time to spare (s)",
+        "mean speed at contact (km/h)",
+        *([] if levels is None else [f"score ({levels.score})"]),
+    ]
     return Table(
         caption="The layouts side by side, all units of each together, by the evaluator",
-        columns=[
-            "layout",
-            "units",
-            "cost of the units (EUR)",
-            "APR",
-            "runs avoided",
-            "APR if the most needed unit fails",
-            "smallest time to spare (s)",
-        ],
-        rows=[
-            [
-                name,
-                str(len(item.layout.units)),
-                f"{sum(unit.sensor.price_eur for unit in item.layout.units):,.0f}",
-                percent(apr(item.rsu_all, item.axis)),
-                f"{int(item.rsu_all.is_avoided.sum())} of {item.axis.n_runs}",
-                percent(apr_one_failed(item, rule)),
-                number(_smallest_margin_s(item)),
-            ]
-            for name, item in evaluations.items()
-        ]
-        + _random_rows(baselines),
-        numeric=range(1, 7),
+        columns=columns,
+        rows=own + _random_rows(baselines, is_scored=levels is not None),
+        numeric=range(1, len(columns)),
     )
 
 
-def _random_rows(baselines: Baselines | None) -> list[list[str]]:
-    """The row of random layouts, whose APR is known on the detection table alone; or none."""
+def _random_rows(baselines: Baselines | None, *, is_scored: bool) -> list[list[str]]:
+    """The row of random layouts, whose APR is known on the detection table alone; or none.
+
+    With a score it is the score that is known.
+    """
     random = None if baselines is None else baselines.random
     if random is None:
         return []
     name = f"random: mean of {random.layouts}, on the detection table"
-    return [[name, str(random.units), NOTHING, percent(random.mean), NOTHING, NOTHING, NOTHING]]
+    mean = percent(random.mean)
+    row = [name, str(random.units), NOTHING, NOTHING if is_scored else mean, *[NOTHING] * 4]
+    return [[*row, mean] if is_scored else row]
 
 
-def _smallest_margin_s(evaluation: Evaluation) -> float | None:
+def _smallest_margin_s(verdict: Verdict, axis: FrameAxis) -> float | None:
     """Least time to spare in the runs that are avoided and count; None if there is none."""
-    verdict, axis = evaluation.rsu_all, evaluation.axis
     margin = margin_s(verdict, axis)[verdict.is_avoided & (axis.weight > 0.0)]
     return float(margin.min()) if len(margin) else None
 
@@ -295,6 +332,7 @@ def section(
     sentences = baseline_words(baselines, apr_found=apr_found, n_units=n_units)
     blocks: list[Block] = [
         side_by_side_table(evaluations, rule, baselines),
+        _meaning(evaluations),
         *([Bullets(sentences)] if sentences else []),
         Subheading("Which runs differ"),
         difference_matrix(list(evaluations), differences),
@@ -313,6 +351,21 @@ def section(
     if sampled is not None and sampled.pairs:
         blocks += _sampled_blocks(sampled)
     return Section("comparison", "Side by side", blocks)
+
+
+def _meaning(evaluations: Mapping[str, Evaluation]) -> str:
+    """How speeds at contact, and the score, are to be read."""
+    text = (
+        "Mean speed at contact: of the VUT when it touches the road user although it brakes from "
+        "the confirmation on, over all runs by weight; a run that is avoided counts as 0."
+    )
+    levels = next(iter(evaluations.values())).levels
+    if levels is None:
+        return text
+    return (
+        f"{text} Score ({levels.score}): a run that is avoided counts in full, a slow impact in "
+        "part, by Euro NCAP's bands of the speed at contact; it is what the layout was chosen for."
+    )
 
 
 def _sampled_blocks(sampled: SampledRecord) -> list[Block]:

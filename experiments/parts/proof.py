@@ -3,6 +3,7 @@
 import math
 
 from placement.optimiser.objectives import Objective
+from scenarios.scores import AVOIDED
 
 from ..results.numbers import NOTHING, number, or_nan, percent
 from ..results.record import StageRecord
@@ -26,11 +27,20 @@ def words(result: PlacementResult) -> str:
         )
         within = f" With {first.objective:,.0f} {what} for what was asked, {least}:"
     if of_apr.gap == 0.0:
-        return f"Proven on the detection table:{within} no choice among {among} has a higher APR"
+        measure = _measure(result)
+        return (
+            f"Proven on the detection table:{within} no choice among {among} has a higher {measure}"
+        )
     return (
         f"The best choice among {among} found in the time given:{within} on the detection table, "
-        f"no other can exceed an APR of {percent(of_apr.bound)}"
+        f"no other can exceed {'an' if result.score == AVOIDED else 'a'} {_measure(result)} of "
+        f"{percent(of_apr.bound)}"
     )
+
+
+def _measure(result: PlacementResult) -> str:
+    """What is optimised: the APR, or the score that was asked for."""
+    return "APR" if result.score == AVOIDED else "score"
 
 
 def section(result: PlacementResult) -> Section:
@@ -58,8 +68,8 @@ def table(result: PlacementResult) -> Table:
 
 
 def _label(name: str, result: PlacementResult) -> str:
-    """Name of an objective; what fails is a pole where that was asked."""
-    label = Objective(name).label
+    """Name of an objective; what fails is a pole where that was asked, a score is named so."""
+    label = Objective(name).label.replace("APR", _measure(result))
     return label.replace(" unit", " pole") if result.failing == "site" else label
 
 

@@ -43,6 +43,7 @@ from .front import FrontRecord
 from .ground import PrivateGroundRecord
 from .next_unit import Exchange
 from .refinement import RefinementRecord
+from .road_users import RoadUserGroups, build_road_users
 from .sampled_worlds import SampledRecord
 from .study_cases import StudyCases
 
@@ -109,6 +110,10 @@ class Answer(DrivesRecord, frozen=True, kw_only=True, tag_field="schema"):
         tuple[HeavyRun, ...],
         says("Runs that count more than 2 % of the APR, and more than others; the heaviest first."),
     ] = ()
+    road_users: Annotated[
+        RoadUserGroups | None,
+        says("The runs by the road user that is met, and who is left out, by the evaluator."),
+    ] = None
     study_cases: Annotated[
         StudyCases | None,
         says(
@@ -261,8 +266,10 @@ KINDS: Mapping[str, type[Result]] = {
 }
 
 
-def _answer(setting: Setting, evaluation: Evaluation) -> dict[str, Any]:
-    """Fields of an :class:`Answer` that follow from one layout by the evaluator."""
+def _answer(
+    setting: Setting, evaluation: Evaluation, others: Mapping[str, Evaluation]
+) -> dict[str, Any]:
+    """Fields of an :class:`Answer` that follow from layouts by the evaluator."""
     evaluated = build_evaluation_record(evaluation, setting.rule)
     return {
         "name": evaluation.layout.name,
@@ -276,6 +283,7 @@ def _answer(setting: Setting, evaluation: Evaluation) -> dict[str, Any]:
         "evaluation": evaluated,
         "dangers": build_dangers(evaluation.rsu_all.is_avoided, evaluation.axis),
         "heavy_runs": find_heavy_runs(evaluation.axis),
+        "road_users": build_road_users(setting, {evaluation.layout.name: evaluation} | {**others}),
         "seconds": {},
         "versions": versions(),
         **asdict(build_drives_record(setting)),
@@ -286,7 +294,7 @@ def build_evaluation_result(
     setting: Setting, evaluation: Evaluation, **parts: Any
 ) -> EvaluationResult:
     """One layout by the evaluator, with further `parts` by name; "seconds" is empty."""
-    return EvaluationResult(**_answer(setting, evaluation), **parts)
+    return EvaluationResult(**_answer(setting, evaluation, {}), **parts)
 
 
 def build_comparison_result(
@@ -307,7 +315,10 @@ def build_comparison_result(
     )
     differences = find_differences({item.layout.name: item for item in (subject, *others)})
     return ComparisonResult(
-        **_answer(setting, subject), compared=compared, differences=differences, **parts
+        **_answer(setting, subject, {item.layout.name: item for item in others}),
+        compared=compared,
+        differences=differences,
+        **parts,
     )
 
 
@@ -334,7 +345,8 @@ def build_placement_result(
     )
     n_sites = len(np.unique(limits.site_index[list(placement.pose_index)]))
     apr_stage = next((stage for stage in certificate.stages if stage.name == "apr"), None)
-    answer = _answer(setting, found) | {
+    others = {} if baseline is None else {baseline.layout.name: baseline}
+    answer = _answer(setting, found, others) | {
         "fusion": problem.fusion,
         "apr": _without_rounding(value.apr),
         "dangers": build_dangers(avoided_runs(found, problem.fusion), found.axis),

@@ -13,7 +13,7 @@ from scenarios.positions import AT_ZERO
 
 from ..figures.axes import NARROW_IN, describe_run
 from ..figures.evaluation import heatmap_rows, plot_heatmap
-from ..results.drives import describe_limits, describe_places
+from ..results.drives import describe_left_out, describe_limits, describe_places, is_set_aside
 from ..results.numbers import count_runs, number, percent
 from ..results.tables import margin_s
 from .accidents import is_weighted, several_weathers
@@ -197,7 +197,7 @@ def describe_refusals(setting: Setting) -> list[str]:
     """
     places: dict[tuple[str, str, str], dict[str, list[str]]] = {}
     for refusal in setting.refusals:
-        if refusal.limit_kmh is not None:
+        if refusal.limit_kmh is not None or is_set_aside(refusal):
             continue
         speeds = refusal.speeds_text if refusal.position == AT_ZERO.name else ""
         of_reason = places.setdefault((refusal.case.name, speeds, refusal.reason), {})
@@ -208,7 +208,7 @@ def describe_refusals(setting: Setting) -> list[str]:
         + f": {reason.removesuffix('.')}."
         for (case, speeds, reason), positions in places.items()
     ]
-    return sentences + describe_limits(setting)
+    return [*sentences, *describe_limits(setting), *describe_left_out(setting)]
 
 
 def runs_by_case(setting: Setting) -> dict[str, list[int]]:

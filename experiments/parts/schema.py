@@ -23,7 +23,14 @@ _HEAD = {
     "description": "summary.json of a result folder, and what --json prints: a placement, an "
     "evaluation or a comparison. Shares are 0 to 1. Names end in their unit; no ending: no unit.",
 }
-_UNITS = {"m": "metres", "s": "seconds", "deg": "degrees", "EUR": "EUR", "m^2": "square metres"}
+_UNITS = {
+    "m": "metres",
+    "s": "seconds",
+    "deg": "degrees",
+    "EUR": "EUR",
+    "m^2": "square metres",
+    "km/h": "km/h",
+}
 
 
 def build_schema() -> dict[str, Any]:

@@ -128,8 +128,8 @@ def describe_driven(setting: Setting) -> list[str]:
 
     Nothing where everything that was asked for is driven.
     """
-    limits = describe_limits(setting)
-    if all(one.limit_kmh is not None for one in setting.refusals):
+    limits = [*describe_limits(setting), *describe_left_out(setting)]
+    if all(one.limit_kmh is not None or is_set_aside(one) for one in setting.refusals):
         return limits
     n_runs, n_possible = setting.axis.n_runs, _count_possible(setting)
     gaps = list(_gaps(setting))
@@ -163,6 +163,35 @@ def describe_limits(setting: Setting) -> list[str]:
     ]
 
 
+def is_set_aside(refusal: Refusal) -> bool:
+    """Left out by whom it meets, or laid nowhere: no question of what is possible here."""
+    return refusal.left_out in ("unprotected", "not laid")
+
+
+def describe_left_out(setting: Setting) -> Iterator[str]:
+    """Cases that meet somebody who is not protected, and cases that are laid nowhere."""
+    names = unprotected_cases(setting)
+    if names:
+        verb = "do" if len(names) > 1 else "does"
+        yield (
+            f"Only vulnerable road users are protected: {joined(names)}, where a car is met, "
+            f"{verb} not count (--protect all counts cars, too)."
+        )
+    reasons: dict[str, dict[str, None]] = {}
+    for one in setting.refusals:
+        if one.left_out == "not laid":
+            reasons.setdefault(one.reason.removesuffix("."), {})[one.case.name] = None
+    if reasons:
+        said = "; ".join(f"{joined(list(cases))}: {reason}" for reason, cases in reasons.items())
+        yield f"Not laid at any junction: {said}."
+
+
+def unprotected_cases(setting: Setting) -> list[str]:
+    """Names of the cases that are left out since whoever is met is not to be protected."""
+    found = [one.case.name for one in setting.refusals if one.left_out == "unprotected"]
+    return list(dict.fromkeys(found))
+
+
 def _count_possible(setting: Setting) -> int:
     """Runs that are driven, or would be if there were room."""
     refused = sum(len(one.speeds_kmh) for one in setting.refusals if one.is_possible)
@@ -180,7 +209,9 @@ def _gaps(setting: Setting) -> Iterator[str]:
     missing: dict[tuple[str, str], Refusal] = {
         (one.case.name, one.approach): one
         for one in setting.refusals
-        if one.limit_kmh is None and (one.case.name, one.approach) not in driven
+        if one.limit_kmh is None
+        and not is_set_aside(one)
+        and (one.case.name, one.approach) not in driven
     }
     nowhere = [name for name, _ in missing if name not in for_speed]
     if nowhere:
@@ -208,7 +239,7 @@ def _reasons(setting: Setting) -> Iterator[str]:
     """A line per reason: those of most possible runs first, last what is not possible."""
     groups: dict[str, list[Refusal]] = {}
     for one in setting.refusals:
-        if one.limit_kmh is None:
+        if one.limit_kmh is None and not is_set_aside(one):
             groups.setdefault(one.reason, []).append(one)
 
     def count(group: Sequence[Refusal]) -> int:

@@ -11,6 +11,7 @@ from experiments.parts.comparison import (
     difference_rows,
     find_differences,
     section,
+    side_by_side_table,
     significance_sentences,
     significance_table,
 )
@@ -21,6 +22,7 @@ from placement.evaluation import Evaluation, Verdict
 from placement.layout import Layout
 from placement.sampling.out_of_sample import SampledApr
 from placement.sampling.uncertainty import load_uncertainty
+from scenarios.scores import Levels
 
 NAMES = ("a $1_", "<b>", "c")
 
@@ -104,13 +106,33 @@ def test_the_matrix_counts_row_not_column(evaluations):
 
 def test_side_by_side_every_layout_has_its_own_numbers(evaluations, rule):
     rows = tables_of(section(evaluations, rule))[0].rows
-    assert [row[0] for row in rows] == list(NAMES)
+    assert [row[0] for row in rows] == [*NAMES, "VUT alone"]
+    *rows, vut = rows
+    assert vut[3:5] == ["75.0 %", "2 of 3"]  # that of the first layout
     assert [row[1] for row in rows] == ["1", "2", "3"]
     price = next(iter(evaluations.values())).layout.units[0].sensor.price_eur
     assert [row[2] for row in rows] == [f"{n * price:,.0f}" for n in (1, 2, 3)]
     assert [row[3] for row in rows] == ["75.0 %", "75.0 %", "0.0 %"]
     assert [row[4] for row in rows] == ["2 of 3", "2 of 3", "0 of 3"]
     assert [row[6] for row in rows] == ["0.05", "0.05", "\N{EN DASH}"]
+
+
+def test_side_by_side_speeds_at_contact_and_the_score_have_columns(evaluations, rule):
+    (name, one), *_ = evaluations.items()
+    assert side_by_side_table({name: one}, rule).columns[-1] == "mean speed at contact (km/h)"
+    left_kmh = np.array([0.0, 0.0, 8.0])
+    verdict = replace(one.rsu_all, impact_speed_kmh=left_kmh, closing_speed_kmh=left_kmh)
+    levels = Levels(
+        score="rating-2026",
+        run_index=np.arange(3).repeat(2),
+        below_kmh=np.tile([0.0, 10.0], 3),
+        gain=np.tile([0.25, 0.75], 3),
+        deadline_s=np.full(6, -0.1),
+    )
+    found = side_by_side_table({name: replace(one, rsu_all=verdict, levels=levels)}, rule)
+    assert found.columns[-1] == "score (rating-2026)"
+    # The last run weighs a quarter and is hit below 10 km/h.
+    assert found.rows[0][-2:] == ["2.0", "93.8 %"]
 
 
 def test_the_better_one_comes_first_in_the_table(sampled):

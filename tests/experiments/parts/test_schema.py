@@ -269,6 +269,7 @@ def test_what_is_changed_in_a_summary_is_noticed(run, tmp_path, monkeypatch):
     optional |= {
         "next_unit",
         "other_sensors",
+        "road_users",
         "study_cases",
         "heavy_runs",
         "without_effect",

@@ -84,6 +84,7 @@ def setting_of(axis, *refusals):
             SimpleNamespace(
                 case=SimpleNamespace(name=name, vru=SimpleNamespace(class_name="pedestrian")),
                 approach=approach,
+                road_user="on foot",
             )
             for name, approach in zip(axis.cases, axis.approaches, strict=True)
         ],
@@ -160,6 +161,10 @@ def test_an_evaluation_and_a_comparison_have_the_same_head(setting, evaluation_o
     assert set(single) <= set(both)
     assert single.pop("schema") == "place-rsus/evaluation/2"
     assert both.pop("schema") == "place-rsus/comparison/2"
+    of_one, of_both = single.pop("road_users"), both.pop("road_users")
+    groups = (of_one["groups"][0], of_both["groups"][0])
+    parties = [[party["name"] for party in group["parties"]] for group in groups]
+    assert parties == [["mine", "VUT alone"], ["mine", "other", "VUT alone"]]
     assert {key: both[key] for key in single} == single
 
 

@@ -1,0 +1,169 @@
+"""Who is protected: accidents prevented by the road user that is met."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from placement.evaluation import Evaluation, Verdict, apr, mean_impact_speed_kmh
+from placement.setting import Setting
+from scenarios.cases import ROAD_USERS
+
+from ..results.drives import unprotected_cases
+from ..results.numbers import count_runs, finite_or_none, number, percent, several
+from .section import Block, Section, Table
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RoadUserScore:
+    """A sensing party on the runs in which one group of road users is met, by the evaluator.
+
+    Attributes
+    ----------
+    name : str
+        Of the layout, or "VUT alone".
+    runs_avoided : int
+        How many runs.
+    apr : float, optional
+        By weight; None where none of these runs counts.
+    mean_impact_speed_kmh : float, optional
+        Of the VUT at contact, by weight, avoided runs as 0; None where it is not known. [km/h]
+    """
+
+    name: str
+    runs_avoided: int
+    apr: float | None
+    mean_impact_speed_kmh: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RoadUserGroup:
+    """Runs in which one group of road users is met.
+
+    Attributes
+    ----------
+    road_user : str
+        "on foot", "bicycle", "motorcycle" or "car".
+    runs : int
+        How many.
+    weight : float
+        Their share of the weight of all runs.
+    parties : tuple of RoadUserScore
+        The layouts, the subject first, and the vehicle by itself.
+    """
+
+    road_user: str
+    runs: int
+    weight: float
+    parties: tuple[RoadUserScore, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RoadUserGroups:
+    """Whose runs count, and who is left out.
+
+    Attributes
+    ----------
+    groups : tuple of RoadUserGroup
+        At least one, those on foot first.
+    unprotected : tuple of str
+        Names of cases that are left out since they meet a car; none with ``--protect all``.
+    """
+
+    groups: tuple[RoadUserGroup, ...]
+    unprotected: tuple[str, ...] = ()
+
+
+def build_road_users(setting: Setting, evaluations: Mapping[str, Evaluation]) -> RoadUserGroups:
+    """Runs by the road user that is met; evaluations by display name, the subject first."""
+    first = next(iter(evaluations.values()))
+    verdicts = {name: item.rsu_all for name, item in evaluations.items()} | {"VUT alone": first.vut}
+    met = np.array([run.road_user for run in setting.runs])
+    axis = first.axis
+
+    def score(name: str, verdict: Verdict, group: str) -> RoadUserScore:
+        mask = met == group
+        return RoadUserScore(
+            name=name,
+            runs_avoided=int(verdict.is_avoided[mask].sum()),
+            apr=finite_or_none(apr(verdict, axis, mask)),
+            mean_impact_speed_kmh=finite_or_none(mean_impact_speed_kmh(verdict, axis, mask)),
+        )
+
+    return RoadUserGroups(
+        groups=tuple(
+            RoadUserGroup(
+                road_user=group,
+                runs=int((met == group).sum()),
+                weight=float(axis.weight[met == group].sum() / axis.weight.sum()),
+                parties=tuple(score(name, verdict, group) for name, verdict in verdicts.items()),
+            )
+            for group in ROAD_USERS.values()
+            if (met == group).any()
+        ),
+        unprotected=tuple(unprotected_cases(setting)),
+    )
+
+
+# ---------- words, table, section
+
+
+def words(record: RoadUserGroups) -> list[str]:
+    """Whose runs count and how many are prevented, and who is left out, in one sentence.
+
+    Nothing where all runs meet the same and nobody is left out.
+    """
+    if len(record.groups) < 2 and not record.unprotected:
+        return []
+    counted = ", ".join(
+        f"{group.road_user} {count_runs(group.runs)} (APR {percent(group.parties[0].apr)})"
+        for group in record.groups
+    )
+    n_left = len(record.unprotected)
+    left = f"; left out: {several(n_left, 'case', 'cases')} with a car" if n_left else ""
+    return [f"Whose runs count: {counted}{left}."]
+
+
+def table(record: RoadUserGroups) -> Table:
+    """A row per group and sensing party."""
+    return Table(
+        caption="Accidents prevented by the road user that is met, by the evaluator",
+        columns=[
+            "met",
+            "runs",
+            "of the weight",
+            "by",
+            "avoided",
+            "APR",
+            "mean speed at contact (km/h)",
+        ],
+        rows=[
+            [
+                group.road_user,
+                str(group.runs),
+                percent(group.weight),
+                party.name,
+                str(party.runs_avoided),
+                percent(party.apr),
+                number(party.mean_impact_speed_kmh, 1),
+            ]
+            for group in record.groups
+            for party in group.parties
+        ],
+        numeric=(1, 2, 4, 5, 6),
+    )
+
+
+def section(record: RoadUserGroups | None) -> Section | None:
+    """Whose runs count; None where all runs meet the same and nobody is left out."""
+    if record is None or not words(record):
+        return None
+    blocks: list[Block] = [*words(record)]
+    if record.unprotected:
+        blocks.append(
+            "By default the runs count that meet people on foot, cyclists and motorcyclists. Left "
+            f"out, since a car is met: {', '.join(record.unprotected)}. --protect all counts them."
+        )
+    if len(record.groups) > 1:
+        blocks.append(table(record))
+    return Section("road-users", "Who is protected", blocks)
