@@ -139,7 +139,7 @@ def union_apr(reduced: ReducedProblem, unions: WordArray) -> FloatArray:
 
 def unions_of(reduced: ReducedProblem, sets: IntArray) -> WordArray:
     """Frames that sets of poses see: (n_sets, n_units) -> (n_sets, n_words) bits."""
-    unions = np.zeros((len(sets), reduced.words.shape[1]), dtype=np.uint64)
+    unions = np.tile(reduced.base, (len(sets), 1))
     for units in sets.T:
         unions |= reduced.words[units]
     return unions
@@ -164,13 +164,12 @@ def least_left(
 ) -> FloatArray:
     """Smallest value that sets keep when so many units, or sites, of each fail, (n_sets,).
 
-    `value` is that of sets, (n_sets, any) -> (n_sets,); nothing is worth 0. Failing more never
+    `value` is that of sets, (n_sets, any) -> (n_sets,), also of no units. Failing more never
     leaves more, so that it is enough to let the sites of any n of the units fail: that is at most n
     sites, and any n sites that carry units are among them.
     """
     n_units = sets.shape[1]
-    if n_failures > n_units:
-        return np.zeros(len(sets))
+    n_failures = min(n_failures, n_units)
     smallest = np.full(len(sets), np.inf)
     for failed in combinations(range(n_units), n_failures):
         if limits.failing == "unit" or not failed:
@@ -193,7 +192,8 @@ def _value_without_sites(
         works &= sites != sites[:, unit : unit + 1]
     # Units that fail are replaced by one that works: each set keeps its size, and sees no more.
     first = np.take_along_axis(sets, works.argmax(axis=1)[:, None], axis=1)
-    return np.where(works.any(axis=1), value(np.where(works, sets, first)), 0.0)
+    left = value(np.where(works, sets, first))
+    return np.where(works.any(axis=1), left, value(sets[:1, :0]))
 
 
 def least_left_with_each(
@@ -212,7 +212,7 @@ def least_left_with_each(
     at = np.arange(len(units)) if limits.failing == "unit" else limits.site_index[units]
     groups = np.unique(at)
     if n_failures > len(groups):
-        return np.zeros(len(poses))
+        return np.full(len(poses), alone(units[:0]))
     smallest = np.full(len(poses), np.inf)
     for failed in combinations(groups.tolist(), n_failures):
         rest = units[~np.isin(at, failed)]

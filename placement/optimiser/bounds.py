@@ -31,7 +31,7 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
 from . import steering
-from .bitsets import union_apr
+from .bitsets import union_apr, unions_of
 from .greedy import forced_units
 from .limits import Choice, build_choice
 from .objectives import Objective
@@ -77,7 +77,7 @@ class Root:
     covers: WordArray  # (n_poses, n_row_words): rows that each pose covers
     weight: FloatArray  # (n_rows,): rows that the same poses cover are one
     price: FloatArray  # (n_rows,)
-    reached: float  # what the forced poses are worth, in none of the rows
+    reached: float  # what VUT and forced poses are worth, in none of the rows
     limit: float  # no set is worth more
     share: FloatArray  # (n_poses,): how often each pose was picked of late
     choice: Choice
@@ -106,9 +106,7 @@ def find_root(
     again, and the best round is taken. It ends at the deadline, but completes the first round.
     """
     detections, choice = reduced.detections, build_choice(reduced.limits, n_units)
-    union = np.bitwise_or.reduce(
-        detections.words[forced_units(reduced)], axis=0, initial=np.uint64(0)
-    )
+    union = unions_of(reduced, forced_units(reduced)[None, :])[0]
     is_alone = is_covered_by(reduced, union, rows)
     reached = float(rows.weight[is_alone].sum())
     rows = rows.of(~is_alone)
@@ -245,7 +243,7 @@ def failure_limit(
             break
         reward = reward_of(n_units, n_failures) + amount * reward_of(n_units, 0)
         trial = tightened(root, reward, n_steps=steering.FIRST_STEPS)
-        limit = min(limit, trial.limit - amount * least)
+        limit = min(limit, trial.limit + amount * (root.reached - least))
     return limit
 
 

@@ -215,7 +215,7 @@ def one_failed_limit(reduced: ReducedProblem) -> float:
     needed = [pose for pose, seen in enumerate(words) if (seen & once).any()]
     if not needed:
         return float(union_apr(reduced, everything[None, :])[0])
-    return float(union_apr(reduced, everything & ~(words[needed] & once)).min())
+    return float(union_apr(reduced, everything & ~(words[needed] & once) | reduced.base).min())
 
 
 def tightened(stage: Stage, bound: float) -> Stage:

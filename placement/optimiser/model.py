@@ -442,7 +442,9 @@ def first_cuts(reduced: ReducedProblem, requirement: Requirement) -> list[Cut]:
                     n_units=requirement.n_failures + 1,
                 )
             )
-    return cuts
+    # What all poses see, the VUT may see when all of them have failed.
+    has_base = bool(reduced.base.any())
+    return [cut for cut in cuts if not (has_base and cut.is_counted.all())]
 
 
 def violated_cuts(

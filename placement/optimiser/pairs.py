@@ -241,7 +241,7 @@ def _hardest_first(reduced: ReducedProblem) -> tuple[Rows, WordArray]:
     """Rows of all runs, those first in which sets are likely to lose most; who avoids each."""
     rows = run_rows(reduced)
     rows = rows.of(rows.weight > 0.0)
-    union = np.zeros(reduced.words.shape[1], dtype=np.uint64)
+    union = reduced.base
     units = _Units(words=reduced.words, columns=reduced.detections.columns)
     alone = _coverers(reduced, units, union, rows)[0]
     share = unpack_words(alone, reduced.n_poses).mean(axis=1)

@@ -77,6 +77,7 @@ class Detections:
 
     n_frames: int  # merged frames
     words: WordArray  # (n_poses, n_words): bits V[c, f] along the merged frames, lowest bit first
+    base: WordArray  # (n_words,): frames that the VUT sees, as every pose does then
     chains: Chains  # of windows, and of what keeps them alive
     workers: int = WORKERS  # threads for all that is computed with them
 
@@ -118,6 +119,11 @@ class ReducedProblem:
     def words(self) -> WordArray:
         """Bits V[c, f] along the merged frames, (n_poses, n_words)."""
         return self.detections.words
+
+    @property
+    def base(self) -> WordArray:
+        """Frames that are seen without any pose, (n_words,): by the VUT."""
+        return self.detections.base
 
     @property
     def chains(self) -> Chains:
@@ -236,7 +242,7 @@ def presolve(
         reduced = windows.reduce(poses)
         is_wished = reduced.limits.is_forced
         is_wished = is_wished | limits.is_forced_site[reduced.limits.site_index]
-        is_needless = ~_have_bits(reduced.words) & ~is_wished
+        is_needless = ~_have_bits(reduced.words, ~reduced.base) & ~is_wished
         if drops_dominated:
             left = np.flatnonzero(~is_needless)
             is_needless[left] = is_dominated(
@@ -339,10 +345,14 @@ class _Windows:
         self.tail_end, last = tails_behind(axis, rule, self.end, self.run)
         self.tail_run = run_of_frames(axis)[self.tail_end]
         packed = problem.table.packed
-        # (n_used + n_tails, n_words): who sees each frame, and each tail
-        self.columns = np.empty((len(used) + len(last), -(-len(packed) // 64)), dtype=np.uint64)
-        self.n_used = len(used)
-        _transpose(packed, np.arange(len(packed)), used, self.columns, workers)
+        # (n_used + n_tails, n_words): who sees each frame, and each tail; the VUT behind all poses
+        seen_by_vut, n_bits = problem.seen_by_vut, len(packed)
+        if seen_by_vut is not None:
+            vut = np.packbits(seen_by_vut, bitorder="little")
+            packed, n_bits = np.vstack([packed, vut]), n_bits + 1
+        self.columns = np.empty((len(used) + len(last), -(-n_bits // 64)), dtype=np.uint64)
+        self.n_used, self.n_bits = len(used), n_bits
+        _transpose(packed, np.arange(n_bits), used, self.columns, workers)
         # Those between frames that are used are used.
         tail_begin = np.searchsorted(used, self.tail_end, side="right")
         tail_until = np.searchsorted(used, last, side="right")
@@ -355,6 +365,17 @@ class _Windows:
         share_out(join, len(last), workers=workers)
         if problem.fusion == "single":
             self._let_each_confirm_alone()
+        self.is_base = np.zeros(len(self.columns), dtype=bool)
+        if seen_by_vut is not None:  # what the VUT sees, it sees next to every pose
+            self.is_base = _have_bits(self.columns, self._mask(np.empty(0, dtype=np.int64)))
+            self.columns[self.is_base] = pack_words(np.ones(n_bits, dtype=bool))
+
+    def _mask(self, poses: IntArray) -> WordArray:
+        """Bits of some poses, and of the VUT if it sees, (n_words,)."""
+        is_in = np.zeros(64 * self.columns.shape[1], dtype=bool)
+        is_in[poses] = True
+        is_in[self.problem.table.n_poses : self.n_bits] = True
+        return pack_words(is_in)
 
     def _let_each_confirm_alone(self) -> None:
         """Make a window the statement that a pose alone has a live one up to its end."""
@@ -371,7 +392,8 @@ class _Windows:
 
     def sees_any(self) -> BoolArray:
         """Which poses see anything that matters, (n_poses,)."""
-        words = np.bitwise_or.reduce(self.columns, axis=0)
+        columns = self.columns[~self.is_base] if self.is_base.any() else self.columns
+        words = np.bitwise_or.reduce(columns, axis=0)
         return unpack_words(words, self.problem.table.n_poses)
 
     def reduce(self, poses: IntArray) -> ReducedProblem:
@@ -379,9 +401,7 @@ class _Windows:
         from .bit_kernels import thin_out
 
         problem, axis = self.problem, self.problem.table.axis
-        is_pose = np.zeros(64 * self.columns.shape[1], dtype=bool)
-        is_pose[poses] = True
-        mask = pack_words(is_pose)
+        mask = self._mask(poses)
         first, frame = distinct_rows(self.columns, mask, workers=self.workers)
         frames, tail_frame = frame[: self.n_used][self.frames], frame[self.n_used :]
         is_seen = _have_bits(self.columns, mask)[first]
@@ -440,7 +460,11 @@ class _Windows:
             objectives=problem.objectives,
             survive=problem.survive,
             detections=Detections(
-                n_frames=len(kept), words=words, chains=chains, workers=self.workers
+                n_frames=len(kept),
+                words=words,
+                base=pack_words(self.is_base[first[kept]]),
+                chains=chains,
+                workers=self.workers,
             ),
             run_chain=run_chain,
             margin_s=margin_s,

@@ -212,6 +212,9 @@ class PlacementProblem:
         Sampled world of each run.
     tail : float
         See :class:`placement.optimiser.problem.Measure`: how the APR sums up the sampled worlds.
+    seen_by_vut : (n_frames,) bool, optional
+        Frames in which the VUT's own sensors detect. They are in every set, also in that of no
+        pose, and never fail. None: cars are blind.
     """
 
     table: DetectionTable
@@ -223,6 +226,7 @@ class PlacementProblem:
     survive: int = 0
     sample_index: IntArray | None = None
     tail: float = 1.0
+    seen_by_vut: BoolArray | None = None
 
     def __post_init__(self) -> None:
         n_poses = self.table.n_poses
@@ -238,6 +242,14 @@ class PlacementProblem:
             raise InputError("goal", self.goal, "one of " + ", ".join(get_args(Goal)))
         if self.survive < 0:
             raise InputError("survive", self.survive, "units that may fail, at least 0")
+        if self.seen_by_vut is not None:
+            object.__setattr__(self, "seen_by_vut", freeze(np.array(self.seen_by_vut, dtype=bool)))
+            if self.seen_by_vut.shape != (self.table.axis.n_frames,):
+                raise InputError(
+                    "seen_by_vut",
+                    Unquoted(f"shape {self.seen_by_vut.shape}"),
+                    "a flag for each frame",
+                )
         for floor in self.floors:
             counted = floor.is_counted
             if counted is not None and counted.shape != (self.table.axis.n_runs,):
@@ -289,12 +301,14 @@ def run_margins_s(problem: PlacementProblem, pose_index: Sequence[int]) -> Float
 
     It is last brake time - (confirmation + latency), in seconds, for the track that is alive at the
     last moment; minus infinity if there is none. The problem's budget and capacities do not matter
-    here.
+    here. No poses at all are what the VUT detects by itself, if it sees.
     """
     axis, rule = problem.table.axis, problem.rule
-    if len(pose_index) == 0:
-        return np.full(axis.n_runs, -np.inf)
     detected = problem.table.detected(list(pose_index))
+    if problem.seen_by_vut is not None:
+        detected = np.vstack([detected, problem.seen_by_vut])
+    if len(detected) == 0:
+        return np.full(axis.n_runs, -np.inf)
     if problem.fusion == "any":
         detected = np.logical_or.reduce(detected, axis=0, keepdims=True)
     confirmed = live_confirmation_times_s(detected, axis, rule=rule).min(axis=0)
@@ -322,8 +336,6 @@ def apr_failed(problem: PlacementProblem, pose_index: Sequence[int], n_failures:
 def _left_after_failures(
     problem: PlacementProblem, measure: Measure, pose_index: Sequence[int], n_failures: int
 ) -> float:
-    if n_failures > len(pose_index):
-        return 0.0
     site_of = problem.limits.site_index
     at_once: dict[int, list[int]] = {}
     for pose in pose_index:

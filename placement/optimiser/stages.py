@@ -14,6 +14,7 @@ from .bitsets import (
     left_after_failures,
     no_values,
     set_values,
+    union_apr,
     union_margins_s,
     unions_of,
 )
@@ -43,6 +44,7 @@ class Search:
         self.proofs: dict[str, None] = {}
         everything = np.bitwise_or.reduce(reduced.words, axis=0, keepdims=True)
         self.margin_limit_s: FloatArray = union_margins_s(reduced, everything)[0]
+        self.apr_of_vut = float(union_apr(reduced, reduced.base[None, :])[0])  # all units failed
         self.units: IntArray | None = None
         self.nothing_meets_all = False  # proven that no set meets limits and floors
         self.row = no_values(reduced)
@@ -80,9 +82,9 @@ class Search:
         if len(reduced.weight):
             all_runs, most = reduced.measure.limit, reduced.limits.max_units
             largest = {
-                Objective.APR_SURVIVED: all_runs if most > reduced.survive else 0.0,
+                Objective.APR_SURVIVED: all_runs if most > reduced.survive else self.apr_of_vut,
                 Objective.APR: all_runs,
-                Objective.APR_ONE_FAILED: all_runs if most > 1 else 0.0,
+                Objective.APR_ONE_FAILED: all_runs if most > 1 else self.apr_of_vut,
                 Objective.SMALLEST_MARGIN: float(self.margin_limit_s.min()),
                 Objective.MEAN_MARGIN: float(
                     np.average(self.margin_limit_s, weights=reduced.weight)
@@ -293,7 +295,7 @@ class Stages:
     def bound_apr_one_failed(self) -> float:
         """No layout that holds the APR keeps a higher one when one unit fails."""
         if self.search.reduced.limits.max_units == 1:
-            return 0.0
+            return self.search.apr_of_vut
         return self._bound_failed(1, self.search.value.apr)
 
     def bound_smallest_margin_s(self) -> float:
@@ -398,7 +400,7 @@ class Stages:
         reduced = search.reduced
         n_left = reduced.limits.max_units - n_failures
         if n_left < 1:
-            return 0.0
+            return search.apr_of_vut
         # What is left when units fail is a layout with fewer, bound by no wish.
         fewer = replace(
             reduced,

@@ -164,7 +164,7 @@ class SetWalk:
 
         self.reduced, self.root, self.n_failures = reduced, root, n_failures
         self.forced, choice = forced_units(reduced), root.choice
-        self.base = np.bitwise_or.reduce(reduced.words[self.forced], axis=0, initial=np.uint64(0))
+        self.base = unions_of(reduced, self.forced[None, :])[0]
         self.n_units, self.capacity = choice.n_units, choice.room
         self.total = float(reduced.weight.sum())
         usable = (choice.is_open > 0) & (choice.room > 0)[choice.site]
