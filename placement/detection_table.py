@@ -153,6 +153,43 @@ def run_of_level(level_id: str) -> str:
     return level_id.partition(_BELOW)[0]
 
 
+# ---------- cars that see, and cars that do not
+
+_BLIND = " (blind)"
+
+
+def mixed_table(table: DetectionTable, share: float) -> DetectionTable:
+    """Table with every run twice: by a VUT that sees, of so much of its weight, then by another.
+
+    Ids of runs that are driven by a VUT that does not see end in " (blind)".
+    """
+    axis, n_frames = table.axis, table.axis.n_frames
+    packed = np.empty((table.n_poses, -(-2 * n_frames // 8)), dtype=np.uint8)
+    for row in range(0, table.n_poses, _ROWS):
+        bits = table.detected(slice(row, row + _ROWS))
+        packed[row : row + _ROWS] = np.packbits(np.tile(bits, 2), axis=1, bitorder="little")
+    twice = replace(
+        axis,
+        run_ids=(*axis.run_ids, *(f"{name}{_BLIND}" for name in axis.run_ids)),
+        cases=axis.cases * 2,
+        approaches=axis.approaches * 2,
+        weathers=axis.weathers * 2,
+        positions=axis.positions * 2,
+        vut_speed_kmh=np.tile(axis.vut_speed_kmh, 2),
+        weight=np.concatenate([share * axis.weight, (1.0 - share) * axis.weight]),
+        last_brake_time_s=np.tile(axis.last_brake_time_s, 2),
+        run_start=np.append(axis.run_start[:-1], axis.run_start + n_frames),
+        time_s=np.tile(axis.time_s, 2),
+    )
+    return DetectionTable(pose_ids=table.pose_ids, axis=twice, packed=packed)
+
+
+def seeing_share(axis: FrameAxis) -> float:
+    """Share of the weight of the runs in which the VUT may see, see :func:`mixed_table`."""
+    is_blind = np.array([name.endswith(_BLIND) for name in axis.run_ids])
+    return round(1.0 - float(axis.weight[is_blind].sum() / axis.weight.sum()), 9)
+
+
 def plain_axis(axis: FrameAxis) -> FrameAxis:
     """Axis with the first level of each run, and the weight of all of them; of runs the same.
 

@@ -421,7 +421,7 @@ def margins_joined_s(
     As :func:`placement.optimiser.run_margins_s` of each such set.
     """
     axis, rule = problem.table.axis, problem.rule
-    alone_each = problem.table.detected(list(mounted))
+    alone_each = problem.detected(mounted)
     together: BoolArray = np.logical_or.reduce(alone_each, axis=0)
     confirmed = np.empty((len(each), axis.n_runs))
     for start in range(0, len(each), _BLOCK_POSES):
@@ -430,7 +430,7 @@ def margins_joined_s(
         if problem.fusion == "any":
             detected |= together
         confirmed[block] = live_confirmation_times_s(detected, axis, rule=rule)
-    if problem.fusion == "single" and len(mounted):
+    if problem.fusion == "single" and len(alone_each):
         alone = live_confirmation_times_s(alone_each, axis, rule=rule)
         confirmed = np.minimum(confirmed, alone.min(axis=0))
     onset_s = confirmed + rule.latency_s

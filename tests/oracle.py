@@ -25,6 +25,8 @@ class Oracle:
         self.n_poses, self.n_runs = problem.table.n_poses, axis.n_runs
         self.weight: list[float] = axis.weight.tolist()
         self.detected = problem.table.detected(list(range(self.n_poses))).tolist()
+        vut = problem.seen_by_vut
+        self.detected.append([False] * axis.n_frames if vut is None else vut.tolist())
         self.time_s: list[float] = axis.time_s.tolist()
         self.last_brake_s: list[float] = axis.last_brake_time_s.tolist()
         self.run_start: list[int] = axis.run_start.tolist()
@@ -35,7 +37,7 @@ class Oracle:
         self._of_units: dict[tuple[int, ...], list[float]] = {}
         self._sees = [
             [self._frames_seen(pose, run) for run in range(self.n_runs)]
-            for pose in range(self.n_poses)
+            for pose in range(self.n_poses + 1)  # the VUT comes last
         ]
         self.names = self._stages()
         self.layouts = {poses: self.values(poses) for poses in self._feasible()}
@@ -74,7 +76,8 @@ class Oracle:
     def margins_s(self, poses: tuple[int, ...]) -> list[float]:
         """Margins of all runs."""
         if poses not in self._of_units:
-            together = [poses] if self.problem.fusion == "any" else [(pose,) for pose in poses]
+            parties = (*poses, self.n_poses)
+            together = [parties] if self.problem.fusion == "any" else [(one,) for one in parties]
             margins = [-inf] * self.n_runs
             for run in range(self.n_runs):
                 for units in together:
@@ -122,10 +125,8 @@ class Oracle:
         """The least that is left when any so many units, or sites with all they carry, fail."""
         by_unit = self.problem.limits.failing == "unit"
         parts = sorted({pose if by_unit else self.site[pose] for pose in poses})
-        if n_failures > len(parts):
-            return 0.0
         least = inf
-        for failed in combinations(parts, n_failures):
+        for failed in combinations(parts, min(n_failures, len(parts))):
             left = tuple(p for p in poses if (p if by_unit else self.site[p]) not in failed)
             least = min(least, share(left))
         return least

@@ -112,7 +112,13 @@ def questions(draw: st.DrawFn) -> PlacementProblem:
         survive=0 if floors else n_failures,
         sample_index=sample_index,
         tail=1.0 if sample_index is None else draw(st.sampled_from([1.0, 0.5, 0.1])),
+        seen_by_vut=draw(st.sampled_from([None, random_sight(rng, problem.table.axis)])),
     )
+
+
+def random_sight(rng: np.random.Generator, axis: FrameAxis) -> np.ndarray:
+    """Frames in which the VUT detects."""
+    return rng.random(axis.n_frames) < rng.choice([0.0, 0.5, 0.8, 1.0], p=[0.1, 0.4, 0.4, 0.1])
 
 
 # ---------- without Hypothesis: many, quickly
@@ -145,6 +151,7 @@ def random_problem(rng: np.random.Generator) -> PlacementProblem:
         survive=n_failures if not floors and rng.random() < 0.5 else 0,
         sample_index=sample_index if is_sampled else None,
         tail=float(rng.choice([1.0, 0.5, 0.3, 0.1])) if is_sampled else 1.0,
+        seen_by_vut=random_sight(rng, axis) if rng.random() < 0.4 else None,
     )
 
 

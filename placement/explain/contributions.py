@@ -38,8 +38,8 @@ class Contribution:
     mean_delay_s: float
     max_delay_s: float  # the most of it in any of these runs. [s]
     # its part in the confirmations for which the runs that the set avoids are braked for, by
-    # weight: of the tracks that are alive at the last moment. The parts of all units sum to
-    # 1, or are 0 where nothing is avoided.
+    # weight: of the tracks that are alive at the last moment. The parts of all units, and of the
+    # VUT if it sees, sum to 1, or are 0 where nothing is avoided.
     first_share: float
 
     def __post_init__(self) -> None:
@@ -87,12 +87,12 @@ def first_shares(problem: PlacementProblem, pose_index: Sequence[int]) -> FloatA
     equally. Runs count by weight.
     """
     axis, rule = problem.table.axis, problem.rule
-    shares = np.zeros(len(pose_index))
+    detected = problem.detected(pose_index)
+    shares = np.zeros(len(detected))
     is_avoided = run_margins_s(problem, pose_index) > -np.inf
     counted = np.flatnonzero(is_avoided & (axis.weight > 0.0))
     if not len(counted):
-        return shares
-    detected = problem.table.detected(list(pose_index))
+        return shares[: len(pose_index)]
     for run in counted:
         frames = axis.frames_of(int(run))
         until_s = float(axis.last_brake_time_s[run]) - rule.latency_s
@@ -100,7 +100,7 @@ def first_shares(problem: PlacementProblem, pose_index: Sequence[int]) -> FloatA
         parts = parts_of(detected[:, frames], axis.time_s[frames], until_s, rule)
         shares += axis.weight[run] * parts
     total: FloatArray = shares / axis.weight[counted].sum()
-    return total
+    return total[: len(pose_index)]
 
 
 def _parts_of_window(

@@ -66,7 +66,8 @@ class QuickRows:
 
         def alone(left: IntArray) -> float:
             if not len(left):
-                return 0.0
+                base_s = union_margins_s(self.reduced, self.reduced.base[None, :])
+                return float(measure.of(base_s > -np.inf)[0])
             return float(self._ratio(measure, left[:-1])[left[-1]])
 
         return least_left_with_each(

@@ -346,8 +346,9 @@ def _find_miss(
     last_brake_s = axis.last_brake_time_s[run]
     counts = np.asarray(is_in_time(time_s, last_brake_s, latency_s=rule.latency_s))
     detected = _detected_in(problem.table, run)[chosen]
-    seen = np.logical_or.reduce(detected, axis=0)
-    together = seen if problem.fusion == "any" else detected
+    parties = np.vstack([detected, *_seen_by_vut(problem, run)])
+    seen = np.logical_or.reduce(parties, axis=0)
+    together = seen if problem.fusion == "any" else parties
     confirmed = confirmation_mask(together, n_confirmations=rule.n_confirmations)
     braking_s = np.where(confirmed & ~counts, time_s, np.inf).min(initial=np.inf) + rule.latency_s
     outcome: Outcome = "too late"
@@ -425,7 +426,7 @@ def _nearest_rescue(
     detected = _detected_in(problem.table, run)
     seen = detected[poses]
     if problem.fusion == "any":
-        seen = seen | detected[chosen].any(axis=0)
+        seen = seen | np.vstack([detected[chosen], *_seen_by_vut(problem, run)]).any(axis=0)
     last_brake_s = float(axis.last_brake_time_s[run])
     confirmed_s = live_confirmation_time_s(
         seen,
@@ -445,6 +446,12 @@ def _nearest_rescue(
         distance_m=float(distance_m[best]),
         margin_s=float(last_brake_s - confirmed_s[best] - rule.latency_s),
     )
+
+
+def _seen_by_vut(problem: PlacementProblem, run: int) -> list[BoolArray]:
+    """Frames of a run in which the VUT detects, (n_frames of the run,), if it sees."""
+    seen = problem.seen_by_vut
+    return [] if seen is None else [seen[problem.table.axis.frames_of(run)]]
 
 
 def _detected_in(table: DetectionTable, run: int) -> BoolArray:

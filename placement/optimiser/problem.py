@@ -263,6 +263,11 @@ class PlacementProblem:
         """Stages in the order in which they are optimised."""
         return objectives_in_order(self.goal, survive=self.survive)
 
+    def detected(self, pose_index: Sequence[int]) -> BoolArray:
+        """V[c, f] of some poses, and in the last row of the VUT if it sees, (n, n_frames)."""
+        detected = self.table.detected(list(pose_index))
+        return detected if self.seen_by_vut is None else np.vstack([detected, self.seen_by_vut])
+
     def measure(self) -> Measure:
         """The accident prevention ratio, as a function of the runs that are avoided."""
         return build_measure(self.table.axis.weight, self.sample_index, tail=self.tail)
@@ -304,9 +309,7 @@ def run_margins_s(problem: PlacementProblem, pose_index: Sequence[int]) -> Float
     here. No poses at all are what the VUT detects by itself, if it sees.
     """
     axis, rule = problem.table.axis, problem.rule
-    detected = problem.table.detected(list(pose_index))
-    if problem.seen_by_vut is not None:
-        detected = np.vstack([detected, problem.seen_by_vut])
+    detected = problem.detected(pose_index)
     if len(detected) == 0:
         return np.full(axis.n_runs, -np.inf)
     if problem.fusion == "any":

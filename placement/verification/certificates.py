@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 from geometry.errors import InputError, Unquoted
 from geometry.files import read_text, take, take_list, take_number, take_text, write_atomically
 
-from ..detection_table import run_of_level
+from ..detection_table import run_of_level, seeing_share
 from ..layout import Certificate, Stage
 from ..optimiser import PlacementProblem, PresolveStatistics
 from ..optimiser.objectives import Objective
@@ -63,6 +63,10 @@ _LEVELS = (
     "a run whose name ends in <v is a level of the run before that: a_r = 1 if that one is "
     "avoided, or the speed at contact stays below v km/h; its clock stands still from the last "
     "brake time of that run - latency on; w_r is what reaching it adds, so that the APR is a score"
+)
+_CARS = (
+    "in every run the VUT's own sensors are one more unit, which costs nothing and never fails; "
+    "seen_by_vut says in which frames it detects"
 )
 _ALIVE = (
     "; and if from then on until last brake time - latency no longer than track_memory_s passes "
@@ -228,6 +232,7 @@ def words_of(problem: PlacementProblem, stages: Sequence[str]) -> dict[str, str]
         "fusion": _FUSIONS[problem.fusion],
         "avoided": _AVOIDED + ("" if is_never_lost(problem.rule) else _ALIVE),
         **({"levels": _LEVELS} if _has_levels(problem) else {}),
+        **({} if problem.seen_by_vut is None else {"cars": _CARS}),
         **{name: formulas[Objective(name)] for name in stages},
     }
 
@@ -241,6 +246,7 @@ def model_of(problem: PlacementProblem) -> dict[str, Any]:
         "survive": problem.survive,
         **({} if limits.failing == "unit" else {"failing": limits.failing}),
         "tail": problem.tail,
+        **({} if problem.seen_by_vut is None else {"cars": seeing_share(axis)}),
         "n_samples": 0 if samples is None else int(samples.max()) + 1,
         "limits": {
             "budget_units": limits.budget_units,

@@ -286,6 +286,8 @@ class _Field(NamedTuple):
 
 _FIELDS: Mapping[str, _Field] = {
     "kind": _Field("str"),
+    # Frames in which the VUT's own sensors detect; missing: cars are blind.
+    "seen_by_vut": _Field("bool", ("frame",), is_optional=True),
     # The detection table: rows, columns, bits; lowest bit first.
     "pose_ids": _Field("str", ("poses",)),
     "run_ids": _Field("str", ("runs",)),
@@ -543,6 +545,7 @@ def _from_arrays(arrays: Arrays) -> PlacementProblem:
         survive=number("survive"),
         sample_index=arrays.get("sample_index"),
         tail=number("tail"),
+        seen_by_vut=arrays.get("seen_by_vut"),
     )
 
 

@@ -69,9 +69,13 @@ def margins_s(problem: "PlacementProblem", sets: IntArray) -> FloatArray:
     """Margins of all runs for sets of poses: (n_sets, n_units) -> (n_sets, n_runs).
 
     That is last brake time - (confirmation + latency); minus infinity where that is too late or
-    there is no confirmation.
+    there is no confirmation. The VUT, if it sees, is one unit more, also where there is no other.
     """
     packed, n_units = problem.table.packed, sets.shape[1]
+    if problem.seen_by_vut is not None:
+        vut = np.packbits(problem.seen_by_vut, bitorder="little")[None, :]
+        packed, n_units = np.concatenate([packed, vut]), n_units + 1
+        sets = np.column_stack([sets, np.full(len(sets), len(packed) - 1)])
     if n_units == 0:
         return np.full((len(sets), problem.table.axis.n_runs), -np.inf)
     if problem.fusion == "single":  # each for itself: the first to confirm counts
@@ -92,6 +96,8 @@ def margins_of_all_s(problem: "PlacementProblem", poses: IntArray) -> FloatArray
         union = np.zeros((1, problem.table.packed.shape[1]), dtype=np.uint8)
         for pose in poses:
             union |= problem.table.packed[pose]
+        if problem.seen_by_vut is not None:
+            union |= np.packbits(problem.seen_by_vut, bitorder="little")
         of_union: FloatArray = _margins_of_bits(problem, union)[0]
         return of_union
     for block in _blocks(problem, poses[:, None]):
@@ -165,7 +171,7 @@ def _left(
     """Smallest ratio that is left when any so many units of each set fail, (n_sets,)."""
     n_units = sets.shape[1]
     if n_failures > n_units:
-        return np.zeros(len(sets))
+        return _apr(problem, margins_s(problem, sets[:, :0]), floor)
     if problem.limits.failing == "site":
         return _left_of_sites(problem, sets, n_failures, floor)
     smallest = np.full(len(sets), np.inf)
@@ -338,6 +344,8 @@ def simple_limits(problem: "PlacementProblem", stages: Sequence[Stage]) -> dict[
         smallest_s = float(margin_s[counts].min())
         mean_s = float(np.average(margin_s[counts], weights=weight[counts]))
     most = most_units(problem)
+    nobody = np.empty((1, 0), dtype=np.int64)
+    of_vut = float(_apr(problem, margins_s(problem, nobody))[0])  # when all units have failed
     forced = np.flatnonzero(limits.is_forced)
     price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
     least_eur = float(price[usable].min(initial=np.inf))
@@ -350,8 +358,8 @@ def simple_limits(problem: "PlacementProblem", stages: Sequence[Stage]) -> dict[
         Objective.UNITS: float(max(1, len(forced) + n_open)),
         Objective.COST: least_eur,
         Objective.APR: most_apr,
-        Objective.APR_SURVIVED: most_apr if most > problem.survive else 0.0,
-        Objective.APR_ONE_FAILED: most_apr if most > 1 else 0.0,
+        Objective.APR_SURVIVED: most_apr if most > problem.survive else of_vut,
+        Objective.APR_ONE_FAILED: most_apr if most > 1 else of_vut,
         Objective.SMALLEST_MARGIN: smallest_s,
         Objective.MEAN_MARGIN: mean_s,
     }
