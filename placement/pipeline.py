@@ -8,6 +8,8 @@ from functools import cached_property, partial
 from itertools import compress, count
 from pathlib import Path
 
+import numpy as np
+
 from geometry.arrays import BoolArray
 from geometry.errors import InputError, Unquoted
 from geometry.scene import Scene
@@ -17,7 +19,8 @@ from scenarios.scores import AVOIDED
 from .cache import cached_value
 from .candidates import CandidateGrid, CandidatePose, build_candidates, build_grid
 from .compute import DEFAULT_COMPUTE, Compute
-from .detection_table import DetectionTable, level_table
+from .detection_table import DetectionTable, level_axis, level_table, mixed_table
+from .evaluator import with_sight
 from .explain import NextUnit, find_next_unit, find_refusal
 from .ground import (
     PrivateGround,
@@ -40,7 +43,7 @@ from .optimiser import (
     solve_placement,
 )
 from .optimiser.problem import Fusion
-from .question import Question
+from .question import BLIND, Question, read_cars
 from .sampling.tables import SampledTable, obtain_table, sampled_table
 from .sampling.uncertainty import Uncertainty, load_drawn
 from .setting import Setting, build_setting
@@ -142,17 +145,28 @@ class Assembly:
 
     @cached_property
     def problem(self) -> PlacementProblem:
-        """The optimiser's problem; with a score, its runs are the levels of the setting's."""
-        levels, table = self.setting.levels, self.table
-        if levels is not None:
-            table = level_table(table, levels, self.setting.rule)
+        """The optimiser's problem.
+
+        With a score, its runs are the levels of the setting's; with a share of cars that see, each
+        is there twice, see :func:`placement.detection_table.mixed_table`.
+        """
+        setting, table = with_sight(self.setting, compute=self.compute), self.table
+        seen = setting.seen_by_vut
+        if setting.levels is not None:
+            table = level_table(table, setting.levels, setting.rule)
+            if seen is not None:
+                seen = seen[level_axis(setting.axis, setting.levels, setting.rule)[1]]
+        if seen is not None and setting.cars < 1.0:
+            table = mixed_table(table, setting.cars)
+            seen = np.concatenate([seen, np.zeros_like(seen)])
         return build_problem(
-            self.setting,
+            setting,
             self.candidates,
             table,
             wishes=self.wishes,
             fusion=self.fusion,
             sample_index=None if self._sampled is None else self._sampled.sample_index,
+            seen_by_vut=seen,
         )
 
     @cached_property
@@ -237,7 +251,7 @@ def assemble(
         compute.progress("setting", 0, 0)
         setting = build_setting(question, scene, compute=compute)
     return Assembly(
-        setting=setting,
+        setting=with_sight(setting, compute=compute),
         candidates=candidates,
         wishes=wishes,
         fusion=question.fusion,
@@ -257,6 +271,8 @@ def _check_together(question: Question) -> None:
         if question.refine and getattr(question, field_name):
             got = Unquoted(f"it beside `{field_name}`")
             raise InputError("refine", got, "one of them: poses stay as they are")
+    if question.samples and read_cars(question.cars):
+        raise InputError("cars", question.cars, f"{BLIND} beside `samples`")
     if question.score != AVOIDED:
         for field_name in ("samples", "refine"):
             if getattr(question, field_name):
@@ -334,7 +350,8 @@ class Placement:
         Rows of the table that make `layout`.
     nominal : PlacementProblem
         The layout alone in the world as planned, its runs as they are: `problem` itself unless
-        worlds were sampled, or runs have levels of a score.
+        worlds were sampled, runs have levels of a score, or a share of the cars sees: then with
+        cars that do not.
     nominal_index : tuple of int
         Rows of its table that make `layout`.
     next_unit : NextUnit, optional
@@ -421,8 +438,9 @@ def place(assembly: Assembly) -> Placement:
         )
         raise refusal or error from None
     nominal, nominal_index = problem, solution.pose_index
-    if assembly.setting.levels is not None:
-        plain = replace(assembly.setting, levels=None)
+    cars = assembly.setting.cars
+    if assembly.setting.levels is not None or 0.0 < cars < 1.0:
+        plain = replace(assembly.setting, levels=None, cars=float(cars == 1.0))
         nominal = replace(assembly, setting=plain, known_table=assembly.table).problem
     if problem.sample_index is not None:
         alone = replace(assembly, compute=compute.within("greedy")).of_layout(solution.pose_index)

@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 from msgspec import Meta
 
 DEFAULT_CASES = "default"
+BLIND, SEE = "blind", "see"
 BASELINE_NAME = "carlancap-12"
 """Name of the study's own layout."""
 
@@ -181,6 +182,10 @@ class Question:
         with a response table, or an .onnx network.
     vut_sensors : str
         What the VUT itself looks with: camera,lidar.
+    cars : str
+        Of the VUTs: blind (they act on what roadside units tell them, and on nothing else), see
+        (their own sensors are one more unit in every run, which costs nothing and never fails), or
+        the share of them that see, such as 0.3; runs are a weighted sum of both then.
     packet_loss : float
         Of the RSUs' and road users' messages, frame by frame; in the evaluation.
     vam_rate : float
@@ -257,6 +262,7 @@ class Question:
     fusion: Literal["any", "single"] = "any"
     detector: str = "geometric"
     vut_sensors: str = "camera"
+    cars: str = BLIND
     packet_loss: Annotated[float, _share("a share of lost messages")] = 0.0
     vam_rate: Annotated[float, _share("a share of equipped road users")] = 0.0
     n_confirmations: Annotated[int, _at_least(1, "a number of frames")] | None = None
@@ -371,6 +377,16 @@ def read_number(where: str, text: str, expected: str, low: float, high: float) -
     if not low <= number <= high or not math.isfinite(number):
         raise InputError(where, text, expected)
     return number
+
+
+def read_cars(text: str) -> float:
+    """Share of the VUTs that see, 0..1: of "blind", "see", or a number.
+
+    Raises InputError for anything else.
+    """
+    words = {BLIND: 0.0, SEE: 1.0}
+    expected = "blind, see, or the share of cars that see, 0 to 1"
+    return words[text] if text in words else read_number("cars", text, expected, 0.0, 1.0)
 
 
 def load_question_values(path: Path) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from geometry.actors import pick_actor
+from geometry.arrays import BoolArray
 from geometry.errors import InputError, Unquoted
 from geometry.frames import to_geographic
 from geometry.junction import ARM_NAMES, build_junction
@@ -52,7 +53,7 @@ from .detectors import (
 )
 from .detectors.network import NetworkDetector
 from .latency import load_latency_budget
-from .question import Question, map_options, read_point, split_names
+from .question import Question, map_options, read_cars, read_point, split_names
 
 # ---------- radio
 
@@ -113,6 +114,12 @@ class Setting:
         In place of the study's.
     levels : Levels, optional
         What runs count by the speed at contact; None: they count if they are avoided.
+    cars : float
+        Share of the VUTs that see, whose own sensors are one more unit in every run; the others
+        act on what roadside units tell them. 0 .. 1
+    seen_by_vut : (n_frames,) bool, optional
+        Frames of `runs` in which the VUT's own sensors detect, where that is known already; see
+        :func:`placement.evaluator.with_sight`.
     """
 
     scene: Scene
@@ -126,11 +133,18 @@ class Setting:
     vut_sensors: tuple[str, ...] = VUT_SENSORS[:1]
     vut_camera: CameraModel | None = None
     levels: Levels | None = None
+    cars: float = 0.0
+    seen_by_vut: BoolArray | None = None
 
     def __post_init__(self) -> None:
         for name in self.vut_sensors or ("none",):
             if name not in VUT_SENSORS:
                 raise InputError("vut_sensors", name, "one or more of " + ", ".join(VUT_SENSORS))
+        if not 0.0 <= self.cars <= 1.0:
+            raise InputError("cars", self.cars, "0 .. 1")
+        seen = self.seen_by_vut
+        if seen is not None and seen.shape != (self.axis.n_frames,):
+            raise InputError("seen_by_vut", Unquoted("frames of other runs"), "those of the axis")
 
     def __repr__(self) -> str:
         return f"Setting({self.scene.name!r}, {len(self.runs)} runs)"
@@ -180,6 +194,7 @@ def check_question(question: Question) -> None:
     _words(question.approaches, "approaches", ARM_NAMES)
     _weathers(question)
     build_rule(question)
+    read_cars(question.cars)
     if question.weights:
         check_weights(question.weights)
     if question.near:
@@ -348,6 +363,7 @@ def build_setting(
     # Names first: what is misspelt is refused before anything is driven.
     vut_sensors = _words(question.vut_sensors, "vut_sensors", VUT_SENSORS) or ("",)
     rule, detector = build_rule(question), load_detector(question.detector, where="detector")
+    cars = read_cars(question.cars)
     drives = drive(question, scene, cache_folder=compute.cache_folder)
     runs = drives.runs
     if question.strict or not runs:
@@ -375,6 +391,7 @@ def build_setting(
         radio=Radio(packet_loss=question.packet_loss, vam_rate=question.vam_rate),
         vut_sensors=vut_sensors,
         levels=_levels(question.score, runs, rule, compute),
+        cars=cars,
     )
 
 

@@ -256,10 +256,12 @@ def build_problem(
     wishes: Wishes,
     fusion: Fusion = "any",
     sample_index: IntArray | None = None,
+    seen_by_vut: BoolArray | None = None,
 ) -> PlacementProblem:
     """The optimiser's problem: the rows of the table are `candidates`.
 
-    `sample_index` is the sampled world of each run, (n_runs,). Raises InputError as
+    `sample_index` is the sampled world of each run, (n_runs,), `seen_by_vut` the frames of the
+    table that a VUT that sees detects in, (n_frames,). Raises InputError as
     :func:`build_limits`, and where a target or floor is no share.
     """
     problem = PlacementProblem(
@@ -271,6 +273,7 @@ def build_problem(
         survive=0 if wishes.target is not None or wishes.min_case_apr else wishes.survive,
         sample_index=sample_index,
         tail=wishes.tail,
+        seen_by_vut=seen_by_vut,
     )
     floors = []
     if wishes.target is not None:

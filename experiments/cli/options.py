@@ -99,6 +99,7 @@ OPTIONS = {
     "fusion": Shown(SEEN, is_common=True),
     "detector": Shown(SEEN, metavar="HOW", is_common=True),
     "vut_sensors": Shown(SEEN, metavar="SENSORS"),
+    "cars": Shown(SEEN, metavar="see|blind|SHARE"),
     "packet_loss": Shown(SEEN),
     "vam_rate": Shown(SEEN),
     "n_confirmations": Shown(SEEN),

@@ -2,6 +2,7 @@
 
 from .evaluate import evaluate_layout as evaluate_layout
 from .evaluate import evaluate_layouts as evaluate_layouts
+from .evaluate import with_sight as with_sight
 from .perceive import perceive_from_roadside as perceive_from_roadside
 from .perceive import perceive_from_vut as perceive_from_vut
 from .surroundings import Surroundings as Surroundings

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from geometry.arrays import BoolArray, FloatArray
+from geometry.arrays import BoolArray, FloatArray, freeze
 from geometry.errors import InputError, Unquoted
 from geometry.files import load_toml, take_number
 from geometry.image_boxes import box_height_px
@@ -76,6 +76,8 @@ def watch(
     """
     names = _names(setting, units)
     cached = _open_cache(setting, compute)
+    if setting.seen_by_vut is not None:
+        cached.arrays[names[VUT_KEY]] = setting.seen_by_vut
     new = {key: unit for key, unit in units.items() if names[key] not in cached.arrays}
     nothing = np.zeros(setting.axis.n_frames, dtype=bool)
     if new or names[VUT_KEY] not in cached.arrays:
@@ -90,6 +92,15 @@ def watch(
             }
         )
     return {key: cached.arrays[name] for key, name in names.items()}
+
+
+def with_sight(setting: Setting, *, compute: Compute = DEFAULT_COMPUTE) -> Setting:
+    """Setting that knows in which frames the VUT's own sensors detect, if some of the VUTs see."""
+    if not setting.cars or setting.seen_by_vut is not None:
+        return setting
+    with threadpool_limits(1):
+        seen = watch(setting, {}, compute=compute.within("what the car sees"))[VUT_KEY]
+    return replace(setting, seen_by_vut=freeze(seen))
 
 
 # ---------- the cache for the next call
