@@ -80,6 +80,8 @@ class Evaluation:
         with the VUT and all units.
     levels : Levels, optional
         What runs count by the speed at contact; None: they count if they are avoided.
+    cars : float
+        Share of the VUTs that see: what the layout is judged by, see :attr:`headline`. 0 .. 1
     """
 
     layout: Layout
@@ -90,10 +92,19 @@ class Evaluation:
     vut_and_rsus: Verdict
     others: Mapping[str, Verdict] = field(default_factory=dict)
     levels: Levels | None = None
+    cars: float = 0.0
+
+    @property
+    def headline(self) -> Verdict:
+        """Verdict that the layout is judged by: of all units, with the VUT where every VUT sees.
+
+        Where only a share of them sees, this is that of the others; see :func:`headline_apr`.
+        """
+        return self.vut_and_rsus if self.cars == 1.0 else self.rsu_all
 
     def __repr__(self) -> str:
         return (
-            f"Evaluation({self.layout.name!r}: APR {apr(self.rsu_all, self.axis):.4f} with "
+            f"Evaluation({self.layout.name!r}: APR {headline_apr(self):.4f} with "
             f"{len(self.units)} units, {apr(self.vut, self.axis):.4f} by the VUT alone)"
         )
 
@@ -145,6 +156,23 @@ def apr(verdict: Verdict, axis: FrameAxis, run_mask: BoolArray | None = None) ->
     """
     weight = axis.weight if run_mask is None else axis.weight * run_mask
     return weight_share(verdict.is_avoided, weight)
+
+
+def headline_apr(evaluation: Evaluation, run_mask: BoolArray | None = None) -> float:
+    """APR that a layout is judged by: weighted by the share of the VUTs that see, 0 .. 1.
+
+    NaN if the runs counted have no weight.
+    """
+    blind, seeing = (
+        apr(verdict, evaluation.axis, run_mask)
+        for verdict in (evaluation.rsu_all, evaluation.vut_and_rsus)
+    )
+    return mix(blind, seeing, evaluation.cars)
+
+
+def mix(blind: float, seeing: float, cars: float) -> float:
+    """A share of runs, from those of VUTs that do not see and that do, by the share that sees."""
+    return blind if cars == 0.0 else cars * seeing + (1.0 - cars) * blind
 
 
 def mean_impact_speed_kmh(
@@ -225,18 +253,42 @@ def leave_each_out(times_s: FloatArray) -> tuple[FloatArray, Iterator[FloatArray
     )
 
 
+def unit_arrivals_s(evaluation: Evaluation, rule: AebRule) -> FloatArray:
+    """When the VUT knows of what each unit detects in each frame, (n_units, n_frames) in s."""
+    return np.stack(
+        [
+            earliest_arrival_s(
+                [(evaluation.units[unit.id].detected, unit.latency(rule))], evaluation.axis
+            )
+            for unit in evaluation.layout.units
+        ]
+    )
+
+
+def apr_of_arrivals(
+    evaluation: Evaluation, rule: AebRule, arrival_s: FloatArray, *, cars: float | None = None
+) -> float:
+    """APR by what arrives from units, (n_frames,) in s, and from the VUT's own sensors if it sees.
+
+    A run counts as avoided where braking sets in before the last moment. `cars` is the share of the
+    VUTs that see, by default the evaluation's.
+    """
+    axis, cars = evaluation.axis, evaluation.cars if cars is None else cars
+
+    def share(arrival_s: FloatArray) -> float:
+        return weight_share(find_onsets(arrival_s, axis, rule=rule).is_in_time, axis.weight)
+
+    if cars == 0.0:
+        return share(arrival_s)
+    own_s = earliest_arrival_s([(evaluation.vut.detected, rule.latency_s)], axis)
+    seeing = share(np.minimum(arrival_s, own_s))
+    return seeing if cars == 1.0 else mix(share(arrival_s), seeing, cars)
+
+
 def apr_one_failed(evaluation: Evaluation, rule: AebRule) -> float:
-    """APR of all units together when the worst one fails; 0 for a layout of one unit."""
-    axis = evaluation.axis
-    arrivals = [
-        earliest_arrival_s([(evaluation.units[unit.id].detected, unit.latency(rule))], axis)
-        for unit in evaluation.layout.units
-    ]
-    smallest = 1.0
-    for arrival in leave_each_out(np.stack(arrivals))[1]:
-        in_time = find_onsets(arrival, axis, rule=rule).is_in_time
-        smallest = min(smallest, weight_share(in_time, axis.weight))
-    return smallest
+    """APR when the worst of all units fails; for a layout of one unit what VUTs that see avoid."""
+    left = leave_each_out(unit_arrivals_s(evaluation, rule))[1]
+    return min(1.0, *(apr_of_arrivals(evaluation, rule, arrival_s) for arrival_s in left))
 
 
 def units_by_site(layout: Layout) -> dict[str, list[int]]:
@@ -249,19 +301,12 @@ def units_by_site(layout: Layout) -> dict[str, list[int]]:
 
 def apr_one_site_failed(evaluation: Evaluation, rule: AebRule) -> float:
     """APR of all units together when the worst pole fails, with all that it carries."""
-    axis = evaluation.axis
-    arrivals_s = np.stack(
-        [
-            earliest_arrival_s([(evaluation.units[unit.id].detected, unit.latency(rule))], axis)
-            for unit in evaluation.layout.units
-        ]
+    arrivals_s = unit_arrivals_s(evaluation, rule)
+    left = (
+        np.delete(arrivals_s, failed, axis=0).min(axis=0, initial=np.inf)
+        for failed in units_by_site(evaluation.layout).values()
     )
-    smallest = 1.0
-    for failed in units_by_site(evaluation.layout).values():
-        left_s = np.delete(arrivals_s, failed, axis=0).min(axis=0, initial=np.inf)
-        in_time = find_onsets(left_s, axis, rule=rule).is_in_time
-        smallest = min(smallest, weight_share(in_time, axis.weight))
-    return smallest
+    return min(1.0, *(apr_of_arrivals(evaluation, rule, arrival_s) for arrival_s in left))
 
 
 Outcome = Literal["avoided", "never seen", "never confirmed", "lost again", "too late"]

@@ -136,15 +136,24 @@ def _row_key(unit: CandidatePose) -> _Key:
     return (*pose.position_m.tolist(), pose.yaw_deg, pose.pitch_deg, unit.sensor)
 
 
-def table_verdict(units: Sequence[CandidatePose], detected: BoolArray, setting: Setting) -> Verdict:
-    """Verdict on all units together by the detection table, without the VUT's own sensors.
+def table_verdict(
+    units: Sequence[CandidatePose],
+    detected: BoolArray,
+    setting: Setting,
+    *,
+    with_vut: bool = False,
+) -> Verdict:
+    """Verdict on all units together by the detection table, and on the VUT if asked for.
 
-    `detected`, (n_units, n_frames) bool, is that of :meth:`LiveTable.detected`. The table is read
+    `detected`, (n_units, n_frames) bool, is that of :meth:`LiveTable.detected`; what the VUT's own
+    sensors detect is the setting's, see :func:`placement.evaluator.with_sight`. The table is read
     as by the optimiser: a run is avoided if a confirmed track is alive at the last moment. The
     evaluator asks pixels and bodies instead.
     """
     axis, rule = setting.axis, setting.rule
     parties = [(row, unit.latency(rule)) for unit, row in zip(units, detected, strict=True)]
+    if with_vut and setting.seen_by_vut is not None:
+        parties.append((setting.seen_by_vut, rule.latency_s))
     arrival = earliest_arrival_s(parties, axis)
     onsets = find_onsets(arrival, axis, rule=rule)
     return Verdict(

@@ -265,14 +265,19 @@ def assemble(
     )
 
 
+def check_worlds_of_cars(question: Question) -> None:
+    """Raise InputError for cars that see in sampled worlds, where their sensors are not drawn."""
+    if question.samples and read_cars(question.cars):
+        raise InputError("cars", question.cars, f"{BLIND} beside `samples`")
+
+
 def _check_together(question: Question) -> None:
     """Raise InputError for fields that exclude or need one another."""
     for field_name in ("within", "samples", "no_look"):
         if question.refine and getattr(question, field_name):
             got = Unquoted(f"it beside `{field_name}`")
             raise InputError("refine", got, "one of them: poses stay as they are")
-    if question.samples and read_cars(question.cars):
-        raise InputError("cars", question.cars, f"{BLIND} beside `samples`")
+    check_worlds_of_cars(question)
     if question.score != AVOIDED:
         for field_name in ("samples", "refine"):
             if getattr(question, field_name):

@@ -49,14 +49,14 @@ _Apr = PartyAprRecord | Score
 def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
     """The best layout, its proof, and what it is compared with."""
     n_units = len(result.layout)
-    parties: dict[str, _Apr] = {"these, fused": result.evaluation.rsu_all}
+    parties: dict[str, _Apr] = {"these, fused": result.evaluation.judged}
     parties |= {
-        "with the VUT": result.evaluation.vut_and_rsus,
+        **dict([_other_view(result.evaluation)]),
         "VUT alone": result.evaluation.vut,
-        "greedy, fused": result.greedy.evaluation.rsu_all,
+        "greedy, fused": result.greedy.evaluation.judged,
     }
     if result.baseline is not None:
-        parties[f"{result.baseline.name} fused"] = result.baseline.evaluation.rsu_all
+        parties[f"{result.baseline.name} fused"] = result.baseline.evaluation.judged
     if result.baselines.expert is not None:
         parties["expert rule, fused"] = result.baselines.expert.score
     others = {"greedy": result.greedy.evaluation}
@@ -86,7 +86,7 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
         ),
         Part(
             table=_apr_table(parties | _announced(result.evaluation)),
-            notes=[f"{_TOGETHER}; greedy: units chosen one by one."],
+            notes=[f"{_together(result)}; greedy: units chosen one by one."],
         ),
         _impacts(result, others),
         Part(words=[] if further == "." else [further], is_short=True),
@@ -137,13 +137,13 @@ def evaluation_parts(result: EvaluationResult, out: Path | None) -> list[Part]:
             table=_apr_table(
                 {
                     **shown,
-                    "all, fused": evaluation.rsu_all,
-                    "with the VUT": evaluation.vut_and_rsus,
+                    "all, fused": evaluation.judged,
+                    **dict([_other_view(evaluation)]),
                     "VUT alone": evaluation.vut,
                     **_announced(evaluation),
                 }
             ),
-            notes=[f"each unit by itself; {_TOGETHER}."],
+            notes=[f"each unit by itself; {_together(result)}."],
         ),
         _impacts(result, {}),
         *_said(answer.doubts(result)),
@@ -159,8 +159,9 @@ def comparison_parts(result: ComparisonResult, out: Path | None) -> list[Part]:
         (result.name, result.evaluation),
         *((other.name, other.evaluation) for other in result.compared),
     ):
-        parties[name] = evaluation.rsu_all
-        parties[f"{name} and VUT"] = evaluation.vut_and_rsus
+        parties[name] = evaluation.judged
+        words = "alone" if result.cars else "and VUT"
+        parties[f"{name} {words}"] = _other_view(evaluation)[1]
     if result.baselines and result.baselines.expert is not None:
         parties["expert rule"] = result.baselines.expert.score
     names = ", ".join(other.name for other in result.compared)
@@ -178,7 +179,7 @@ def comparison_parts(result: ComparisonResult, out: Path | None) -> list[Part]:
         ),
         Part(
             table=_apr_table(parties | {"VUT alone": result.evaluation.vut}),
-            notes=[f"each layout's units are {_TOGETHER}."],
+            notes=[f"each layout's units are {_together(result)}."],
         ),
         _impacts(result, {other.name: other.evaluation for other in result.compared}),
         Part(
@@ -213,8 +214,8 @@ def comparison_parts(result: ComparisonResult, out: Path | None) -> list[Part]:
 def _impacts(result: Result, others: Mapping[str, EvaluationRecord]) -> Part:
     """What is left of the impacts, and with a score what the runs count."""
     parties = {
-        result.name: result.evaluation.rsu_all,
-        **{name: other.rsu_all for name, other in others.items()},
+        result.name: result.evaluation.judged,
+        **{name: other.judged for name, other in others.items()},
         "VUT alone": result.evaluation.vut,
     }
     left = ", ".join(
@@ -396,7 +397,7 @@ def _summary_table(
             *_apr_and_failed(evaluation),
             study.get(result.name),
         ],
-        ["  with the VUT", "", percent(evaluation.vut_and_rsus.all), "", None],
+        _other_row(evaluation),
         ["VUT alone", "", percent(evaluation.vut.all), "", study.get("VUT alone")],
         *(
             [name, "", percent(party.all), "", None]
@@ -406,7 +407,7 @@ def _summary_table(
     for name, other in others.items():
         rows.append([name, str(n_units[name]), *_apr_and_failed(other), study.get(name)])
         if isinstance(result, ComparisonResult):
-            rows.append(["  with the VUT", "", percent(other.vut_and_rsus.all), "", None])
+            rows.append(_other_row(other))
     if found is not None and found.expert is not None:
         expert = found.expert
         failed = percent(expert.apr_without_worst_unit)
@@ -429,12 +430,32 @@ def _summary_table(
     )
 
 
+def _other_view(evaluation: EvaluationRecord) -> tuple[str, PartyAprRecord]:
+    """Units with the VUT where cars are blind, else units alone."""
+    if evaluation.headline is None:
+        return "with the VUT", evaluation.vut_and_rsus
+    return "units alone", evaluation.rsu_all
+
+
+def _other_row(evaluation: EvaluationRecord) -> list[str | None]:
+    words, party = _other_view(evaluation)
+    return [f"  {words}", "", percent(party.all), "", None]
+
+
+def _together(result: Result) -> str:
+    """What it means that units are fused, and who else is one."""
+    if not result.cars:
+        return _TOGETHER
+    who = "the VUT" if result.cars == 1.0 else f"the VUT in {percent(result.cars)} of the cars"
+    return f"{_TOGETHER}, and {who}"
+
+
 def _shares(parties: Iterable[Score]) -> dict[str, str]:
     return {party.name: percent(party.all) for party in parties}
 
 
 def _apr_and_failed(evaluation: EvaluationRecord) -> tuple[str, str]:
-    return percent(evaluation.rsu_all.all), percent(evaluation.apr_without_worst_unit)
+    return percent(evaluation.judged.all), percent(evaluation.apr_without_worst_unit)
 
 
 def _announced(evaluation: EvaluationRecord) -> dict[str, PartyAprRecord]:
@@ -467,7 +488,7 @@ def _apr_table(parties: Mapping[str, _Apr]) -> Table:
 
 def failure_notes(evaluation: EvaluationRecord) -> list[str]:
     """APR of the others when the most needed unit, or pole, fails."""
-    if len(evaluation.units) == 1:
+    if len(evaluation.units) == 1 and evaluation.headline is None:
         return []
     text = f"if the worst unit fails, the others have {percent(evaluation.apr_without_worst_unit)}"
     if evaluation.apr_without_worst_site is not None:

@@ -19,8 +19,8 @@ from geometry.scene_files import load_scene
 from placement.cache import cached_value
 from placement.candidates import CandidatePose
 from placement.compute import Compute, silent
-from placement.evaluation import Evaluation, apr
-from placement.evaluator import evaluate_layouts
+from placement.evaluation import Evaluation, headline_apr
+from placement.evaluator import evaluate_layouts, with_sight
 from placement.explain import OtherSensors, Pool, find_pool
 from placement.explain.other_sensors import STAGE as OTHER_SENSORS
 from placement.explain.other_sensors import find_other_sensors
@@ -34,7 +34,7 @@ from placement.explain.sensitivity import (
 from placement.ground import PrivateGround, load_private_ground
 from placement.layout import Layout, check_layout, find_baseline
 from placement.optimiser.front import Front, front_below
-from placement.pipeline import Assembly, Placement, assemble, place
+from placement.pipeline import Assembly, Placement, assemble, check_worlds_of_cars, place
 from placement.question import Question
 from placement.refinement import Refinement, refine
 from placement.sampling.out_of_sample import STAGE as OUT_OF_SAMPLE
@@ -121,6 +121,7 @@ def _begin_job(
     if setting is None:
         progress("setting", 0, 0)
         setting = build_setting(question, scene, compute=compute)
+    setting = with_sight(setting, compute=compute)
     is_large = compute.workers > 1 and len(setting.runs) >= _LARGE_RUNS
     has_process = side is not None and side.exists
     with side_process(is_written and is_large and not has_process, **READY) as begun:
@@ -412,7 +413,7 @@ def _in_fresh_worlds(
 
 
 def _planned_apr(evaluations: Iterable[Evaluation]) -> dict[str, float]:
-    return {item.layout.name: apr(item.rsu_all, item.axis) for item in evaluations}
+    return {item.layout.name: headline_apr(item) for item in evaluations}
 
 
 def _private_ground(
@@ -521,6 +522,7 @@ def run_comparison(
     """
     scene = load_scene(question.scene)
     drawn = load_drawn(replace(question, uncertainty=uncertainty), scene, n_samples=samples)
+    check_worlds_of_cars(replace(question, samples=samples))
     _check_out(out, progress)
     with _begin_job(
         question, scene, compute=compute, progress=progress, is_written=out is not None

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from geometry.arrays import BoolArray
 from geometry.junction import street_names
-from placement.evaluation import Evaluation
+from placement.evaluation import Evaluation, headline_apr
 from placement.setting import Setting
 from scenarios.weights import weight_share
 
@@ -123,7 +123,7 @@ def _of_others(
     baselines = _of_baselines(result) if isinstance(result, ComparisonResult) else []
     return [
         f"{name} ({count_sensors(subject.layout)}) avoids "
-        f"{_score(subject.rsu_all.is_avoided, subject)}; "
+        f"{_score(subject.headline.is_avoided, subject, headline_apr(subject))}; "
         f"{_of_car(subject)}",
         "; ".join([*_scores(others), *baselines]),
         *_differences(name, subject, others),
@@ -137,7 +137,8 @@ def _of_car(subject: Evaluation) -> str:
 
 def _scores(others: Sequence[tuple[str, Evaluation]]) -> list[str]:
     return [
-        f"{name} ({count_sensors(item.layout)}) avoids {_score(item.rsu_all.is_avoided, item)}"
+        f"{name} ({count_sensors(item.layout)}) avoids "
+        f"{_score(item.headline.is_avoided, item, headline_apr(item))}"
         for name, item in others
     ]
 
@@ -191,8 +192,8 @@ def _differences(
     """The first layout against each of the others; those that are alike in one sentence."""
     alike, sentences = [name], []
     for other_name, theirs in others:
-        gained = int((ours.rsu_all.is_avoided & ~theirs.rsu_all.is_avoided).sum())
-        lost = int((theirs.rsu_all.is_avoided & ~ours.rsu_all.is_avoided).sum())
+        gained = int((ours.headline.is_avoided & ~theirs.headline.is_avoided).sum())
+        lost = int((theirs.headline.is_avoided & ~ours.headline.is_avoided).sum())
         if not gained and not lost:
             alike.append(other_name)
             continue
@@ -206,8 +207,12 @@ def _differences(
     return sentences
 
 
-def _score(is_avoided: BoolArray, evaluation: Evaluation) -> str:
+def _score(is_avoided: BoolArray, evaluation: Evaluation, apr: float | None = None) -> str:
+    """Runs and APR; `apr` is that of all cars where only a share of them sees."""
     axis = evaluation.axis
     by_weight = " by weight" if is_weighted(axis) else ""
     share = percent(weight_share(is_avoided, axis.weight))
-    return f"{int(is_avoided.sum())} of {axis.n_runs} runs (APR{by_weight} {share})"
+    of_all = ""
+    if apr is not None and 0.0 < evaluation.cars < 1.0:
+        of_all = f" in cars that do not see; {percent(apr)} of all"
+    return f"{int(is_avoided.sum())} of {axis.n_runs} runs (APR{by_weight} {share}{of_all})"

@@ -26,7 +26,7 @@ from placement.wishes import Wishes
 from scenarios.runs import FrameAxis
 
 from ..results.numbers import percent, several
-from ..results.record import UnitRecord, build_unit_records
+from ..results.record import UnitRecord, build_unit_records, mixed
 
 STAGE = "baselines"
 
@@ -233,15 +233,21 @@ def build_baselines(proposed: Proposed, expert: Evaluation | None, setting: Sett
             corners=proposed.corners,
             cost_eur=sum(unit.sensor.price_eur for unit in expert.layout.units),
             on_table=round(proposed.expert_on_table, 12),
-            score=build_score(
-                expert.layout.name,
-                expert.rsu_all,
-                expert.axis,
-                n_units=len(expert.layout.units),
-            ),
+            score=_score_of(expert),
             apr_without_worst_unit=apr_one_failed(expert, setting.rule),
         ),
     )
+
+
+def _score_of(evaluation: Evaluation) -> Score:
+    """What a layout is judged by."""
+    name, n_units = evaluation.layout.name, len(evaluation.layout.units)
+    blind, seeing = (
+        build_score(name, verdict, evaluation.axis, n_units=n_units)
+        for verdict in (evaluation.rsu_all, evaluation.vut_and_rsus)
+    )
+    score: Score = mixed(blind, seeing, evaluation.cars)
+    return score
 
 
 def _random(layouts: RandomLayouts) -> RandomBaseline:

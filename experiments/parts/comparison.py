@@ -12,6 +12,7 @@ from placement.evaluation import (
     Verdict,
     apr,
     apr_one_failed,
+    headline_apr,
     mean_impact_speed_kmh,
     score,
 )
@@ -121,7 +122,7 @@ def find_differences(evaluations: Mapping[str, Evaluation]) -> tuple[Difference,
 def _only_first(one: Evaluation, other: Evaluation) -> tuple[str, ...]:
     """Runs that the first of two layouts avoids and the second one does not."""
     runs = np.array(one.axis.run_ids)
-    return tuple(runs[one.rsu_all.is_avoided & ~other.rsu_all.is_avoided].tolist())
+    return tuple(runs[one.headline.is_avoided & ~other.headline.is_avoided].tolist())
 
 
 # ---------- tables and words
@@ -136,16 +137,16 @@ def side_by_side_table(
     """
     subject = next(iter(evaluations.values()))
     axis, levels = subject.axis, subject.levels
-    verdicts = [*(item.rsu_all for item in evaluations.values()), subject.vut]
+    verdicts = [*(item.headline for item in evaluations.values()), subject.vut]
     own = [
         [
             name,
             str(len(item.layout.units)),
             f"{sum(unit.sensor.price_eur for unit in item.layout.units):,.0f}",
-            percent(apr(item.rsu_all, axis)),
-            f"{int(item.rsu_all.is_avoided.sum())} of {axis.n_runs}",
+            percent(headline_apr(item)),
+            f"{int(item.headline.is_avoided.sum())} of {axis.n_runs}",
             percent(apr_one_failed(item, rule)),
-            number(_smallest_margin_s(item.rsu_all, axis)),
+            number(_smallest_margin_s(item.headline, axis)),
         ]
         for name, item in evaluations.items()
     ]

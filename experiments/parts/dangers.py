@@ -66,11 +66,13 @@ class Dangers:
 def avoided_runs(evaluation: Evaluation, fusion: str) -> BoolArray:
     """Runs that the units of a layout avoid, (n_runs,) bool, as they were chosen to.
 
-    With fusion "single" some unit has to confirm by itself; else any may detect in each frame.
+    With fusion "single" some unit has to confirm by itself; else any may detect in each frame. The
+    VUT is one of them where every VUT sees.
     """
     if fusion != "single":
-        return evaluation.rsu_all.is_avoided
-    alone: BoolArray = np.any([unit.is_avoided for unit in evaluation.units.values()], axis=0)
+        return evaluation.headline.is_avoided
+    parties = [*evaluation.units.values(), *([evaluation.vut] if evaluation.cars == 1.0 else [])]
+    alone: BoolArray = np.any([party.is_avoided for party in parties], axis=0)
     return alone
 
 

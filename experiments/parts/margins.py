@@ -305,7 +305,7 @@ def _parties(evaluations: Mapping[str, Evaluation]) -> list[tuple[str, Verdict]]
     """Every layout, then the car alone; a layout may be called as that is."""
     subject = next(iter(evaluations.values()))
     return [
-        *((name, item.rsu_all) for name, item in evaluations.items()),
+        *((name, item.headline) for name, item in evaluations.items()),
         (VUT_NAME, subject.vut),
     ]
 

@@ -60,8 +60,8 @@ def choose_runs(
         index_of[run_id]: SHOWN_ABOVE for run_id in dict.fromkeys(first_runs) if run_id in index_of
     }
     chosen = dict([*chosen.items()][:max_runs])
-    margin = margin_s(evaluation.rsu_all, axis)
-    is_avoided = evaluation.rsu_all.is_avoided
+    margin = margin_s(evaluation.headline, axis)
+    is_avoided = evaluation.headline.is_avoided
     order: IntArray = np.argsort(margin, kind="stable")
     order = order[np.argsort(axis.weight[order] <= 0.0, kind="stable")]  # without weight: last
     missed = _cases_in_turn(order[~is_avoided[order]][::-1], axis.cases)

@@ -77,7 +77,8 @@ class RoadUserGroups:
 def build_road_users(setting: Setting, evaluations: Mapping[str, Evaluation]) -> RoadUserGroups:
     """Runs by the road user that is met; evaluations by display name, the subject first."""
     first = next(iter(evaluations.values()))
-    verdicts = {name: item.rsu_all for name, item in evaluations.items()} | {"VUT alone": first.vut}
+    verdicts = {name: item.headline for name, item in evaluations.items()}
+    verdicts |= {"VUT alone": first.vut}
     met = np.array([run.road_user for run in setting.runs])
     axis = first.axis
 

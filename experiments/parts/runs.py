@@ -227,7 +227,7 @@ def run_table(evaluations: Mapping[str, Evaluation]) -> Table:
     """
     subject = next(iter(evaluations.values()))
     axis = subject.axis
-    verdicts = [*(item.rsu_all for item in evaluations.values()), subject.vut]
+    verdicts = [*(item.headline for item in evaluations.values()), subject.vut]
     margins = [margin_s(verdict, axis) for verdict in verdicts]
     has_weathers, has_weights = bool(several_weathers(axis)), is_weighted(axis)
     rows = [
@@ -251,7 +251,7 @@ def run_table(evaluations: Mapping[str, Evaluation]) -> Table:
         *evaluations,
         "VUT",
     ]
-    n_hit = int((~subject.rsu_all.is_avoided).sum())
+    n_hit = int((~subject.headline.is_avoided).sum())
     hits = f", {n_hit} of them hit" if n_hit else ""
     return Table(
         caption="Runs: case / from / speed in km/h" + (" / weather" if has_weathers else ""),

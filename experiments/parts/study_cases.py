@@ -14,7 +14,7 @@ from placement.evaluation import Evaluation
 from placement.evaluator import evaluate_layouts
 from placement.evaluator.evaluate import Judge, Seen, judge_layouts
 from placement.layout import find_baseline
-from placement.question import Question
+from placement.question import BLIND, Question
 from placement.setting import Radio, Setting
 from scenarios.cases import ALL_SPEEDS, select_cases
 from scenarios.positions import AT_ZERO, pick_positions
@@ -61,8 +61,8 @@ def study_question(question: Question) -> Question:
     """A question changed to what the study drives, read as the study does.
 
     That is its cases by day, at the junction alone, all speeds and approaches, each run alike; a
-    track that is confirmed once lives for ever. Scene, sensors, detector, links and all else stay
-    as they were asked for.
+    track that is confirmed once lives for ever, and cars are blind. Scene, sensors, detector, links
+    and all else stay as they were asked for.
     """
     return replace(
         question,
@@ -70,6 +70,7 @@ def study_question(question: Question) -> Question:
         along_arms="",
         speeds="",
         approaches="",
+        cars=BLIND,
         weather="day",
         weights="",
         force=False,
@@ -158,7 +159,7 @@ def study_rows(question: Question, asked: Setting) -> IntArray | None:
 
 
 def _part(asked: Setting, rows: IntArray) -> Setting:
-    """Some of the runs, each counting alike, with tracks that are never lost."""
+    """Some of the runs, each counting alike, with tracks that are never lost; cars are blind."""
     runs = tuple(asked.runs[row] for row in rows)
     return replace(
         asked,
@@ -166,6 +167,8 @@ def _part(asked: Setting, rows: IntArray) -> Setting:
         axis=build_frame_axis(runs, weight_per_run(runs)),
         rule=replace(asked.rule, track_memory_s=math.inf),
         refusals=(),
+        cars=0.0,
+        seen_by_vut=None,
     )
 
 

@@ -43,6 +43,13 @@ class DrivesRecord(Record, frozen=True, kw_only=True):
     weathers: Annotated[tuple[str, ...], says("Weathers that were driven in.")]
     detector: Annotated[str, says("What detects: name.")]
     vut_sensors: Annotated[tuple[str, ...], says("Sensors of the vehicle under test.")]
+    cars: Annotated[
+        Share,
+        says(
+            "Share of the vehicles under test that see, whose own sensors are one more unit in "
+            "every run (--cars); 0: they act on what units tell them, and on nothing else."
+        ),
+    ] = 0.0
     packet_loss: Annotated[Share, says("Share of the units' messages that get lost.")]
     vam_rate: Annotated[Share, says("Share of the road users that announce themselves.")]
     track_memory_s: Annotated[
@@ -75,6 +82,7 @@ def build_drives_record(setting: Setting) -> DrivesRecord:
         weathers=tuple(dict.fromkeys(setting.axis.weathers)),
         detector=setting.detector.name,
         vut_sensors=tuple(setting.vut_sensors),
+        cars=setting.cars,
         packet_loss=setting.radio.packet_loss,
         vam_rate=setting.radio.vam_rate,
         track_memory_s=finite_or_none(setting.rule.track_memory_s),

@@ -20,6 +20,7 @@ from placement.evaluation import (
     apr_one_failed,
     apr_one_site_failed,
     mean_impact_speed_kmh,
+    mix,
     score,
     units_by_site,
 )
@@ -245,6 +246,13 @@ class EvaluationRecord(Record, frozen=True, kw_only=True):
         PartyAprRecord | None,
         says("Units, vehicle and announcements together; null where there are no such messages."),
     ] = None
+    headline: Annotated[
+        PartyAprRecord | None,
+        says(
+            "What the layout is judged by where cars see (--cars): units and vehicle together, or "
+            "with a share of cars that see the weighted sum of that and rsu_all. Null: rsu_all."
+        ),
+    ] = None
     apr_without_worst_unit: Annotated[
         Share | None, says("APR of all units together if the one that is needed most fails.")
     ]
@@ -255,6 +263,27 @@ class EvaluationRecord(Record, frozen=True, kw_only=True):
             "units; null where no pole carries several."
         ),
     ] = None
+
+    @property
+    def judged(self) -> PartyAprRecord:
+        """What the layout is judged by."""
+        return self.rsu_all if self.headline is None else self.headline
+
+
+def mixed(blind: Any, seeing: Any, cars: float) -> Any:
+    """A record whose numbers are weighted by the share of cars that see; counts as for most."""
+    if cars in (0.0, 1.0):
+        return seeing if cars else blind
+    if isinstance(blind, float):
+        return mix(blind, seeing, cars)
+    if isinstance(blind, dict):
+        return {key: mixed(value, seeing[key], cars) for key, value in blind.items()}
+    names = getattr(blind, "__struct_fields__", None) or getattr(blind, "__dataclass_fields__", ())
+    if not names:
+        return blind
+    return type(blind)(
+        **{name: mixed(getattr(blind, name), getattr(seeing, name), cars) for name in names}
+    )
 
 
 def build_evaluation_record(evaluation: Evaluation, rule: AebRule) -> EvaluationRecord:
@@ -270,10 +299,12 @@ def build_evaluation_record(evaluation: Evaluation, rule: AebRule) -> Evaluation
             score=None if evaluation.levels is None else score(verdict, axis, evaluation.levels),
         )
 
+    blind, seeing = ratios(evaluation.rsu_all), ratios(evaluation.vut_and_rsus)
     return EvaluationRecord(
         vut=ratios(evaluation.vut),
-        rsu_all=ratios(evaluation.rsu_all),
-        vut_and_rsus=ratios(evaluation.vut_and_rsus),
+        rsu_all=blind,
+        vut_and_rsus=seeing,
+        headline=mixed(blind, seeing, evaluation.cars) if evaluation.cars else None,
         units={name: ratios(verdict) for name, verdict in evaluation.units.items()},
         **{name: ratios(verdict) for name, verdict in evaluation.others.items()},
         apr_without_worst_unit=apr_one_failed(evaluation, rule),

@@ -353,8 +353,8 @@ class Seen:
     vam: Party | None = None
 
 
-def judge_layouts(judge: Judge, seen: Sequence[Seen]) -> list[Evaluation]:
-    """Evaluations of layouts by what their units and the VUT detect."""
+def judge_layouts(judge: Judge, seen: Sequence[Seen], *, cars: float = 0.0) -> list[Evaluation]:
+    """Evaluations of layouts by what their units and the VUT detect; `cars`: share that sees."""
     fused: list[dict[tuple[str, ...], list[Party]]] = []
     for one in seen:
         rsus, vam = [*one.units.values()], [] if one.vam is None else [one.vam]
@@ -377,6 +377,7 @@ def judge_layouts(judge: Judge, seen: Sequence[Seen]) -> list[Evaluation]:
                 vut_and_rsus=found["vut_and_rsus",],
                 others={name: found[name,] for name in ("vam", "all_sources") if one.vam},
                 levels=judge.levels,
+                cars=cars,
             )
         )
     return evaluations
@@ -514,6 +515,7 @@ def evaluate_layouts(
             )
             for layout in layouts
         ],
+        cars=setting.cars,
     )
 
 

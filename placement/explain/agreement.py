@@ -71,7 +71,10 @@ def find_disagreements(
         "disagreements",
         lambda: _find_disagreements(setting, detected, evaluation),
         kind=tuple[Disagreement, ...],
-        made_from=(seen, setting.detector, setting.rule, detected, evaluation),
+        made_from=(
+            *(seen, setting.detector, setting.rule, detected, evaluation),
+            *(() if setting.seen_by_vut is None else [setting.seen_by_vut]),
+        ),
     )
 
 
@@ -84,11 +87,12 @@ def _find_disagreements(
     found: list[Disagreement] = []
     for parties, verdict in (
         *(((unit,), evaluation.units[unit.id]) for unit in units),
-        (units, evaluation.rsu_all),
+        (units, evaluation.headline),
     ):
-        is_fused = verdict is evaluation.rsu_all
+        is_fused = verdict is evaluation.headline
+        with_vut = is_fused and evaluation.cars == 1.0
         rows = np.array([on_table[unit.id] for unit in parties])
-        avoided = table_verdict(parties, rows, setting).is_avoided
+        avoided = table_verdict(parties, rows, setting, with_vut=with_vut).is_avoided
         for run in np.flatnonzero(avoided != verdict.is_avoided).tolist():
             differing = [
                 (unit, _differing_frames(setting, run, on_table[unit.id], evaluation, unit))

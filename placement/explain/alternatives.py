@@ -7,11 +7,12 @@ from typing import Literal
 
 import numpy as np
 
+from geometry.arrays import BoolArray
 from scenarios.aeb import AebRule
 from scenarios.weights import weight_share
 
 from ..cache import cached_value
-from ..evaluation import Evaluation, apr_one_failed
+from ..evaluation import Evaluation, apr_one_failed, headline_apr, mix
 from ..layout import Layout
 from ..optimiser import (
     Effort,
@@ -194,16 +195,23 @@ def build_front_runner(evaluation: Evaluation, rule: AebRule, *, fusion: Fusion)
     """A layout as the evaluator sees it, under the fusion that it was chosen with."""
     axis = evaluation.axis
     if fusion == "any":
-        apr = weight_share(evaluation.rsu_all.is_avoided, axis.weight)
         return FrontRunner(
-            layout=evaluation.layout, apr=apr, apr_one_failed=apr_one_failed(evaluation, rule)
+            layout=evaluation.layout,
+            apr=headline_apr(evaluation),
+            apr_one_failed=apr_one_failed(evaluation, rule),
         )
     alone = np.array([unit.is_avoided for unit in evaluation.units.values()])
-    left = [np.delete(alone, unit, axis=0).any(axis=0) for unit in range(len(alone))]
+    own, cars = evaluation.vut.is_avoided, evaluation.cars
+
+    def share(units: BoolArray) -> float:
+        is_avoided = units.any(axis=0)
+        blind = weight_share(is_avoided, axis.weight)
+        return mix(blind, weight_share(is_avoided | own, axis.weight), cars)
+
     return FrontRunner(
         layout=evaluation.layout,
-        apr=weight_share(alone.any(axis=0), axis.weight),
-        apr_one_failed=min(weight_share(mask, axis.weight) for mask in left),
+        apr=share(alone),
+        apr_one_failed=min(share(np.delete(alone, unit, axis=0)) for unit in range(len(alone))),
     )
 
 

@@ -15,6 +15,7 @@ from scenarios.weights import weight_share
 
 from ..candidates import CandidatePose, is_turn_useless
 from ..compute import DEFAULT_COMPUTE, Compute
+from ..evaluator import with_sight
 from ..optimiser.problem import Fusion
 from ..setting import Setting
 from ..visibility.build import detected_frames
@@ -76,6 +77,7 @@ def find_other_sensors(
         looks, owner, model = [looks[row] for row in free], owner[free], model[free]
     if not looks:
         return None
+    setting = with_sight(setting, compute=compute)
     everyone = [(pose, setting.table_detector) for pose in (*units, *looks)]
     frames = detected_frames(setting, everyone, stage=STAGE, compute=compute)
     bench = _Bench(setting, frames[: len(units)], frames[len(units) :], fusion)
@@ -173,6 +175,10 @@ class _Bench:
         # What counts of each alone: frames that are detected, or runs that are avoided.
         self.units = units if self.is_fused else self._avoided(units)
         self.looks = looks if self.is_fused else self._avoided(looks)
+        seen = setting.seen_by_vut
+        if seen is None:
+            seen = np.zeros(setting.axis.n_frames, dtype=bool)
+        self.vut = seen if self.is_fused else self._avoided(seen[None, :])[0]
 
     def apr(self, exchanged: Mapping[int, IntArray]) -> FloatArray:
         """APR with units exchanged, each for one pose or, at most one of them, for each of some."""
@@ -180,6 +186,12 @@ class _Bench:
         together = np.logical_or.reduce(self.units[others], axis=0, keepdims=True)
         for rows in exchanged.values():
             together = together | self.looks[rows]
+        cars = self.setting.cars
+        blind = self._shares(together) if cars < 1.0 else np.zeros(len(together))
+        seeing = self._shares(together | self.vut) if cars else blind
+        return cars * seeing + (1.0 - cars) * blind if cars else blind
+
+    def _shares(self, together: BoolArray) -> FloatArray:
         avoided = self._avoided(together) if self.is_fused else together
         return np.array([weight_share(row, self.setting.axis.weight) for row in avoided])
 

@@ -1,10 +1,10 @@
 """Sensitivity of a layout to wrong assumptions, and its tolerances of mounting."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
-from functools import cache
+from functools import cache, partial
 from importlib.resources import files
 from itertools import chain
 from typing import Any, Literal
@@ -24,7 +24,8 @@ from ..cache import CachedArrays, Fingerprints
 from ..candidates import CandidatePose
 from ..compute import DEFAULT_COMPUTE, Compute
 from ..detectors import GeometricDetector, PlanningDetector, ResponseDetector
-from ..evaluation import leave_each_out
+from ..evaluation import earliest_arrival_s, leave_each_out, mix
+from ..evaluator import with_sight
 from ..latency import REASONS, refuse_unknown, take_reason
 from ..layout import Layout
 from ..optimiser.problem import Fusion
@@ -119,6 +120,9 @@ class Watched:
     # {"any", "single"}: "any": a frame counts if any unit detects; "single": one unit must confirm
     # alone
     fusion: Fusion = "any"
+    # (n_frames,): frames in which the VUT's own sensors detect, where it sees; it never fails
+    seen_by_vut: BoolArray | None = None
+    cars: float = 1.0  # share of the VUTs that see then
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,9 +158,34 @@ class Outcome:
         object.__setattr__(self, "avoided_share", freeze(self.avoided_share))
 
 
+def _of_cars(watched: Watched, outcome: Callable[[Watched], Outcome]) -> Outcome:
+    """Outcome by the share of the VUTs that see; its smallest margin is that of both."""
+    blind = outcome(replace(watched, seen_by_vut=None))
+    seeing = outcome(replace(watched, cars=1.0))
+    worths = blind.worth, seeing.worth
+    ratios = [
+        None if None in pair else mix(*pair, watched.cars)
+        for pair in (
+            [worth.apr for worth in worths],
+            [worth.apr_one_failed for worth in worths],
+        )
+    ]
+    margins_s = [w.smallest_margin_s for w in worths if w.smallest_margin_s is not None]
+    share = watched.cars * seeing.avoided_share + (1.0 - watched.cars) * blind.avoided_share
+    worth = Worth(
+        apr=ratios[0],
+        apr_one_failed=ratios[1],
+        smallest_margin_s=min(margins_s, default=None),
+    )
+    return Outcome(worth=worth, avoided_share=share)
+
+
 def find_outcome(watched: Watched) -> Outcome:
     """Outcome of units when every message arrives."""
+    if watched.seen_by_vut is not None and watched.cars < 1.0:
+        return _of_cars(watched, find_outcome)
     axis, rule = watched.axis, watched.rule
+    own_s = np.inf if watched.seen_by_vut is None else _own_s(watched)
     arrival_s = np.where(watched.detected, axis.time_s + _latencies_s(watched)[:, None], np.inf)
 
     left: Iterator[FloatArray]  # with each unit failed in turn
@@ -166,10 +195,15 @@ def find_outcome(watched: Watched) -> Outcome:
 
     if watched.fusion == "any":
         earliest_s, without = leave_each_out(arrival_s)
-        onset = onset_s(earliest_s)
-        left = (onset if other is earliest_s else onset_s(other) for other in without)
+        onset = onset_s(np.minimum(earliest_s, own_s))
+        left = (
+            onset if other is earliest_s else onset_s(np.minimum(other, own_s)) for other in without
+        )
     else:
-        onset, left = leave_each_out(np.stack([onset_s(arrival) for arrival in arrival_s]))
+        onset, without = leave_each_out(np.stack([onset_s(arrival) for arrival in arrival_s]))
+        own_onset_s = np.inf if watched.seen_by_vut is None else onset_s(np.asarray(own_s))
+        onset = np.minimum(onset, own_onset_s)
+        left = (np.minimum(other, own_onset_s) for other in without)
     is_avoided = is_in_time(onset, axis.last_brake_time_s, latency_s=0.0)
     apr = weight_share(is_avoided, axis.weight)
     shares = [
@@ -180,7 +214,7 @@ def find_outcome(watched: Watched) -> Outcome:
     margin = axis.last_brake_time_s[counts] - onset[counts]
     worth = Worth(
         apr=apr,
-        apr_one_failed=0.0 if len(watched.units) == 1 else min([apr, *shares]),
+        apr_one_failed=0.0 if _leaves_nothing(watched) else min([apr, *shares]),
         smallest_margin_s=float(margin.min()) if counts.any() else None,
     )
     return Outcome(worth=worth, avoided_share=is_avoided.astype(np.float64))
@@ -197,35 +231,55 @@ def find_expected_outcome(watched: Watched, *, packet_loss: float) -> Outcome:
     that are not yet n, or a track and the frame that it was last seen in. The run is avoided if
     there is a track at the end that is not older than its memory at the last moment.
     """
+    if watched.seen_by_vut is not None and watched.cars < 1.0:
+        return _of_cars(watched, partial(find_expected_outcome, packet_loss=packet_loss))
     axis, rule = watched.axis, watched.rule
     last_s = axis.last_brake_time_s.repeat(np.diff(axis.run_start))
     reported = watched.detected & is_in_time(
         axis.time_s + _latencies_s(watched)[:, None], last_s, latency_s=0.0
     )
+    # What the VUT sees itself needs no message.
+    sees = np.zeros(axis.n_frames, dtype=bool)
+    if watched.seen_by_vut is not None:
+        sees = is_in_time(_own_s(watched), last_s, latency_s=0.0)
 
-    def confirmed(n_units: IntArray) -> FloatArray:
+    def confirmed(n_units: IntArray, sees: BoolArray | None = None) -> FloatArray:
         known: FloatArray = 1.0 - packet_loss ** n_units.astype(np.float64)
-        return _probability_of_track(known, axis, rule)
+        return _probability_of_track(
+            known if sees is None else np.where(sees, 1.0, known), axis, rule
+        )
 
     if watched.fusion == "any":
         total = reported.sum(axis=0)
-        avoided = confirmed(total)
-        left = (confirmed(total - own) for own in reported if own.any())
+        avoided = confirmed(total, sees)
+        left = (confirmed(total - own, sees) for own in reported if own.any())
     else:
         missed = 1.0 - np.stack([confirmed(own.astype(np.int64)) for own in reported])
-        avoided = 1.0 - missed.prod(axis=0)
+        by_vut = 1.0 - _probability_of_track(sees.astype(np.float64), axis, rule)
+        avoided = 1.0 - missed.prod(axis=0) * by_vut
         others = (np.delete(missed, unit, axis=0) for unit in range(len(missed)))
-        left = (1.0 - other.prod(axis=0) for other in others)
+        left = (1.0 - other.prod(axis=0) * by_vut for other in others)
     weight = axis.weight / axis.weight.sum()
     apr = float(avoided @ weight)
     worth = Worth(
         apr=apr,
         apr_one_failed=0.0
-        if len(watched.units) == 1
+        if _leaves_nothing(watched)
         else min([apr, *(float(share @ weight) for share in left)]),
         smallest_margin_s=None,
     )
     return Outcome(worth=worth, avoided_share=avoided)
+
+
+def _leaves_nothing(watched: Watched) -> bool:
+    """Nobody is left when a unit fails."""
+    return len(watched.units) == 1 and watched.seen_by_vut is None
+
+
+def _own_s(watched: Watched) -> FloatArray:
+    """When the VUT knows what its own sensors detect in each frame, (n_frames,) in s."""
+    assert watched.seen_by_vut is not None
+    return earliest_arrival_s([(watched.seen_by_vut, watched.rule.latency_s)], watched.axis)
 
 
 def _latencies_s(watched: Watched) -> FloatArray:
@@ -356,11 +410,12 @@ def find_sensitivity(
 
     All is judged by the detection table's rules. Latency, confirmations, losses and braking leave
     the detected frames as they are; only frames under another detector or from other poses are
-    detected anew. Mounting errors are common to all units: each is turned, lifted or moved alike,
-    which hits a layout harder than independent errors would. Progress counts the poses from which
-    the scene was looked at.
+    detected anew, and what the VUT's own sensors detect stays. Mounting errors are common to all
+    units: each is turned, lifted or moved alike, which hits a layout harder than independent errors
+    would. Progress counts the poses from which the scene was looked at.
     """
     assumptions = load_assumptions() if assumptions is None else assumptions
+    setting = with_sight(setting, compute=compute)
     units, rule = layout.units, setting.rule
     is_large = len(units) > MAX_LOOKED_FROM
     values = {one.name: _new_values(one, setting) for one in assumptions}
@@ -376,7 +431,15 @@ def find_sensitivity(
             for value, last_s in brakes.result().items()
         }
     as_planned, *others = (
-        Watched(units=units, detected=part, axis=setting.axis, rule=rule, fusion=fusion)
+        Watched(
+            units=units,
+            detected=part,
+            axis=setting.axis,
+            rule=rule,
+            fusion=fusion,
+            seen_by_vut=setting.seen_by_vut,
+            cars=setting.cars,
+        )
         for part in frames.reshape(-1, len(units), setting.axis.n_frames)
     )
     looked = dict(zip(looks, others, strict=True))
@@ -671,21 +734,29 @@ class _Errors:
     setting: Setting
     units: Sequence[CandidatePose]
     steps: Steps
-    planned: BoolArray  # (n_runs,)
-    avoided: Mapping[tuple[int, ErrorKind, float], BoolArray]  # (n_runs,) each
+    # (2, n_runs) each: by VUTs that do not see, and that do
+    planned: BoolArray
+    avoided: Mapping[tuple[int, ErrorKind, float], BoolArray]
 
     def error(self, number: int, kind: ErrorKind, step: float) -> MountingError:
-        axis = self.setting.axis
+        axis, cars = self.setting.axis, self.setting.cars
+        blind, seeing = (
+            weight_share(part, axis.weight) for part in self.avoided[number, kind, step]
+        )
+        lost = self._lost(number, kind, step)
         return MountingError(
             unit_id=self.units[number].id,
             kind=kind,
             step=step,
-            apr=weight_share(self.avoided[number, kind, step], axis.weight),
-            lost_run_ids=tuple(axis.run_ids[run] for run in self._lost(number, kind, step)),
+            apr=mix(blind, seeing, cars),
+            lost_run_ids=tuple(axis.run_ids[run] for run in lost),
         )
 
     def _lost(self, number: int, kind: ErrorKind, step: float) -> list[int]:
-        return np.flatnonzero(self.planned & ~self.avoided[number, kind, step]).tolist()
+        is_lost = self.planned & ~self.avoided[number, kind, step]
+        cars = self.setting.cars
+        is_driven = np.array([cars < 1.0, cars > 0.0])  # by cars that do not see, and that do
+        return np.flatnonzero(is_lost[is_driven].any(axis=0)).tolist()
 
     def tolerances(self) -> tuple[Tolerance, ...]:
         return tuple(
@@ -719,6 +790,7 @@ def _find_errors(
     fusion: Fusion,
     compute: Compute,
 ) -> _Errors:
+    setting = with_sight(setting, compute=compute)
     keys = [
         (number, kind, sign * step)
         for number in range(len(units))
@@ -729,18 +801,22 @@ def _find_errors(
     everyone = [*units, *(_off_by(units[number], kind, step) for number, kind, step in keys)]
     looks = [(unit, setting.table_detector) for unit in everyone]
     frames = detected_frames(setting, looks, stage=TOLERANCES, compute=compute)
-    latency_s = np.array([unit.latency(setting.rule) for unit in everyone])
-    arrival_s = np.where(frames, setting.axis.time_s + latency_s[:, None], np.inf)
+    axis, rule, seen = setting.axis, setting.rule, setting.seen_by_vut
+    latency_s = np.array([unit.latency(rule) for unit in everyone])
+    arrival_s = np.where(frames, axis.time_s + latency_s[:, None], np.inf)
+    own_s = None if seen is None else earliest_arrival_s([(seen, rule.latency_s)], axis)
 
-    def avoided(rows: Sequence[int]) -> BoolArray:
-        parties = arrival_s[rows]
+    def in_time(parties: FloatArray) -> BoolArray:
         if fusion == "any":
             parties = parties.min(axis=0, keepdims=True)
-        in_time = [
-            find_onsets(party, setting.axis, rule=setting.rule).is_in_time for party in parties
-        ]
-        is_avoided: BoolArray = np.any(in_time, axis=0)
+        each = [find_onsets(party, axis, rule=rule).is_in_time for party in parties]
+        is_avoided: BoolArray = np.any(each, axis=0)
         return is_avoided
+
+    def avoided(rows: Sequence[int]) -> BoolArray:
+        blind = in_time(arrival_s[rows])
+        seeing = blind if own_s is None else in_time(np.vstack([arrival_s[rows], own_s]))
+        return np.stack([blind, seeing])
 
     numbers = list(range(len(units)))
     return _Errors(
