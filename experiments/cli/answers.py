@@ -13,7 +13,17 @@ from placement.explain import Unavoided
 from placement.explain.agreement import Disagreement
 from scenarios.scores import AVOIDED
 
-from ..parts import Part, answer, baselines, dangers, next_unit, proof, road_users, study_cases
+from ..parts import (
+    Part,
+    added,
+    answer,
+    baselines,
+    dangers,
+    next_unit,
+    proof,
+    road_users,
+    study_cases,
+)
 from ..parts.assumptions import assumption_sentences
 from ..parts.baselines import Baselines, Score
 from ..parts.explanation import (
@@ -70,7 +80,7 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
         *_head(result),
         Part(
             title=f"Best {n_units} of {result.candidates} poses on {result.runs} runs "
-            f"(fusion {result.fusion}):",
+            f"(fusion {result.fusion}{_cars(result)}):",
             table=_units_table(result.layout),
             notes=[*unit_notes(result.layout), _cost(result)],
             is_short=True,
@@ -121,7 +131,7 @@ def evaluation_parts(result: EvaluationResult, out: Path | None) -> list[Part]:
     return [
         *_head(result),
         Part(
-            title=f"{result.name} on {result.runs} runs:",
+            title=f"{result.name} on {result.runs} runs{_cars(result)}:",
             table=_units_table(units),
             notes=[*([more] if n_left else []), *unit_notes(units), _cost(result)],
             is_short=not is_long,
@@ -168,7 +178,7 @@ def comparison_parts(result: ComparisonResult, out: Path | None) -> list[Part]:
     return [
         *_head(result),
         Part(
-            title=f"{result.name} against {names} on {result.runs} runs:",
+            title=f"{result.name} against {names} on {result.runs} runs{_cars(result)}:",
             table=_summary_table(
                 result,
                 {other.name: other.evaluation for other in result.compared},
@@ -241,7 +251,7 @@ def _head(result: Result) -> list[Part]:
         more = several(n_reasons, "more reason", "more reasons")
         reasons.append(f"and {more} in the report's list")
     return [
-        *_said(dangers.words(result.dangers, result.runs)),
+        *_said([*added.words(result.added), *dangers.words(result.dangers, result.runs)]),
         *_said(answer.preferred(result)),
         *_said([*result.driven[:1], *result.without_effect]),
         Part(notes=reasons),
@@ -440,6 +450,13 @@ def _other_view(evaluation: EvaluationRecord) -> tuple[str, PartyAprRecord]:
 def _other_row(evaluation: EvaluationRecord) -> list[str | None]:
     words, party = _other_view(evaluation)
     return [f"  {words}", "", percent(party.all), "", None]
+
+
+def _cars(result: Result) -> str:
+    """How many of the cars see, in a word, where some do."""
+    if not result.cars:
+        return ""
+    return ", cars see" if result.cars == 1.0 else f", {percent(result.cars)} of the cars see"
 
 
 def _together(result: Result) -> str:

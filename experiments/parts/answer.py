@@ -9,7 +9,7 @@ from placement.setting import Setting
 from scenarios.weights import weight_share
 
 from ..results.numbers import percent, several
-from . import dangers, proof
+from . import added, dangers, proof
 from .accidents import count_sensors, is_weighted
 from .alternatives import doubt_sentences, recommended_sentences
 from .dangers import avoided_runs
@@ -44,6 +44,7 @@ def words(result: Result, shown: Mapping[str, Evaluation]) -> list[str]:
     return [
         *result.driven[:1],
         *result.without_effect,
+        *added.words(result.added),
         *dangers.words(result.dangers, result.runs),
         *preferred(result),
         *(f"{sentence}." for sentence in sentences if sentence),

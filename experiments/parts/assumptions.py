@@ -70,6 +70,14 @@ def again_section(result: Result, command: str) -> Section:
     return Section("again", "To make it again", [Code(command), columns])
 
 
+def _cars(setting: Setting) -> str:
+    """Whether layouts are judged together with the car's own sensors."""
+    if not setting.cars:
+        return ""
+    who = "every car" if setting.cars == 1.0 else f"{percent(setting.cars)} of the cars"
+    return f" That is one more unit of {who}, which costs nothing and never fails."
+
+
 def assumptions(
     result: Result, setting: Setting, layouts: Mapping[str, Layout]
 ) -> list[tuple[str, str]]:
@@ -86,7 +94,7 @@ def assumptions(
         (
             "Detection",
             f"{setting.detector.description} The car itself looks with: "
-            f"{' and '.join(setting.vut_sensors)}.",
+            f"{' and '.join(setting.vut_sensors)}.{_cars(setting)}",
         ),
         (
             "Confirmation",

@@ -34,6 +34,7 @@ from ..results.record import (
     price_eur,
     says,
 )
+from .added import Added, build_added
 from .alternatives import FrontRunners, HeavyRun, find_heavy_runs
 from .baselines import Baselines
 from .comparison import Compared, Difference, build_compared, find_differences
@@ -106,6 +107,10 @@ class Answer(DrivesRecord, frozen=True, kw_only=True, tag_field="schema"):
         Dangers,
         says("Runs that the layout does not avoid, by the evaluator, and where they are."),
     ]
+    added: Annotated[
+        Added | None,
+        says("What the units add to a vehicle that sees, by the evaluator, whatever --cars says."),
+    ] = None
     heavy_runs: Annotated[
         tuple[HeavyRun, ...],
         says("Runs that count more than 2 % of the APR, and more than others; the heaviest first."),
@@ -282,6 +287,7 @@ def _answer(
         "assumptions": assumptions(setting.scene.notes),
         "evaluation": evaluated,
         "dangers": build_dangers(evaluation.headline.is_avoided, evaluation.axis),
+        "added": build_added(setting, evaluation),
         "heavy_runs": find_heavy_runs(evaluation.axis),
         "road_users": build_road_users(setting, {evaluation.layout.name: evaluation} | {**others}),
         "seconds": {},
@@ -350,6 +356,7 @@ def build_placement_result(
         "fusion": problem.fusion,
         "apr": _without_rounding(value.apr),
         "dangers": build_dangers(avoided_runs(found, problem.fusion), found.axis),
+        "added": build_added(setting, found, fusion=problem.fusion),
     }
     return PlacementResult(
         **answer,

@@ -11,6 +11,7 @@ from scenarios.cases import ROAD_USERS
 
 from ..results.drives import unprotected_cases
 from ..results.numbers import count_runs, finite_or_none, number, percent, several
+from ..results.record import mixed
 from .section import Block, Section, Table
 
 
@@ -77,8 +78,8 @@ class RoadUserGroups:
 def build_road_users(setting: Setting, evaluations: Mapping[str, Evaluation]) -> RoadUserGroups:
     """Runs by the road user that is met; evaluations by display name, the subject first."""
     first = next(iter(evaluations.values()))
-    verdicts = {name: item.headline for name, item in evaluations.items()}
-    verdicts |= {"VUT alone": first.vut}
+    verdicts = {name: (item.rsu_all, item.vut_and_rsus) for name, item in evaluations.items()}
+    verdicts |= {"VUT alone": (first.vut, first.vut)}
     met = np.array([run.road_user for run in setting.runs])
     axis = first.axis
 
@@ -97,7 +98,10 @@ def build_road_users(setting: Setting, evaluations: Mapping[str, Evaluation]) ->
                 road_user=group,
                 runs=int((met == group).sum()),
                 weight=float(axis.weight[met == group].sum() / axis.weight.sum()),
-                parties=tuple(score(name, verdict, group) for name, verdict in verdicts.items()),
+                parties=tuple(
+                    mixed(*(score(name, verdict, group) for verdict in pair), first.cars)
+                    for name, pair in verdicts.items()
+                ),
             )
             for group in ROAD_USERS.values()
             if (met == group).any()

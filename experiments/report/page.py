@@ -18,7 +18,7 @@ from placement.setting import Setting
 
 from ..figures.axes import unit_labels
 from ..figures.evaluation import pick_heatmap_runs
-from ..parts import answer, comparison, dangers, next_unit, proof, road_users, study_cases
+from ..parts import added, answer, comparison, dangers, next_unit, proof, road_users, study_cases
 from ..parts.accidents import accidents_section, alone_section, apr_picture
 from ..parts.assumptions import again_section, assumption_sentences, assumptions_section
 from ..parts.bill_of_materials import BillOfMaterials, bill_section, build_bill
@@ -157,6 +157,7 @@ def _sections(
         units_section(layouts, tasks.plans.result(), setting.scene),
         *of_proof,
         accidents_section(evaluations, tasks.apr.result(), is_optimised=bool(of_proof)),
+        added.section(result.added),
         road_users.section(result.road_users),
         tasks.dangers.result(),
         side_by_side,

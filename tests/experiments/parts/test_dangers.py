@@ -8,10 +8,12 @@ from experiments.parts.dangers import avoided_runs, build_dangers, position_word
 from experiments.parts.dangers import words as danger_words
 
 
-def evaluation(together, **units):
+def evaluation(together, *, vut=(), cars=0.0, **units):
     return SimpleNamespace(
-        rsu_all=SimpleNamespace(is_avoided=np.array(together)),
+        headline=SimpleNamespace(is_avoided=np.array(together)),
         units={name: SimpleNamespace(is_avoided=np.array(runs)) for name, runs in units.items()},
+        vut=SimpleNamespace(is_avoided=np.array(vut)),
+        cars=cars,
     )
 
 
@@ -19,6 +21,15 @@ def test_what_is_avoided_is_what_the_fusion_asks_for():
     item = evaluation([True, True, False], a=[True, False, False], b=[False, False, False])
     assert avoided_runs(item, "any").tolist() == [True, True, False]
     assert avoided_runs(item, "single").tolist() == [True, False, False]
+    of_cars = [
+        avoided_runs(evaluation([True] * 3, a=[True, False, False], vut=[0, 0, 1], cars=cars), how)
+        for cars, how in ((0.3, "single"), (1.0, "single"), (1.0, "any"))
+    ]
+    assert [runs.tolist() for runs in of_cars] == [
+        [True, False, False],
+        [True, False, True],
+        [True, True, True],
+    ]
 
 
 def test_what_is_left_is_counted_by_case_and_position_the_largest_share_first(frame_axis):

@@ -26,6 +26,8 @@ def evaluation(frame_axis):
     return SimpleNamespace(
         axis=axis,
         rsu_all=verdict([1, 0, 1], [0.0, 12.0, 0.0]),
+        vut_and_rsus=verdict([1, 1, 1], [0.0, 0.0, 0.0]),
+        cars=0.0,
         vut=verdict([0, 0, 1], [30.0, 15.0, 0.0]),
     )
 

@@ -272,6 +272,8 @@ def test_what_is_changed_in_a_summary_is_noticed(run, tmp_path, monkeypatch):
         "road_users",
         "study_cases",
         "heavy_runs",
+        "cars",
+        "added",
         "without_effect",
         "sturdier",
         "mounting",

@@ -91,6 +91,7 @@ def setting_of(axis, *refusals):
         refusals=refusals,
         detector=load_detector(),
         vut_sensors=("camera", "lidar"),
+        cars=0.0,
         radio=Radio(packet_loss=0.25, vam_rate=0.5),
         rule=RULE,
         levels=None,
@@ -123,7 +124,7 @@ def test_all_runs_avoided_is_exactly_one_and_none_is_zero(evaluation_of):
             "vut_and_rsus": ratios,
             "units": {"A": ratios},
             "apr_without_worst_unit": 0.0,  # there is but one
-            **dict.fromkeys(("apr_without_worst_site", "vam", "all_sources")),
+            **dict.fromkeys(("apr_without_worst_site", "vam", "all_sources", "headline")),
         }
 
 
@@ -205,6 +206,7 @@ def test_drives_are_cases_weathers_perception_and_what_is_not_driven(axis):
         "weathers": ["night", "day"],
         "detector": "geometric",
         "vut_sensors": ["camera", "lidar"],
+        "cars": 0.0,
         "packet_loss": 0.25,
         "vam_rate": 0.5,
         "track_memory_s": None,

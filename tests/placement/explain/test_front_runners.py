@@ -45,6 +45,9 @@ def test_a_front_runner_has_the_shares_of_its_fusion():
         layout=None,
         units={"a": verdict(1, 0, 0), "b": verdict(1, 1, 0)},
         rsu_all=verdict(1, 1, 1),
+        vut=verdict(0, 1, 0),
     )
-    found = build_front_runner(evaluation, None, fusion="single")
-    assert (found.apr, found.apr_one_failed) == (0.75, 0.5)
+    for cars, expected in ((0.0, (0.75, 0.5)), (1.0, (0.75, 0.75)), (0.5, (0.75, 0.625))):
+        evaluation.cars = cars
+        found = build_front_runner(evaluation, None, fusion="single")
+        assert (found.apr, found.apr_one_failed) == expected

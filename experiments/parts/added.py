@@ -1,0 +1,200 @@
+"""What units add to cars: the VUT by itself, with the units, the difference, and unit by unit."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geometry.arrays import BoolArray, FloatArray
+from placement.evaluation import Evaluation, unit_arrivals_s
+from placement.setting import Setting
+from scenarios.cases import ROAD_USERS
+from scenarios.runs import find_onsets
+from scenarios.weights import weight_share
+
+from ..results.numbers import number, percent
+from ..results.tables import groups_by_case, groups_by_position
+from .dangers import position_words
+from .section import Section, Table
+
+MAX_UNITS = 24
+"""Of larger layouts units are not told one by one."""
+_MAX_TOLD = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AddedUnit:
+    """A unit that joins the VUT and the units before it.
+
+    Attributes
+    ----------
+    unit : str
+        Its id.
+    apr : float
+        APR with it. 0..1
+    gain : float
+        How much higher that is than without.
+    """
+
+    unit: str
+    apr: float
+    gain: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AddedGroup:
+    """What units add in some runs.
+
+    Attributes
+    ----------
+    kind : str
+        "all", "case", "position" or "road user".
+    name : str
+        Of the group.
+    vut : float, optional
+        APR of the VUT by itself. None: no run of the group has weight. 0..1
+    with_units : float, optional
+        APR of the VUT with all units.
+    gain : float, optional
+        What the units add: the difference.
+    """
+
+    kind: str
+    name: str
+    vut: float | None
+    with_units: float | None
+    gain: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Added:
+    """What the units of a layout add to a VUT that sees, by the evaluator.
+
+    Attributes
+    ----------
+    groups : tuple of AddedGroup
+        All runs first, then each case, position along the arms and road user, where there are
+        several.
+    units : tuple of AddedUnit
+        In the order of greedy choice: the one first that adds most. A run counts here as avoided
+        where braking sets in before its last moment. Empty where there are too many.
+    """
+
+    groups: tuple[AddedGroup, ...]
+    units: tuple[AddedUnit, ...]
+
+
+def build_added(setting: Setting, evaluation: Evaluation, *, fusion: str = "any") -> Added:
+    """What a layout adds under the fusion that it was chosen with."""
+    axis = evaluation.axis
+    own, together = evaluation.vut.is_avoided, evaluation.vut_and_rsus.is_avoided
+    if fusion == "single":
+        each = np.array([unit.is_avoided for unit in evaluation.units.values()])
+        together = own | each.any(axis=0)
+    met = np.array([run.road_user for run in setting.runs])
+    groups: list[tuple[str, str, BoolArray]] = [("all", "all runs", np.ones(len(met), dtype=bool))]
+    for kind, found in (
+        ("case", groups_by_case(axis)),
+        ("position", groups_by_position(axis)),
+        ("road user", [(name, met == name) for name in ROAD_USERS.values() if name in met]),
+    ):
+        groups += [(kind, name, mask) for name, mask in found if len(found) > 1]
+
+    def group(kind: str, name: str, mask: BoolArray) -> AddedGroup:
+        weight = axis.weight * mask
+        if not weight.any():
+            return AddedGroup(kind=kind, name=name, vut=None, with_units=None, gain=None)
+        alone, with_units = weight_share(own, weight), weight_share(together, weight)
+        return AddedGroup(
+            kind=kind, name=name, vut=alone, with_units=with_units, gain=with_units - alone
+        )
+
+    return Added(
+        groups=tuple(group(*one) for one in groups), units=_one_by_one(setting, evaluation, fusion)
+    )
+
+
+def _one_by_one(setting: Setting, evaluation: Evaluation, fusion: str) -> tuple[AddedUnit, ...]:
+    """Units in the order of greedy choice next to the VUT."""
+    axis, rule = evaluation.axis, setting.rule
+    names = [unit.id for unit in evaluation.layout.units]
+    if len(names) > MAX_UNITS or not axis.weight.any():
+        return ()
+    arrivals_s = unit_arrivals_s(evaluation, rule)
+    own_s = np.where(evaluation.vut.detected, axis.time_s + rule.latency_s, np.inf)
+
+    def in_time(arrival_s: FloatArray) -> BoolArray:
+        return find_onsets(arrival_s, axis, rule=rule).is_in_time
+
+    avoided = in_time(own_s)
+    before = weight_share(avoided, axis.weight)
+    left, found = list(range(len(names))), []
+    while left:
+        if fusion == "single":
+            with_each = [avoided | in_time(arrivals_s[unit]) for unit in left]
+        else:
+            with_each = [in_time(np.minimum(own_s, arrivals_s[unit])) for unit in left]
+        shares = [weight_share(each, axis.weight) for each in with_each]
+        place = int(np.argmax(shares))  # of equal ones the first
+        apr, unit = shares[place], left.pop(place)
+        found.append(AddedUnit(unit=names[unit], apr=apr, gain=apr - before))
+        avoided, before = with_each[place], apr
+        own_s = np.minimum(own_s, arrivals_s[unit])
+    return tuple(found)
+
+
+# ---------- words, tables, section
+
+
+def words(record: Added | None) -> list[str]:
+    """The VUT alone, with the units, and what they add, in one sentence; an answer begins so."""
+    if record is None or record.groups[0].gain is None:
+        return []
+    everything, units = record.groups[0], record.units
+    told = [f"{unit.unit} {_points(unit.gain)}" for unit in units[:_MAX_TOLD]]
+    if len(units) > _MAX_TOLD:
+        rest = sum(unit.gain for unit in units[_MAX_TOLD:])
+        told.append(f"the other {len(units) - _MAX_TOLD} {_points(rest)}")
+    by_unit = f" ({', '.join(told)})" if len(units) > 1 else ""
+    return [
+        f"A car that sees avoids {percent(everything.vut)} by itself and "
+        f"{percent(everything.with_units)} with these units: they add "
+        f"{_points(everything.gain)} points{by_unit}."
+    ]
+
+
+def _points(gain: float | None) -> str:
+    return number(None if gain is None else 100.0 * gain, 1)
+
+
+def tables(record: Added) -> list[Table]:
+    """A row per unit in the order of what they add; a row per group of runs."""
+    of_units = Table(
+        caption="One unit after the other next to a car that sees, the one first that adds most",
+        columns=["unit", "APR with it", "adds (points)"],
+        rows=[[unit.unit, percent(unit.apr), _points(unit.gain)] for unit in record.units],
+        numeric=(1, 2),
+    )
+    of_groups = Table(
+        caption="What all units together add, by the evaluator",
+        columns=["runs", "car (VUT) alone", "car (VUT) and units", "added (points)"],
+        rows=[
+            [
+                position_words(group.name) if group.kind == "position" else group.name,
+                percent(group.vut),
+                percent(group.with_units),
+                _points(group.gain),
+            ]
+            for group in record.groups
+        ],
+        numeric=(1, 2, 3),
+    )
+    return [of_units, of_groups] if record.units else [of_groups]
+
+
+def section(record: Added | None) -> Section | None:
+    """What the units add; None where that is not known."""
+    if record is None:
+        return None
+    blocks: Sequence[str | Table] = [*words(record), *tables(record)]
+    return Section("added", "What the units add", [*blocks])
