@@ -144,11 +144,12 @@ def _difference(junction: Answer, default: Answer) -> Iterator[str]:
         yield f"| {name} | {units} | {' | '.join(shares)} |"
 
 
-def save_plans(path: Path, answers: Sequence[Answer]) -> None:
+def save_plans(path: Path, answers: Mapping[str, Answer]) -> None:
     """Plans of the best layouts, side by side."""
-    figure = new_figure(2.0 * WIDTH_IN, 1.35 * WIDTH_IN)
-    for answer, axes in zip(answers, figure.subplots(1, len(answers)), strict=True):
+    figure = new_figure(2.0 * WIDTH_IN, 1.2 * WIDTH_IN)
+    for (name, answer), axes in zip(answers.items(), figure.subplots(1, len(answers)), strict=True):
         plot_plan(answer.setting, answer.placement.layout, axes=axes)
+        axes.set_title(f"best three for --cases {name}")
     figure.savefig(path)
 
 
@@ -162,7 +163,7 @@ def describe(maps: Sequence[str], picture: Path, compute: Compute) -> str:
     layouts = {name: one.layout for name, one in found.items()}
     answers = {name: judge(plans[name], found[name], layouts, compute) for name in SETS}
     default = answers.pop("default")
-    save_plans(picture, [answers["junction"], default])
+    save_plans(picture, {"junction": answers["junction"], "default": default})
     lines = [
         "# All cases",
         "",
