@@ -200,10 +200,10 @@ class RoadUsers:
     path_m: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name, (unit, most) in _WAYS.items():
+        for name, (unit, reach) in _WAYS.items():
             for case, limits in getattr(self, name).items():
-                if not -most <= limits[0] <= 0.0 <= limits[1] <= most:
-                    expected = f"[low, high] in {unit}, -{most:g} to 0 to {most:g}"
+                if not -reach <= limits[0] <= 0.0 <= limits[1] <= reach:
+                    expected = f"[low, high] in {unit}, -{reach:g} to 0 to {reach:g}"
                     raise InputError(f"{name}.{case}", list(limits), expected)
         for name in _SPEEDS:
             low, high = (float(end) for end in getattr(self, name))
