@@ -113,7 +113,8 @@ def _of_placement(
         *_scores(others),
         *_of_baselines(result),
     ]
-    last = (next_unit_sentence(result.next_unit), proof.words(result), *_failures(result, subject))
+    further = next_unit_sentence(result.next_unit, proof.measure_of(result))
+    last = (further, proof.words(result), *_failures(result, subject))
     return ["; ".join(parts), ". ".join(part for part in last if part)]
 
 

@@ -103,7 +103,7 @@ def build_road_users(setting: Setting, evaluations: Mapping[str, Evaluation]) ->
                     for name, pair in verdicts.items()
                 ),
             )
-            for group in ROAD_USERS.values()
+            for group in dict.fromkeys(ROAD_USERS.values())
             if (met == group).any()
         ),
         unprotected=tuple(unprotected_cases(setting)),

@@ -184,7 +184,9 @@ def _draw(
     runs, n_as_planned = setting.runs, 0
     last_s = axis.last_brake_time_s
     if not uncertainty.road_users.are_as_planned:
-        runs, n_as_planned = draw_road_users(runs, uncertainty.road_users, rule, streams.rng)
+        runs, n_as_planned = draw_road_users(
+            runs, uncertainty.road_users, rule, streams.rng, setting.scene
+        )
         last_s = np.array([run.last_brake_time_s for run in runs])
     if vehicles:
         clearance_m = uncertainty.traffic.clearance_m
