@@ -68,6 +68,7 @@ def pack_table(pose_ids: tuple[str, ...], axis: FrameAxis, detected: BoolArray) 
 
 _ROWS = 256  # unpacked at a time
 _BELOW = "<"
+_BLIND = " (blind)"
 _AT_ONCE_S = 1.0e-12
 """From one frame after the last moment to the next, in the clock of a level."""
 
@@ -149,13 +150,19 @@ def level_axis(axis: FrameAxis, levels: Levels, rule: AebRule) -> tuple[FrameAxi
 
 
 def run_of_level(level_id: str) -> str:
-    """Id of the run that a level belongs to, by that of the level; of a run its own."""
-    return level_id.partition(_BELOW)[0]
+    """Id of the run that a level belongs to, by that of the level; of a run its own.
+
+    The same for a run that is driven by a VUT that does not see, see :func:`mixed_table`.
+    """
+    return level_id.removesuffix(_BLIND).partition(_BELOW)[0]
+
+
+def has_levels(axis: FrameAxis) -> bool:
+    """True if some runs are levels."""
+    return any(_BELOW in name for name in axis.run_ids)
 
 
 # ---------- cars that see, and cars that do not
-
-_BLIND = " (blind)"
 
 
 def mixed_table(table: DetectionTable, share: float) -> DetectionTable:
@@ -182,6 +189,11 @@ def mixed_table(table: DetectionTable, share: float) -> DetectionTable:
         time_s=np.tile(axis.time_s, 2),
     )
     return DetectionTable(pose_ids=table.pose_ids, axis=twice, packed=packed)
+
+
+def is_mixed(axis: FrameAxis) -> bool:
+    """True if runs are there twice, see :func:`mixed_table`."""
+    return any(name.endswith(_BLIND) for name in axis.run_ids)
 
 
 def seeing_share(axis: FrameAxis) -> float:

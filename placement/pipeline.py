@@ -43,7 +43,7 @@ from .optimiser import (
     solve_placement,
 )
 from .optimiser.problem import Fusion
-from .question import BLIND, Question, read_cars
+from .question import BLIND, SEE, Question, read_cars
 from .sampling.tables import SampledTable, obtain_table, sampled_table
 from .sampling.uncertainty import Uncertainty, load_drawn
 from .setting import Setting, build_setting
@@ -151,7 +151,7 @@ class Assembly:
         is there twice, see :func:`placement.detection_table.mixed_table`.
         """
         setting, table = with_sight(self.setting, compute=self.compute), self.table
-        seen = setting.seen_by_vut
+        seen = setting.seen_by_vut if setting.cars else None
         if setting.levels is not None:
             table = level_table(table, setting.levels, setting.rule)
             if seen is not None:
@@ -278,6 +278,8 @@ def _check_together(question: Question) -> None:
             got = Unquoted(f"it beside `{field_name}`")
             raise InputError("refine", got, "one of them: poses stay as they are")
     check_worlds_of_cars(question)
+    if question.refine and 0.0 < read_cars(question.cars) < 1.0:
+        raise InputError("cars", question.cars, f"{BLIND} or {SEE} beside `refine`")
     if question.score != AVOIDED:
         for field_name in ("samples", "refine"):
             if getattr(question, field_name):

@@ -23,11 +23,13 @@ from geometry.scene import Scene
 from geometry.scene_files import load_scene
 from geometry.study_scene import STUDY, load_study_scene
 from placement.detection_table import plain_axis
+from placement.evaluation import mix
 from placement.layout import Layout, layout_records, load_layout
 from placement.optimiser import Failing, Objective, PlacementProblem, PresolveStatistics
 from placement.verification.certificates import (
     CERTIFICATE_FILE,
     StoredCertificate,
+    cars_of,
     load_certificate,
 )
 from placement.verification.instances import INSTANCE_FILE, Mounts, load_stored_problem, scene_hash
@@ -311,6 +313,7 @@ def _check_summary(
     expected: dict[str, Any] = {
         "layout": [dict(unit) for unit in stored.units],
         "fusion": problem.fusion,
+        "cars": cars_of(problem),
         "candidates": problem.table.n_poses,
         "solver": stored.solver,
         "versions": dict(stored.versions),
@@ -470,27 +473,33 @@ def _check_ratios(result: StoredResult, found: FolderChecks) -> None:
     for name, evaluation in told.items():
         parties = {
             key: evaluation[key]
-            for key in ("vut", "rsu_all", "vut_and_rsus", "vam", "all_sources")
+            for key in ("vut", "rsu_all", "vut_and_rsus", "vam", "all_sources", _HEADLINE)
             if evaluation.get(key)
         } | evaluation["units"]
         for party, ratios in parties.items():
-            if (name, party) not in outcomes:
+            of_party = [outcomes.get((name, one)) for one in _MIXED.get(party, (party,))]
+            if None in of_party:
                 wrong = wrong or f"{name}, {party}: no runs of it in {RUNS_FILE}"
                 continue
-            of_party = outcomes[name, party]
             groups = {("case", ALL): ratios["all"]}
             for key in ("case", "position"):
                 told_by = ratios.get(f"by_{key}") or {}
                 groups |= {(key, word): ratio for word, ratio in told_by.items()}
             for (key, word), ratio in groups.items():
                 group = [word if column == key else ALL for column in _GROUPS]
-                expected, _, _ = of_party.in_group(group)
+                found_ratios = [one.in_group(group)[0] for one in of_party if one is not None]
+                expected = found_ratios[0]
+                if len(found_ratios) > 1 and None not in found_ratios:
+                    expected = mix(*found_ratios, summary["cars"])
                 if not _agree(ratio, expected):
                     wrong = wrong or f"{name}, {party}, {word}: {ratio}, not {expected}"
     found.add(f"{MARKER}: ratios", wrong, f"of {', '.join(told)}: they follow from {RUNS_FILE}")
 
 
 _GROUPS = ("case", "approach", "position", "weather", "vut_speed_kmh")
+_HEADLINE = "headline"
+_MIXED = {_HEADLINE: ("rsu_all", "vut_and_rsus")}
+"""Parties whose ratios are those of two others by the share of cars that see."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -20,6 +20,7 @@ from geometry.arrays import FloatArray
 from geometry.scene_files import load_scene
 from placement.candidates import CandidatePose
 from placement.compute import Compute
+from placement.detection_table import plain_axis
 from placement.optimiser import PlacementProblem, PlacementValue, apr_one_failed
 from placement.optimiser.front import Front, FrontPoint, StageChoice, cost_front, pareto_front
 from placement.optimiser.presolve import PresolveStatistics
@@ -565,7 +566,7 @@ def describe_front(
         by=front.by,
         optimised=front.stages,
         candidates=problem.table.n_poses,
-        runs=problem.table.axis.n_runs,
+        runs=plain_axis(problem.table.axis).n_runs,
         fusion=problem.fusion,
         kept=n_kept,
         settled=front.settled,

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 from geometry.errors import InputError, Unquoted
 from geometry.files import read_text, take, take_list, take_number, take_text, write_atomically
 
-from ..detection_table import run_of_level, seeing_share
+from ..detection_table import has_levels, seeing_share
 from ..layout import Certificate, Stage
 from ..optimiser import PlacementProblem, PresolveStatistics
 from ..optimiser.objectives import Objective
@@ -221,20 +221,21 @@ def instance_of(problem: PlacementProblem, mounts: Mounts | None) -> dict[str, A
     }
 
 
-def _has_levels(problem: PlacementProblem) -> bool:
-    return any(run_of_level(name) != name for name in problem.table.axis.run_ids)
-
-
 def words_of(problem: PlacementProblem, stages: Sequence[str]) -> dict[str, str]:
     """The model in words: fusion, what avoided means, and the formula of each stage."""
     formulas = _FORMULAS if problem.limits.failing == "unit" else _FORMULAS | _SITE_FORMULAS
     return {
         "fusion": _FUSIONS[problem.fusion],
         "avoided": _AVOIDED + ("" if is_never_lost(problem.rule) else _ALIVE),
-        **({"levels": _LEVELS} if _has_levels(problem) else {}),
+        **({"levels": _LEVELS} if has_levels(problem.table.axis) else {}),
         **({} if problem.seen_by_vut is None else {"cars": _CARS}),
         **{name: formulas[Objective(name)] for name in stages},
     }
+
+
+def cars_of(problem: PlacementProblem) -> float:
+    """Share of the VUTs that see in a problem, 0..1."""
+    return 0.0 if problem.seen_by_vut is None else seeing_share(problem.table.axis)
 
 
 def model_of(problem: PlacementProblem) -> dict[str, Any]:
@@ -246,7 +247,7 @@ def model_of(problem: PlacementProblem) -> dict[str, Any]:
         "survive": problem.survive,
         **({} if limits.failing == "unit" else {"failing": limits.failing}),
         "tail": problem.tail,
-        **({} if problem.seen_by_vut is None else {"cars": seeing_share(axis)}),
+        **({} if problem.seen_by_vut is None else {"cars": cars_of(problem)}),
         "n_samples": 0 if samples is None else int(samples.max()) + 1,
         "limits": {
             "budget_units": limits.budget_units,
