@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
+from geometry.arrays import BoolArray
 from placement.detection_table import pack_table
 from placement.optimiser import Floor, Limits, PlacementProblem
 from scenarios.aeb import AebRule
@@ -58,6 +59,7 @@ def problems(draw: st.DrawFn) -> PlacementProblem:
             frame_rate_hz=10.0,
             track_memory_s=draw(st.sampled_from([0.1, np.inf, 0.2, 0.3, 0.5])),
         ),
+        seen_by_vut=draw(st.sampled_from([None, random_sight(rng, axis)])),
     )
 
 
@@ -112,11 +114,10 @@ def questions(draw: st.DrawFn) -> PlacementProblem:
         survive=0 if floors else n_failures,
         sample_index=sample_index,
         tail=1.0 if sample_index is None else draw(st.sampled_from([1.0, 0.5, 0.1])),
-        seen_by_vut=draw(st.sampled_from([None, random_sight(rng, problem.table.axis)])),
     )
 
 
-def random_sight(rng: np.random.Generator, axis: FrameAxis) -> np.ndarray:
+def random_sight(rng: np.random.Generator, axis: FrameAxis) -> BoolArray:
     """Frames in which the VUT detects."""
     return rng.random(axis.n_frames) < rng.choice([0.0, 0.5, 0.8, 1.0], p=[0.1, 0.4, 0.4, 0.1])
 

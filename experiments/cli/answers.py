@@ -252,7 +252,12 @@ def _head(result: Result) -> list[Part]:
         more = several(n_reasons, "more reason", "more reasons")
         reasons.append(f"and {more} in the report's list")
     return [
-        *_said([*added.words(result.added), *dangers.words(result.dangers, result.runs)]),
+        *_said(
+            [
+                *added.words(result.added),
+                *dangers.words(result.dangers, result.runs, cars=result.cars),
+            ]
+        ),
         *_said(answer.preferred(result)),
         *_said([*result.driven[:1], *result.without_effect]),
         Part(notes=reasons),

@@ -63,7 +63,7 @@ Examples:
     help="Longest latency shown; default: 0.5, or as far as the budget and the curve need.",
 )
 @folder_option("latency.csv and latency.png")
-@question_options(*(name for name in JUDGED if name != "latency_budget"))
+@question_options(*(name for name in JUDGED if name not in ("latency_budget", "cars")))
 @job_options()
 @click.pass_obj
 def latency(

@@ -264,13 +264,13 @@ _WEIGHED = ("weights", "near", "accidents_within_m", "score")
 PICTURED = fields_in(
     DRIVEN,
     SEEN,
-    but=("fusion", *_WEIGHED, "vut_sensors", "packet_loss", "vam_rate", "track_memory_s"),
+    but=("fusion", *_WEIGHED, "vut_sensors", "cars", "packet_loss", "vam_rate", "track_memory_s"),
 )
 """Fields of commands that draw what each unit sees, whoever judges it."""
 ONLY_DRIVEN = fields_in(
     DRIVEN,
     SEEN,
-    but=("fusion", *_WEIGHED, "detector", "vut_sensors", "packet_loss", "vam_rate"),
+    but=("fusion", *_WEIGHED, "detector", "vut_sensors", "cars", "packet_loss", "vam_rate"),
 )
 """Fields of commands that show what is driven and judge nothing."""
 

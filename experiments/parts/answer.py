@@ -45,7 +45,7 @@ def words(result: Result, shown: Mapping[str, Evaluation]) -> list[str]:
         *result.driven[:1],
         *result.without_effect,
         *added.words(result.added),
-        *dangers.words(result.dangers, result.runs),
+        *dangers.words(result.dangers, result.runs, cars=result.cars),
         *preferred(result),
         *(f"{sentence}." for sentence in sentences if sentence),
         *doubts(result),

@@ -98,13 +98,17 @@ def _groups(groups: Sequence[RunGroup], is_avoided: BoolArray) -> tuple[DangerGr
 # ---------- words
 
 
-def words(dangers: Dangers, n_runs: int) -> list[str]:
-    """How many runs are not avoided, and which: an answer begins with it."""
+def words(dangers: Dangers, n_runs: int, *, cars: float = 0.0) -> list[str]:
+    """How many runs are not avoided, and which: an answer begins with it.
+
+    `cars` is the share of cars that see; where it is not all, others are told of.
+    """
+    whose = " by cars that do not see" if 0.0 < cars < 1.0 else ""
     if not dangers.not_avoided:
-        return [f"No run is left: all {n_runs} are avoided."]
+        return [f"No run is left: all {n_runs} are avoided{whose}."]
     are = "is" if dangers.not_avoided == 1 else "are"
     return [
-        f"{dangers.not_avoided} of {count_runs(n_runs)} {are} not avoided: "
+        f"{dangers.not_avoided} of {count_runs(n_runs)} {are} not avoided{whose}: "
         f"{_most_left(dangers.by_case, 'in {}'.format, 'in other cases')}{_at_positions(dangers)}."
     ]
 

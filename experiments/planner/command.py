@@ -120,8 +120,11 @@ def plan(
         )
     question = begin(progress, question, quiet=quiet)
     progress.kept = "nothing was written" if save is None else f"the plan is in {save}"
+    from geometry.errors import InputError
     from geometry.files import check_target
     from geometry.scene_files import load_scene
+    from placement.evaluator import with_sight
+    from placement.question import read_cars
     from placement.setting import build_setting
 
     from .server import RunningServer
@@ -130,10 +133,12 @@ def plan(
 
     if save is not None:
         check_target(save)
+    if 0.0 < read_cars(question.cars) < 1.0:
+        raise InputError("--cars", question.cars, "blind or see: the page tells each run once")
     scene = load_scene(question.scene)
     begun = _begun_plan(layout_names, save, scene)
     progress("setting", 0, 0)
-    setting = build_setting(question, scene, compute=compute)
+    setting = with_sight(build_setting(question, scene, compute=compute), compute=compute)
     with tempfile.TemporaryDirectory(prefix="place-rsus-plan-") as folder:
         work = Work(question=question, scratch=Path(folder), compute=compute)
         server = RunningServer(

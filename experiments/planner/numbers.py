@@ -231,7 +231,7 @@ def evaluated_numbers(evaluation: Evaluation, setting: Setting) -> dict[str, Any
     record = json.loads(to_json_text(build_evaluation_record(evaluation, setting.rule)))
     return {
         "source": BY_EVALUATOR,
-        **_shares(evaluation.rsu_all, setting),
+        **_shares(evaluation.headline, setting),
         "units": {
             name: percent(finite_or_none(apr(verdict, axis)))
             for name, verdict in evaluation.units.items()

@@ -141,7 +141,8 @@ class Workspace:
                 raise Cancelled
             rows.append(self.live.detected(units[first : first + _AT_ONCE]))
         detected = np.concatenate(rows)
-        together = table_verdict(units, detected, self.setting)
+        sees = self.setting.cars == 1.0
+        together = table_verdict(units, detected, self.setting, with_vut=sees)
         alone = {
             unit.id: table_verdict([unit], detected[index : index + 1], self.setting)
             for index, unit in enumerate(units[:MAX_ALONE])

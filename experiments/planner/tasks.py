@@ -22,7 +22,7 @@ from placement.advice import LEAST_GAIN, Advice, Adviser
 from placement.candidates import CandidatePose, build_grid, own_models
 from placement.compute import Compute, Progress
 from placement.evaluation import Evaluation
-from placement.evaluator import evaluate_layout
+from placement.evaluator import evaluate_layout, with_sight
 from placement.explain.sensitivity import find_tolerances
 from placement.explain.unavoided import Look, find_reasons
 from placement.layout import Layout
@@ -82,7 +82,8 @@ class Tasks:
             self._progress("setting", 0, 0)
             question = self._work.question
             scene = load_scene(question.scene)
-            self._setting = build_setting(question, scene, compute=self._compute)
+            setting = build_setting(question, scene, compute=self._compute)
+            self._setting = with_sight(setting, compute=self._compute)
         return self._setting
 
     def open_setting(self) -> Setting:

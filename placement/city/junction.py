@@ -156,9 +156,7 @@ def find_front(
     limits = problem.limits
     forced = tuple(np.flatnonzero(limits.is_forced).tolist())
     n_existing = len(forced)
-    base = PlacementValue(0.0, 0.0, 0.0, 0.0, 0.0)
-    if n_existing:
-        base = placement_value(problem, forced)
+    base = placement_value(problem, forced)  # what the VUT avoids by itself, where there are none
 
     def fronts_of(part: PlacementProblem, tell: Callable[[str], None]) -> tuple[Front, SiteFront]:
         assert limits.budget_units is not None

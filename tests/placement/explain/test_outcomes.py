@@ -36,6 +36,7 @@ def watched_of(problem, chosen, fusion):
         axis=problem.table.axis,
         rule=problem.rule,
         fusion=fusion,
+        seen_by_vut=problem.seen_by_vut,
     )
 
 

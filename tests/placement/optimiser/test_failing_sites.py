@@ -32,8 +32,7 @@ def left(problem: PlacementProblem, poses: tuple[int, ...], n_failures: int) -> 
     """What is left when the worst sites fail: the definition, written down."""
     site = problem.limits.site_index
     used = sorted({int(site[pose]) for pose in poses})
-    if n_failures >= len(used):
-        return 0.0
+    n_failures = min(n_failures, len(used))  # then the VUT is left, if it sees
     return min(
         apr(problem, [pose for pose in poses if site[pose] not in failed])
         for failed in combinations(used, n_failures)

@@ -1,0 +1,126 @@
+"""What the VUT sees by itself is in every set of poses: brute force over small problems."""
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from oracle import Oracle
+from problems import problems, random_sight
+from small_tables import avoiding_problem
+
+from geometry.errors import InputError
+from placement.detection_table import (
+    has_levels,
+    is_mixed,
+    mixed_table,
+    pack_table,
+    plain_axis,
+    run_of_level,
+    seeing_share,
+)
+from placement.optimiser import (
+    PlacementProblem,
+    apr,
+    apr_one_failed,
+    placement_value,
+    run_margins_s,
+    solve_placement,
+)
+from placement.optimiser.problem import objective_values
+
+
+@st.composite
+def seeing_problems(draw: st.DrawFn) -> PlacementProblem:
+    """Problems whose VUT sees."""
+    problem = draw(problems())
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    return replace(problem, seen_by_vut=random_sight(rng, problem.table.axis))
+
+
+def mixed(problem: PlacementProblem, share: float) -> PlacementProblem:
+    """The same where a share of the cars sees."""
+    seen = problem.seen_by_vut
+    return replace(
+        problem,
+        table=mixed_table(problem.table, share),
+        seen_by_vut=np.concatenate([seen, np.zeros_like(seen)]),
+    )
+
+
+def check(problem: PlacementProblem) -> None:
+    """The best in all stages, proven, by the enumeration of every layout."""
+    solution = solve_placement(problem)
+    Oracle(problem).check(solution.pose_index, solution.certificate.stages, proves=True)
+
+
+@given(seeing_problems())
+def test_with_cars_that_see_every_stage_is_that_of_brute_force(problem):
+    check(problem)
+
+
+@given(seeing_problems(), st.sampled_from([0.3, 0.75]))
+def test_with_a_share_of_cars_that_see_every_stage_is_that_of_brute_force(problem, share):
+    check(mixed(problem, share))
+
+
+@given(seeing_problems(), st.sampled_from([0.0, 0.3, 1.0]))
+def test_a_share_is_the_weighted_sum_of_both(problem, share):
+    blind, both = replace(problem, seen_by_vut=None), mixed(problem, share)
+    poses = range(problem.table.n_poses)
+    for chosen in [[], *([pose] for pose in poses), [*poses]]:
+        expected = share * apr(problem, chosen) + (1.0 - share) * apr(blind, chosen)
+        assert apr(both, chosen) == pytest.approx(expected, abs=1e-12)
+    assert seeing_share(both.table.axis) == pytest.approx(share)
+
+
+@given(seeing_problems())
+def test_nobody_sees_is_blind_and_everybody_sees_is_see(problem):
+    blind = replace(problem, seen_by_vut=None)
+    for share, like in ((0.0, blind), (1.0, problem)):
+        ours = solve_placement(mixed(problem, share)).pose_index
+        best = solve_placement(like).pose_index
+        assert placement_value(like, ours) == pytest.approx(placement_value(like, best), abs=1e-9)
+
+
+@given(seeing_problems())
+def test_no_pose_at_all_is_the_vut_alone(problem):
+    seen = problem.seen_by_vut
+    ids = problem.table.pose_ids
+    table = pack_table(ids, problem.table.axis, np.tile(seen, (len(ids), 1)))
+    alone = replace(problem, table=table, seen_by_vut=None)
+    assert np.array_equal(run_margins_s(problem, []), run_margins_s(alone, [0]))
+    for pose in range(problem.table.n_poses):
+        assert apr_one_failed(problem, [pose]) == apr(problem, []) == apr(alone, [0])
+
+
+@given(seeing_problems(), st.integers(1, 4))
+def test_a_vut_never_fails(problem, n_failures):
+    problem = replace(problem, survive=n_failures)
+    nobody = apr(problem, [])
+    for size in (1, 2, 3):
+        for chosen in combinations(range(problem.table.n_poses), size):
+            left = objective_values(problem, chosen)["apr_survived"]
+            assert left >= nobody - 1e-12
+            assert n_failures < size or left == pytest.approx(nobody)
+
+
+def test_runs_that_are_there_twice_are_told_once(frame_axis):
+    table = pack_table(("a",), frame_axis, np.ones((1, frame_axis.n_frames), dtype=bool))
+    axis = mixed_table(table, 0.25).axis
+    assert (is_mixed(axis), is_mixed(frame_axis), has_levels(axis)) == (True, False, False)
+    assert [run_of_level(name) for name in axis.run_ids] == [*frame_axis.run_ids] * 2
+    once = plain_axis(axis)
+    assert once.run_ids == frame_axis.run_ids
+    assert once.weight == pytest.approx(frame_axis.weight)
+    assert seeing_share(axis) == 0.25
+
+
+def test_frames_of_other_runs_are_refused():
+    problem = avoiding_problem(["1"])
+    with pytest.raises(
+        InputError, match=r"seen_by_vut: got shape \(1,\); expected a flag"
+    ):
+        replace(problem, seen_by_vut=np.ones(1, dtype=bool))
