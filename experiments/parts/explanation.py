@@ -212,8 +212,11 @@ def contribution_sentences(explained: ExplainedRecord) -> list[str]:
     parts = explained.contributions
     if is_nothing_avoided(parts):
         return [f"{'This unit avoids' if len(parts) == 1 else 'These units avoid'} nothing."]
-    if len(parts) == 1:
+    if len(parts) == 1 and parts[0].without.apr == 0.0:
         return ["Everything that is avoided depends on this one unit."]
+    if len(parts) == 1:
+        saved = count_runs(len(parts[0].only_runs))
+        return [f"This one unit saves {saved} that the car does not save by itself."]
     needed = [part for part in parts if part.only_runs]
     if not needed:
         others = "the other avoids" if len(parts) == 2 else "the others avoid"

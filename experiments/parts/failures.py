@@ -125,9 +125,14 @@ def failures_section(evaluation: Evaluation, rule: AebRule, labels: Mapping[str,
         tables.append(failure_table(failures.two_failed, labels, of="pair"))
     if any(len(item.unit_ids) > 1 for item in failures.site_failed):
         tables.append(failure_table(failures.site_failed, labels, of="pole"))
+    whose = (
+        "What the evaluator sees with each unit, and with the car's own sensors, which never fail."
+        if evaluation.cars == 1.0
+        else "Roadside units only, from what the evaluator sees with each; what the car sees by "
+        "itself comes on top."
+    )
     note = (
-        "Roadside units only, from what the evaluator sees with each; what the car sees by itself "
-        "comes on top. A run is lost if all units together avoid it and those that are left do "
+        f"{whose} A run is lost if all units together avoid it and those that are left do "
         "not; the fastest ones are named first."
     )
     sentences = " ".join(failure_sentences(failures, labels))

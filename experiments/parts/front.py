@@ -450,6 +450,7 @@ class FrontResult(FrontRecord, frozen=True, kw_only=True):
     weathers: tuple[str, ...]
     detector: str
     vut_sensors: tuple[str, ...]
+    cars: Share = 0.0
     packet_loss: Share
     vam_rate: Share
     track_memory_s: float | None = None

@@ -12,7 +12,13 @@ from scenarios.aeb import AebRule, live_confirmation_time_s
 from scenarios.runs import find_onsets
 from scenarios.weights import weight_share
 
-from ..evaluation import Evaluation, earliest_arrival_s, leave_each_out, units_by_site
+from ..evaluation import (
+    Evaluation,
+    earliest_arrival_s,
+    leave_each_out,
+    unit_arrivals_s,
+    units_by_site,
+)
 from ..optimiser import (
     PlacementProblem,
     PlacementValue,
@@ -164,25 +170,22 @@ class Failures:
 def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
     """Evaluate the failure of each unit of a layout, of each pair, and of each site.
 
-    In each frame any remaining unit may be the one that detects. The worst comes first: the lowest
-    APR (:func:`placement.evaluation.apr_one_failed` is that of `one_failed`), then the smallest
-    margin, then the layout's order.
+    In each frame any remaining unit may be the one that detects, and the VUT where every VUT sees.
+    The worst comes first: the lowest APR (:func:`placement.evaluation.apr_one_failed` is that of
+    `one_failed`), then the smallest margin, then the layout's order.
     """
     axis, units = evaluation.axis, evaluation.layout.units
-    arrivals_s = np.stack(
-        [
-            earliest_arrival_s([(evaluation.units[unit.id].detected, unit.latency(rule))], axis)
-            for unit in units
-        ]
-    )
+    arrivals_s = unit_arrivals_s(evaluation, rule)
+    own = [(evaluation.vut.detected, rule.latency_s)] if evaluation.cars == 1.0 else []
+    own_s = earliest_arrival_s(own, axis)
     earliest_s, without = leave_each_out(arrivals_s)
     pairs = combinations(range(len(units)), 2) if len(units) <= MAX_PAIR_UNITS else ()
     counts = axis.weight > 0.0
 
-    avoided_by_all = find_onsets(earliest_s, axis, rule=rule).is_in_time
+    avoided_by_all = find_onsets(np.minimum(earliest_s, own_s), axis, rule=rule).is_in_time
 
     def failure(failed: tuple[int, ...], arrival_s: FloatArray, site_id: str = "") -> Failure:
-        onsets = find_onsets(arrival_s, axis, rule=rule)
+        onsets = find_onsets(np.minimum(arrival_s, own_s), axis, rule=rule)
         avoided = onsets.is_in_time
         margin = (axis.last_brake_time_s - onsets.onset_s)[avoided & counts]
         lost = np.flatnonzero(avoided_by_all & ~avoided & counts)

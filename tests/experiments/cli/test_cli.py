@@ -314,6 +314,7 @@ def test_placement_prints_one_object_and_writes_a_report(run, few_runs, whole_pl
         "apr_without_worst_site",
         "vam",
         "all_sources",
+        "headline",
     }
     assert set(summary["evaluation"]["units"]) == {unit["id"] for unit in summary["layout"]}
     study = summary["baseline"]["evaluation"]
