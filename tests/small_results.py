@@ -20,7 +20,7 @@ from placement.compute import Compute
 from placement.detectors import load_detector, load_planning_detector
 from placement.explain.sensitivity import load_assumptions
 from placement.layout import Layout, load_carlancap_layout
-from placement.question import Question
+from placement.question import Question, read_cars
 from placement.setting import Setting
 from scenarios.aeb import load_aeb_rule
 from scenarios.cases import pick_cases
@@ -84,8 +84,13 @@ def assemble_without_runs(question: Question, scene: Scene) -> pipeline.Assembly
 
 def lay_runs_of(patch: pytest.MonkeyPatch, setting: Setting) -> None:
     """Let every placement, evaluation and comparison have the runs of a setting."""
+
+    def build(question: Question, scene: object, **options: object) -> Setting:
+        cars = read_cars(question.cars)
+        return replace(setting, cars=cars) if cars else setting
+
     for module in (placement, pipeline):
-        patch.setattr(module, "build_setting", lambda question, scene, **options: setting)
+        patch.setattr(module, "build_setting", build)
 
 
 def vary_few_assumptions(patch: pytest.MonkeyPatch, *names: str) -> None:

@@ -1,0 +1,182 @@
+"""Placements and comparisons with cars that see, from the question to the checked folder."""
+
+import json
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from small_results import build_small_baseline
+
+from experiments.cli.options import cache_folder
+from experiments.export.json import to_json_text
+from experiments.jobs import placement
+from experiments.jobs.verify import run_verification
+from experiments.parts.added import MAX_UNITS, build_added
+from experiments.parts.added import words as added_words
+from experiments.progress import StageProgress
+from geometry.errors import InputError
+from placement.compute import Compute
+from placement.evaluation import headline_apr
+from placement.evaluator import evaluate_layout, with_sight
+from placement.evaluator.evaluate import VUT_KEY, watch
+from placement.live import table_verdict
+from placement.pipeline import assemble, place
+from placement.question import Question
+
+pytestmark = pytest.mark.usefixtures("without_figures")
+
+
+def asked(out, **options):
+    progress = StageProgress()
+    result = placement.run_placement(
+        Question(budget=2, **options),
+        out=out,
+        compute=Compute(workers=2, cache_folder=cache_folder(), progress=progress),
+        command="place-rsus",
+        progress=progress,
+    )
+    return json.loads(to_json_text(result))
+
+
+def failed(folder):
+    checks = run_verification(folder, progress=StageProgress()).checks
+    return [check.name for check in checks if not check.passed]
+
+
+@pytest.fixture
+def summaries(small_study, tmp_path):
+    return {cars: asked(tmp_path / cars, cars=cars) for cars in ("blind", "see", "0.3")}
+
+
+def test_answers_are_judged_by_what_cars_see(summaries, tmp_path):
+    for cars, summary in summaries.items():
+        share, evaluation = summary["cars"], summary["evaluation"]
+        assert share == {"blind": 0.0, "see": 1.0, "0.3": 0.3}[cars]
+        blind, seeing = evaluation["rsu_all"]["all"], evaluation["vut_and_rsus"]["all"]
+        judged = (evaluation["headline"] or evaluation["rsu_all"])["all"]
+        assert judged == pytest.approx(share * seeing + (1.0 - share) * blind)
+        # Table and evaluator see the same with the car's own sensors as without.
+        assert summary["apr"] == pytest.approx(judged, abs=0.05)
+        assert summary["greedy"]["evaluation"]["headline"] is None or cars != "blind"
+        assert all(stage["gap"] == 0.0 for stage in summary["stages"])
+        assert failed(tmp_path / cars) == []
+    assert summaries["see"]["apr"] >= summaries["0.3"]["apr"] >= summaries["blind"]["apr"]
+    assert (
+        summaries["see"]["apr_without_worst_unit"] >= summaries["see"]["evaluation"]["vut"]["all"]
+    )
+
+
+@pytest.mark.usefixtures("summaries")
+def test_another_share_of_cars_is_found_out(tmp_path):
+    for cars, other in (("see", 0.5), ("0.3", 0.5), ("blind", 1.0)):
+        path = tmp_path / cars / "summary.json"
+        summary = json.loads(path.read_text())
+        path.write_text(json.dumps(summary | {"cars": other}))
+        assert "summary.json: cars" in failed(tmp_path / cars)
+        path.write_text(json.dumps(summary))
+    certificate = tmp_path / "see" / "certificate.json"
+    document = json.loads(certificate.read_text())
+    document["model"]["cars"] = 0.5
+    certificate.write_text(json.dumps(document))
+    assert "model" in failed(tmp_path / "see")
+    document["model"]["cars"] = 1.0
+    del document["model"]["in_words"]["cars"]
+    certificate.write_text(json.dumps(document))
+    assert "model in words" in failed(tmp_path / "see")
+
+
+def test_the_table_has_what_the_evaluator_sees_from_the_car(small_study):
+    question = Question(budget=2, cars="see")
+    assembly = assemble(question)
+    seen = watch(small_study, {}, compute=Compute())[VUT_KEY]
+    assert np.array_equal(assembly.problem.seen_by_vut, seen)
+    found = place(assembly)
+    evaluation = evaluate_layout(found.layout, assembly.setting)
+    assert np.array_equal(evaluation.vut.detected, seen)
+    assert headline_apr(evaluation) == pytest.approx(
+        found.certificate.stages[0].objective, abs=0.05
+    )
+    rows = assembly.table.detected(list(found.pose_index))
+    on_table = table_verdict(found.layout.units, rows, assembly.setting, with_vut=True)
+    axis = small_study.axis
+    assert on_table.is_avoided @ axis.weight == pytest.approx(found.certificate.stages[0].objective)
+
+
+def test_blind_cars_are_asked_about_as_before(small_study):
+    without, blind = assemble(Question(budget=2)), assemble(Question(budget=2, cars="0"))
+    assert without.problem.seen_by_vut is blind.problem.seen_by_vut is None
+    assert with_sight(small_study) is small_study
+    see = assemble(Question(budget=2, cars="1"))
+    assert see.problem.table.n_poses == blind.problem.table.n_poses
+    assert see.problem.seen_by_vut is not None
+
+
+def test_comparisons_follow(small_study, tmp_path):
+    layout = build_small_baseline(small_study.scene)
+    assert layout is not None
+    first = replace(layout, name="first", units=layout.units[:1])
+    for cars in ("see", "0.3"):
+        progress = StageProgress()
+        result = placement.run_comparison(
+            Question(cars=cars),
+            layouts=[first, layout],
+            out=tmp_path / cars,
+            compute=Compute(workers=2, progress=progress),
+            command="place-rsus compare",
+            progress=progress,
+        )
+        assert result.apr == result.evaluation.judged.all
+        assert result.evaluation.judged.all >= result.evaluation.rsu_all.all
+        left = result.compared[0].evaluation.apr_without_worst_unit
+        assert left >= result.cars * result.evaluation.vut.all - 1e-9
+    with pytest.raises(InputError, match="cars: got 'see'; expected blind beside `samples`"):
+        placement.run_comparison(
+            Question(cars="see"),
+            layouts=[first, layout],
+            samples=2,
+            out=None,
+            compute=Compute(),
+            command="place-rsus compare",
+            progress=StageProgress(),
+        )
+
+
+def test_what_units_add_is_told_one_by_one(small_study):
+    layout = build_small_baseline(small_study.scene)
+    evaluation = evaluate_layout(layout, small_study)
+    for fusion in ("any", "single"):
+        found = build_added(small_study, evaluation, fusion=fusion)
+        everything = found.groups[0]
+        assert everything.gain == pytest.approx(everything.with_units - everything.vut)
+        gains = [unit.gain for unit in found.units]
+        assert {unit.unit for unit in found.units} == {unit.id for unit in layout.units}
+        assert everything.vut + sum(gains) == pytest.approx(everything.with_units, abs=1e-9)
+        assert fusion == "single" or everything.with_units == pytest.approx(
+            evaluation.vut_and_rsus.is_avoided @ small_study.axis.weight
+        )
+        (sentence,) = added_words(found)
+        assert sentence.startswith("A car that sees avoids ")
+        kinds = {group.kind for group in found.groups}
+        assert kinds >= {"all", "case"}
+    unit = layout.units[0]
+    names = [f"unit {number}" for number in range(MAX_UNITS + 1)]
+    many = replace(layout, units=tuple(replace(unit, id=name) for name in names))
+    assert build_added(small_study, replace(evaluation, layout=many)).units == ()
+    assert added_words(None) == []
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"cars": "some"}, "cars: got 'some'; expected blind, see, or the share of cars that see"),
+        ({"cars": "nan"}, "cars: got 'nan'; expected blind, see, or the share"),
+        ({"cars": "1.01"}, "cars: got '1.01'; expected blind, see, or the share"),
+        ({"cars": "see", "samples": 2}, "cars: got 'see'; expected blind beside `samples`"),
+        ({"cars": "0.5", "refine": True}, "cars: got '0.5'; expected blind or see beside `refine`"),
+    ],
+)
+def test_words_that_mean_nothing_are_refused(options, message):
+    with pytest.raises(InputError) as caught:
+        assemble(Question(budget=1, **options))
+    assert str(caught.value).startswith(message)
+    assert "cars" in {field.name for field in fields(Question)}
