@@ -35,6 +35,7 @@ Examples:
   place-rsus --budget 3 --within carlancap-12      three of the study's own
   place-rsus --budget-cost 9000 --site-cost 2000   the best for the money
   place-rsus --budget 2 --fusion single            each must confirm alone
+  place-rsus --budget 3 --cars see                 what units add to cars
   place-rsus --budget 3 --json --quiet | jq .apr   for a machine
   place-rsus --budget 3 --cases protocol-4.5.1 --weights case
   place-rsus --budget 3 --cases CPNCO-50,CBNA --speeds 40-60

@@ -100,7 +100,12 @@ def test_units_that_something_hangs_on_are_counted():
     assert "whichever fails, the other avoids all" in contribution_sentences(none)[0]
     more = explained(contributions=[other, other, other])
     assert "whichever fails, the others avoid all" in contribution_sentences(more)[0]
-    one = explained(contributions=[first])
+    beside_a_car = explained(contributions=[first])
+    assert contribution_sentences(beside_a_car) == [
+        "This one unit saves 4 runs that the car does not save by itself."
+    ]
+    alone = first | {"without": first["without"] | {"apr": 0.0}}
+    one = explained(contributions=[alone])
     assert contribution_sentences(one) == ["Everything that is avoided depends on this one unit."]
     idle = other | {"without": other["without"] | {"apr": 0.0}}
     assert contribution_sentences(explained(contributions=[idle])) == ["This unit avoids nothing."]
@@ -112,7 +117,6 @@ def test_units_that_something_hangs_on_are_counted():
         "#1", "4", "40.0 %", "50.0 %", "0.25", "1.50", "0.30", "0.90", "70.0 %",
     ]  # fmt: skip
     assert {len(row) for row in table.rows} == {len(table.columns)}
-    alone = first | {"without": first["without"] | {"apr": 0.0}}
     row = contribution_table(explained(contributions=[alone])).rows[0]
     assert row[4:8] == ["\N{EN DASH}"] * 4
 
