@@ -152,6 +152,8 @@ class Assembly:
         """
         setting, table = with_sight(self.setting, compute=self.compute), self.table
         seen = setting.seen_by_vut if setting.cars else None
+        if self._sampled is not None:
+            seen = self._sampled.seen_by_vut
         if setting.levels is not None:
             table = level_table(table, setting.levels, setting.rule)
             if seen is not None:
@@ -266,9 +268,9 @@ def assemble(
 
 
 def check_worlds_of_cars(question: Question) -> None:
-    """Raise InputError for cars that see in sampled worlds, where their sensors are not drawn."""
-    if question.samples and read_cars(question.cars):
-        raise InputError("cars", question.cars, f"{BLIND} beside `samples`")
+    """Raise InputError for a share of cars that see in sampled worlds: they have each run once."""
+    if question.samples and 0.0 < read_cars(question.cars) < 1.0:
+        raise InputError("cars", question.cars, f"{BLIND} or {SEE} beside `samples`")
 
 
 def _check_together(question: Question) -> None:

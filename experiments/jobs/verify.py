@@ -487,10 +487,9 @@ def _check_ratios(result: StoredResult, found: FolderChecks) -> None:
                 groups |= {(key, word): ratio for word, ratio in told_by.items()}
             for (key, word), ratio in groups.items():
                 group = [word if column == key else ALL for column in _GROUPS]
-                found_ratios = [one.in_group(group)[0] for one in of_party if one is not None]
-                expected = found_ratios[0]
-                if len(found_ratios) > 1 and None not in found_ratios:
-                    expected = mix(*found_ratios, summary["cars"])
+                expected, *seeing = (one.in_group(group)[0] for one in of_party if one is not None)
+                if seeing and expected is not None and seeing[0] is not None:
+                    expected = mix(expected, seeing[0], summary["cars"])
                 if not _agree(ratio, expected):
                     wrong = wrong or f"{name}, {party}, {word}: {ratio}, not {expected}"
     found.add(f"{MARKER}: ratios", wrong, f"of {', '.join(told)}: they follow from {RUNS_FILE}")

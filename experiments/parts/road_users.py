@@ -99,8 +99,8 @@ def build_road_users(setting: Setting, evaluations: Mapping[str, Evaluation]) ->
                 runs=int((met == group).sum()),
                 weight=float(axis.weight[met == group].sum() / axis.weight.sum()),
                 parties=tuple(
-                    mixed(*(score(name, verdict, group) for verdict in pair), first.cars)
-                    for name, pair in verdicts.items()
+                    mixed(score(name, blind, group), score(name, seeing, group), first.cars)
+                    for name, (blind, seeing) in verdicts.items()
                 ),
             )
             for group in dict.fromkeys(ROAD_USERS.values())

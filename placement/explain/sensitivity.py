@@ -162,19 +162,18 @@ def _of_cars(watched: Watched, outcome: Callable[[Watched], Outcome]) -> Outcome
     """Outcome by the share of the VUTs that see; its smallest margin is that of both."""
     blind = outcome(replace(watched, seen_by_vut=None))
     seeing = outcome(replace(watched, cars=1.0))
-    worths = blind.worth, seeing.worth
-    ratios = [
-        None if None in pair else mix(*pair, watched.cars)
-        for pair in (
-            [worth.apr for worth in worths],
-            [worth.apr_one_failed for worth in worths],
-        )
-    ]
-    margins_s = [w.smallest_margin_s for w in worths if w.smallest_margin_s is not None]
+    one, other = blind.worth, seeing.worth
+
+    def ratio(of_blind: float | None, of_seeing: float | None) -> float | None:
+        if of_blind is None or of_seeing is None:
+            return None
+        return mix(of_blind, of_seeing, watched.cars)
+
+    margins_s = [w.smallest_margin_s for w in (one, other) if w.smallest_margin_s is not None]
     share = watched.cars * seeing.avoided_share + (1.0 - watched.cars) * blind.avoided_share
     worth = Worth(
-        apr=ratios[0],
-        apr_one_failed=ratios[1],
+        apr=ratio(one.apr, other.apr),
+        apr_one_failed=ratio(one.apr_one_failed, other.apr_one_failed),
         smallest_margin_s=min(margins_s, default=None),
     )
     return Outcome(worth=worth, avoided_share=share)

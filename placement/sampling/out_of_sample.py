@@ -21,7 +21,7 @@ from ..layout import Layout
 from ..setting import Setting
 from ..visibility.casting import SharedScene
 from .moving import NO_TRAFFIC, TrafficCount
-from .tables import build_sample_tables, share_scene, tell_traffic
+from .tables import build_sample_tables, seen_by_vut, share_scene, tell_traffic
 from .uncertainty import Uncertainty
 from .worlds import draw_samples, pose_key
 
@@ -254,9 +254,14 @@ def look_at_fresh_worlds(
     for index, (sample, table) in enumerate(worlds):
         driving += sample.driving
         detected = table.detected(slice(None))
+        seen = seen_by_vut(sample, quiet)
+        own = [] if seen is None else [(seen, setting.rule.latency_s)]
         for which, layout in enumerate(layouts):
             avoided[which, index] = _avoided(
-                [(unit, detected[row[_key(unit)]]) for unit in layout.units],
+                [
+                    *((detected[row[_key(u)]], u.latency(setting.rule)) for u in layout.units),
+                    *own,
+                ],
                 table.axis,
                 setting.rule,
                 fusion,
@@ -301,10 +306,9 @@ def _key(unit: CandidatePose) -> tuple[object, ...]:
 
 
 def _avoided(
-    parties: Sequence[tuple[CandidatePose, BoolArray]], axis: FrameAxis, rule: AebRule, fusion: str
+    arrivals: Sequence[tuple[BoolArray, float]], axis: FrameAxis, rule: AebRule, fusion: str
 ) -> BoolArray:
-    """Runs in which braking comes in time, (n_runs,)."""
-    arrivals = [(detected, unit.latency(rule)) for unit, detected in parties]
+    """Runs in which braking comes in time, (n_runs,), by frames detected and their latency."""
     together = [arrivals] if fusion == "any" else [[arrival] for arrival in arrivals]
     avoided = np.zeros(axis.n_runs, dtype=bool)
     for fused in together:

@@ -13,15 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from geometry.arrays import FloatArray, IntArray, freeze
+from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
 from geometry.lidar import LidarModel
 from scenarios.runs import FrameAxis
 
 from ..candidates import CandidatePose
-from ..compute import DEFAULT_COMPUTE, Compute, Progress
+from ..compute import DEFAULT_COMPUTE, Compute, Progress, silent
 from ..detection_table import DetectionTable
 from ..detectors import ResponseDetector
+from ..evaluator import with_sight
 from ..evaluator.surroundings import draw_index
 from ..setting import Setting
 from ..visibility import build_detection_table, load_table, save_table, table_fingerprint
@@ -96,6 +97,18 @@ def build_drawn_table(
         axis=setting.axis,
         packed=packed,
     )
+
+
+def seen_by_vut(sample: Sample, compute: Compute) -> BoolArray | None:
+    """Frames in which the VUT's own sensors detect in a sampled world, if cars see, (n_frames,).
+
+    It is looked at by the evaluator's routine, as in the plan; where detections are drawn, with
+    random numbers of this world. Its own messages are never lost.
+    """
+    compute = replace(compute, progress=silent)
+    if sample.drawn_detector is not None:
+        compute = replace(compute, seed=int(sample.streams.key("vut") >> np.uint64(1)))
+    return with_sight(sample.setting, compute=compute).seen_by_vut
 
 
 def lose_messages(sample: Sample, table: DetectionTable) -> DetectionTable:
@@ -186,6 +199,7 @@ class SampledTable:
     table: DetectionTable
     sample_index: IntArray  # (n_runs,): world of each run of `table`, from 0
     n_samples: int
+    seen_by_vut: BoolArray | None = None  # (n_frames,): of `table`, where cars see
 
     def __post_init__(self) -> None:
         index = np.array(self.sample_index, dtype=np.int64)
@@ -219,7 +233,7 @@ def sampled_table(
     compute.progress(STAGE, 0, 0)
     n_frames = setting.axis.n_frames
     packed = np.zeros((len(candidates), -(-n_samples * n_frames // 8)), dtype=np.uint8)
-    last_brake_s = []
+    last_brake_s, seen = [], []
     worlds = build_sample_tables(samples, n_samples=n_samples, compute=compute)
     driving, n_as_planned = TrafficCount(), 0
     for index, (sample, table) in enumerate(worlds):
@@ -227,6 +241,7 @@ def sampled_table(
         n_as_planned += sample.n_as_planned
         _append(packed, table.packed, first_bit=index * n_frames, n_bits=n_frames)
         last_brake_s.append(table.axis.last_brake_time_s)
+        seen.append(seen_by_vut(sample, compute))
     tell_traffic(driving, uncertainty)
     if n_as_planned:
         n_all = n_samples * setting.axis.n_runs
@@ -239,6 +254,9 @@ def sampled_table(
         ),
         sample_index=np.repeat(np.arange(n_samples), setting.axis.n_runs),
         n_samples=n_samples,
+        seen_by_vut=np.concatenate([each for each in seen if each is not None])
+        if setting.cars
+        else None,
     )
 
 

@@ -107,10 +107,14 @@ class Sample:
     @property
     def looks_as_planned(self) -> bool:
         """True if every pose detects what it would in the plan."""
-        is_in_place = self.candidates is self.planned
+        return self.candidates is self.planned and self.is_seen_as_planned
+
+    @property
+    def is_seen_as_planned(self) -> bool:
+        """True if whoever is in its place, such as the VUT, detects what it would in the plan."""
         is_empty = not self.vehicles and not self.driving.n_vehicles
         is_run_as_planned = is_empty and self.uncertainty.road_users.are_as_planned
-        return is_in_place and is_run_as_planned and self.drawn_detector is None
+        return is_run_as_planned and self.drawn_detector is None
 
     def __repr__(self) -> str:
         return (
@@ -203,7 +207,7 @@ def _draw(
             clearance_m=uncertainty.traffic.clearance_m,
             rng=streams.rng("moving traffic"),
         )
-    return Sample(
+    sample = Sample(
         streams=streams,
         uncertainty=uncertainty,
         setting=replace(
@@ -219,6 +223,9 @@ def _draw(
         n_as_planned=n_as_planned,
         extra_latency_s=freeze(extra_s),
     )
+    if sample.is_seen_as_planned:
+        return sample
+    return replace(sample, setting=replace(sample.setting, seen_by_vut=None))
 
 
 def _with_vehicles(

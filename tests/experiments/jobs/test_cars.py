@@ -5,7 +5,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from small_results import build_small_baseline
+from small_results import build_small_baseline, lay_runs_of
 
 from experiments.cli.options import cache_folder
 from experiments.export.json import to_json_text
@@ -16,12 +16,16 @@ from experiments.parts.added import words as added_words
 from experiments.progress import StageProgress
 from geometry.errors import InputError
 from placement.compute import Compute
+from placement.detectors import load_detector, load_planning_detector
 from placement.evaluation import headline_apr
 from placement.evaluator import evaluate_layout, with_sight
 from placement.evaluator.evaluate import VUT_KEY, watch
+from placement.layout import Layout
 from placement.live import table_verdict
 from placement.pipeline import assemble, place
 from placement.question import Question
+from placement.sampling.out_of_sample import out_of_sample_layouts
+from placement.sampling.uncertainty import load_drawn
 
 pytestmark = pytest.mark.usefixtures("without_figures")
 
@@ -129,9 +133,9 @@ def test_comparisons_follow(small_study, tmp_path):
         assert result.evaluation.judged.all >= result.evaluation.rsu_all.all
         left = result.compared[0].evaluation.apr_without_worst_unit
         assert left >= result.cars * result.evaluation.vut.all - 1e-9
-    with pytest.raises(InputError, match="cars: got 'see'; expected blind beside `samples`"):
+    with pytest.raises(InputError, match=r"cars: got '0\.3'; expected blind or see"):
         placement.run_comparison(
-            Question(cars="see"),
+            Question(cars="0.3"),
             layouts=[first, layout],
             samples=2,
             out=None,
@@ -171,7 +175,7 @@ def test_what_units_add_is_told_one_by_one(small_study):
         ({"cars": "some"}, "cars: got 'some'; expected blind, see, or the share of cars that see"),
         ({"cars": "nan"}, "cars: got 'nan'; expected blind, see, or the share"),
         ({"cars": "1.01"}, "cars: got '1.01'; expected blind, see, or the share"),
-        ({"cars": "see", "samples": 2}, "cars: got 'see'; expected blind beside `samples`"),
+        ({"cars": "0.5", "samples": 2}, "cars: got '0.5'; expected blind or see beside `samples`"),
         ({"cars": "0.5", "refine": True}, "cars: got '0.5'; expected blind or see beside `refine`"),
     ],
 )
@@ -180,3 +184,35 @@ def test_words_that_mean_nothing_are_refused(options, message):
         assemble(Question(budget=1, **options))
     assert str(caught.value).startswith(message)
     assert "cars" in {field.name for field in fields(Question)}
+
+
+@pytest.mark.parametrize("detector", ["geometric", "response"])
+def test_cars_see_in_sampled_worlds(small_study, tmp_path, monkeypatch, detector):
+    monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 2)
+    question = Question(budget=2, cars="see", samples=2, detector=detector)
+    if detector == "response":
+        change = {"detector": load_detector("response")}
+        change["table_detector"] = load_planning_detector("response")
+        lay_runs_of(monkeypatch, replace(small_study, **change))
+    assembly = assemble(question)
+    seen = assembly.problem.seen_by_vut
+    n_frames = small_study.axis.n_frames
+    assert seen.shape == (2 * n_frames,)
+    worlds, planned = seen.reshape(2, n_frames), assembly.setting.seen_by_vut
+    assert worlds.any(axis=1).all()
+    if detector == "response":  # each world has misses of its own
+        assert not np.array_equal(*worlds)
+        assert not np.array_equal(worlds[0], planned)
+    summary = asked(tmp_path / "out", cars="see", samples=2)
+    (subject, *_) = summary["sampled"]["layouts"]
+    assert 0.0 < subject["mean"] <= 1.0
+    assert failed(tmp_path / "out") == []
+    layout = Layout(name="two", units=tuple(assembly.candidates[:2]))
+    drawn = load_drawn(question, assembly.scene, n_samples=3)
+    blind = replace(assembly.setting, cars=0.0, seen_by_vut=None)
+    seeing, by_units = (
+        out_of_sample_layouts(setting, [layout], drawn, n_samples=3)[0].apr_by_sample
+        for setting in (assembly.setting, blind)
+    )
+    assert (seeing >= by_units).all()
+    assert seeing.sum() > by_units.sum()
