@@ -14,12 +14,16 @@ from experiments.jobs.verify import run_verification
 from experiments.parts.added import MAX_UNITS, build_added
 from experiments.parts.added import words as added_words
 from experiments.progress import StageProgress
+from geometry.catalogue import load_cameras
 from geometry.errors import InputError
 from placement.compute import Compute
 from placement.detectors import load_detector, load_planning_detector
-from placement.evaluation import headline_apr
+from placement.evaluation import apr_one_failed, headline_apr
 from placement.evaluator import evaluate_layout, with_sight
 from placement.evaluator.evaluate import VUT_KEY, watch
+from placement.explain.contributions import find_failures
+from placement.explain.other_sensors import find_other_sensors
+from placement.explain.sensitivity import find_sensitivity, find_standing
 from placement.layout import Layout
 from placement.live import table_verdict
 from placement.pipeline import assemble, place
@@ -216,3 +220,47 @@ def test_cars_see_in_sampled_worlds(small_study, tmp_path, monkeypatch, detector
     )
     assert (seeing >= by_units).all()
     assert seeing.sum() > by_units.sum()
+
+
+def test_nothing_is_lost_where_the_car_sees_all(small_study):
+    layout = build_small_baseline(small_study.scene)
+    everything = np.ones(small_study.axis.n_frames, dtype=bool)
+    setting = replace(small_study, cars=1.0, seen_by_vut=everything)
+    best = table_verdict([], np.zeros((0, len(everything)), dtype=bool), setting, with_vut=True)
+    apr = best.is_avoided @ setting.axis.weight
+    standing = find_standing(setting, layout.units)
+    assert standing.worst.apr == pytest.approx(apr)
+    assert standing.worst.lost_run_ids == ()
+    assert find_sensitivity(setting, layout).planned.apr_one_failed == pytest.approx(apr)
+    other = find_other_sensors(setting, layout.units[:1], models=[*load_cameras().values()][:2])
+    assert other.apr == other.models[0].apr_one == pytest.approx(apr)
+    half = replace(setting, cars=0.5)
+    blind = find_standing(small_study, layout.units)
+    assert find_standing(half, layout.units).worst.apr == pytest.approx(
+        0.5 * apr + 0.5 * blind.worst.apr
+    )
+    of_half, of_blind = (
+        find_other_sensors(each, layout.units[:1], models=[*load_cameras().values()][:3])
+        for each in (half, small_study)
+    )
+    assert [one.apr_one for one in of_half.models] == pytest.approx(
+        [0.5 * apr + 0.5 * one.apr_one for one in of_blind.models]
+    )
+    assert min(one.apr_one for one in of_half.models) < apr
+
+
+def test_whose_failure_costs_what_with_and_without_the_car(small_study):
+    layout = build_small_baseline(small_study.scene)
+    evaluation = evaluate_layout(layout, small_study)
+    axis = small_study.axis
+    by_units = find_failures(evaluation, small_study.rule)
+    seeing = replace(evaluation, cars=1.0)
+    with_car = find_failures(seeing, small_study.rule)
+    assert with_car.none_failed.apr == pytest.approx(seeing.headline.is_avoided @ axis.weight)
+    assert with_car.one_failed[0].apr == apr_one_failed(seeing, small_study.rule)
+    assert by_units.one_failed[0].apr == apr_one_failed(evaluation, small_study.rule)
+    assert apr_one_failed(replace(evaluation, cars=0.3), small_study.rule) >= (
+        0.3 * with_car.one_failed[0].apr + 0.7 * by_units.one_failed[0].apr - 1e-12
+    )
+    one = replace(seeing, layout=replace(layout, units=layout.units[:1]))
+    assert apr_one_failed(one, small_study.rule) == evaluation.vut.is_avoided @ axis.weight

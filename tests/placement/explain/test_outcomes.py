@@ -56,6 +56,20 @@ def test_the_outcome_is_what_the_optimiser_says(problem, fusion, seed):
         assert outcome.worth.smallest_margin_s == pytest.approx(value.smallest_margin_s)
 
 
+@given(problem=problems(), share=st.sampled_from([0.0, 0.3, 1.0]))
+def test_a_share_of_cars_that_see_is_the_weighted_sum(problem, share):
+    everyone = list(range(problem.table.n_poses))
+    seen = np.arange(problem.table.axis.n_frames) % 4 > 0
+    watched = replace(watched_of(problem, everyone, problem.fusion), seen_by_vut=seen)
+    seeing, blind = find_outcome(watched), find_outcome(replace(watched, seen_by_vut=None))
+    mixed = find_outcome(replace(watched, cars=share))
+    for name in ("apr", "apr_one_failed"):
+        expected = share * getattr(seeing.worth, name) + (1 - share) * getattr(blind.worth, name)
+        assert getattr(mixed.worth, name) == pytest.approx(expected)
+    expected = share * seeing.avoided_share + (1.0 - share) * blind.avoided_share
+    assert mixed.avoided_share == pytest.approx(expected)
+
+
 def expected_by_hand(watched, packet_loss):
     """Every way in which messages of detected frames may arrive, each by its probability."""
     unit_index, frame_index = np.nonzero(watched.detected)
@@ -92,11 +106,15 @@ def few_frames(frame_axis, rule):
 @pytest.mark.parametrize("memory_s", [0.1, 0.2, math.inf])
 @pytest.mark.parametrize("fusion", ["any", "single"])
 @pytest.mark.parametrize("packet_loss", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("cars", [0.0, 0.3, 1.0])
 def test_expected_shares_are_those_of_all_ways_to_lose_messages(
-    few_frames, fusion, packet_loss, memory_s
+    few_frames, fusion, packet_loss, memory_s, cars
 ):
     rule = replace(few_frames.rule, track_memory_s=memory_s)
     watched = replace(few_frames, fusion=fusion, rule=rule)
+    if cars:
+        seen = np.array([0, 0, 1, 0, 0, 0, 1, 1, 0, 1], dtype=bool)
+        watched = replace(watched, seen_by_vut=seen, cars=cars)
     outcome = find_expected_outcome(watched, packet_loss=packet_loss)
     by_hand = expected_by_hand(watched, packet_loss)
     assert outcome.avoided_share == pytest.approx(by_hand)
