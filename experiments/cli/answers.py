@@ -42,7 +42,16 @@ from ..parts.road_users import RoadUserGroups
 from ..parts.sampled_worlds import SampledRecord, moving_sentence
 from ..parts.section import Table
 from ..parts.study_cases import StudyCases
-from ..results.numbers import count_runs, first_of, number, percent, points, several, shortened
+from ..results.numbers import (
+    cars_words,
+    count_runs,
+    first_of,
+    number,
+    percent,
+    points,
+    several,
+    shortened,
+)
 from ..results.record import EvaluationRecord, PartyAprRecord, UnitRecord
 from .terminal import sentences
 
@@ -81,7 +90,7 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
         *_head(result),
         Part(
             title=f"Best {n_units} of {result.candidates} poses on {result.runs} runs "
-            f"(fusion {result.fusion}{_cars(result)}):",
+            f"(fusion {result.fusion}{cars_words(result.cars)}):",
             table=_units_table(result.layout),
             notes=[*unit_notes(result.layout), _cost(result)],
             is_short=True,
@@ -132,7 +141,7 @@ def evaluation_parts(result: EvaluationResult, out: Path | None) -> list[Part]:
     return [
         *_head(result),
         Part(
-            title=f"{result.name} on {result.runs} runs{_cars(result)}:",
+            title=f"{result.name} on {result.runs} runs{cars_words(result.cars)}:",
             table=_units_table(units),
             notes=[*([more] if n_left else []), *unit_notes(units), _cost(result)],
             is_short=not is_long,
@@ -179,7 +188,7 @@ def comparison_parts(result: ComparisonResult, out: Path | None) -> list[Part]:
     return [
         *_head(result),
         Part(
-            title=f"{result.name} against {names} on {result.runs} runs{_cars(result)}:",
+            title=f"{result.name} against {names} on {result.runs} runs{cars_words(result.cars)}:",
             table=_summary_table(
                 result,
                 {other.name: other.evaluation for other in result.compared},
@@ -456,13 +465,6 @@ def _other_view(evaluation: EvaluationRecord) -> tuple[str, PartyAprRecord]:
 def _other_row(evaluation: EvaluationRecord) -> list[str | None]:
     words, party = _other_view(evaluation)
     return [f"  {words}", "", percent(party.all), "", None]
-
-
-def _cars(result: Result) -> str:
-    """How many of the cars see, in a word, where some do."""
-    if not result.cars:
-        return ""
-    return ", cars see" if result.cars == 1.0 else f", {percent(result.cars)} of the cars see"
 
 
 def _together(result: Result) -> str:

@@ -9,7 +9,7 @@ from placement.compute import Compute
 from placement.question import Question
 
 from ..progress import StageProgress
-from ..results.numbers import or_nan, percent
+from ..results.numbers import cars_words, or_nan, percent
 from .options import (
     ASKED,
     JUDGED,
@@ -144,7 +144,7 @@ def front_text(summary: "FrontResult", out: Path | None) -> str:
         *driven_lines(summary.driven, summary.without_effect),
         *sentences(
             f"The best of {summary.candidates} poses on {summary.runs} runs (fusion "
-            f"{summary.fusion}), and what more {buys}:"
+            f"{summary.fusion}{cars_words(summary.cars)}), and what more {buys}:"
         ),
         "",
         *table(heads, rows, n_left=0),

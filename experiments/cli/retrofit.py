@@ -10,7 +10,7 @@ from placement.compute import Compute
 from placement.question import Question
 
 from ..progress import StageProgress
-from ..results.numbers import percent, several
+from ..results.numbers import cars_words, percent, several
 from .options import (
     MOUNTED,
     SectionedCommand,
@@ -109,7 +109,7 @@ def retrofit_text(summary: "RetrofitResult", out: Path | None) -> str:
         *sentences(
             f"What to change about {summary.name} "
             f"({several(len(summary.layout), 'unit', 'units')}) on {summary.runs} runs, on "
-            f"the detection table (fusion {summary.fusion}):"
+            f"the detection table (fusion {summary.fusion}{cars_words(summary.cars)}):"
         ),
         "",
         *table(["", "EUR", "APR", "one fails", "gained", "lost"], rows),

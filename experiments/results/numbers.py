@@ -26,6 +26,19 @@ def percent(share: float | None) -> str:
     return f"{100.0 * share:.1f} %"
 
 
+def cars_words(cars: float) -> str:
+    """How many of the cars see, behind a comma; nothing where none does.
+
+    Examples
+    --------
+    >>> cars_words(1.0), cars_words(0.3), cars_words(0.0)
+    (', cars see', ', 30.0 % of the cars see', '')
+    """
+    if not cars:
+        return ""
+    return ", cars see" if cars == 1.0 else f", {percent(cars)} of the cars see"
+
+
 def points(share: float) -> str:
     """A difference of shares of 1 in points of percent.
 
