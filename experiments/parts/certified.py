@@ -165,8 +165,9 @@ def words(result: CertifiedResult) -> list[str]:
     n_judged, n_blocks = len(result.apr_by_world), len(result.blocks)
     worlds = several(result.worlds_of_block, "world", "worlds")
     loose = sum(block.bound > block.apr + _SMALL for block in result.blocks)
+    prevent = "prevents" if len(result.units) == 1 else "prevent"
     said = [
-        f"{several(len(result.units), 'unit', 'units')} at {', '.join(result.units)} prevent "
+        f"{several(len(result.units), 'unit', 'units')} at {', '.join(result.units)} {prevent} "
         f"{percent(result.apr)} of the accidents in {n_judged} sampled worlds that nothing was "
         f"chosen in; another layout within the budget could prevent at most "
         f"{100.0 * result.gap:.2f} points more (with 95 % confidence)",
