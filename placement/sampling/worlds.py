@@ -36,6 +36,7 @@ class RandomStreams:
     seed: int  # the user's
     purpose: str  # {"choose", "judge"}: what the world is for
     index: int  # number of the world
+    draw: int = 0  # of detections and lost messages: a world may be looked at more than once
 
     def __post_init__(self) -> None:
         check_whole("seed", self.seed, least=0)
@@ -51,7 +52,8 @@ class RandomStreams:
 
     def key(self, *thing: object) -> np.uint64:
         """Key of one thing's random numbers where each is made from a counter."""
-        where = repr((self.seed, self.purpose, self.index, thing)).encode()
+        again = (self.draw,) if self.draw else ()
+        where = repr((self.seed, self.purpose, self.index, *again, thing)).encode()
         return np.uint64(int.from_bytes(hashlib.blake2b(where, digest_size=8).digest()))
 
 

@@ -212,7 +212,9 @@ def test_a_layout_is_chosen_in_sampled_worlds_and_judged_in_fresh_ones(
     assert (tmp_path / "out/sampled_apr.png").is_file()
 
 
-@pytest.mark.parametrize("asked", [{"target": "0.5", "least": "cost", "budget": None}, {"budget": 2}])
+@pytest.mark.parametrize(
+    "asked", [{"target": "0.5", "least": "cost", "budget": None}, {"budget": 2}]
+)
 def test_a_layout_chosen_in_worlds_is_verified_and_has_an_apr_there(
     small_study, tmp_path, monkeypatch, asked
 ):
