@@ -120,7 +120,5 @@ def test_runs_that_are_there_twice_are_told_once(frame_axis):
 
 def test_frames_of_other_runs_are_refused():
     problem = avoiding_problem(["1"])
-    with pytest.raises(
-        InputError, match=r"seen_by_vut: got shape \(1,\); expected a flag"
-    ):
+    with pytest.raises(InputError, match=r"seen_by_vut: got shape \(1,\); expected a flag"):
         replace(problem, seen_by_vut=np.ones(1, dtype=bool))
