@@ -662,26 +662,20 @@ def _recordings() -> Mapping[str, tuple[str, Files]]:
 
 
 def _read_covering(path: Path) -> Any:
-    from placement.covering import instance_kind, load_instance, solve_lscp
+    from placement.covering import load_instance, solve_covering
 
-    instance_kind(path)
     instance = load_instance(path)
     if instance.n_columns * instance.n_rows <= 10_000:
-        solve_lscp(instance, time_limit_s=0.5)
+        solve_covering(instance, time_limit_s=0.5)
     return instance
 
 
 def _coverings() -> Mapping[str, tuple[str, Files]]:
-    from placement.covering import build_covering_instance, save_instance
-
-    covers = np.array([[1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 1, 1]])
-    own = _written(lambda f: save_instance(f / "a.npz", build_covering_instance(covers)))
     return {
         "orlib": _one("a", "3 4\n1 2.5 3 4\n2\n1 2\n3\n2 3 4\n1\n4\n"),
         "gecco": _one("a", "3 4\n1 3 1 2 3\n0 2 0 1\n2 1 3\n"),
         "rail": _one("a", " 3 4\n 1 1 1\n 2 2 2 1\n 3 1 2\n 4 2 2 3\n"),
         "sts": _one("a", "5 3\n1 2 3\n1 4 5\n2 3 4\n"),
-        "npz": ("a.npz", own),
     }
 
 
@@ -1015,10 +1009,7 @@ READERS: Mapping[str, Reader] = {
     "covering instances": Reader(
         read=_read_covering,
         seeds=_coverings,
-        covers=(
-            "placement.covering.load_instance",
-            "placement.covering.instance_kind",
-        ),
+        covers=("placement.covering.load_instance",),
     ),
     "placement problems": Reader(
         read=_read_problem,
