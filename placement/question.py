@@ -115,9 +115,6 @@ class Question:
         Metres added to x and y of `traffic` FILE; default: what the .net.xml next to it says.
     risk : str
         With `samples`: mean, worst, or the share of the worst worlds whose mean APR counts.
-    pool : int
-        List so many layouts that are as good in the first objective, the best first, and how often
-        each site appears in them.
     scene : str
         Folder or .zip of `place-rsus scene import`, or a map (.osm, .osm.pbf, .xodr); default: the
         study's junction.
@@ -235,7 +232,6 @@ class Question:
     traffic: str = ""
     traffic_offset: str = ""
     risk: str = "mean"
-    pool: Annotated[int, _at_least(0, "a number of layouts", _MOST_LISTED)] = 0
     scene: str = ""
     junction: str = ""
     at: str = ""

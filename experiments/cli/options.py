@@ -77,7 +77,6 @@ OPTIONS = {
     "traffic": Shown(SOUGHT, metavar="sumo|FILE", is_path=True, needs="samples"),
     "traffic_offset": Shown(SOUGHT, metavar="EAST,NORTH", needs="traffic"),
     "risk": Shown(SOUGHT, metavar="HOW", needs="samples"),
-    "pool": Shown(SOUGHT),
     "scene": Shown(DRIVEN, metavar="PATH", is_common=True, is_path=True),
     "junction": Shown(DRIVEN, metavar="NAME", is_common=True),
     "at": Shown(DRIVEN, metavar="X,Y"),
