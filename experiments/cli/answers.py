@@ -18,6 +18,7 @@ from ..parts import (
     answer,
     baselines,
     dangers,
+    front,
     next_unit,
     proof,
     road_users,
@@ -285,7 +286,12 @@ def assumption_parts(result: Result) -> list[Part]:
 def _explained(result: PlacementResult) -> list[Part]:
     """Why these units, what each buys; what was asked for besides."""
     return [
-        Part(title="What each unit buys:", words=result.front.sentences)
+        Part(
+            title="What each unit buys:",
+            words=result.front.sentences,
+            table=front.table(result.front),
+            notes=front.notes(result.front),
+        )
         if result.front is not None
         else Part(),
         *explanation_parts(result.explained),
