@@ -108,7 +108,7 @@ _VALUES = PlacementValue._fields
 _HEADS = {
     "apr": "APR",
     "apr_one_failed": "one fails",
-    "smallest_margin_s": "smallest",
+    "smallest_margin_s": "least",
     "mean_margin_s": "mean",
     "cost_eur": "EUR",
 }
@@ -157,7 +157,7 @@ def notes(front: FrontRecord) -> list[str]:
     least = "each EUR is the least that buys this" if front.by == "cost" else ""
     texts = [
         "gain: points of APR over the row above; one fails: APR that is left when the most needed "
-        "unit fails; smallest, mean: time to spare in the runs avoided",
+        "unit fails; least, mean: time to spare in the runs avoided",
         *([least] if least else []),
     ]
     star = "* of this layout; not optimised: --all-stages does. "
@@ -172,7 +172,7 @@ def _proof(point: FrontPointRecord) -> str:
     if point.is_proven:
         return "proven"
     stage = next(stage for stage in point.stages if stage.gap != 0.0)
-    head = _HEADS.get(stage.name, stage.name).removeprefix("one ")
+    head = _HEADS.get(stage.name, stage.name)
     if stage.bound is None or not math.isfinite(stage.bound):
         return f"{head} open"
     is_share = stage.name in ("apr", "apr_one_failed")
