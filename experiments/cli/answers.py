@@ -17,6 +17,7 @@ from ..parts import (
     Part,
     answer,
     baselines,
+    comparison,
     dangers,
     front,
     next_unit,
@@ -188,11 +189,7 @@ def comparison_parts(result: ComparisonResult, out: Path | None) -> list[Part]:
         ),
         _impacts(result, {other.name: other.evaluation for other in result.compared}),
         Part(
-            words=[
-                f"{result.name} avoids {len(other.runs_gained)} that {other.name} does not, and "
-                f"{other.name} avoids {len(other.runs_lost)} that {result.name} does not."
-                for other in result.compared
-            ],
+            words=[f"{text}." for text in comparison.words(result.name, result.compared)],
             is_short=True,
         ),
         *_said(answer.doubts(result)),

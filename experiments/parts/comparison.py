@@ -126,6 +126,15 @@ def _only_first(one: Evaluation, other: Evaluation) -> tuple[str, ...]:
 # ---------- tables and words
 
 
+def words(name: str, compared: Sequence[Compared]) -> list[str]:
+    """How many runs the first layout avoids and each other one does not, and the other way."""
+    return [
+        f"{name} avoids {len(other.runs_gained)} that {other.name} does not, and "
+        f"{other.name} avoids {len(other.runs_lost)} that {name} does not"
+        for other in compared
+    ]
+
+
 def side_by_side_table(
     evaluations: Mapping[str, Evaluation], rule: AebRule, baselines: Baselines | None = None
 ) -> Table:
