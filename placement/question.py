@@ -109,10 +109,7 @@ class Question:
     uncertainty : str
         What is drawn for `samples`: a name, or a .toml file.
     traffic : str
-        Vehicles that drive by in the worlds of `samples`: sumo, a .toml file of demand for it, or
-        FCD of your own model (.xml, .csv, also .gz, .parquet).
-    traffic_offset : str
-        Metres added to x and y of `traffic` FILE; default: what the .net.xml next to it says.
+        Vehicles that drive by in the worlds of `samples`: sumo, or a .toml file of demand for it.
     risk : str
         With `samples`: mean, worst, or the share of the worst worlds whose mean APR counts.
     scene : str
@@ -230,7 +227,6 @@ class Question:
     samples: Annotated[int, _at_least(0, "a number of sampled worlds", _MOST_SAMPLES)] = 0
     uncertainty: str = "default"
     traffic: str = ""
-    traffic_offset: str = ""
     risk: str = "mean"
     scene: str = ""
     junction: str = ""

@@ -782,31 +782,6 @@ def _read_table(path: Path) -> Any:
     return load_table(path, fingerprint=_FINGERPRINT, candidates=units, axis=axis)
 
 
-def _read_traffic(path: Path) -> object:
-    from junctions import protocol_scene
-
-    from placement.sampling.moving.demand import load_demand
-    from placement.sampling.moving.fcd import load_fcd
-
-    return load_fcd(path, protocol_scene(), load_demand(), offset_m=np.zeros(2), reach_m=100.0)
-
-
-def _traffic() -> Mapping[str, tuple[str, Files]]:
-    header = "timestep_time,vehicle_id,vehicle_x,vehicle_y,vehicle_angle,vehicle_type"
-    rows = [f"{0.5 * k},a,{5.0 * k - 20.0},-1.75,90.0,passenger" for k in range(9)]
-    steps = [
-        f'<timestep time="{0.5 * k}"><vehicle id="a" x="{5.0 * k - 20.0}" y="-1.75" angle="90" '
-        'type="passenger"/></timestep>'
-        for k in range(9)
-    ]
-    xml = "<fcd-export>" + "".join(steps) + "</fcd-export>"
-    return {
-        "xml": _one("a.xml", xml),
-        "gz": _one("a.xml.gz", gzip.compress(xml.encode(), mtime=0)),
-        "csv": _one("a.csv", "\n".join([header, *rows])),
-    }
-
-
 def _read_demand(path: Path) -> object:
     from placement.sampling.moving.demand import load_demand
 
@@ -901,9 +876,6 @@ READERS: Mapping[str, Reader] = {
     "heights": Reader(_read_raster, _rasters, ("geometry.maps.relief.read_elevation",)),
     "datasets": Reader(
         _read_manifest, _manifests, ("experiments.perception_lab.dataset.load_manifest",)
-    ),
-    "traffic": Reader(
-        _read_traffic, _traffic, ("placement.sampling.moving.fcd.load_fcd",), share=2
     ),
     "demand": Reader(_read_demand, _demands, ("placement.sampling.moving.demand.load_demand",)),
     "street maps": Reader(

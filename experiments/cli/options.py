@@ -75,7 +75,6 @@ OPTIONS = {
     "samples": Shown(SOUGHT),
     "uncertainty": Shown(SOUGHT, metavar="NAME", needs="samples"),
     "traffic": Shown(SOUGHT, metavar="sumo|FILE", is_path=True, needs="samples"),
-    "traffic_offset": Shown(SOUGHT, metavar="EAST,NORTH", needs="traffic"),
     "risk": Shown(SOUGHT, metavar="HOW", needs="samples"),
     "scene": Shown(DRIVEN, metavar="PATH", is_common=True, is_path=True),
     "junction": Shown(DRIVEN, metavar="NAME", is_common=True),

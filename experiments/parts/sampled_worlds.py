@@ -101,7 +101,7 @@ class SampledRecord(Record, frozen=True, kw_only=True):
     ] = None
     seed: Annotated[int, says("Of the draws.", ge=0)]
     traffic_source: Annotated[
-        str, says("Vehicles that drive by: SUMO with its demand, or the name of a file; or empty.")
+        str, says("Vehicles that drive by: SUMO with its demand; or empty.")
     ] = ""
     moving: Annotated[TrafficCount | None, says("Vehicles that drove by; null: none do.")] = None
     tail: Annotated[Share, says("Worst share of the worlds that cvar is about.")]
