@@ -100,7 +100,7 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
         Part(words=[] if other_sensor == "." else [other_sensor]),
         Part(words=answer.doubts(result), is_short=True),
         *_explained(result),
-        _without_optimiser(result.baselines, apr_found=result.apr, n_units=n_units),
+        _without_optimiser(result.baselines, n_units=n_units),
         _study_part(result.study_cases),
         Part(
             words=[
@@ -307,10 +307,8 @@ def _sampled(result: PlacementResult | ComparisonResult) -> list[Part]:
     ]
 
 
-def _without_optimiser(
-    found: Baselines | None, *, apr_found: float | None = None, n_units: int
-) -> Part:
-    words = baselines.words(found, apr_found=apr_found, n_units=n_units)
+def _without_optimiser(found: Baselines | None, *, n_units: int) -> Part:
+    words = baselines.words(found, n_units=n_units)
     return Part(title="Without an optimiser:", words=words) if words else Part()
 
 

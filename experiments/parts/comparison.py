@@ -299,19 +299,14 @@ def section(
     rule: AebRule,
     baselines: Baselines | None = None,
     sampled: SampledRecord | None = None,
-    *,
-    apr_found: float | None = None,
 ) -> Section | None:
-    """Layouts by display name side by side, the subject first; None where it stands alone.
-
-    `apr_found` is that of a layout found on the detection table.
-    """
+    """Layouts by display name side by side, the subject first; None where it stands alone."""
     if len(evaluations) < 2:
         return None
     n_units = len(next(iter(evaluations.values())).layout.units)
     differences = find_differences(evaluations)
     rows = difference_rows(differences)
-    sentences = baseline_words(baselines, apr_found=apr_found, n_units=n_units)
+    sentences = baseline_words(baselines, n_units=n_units)
     blocks: list[Block] = [
         side_by_side_table(evaluations, rule, baselines),
         _meaning(evaluations),

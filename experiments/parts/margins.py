@@ -62,15 +62,12 @@ _STYLES = (
 )
 
 
-def plot_margins(
-    parties: Sequence[tuple[str, Verdict]], axis: FrameAxis, *, axes: Sequence[Axes] | None = None
-) -> tuple[Axes, ...]:
+def plot_margins(parties: Sequence[tuple[str, Verdict]], axis: FrameAxis) -> tuple[Axes, ...]:
     """Margins of several parties side by side.
 
     One per party; see :func:`plot_margin_strip`. All have the same scale.
     """
-    if axes is None:
-        axes = _build_panels(len(parties), axis)
+    axes = _build_panels(len(parties), axis)
     low_ms, high_ms = _limits_ms([verdict for _, verdict in parties], axis)
     for column, (panel, (name, verdict)) in enumerate(zip(axes, parties, strict=True)):
         plot_margin_strip(verdict, axis, axes=panel)

@@ -22,7 +22,7 @@ from ..figures.axes import (
     new_axes,
     write_beside,
 )
-from ..results.numbers import number, or_nan, percent, points, shortened
+from ..results.numbers import or_nan, percent, shortened
 from ..results.record import Record, RunId, Share, says
 from .section import Picture, Section, Table, build_picture, tabulate
 
@@ -246,15 +246,6 @@ def uncertainty_sentences(found: SampledRecord) -> list[str]:
             if chosen > or_nan(subject.mean)
             else f"In the worlds that it was chosen in, it avoids {percent(chosen)}"
         )
-    if found.tail < 1.0:
-        sentences.append(
-            f"In the worst {percent(found.tail)} of these worlds it avoids "
-            f"{percent(subject.cvar)} on average, in the very worst {percent(subject.worst)}"
-        )
-    else:
-        sentences.append(f"In the worst of these worlds it avoids {percent(subject.worst)}")
-    for gain in found.gains:
-        sentences.append(_gain(subject.name, gain))
     if found.moving:
         sentences.append(moving_sentence(found))
     unsure = subject.least_sure_runs
@@ -335,15 +326,6 @@ def moving_sentence(found: SampledRecord) -> str:
         wanted = moving.n_departed + moving.n_waiting
         text += f"; SUMO found no room for {moving.n_waiting} of {wanted} vehicles"
     return text
-
-
-def _gain(name: str, gain: SampledPairRecord) -> str:
-    mean, low, high = (or_nan(share) for share in (gain.mean, gain.low, gain.high))
-    where = f"95 % interval {number(100.0 * low, 1)} to {number(100.0 * high, 1)}"
-    if is_open(gain):
-        return f"Between {name} and {gain.second} there is no sure difference ({where} points)"
-    more = "more" if mean > 0.0 else "less"
-    return f"{name} avoids {points(abs(mean))} {more} than {gain.second} ({where})"
 
 
 def is_open(difference: SampledPairRecord) -> bool:

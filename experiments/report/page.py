@@ -149,7 +149,6 @@ def _sections(
             setting.rule,
             result.baselines,
             result.sampled,
-            apr_found=result.apr if of_proof else None,
         )
     return [
         units_section(layouts, tasks.plans.result(), setting.scene),

@@ -138,8 +138,8 @@ def test_what_is_uncertain_is_recorded_under_the_names_of_its_file(summary):
     }
 
 
-def test_sentences_say_mean_interval_plan_tail_gain_and_what_is_least_sure(summary):
-    first, chosen, tail, gain, unsure = uncertainty_sentences(summary)
+def test_sentences_say_mean_interval_plan_and_what_is_least_sure(summary):
+    first, chosen, unsure = uncertainty_sentences(summary)
     low, high = (getattr(summary.layouts[0], key) for key in ("low", "high"))
     assert first.startswith("In 4 fresh sampled worlds (units off by 1\N{DEGREE SIGN} in yaw, ")
     assert first.endswith(
@@ -150,25 +150,17 @@ def test_sentences_say_mean_interval_plan_tail_gain_and_what_is_least_sure(summa
         "In the worlds that it was chosen in, it avoids 95.0 %: a choice looks better where it "
         "was made."
     )
-    assert tail == (
-        "In the worst 50.0 % of these worlds it avoids 85.0 % on average, in the very worst 80.0 %."
-    )
-    assert gain.startswith("best-3 avoids 37.5 points more than study (95 % interval 29.5 to 45.5)")
     assert unsure == (
         "Least sure, with the share of worlds that avoid them: B/north/20 (25.0 %), "
         "A/north/30 (50.0 %)."
     )
 
 
-def test_sentences_say_when_a_difference_is_not_sure_or_a_loss(judge):
+def test_sentences_say_where_nothing_is_uncertain(judge):
     close = [judge("a", [0.5, 0.6, 0.5]), judge("b", [0.55, 0.5, 0.5])]
-    said = uncertainty_sentences(summarise(close, Uncertainty(), tail=1.0, seed=0))
-    assert any(s.startswith("Between a and b there is no sure difference") for s in said)
-    assert "(nothing is uncertain)" in said[0]
-    assert "as planned" not in said[0]
-    worse = [judge("a", [0.5, 0.51, 0.5]), judge("b", [0.9, 0.9, 0.91])]
-    said = uncertainty_sentences(summarise(worse, Uncertainty(), tail=1.0, seed=0))
-    assert any(s.startswith("a avoids 40.0 points less than b") for s in said)
+    said, *_ = uncertainty_sentences(summarise(close, Uncertainty(), tail=1.0, seed=0))
+    assert "(nothing is uncertain)" in said
+    assert "as planned" not in said
 
 
 def test_nothing_is_least_sure_where_all_is_avoided(judge, frame_axis):
