@@ -141,8 +141,8 @@ def table(front: FrontRecord) -> Table:
                 percent(point.apr),
                 number(100.0 * (point.apr - less), 1),
                 percent(point.apr_one_failed),
-                f"{number(point.smallest_margin_s, 3)} s",
-                f"{number(point.mean_margin_s, 3)} s",
+                number(point.smallest_margin_s, 3),
+                number(point.mean_margin_s, 3),
                 f"{point.cost_eur:,.0f}",
                 _proof(point),
             ]
@@ -157,7 +157,7 @@ def notes(front: FrontRecord) -> list[str]:
     least = "each EUR is the least that buys this" if front.by == "cost" else ""
     texts = [
         "gain: points of APR over the row above; one fails: APR that is left when the most needed "
-        "unit fails; least, mean: time to spare in the runs avoided",
+        "unit fails; least, mean: time to spare in the runs avoided, in s",
         *([least] if least else []),
     ]
     star = "* of this layout; not optimised: --all-stages does. "
@@ -215,7 +215,7 @@ def front_section(front: FrontRecord | UnsetType | None) -> Section | None:
         "bars: what is not yet ruled out.",
         alt="Curves over the number of units. "
         + "; ".join(
-            f"{row[0]}: APR {row[1]}, {row[3]} if one fails, {row[4]} to spare, {row[7]}"
+            f"{row[0]}: APR {row[1]}, {row[3]} if one fails, {row[4]} s to spare, {row[7]}"
             for row in shown.rows
         )
         + ".",
