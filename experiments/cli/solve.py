@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from ..parts import Part
 from ..progress import StageProgress
-from ..results.numbers import or_nan, percent
 from .options import SectionedCommand, is_given, json_option, option, quiet_option
 from .running import print_result, unwritable
-from .terminal import sentences
+from .terminal import answer_text, sentences
 
 if TYPE_CHECKING:
     from ..jobs.solve import CoveringResult, PlacementSolution
@@ -207,21 +207,18 @@ def solution_text(summary: "CoveringResult") -> str:
 
 def window_text(summary: "PlacementSolution") -> str:
     """The answer to a placement problem, with its frames and windows."""
-    lines = [f"{summary.file}: {summary.goal} layout, fusion {summary.fusion}"]
-    for stage in summary.stages:
-        is_share = stage.name.startswith("apr")
-        objective, bound = (
-            percent(value) if is_share else f"{or_nan(value):.6g}"
-            for value in (stage.objective, stage.bound)
-        )
-        proof = "proven" if stage.gap == 0.0 else f"bound {bound}"
-        lines.append(f"  {stage.name:<18}{objective:>12}  {proof}")
-    lines += [f"  chosen            {name}" for name in summary.chosen_names]
-    lines += [
-        f"  presolve          {summary.presolve_effect}",
-        f"  solver            {summary.solver}; {summary.seconds:.2f} s",
-    ]
-    return "\n".join(lines)
+    from ..parts.proof import stage_table
+
+    answer = Part(
+        title=f"{summary.file}: {summary.goal} layout, fusion {summary.fusion}",
+        table=stage_table(summary.stages),
+        notes=[
+            f"chosen: {', '.join(summary.chosen_names)}",
+            f"presolve: {summary.presolve_effect}",
+            f"solver: {summary.solver}; {summary.seconds:.2f} s",
+        ],
+    )
+    return answer_text([answer], is_verbose=True)
 
 
 def _question_words(summary: "CoveringResult") -> str:
