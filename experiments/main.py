@@ -11,6 +11,7 @@ import click
 from click.shell_completion import get_completion_class
 
 from .city.command import city
+from .cli.certify import certify
 from .cli.compare import compare
 from .cli.doctor import doctor
 from .cli.evaluate import evaluate
@@ -87,6 +88,7 @@ def completion(context: click.Context, *, shell: str) -> None:
 
 for _command in (
     *(
+        certify,
         city,
         compare,
         completion,

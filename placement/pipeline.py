@@ -77,6 +77,8 @@ class Assembly:
         What is drawn in sampled worlds.
     n_samples : int
         Worlds to choose in; 0: the one as planned.
+    first_sample : int
+        Number of the first of them.
     compute : Compute
         Seed, threads, cache of tables, progress.
     known_table : DetectionTable, optional
@@ -93,6 +95,7 @@ class Assembly:
     may_look: Callable[[Sequence[CandidatePose]], BoolArray] | None = None
     uncertainty: Uncertainty | None = None
     n_samples: int = 0
+    first_sample: int = 0
     compute: Compute = DEFAULT_COMPUTE
     known_table: DetectionTable | None = None
 
@@ -137,6 +140,7 @@ class Assembly:
             self.candidates,
             self.uncertainty,
             n_samples=self.n_samples,
+            first=self.first_sample,
             compute=self.compute,
         )
 

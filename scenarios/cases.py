@@ -682,13 +682,24 @@ def pick_cases(text: str, where: str, *, case_range: Range = "standard") -> tupl
     return tuple(picked.values())
 
 
+def twins(cases: Iterable[Case]) -> dict[str, Case]:
+    """By the name of a case of 2026 the one of 2023 that differs in speeds alone."""
+    cases = tuple(cases)
+    before = {_alike(case): case for case in cases if case.source == "protocol-4.5.1"}
+    return {
+        case.name: before[_alike(case)]
+        for case in cases
+        if case.source == "protocol-2026" and not case.pairs_kmh and _alike(case) in before
+    }
+
+
 def _each_once(cases: Sequence[Case]) -> list[Case]:
     """Cases without what 2026 drives as 2023 did; impact points of the same case take turns."""
-    before = {_alike(case): case for case in cases if case.source == "protocol-4.5.1"}
+    twin_of = twins(cases)
     kept = []
     for case in cases:
-        twin = before.get(_alike(case))
-        if case.source == "protocol-2026" and twin is not None and not case.pairs_kmh:
+        twin = twin_of.get(case.name)
+        if twin is not None:
             new = tuple(sorted({*case.vut_speeds_kmh} - {*twin.vut_speeds_kmh}))
             if not new:
                 continue

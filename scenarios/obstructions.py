@@ -73,6 +73,22 @@ def make_room(staging: Staging, scene: Scene) -> Staging:
     return moved(staging, aside_m=aside_m, back_m=back_m) if aside_m or back_m else staging
 
 
+def is_way_free(
+    body: Actor, motion: Motion, scene: Scene, obstruction: Sequence[PlacedActor]
+) -> bool:
+    """True if nothing of the scene but poles, and nothing parked, is in a body's way to the impact.
+
+    Looked at along the middle and both flanks of the way, as by :func:`make_room`.
+    """
+    import shapely
+
+    segments = _way(motion, body)
+    if not _is_free(_Solid(scene=scene, has_poles=False), segments):
+        return False
+    parked = shapely.polygons(np.array([_corners(one) for one in obstruction]).reshape(-1, 4, 2))
+    return not bool(shapely.intersects(shapely.multilinestrings(segments), parked).any())
+
+
 @lru_cache(maxsize=256)
 def _find_room(
     scene: Scene,

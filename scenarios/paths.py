@@ -237,6 +237,48 @@ class TowedPath:
         return front - self.front_axle_ahead_m * ahead, np.degrees(body)
 
 
+NORTH_TO_SOUTH = np.array([1.0, -1.0])
+"""Mirrors east and north, for traffic that keeps left."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MovedPath:
+    """A path that lies otherwise: in a mirror, then turned about the origin, then shifted."""
+
+    path: Path
+    ahead_m: float = 0.0  # it begins so much farther on
+    is_mirrored: bool = False  # north and south are swapped
+    turn_deg: float = 0.0  # counter-clockwise
+    shift_m: tuple[float, float] = (0.0, 0.0)  # east, north
+
+    @property
+    def max_turn_rad_per_m(self) -> float:
+        """As of the path itself, in rad/m."""
+        return self.path.max_turn_rad_per_m
+
+    @property
+    def max_turn_change_rad_per_m2(self) -> float:
+        """As of the path itself, in rad/m^2."""
+        return self.path.max_turn_change_rad_per_m2
+
+    def at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """See :meth:`Path.at`."""
+        position_m, yaw_deg = self.path.at(np.asarray(distance_m, dtype=np.float64) + self.ahead_m)
+        if self.is_mirrored:
+            position_m, yaw_deg = position_m * NORTH_TO_SOUTH, -yaw_deg
+        if self.turn_deg or any(self.shift_m):
+            position_m = rotated(position_m, self.turn_deg) + self.shift_m
+            yaw_deg = yaw_deg + self.turn_deg
+        return position_m, yaw_deg
+
+
+def rotated(vectors_m: ArrayLike, angle_deg: float) -> FloatArray:
+    """Vectors (..., 2) turned about the origin, counter-clockwise."""
+    cos, sin_ = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
+    turned: FloatArray = np.asarray(vectors_m, dtype=np.float64) @ [[cos, sin_], [-sin_, cos]]
+    return turned
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Motion:
     """Stands at the path's start, sets off at `start_time_s`, then keeps its speed, or brakes."""

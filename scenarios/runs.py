@@ -422,12 +422,6 @@ def build_runs(
     for word in weathers:
         check_one_of("weather", word, WEATHERS)
     right_hand = mirrored(junction) if junction.keeps_left else junction
-    limits_kmh = {
-        name: arm.speed_limit_kmh if keeps_limits else None for name, arm in junction.arms.items()
-    }
-    entered = [limits_kmh[name] for name, arm in junction.arms.items() if arm.entry_lanes]
-    known = [limit for limit in entered if limit is not None]
-    highest_kmh = max(known) if known and len(known) == len(entered) else None
     runs: list[Run] = []
     refusals: list[Refusal] = []
     for case in (worded_for(case, keeps_left=junction.keeps_left) for case in cases):
@@ -435,14 +429,14 @@ def build_runs(
             if case.not_laid:
                 refusals.append(left_out_case(case, approach, case.not_laid, "not laid"))
                 continue
-            limit_kmh = limits_kmh[approach]
             for number, position in enumerate(positions_of(case, positions)):
                 speeds_kmh = case.vut_speeds_kmh
                 if is_spread:
-                    turn = tuple(junction.arms).index(approach) + number
-                    impact_turn = (0, 1) if is_bound(case) else case.impact_turn
                     speeds_kmh = spread_speeds(
-                        speeds_kmh, position, turn=turn, impact_turn=impact_turn
+                        speeds_kmh,
+                        position,
+                        turn=tuple(junction.arms).index(approach) + number,
+                        impact_turn=(0, 1) if is_bound(case) else case.impact_turn,
                     )
                 drive = _Drive(
                     case=case,
@@ -450,8 +444,8 @@ def build_runs(
                     right_hand=right_hand,
                     approach=approach,
                     position=position,
-                    limit_kmh=limit_kmh,
-                    target_limit_kmh=highest_kmh,
+                    limit_kmh=junction.arms[approach].speed_limit_kmh if keeps_limits else None,
+                    target_limit_kmh=_highest_limit_kmh(junction) if keeps_limits else None,
                     vut=vut,
                     rule=rule,
                 )
@@ -459,6 +453,13 @@ def build_runs(
                 runs += [_in_weather(run, one) for run in laid for one in dict.fromkeys(weathers)]
                 refusals += refused
     return tuple(runs), tuple(refusals)
+
+
+def _highest_limit_kmh(junction: Junction) -> float | None:
+    """Speed limit of the fastest road into the junction; None if one of them has no known limit."""
+    limits = [arm.speed_limit_kmh for arm in junction.arms.values() if arm.entry_lanes]
+    known = [limit for limit in limits if limit is not None]
+    return max(known) if known and len(known) == len(limits) else None
 
 
 def left_out_case(case: Case, approach: str, reason: str, left_out: LeftOut) -> Refusal:

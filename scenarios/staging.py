@@ -17,7 +17,7 @@ from geometry.poses import Pose
 
 from .cases import Case
 from .encounters import Encounter, first_contact_s
-from .paths import MPS_PER_KMH, Motion, Path
+from .paths import MPS_PER_KMH, NORTH_TO_SOUTH, Motion, MovedPath, Path
 
 _SCAN_STEP_M = 0.1
 _NEVER_PARALLEL = 1.0e-6
@@ -326,29 +326,6 @@ def is_vehicle(body: Actor) -> bool:
 
 
 # ---------- stagings in a mirror, for traffic that keeps left
-_NORTH_TO_SOUTH = np.array([1.0, -1.0])
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class MirroredPath:
-    """A path in a mirror that swaps north and south."""
-
-    path: Path
-
-    @property
-    def max_turn_rad_per_m(self) -> float:
-        """As before the mirror, in rad/m."""
-        return self.path.max_turn_rad_per_m
-
-    @property
-    def max_turn_change_rad_per_m2(self) -> float:
-        """As before the mirror, in rad/m^2."""
-        return self.path.max_turn_change_rad_per_m2
-
-    def at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """See :meth:`scenarios.paths.Path.at`."""
-        position_m, yaw_deg = self.path.at(distance_m)
-        return position_m * _NORTH_TO_SOUTH, -yaw_deg
 
 
 def mirror_staging(staging: Staging) -> Staging:
@@ -365,14 +342,14 @@ def mirror_staging(staging: Staging) -> Staging:
             vru_motion=_mirror_motion(encounter.vru_motion),
         ),
         obstruction=tuple(_mirror_placed(placed) for placed in staging.obstruction),
-        aside=staging.aside * _NORTH_TO_SOUTH,
-        back=staging.back * _NORTH_TO_SOUTH,
+        aside=staging.aside * NORTH_TO_SOUTH,
+        back=staging.back * NORTH_TO_SOUTH,
         max_aside_m=staging.max_aside_m,
     )
 
 
 def _mirror_motion(motion: Motion) -> Motion:
-    return replace(motion, path=MirroredPath(path=motion.path))
+    return replace(motion, path=MovedPath(path=motion.path, is_mirrored=True))
 
 
 def _mirror_placed(placed: PlacedActor) -> PlacedActor:

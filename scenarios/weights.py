@@ -175,7 +175,7 @@ def weight_by_rating(runs: Sequence[Run]) -> FloatArray:
         members = [
             index
             for index, run in enumerate(runs)
-            if run.weather == weather and _family(run.case.name) in cases
+            if run.weather == weather and run.case.family in cases
         ]
         weight[members] = score / max(len(members), 1)
     if not weight.any():
@@ -209,10 +209,6 @@ def load_points() -> dict[tuple[tuple[str, ...], str], float]:
             sum(part or 0.0 for part in TOTAL_SCORES[score.name].values())
         )
     return points
-
-
-def _family(case_name: str) -> str:
-    return case_name.partition("-")[0]
 
 
 # ---------- weights by types of accidents, from statistics
@@ -258,7 +254,7 @@ def weight_by_crash_types(runs: Sequence[Run]) -> FloatArray:
         members = [
             index
             for index, run in enumerate(runs)
-            if _family(run.case.name) in kind.cases
+            if run.case.family in kind.cases
             and kind.place in ("any", "near" if _away_m(run) <= table.near_m else "far")
         ]
         if members:

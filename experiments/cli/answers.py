@@ -71,8 +71,9 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
     if result.baseline is not None:
         others[result.baseline.name] = result.baseline.evaluation
         units[result.baseline.name] = len(result.baseline.layout)
-    further = f"{next_unit.next_unit_sentence(result.next_unit)}."
-    other_sensor = f"{next_unit.other_sensor_sentence(result.other_sensors)}."
+    measure = proof.measure_of(result)
+    further = f"{next_unit.next_unit_sentence(result.next_unit, measure)}."
+    other_sensor = f"{next_unit.other_sensor_sentence(result.other_sensors, measure)}."
     return [
         *_head(result),
         Part(

@@ -257,11 +257,25 @@ def list_scenarios(
     """
     from geometry.scene_files import load_scene
     from placement.setting import drive
+    from scenarios.cases import ALL_CASES
 
     question = begin(progress, question, quiet=quiet)
     progress("lay the cases", 0, 0)
     rows = list_rows(drive(question, load_scene(question.scene)))
-    print_result(rows, progress, as_json, lambda: scenario_table(rows))
+    once = _driven_once() if ALL_CASES in question.cases.split(",") else []
+    print_result(rows, progress, as_json, lambda: "\n".join([scenario_table(rows), *once]))
+
+
+def _driven_once() -> list[str]:
+    """What the set of all cases drives under the name of 2023 alone."""
+    from scenarios.cases import ALL_CASES, load_case_sets, twins
+
+    found = twins(load_case_sets()[ALL_CASES])
+    named = "; ".join(f"{name} as {twin.name}" for name, twin in found.items())
+    text = (
+        f"At speeds that 2023 and 2026 have in common driven once, under the name of 2023: {named}."
+    )
+    return [*sentences(text, hanging=2), ""]
 
 
 @scenarios.command(

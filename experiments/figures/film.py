@@ -126,9 +126,12 @@ def _animate(scene: Scene, run: Run, progress: Progress) -> bytes:
 
 def _title(run: Run) -> str:
     where = run.approach if run.position == AT_ZERO.name else f"{run.approach} ({run.position} m)"
+    speeds = f"{run.vut_speed_kmh:g}"
+    if run.case.pairs_kmh:
+        speeds += f" and {run.case.vru_speed_kmh:g}"
     return (
         f"{literal(run.case.name)}: {run.case.title}\n"
-        f"from the {where} at {run.vut_speed_kmh:g} km/h, {run.weather}; nobody brakes"
+        f"from the {where} at {speeds} km/h, {run.weather}; nobody brakes"
     )
 
 

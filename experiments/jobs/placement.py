@@ -32,6 +32,7 @@ from placement.explain.sensitivity import (
 )
 from placement.ground import PrivateGround, load_private_ground
 from placement.layout import Layout, check_layout, find_baseline
+from placement.optimiser import apr as apr_on_table
 from placement.optimiser.front import Front, front_below
 from placement.pipeline import Assembly, Placement, assemble, place
 from placement.question import Question
@@ -396,7 +397,12 @@ def _in_fresh_worlds(
         tail=found.plan.wishes.tail,
         seed=job.compute.seed,
         planned_apr=_planned_apr(evaluations.values()),
-        chosen_apr={placement.layout.name: placement.certificate.stages[0].objective},
+        # Over all worlds, whatever was asked for: the least cost, the worst share, what is left.
+        chosen_apr={
+            placement.layout.name: apr_on_table(
+                replace(placement.problem, tail=1.0), placement.pose_index
+            )
+        },
         chosen_in=job.question.samples,
     )
     return replace_fields(result, sampled=sampled)

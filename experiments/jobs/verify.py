@@ -18,7 +18,7 @@ from msgspec import UNSET, UnsetType
 
 from geometry.arrays import BoolArray
 from geometry.errors import InputError, Unquoted
-from geometry.files import read_bytes, read_text
+from geometry.files import read_bytes, read_table, read_text
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
 from geometry.study_scene import STUDY, load_study_scene
@@ -36,7 +36,7 @@ from placement.verification.verify import verify_certificate
 
 from ..export.csv import to_csv
 from ..export.geojson import to_geojson
-from ..parts import bill_of_materials
+from ..parts import bill_of_materials, certified
 from ..parts.comparison import GREEDY
 from ..parts.reading import StoredResult, check_schema, load_result
 from ..progress import StageProgress
@@ -117,6 +117,8 @@ def run_verification(
     if not folder.is_dir():
         raise InputError(str(folder), Unquoted("no folder"), "a folder with results")
     progress("read", 0, 0)
+    if (folder / certified.JSON_NAME).exists() and not (folder / CERTIFICATE_FILE).exists():
+        return _verify_certified(folder, progress)
     stored = load_certificate(folder / CERTIFICATE_FILE)
     problem, mounts = load_stored_problem(folder / INSTANCE_FILE)
     summary = _load_summary(folder / MARKER)
@@ -175,22 +177,53 @@ def _load_layout(folder: Path, summary: Mapping[str, Any] | None) -> Layout | No
     return load_layout(path)
 
 
+def _verify_certified(folder: Path, progress: StageProgress) -> VerificationResult:
+    """A folder of ``certify``: its numbers anew from bounds and APRs, and its layout's sites."""
+    path = folder / certified.JSON_NAME
+    stored = read_table(_load_object(path), certified.CertifiedResult, str(path))
+    layout = load_layout(folder / LAYOUT_FILE)
+    sites = tuple(unit.site_id for unit in layout.units)
+    wrong = {
+        "numbers": certified.recompute(stored),
+        "layout file": [] if sites == stored.units else ["it shows units at other sites"],
+    }
+    return VerificationResult(
+        folder=str(folder),
+        is_verified=not any(wrong.values()),
+        checks=tuple(
+            CheckRecord(name=name, passed=not said, detail="; ".join(said) or "they agree")
+            for name, said in wrong.items()
+        ),
+        stages=(),
+        solver="",
+        not_checked=(
+            "bounds of the blocks, and APRs by world: certify computes them again, with the seed",
+        ),
+        seconds=progress.finish(),
+    )
+
+
 def _load_summary(path: Path) -> Mapping[str, Any] | None:
     """The summary as plain values; None if there is none."""
     if not path.exists():
         return None
+    summary = _load_object(path)
+    if "recording" not in summary:
+        check_schema(summary, str(path))
+    return summary
+
+
+def _load_object(path: Path) -> dict[str, Any]:
     text = read_text(path, "JSON")
     try:
-        summary = json.loads(text)
+        document = json.loads(text)
     except RecursionError:
         raise InputError(str(path), Unquoted("JSON nested too deep"), "a summary") from None
     except ValueError as error:  # no JSON, no UTF-8, or a number of thousands of digits
         raise InputError(str(path), Unquoted(error), "JSON in UTF-8") from None
-    if not isinstance(summary, dict):
+    if not isinstance(document, dict):
         raise InputError(str(path), Unquoted("no object"), "a summary")
-    if "recording" not in summary:
-        check_schema(summary, str(path))
-    return summary
+    return document
 
 
 def _recorded_units(summary: Mapping[str, Any] | None) -> list[Mapping[str, Any]]:

@@ -104,7 +104,8 @@ def _of_placement(result: PlacementResult, subject: Evaluation) -> list[str]:
     verb = "avoids" if len(subject.units) == 1 else "avoid"
     how = ", each by itself," if result.fusion == "single" else ""
     score = _score(avoided_runs(subject, result.fusion), subject)
-    last = (next_unit_sentence(result.next_unit), proof.words(result), *_failures(result, subject))
+    further = next_unit_sentence(result.next_unit, proof.measure_of(result))
+    last = (further, proof.words(result), *_failures(result, subject))
     return [
         f"{count_sensors(subject.layout)}{how} {verb} {score}; {_of_car(subject)}",
         ". ".join(part for part in last if part),

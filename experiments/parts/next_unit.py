@@ -85,20 +85,20 @@ def build_exchanges(layout: Layout, found: OtherSensors) -> tuple[Exchange, ...]
     )
 
 
-def next_unit_sentence(unit: NextUnit | None) -> str:
-    """Gain of one more unit, in words; empty where none fits."""
+def next_unit_sentence(unit: NextUnit | None, measure: str) -> str:
+    """Gain of one more unit, of an "APR" or a "score"; empty where none fits."""
     if unit is None:
         return ""
     how = "on the detection table, by greedy choice"
     if unit.gain < _NOTHING_GAINED:
         return f"One more unit among the candidates would avoid nothing more ({how})"
     return (
-        f"One more unit would add {points(unit.gain)} of APR: {percent(unit.apr)} with "
+        f"One more unit would add {points(unit.gain)} of {measure}: {percent(unit.apr)} with "
         f"{unit.pose} ({how})"
     )
 
 
-def other_sensor_sentence(exchanges: Sequence[Exchange]) -> str:
+def other_sensor_sentence(exchanges: Sequence[Exchange], measure: str) -> str:
     """Gain of another sensor in place of one of the units; empty where none was tried."""
     if not exchanges:
         return ""
@@ -114,7 +114,7 @@ def other_sensor_sentence(exchanges: Sequence[Exchange]) -> str:
         )
         return f"{others} in place of one of these would add anything: {loss} ({how})"
     return (
-        f"{_words(best)} would add {points(best.gain)} of APR: {percent(best.apr)} for "
+        f"{_words(best)} would add {points(best.gain)} of {measure}: {percent(best.apr)} for "
         f"{_eur(best.extra_eur)} ({how})"
     )
 
@@ -131,15 +131,15 @@ def _eur(more: float) -> str:
     return f"{abs(more):,.0f} EUR {'more' if more > 0.0 else 'less'}"
 
 
-def words(unit: NextUnit | None, exchanges: Sequence[Exchange]) -> list[str]:
+def words(unit: NextUnit | None, exchanges: Sequence[Exchange], measure: str) -> list[str]:
     """Both in sentences; nothing where neither is known."""
-    said = (next_unit_sentence(unit), other_sensor_sentence(exchanges))
+    said = (next_unit_sentence(unit, measure), other_sensor_sentence(exchanges, measure))
     return [f"{sentence}." for sentence in said if sentence]
 
 
-def section(unit: NextUnit | None, exchanges: Sequence[Exchange]) -> Section | None:
+def section(unit: NextUnit | None, exchanges: Sequence[Exchange], measure: str) -> Section | None:
     """One more unit, and other sensors at the same mounts; None where neither is known."""
-    sentences = words(unit, exchanges)
+    sentences = words(unit, exchanges, measure)
     if not sentences:
         return None
     tables = [table(exchanges)] if exchanges else []

@@ -28,18 +28,18 @@ def words(result: PlacementResult) -> str:
         )
         within = f" With {first.objective:,.0f} {what} for what was asked, {least}:"
     if of_apr.gap == 0.0:
-        measure = _measure(result)
+        measure = measure_of(result)
         return (
             f"Proven on the detection table:{within} no choice among {among} has a higher {measure}"
         )
     return (
         f"The best choice among {among} found in the time given:{within} on the detection table, "
-        f"no other can exceed {'an' if result.score == AVOIDED else 'a'} {_measure(result)} of "
+        f"no other can exceed {'an' if result.score == AVOIDED else 'a'} {measure_of(result)} of "
         f"{percent(of_apr.bound)}"
     )
 
 
-def _measure(result: PlacementResult) -> str:
+def measure_of(result: PlacementResult) -> str:
     """What is optimised: the APR, or the score that was asked for."""
     return "APR" if result.score == AVOIDED else "score"
 
@@ -77,7 +77,7 @@ def stage_table(
 
 def _label(name: str, result: PlacementResult) -> str:
     """Name of an objective; what fails is a pole where that was asked, a score is named so."""
-    label = Objective(name).label.replace("APR", _measure(result))
+    label = Objective(name).label.replace("APR", measure_of(result))
     return label.replace(" unit", " pole") if result.failing == "site" else label
 
 

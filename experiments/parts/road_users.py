@@ -98,7 +98,7 @@ def build_road_users(setting: Setting, evaluations: Mapping[str, Evaluation]) ->
                 weight=float(axis.weight[met == group].sum() / axis.weight.sum()),
                 parties=tuple(score(name, verdict, group) for name, verdict in verdicts.items()),
             )
-            for group in ROAD_USERS.values()
+            for group in dict.fromkeys(ROAD_USERS.values())
             if (met == group).any()
         ),
         unprotected=tuple(unprotected_cases(setting)),

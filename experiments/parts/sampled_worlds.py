@@ -72,7 +72,7 @@ class SampledLayoutRecord(EstimateRecord, frozen=True, kw_only=True):
     planned: Annotated[Share | None, says("APR with nothing uncertain.")]
     in_sample: Annotated[
         float | None,
-        says("First stage in the worlds that it was chosen in; null: not chosen in worlds."),
+        says("Mean APR in the worlds that it was chosen in; null: not chosen in worlds."),
     ]
     cvar: Annotated[float | None, says("Mean APR of the worst worlds.")]
     worst: Annotated[float | None, says("APR in the very worst one.")]

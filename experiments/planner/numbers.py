@@ -244,8 +244,9 @@ def evaluated_numbers(evaluation: Evaluation, setting: Setting) -> dict[str, Any
 
 
 def _shares(verdict: Verdict, setting: Setting) -> dict[str, Any]:
-    """APR in total, by case, approach and position; runs that are lost, and how each ends."""
+    """APR in total, by case, arm and road user; runs that are lost, and how each ends."""
     axis = setting.axis
+    met = np.array([run.road_user for run in setting.runs])
     approaches, positions = np.array(axis.approaches), np.array(axis.positions)
     arms = dict.fromkeys(zip(axis.approaches, axis.positions, strict=True))
 
@@ -262,6 +263,7 @@ def _shares(verdict: Verdict, setting: Setting) -> dict[str, Any]:
             approach: percent(share(approaches == approach))
             for approach in dict.fromkeys(axis.approaches)
         },
+        "byRoadUser": {name: percent(share(met == name)) for name in dict.fromkeys(met.tolist())},
         "byArm": [
             share((approaches == approach) & (positions == position)) for approach, position in arms
         ],

@@ -137,7 +137,7 @@ def _sections(
         of_proof = [
             proof.section(result),
             tasks.front.result(),
-            next_unit.section(result.next_unit, result.other_sensors),
+            next_unit.section(result.next_unit, result.other_sensors, proof.measure_of(result)),
             *explanation_sections(result.explained, labels),
         ]
         of_grid = [proof.agreement_section(result)]

@@ -45,8 +45,11 @@ class PresolveStatistics:
 
     Attributes
     ----------
-    n_poses, n_frames : tuple of (int, int)
-        Poses, and frames: before, after.
+    n_poses : tuple of (int, int)
+        Poses: before, after.
+    n_frames : tuple of (int, int)
+        Frames; after, distinct columns: those of frames, and those that hold a track until it is
+        needed, so that there may be more.
     n_windows : tuple of (int, int)
         Windows of frames that confirm: once per run before, once if they need the same frames
         after.

@@ -12,7 +12,6 @@ from geometry.arrays import BoolArray, FloatArray, float_array
 from geometry.errors import InputError, Unquoted
 from scenarios.aeb import AebRule
 from scenarios.runs import FrameAxis, find_onsets
-from scenarios.weights import weight_share
 
 from ..candidates import CandidatePose
 from ..compute import DEFAULT_COMPUTE, Compute, silent
@@ -134,6 +133,7 @@ def cvar(apr_by_sample: ArrayLike, tail: float) -> float:
 
 
 STAGE = "out of sample"
+N_DRAWS = 4  # of a world: a draw costs a sixth of a world
 FUSIONS = ("any", "single")
 
 
@@ -190,7 +190,7 @@ class SampledApr:
 class FreshWorlds:
     """Runs that layouts avoid in some worlds that none was chosen in."""
 
-    avoided: BoolArray  # (n_layouts, n_worlds, n_runs)
+    avoided: FloatArray  # (n_layouts, n_worlds, n_runs): share of the draws in a world
     driving: TrafficCount  # vehicles that drove by, in all of them
 
 
@@ -200,6 +200,7 @@ def out_of_sample_layouts(
     uncertainty: Uncertainty,
     *,
     n_samples: int,
+    first: int = 0,
     fusion: str = "any",
     compute: Compute = DEFAULT_COMPUTE,
 ) -> list[SampledApr]:
@@ -210,7 +211,11 @@ def out_of_sample_layouts(
     seed. Nothing is cached; progress counts the worlds.
     """
     worlds = look_at_fresh_worlds(
-        *(setting, layouts, uncertainty), n_worlds=n_samples, fusion=fusion, compute=compute
+        *(setting, layouts, uncertainty),
+        n_worlds=n_samples,
+        first=first,
+        fusion=fusion,
+        compute=compute,
     )
     return judge_layouts(setting, layouts, uncertainty, [worlds])
 
@@ -225,7 +230,10 @@ def look_at_fresh_worlds(
     fusion: str = "any",
     compute: Compute = DEFAULT_COMPUTE,
 ) -> FreshWorlds:
-    """Runs that layouts avoid in so many fresh worlds, from one of them on."""
+    """Runs that layouts avoid in so many fresh worlds, from one of them on.
+
+    In each world, detections and lost messages are drawn ``N_DRAWS`` times, if chance decides them.
+    """
     if fusion not in FUSIONS:
         raise InputError("fusion", fusion, "one of " + ", ".join(FUSIONS))
     units = {_key(unit): unit for layout in layouts for unit in layout.units}
@@ -240,7 +248,9 @@ def look_at_fresh_worlds(
         first=first,
     )
     compute.progress(STAGE, 0, n_worlds)
-    avoided = np.zeros((len(layouts), n_worlds, setting.axis.n_runs), dtype=bool)
+    is_drawn = uncertainty.draws_detections or uncertainty.packet_loss > 0.0
+    n_draws = N_DRAWS if is_drawn else 1
+    avoided = np.zeros((len(layouts), n_worlds, setting.axis.n_runs))
     quiet = replace(compute, cache_folder=None, progress=silent)
     worlds = build_sample_tables(
         samples,
@@ -249,20 +259,23 @@ def look_at_fresh_worlds(
         lasting=_shared(setting, uncertainty.moving is None, quiet)
         if uncertainty.road_users.are_as_planned
         else None,
+        n_draws=n_draws,
     )
     driving = TrafficCount()
-    for index, (sample, table) in enumerate(worlds):
-        driving += sample.driving
+    for draw, (sample, table) in enumerate(worlds):
+        index = draw // n_draws
+        if draw % n_draws == 0:
+            driving += sample.driving
         detected = table.detected(slice(None))
         for which, layout in enumerate(layouts):
-            avoided[which, index] = _avoided(
+            avoided[which, index] += _avoided(
                 [(unit, detected[row[_key(unit)]]) for unit in layout.units],
                 table.axis,
                 setting.rule,
                 fusion,
             )
         compute.progress(STAGE, index + 1, n_worlds)
-    return FreshWorlds(avoided=avoided, driving=driving)
+    return FreshWorlds(avoided=avoided / n_draws, driving=driving)
 
 
 @lru_cache(maxsize=1)  # worlds of one question may be looked at in parts
@@ -286,7 +299,8 @@ def judge_layouts(
         SampledApr(
             layout=layout,
             axis=setting.axis,
-            apr_by_sample=np.array([weight_share(world, weight) for world in by_sample]),
+            # Exactly 1 where every run with weight is avoided in every draw.
+            apr_by_sample=1.0 - (1.0 - by_sample) @ (weight / weight.sum()),
             avoided_share=by_sample.mean(axis=0),
             driving=driving,
         )

@@ -1,16 +1,17 @@
-"""Road users who move otherwise than a case says: faster or slower, from a start that is nearer."""
+"""Road users who move otherwise than a case says: faster, from a nearer start, another way."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray, freeze
+from geometry.scene import Scene
 from scenarios.aeb import AebRule, last_brake_time_s
 from scenarios.encounters import Encounter, first_contact_s
-from scenarios.paths import MPS_PER_KMH, Motion, Path, travel_time_s
+from scenarios.obstructions import is_way_free
+from scenarios.paths import MPS_PER_KMH, Motion, MovedPath, rotated, travel_time_s
 from scenarios.runs import Run
 
 from .uncertainty import RoadUsers
@@ -18,40 +19,20 @@ from .uncertainty import RoadUsers
 _MAX_EARLY_S = 0.3  # of a contact before the impact: more is another impact, somewhere else
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PathFrom:
-    """A path that begins farther on."""
-
-    path: Path
-    ahead_m: float  # by so much
-
-    @property
-    def max_turn_rad_per_m(self) -> float:
-        """As of the whole path, in rad/m."""
-        return self.path.max_turn_rad_per_m
-
-    @property
-    def max_turn_change_rad_per_m2(self) -> float:
-        """As of the whole path, in rad/m^2."""
-        return self.path.max_turn_change_rad_per_m2
-
-    def at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """See :meth:`scenarios.paths.Path.at`."""
-        return self.path.at(np.asarray(distance_m, dtype=np.float64) + self.ahead_m)
-
-
 def draw_road_users(
     runs: Sequence[Run],
     users: RoadUsers,
     rule: AebRule,
     rng: Callable[..., np.random.Generator],
+    scene: Scene,
 ) -> tuple[tuple[Run, ...], int]:
     """Runs of one sampled world, and how many road users move as planned because they must.
 
     `rng` gives each encounter its generator: a run is the same in all weathers, and does not depend
-    on the other runs. Speed and start are drawn evenly within their limits. Where the drawn motion
+    on the other runs. Speed, start, heading and way are drawn evenly within their limits. Where
+    something stands in the turned or shifted way, the planned way stays. Where the drawn motion
     leads to no impact at the planned place - whom the VUT follows is as fast as it - the planned
-    one stays.
+    motion stays.
     """
     changed: dict[int, Run | None] = {}
     drawn, n_kept = [], 0
@@ -59,29 +40,65 @@ def draw_road_users(
         key = id(run.encounter)  # one and the same in all weathers
         if key not in changed:
             place = (run.case.name, run.approach, run.position, run.vut_speed_kmh)
-            low_kmh, high_kmh = users.speed_kmh(run.encounter.vru.class_name)
-            random = rng("road user", *place)
-            faster_kmh = random.uniform(low_kmh, high_kmh)
-            changed[key] = change_motion(
-                run,
-                rule,
-                speed_mps=run.encounter.vru_motion.speed_mps + faster_kmh * MPS_PER_KMH,
-                nearer_share=random.uniform(0.0, users.start_nearer_share),
-            )
+            changed[key] = _draw_one(run, users, rule, rng("road user", *place), scene)
         other = changed[key]
         n_kept += other is None
         drawn.append(run if other is None else _like(run, other))
     return tuple(drawn), n_kept
 
 
-def change_motion(
-    run: Run, rule: AebRule, *, speed_mps: float, nearer_share: float = 0.0
+def _draw_one(
+    run: Run, users: RoadUsers, rule: AebRule, random: np.random.Generator, scene: Scene
 ) -> Run | None:
-    """A run whose road user is faster or slower, and starts nearer to the impact.
+    encounter = run.encounter
+    planned_mps = encounter.vru_motion.speed_mps
+    faster_mps = random.uniform(*users.speed_kmh(encounter.vru.class_name)) * MPS_PER_KMH
+    nearer_share = random.uniform(0.0, users.start_nearer_share)
+    turn_deg = random.uniform(*users.heading_deg.get(run.case.family, (0.0, 0.0)))
+    aside_m = random.uniform(*users.path_m.get(run.case.family, (0.0, 0.0)))
+    is_steady = planned_mps > 0.0 and np.isinf(encounter.vru_motion.brake_time_s)
+    if is_steady:
+        speed_mps = planned_mps + faster_mps
+    else:  # who stands or brakes does what the case is about
+        speed_mps, nearer_share = planned_mps, 0.0
+    if turn_deg or aside_m:
+        other = change_motion(
+            run,
+            rule,
+            speed_mps=speed_mps,
+            nearer_share=nearer_share,
+            turn_deg=_sense(run) * turn_deg,
+            aside_m=aside_m,
+        )
+        if other is not None:
+            motion = other.encounter.vru_motion
+            if is_way_free(encounter.vru, motion, scene, run.obstruction):
+                return other
+    return change_motion(run, rule, speed_mps=speed_mps, nearer_share=nearer_share)
 
-    It keeps its way, and the VUT its own; both are at the impact as planned. Frames are those of
-    the planned run; who is slower is already on its way in the first one. The last brake time is
-    computed anew. None: the bodies do not touch, or long before, somewhere else.
+
+def _sense(run: Run) -> float:
+    """Of a turn: 1 = counter-clockwise; -1 where traffic keeps left, all else being mirrored."""
+    if run.case.kind != "crossing":
+        return 1.0
+    _, north = rotated([1.0, 0.0], float(run.vru_yaw_deg[-1] - run.vut_yaw_deg[-1]))
+    return 1.0 if (north > 0.0) == (run.case.vru_side == "near") else -1.0
+
+
+def change_motion(
+    run: Run,
+    rule: AebRule,
+    *,
+    speed_mps: float,
+    nearer_share: float = 0.0,
+    turn_deg: float = 0.0,
+    aside_m: float = 0.0,
+) -> Run | None:
+    """A run whose road user is faster or slower, starts nearer to the impact, or comes otherwise.
+
+    The VUT keeps its way; both are at the impact as planned. Frames are those of the planned run;
+    who is slower is already on its way in the first one. The last brake time is computed anew.
+    None: the bodies do not touch, or long before, somewhere else.
 
     Parameters
     ----------
@@ -90,29 +107,42 @@ def change_motion(
     rule : AebRule
         How the VUT brakes.
     speed_mps : float
-        Of the road user, once it is reached. [m/s]
+        Of the road user, once it is reached; as planned where it stands or brakes. [m/s]
     nearer_share : float
         By which its way from rest to the impact is shorter. 0 .. 1
+    turn_deg : float
+        By which its way is turned about the impact, counter-clockwise. [deg]
+    aside_m : float
+        By which its way, once turned, lies farther to its left. [m]
     """
-    if speed_mps <= 0.0:
-        return None
     encounter, vru = run.encounter, run.encounter.vru_motion
-    whole_m = float(vru.distance_m(0.0))
-    ahead_m = nearer_share * whole_m
-    travel_s = travel_time_s(
-        whole_m - ahead_m,
-        speed_mps=speed_mps,
-        acceleration_distance_m=vru.acceleration_distance_m,
-    )
-    motion = Motion(
-        path=PathFrom(path=vru.path, ahead_m=ahead_m) if ahead_m else vru.path,
-        speed_mps=speed_mps,
-        start_time_s=-travel_s,
-        acceleration_distance_m=vru.acceleration_distance_m,
-    )
+    if speed_mps < 0.0 or (speed_mps == 0.0 and vru.speed_mps > 0.0):
+        return None
+    motion = vru
+    if speed_mps != vru.speed_mps or nearer_share:
+        whole_m = float(vru.distance_m(0.0))
+        ahead_m = nearer_share * whole_m
+        travel_s = travel_time_s(
+            whole_m - ahead_m,
+            speed_mps=speed_mps,
+            acceleration_distance_m=vru.acceleration_distance_m,
+        )
+        motion = Motion(
+            path=MovedPath(path=vru.path, ahead_m=ahead_m) if ahead_m else vru.path,
+            speed_mps=speed_mps,
+            start_time_s=-travel_s,
+            acceleration_distance_m=vru.acceleration_distance_m,
+        )
+    if turn_deg or aside_m:
+        there_m, yaw_deg = vru.path.at(vru.distance_m(0.0))
+        shift_m = there_m - rotated(there_m, turn_deg)
+        shift_m = shift_m + rotated([0.0, aside_m], float(yaw_deg) + turn_deg)
+        east_m, north_m = shift_m.tolist()
+        path = MovedPath(path=motion.path, turn_deg=turn_deg, shift_m=(east_m, north_m))
+        motion = replace(motion, path=path)
     changed = replace(encounter, vru_motion=motion)
     early_s = first_contact_s(changed)
-    if abs(early_s) > _MAX_EARLY_S:
+    if not abs(early_s) <= _MAX_EARLY_S:
         return None
     changed = replace(
         changed,
@@ -124,7 +154,11 @@ def change_motion(
 
 
 def _later(motion: Motion, seconds: float) -> Motion:
-    return replace(motion, start_time_s=motion.start_time_s + seconds)
+    return replace(
+        motion,
+        start_time_s=motion.start_time_s + seconds,
+        brake_time_s=motion.brake_time_s + seconds,
+    )
 
 
 def _moved(encounter: Encounter, time_s: FloatArray) -> dict[str, Any]:

@@ -35,19 +35,21 @@ from .worlds import RandomStreams, Sample, draw_samples, pose_key
 # ---------- misses and lost messages
 
 
-def build_drawn_table(
+def build_drawn_tables(
     sample: Sample,
     detector: ResponseDetector,
     *,
     compute: Compute,
     lasting: SharedScene | None = None,
-) -> DetectionTable:
-    """Detection table of a sampled world in which chance decides every frame of a camera.
+    n_draws: int = 1,
+) -> tuple[DetectionTable, ...]:
+    """Detection tables of a sampled world in which chance decides every frame of a camera.
 
     The random numbers of a pose do not depend on the other poses, and are the same in all
     weathers; from frame to frame they are linked as in the evaluator. Boxes are not drawn: they
     are near enough to match. A LiDAR counts the points that it may expect. `lasting` is what this
-    world shares with others, if there are some.
+    world shares with others, if there are some. A table for each of `n_draws`: what can be seen is
+    the same in all, chance decides anew.
     """
     setting = sample.setting
     world = build_world(
@@ -63,7 +65,8 @@ def build_drawn_table(
         key = (*candidate.pose.position_m.tolist(), candidate.sensor.near_m)
         groups.setdefault(key, []).append(row)
     order = link_frames(draw_index(setting.runs))
-    packed = np.zeros((len(sample.candidates), -(-setting.axis.n_frames // 8)), dtype=np.uint8)
+    n_bytes = -(-setting.axis.n_frames // 8)
+    packed = np.zeros((n_draws, len(sample.candidates), n_bytes), dtype=np.uint8)
 
     def fill(rows: list[int]) -> None:
         from .drawing import draw_frames
@@ -74,13 +77,14 @@ def build_drawn_table(
             planned = sample.planned[row]
             if (limit == -np.inf).all():
                 continue
-            draw_frames(
-                *(limit, world.views.weather_of_frame, entry_of_frame),
-                *(order.run_of_frame, order.place_of_frame),
-                sample.streams.key("detector", *pose_key(planned)),
-                detector.frame_correlation,
-                packed[row],
-            )
+            for draw in range(n_draws):
+                draw_frames(
+                    *(limit, world.views.weather_of_frame, entry_of_frame),
+                    *(order.run_of_frame, order.place_of_frame),
+                    replace(sample.streams, draw=draw).key("detector", *pose_key(planned)),
+                    detector.frame_correlation,
+                    packed[draw, row],
+                )
 
     with threadpool_limits(1), ThreadPoolExecutor(compute.workers) as pool:
         pending = [pool.submit(fill, rows) for rows in groups.values()]
@@ -91,11 +95,8 @@ def build_drawn_table(
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
-    return DetectionTable(
-        pose_ids=tuple(candidate.id for candidate in sample.candidates),
-        axis=setting.axis,
-        packed=packed,
-    )
+    pose_ids = tuple(candidate.id for candidate in sample.candidates)
+    return tuple(DetectionTable(pose_ids=pose_ids, axis=setting.axis, packed=one) for one in packed)
 
 
 def lose_messages(sample: Sample, table: DetectionTable) -> DetectionTable:
@@ -206,16 +207,19 @@ def sampled_table(
     uncertainty: Uncertainty,
     *,
     n_samples: int,
+    first: int = 0,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> SampledTable:
-    """Detections of every candidate pose in many sampled worlds, one after the other.
+    """Detections of every candidate pose in many sampled worlds from `first` on, one after another.
 
     Where mounts, the street or detections are drawn, every world takes nearly as long as the plan's
     own table: other things stand in the way, and sensors look elsewhere. A packed table has n_poses
     x n_frames / 8 bytes per world, in memory and in the cache. The cache keeps the tables of single
     worlds; progress counts the mount positions of all.
     """
-    samples = draw_samples(setting, candidates, uncertainty, n_samples=n_samples, seed=compute.seed)
+    samples = draw_samples(
+        *(setting, candidates, uncertainty), n_samples=n_samples, seed=compute.seed, first=first
+    )
     compute.progress(STAGE, 0, 0)
     n_frames = setting.axis.n_frames
     packed = np.zeros((len(candidates), -(-n_samples * n_frames // 8)), dtype=np.uint8)
@@ -256,6 +260,7 @@ def build_sample_tables(
     compute: Compute = DEFAULT_COMPUTE,
     at_once: int = 1,
     lasting: SharedScene | None = None,
+    n_draws: int = 1,
 ) -> Iterator[tuple[Sample, DetectionTable]]:
     """Detection table of one sampled world after the other, from the cache or built anew.
 
@@ -264,7 +269,8 @@ def build_sample_tables(
     is drawn, and built, while one is looked at. `n_samples` is the number of all worlds, for the
     progress. With few poses, laying worlds out takes as long as looking: then several worlds may be
     built `at_once`, each by one thread. `lasting` is as :func:`share_scene` finds it, where other
-    worlds were built from it.
+    worlds were built from it. Each world comes `n_draws` times, with detections and lost messages
+    drawn anew; only single draws are cached.
     """
     lock, shared = Lock(), [] if lasting is None else [lasting]
 
@@ -277,8 +283,8 @@ def build_sample_tables(
                 shared.append(share_scene(sample.setting, is_still=is_still, compute=compute))
         return shared[0]
 
-    as_planned: Future[DetectionTable] | None = None
-    pending: deque[tuple[Sample, Future[DetectionTable]]] = deque()
+    as_planned: Future[tuple[DetectionTable, ...]] | None = None
+    pending: deque[tuple[Sample, Future[tuple[DetectionTable, ...]]]] = deque()
     workers = compute.workers if at_once == 1 else 1
     # A pool that ends while another is at work must not give BLAS its threads back.
     with threadpool_limits(1), ThreadPoolExecutor(at_once) as pool:
@@ -286,17 +292,17 @@ def build_sample_tables(
             progress = _progress_of(index, n_samples, compute.progress)
             part = replace(compute, progress=progress, workers=workers)
             if not sample.looks_as_planned:
-                table = pool.submit(_obtain, sample, part, share)
+                tables = pool.submit(_obtain, sample, part, share, n_draws)
             elif as_planned is None:
-                table = as_planned = pool.submit(_obtain, sample, part, share)
+                tables = as_planned = pool.submit(_obtain, sample, part, share, n_draws)
             else:
-                table = as_planned
+                tables = as_planned
                 progress(STAGE, 1, 1)
-            pending.append((sample, table))
+            pending.append((sample, tables))
             if len(pending) > at_once:  # one more waits
-                yield _received(*pending.popleft())
+                yield from _received(*pending.popleft())
         while pending:
-            yield _received(*pending.popleft())
+            yield from _received(*pending.popleft())
 
 
 def share_scene(setting: Setting, *, is_still: bool, compute: Compute) -> SharedScene:
@@ -314,17 +320,28 @@ def share_scene(setting: Setting, *, is_still: bool, compute: Compute) -> Shared
     )
 
 
-def _received(sample: Sample, table: "Future[DetectionTable]") -> tuple[Sample, DetectionTable]:
-    """A world and its table without what is lost; its deadlines are its own."""
-    return sample, lose_messages(sample, replace(table.result(), axis=sample.setting.axis))
+def _received(
+    sample: Sample, tables: "Future[tuple[DetectionTable, ...]]"
+) -> Iterator[tuple[Sample, DetectionTable]]:
+    """A world and its tables without what is lost; its deadlines are its own."""
+    for draw, table in enumerate(tables.result()):
+        one = replace(sample, streams=replace(sample.streams, draw=draw))
+        yield one, lose_messages(one, replace(table, axis=sample.setting.axis))
 
 
 def _obtain(
-    sample: Sample, compute: Compute, share: Callable[[Sample], SharedScene | None]
-) -> DetectionTable:
-    """Table of a world before messages are lost, from the cache or built anew."""
+    sample: Sample,
+    compute: Compute,
+    share: Callable[[Sample], SharedScene | None],
+    n_draws: int,
+) -> tuple[DetectionTable, ...]:
+    """Tables of a world before messages are lost, from the cache or built anew."""
     detector = sample.drawn_detector
-    return obtain_table(
+    if detector is not None and n_draws > 1:
+        return build_drawn_tables(
+            sample, detector, compute=compute, lasting=share(sample), n_draws=n_draws
+        )
+    table = obtain_table(
         sample.setting,
         sample.candidates,
         stage=STAGE,
@@ -332,6 +349,7 @@ def _obtain(
         drawn="" if detector is None else drawing_key(sample.streams, detector),
         compute=compute,
     )
+    return (table,) * n_draws
 
 
 def obtain_table(
@@ -379,7 +397,8 @@ def obtain_table(
 def _build(sample: Sample, compute: Compute, lasting: SharedScene | None) -> DetectionTable:
     setting, detector = sample.setting, sample.drawn_detector
     if detector is not None:
-        return build_drawn_table(sample, detector, compute=compute, lasting=lasting)
+        (table,) = build_drawn_tables(sample, detector, compute=compute, lasting=lasting)
+        return table
     return build_detection_table(
         setting.scene,
         sample.candidates,

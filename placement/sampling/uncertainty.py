@@ -14,6 +14,7 @@ from geometry.arrays import FloatArray, float_array
 from geometry.errors import InputError, Unquoted
 from geometry.files import Table, load_toml, pick, take, take_list, take_number, take_text
 from geometry.scene import Scene
+from scenarios.cases import load_cases
 
 from ..latency import LatencyBudget, load_latency_budget
 from ..question import Question
@@ -44,6 +45,7 @@ _MAX_LENGTH_M = 1000.0
 _MAX_FASTER_KMH = 50.0
 _MAX_NEARER = 0.9
 _SPEEDS = ("pedestrian_kmh", "cyclist_kmh", "motorcyclist_kmh", "car_kmh")
+_WAYS = {"heading_deg": ("degrees", 45.0), "path_m": ("m", 2.0)}  # units, and the most that can be
 _SUM_TOLERANCE = 1.0e-6
 _UNIFORM_REACH = np.sqrt(
     3.0
@@ -181,6 +183,12 @@ class RoadUsers:
         Least and most by which they are faster, in km/h; negative: slower.
     start_nearer_share : float
         Most by which the way from rest to the impact is shorter. 0 .. 1
+    heading_deg : dict of (2,) float
+        By Euro NCAP's name of a case: least and most by which the way is turned about the impact,
+        counter-clockwise where traffic keeps right. [deg]
+    path_m : dict of (2,) float
+        By Euro NCAP's name of a case: least and most by which the way lies farther to the left of
+        whoever takes it. [m]
     """
 
     pedestrian_kmh: tuple[float, float] = (0.0, 0.0)
@@ -188,8 +196,15 @@ class RoadUsers:
     motorcyclist_kmh: tuple[float, float] = (0.0, 0.0)
     car_kmh: tuple[float, float] = (0.0, 0.0)
     start_nearer_share: float = 0.0
+    heading_deg: dict[str, tuple[float, float]] = field(default_factory=dict)
+    path_m: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        for name, (unit, reach) in _WAYS.items():
+            for case, limits in getattr(self, name).items():
+                if not -reach <= limits[0] <= 0.0 <= limits[1] <= reach:
+                    expected = f"[low, high] in {unit}, -{reach:g} to 0 to {reach:g}"
+                    raise InputError(f"{name}.{case}", list(limits), expected)
         for name in _SPEEDS:
             low, high = (float(end) for end in getattr(self, name))
             if not -_MAX_FASTER_KMH <= low <= 0.0 <= high <= _MAX_FASTER_KMH:
@@ -385,13 +400,20 @@ def _read_road_users(document: Table, prefix: str) -> RoadUsers:
     table, where = _section(document, "road_users", prefix), f"{prefix}road_users"
     if table is None:
         return RoadUsers()
-    _refuse_unknown(table, (*_SPEEDS, "start_nearer_share"), where)
-    limits: dict[str, Any] = {
-        key: tuple(float_array(take_list(table, key, where), (2,), f"{where}.{key}").tolist())
-        for key in _SPEEDS
-    }
+    _refuse_unknown(table, (*_SPEEDS, "start_nearer_share", *_WAYS), where)
+    limits: dict[str, Any] = {key: _read_limits(table, key, where) for key in _SPEEDS}
     nearer = take_number(table, "start_nearer_share", where)
+    known = sorted({case.family for case in load_cases().values()})
+    for key in _WAYS:
+        by_case = _section(table, key, f"{where}.") or {}
+        _refuse_unknown(by_case, known, f"{where}.{key}")
+        limits[key] = {name: _read_limits(by_case, name, f"{where}.{key}") for name in by_case}
     return _named(f"{where}.", lambda: RoadUsers(**limits, start_nearer_share=nearer))
+
+
+def _read_limits(table: Table, key: str, where: str) -> tuple[float, float]:
+    low, high = float_array(take_list(table, key, where), (2,), f"{where}.{key}").tolist()
+    return low, high
 
 
 def _read_vehicles(document: Table, prefix: str) -> tuple[VehicleKind, ...]:

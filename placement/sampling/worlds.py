@@ -36,6 +36,7 @@ class RandomStreams:
     seed: int  # the user's
     purpose: str  # {"choose", "judge"}: what the world is for
     index: int  # number of the world
+    draw: int = 0  # of detections and lost messages: a world may be looked at more than once
 
     def __post_init__(self) -> None:
         check_whole("seed", self.seed, least=0)
@@ -51,7 +52,8 @@ class RandomStreams:
 
     def key(self, *thing: object) -> np.uint64:
         """Key of one thing's random numbers where each is made from a counter."""
-        where = repr((self.seed, self.purpose, self.index, thing)).encode()
+        again = (self.draw,) if self.draw else ()
+        where = repr((self.seed, self.purpose, self.index, *again, thing)).encode()
         return np.uint64(int.from_bytes(hashlib.blake2b(where, digest_size=8).digest()))
 
 
@@ -184,7 +186,9 @@ def _draw(
     runs, n_as_planned = setting.runs, 0
     last_s = axis.last_brake_time_s
     if not uncertainty.road_users.are_as_planned:
-        runs, n_as_planned = draw_road_users(runs, uncertainty.road_users, rule, streams.rng)
+        runs, n_as_planned = draw_road_users(
+            runs, uncertainty.road_users, rule, streams.rng, setting.scene
+        )
         last_s = np.array([run.last_brake_time_s for run in runs])
     if vehicles:
         clearance_m = uncertainty.traffic.clearance_m

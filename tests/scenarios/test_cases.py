@@ -230,3 +230,22 @@ def test_own_cases_that_are_wrong_are_told_with_file_and_field(tmp_path, text, m
     with pytest.raises(InputError) as caught:
         cases.pick_cases(str(path), "cases")
     assert str(caught.value).startswith(f"{path}{message}")
+
+
+def test_in_all_a_case_of_2026_drives_what_that_of_2023_does_not():
+    every = cases.load_case_sets()["all"]
+    driven = {case.name: case for case in cases.pick_cases("all", "cases")}
+    of_2023 = cases.twins(every)
+    assert of_2023["CPNA-2026-25"].name == "CPNA-25"
+    for case in every:
+        speeds = set(driven[case.name].vut_speeds_kmh) if case.name in driven else set()
+        twin = of_2023.get(case.name)
+        if case.range == "extended":
+            assert not speeds
+            continue
+        if twin is None:
+            assert speeds == set(case.vut_speeds_kmh)
+            continue
+        assert speeds.isdisjoint(twin.vut_speeds_kmh)
+        assert speeds | set(twin.vut_speeds_kmh) >= set(case.vut_speeds_kmh)
+        assert (case.vru, case.impact_percent) == (twin.vru, twin.impact_percent)

@@ -18,7 +18,7 @@ from scenarios.paths import CoursePath, StraightPath, TowedPath
 from scenarios.positions import Position
 from scenarios.protocol import stage_by_protocol
 from scenarios.runs import build_runs
-from scenarios.staging import CannotCarryError, MirroredPath, NoRoadError
+from scenarios.staging import CannotCarryError, NoRoadError
 
 RADIUS_M = 60.0
 
@@ -136,7 +136,7 @@ def test_where_traffic_keeps_left_runs_are_the_mirror_image(vut):
     assert [run.id for run in left] == [run.id for run in right]
     flip = np.array([1.0, -1.0])
     for one, other in zip(right, left, strict=True):
-        assert isinstance(other.encounter.vut_motion.path, MirroredPath)
+        assert other.encounter.vut_motion.path.is_mirrored
         assert one.vut_position_m * flip == pytest.approx(other.vut_position_m, abs=1e-6)
         assert one.vru_position_m * flip == pytest.approx(other.vru_position_m, abs=1e-6)
         assert np.cos(np.radians(one.vut_yaw_deg + other.vut_yaw_deg)) == pytest.approx(1.0)

@@ -23,7 +23,7 @@ from scenarios.weights import (
 def run(case, approach="north", weather="day", speed_kmh=20, position="0"):
     return SimpleNamespace(
         id=f"{case}/{approach}/{speed_kmh}/{weather}",
-        case=SimpleNamespace(name=case),
+        case=SimpleNamespace(family=case.partition("-")[0], name=case),
         approach=approach,
         position=position,
         weather=weather,

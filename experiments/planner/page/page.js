@@ -156,6 +156,7 @@ function showNumbers() {
   find("beside").textContent = isExact ? `Together with the car's own sensors ${numbers.withVut}; by the car's own sensors alone ${numbers.vut}.${numbers.oneFails ? ` If the worst unit fails, ${numbers.oneFails} are left.` : ""}` : "";
   fillShares("by-case", isKnown ? numbers.byCase : null);
   fillShares("by-approach", isKnown ? numbers.byApproach : null);
+  fillShares("by-road-user", isKnown ? numbers.byRoadUser : null);
   map.showShares(isKnown ? numbers.byArm : null);
   showPrivate();
   showUnits();

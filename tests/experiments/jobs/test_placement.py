@@ -8,6 +8,7 @@ from experiments.cli.options import cache_folder
 from experiments.export.formats import export_layout
 from experiments.export.json import to_json_text
 from experiments.jobs import placement
+from experiments.jobs.verify import run_verification
 from experiments.progress import StageProgress
 from geometry.errors import InputError
 from placement import pipeline
@@ -206,6 +207,24 @@ def test_a_layout_is_chosen_in_sampled_worlds_and_judged_in_fresh_ones(
     assert subject["worst"] == min(subject["apr_by_sample"])
     assert summary["surrogate_disagreement"] is not None
     assert (tmp_path / "out/sampled_apr.png").is_file()
+
+
+@pytest.mark.parametrize(
+    "asked", [{"target": "0.5", "least": "cost", "budget": None}, {"budget": 2}]
+)
+def test_a_layout_chosen_in_worlds_is_verified_and_has_an_apr_there(
+    small_study, tmp_path, monkeypatch, asked
+):
+    monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 1)
+    summary = place(tmp_path / "out", samples=2, **asked)
+    first = summary["stages"][0]
+    in_worlds = summary["sampled"]["layouts"][0]["in_sample"]
+    assert 0.0 < in_worlds <= 1.0
+    assert (first["name"] == "cost_eur") == ("least" in asked)
+    if first["name"] == "apr":
+        assert in_worlds == pytest.approx(first["objective"])
+    checked = run_verification(tmp_path / "out", progress=StageProgress())
+    assert [check for check in checked.checks if not check.passed] == []
 
 
 def test_refinement_is_refused_where_poses_are_given(tmp_path):

@@ -22,6 +22,7 @@ from geometry.frames import to_geographic
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.compute import Compute
+from placement.evaluation import apr
 from placement.evaluator import evaluate_layout
 from placement.layout import load_carlancap_layout, load_layout
 
@@ -166,6 +167,11 @@ def test_a_camera_is_hung_and_dragged_by_mouse_and_the_numbers_are_those_of_eval
         assert shown == percent(record["rsu_all"]["all"])
         for case, share in record["rsu_all"]["by_case"].items():
             row = page.locator("#by-case tr").filter(has_text=re.compile(f"^{case}"))
+            assert row.locator("td").inner_text() == percent(share)
+        met = np.array([run.road_user for run in small_setting.runs])
+        for group in set(met):
+            share = apr(evaluation.rsu_all, evaluation.axis, met == group)
+            row = page.locator("#by-road-user tr").filter(has_text=re.compile(f"^{group}"))
             assert row.locator("td").inner_text() == percent(share)
         assert percent(record["vut_and_rsus"]["all"]) in page.locator("#beside").inner_text()
         page.keyboard.press("Control+z")  # a drag is one step

@@ -12,7 +12,7 @@ from placement.detectors import load_planning_detector
 from placement.evaluator import build_surroundings, perceive_from_roadside
 from placement.sampling.drawing import draw_frames, link_noise, random_bits
 from placement.sampling.tables import (
-    build_drawn_table,
+    build_drawn_tables,
     build_sample_tables,
     link_frames,
     lose_messages,
@@ -152,9 +152,16 @@ def watched(junction_scene, standing_still, build_setting, response, look):
 
 def test_frames_are_detected_as_often_as_the_evaluators_pixels_make_likely(watched):
     setting, poses = watched
-    drawn = build_drawn_table(
-        _first(setting, poses, DRAWN), setting.table_detector, compute=Compute(workers=1)
-    ).detected(slice(None))
+    sample = _first(setting, poses, DRAWN)
+    first, other = build_drawn_tables(
+        sample, setting.table_detector, compute=Compute(workers=1), n_draws=2
+    )
+    (alone,) = build_drawn_tables(sample, setting.table_detector, compute=Compute(workers=1))
+    drawn = first.detected(slice(None))
+    assert np.array_equal(alone.packed, first.packed)
+    cameras = other.detected(slice(None))[:2]
+    assert 0.2 < (cameras != drawn[:2]).mean() < 0.6  # other coins
+    assert cameras.mean() == pytest.approx(drawn[:2].mean(), abs=0.03)  # of the same kind
     for row, pose in enumerate(poses[:2]):
         for index, run in enumerate(setting.runs):
             one_frame = {

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from met_cases import MET_CASES
 
-from geometry.actors import pick_actor
+from geometry.actors import PlacedActor, pick_actor
 from geometry.errors import InputError
+from geometry.poses import Pose
 from geometry.study_scene import load_study_scene
 from placement.compute import Compute
 from placement.sampling.road_users import change_motion, draw_road_users
@@ -16,16 +17,19 @@ from placement.sampling.uncertainty import RoadUsers, Uncertainty, load_uncertai
 from placement.sampling.worlds import RandomStreams, draw_samples
 from scenarios.cases import load_cases, select_cases
 from scenarios.encounters import first_contact_s
+from scenarios.obstructions import is_way_free
 from scenarios.runs import build_runs
 
 MPS_PER_KMH = 1.0 / 3.6
 CASES = {"CPNA-25": 40.0, "CBNA-50": 30.0, "CPTAfs-50": 15.0, "CBLA-50": 45.0}
 ROBUSTNESS = load_uncertainty("robustness").road_users
+STRAIGHT = replace(ROBUSTNESS, heading_deg={}, path_m={})  # on the planned way
+SCENE = load_study_scene()
 
 
 def _lay(rule, *cases):
     runs, _ = build_runs(
-        load_study_scene(), cases, vut=pick_actor("vut", "test"), rule=rule, approaches=["east"]
+        SCENE, cases, vut=pick_actor("vut", "test"), rule=rule, approaches=["east"]
     )
     return runs
 
@@ -70,7 +74,7 @@ def test_a_changed_run_is_the_run_laid_with_that_speed(laid, rule, faster_kmh):
 
 def test_the_impact_stays_where_and_when_it_was(laid, rule):
     for index in range(5):
-        drawn, n_kept = draw_road_users(laid, ROBUSTNESS, rule, _streams(index).rng)
+        drawn, n_kept = draw_road_users(laid, STRAIGHT, rule, _streams(index).rng, SCENE)
         assert n_kept == 0
         for run, other in zip(laid, drawn, strict=True):
             assert other.time_s is run.time_s
@@ -103,6 +107,75 @@ def test_a_nearer_start_is_nearer_by_its_share(laid, rule):
         np.testing.assert_allclose(nearer.vru_position_m[0], start, atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("turn_deg", "aside_m"), [(20.0, 0.0), (-10.0, 0.0), (15.0, 0.5), (0.0, -0.5)]
+)
+def test_a_way_is_turned_about_the_impact_and_lies_aside(laid, rule, turn_deg, aside_m):
+    n_met = 0
+    for run in laid:
+        motion = run.encounter.vru_motion
+        other = change_motion(
+            run, rule, speed_mps=motion.speed_mps, turn_deg=turn_deg, aside_m=aside_m
+        )
+        if other is None:  # who is followed and turns leaves the VUT's way
+            continue
+        n_met += 1
+        assert first_contact_s(other.encounter) == pytest.approx(0.0, abs=1e-6)
+        path, distances_m = other.encounter.vru_motion.path, np.linspace(0.0, 20.0, 30)
+        whole_m = float(motion.distance_m(0.0))
+        there_m, yaw_deg = motion.path.at(whole_m)
+        # As far from the impact as before, and by so much to the left of the turned heading.
+        angle = np.radians(yaw_deg + turn_deg)
+        shifted_m = there_m + aside_m * np.array([-np.sin(angle), np.cos(angle)])
+        planned, planned_yaw = motion.path.at(distances_m)
+        positions, yaws = path.at(distances_m)
+        np.testing.assert_allclose(
+            np.hypot(*(positions - shifted_m).T), np.hypot(*(planned - there_m).T), atol=1e-6
+        )
+        np.testing.assert_allclose(path.at(whole_m)[0], shifted_m, atol=1e-9)
+        np.testing.assert_allclose(yaws - planned_yaw, turn_deg, atol=1e-9)
+    assert n_met >= 4
+
+
+def test_headings_are_drawn_for_the_cases_named_alone_and_nobody_walks_through_a_car(laid, rule):
+    turned = {run.case.family: [] for run in laid}
+    for index in range(60):
+        drawn, _ = draw_road_users(laid, ROBUSTNESS, rule, _streams(index).rng, SCENE)
+        for run, other in zip(laid, drawn, strict=True):
+            motion = other.encounter.vru_motion
+            before = run.encounter.vru_motion.path.at(run.encounter.vru_motion.distance_m(0.0))[1]
+            turned[run.case.family].append(
+                float(motion.path.at(motion.distance_m(0.0))[1] - before)
+            )
+            assert is_way_free(other.encounter.vru, motion, SCENE, run.obstruction)
+    for family, angles in turned.items():
+        low, high = ROBUSTNESS.heading_deg.get(family, (0.0, 0.0))
+        assert (
+            low - 1.0 <= min(angles) <= max(angles) <= high + 1.0
+        )  # towed bodies turn by themselves
+        if high > low:
+            assert max(angles) - min(angles) > 0.7 * (high - low)
+
+
+def _heading_deg(run):
+    motion = run.encounter.vru_motion
+    return float(motion.path.at(motion.distance_m(0.0))[1])
+
+
+def test_a_way_through_a_parked_car_is_not_free(laid):
+    run = next(run for run in laid if run.case.name == "CPNA-25")
+    motion, actor = run.encounter.vru_motion, pick_actor("parked-car-small", "test")
+    (east, north), _ = motion.path.at(0.5 * float(motion.distance_m(0.0)))
+
+    def parked(east_m):
+        pose = Pose(position_m=np.array([east_m, north, 0.0]), yaw_deg=0.0)
+        return [PlacedActor(actor=actor, pose=pose)]
+
+    assert is_way_free(run.encounter.vru, motion, SCENE, [])
+    assert not is_way_free(run.encounter.vru, motion, SCENE, parked(east))
+    assert is_way_free(run.encounter.vru, motion, SCENE, parked(east + 30.0))
+
+
 def test_with_the_planned_motion_the_run_is_the_planned_one(laid, rule):
     for run in laid:
         same = change_motion(run, rule, speed_mps=run.encounter.vru_motion.speed_mps)
@@ -115,7 +188,9 @@ def test_whom_the_vut_does_not_reach_moves_as_planned(laid, rule):
     run = next(run for run in laid if run.case.name == "CBLA-50")
     away = RoadUsers(cyclist_kmh=(0.0, 50.0))
     faster = [
-        draw_road_users([run], away, rule, _streams(index).rng)[0][0].encounter.vru_motion.speed_mps
+        draw_road_users([run], away, rule, _streams(index).rng, SCENE)[0][
+            0
+        ].encounter.vru_motion.speed_mps
         for index in range(30)
     ]
     assert max(faster) < run.vut_speed_kmh * MPS_PER_KMH
@@ -132,7 +207,7 @@ def test_speeds_and_starts_are_drawn_evenly_within_their_limits(laid, rule):
         low, high = ROBUSTNESS.speed_kmh(name)
         planned, faster, nearer = run.encounter.vru_motion, [], []
         for index in range(120):
-            ((other,), _) = draw_road_users([run], ROBUSTNESS, rule, _streams(index).rng)
+            ((other,), _) = draw_road_users([run], STRAIGHT, rule, _streams(index).rng, SCENE)
             motion = other.encounter.vru_motion
             faster.append((motion.speed_mps - planned.speed_mps) / MPS_PER_KMH)
             nearer.append(1.0 - float(motion.distance_m(0.0)) / float(planned.distance_m(0.0)))
@@ -146,7 +221,7 @@ def test_speeds_and_starts_are_drawn_evenly_within_their_limits(laid, rule):
 
 def test_the_same_seed_draws_the_same_and_a_run_not_by_the_others(laid, rule):
     def speeds(runs, streams):
-        drawn, _ = draw_road_users(runs, ROBUSTNESS, rule, streams.rng)
+        drawn, _ = draw_road_users(runs, ROBUSTNESS, rule, streams.rng, SCENE)
         return [run.encounter.vru_motion.speed_mps for run in drawn]
 
     first = speeds(laid, _streams())
@@ -159,7 +234,7 @@ def test_the_same_seed_draws_the_same_and_a_run_not_by_the_others(laid, rule):
 
 def test_a_run_is_the_same_in_all_weathers(laid, rule):
     rainy = [replace(run, id=f"{run.id}/rain", weather="rain") for run in laid]
-    drawn, _ = draw_road_users([*laid, *rainy], ROBUSTNESS, rule, _streams().rng)
+    drawn, _ = draw_road_users([*laid, *rainy], ROBUSTNESS, rule, _streams().rng, SCENE)
     for dry, wet in zip(drawn[: len(laid)], drawn[len(laid) :], strict=True):
         assert dry.encounter is wet.encounter
         assert dry.vru_position_m is wet.vru_position_m
@@ -234,6 +309,13 @@ def test_a_sampled_table_is_that_of_its_worlds_runs(setting, candidates):
         ("pedestrian_kmh = [-2.0]", "pedestrian_kmh: got shape (1,); expected shape (2,)"),
         ("pedestrian_kmh = 3", "pedestrian_kmh: got 3; expected a list"),
         ("walker_kmh = [0, 1]", "road_users: got 'walker_kmh'; expected one of pedestrian_kmh, "),
+        (
+            "heading_deg = {CPNA = [5, 10]}",
+            "heading_deg.CPNA: got [5.0, 10.0]; expected [low, high] in",
+        ),
+        ("heading_deg = {CPXY = [0, 10]}", "heading_deg: got 'CPXY'; expected one of CBFA, "),
+        ("path_m = {CBTAns = 3}", "path_m.CBTAns: got 3; expected a list"),
+        ("path_m = 3", "path_m: got 3; expected a section"),
         ("start_nearer_share = 1.5", "start_nearer_share: got 1.5; expected 0 to 0.9"),
     ],
 )

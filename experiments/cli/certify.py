@@ -1,0 +1,117 @@
+"""``place-rsus certify``: a layout for the mean over worlds, and what it may lack of the best."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from placement.compute import Compute
+from placement.question import Question
+
+from ..progress import StageProgress
+from .options import (
+    JUDGED,
+    MOUNTED,
+    SectionedCommand,
+    fields_in,
+    folder_option,
+    job_options,
+    option,
+    question_options,
+)
+from .running import begin, command_line, print_result
+from .terminal import driven_lines, sentences, table
+
+if TYPE_CHECKING:
+    from ..parts.certified import CertifiedResult
+
+_WORLDS = 8
+_ASKED = ("budget", "budget_cost", *fields_in(MOUNTED))
+_SOUGHT = (
+    *("solver", "time_limit_s", "gap", "fusion"),
+    *("samples", "uncertainty", "traffic", "traffic_offset"),
+)
+
+
+@click.command(
+    cls=SectionedCommand,
+    epilog="""\b
+Examples:
+  place-rsus certify --budget 3 --detector response
+  place-rsus certify --budget 2 --samples 16 --blocks 4 --detector response
+  place-rsus certify --budget 3 --detector response --out results/certified
+  place-rsus verify results/certified""",
+)
+@option(
+    "--blocks",
+    "n_blocks",
+    type=click.IntRange(min=2),
+    metavar="N",
+    expected="a whole number, at least 2",
+    default=5,
+    show_default=True,
+    help="Blocks of --samples worlds each; a layout and a bound is found in each.",
+)
+@option(
+    "--judge",
+    "n_judged",
+    type=click.IntRange(min=2),
+    metavar="N",
+    expected="a whole number, at least 2",
+    default=60,
+    show_default=True,
+    help="Fresh worlds to choose among these layouts in, and as many others to judge the best in.",
+)
+@folder_option("layout.json and certified.json")
+@question_options(*_ASKED, *_SOUGHT, *JUDGED, defaults={"samples": _WORLDS})
+@job_options(has_cache=True)
+@click.pass_obj
+def certify(
+    progress: StageProgress,
+    *,
+    n_blocks: int,
+    n_judged: int,
+    out: Path | None,
+    question: Question,
+    as_json: bool,
+    quiet: bool,
+    compute: Compute,
+) -> None:
+    """The best layout over all worlds that may turn out to be, with a gap that holds with 95 %.
+
+    Worlds differ in mounting errors, traffic, misses and lost messages. In each of some blocks of
+    worlds the best layout is found, and a bound is proven. The mean of the bounds limits what any
+    layout can prevent over all worlds; the best of the layouts is judged in worlds of its own.
+    """
+    question = begin(progress, question, quiet=quiet)
+    from ..parts.certified import run_certify
+
+    result = run_certify(
+        question,
+        n_blocks=n_blocks,
+        n_judged=n_judged,
+        out=out,
+        compute=compute,
+        command=command_line(),
+        progress=progress,
+    )
+    print_result(result, progress, as_json, lambda: certified_text(result, out))
+
+
+def certified_text(result: "CertifiedResult", out: Path | None) -> str:
+    """The layout and its gap, then the layouts that it was chosen among."""
+    from ..parts import certified
+
+    first, *others = certified.words(result)
+    pool = certified.table(result)
+    rows = [[str(cell) for cell in row] for row in pool.rows]
+    lines = [
+        *sentences(first),
+        *driven_lines(result.driven, result.without_effect),
+        *sentences(*others),
+        "",
+        *table(pool.columns, rows, n_left=1),
+    ]
+    if out is not None:
+        lines += ["", f"Written to {out}: layout.json and certified.json."]
+    return "\n".join(lines)

@@ -1,0 +1,199 @@
+"""A layout for the mean over worlds, and what it may lack of the best: value, words, table."""
+
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+from msgspec.structs import asdict as fields_of
+from msgspec.structs import replace as replace_fields
+
+from placement.certify import Certified, certify, estimate_gap
+from placement.compute import Compute
+from placement.layout import Layout
+from placement.pipeline import assemble
+from placement.question import Question
+
+from ..export.json import to_json, to_json_text
+from ..progress import WRITING, StageProgress
+from ..results.drives import DrivesRecord, build_drives_record
+from ..results.folders import LAYOUT_FILE, check_folder, write_files
+from ..results.numbers import percent, several
+from ..results.record import Record, says
+from .sampled_worlds import EstimateRecord
+from .section import Table, tabulate
+
+JSON_NAME = "certified.json"
+_SMALL = 1.0e-9
+
+
+class BlockRecord(Record, frozen=True, kw_only=True):
+    """Some sampled worlds, and what can be reached in them."""
+
+    first: Annotated[int, says("Number of the first world, from 0.", ge=0)]
+    bound: Annotated[float, says("Mean APR that no layout exceeds in these worlds.")]
+    apr: Annotated[float, says("Mean APR of the layout found in them, in them.")]
+
+
+class PoolRecord(EstimateRecord, frozen=True, kw_only=True):
+    """A layout of the pool in the worlds that choose among them."""
+
+    name: Annotated[str, says("Where it was found.")]
+
+
+class CertifiedResult(DrivesRecord, frozen=True, kw_only=True):
+    """The best of the layouts found in blocks of worlds, and what it may lack of the best."""
+
+    command: Annotated[str, says("That made it.")]
+    candidates: Annotated[int, says("Number of poses to choose from.")]
+    worlds_of_block: Annotated[int, says("Number of worlds in each block.", ge=2)]
+    uncertainty: Annotated[str, says("Name of what is drawn in the worlds.")]
+    seed: Annotated[int, says("Of the draws.", ge=0)]
+    blocks: Annotated[tuple[BlockRecord, ...], says("Each with worlds of its own.")]
+    pool: Annotated[tuple[PoolRecord, ...], says("Layouts found, the best first.")]
+    units: Annotated[tuple[str, ...], says("Sites of the best one's units.")]
+    apr_by_world: Annotated[
+        tuple[float, ...], says("Its APR in worlds that nothing was chosen in.")
+    ]
+    apr: Annotated[float, says("Mean of these.")]
+    least: Annotated[float, says("Its APR over all worlds is not below this.")]
+    most: Annotated[float, says("No layout's APR over all worlds is above this.")]
+    gap: Annotated[float, says("most - least: holds with 95 %.")]
+    bias: Annotated[float, says("Part of the gap that larger blocks make smaller.")]
+    chance: Annotated[float, says("Part of the gap that more worlds make smaller.")]
+    seconds: Annotated[dict[str, float], says("Time per stage.")]
+
+
+def run_certify(
+    question: Question,
+    *,
+    n_blocks: int,
+    n_judged: int,
+    out: Path | None,
+    compute: Compute,
+    command: str,
+    progress: StageProgress,
+) -> CertifiedResult:
+    """Find a layout for the mean over worlds and what it may lack; write it to `out` if asked to.
+
+    Raises InputError as :func:`placement.certify.certify`, or if `out` cannot be written.
+    """
+    if out is not None:
+        check_folder(out)
+        progress.kept = f"nothing was written to {out}"
+    plan = assemble(question, compute=compute)
+    found = certify(plan, n_blocks=n_blocks, n_judged=n_judged)
+    assert plan.uncertainty is not None
+    layout = replace(found.judged.layout, name="certified")
+    result = CertifiedResult(
+        command=command,
+        candidates=len(plan.candidates),
+        worlds_of_block=plan.n_samples,
+        uncertainty=plan.uncertainty.name,
+        seed=compute.seed,
+        **_numbers(found),
+        units=_sites(layout),
+        **fields_of(build_drives_record(plan.setting)),
+        seconds={},
+    )
+    if out is None:
+        return replace_fields(result, seconds=progress.finish())
+    progress(WRITING, 0, 0)
+    result = replace_fields(result, seconds=progress.finish())
+    files = {LAYOUT_FILE: to_json(layout, plan.scene), JSON_NAME: to_json_text(result)}
+    write_files(out, {name: text.encode() for name, text in files.items()})
+    progress.kept = f"the results are in {out}"
+    return result
+
+
+def _numbers(found: Certified) -> dict[str, Any]:
+    return {
+        "blocks": tuple(
+            BlockRecord(first=one.first, bound=one.bound, apr=one.apr) for one in found.blocks
+        ),
+        "pool": tuple(
+            PoolRecord(name=one.layout.name, **asdict(one.estimate)) for one in found.pool
+        ),
+        "apr_by_world": tuple(found.judged.apr_by_sample.tolist()),
+        "apr": found.gap.least.mean,
+        "least": found.gap.least.low,
+        "most": found.gap.most.high,
+        "gap": found.gap.gap,
+        "bias": found.gap.bias,
+        "chance": found.gap.chance,
+    }
+
+
+def _sites(layout: Layout) -> tuple[str, ...]:
+    return tuple(unit.site_id for unit in layout.units)
+
+
+def recompute(stored: CertifiedResult) -> list[str]:
+    """What is wrong with the numbers, each computed anew from bounds and APRs by world."""
+    again = estimate_gap([block.bound for block in stored.blocks], stored.apr_by_world)
+    expected = {
+        "apr": again.least.mean,
+        "least": again.least.low,
+        "most": again.most.high,
+        "gap": again.gap,
+        "bias": again.bias,
+        "chance": again.chance,
+    }
+    wrong = [
+        f"{name}: {getattr(stored, name):.6g}, recomputed {value:.6g}"
+        for name, value in expected.items()
+        if not abs(getattr(stored, name) - value) <= _SMALL
+    ]
+    first = [block.first for block in stored.blocks]
+    if first != [index * stored.worlds_of_block for index in range(len(first))]:
+        wrong.append("blocks: their worlds are not apart")
+    wrong += [
+        f"block from world {b.first}: APR above its bound"
+        for b in stored.blocks
+        if b.apr > b.bound + _SMALL
+    ]
+    best = max(stored.pool, key=lambda one: one.mean or 0.0)
+    if not stored.pool or best != stored.pool[0]:
+        wrong.append("pool: the first one is not the best")
+    return wrong
+
+
+# ---------- words, table
+
+
+def words(result: CertifiedResult) -> list[str]:
+    """What the layout prevents, and what it may lack, the most important first."""
+    n_judged, n_blocks = len(result.apr_by_world), len(result.blocks)
+    worlds = several(result.worlds_of_block, "world", "worlds")
+    loose = sum(block.bound > block.apr + _SMALL for block in result.blocks)
+    prevent = "prevents" if len(result.units) == 1 else "prevent"
+    said = [
+        f"{several(len(result.units), 'unit', 'units')} at {', '.join(result.units)} {prevent} "
+        f"{percent(result.apr)} of the accidents in {n_judged} sampled worlds that nothing was "
+        f"chosen in; another layout within the budget could prevent at most "
+        f"{100.0 * result.gap:.2f} points more (with 95 % confidence)",
+        f"Over all worlds it prevents at least {100.0 * result.least:.2f} %, and no layout more "
+        f"than {100.0 * result.most:.2f} %: {100.0 * result.bias:.2f} points of the gap would go "
+        f"with larger blocks or a better layout, {100.0 * result.chance:.2f} with more worlds",
+        f"The upper limit is the mean of {n_blocks} proven bounds, one for each block of {worlds}",
+    ]
+    if loose:
+        said.append(
+            f"In {loose} of {n_blocks} blocks the bound was not reached in the time given: with "
+            "more time the limit may come down"
+        )
+    return said
+
+
+def table(result: CertifiedResult) -> Table:
+    """A row per layout of the pool."""
+    return tabulate(
+        f"Layouts found, in {len(result.apr_by_world)} worlds that choose among them",
+        result.pool,
+        {
+            "layout": lambda one: one.name,
+            "APR": lambda one: percent(one.mean),
+            "from": lambda one: percent(one.low),
+            "to": lambda one: percent(one.high),
+        },
+        numeric=(1, 2, 3),
+    )

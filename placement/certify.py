@@ -1,0 +1,190 @@
+"""How much a layout may lack of the best over all worlds that may turn out to be."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from geometry.errors import InputError, Unquoted
+
+from .cache import cached_value
+from .compute import check_whole
+from .optimiser import Solution, solve_placement
+from .optimiser.greedy import solve_greedy
+from .pipeline import Assembly, pick_layout
+from .sampling.out_of_sample import MeanEstimate, SampledApr, estimate_mean, out_of_sample_layouts
+
+N_BLOCKS = 5
+N_WORLDS = 8  # of a block
+N_JUDGED = 60
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Block:
+    """Some sampled worlds, and what can be reached in them.
+
+    Attributes
+    ----------
+    first : int
+        Number of its first world.
+    bound : float
+        Mean APR that no layout exceeds in its worlds, proven. 0 .. 1
+    apr : float
+        Mean APR of the layout found in its worlds.
+    found, greedy : tuple of int
+        Rows of the candidates.
+    """
+
+    first: int
+    bound: float
+    apr: float
+    found: tuple[int, ...]
+    greedy: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GapEstimate:
+    """Limits of the best mean APR and of a layout's own, both at once with a confidence.
+
+    Attributes
+    ----------
+    most : MeanEstimate
+        Of the blocks' bounds: no layout's APR over all worlds is above its `high`.
+    least : MeanEstimate
+        Of the layout in worlds that nothing was chosen in: its APR is not below its `low`.
+    """
+
+    most: MeanEstimate
+    least: MeanEstimate
+
+    @property
+    def gap(self) -> float:
+        """What the layout may lack of the best at most; 0 if nothing."""
+        return max(0.0, self.most.high - self.least.low)
+
+    @property
+    def bias(self) -> float:
+        """Part of the gap that more worlds in a block, or a better layout, would make smaller."""
+        return max(0.0, self.most.mean - self.least.mean)
+
+    @property
+    def chance(self) -> float:
+        """Part of the gap that more blocks, or more worlds to judge in, would make smaller."""
+        return self.gap - min(self.bias, self.gap)
+
+
+def estimate_gap(bounds: Sequence[float], aprs: Sequence[float]) -> GapEstimate:
+    """The gap from bounds of blocks (n_blocks,) and APRs of a layout in other worlds (n_worlds,).
+
+    The expected bound of a block is not below the best expected APR: in each block the best layout
+    is at least as good as the one that is best over all. Both means have an interval of Student's t
+    with 95 %, of which one end each counts: 2.5 % on either side, 5 % together. Raises InputError
+    for less than two of either.
+
+    References
+    ----------
+    .. [1] W.-K. Mak, D. P. Morton, R. K. Wood, "Monte Carlo bounding techniques for determining
+       solution quality in stochastic programs", Operations Research Letters 24 (1999).
+
+    Examples
+    --------
+    >>> estimate = estimate_gap([0.98, 0.982, 0.984], [0.97, 0.98, 0.975, 0.975])
+    >>> round(estimate.bias, 4), round(estimate.gap, 4)
+    (0.007, 0.0185)
+    """
+    for where, values in (("blocks", bounds), ("worlds", aprs)):
+        if len(values) < 2:
+            raise InputError(where, len(values), "at least 2: one alone shows no spread")
+    return GapEstimate(most=estimate_mean(bounds), least=estimate_mean(aprs))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Certified:
+    """The best of the layouts that were found in blocks of worlds, and what it may lack.
+
+    Attributes
+    ----------
+    blocks : tuple of Block
+        Each with worlds of its own.
+    pool : tuple of SampledApr
+        Layouts found in the blocks, and the greedy ones, in the same fresh worlds; the best first.
+    judged : SampledApr
+        The best one in other fresh worlds.
+    gap : GapEstimate
+        From the bounds and these.
+    """
+
+    blocks: tuple[Block, ...]
+    pool: tuple[SampledApr, ...]
+    judged: SampledApr
+    gap: GapEstimate
+
+
+def certify(assembly: Assembly, *, n_blocks: int = N_BLOCKS, n_judged: int = N_JUDGED) -> Certified:
+    """Find a layout for the mean over worlds, and limit what it lacks of the best.
+
+    Blocks have `assembly.n_samples` worlds each. No world of one block, or of the two times
+    `n_judged` to judge in, is another one's. Raises InputError for blocks of one world, fewer than
+    two blocks, or a question that is not for the highest mean APR within a budget.
+    """
+    check_whole("blocks", n_blocks, least=2)
+    check_whole("judge", n_judged, least=2)
+    check_whole("samples", assembly.n_samples, least=2)
+    wishes, compute, uncertainty = assembly.wishes, assembly.compute, assembly.uncertainty
+    assert uncertainty is not None  # worlds are sampled
+    if wishes.target is not None or wishes.survive or wishes.tail < 1.0:
+        got = Unquoted("a target, failures or a tail of the worlds")
+        raise InputError("question", got, "a budget and the mean APR: only they are certified")
+    blocks = tuple(_solve_block(assembly, block, n_blocks) for block in range(n_blocks))
+    names = {
+        **{one.greedy: f"greedy of block {n}" for n, one in enumerate(blocks, start=1)},
+        **{one.found: f"best of block {n}" for n, one in enumerate(blocks, start=1)},
+    }
+    layouts = [pick_layout(assembly.candidates, rows, name) for rows, name in names.items()]
+    compute.progress("choose in fresh worlds", 0, 0)
+    pool = out_of_sample_layouts(
+        *(assembly.setting, layouts, uncertainty),
+        n_samples=n_judged,
+        fusion=assembly.fusion,
+        compute=compute,
+    )
+    pool = sorted(pool, key=lambda one: -one.estimate.mean)
+    compute.progress("judge in other fresh worlds", 0, 0)
+    (judged,) = out_of_sample_layouts(
+        *(assembly.setting, [pool[0].layout], uncertainty),
+        n_samples=n_judged,
+        first=n_judged,
+        fusion=assembly.fusion,
+        compute=compute,
+    )
+    gap = estimate_gap([block.bound for block in blocks], judged.apr_by_sample.tolist())
+    return Certified(blocks=blocks, pool=tuple(pool), judged=judged, gap=gap)
+
+
+def _solve_block(assembly: Assembly, block: int, n_blocks: int) -> Block:
+    """The best layout in the worlds of one block, with its bound."""
+    first, compute = block * assembly.n_samples, assembly.compute
+    part = replace(
+        assembly, first_sample=first, compute=compute.within(f"block {block + 1} of {n_blocks}")
+    )
+    problem = part.problem
+
+    def answer() -> tuple[Solution, tuple[int, ...]]:
+        reduced = part.presolved
+        solution = solve_placement(problem, reduced, effort=part.effort, n_stages=1)
+        return solution, solve_greedy(problem, reduced)
+
+    solution, greedy = cached_value(
+        compute.cache_folder,
+        "block",
+        answer,
+        kind=tuple[Solution, tuple[int, ...]],
+        made_from=(problem, part.effort),
+        is_worth_it=lambda found: found[0].certificate.stages[0].gap == 0.0,
+    )
+    stage = solution.certificate.stages[0]
+    return Block(
+        first=first,
+        bound=min(1.0, stage.bound),
+        apr=stage.objective,
+        found=tuple(sorted(solution.pose_index)),
+        greedy=tuple(sorted(greedy)),
+    )

@@ -1,0 +1,49 @@
+"""``place-rsus certify``: a gap over worlds, written and checked again."""
+
+import json
+
+import pytest
+
+ASKED = (
+    *("certify", "--cases", "CPNC-50", "--approaches", "east", "--along-arms", 0),
+    *("--within", "carlancap-12", "--budget", 1, "--detector", "response", "--quiet"),
+    *("--samples", 2, "--blocks", 2, "--judge", 3),
+)
+
+
+def test_a_gap_is_told_written_and_verified_and_a_smaller_one_is_not(run, tmp_path):
+    folder = tmp_path / "results"
+    code, out, err = run(*ASKED, "--out", folder)
+    assert (code, err) == (0, "")
+    path = folder / "certified.json"
+    found = json.loads(path.read_text())
+    first = " ".join(out.split("Over all worlds")[0].split())
+    assert first.startswith(f"1 unit at {found['units'][0]} prevents ")
+    assert f"at most {100.0 * found['gap']:.2f} points more (with 95 % confidence)" in first
+    assert max(map(len, out.splitlines()[:-1])) <= 80  # but the path
+    assert found["gap"] == pytest.approx(found["most"] - found["least"])
+
+    code, out, _ = run("verify", folder, "--quiet")
+    assert code == 0
+    assert "2 checks: all OK." in out
+    path.write_text(json.dumps(found | {"gap": found["gap"] - 0.001}))
+    code, out, _ = run("verify", folder, "--quiet")
+    assert code == 1
+    assert "FAILED numbers: gap: " in out
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        (("--blocks", 1), "--blocks: got '1'; expected a whole number, at least 2"),
+        (("--samples", 1), "--samples: got 1; expected a whole number, at least 2"),
+        (("--judge", 0), "--judge: got '0'; expected a whole number, at least 2"),
+        (("--budget", 0), "--budget: got '0'"),
+    ],
+)
+def test_what_cannot_be_certified_is_one_line(run, tmp_path, changed, message):
+    code, out, err = run(*ASKED, *changed, "--out", tmp_path / "results")
+    assert (code, out) == (2, "")
+    assert err.startswith(f"place-rsus: {message}")
+    assert err.count("\n") == 1
+    assert not (tmp_path / "results").exists()

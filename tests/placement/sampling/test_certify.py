@@ -1,0 +1,142 @@
+"""What a layout may lack of the best over all worlds: limits, and how often they hold."""
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from scipy.stats import t as student
+
+from geometry.errors import InputError
+from placement.certify import certify, estimate_gap
+from placement.compute import Compute
+from placement.pipeline import Assembly, assemble
+from placement.question import Question
+from placement.sampling.out_of_sample import out_of_sample_layouts
+from placement.sampling.tables import sampled_table
+from placement.sampling.uncertainty import load_uncertainty
+from placement.wishes import Wishes
+
+
+def test_limits_are_those_of_the_formula():
+    bounds, aprs = [0.96, 0.97, 0.955, 0.965], [0.95, 0.94, 0.96, 0.93, 0.95]
+    found = estimate_gap(bounds, aprs)
+    most = np.mean(bounds) + student.ppf(0.975, 3) * np.std(bounds, ddof=1) / 2.0
+    least = np.mean(aprs) - student.ppf(0.975, 4) * np.std(aprs, ddof=1) / np.sqrt(5.0)
+    assert found.most.high == pytest.approx(most)
+    assert found.least.low == pytest.approx(least)
+    assert found.gap == pytest.approx(most - least)
+    assert found.bias + found.chance == pytest.approx(found.gap)
+    assert found.bias == pytest.approx(np.mean(bounds) - np.mean(aprs))
+
+
+@pytest.mark.parametrize(("bounds", "aprs"), [([0.9], [0.8, 0.9]), ([0.9, 0.9], [0.8])])
+def test_one_of_either_shows_no_spread(bounds, aprs):
+    with pytest.raises(InputError, match="at least 2"):
+        estimate_gap(bounds, aprs)
+
+
+def coverage(n_repetitions, *, n_blocks, n_worlds, n_judged=60):
+    """Share of certificates that hold, on small problems whose optimum is known.
+
+    Ten poses, two of which are mounted. In a world each pose sees each of twelve runs with a
+    probability of its own, so that the APR of a pair over all worlds has a closed form.
+    """
+    n_poses, n_runs, holds = 10, 12, 0
+    pairs = np.array(list(combinations(range(n_poses), 2)))
+    for repetition in range(n_repetitions):
+        rng = np.random.default_rng([7, repetition])
+        sees = rng.beta(2.0, 1.0, size=(n_poses, n_runs))
+        weight = rng.dirichlet(np.ones(n_runs))
+        true = (1.0 - np.prod(1.0 - sees[pairs], axis=1)) @ weight
+
+        def aprs(n, rng=rng, sees=sees, weight=weight):
+            drawn = rng.random((n, n_poses, n_runs)) < sees
+            return drawn[:, pairs].any(axis=2) @ weight  # (n, n_pairs)
+
+        blocks = [aprs(n_worlds).mean(axis=0) for _ in range(n_blocks)]
+        bounds = [block.max() for block in blocks]  # by brute force, hence exact
+        pool = sorted({int(block.argmax()) for block in blocks})
+        best = pool[int(aprs(n_judged)[:, pool].mean(axis=0).argmax())]
+        found = estimate_gap(bounds, aprs(n_judged)[:, best].tolist())
+        holds += true.max() - true[best] <= found.gap
+        # Either end for itself, too.
+        assert true.max() <= 1.0
+    return holds / n_repetitions
+
+
+def test_gaps_hold_as_often_as_they_say():
+    # 0.95 asked; three standard errors of 200 repetitions are 0.046.
+    assert coverage(200, n_blocks=5, n_worlds=4) >= 0.95 - 0.046
+
+
+@pytest.mark.long
+def test_gaps_hold_as_often_as_they_say_whatever_the_blocks():
+    for n_blocks, n_worlds in ((2, 2), (3, 8), (5, 8), (10, 2)):
+        assert coverage(1000, n_blocks=n_blocks, n_worlds=n_worlds) >= 0.95 - 0.021
+
+
+@pytest.fixture(scope="module")
+def assembly(setting, candidates):
+    uncertainty = replace(load_uncertainty("default"), packet_loss=0.3)
+    return Assembly(
+        setting=setting,
+        candidates=candidates,
+        wishes=Wishes(budget_units=1),
+        uncertainty=uncertainty,
+        n_samples=3,
+        compute=Compute(workers=1, seed=4),
+    )
+
+
+def test_blocks_have_worlds_of_their_own_and_the_best_of_them(assembly):
+    found = certify(assembly, n_blocks=3, n_judged=5)
+    n_runs = assembly.setting.axis.n_runs
+    for number, block in enumerate(found.blocks):
+        assert block.first == 3 * number
+        table = sampled_table(
+            *(assembly.setting, assembly.candidates, assembly.uncertainty),
+            n_samples=3,
+            first=block.first,
+            compute=assembly.compute,
+        ).table
+        part = replace(assembly, known_table=table, n_samples=0)
+        values = [_apr(part, rows) for rows in range(len(assembly.candidates))]
+        assert table.axis.n_runs == 3 * n_runs
+        assert block.bound == pytest.approx(max(values))
+        assert block.apr == pytest.approx(max(values))
+        assert values[block.found[0]] == pytest.approx(max(values))
+    assert found.pool[0].estimate.mean == max(one.estimate.mean for one in found.pool)
+
+
+def _apr(part, row):
+    from placement.optimiser import apr
+
+    return apr(part.problem, [row])
+
+
+def test_the_best_is_judged_in_worlds_that_chose_nothing(assembly):
+    found = certify(assembly, n_blocks=2, n_judged=4)
+    chosen = found.pool[0].layout
+    both = out_of_sample_layouts(
+        *(assembly.setting, [chosen], assembly.uncertainty), n_samples=8, compute=assembly.compute
+    )[0].apr_by_sample
+    assert found.pool[0].apr_by_sample == pytest.approx(both[:4])
+    assert found.judged.apr_by_sample == pytest.approx(both[4:])
+    assert found.judged.layout.units == chosen.units
+
+
+def test_what_cannot_be_certified_is_refused(assembly):
+    with pytest.raises(InputError, match="blocks: got 1; expected a whole number, at least 2"):
+        certify(assembly, n_blocks=1)
+    with pytest.raises(InputError, match="samples: got 1; expected a whole number, at least 2"):
+        certify(replace(assembly, n_samples=1))
+    aims = replace(assembly, wishes=Wishes(target=0.5))
+    with pytest.raises(InputError, match="a target, failures or a tail"):
+        certify(aims)
+
+
+def test_a_question_without_worlds_is_refused():
+    plan = assemble(Question(budget=1, within="carlancap-12"))
+    with pytest.raises(InputError, match="samples: got 0"):
+        certify(plan)
