@@ -1,7 +1,5 @@
 """Open untrusted files safely: archives, XML, JSON, glTF, PBF."""
 
-import gzip
-import io
 import json
 import os
 import stat
@@ -13,7 +11,7 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
-from typing import Any, BinaryIO
+from typing import Any
 from xml.etree.ElementTree import Element, ParseError
 
 import numpy as np
@@ -163,38 +161,6 @@ def _refuse_ratio(n_bytes: int, n_packed: int, where: str) -> None:
     if n_bytes > max(_SMALL_BYTES, MAX_RATIO * n_packed):
         got = Unquoted(f"{n_bytes:,} bytes or more out of {max(1, n_packed):,}")
         raise InputError(where, got, f"at most {MAX_RATIO} times as many")
-
-
-# ---------- gzip
-class _Unpacked(io.RawIOBase):
-    """Unpacked bytes of a gzip file, until there are more than an honest one holds."""
-
-    def __init__(self, file: BinaryIO, where: str) -> None:
-        self._file, self._where, self._n_bytes = gzip.GzipFile(fileobj=file), where, 0
-        self._n_packed = os.fstat(file.fileno()).st_size
-
-    def readable(self) -> bool:
-        return True
-
-    def readinto(self, buffer: Any) -> int:
-        n_bytes = self._file.readinto(buffer)
-        self._n_bytes += n_bytes
-        _refuse_ratio(self._n_bytes, self._n_packed, self._where)
-        return n_bytes
-
-
-@contextmanager
-def open_stream(path: Path, *, max_bytes: int) -> Iterator[BinaryIO]:
-    """Open a file that is read piece by piece, packed with gzip if its name ends in ``.gz``.
-
-    Raises InputError as :func:`geometry.files.open_file` does, also while it is read: if more than
-    200 times its size comes out of it.
-    """
-    with open_file(path, max_bytes=max_bytes) as file:
-        if path.name.lower().endswith(".gz"):
-            yield io.BufferedReader(_Unpacked(file, str(path)), _CHUNK_BYTES)
-        else:
-            yield file
 
 
 # ---------- Parquet

@@ -110,15 +110,9 @@ class Question:
     uncertainty : str
         What is drawn for `samples`: a name, or a .toml file.
     traffic : str
-        Vehicles that drive by in the worlds of `samples`: sumo, a .toml file of demand for it, or
-        FCD of your own model (.xml, .csv, also .gz, .parquet).
-    traffic_offset : str
-        Metres added to x and y of `traffic` FILE; default: what the .net.xml next to it says.
+        Vehicles that drive by in the worlds of `samples`: sumo, or a .toml file of demand for it.
     risk : str
         With `samples`: mean, worst, or the share of the worst worlds whose mean APR counts.
-    pool : int
-        List so many layouts that are as good in the first objective, the best first, and how often
-        each site appears in them.
     scene : str
         Folder or .zip of `place-rsus scene import`, or a map (.osm, .osm.pbf, .xodr); default: the
         study's junction.
@@ -238,9 +232,7 @@ class Question:
     samples: Annotated[int, _at_least(0, "a number of sampled worlds", _MOST_SAMPLES)] = 0
     uncertainty: str = "default"
     traffic: str = ""
-    traffic_offset: str = ""
     risk: str = "mean"
-    pool: Annotated[int, _at_least(0, "a number of layouts", _MOST_LISTED)] = 0
     scene: str = ""
     junction: str = ""
     at: str = ""

@@ -37,7 +37,7 @@ def write_city(folder: Path, name: str = "tiny.osm", *, east_m: float = 0.0) -> 
 
 
 @contextmanager
-def _no_workers(scheduler: str, **settings: Any) -> Iterator[None]:
+def _no_workers(**settings: Any) -> Iterator[None]:
     yield None
 
 

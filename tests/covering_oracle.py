@@ -16,18 +16,15 @@ AMOUNTS = (
 
 @st.composite
 def instances(draw, max_columns: int = 7, max_rows: int = 8) -> CoveringInstance:
-    """Instances with unit, whole or any costs and weights."""
+    """Instances with unit, whole or any costs."""
     n_columns = draw(st.integers(0, max_columns))
     n_rows = draw(st.integers(0, max_rows))
     rows = st.sets(st.integers(0, n_rows - 1)) if n_rows else st.just(set())
     covers = np.zeros((n_columns, n_rows), dtype=bool)
     for column in range(n_columns):
         covers[column, list(draw(rows))] = True
-    cost, weight = (
-        draw(st.lists(draw(st.sampled_from(AMOUNTS)), min_size=n, max_size=n))
-        for n in (n_columns, n_rows)
-    )
-    return build_covering_instance(covers, cost=cost, weight=weight)
+    amounts = st.lists(draw(st.sampled_from(AMOUNTS)), min_size=n_columns, max_size=n_columns)
+    return build_covering_instance(covers, cost=draw(amounts))
 
 
 class EverySet:
@@ -36,7 +33,7 @@ class EverySet:
     Attributes
     ----------
     size, cost, covered : (n_sets,) float
-        Columns, what they cost, the weight that they cover.
+        Columns, what they cost, how many rows they cover.
     """
 
     def __init__(self, instance: CoveringInstance) -> None:
@@ -48,15 +45,13 @@ class EverySet:
         ]
         self.size = np.array([len(columns) for columns in self.sets])
         self.cost = np.array([instance.cost[columns].sum() for columns in self.sets])
-        self.covered = np.array(
-            [instance.weight[covers[columns].any(axis=0)].sum() for columns in self.sets]
-        )
+        self.covered = np.array([covers[columns].any(axis=0).sum() for columns in self.sets])
 
-    def least_cost(self, needed_weight: float) -> float:
+    def least_cost(self, needed: float) -> float:
         """Least cost of a set that covers so much."""
-        return float(self.cost[self.covered >= needed_weight - 1.0e-9].min())
+        return float(self.cost[self.covered >= needed - 1.0e-9].min())
 
-    def most_weight(self, units: float = np.inf, money: float = np.inf) -> float:
-        """Most weight of a set within a budget."""
+    def most_covered(self, units: float = np.inf, money: float = np.inf) -> float:
+        """Most rows of a set within a budget."""
         is_allowed = (self.size <= units) & (self.cost <= money + 1.0e-9)
         return float(self.covered[is_allowed].max())

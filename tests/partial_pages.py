@@ -143,7 +143,6 @@ def build_result(name, layout=(A_UNIT,), **changes) -> Result:
                 "contributions": [],
                 "not_avoided": [],
                 "runs_without_weight": 0,
-                "pool": None,
             },
             "baselines": {"random": None, "expert": None},
         } | plain

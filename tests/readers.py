@@ -662,26 +662,20 @@ def _recordings() -> Mapping[str, tuple[str, Files]]:
 
 
 def _read_covering(path: Path) -> Any:
-    from placement.covering import instance_kind, load_instance, solve_lscp
+    from placement.covering import load_instance, solve_covering
 
-    instance_kind(path)
     instance = load_instance(path)
     if instance.n_columns * instance.n_rows <= 10_000:
-        solve_lscp(instance, time_limit_s=0.5)
+        solve_covering(instance, time_limit_s=0.5)
     return instance
 
 
 def _coverings() -> Mapping[str, tuple[str, Files]]:
-    from placement.covering import build_covering_instance, save_instance
-
-    covers = np.array([[1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 1, 1]])
-    own = _written(lambda f: save_instance(f / "a.npz", build_covering_instance(covers)))
     return {
         "orlib": _one("a", "3 4\n1 2.5 3 4\n2\n1 2\n3\n2 3 4\n1\n4\n"),
         "gecco": _one("a", "3 4\n1 3 1 2 3\n0 2 0 1\n2 1 3\n"),
         "rail": _one("a", " 3 4\n 1 1 1\n 2 2 2 1\n 3 1 2\n 4 2 2 3\n"),
         "sts": _one("a", "5 3\n1 2 3\n1 4 5\n2 3 4\n"),
-        "npz": ("a.npz", own),
     }
 
 
@@ -788,31 +782,6 @@ def _read_table(path: Path) -> Any:
     return load_table(path, fingerprint=_FINGERPRINT, candidates=units, axis=axis)
 
 
-def _read_traffic(path: Path) -> object:
-    from junctions import protocol_scene
-
-    from placement.sampling.moving.demand import load_demand
-    from placement.sampling.moving.fcd import load_fcd
-
-    return load_fcd(path, protocol_scene(), load_demand(), offset_m=np.zeros(2), reach_m=100.0)
-
-
-def _traffic() -> Mapping[str, tuple[str, Files]]:
-    header = "timestep_time,vehicle_id,vehicle_x,vehicle_y,vehicle_angle,vehicle_type"
-    rows = [f"{0.5 * k},a,{5.0 * k - 20.0},-1.75,90.0,passenger" for k in range(9)]
-    steps = [
-        f'<timestep time="{0.5 * k}"><vehicle id="a" x="{5.0 * k - 20.0}" y="-1.75" angle="90" '
-        'type="passenger"/></timestep>'
-        for k in range(9)
-    ]
-    xml = "<fcd-export>" + "".join(steps) + "</fcd-export>"
-    return {
-        "xml": _one("a.xml", xml),
-        "gz": _one("a.xml.gz", gzip.compress(xml.encode(), mtime=0)),
-        "csv": _one("a.csv", "\n".join([header, *rows])),
-    }
-
-
 def _read_demand(path: Path) -> object:
     from placement.sampling.moving.demand import load_demand
 
@@ -907,9 +876,6 @@ READERS: Mapping[str, Reader] = {
     "heights": Reader(_read_raster, _rasters, ("geometry.maps.relief.read_elevation",)),
     "datasets": Reader(
         _read_manifest, _manifests, ("experiments.perception_lab.dataset.load_manifest",)
-    ),
-    "traffic": Reader(
-        _read_traffic, _traffic, ("placement.sampling.moving.fcd.load_fcd",), share=2
     ),
     "demand": Reader(_read_demand, _demands, ("placement.sampling.moving.demand.load_demand",)),
     "street maps": Reader(
@@ -1015,10 +981,7 @@ READERS: Mapping[str, Reader] = {
     "covering instances": Reader(
         read=_read_covering,
         seeds=_coverings,
-        covers=(
-            "placement.covering.load_instance",
-            "placement.covering.instance_kind",
-        ),
+        covers=("placement.covering.load_instance",),
     ),
     "placement problems": Reader(
         read=_read_problem,

@@ -29,7 +29,6 @@ from placement.setting import Setting, build_setting
 
 from .city import measure_city
 from .optimiser import build_bench_problem, measure_optimiser, measure_single
-from .planner import measure_dragging
 from .rays import REPEATS, Figures, measure_casting, measure_evaluation, measure_table
 
 _OWN_CASES = "CPNC-50,CBNA,CBLA"  # the study's: rays are measured on their 104 runs
@@ -61,7 +60,6 @@ PARTS: dict[str, Callable[[int], Figures]] = {
         build_bench_problem(_setting(), _candidates(), budget, fusion="single")
     ),
     "city": lambda _: measure_city(),
-    "dragging": lambda _: measure_dragging(_setting(), Question()),
 }
 """Functions of the budget of units that measure, by name."""
 
@@ -76,7 +74,7 @@ PARTS: dict[str, Callable[[int], Figures]] = {
 )
 @click.option("--out", type=click.Path(path_type=Path), help="JSON file for the figures.")
 def main(budget: int, parts: str, limit: float, out: Path | None) -> None:
-    """Measure the whole command, rays, evaluator, optimiser, a city, and the planner's page.
+    """Measure the whole command, rays, evaluator, optimiser, and a city.
 
     Figures of parts that are not measured this time stay in the file as they are.
     """

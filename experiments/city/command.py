@@ -66,9 +66,7 @@ Examples:
       --junction-weights accidents.csv --snap 40
   place-rsus city town.osm.pbf --budget 60 --units-per-year 20 --out city \\
       --districts districts.geojson --min-district-apr 0.3
-  place-rsus city roads.osm houses.gpkg --budget 60 --signals-only --out city
-  place-rsus city town.osm.pbf --budget 60 --out city \\
-      --scheduler tls://10.0.0.1:8786""",
+  place-rsus city roads.osm houses.gpkg --budget 60 --signals-only --out city""",
 )
 @click.argument("maps", nargs=-1, required=True, metavar="MAP...", type=click.Path(path_type=Path))
 @option(
@@ -241,19 +239,10 @@ Examples:
     "sign posts and poles of other junctions, and kerb:15 where none is within 25 m.",
 )
 @option(
-    "--scheduler",
-    is_common=False,
-    default="",
-    metavar="ADDRESS",
-    help="Solve junctions on the workers of a dask scheduler, which must have this program; "
-    "default: --workers processes on this machine.",
-)
-@option(
     "--worker-memory",
     is_common=False,
     default="1.5GiB",
     show_default=True,
-    excludes="scheduler",
     metavar="SIZE",
     help="Of each process on this machine; one that takes more is ended, and its junction tried "
     "again.",
@@ -270,7 +259,6 @@ def city(
     *,
     maps: tuple[Path, ...],
     out: Path,
-    scheduler: str,
     worker_memory: str,
     question: Question,
     as_json: bool,
@@ -301,9 +289,7 @@ def city(
         maps=maps,
         wish=CityWish(**_of(CityWish, given)),
         search=CitySearch(**_of(CitySearch, given), gap=question.gap),
-        workers=job.CityWorkers(
-            scheduler=scheduler, n_workers=compute.workers, memory=worker_memory
-        ),
+        workers=job.CityWorkers(n_workers=compute.workers, memory=worker_memory),
         out=out,
         seed=compute.seed,
         command=command_line(),

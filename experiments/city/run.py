@@ -92,9 +92,8 @@ _NEW_FOR_A_PROCESS = 8  # a process takes some seconds to start, a page half of 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CityWorkers:
-    """A dask scheduler by its address, or processes on this machine and the most memory of each."""
+    """Processes on this machine, and the most memory of each."""
 
-    scheduler: str = ""
     n_workers: int = 1
     memory: str = "1.5GiB"
 
@@ -239,7 +238,6 @@ def _find_missing(
     todo = {one.scene_name: one for one in tasks.city.junctions if one.folder not in done}
     n_all = len(tasks.city.junctions)
     with start_workers(
-        workers.scheduler,
         n_workers=min(workers.n_workers, len(todo)),
         memory=workers.memory,
         tell=tell,

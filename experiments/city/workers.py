@@ -1,4 +1,4 @@
-"""Junctions of a city, each a task for a process on this machine or a worker of dask."""
+"""Junctions of a city, each a task for a process on this machine."""
 
 import logging
 import multiprocessing
@@ -7,7 +7,7 @@ import re
 import resource
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import islice
@@ -16,7 +16,7 @@ from multiprocessing.connection import wait as wait_for_pipes
 from pathlib import Path
 from typing import Any
 
-from geometry.errors import InputError, MissingExtraError
+from geometry.errors import InputError
 from geometry.files import read_bytes
 from geometry.maps.importing import ImportOptions, Surveyed, cut_scene
 from geometry.maps.source_map import SourceMap
@@ -25,7 +25,6 @@ from placement.city.junction import JunctionWishes, TimeUpError, solve_junction
 from placement.compute import Compute
 from placement.question import Question
 
-from ..jobs.schedulers import connect_to_scheduler, program, run_alike
 from ..progress import follow_parent
 from ..results.numbers import several
 from ..results.record import build_unit_records
@@ -34,7 +33,6 @@ from .answer import CityFrontRecord
 TRIES = 3
 """Of a junction whose worker dies, or that fails for no reason of its own."""
 
-_AHEAD = 2  # tasks per worker of a cluster that are handed over before their turn
 _WATCH_S = 0.2  # the memory of processes is looked at as often
 _CONTEXT = multiprocessing.get_context("spawn")
 
@@ -228,69 +226,14 @@ def _serve(pipe: Connection) -> None:
         pipe.send(answer)
 
 
-# ---------- workers of both kinds
-
-
-class DaskWorkers:
-    """The workers of a dask scheduler, which tries a task again that failed."""
-
-    def __init__(self, client: Any) -> None:
-        self._client = client
-        self._executor = client.get_executor(retries=TRIES - 1, pure=False)
-        self._pending: set[Future[Any]] = set()
-
-    @property
-    def capacity(self) -> int:
-        """Tasks that are handed over at a time: some more than there are workers."""
-        return _AHEAD * max(len(self._client.scheduler_info(n_workers=-1)["workers"]), 1)
-
-    def submit(self, function: Callable[[Any], Any], task: Any) -> Future[Any]:
-        """Hand a task over."""
-        future: Future[Any] = self._executor.submit(run_alike, program(), function, task)
-        self._pending.add(future)
-        return future
-
-    def wait(self, timeout_s: float) -> None:
-        """Wait for answers, no longer than a time."""
-        _, self._pending = wait(self._pending, timeout_s, FIRST_COMPLETED)
-
-    def cancel(self) -> None:
-        """Give up what is not done."""
-        for future in self._pending:
-            future.cancel()
-        self._executor.shutdown(wait=False)
-
-
 @contextmanager
 def start_workers(
-    scheduler: str, *, n_workers: int, memory: str, tell: Callable[[str], None]
-) -> Iterator[LocalWorkers | DaskWorkers]:
-    """Processes on this machine, or the workers of a dask scheduler by its address.
-
-    Raises
-    ------
-    MissingExtraError
-        A scheduler is asked for, and dask is not installed.
-    InputError
-        The scheduler does not answer, has no workers, or these lack this program.
-    """
-    if not scheduler:
-        with LocalWorkers(n_workers, max_bytes=check_memory(memory)) as processes:
-            tell(f"{several(n_workers, 'worker', 'workers')} of at most {memory} memory each.")
-            yield processes
-        return
-    try:
-        connected = connect_to_scheduler(scheduler)
-    except ImportError:
-        raise MissingExtraError(
-            "place-rsus city --scheduler needs dask: pip install 'place-rsus[cluster]'"
-        ) from None
-    with connected as client:
-        workers = DaskWorkers(client)
-        try:
-            yield workers
-        finally:
-            workers.cancel()
+    *, n_workers: int, memory: str, tell: Callable[[str], None]
+) -> Iterator[LocalWorkers]:
+    """Processes on this machine, each with at most so much memory."""
+    with LocalWorkers(n_workers, max_bytes=check_memory(memory)) as processes:
+        tell(f"{several(n_workers, 'worker', 'workers')} of at most {memory} memory each.")
+        yield processes
 
 
 _UNITS = {"": 1, "B": 1, **{f"{unit}B": 1000**power for power, unit in enumerate("kMGT", start=1)}}
@@ -311,7 +254,7 @@ def check_memory(text: str) -> int:
 
 
 def run_junctions(
-    workers: LocalWorkers | DaskWorkers, tasks: Iterable[JunctionTask]
+    workers: LocalWorkers, tasks: Iterable[JunctionTask]
 ) -> Iterator[tuple[JunctionTask, JunctionAnswer]]:
     """Run tasks on workers, in the order in which they end.
 
@@ -334,10 +277,8 @@ def run_junctions(
             task, attempt = running.pop(future)
             try:
                 answer: JunctionAnswer = future.result()
-            except InputError:  # a worker with another program
-                raise
             except Exception as error:  # of a task, or of a worker that died
-                if isinstance(workers, LocalWorkers) and attempt < TRIES:
+                if attempt < TRIES:
                     hand_over(task, attempt + 1)
                     continue
                 answer = _failed(error, task)
@@ -345,12 +286,10 @@ def run_junctions(
 
 
 def _failed(error: Exception, task: JunctionTask) -> JunctionAnswer:
-    if isinstance(error, WorkerDiedError) or type(error).__name__ == "KilledWorker":
-        cause = f" of {error}" if isinstance(error, WorkerDiedError) and str(error) else ""
+    if isinstance(error, WorkerDiedError):
+        cause = f" of {error}" if str(error) else ""
         reason = f"its worker died{cause}, {TRIES} times: more --worker-memory, or fewer poses"
     else:
-        text = " ".join(str(error).split())[:200]
-        if type(error) is not RuntimeError:  # those of processes here begin with the kind
-            text = f"{type(error).__name__}: {text}"
+        text = " ".join(str(error).split())[:200]  # it begins with the kind
         reason = f"an unexpected error, {TRIES} times: {text}"
     return JunctionAnswer(record=_failed_record(task, reason, is_final=False), files={})

@@ -18,42 +18,38 @@ from ..parts import (
     added,
     answer,
     baselines,
+    comparison,
     dangers,
+    front,
     next_unit,
     proof,
     road_users,
+    sampled_worlds,
     study_cases,
 )
 from ..parts.assumptions import assumption_sentences
 from ..parts.baselines import Baselines, Score
 from ..parts.explanation import (
     OUTCOMES,
-    ContributionRecord,
     ExplainedRecord,
     cause,
     contribution_sentences,
-    is_nothing_avoided,
-    missed_counts,
+    contribution_table,
     missed_sentences,
-    pool_sentences,
 )
 from ..parts.result import ComparisonResult, EvaluationResult, PlacementResult, Result
 from ..parts.road_users import RoadUserGroups
-from ..parts.sampled_worlds import SampledRecord, moving_sentence
 from ..parts.section import Table
 from ..parts.study_cases import StudyCases
 from ..results.numbers import (
     cars_words,
-    count_runs,
     first_of,
     number,
     percent,
-    points,
     several,
     shortened,
 )
 from ..results.record import EvaluationRecord, PartyAprRecord, UnitRecord
-from .terminal import sentences
 
 _TOGETHER = "fused: in each frame, any of the units may detect"
 _MAX_UNITS, _MAX_SHORT_UNITS = 24, 12
@@ -113,7 +109,7 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
         Part(words=[] if other_sensor == "." else [other_sensor]),
         Part(words=answer.doubts(result), is_short=True),
         *_explained(result),
-        _without_optimiser(result.baselines, apr_found=result.apr, n_units=n_units),
+        _without_optimiser(result.baselines, n_units=n_units),
         _study_part(result.study_cases),
         Part(
             words=[
@@ -203,11 +199,7 @@ def comparison_parts(result: ComparisonResult, out: Path | None) -> list[Part]:
         ),
         _impacts(result, {other.name: other.evaluation for other in result.compared}),
         Part(
-            words=[
-                f"{result.name} avoids {len(other.runs_gained)} that {other.name} does not, and "
-                f"{other.name} avoids {len(other.runs_lost)} that {result.name} does not."
-                for other in result.compared
-            ],
+            words=[f"{text}." for text in comparison.words(result.name, result.compared)],
             is_short=True,
         ),
         *_said(answer.doubts(result)),
@@ -306,10 +298,15 @@ def assumption_parts(result: Result) -> list[Part]:
 def _explained(result: PlacementResult) -> list[Part]:
     """Why these units, what each buys; what was asked for besides."""
     return [
-        Part(title="What each unit buys:", words=result.front.sentences)
+        Part(
+            title="What each unit buys:",
+            words=result.front.sentences,
+            table=front.table(result.front),
+            notes=front.notes(result.front),
+        )
         if result.front is not None
         else Part(),
-        Part(text=explanation_text(result.explained)),
+        *explanation_parts(result.explained),
         *_said(answer.private_ground(result)),
         *_said(answer.refinement(result)),
         *_sampled(result),
@@ -321,14 +318,12 @@ def _sampled(result: PlacementResult | ComparisonResult) -> list[Part]:
         return []
     return [
         *_said(answer.uncertainty(result)[:1]),
-        Part(text=uncertainty_text(result.sampled)),
+        Part(words=answer.uncertainty(result)[1:], table=sampled_worlds.table(result.sampled)),
     ]
 
 
-def _without_optimiser(
-    found: Baselines | None, *, apr_found: float | None = None, n_units: int
-) -> Part:
-    words = baselines.words(found, apr_found=apr_found, n_units=n_units)
+def _without_optimiser(found: Baselines | None, *, n_units: int) -> Part:
+    words = baselines.words(found, n_units=n_units)
     return Part(title="Without an optimiser:", words=words) if words else Part()
 
 
@@ -533,46 +528,30 @@ def _disagreements(found: Sequence[Disagreement]) -> list[str]:
     return lines + ([f"and {n_left} more in summary.json"] if n_left > 0 else [])
 
 
-# ---------- why these poses, and what they are worth in sampled worlds, in short
+# ---------- why these poses, in short
 
 
-_MAX_RUNS, _MAX_MISSED, _MAX_SETS, _MAX_SITES = 3, 8, 5, 8
-_LAYOUT_WIDTH = 20
+_MAX_RUNS, _MAX_MISSED = 3, 8
 
 
-def explanation_text(explained: ExplainedRecord) -> str:
-    """All of it in short, at most 80 columns wide."""
-    parts = explained.contributions
-    these = "this unit" if len(parts) == 1 else "these units"
-    lines = [f"Why {these}, on the detection table:"]
-    if is_nothing_avoided(parts):
-        lines += _indented(" ".join(contribution_sentences(explained)))
-    else:
-        for part in parts:
-            lines += _indented(_in_short(part, n_units=len(parts)))
+def explanation_parts(explained: ExplainedRecord) -> list[Part]:
+    """What each unit is there for, and what is missed: runs alike together, but for numbers."""
     groups = _alike(explained.not_avoided)
-    said = missed_sentences(explained)
-    if len(groups) == 1:  # the line about them says it all: once is enough
-        said = missed_counts(explained, with_outcomes=False)
-    lines += sentences(" ".join(said))
-    for group in groups[:_MAX_MISSED]:
-        lines += _indented(_missed_in_short(group))
-    lines += _and_more(sum(map(len, groups[_MAX_MISSED:])))
-    if explained.pool is not None:
-        lines += ["", *sentences(" ".join(pool_sentences(explained)))]
-        sets = explained.pool.sets
-        for entry in sets[:_MAX_SETS]:
-            lines += _indented(
-                f"{' + '.join(entry.units)}: APR {percent(entry.apr)}, if one fails "
-                f"{percent(entry.apr_one_failed)}, {entry.smallest_margin_s:.2f} s to spare"
-            )
-        lines += _and_more(len(sets) - _MAX_SETS)
-        sites = ", ".join(
-            f"{site} {percent(share)}"
-            for site, share in list(explained.pool.sites.items())[:_MAX_SITES]
-        )
-        lines += _indented(f"sites: {sites}")
-    return "\n".join(lines)
+    n_left = sum(map(len, groups[_MAX_MISSED:]))
+    return [
+        Part(
+            title="Why these units, on the detection table:",
+            words=contribution_sentences(explained),
+            table=contribution_table(explained),
+        ),
+        Part(
+            words=[" ".join(missed_sentences(explained))],
+            notes=[
+                *map(_missed_in_short, groups[:_MAX_MISSED]),
+                *([f"and {n_left} more in summary.json"] if n_left else []),
+            ],
+        ),
+    ]
 
 
 def _alike(missed: Sequence[Unavoided]) -> list[list[Unavoided]]:
@@ -593,51 +572,3 @@ def _missed_in_short(group: Sequence[Unavoided]) -> str:
         words += f"; for {first.unit} {cause(first.reasons[0])}"
     rescue = first.rescue
     return words if rescue is None else f"{words}; would be saved by {rescue.unit}"
-
-
-def _in_short(part: ContributionRecord, *, n_units: int) -> str:
-    unit, runs = part.unit, part.only_runs
-    saved = f"{count_runs(len(runs))} ({first_of(runs, _MAX_RUNS)})"
-    if n_units == 1:
-        return f"{unit}: saves {saved}, an APR of {percent(part.marginal_apr)}"
-    words = f"{unit}: no run depends on it alone"
-    if runs:
-        words = f"{unit}: only it saves {saved}, {points(part.marginal_apr)} of the APR"
-    if part.without.apr == 0.0:
-        return words
-    what = "the other saves" if n_units == 2 else "the others save"
-    delay = number(part.mean_delay_s)
-    when = "as early" if delay == number(0.0) else f"{delay} s later on average"
-    return f"{words}; without it what {what} is confirmed {when}"
-
-
-def _indented(text: str) -> list[str]:
-    return sentences(text, indent=2, hanging=2)
-
-
-def _and_more(count: int) -> list[str]:
-    return [f"  and {count} more in summary.json"] if count > 0 else []
-
-
-def uncertainty_text(found: SampledRecord) -> str:
-    """A small table for a terminal, at most 80 columns wide."""
-    has_tail = found.tail < 1.0  # the mean of all is there already
-    tail = f"worst {100.0 * found.tail:g} %"
-    head = f"  {'layout':<{_LAYOUT_WIDTH}} {'planned':>8} {'mean':>8} {'95 % interval':>18}"
-    lines = [
-        f"APR in {found.samples} fresh sampled {'world' if found.samples == 1 else 'worlds'}, "
-        f"uncertainty {found.uncertainty.name}",
-        head + (f" {tail:>10}" if has_tail else "") + f" {'worst':>8}",
-    ]
-    for layout in found.layouts:
-        name = shortened(layout.name, _LAYOUT_WIDTH)
-        interval = f"{percent(layout.low)} .. {percent(layout.high)}"
-        lines.append(
-            f"  {name:<{_LAYOUT_WIDTH}} {percent(layout.planned):>8} {percent(layout.mean):>8} "
-            + f"{interval:>18}"
-            + (f" {percent(layout.cvar):>10}" if has_tail else "")
-            + f" {percent(layout.worst):>8}"
-        )
-    if found.moving:
-        lines += sentences(f"{moving_sentence(found)}.", indent=2)
-    return "\n".join(lines)

@@ -29,7 +29,7 @@ _WORLDS = 8
 _ASKED = ("budget", "budget_cost", *fields_in(MOUNTED))
 _SOUGHT = (
     *("solver", "time_limit_s", "gap", "fusion"),
-    *("samples", "uncertainty", "traffic", "traffic_offset"),
+    *("samples", "uncertainty", "traffic"),
 )
 
 

@@ -41,7 +41,7 @@ Examples:
     type=click.Path(path_type=Path),
     help="Folder for a report; else none.",
 )
-@question_options("samples", "uncertainty", "traffic", "traffic_offset", "no_look", *JUDGED)
+@question_options("samples", "uncertainty", "traffic", "no_look", *JUDGED)
 @job_options(has_cache=True)
 @click.pass_obj
 def compare(

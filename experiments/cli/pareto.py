@@ -8,8 +8,9 @@ import click
 from placement.compute import Compute
 from placement.question import Question
 
+from ..parts import Part
 from ..progress import StageProgress
-from ..results.numbers import cars_words, or_nan, percent
+from ..results.numbers import cars_words
 from .options import (
     ASKED,
     JUDGED,
@@ -23,10 +24,10 @@ from .options import (
     question_options,
 )
 from .running import begin, command_line, print_result
-from .terminal import driven_lines, sentences, table
+from .terminal import answer_text, driven_lines
 
 if TYPE_CHECKING:
-    from ..parts.front import FrontPointRecord, FrontResult
+    from ..parts.front import FrontResult
 
 _TIME_LIMIT_S = 60.0
 # Several layouts are looked for: each in nominal conditions, on the grid.
@@ -110,61 +111,21 @@ def pareto(
     print_result(summary, progress, as_json, lambda: front_text(summary, out))
 
 
-_ONE_FAILS = "One fails: APR that is left when the most needed unit fails"
-_NOTES = {
-    ("units", True): f"{_ONE_FAILS}; smallest, mean: time to spare in the runs avoided.",
-    ("units", False): "* of this layout; not optimised: --all-stages does. "
-    f"{_ONE_FAILS}; smallest, mean: time to spare in the runs avoided.",
-    ("cost", False): "* of this layout; not optimised: --all-stages does. "
-    f"{_ONE_FAILS}; each EUR is the least that buys this.",
-}
-_NOTES["cost", True] = _NOTES["units", True]
-
-
 def front_text(summary: "FrontResult", out: Path | None) -> str:
-    """A front: a row per layout, and what each unit, or more money, buys."""
-    by, is_all = summary.by, summary.optimised == "all"
-    star = "" if is_all else "*"
-    rows = [
-        [
-            str(point.units),
-            percent(point.apr),
-            percent(point.apr_one_failed),
-            f"{point.smallest_margin_s:.3f} s",
-            f"{point.mean_margin_s:.3f} s",
-            f"{point.cost_eur:,.0f}",
-            _proof(point),
-        ]
-        for point in summary.points
-    ]
-    eur = "EUR" + star if by == "units" else "EUR"
-    heads = ["units", "APR", "one fails", "smallest" + star, "mean" + star, eur, "proof"]
-    buys = "money buys" if by == "cost" else "units buy"
-    lines = [
-        *driven_lines(summary.driven, summary.without_effect),
-        *sentences(
-            f"The best of {summary.candidates} poses on {summary.runs} runs (fusion "
-            f"{summary.fusion}{cars_words(summary.cars)}), and what more {buys}:"
+    """A front: a row per layout, and what is proven of it."""
+    from ..parts import front
+
+    buys = "money buys" if summary.by == "cost" else "units buy"
+    parts = [
+        Part(
+            title=f"The best of {summary.candidates} poses on {summary.runs} runs (fusion "
+            f"{summary.fusion}{cars_words(summary.cars)}), and what more {buys}:",
+            table=front.table(summary),
+            notes=front.notes(summary),
         ),
-        "",
-        *table(heads, rows, n_left=0),
-        *sentences(_NOTES[by, is_all], indent=2, hanging=2),
-        "",
-        *sentences(*summary.sentences, indent=2, hanging=2),
+        Part(words=summary.sentences),
     ]
     if out is not None:
-        lines += ["", f"Written to {out}: pareto.csv, pareto.json and pareto.png."]
-    return "\n".join(lines)
-
-
-def _proof(point: "FrontPointRecord") -> str:
-    if point.is_proven:
-        return "proven"
-    stage = next(stage for stage in point.stages if stage.gap != 0.0)
-    name, bound = stage.name, or_nan(stage.bound)
-    what = {"apr": "APR", "apr_one_failed": "left", "cost_eur": "EUR"}.get(name, "s")
-    if name.startswith("apr"):
-        shown = f"{100.0 * bound:.2f} %"
-    else:
-        shown = f"{bound:,.0f}" if bound >= 100.0 else f"{bound:.3f}"
-    return f"{what} {'>=' if name == 'cost_eur' else '<='} {shown}"
+        parts.append(Part(words=[f"Written to {out}: pareto.csv, pareto.json and pareto.png."]))
+    head = driven_lines(summary.driven, summary.without_effect)
+    return "\n".join([*head, "", answer_text(parts, is_verbose=True)])

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..results.numbers import or_nan, percent
+from ..parts import Part
+from ..results.numbers import percent
 from .options import SEEN, is_given, option, option_name
-from .terminal import sentences, table, wide_table
+from .terminal import answer_text, sentences, wide_table
 
 if TYPE_CHECKING:
     from ..parts.recording import DetectedShareRecord, RecordedAprRecord, RecordedResult
@@ -80,25 +81,20 @@ def recording_table(summary: "RecordedResult", out: Path | None) -> str:
 
 def recorded_placement_table(summary: "RecordedResult", out: Path | None) -> str:
     """The result of :func:`run_recorded_placement` for a terminal."""
+    from ..parts.proof import stage_table
     from ..parts.recording import ALL_UNITS
 
     assert summary.stages is not None
     assert summary.baseline is not None
     chosen = ", ".join(unit.id for unit in summary.layout)
-    head = (
-        f"Best {len(summary.layout)} of {summary.candidates} recorded units on "
-        f"{summary.runs} drives (fusion {summary.fusion}): {chosen}"
+    best = Part(
+        words=[
+            f"Best {len(summary.layout)} of {summary.candidates} recorded units on "
+            f"{summary.runs} drives (fusion {summary.fusion}): {chosen}"
+        ],
+        table=stage_table(summary.stages),
     )
-    stages = []
-    for stage in summary.stages:
-        is_time = stage.name.endswith("_s")
-        found, bound = (
-            f"{or_nan(value):.3f} s" if is_time else percent(value)
-            for value in (stage.objective, stage.bound)
-        )
-        gap = "proven" if stage.gap == 0.0 else percent(min(or_nan(stage.gap), 9.99))
-        stages.append([stage.name, found, bound, gap])
-    lines = [*sentences(head), "", *table(["stage", "found", "bound", "gap"], stages)]
+    lines = [answer_text([best], is_verbose=True)]
     lines += [
         "",
         *_parties_text(summary.evaluation, summary.detected_share, summary.cases),

@@ -1,6 +1,5 @@
 """``place-rsus retrofit``: what to remove, re-aim or add where units are mounted."""
 
-import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,8 +8,9 @@ import click
 from placement.compute import Compute
 from placement.question import Question
 
+from ..parts import Part
 from ..progress import StageProgress
-from ..results.numbers import cars_words, percent, several
+from ..results.numbers import cars_words, several
 from .options import (
     MOUNTED,
     SectionedCommand,
@@ -22,11 +22,10 @@ from .options import (
 )
 from .pareto import front_options
 from .running import begin, command_line, load_one_layout, print_result
-from .terminal import driven_lines, sentences, table
+from .terminal import answer_text, driven_lines
 
 if TYPE_CHECKING:
-    from ..parts.retrofit import ChangeRecord, RetrofitResult
-    from ..results.record import LayoutValueRecord
+    from ..parts.retrofit import RetrofitResult
 
 # Existing units are --layout; what is added is asked for by money alone.
 _ASKED = ("budget_cost", *fields_in(MOUNTED, but=("keep", "within", "force_site")))
@@ -86,64 +85,25 @@ def retrofit(
     print_result(summary, progress, as_json, lambda: retrofit_text(summary, out))
 
 
-_WORDS_WIDTH = 32
-
-
 def retrofit_text(summary: "RetrofitResult", out: Path | None) -> str:
-    """Possible changes: a row each, in groups, then the best of each in sentences."""
+    """Possible changes: a row each, in groups."""
+    from ..parts import retrofit
+
     labour = summary.labour
-    rows = [_row("as it is", 0.0, summary.before)]
-    for head, changes in (
-        ("remove:", summary.removals),
-        ("re-aim:", summary.re_aims),
-        ("add:", [summary.addition]),
-        ("together:", [summary.combination]),
-    ):
-        known = [change for change in changes if change is not None]
-        if known:
-            rows.append([head] + [""] * 5)
-        for change in known:
-            rows += _change_rows(change)
-    lines = [
-        *driven_lines(summary.driven, summary.without_effect),
-        *sentences(
-            f"What to change about {summary.name} "
+    parts = [
+        Part(
+            title=f"What to change about {summary.name} "
             f"({several(len(summary.layout), 'unit', 'units')}) on {summary.runs} runs, on "
-            f"the detection table (fusion {summary.fusion}{cars_words(summary.cars)}):"
+            f"the detection table (fusion {summary.fusion}{cars_words(summary.cars)}):",
+            table=retrofit.table(summary),
+            notes=[
+                "One fails: APR that is left when the most needed unit fails; proven: nothing of "
+                f"its kind is better. A visit costs {labour.re_aim_eur:,.0f} EUR: {labour.source}."
+            ],
         ),
-        "",
-        *table(["", "EUR", "APR", "one fails", "gained", "lost"], rows),
-        "",
-        *sentences(
-            *summary.sentences,
-            "One fails: APR that is left when the most needed unit fails. A visit costs "
-            f"{labour.re_aim_eur:,.0f} EUR: {labour.source}.",
-            indent=2,
-            hanging=2,
-        ),
+        Part(words=summary.sentences),
     ]
     if out is not None:
-        lines += ["", f"Written to {out}: retrofit.csv and retrofit.json."]
-    return "\n".join(lines)
-
-
-def _change_rows(change: "ChangeRecord") -> list[list[str]]:
-    """A row with the numbers, and the words that do not fit into it below."""
-    words = [
-        line for action in change.actions for line in textwrap.wrap(action.words, _WORDS_WIDTH)
-    ]
-    first, *others = words
-    gained, lost = str(len(change.gained)), str(len(change.lost))
-    row = _row(f"  {first}", change.price_eur, change, gained, lost)
-    return [row, *([f"  {line}"] + [""] * 5 for line in others)]
-
-
-def _row(
-    words: str,
-    price_eur: float,
-    value: "LayoutValueRecord",
-    gained: str = "",
-    lost: str = "",
-) -> list[str]:
-    shares = (percent(value.apr), percent(value.apr_one_failed))
-    return [words, f"{price_eur:,.0f}", *shares, gained, lost]
+        parts.append(Part(words=[f"Written to {out}: retrofit.csv and retrofit.json."]))
+    head = driven_lines(summary.driven, summary.without_effect)
+    return "\n".join([*head, "", answer_text(parts, is_verbose=True)])

@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from ..parts import Part
 from ..progress import StageProgress
-from ..results.numbers import or_nan, percent
 from .options import SectionedCommand, is_given, json_option, option, quiet_option
 from .running import print_result, unwritable
-from .terminal import sentences
+from .terminal import answer_text, sentences
 
 if TYPE_CHECKING:
     from ..jobs.solve import CoveringResult, PlacementSolution
@@ -22,7 +22,7 @@ _QUESTIONS = {
 
 
 def _target(text: str) -> float | None:
-    """A share of the weight; None for all that can be covered."""
+    """A share of the rows; None for all that can be covered."""
     if text == "max":
         return None
     share = float(text)
@@ -38,7 +38,7 @@ Examples:
   place-rsus solve scp41.txt                       all rows at least cost
   place-rsus solve scp41.txt --target 0.9          enough of them
   place-rsus solve scp41.txt --budget 3 --json     what 3 columns cover
-  place-rsus solve scp41.txt --out scp41.npz       in our own format, too
+  place-rsus solve camera.txt --out camera.scp     in OR-Library's format, too
   place-rsus solve results/latest/instance.npz --budget 2""",
 )
 @click.argument("file", type=click.Path(path_type=Path))
@@ -61,8 +61,8 @@ Examples:
     "--target",
     type=_target,
     metavar="max|SHARE",
-    expected="max, or a share of the weight, 0 to 1",
-    help="Cover that share of the weight, or all that can be covered (max), at least cost; max is "
+    expected="max, or a share of the rows, 0 to 1",
+    help="Cover that share of the rows, or all that can be covered (max), at least cost; max is "
     "the default.",
 )
 @option(
@@ -80,8 +80,8 @@ Examples:
     default="auto",
     show_default=True,
     metavar="NAME",
-    help="Covering problems: auto or HIGHS, HiGHS from the greedy choice on; greedy: no proof. "
-    "Placement problems: auto: what proves soonest; HIGHS: that solver alone; greedy: no proof.",
+    help="Of placement problems: auto: what proves soonest; HIGHS: that solver alone; greedy: no "
+    "proof. Covering problems are HiGHS' alone.",
 )
 @option(
     "--time-limit",
@@ -105,18 +105,18 @@ Examples:
 @option(
     "--format",
     "format_name",
-    type=click.Choice(("auto", "npz", "orlib", "gecco", "rail", "sts")),
+    type=click.Choice(("auto", "orlib", "gecco", "rail", "sts")),
     default="auto",
     show_default=True,
-    help="npz: this program's own; orlib: OR-Library's set covering, by rows; rail: its railway "
+    help="Of covering problems: orlib: OR-Library's set covering, by rows; rail: its railway "
     "instances, by columns; gecco: the camera placement competition of GECCO 2020; sts: Steiner "
     "triples; auto: by the content.",
 )
 @option(
     "--out",
     type=click.Path(path_type=Path),
-    metavar="FILE.npz",
-    help="Write the instance in this program's own format.",
+    metavar="FILE",
+    help="Write the covering problem in OR-Library's format (orlib).",
 )
 @json_option
 @quiet_option
@@ -145,12 +145,9 @@ def solve(
     """
     _check_one_question()
     progress.start(quiet=quiet)
-    from placement.covering import instance_kind
-    from placement.verification.instances import KINDS
-
     from ..jobs import solve
 
-    if format_name in ("auto", "npz") and instance_kind(file) in KINDS:
+    if format_name == "auto" and solve.is_placement_problem(file):
         if out is not None:
             raise click.UsageError(f"--out: got {out}; expected it with covering problems only")
         solution = solve.run_solve_windows(
@@ -191,7 +188,7 @@ def _check_one_question() -> None:
 
 def solution_text(summary: "CoveringResult") -> str:
     """The answer to a covering problem."""
-    names = summary.chosen_names or [str(column) for column in summary.chosen]
+    names = [str(column) for column in summary.chosen]
     gap = "proven" if summary.is_proven else f"gap {_percent(summary.gap)}"
     chosen = f"{len(names)} of {summary.columns} columns"
     is_cost = summary.problem == "set covering"
@@ -210,21 +207,18 @@ def solution_text(summary: "CoveringResult") -> str:
 
 def window_text(summary: "PlacementSolution") -> str:
     """The answer to a placement problem, with its frames and windows."""
-    lines = [f"{summary.file}: {summary.goal} layout, fusion {summary.fusion}"]
-    for stage in summary.stages:
-        is_share = stage.name.startswith("apr")
-        objective, bound = (
-            percent(value) if is_share else f"{or_nan(value):.6g}"
-            for value in (stage.objective, stage.bound)
-        )
-        proof = "proven" if stage.gap == 0.0 else f"bound {bound}"
-        lines.append(f"  {stage.name:<18}{objective:>12}  {proof}")
-    lines += [f"  chosen            {name}" for name in summary.chosen_names]
-    lines += [
-        f"  presolve          {summary.presolve_effect}",
-        f"  solver            {summary.solver}; {summary.seconds:.2f} s",
-    ]
-    return "\n".join(lines)
+    from ..parts.proof import stage_table
+
+    answer = Part(
+        title=f"{summary.file}: {summary.goal} layout, fusion {summary.fusion}",
+        table=stage_table(summary.stages),
+        notes=[
+            f"chosen: {', '.join(summary.chosen_names)}",
+            f"presolve: {summary.presolve_effect}",
+            f"solver: {summary.solver}; {summary.seconds:.2f} s",
+        ],
+    )
+    return answer_text([answer], is_verbose=True)
 
 
 def _question_words(summary: "CoveringResult") -> str:
@@ -239,15 +233,14 @@ def _question_words(summary: "CoveringResult") -> str:
 
 def _other_side(summary: "CoveringResult", *, is_cost: bool) -> dict[str, str]:
     """Cost where the objective is coverage, coverage where it is cost."""
-    total, coverable = summary.total_weight, summary.coverable_weight
     if not is_cost:
         return {
-            "of": f"{_number(total)}, {_number(coverable)} coverable",
+            "of": f"{summary.rows} rows, {summary.coverable} coverable",
             "costs": _number(summary.cost),
         }
-    covered = f"{_number(summary.covered_weight)} of {_number(total)}"
-    if coverable < total:
-        covered += f"; {_number(total - coverable)} cannot be covered"
+    covered = f"{summary.covered} of {summary.rows} rows"
+    if summary.coverable < summary.rows:
+        covered += f"; {summary.rows - summary.coverable} cannot be covered"
     return {"covers": covered}
 
 

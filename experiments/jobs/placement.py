@@ -9,7 +9,6 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any, TypeVar
 
-from matplotlib.axes import Axes
 from msgspec.structs import replace as replace_fields
 
 from geometry.catalogue import load_cameras
@@ -21,7 +20,7 @@ from placement.candidates import CandidatePose
 from placement.compute import Compute, silent
 from placement.evaluation import Evaluation, headline_apr
 from placement.evaluator import evaluate_layouts, with_sight
-from placement.explain import OtherSensors, Pool, find_pool
+from placement.explain import OtherSensors
 from placement.explain.other_sensors import STAGE as OTHER_SENSORS
 from placement.explain.other_sensors import find_other_sensors
 from placement.explain.sensitivity import STAGE as WHAT_IF
@@ -58,7 +57,7 @@ from ..parts.alternatives import (
 from ..parts.baselines import build_baselines, compare_layout, compare_placement
 from ..parts.bill_of_materials import BillOfMaterials, build_bill
 from ..parts.comparison import EXPERT, GREEDY
-from ..parts.explanation import ExplainedRecord, build_explained_record
+from ..parts.explanation import build_explained_record
 from ..parts.front import FrontRecord, describe_front
 from ..parts.ground import PrivateGroundRecord, build_private_ground_record, coverage_section
 from ..parts.next_unit import build_exchanges
@@ -71,7 +70,7 @@ from ..parts.result import (
     build_evaluation_result,
     build_placement_result,
 )
-from ..parts.sampled_worlds import SampledRecord, build_sampled_record, plot_sampled_apr
+from ..parts.sampled_worlds import SampledRecord, build_sampled_record
 from ..parts.study_cases import StudyCases, on_study_cases
 from ..parts.units import build_plans
 from ..progress import StageProgress
@@ -187,13 +186,16 @@ def run_placement(
         proposed = compare_placement(found.placement, found.poses, job.setting, seed=compute.seed)
         layouts = _named_layouts(found.placement, proposed.expert, study)
         begun = _begin(job, found, [*layouts.values()])
-        pool, explained = _explain(job, found)
+        progress("explain", 0, 0)
+        explained = build_explained_record(
+            found.placement, job.setting, found.poses, compute=job.compute
+        )
         _begin_pictures(job, found.placement.layout, study)
         front = _front_below(job, found)
         by_runs, sturdier = find_other_priorities(
             found.on_grid, question, plan, compute=compute, progress=progress
         )
-        leading = leading_layouts(found.on_grid, found.placement, found.poses, pool)
+        leading = leading_layouts(found.on_grid, found.placement)
         evaluations, among = _evaluate(job, found.placement, layouts, leading)
         study_cases = _on_study_cases(job, evaluations)
         front_runners, mounting, recommended = find_front_runners(
@@ -221,7 +223,7 @@ def run_placement(
             study_cases=study_cases,
             baselines=build_baselines(proposed, evaluations.get(EXPERT), job.setting),
         )
-        result, sampled_figure = _in_fresh_worlds(job, found, result, evaluations, begun.fresh)
+        result = _in_fresh_worlds(job, found, result, evaluations, begun.fresh)
         return write_results(
             out,
             result,
@@ -233,7 +235,6 @@ def run_placement(
             candidates=found.poses,
             recommended=recommended,
             bill=bill,
-            sampled_figure=sampled_figure,
             side=job.side,
         )
 
@@ -355,16 +356,6 @@ def _begin(job: _Job, found: _Found, layouts: Sequence[Layout]) -> _Begun:
     return _Begun(what_if=what_if, standing=standing, other_sensors=other_sensors, fresh=fresh)
 
 
-def _explain(job: _Job, found: _Found) -> tuple[Pool | None, ExplainedRecord]:
-    job.progress("explain", 0, 0)
-    placement, n_sets = found.placement, job.question.pool
-    pool = find_pool(placement.problem, placement.pose_index, n_sets=n_sets) if n_sets else None
-    explained = build_explained_record(
-        placement, job.setting, found.poses, pool=pool, compute=job.compute
-    )
-    return pool, explained
-
-
 def _evaluate(
     job: _Job, placement: Placement, layouts: Mapping[str, Layout], leading: Sequence[Layout]
 ) -> tuple[dict[str, Evaluation], list[Evaluation]]:
@@ -372,8 +363,8 @@ def _evaluate(
 
     Together, for what is seen is the same for all.
     """
-    pooled = [layout for layout in leading if layout is not placement.greedy]
-    judged = evaluate_layouts([*layouts.values(), *pooled], job.setting, compute=job.compute)
+    further = [layout for layout in leading if layout is not placement.greedy]
+    judged = evaluate_layouts([*layouts.values(), *further], job.setting, compute=job.compute)
     evaluations = dict(zip(layouts, judged[: len(layouts)], strict=True))
     by_name = {item.layout.name: item for item in judged}
     found = evaluations[placement.layout.name]
@@ -386,13 +377,13 @@ def _in_fresh_worlds(
     result: PlacementResult,
     evaluations: Mapping[str, Evaluation],
     fresh: Sequence[Task[FreshWorlds]],
-) -> tuple[PlacementResult, Axes | None]:
-    """The result with the layouts in fresh sampled worlds, and their figure; if asked for.
+) -> PlacementResult:
+    """The result with the layouts in fresh sampled worlds, if asked for.
 
     The second process begins with the first worlds, this one with the last.
     """
     if not fresh:
-        return result, None
+        return result
     looked: list[FreshWorlds] = []
     for done, task in enumerate(reversed(fresh)):
         job.progress(OUT_OF_SAMPLE, done, len(fresh))
@@ -415,7 +406,7 @@ def _in_fresh_worlds(
         },
         chosen_in=job.question.samples,
     )
-    return replace_fields(result, sampled=sampled), plot_sampled_apr(judged)
+    return replace_fields(result, sampled=sampled)
 
 
 def _planned_apr(evaluations: Iterable[Evaluation]) -> dict[str, float]:
@@ -546,9 +537,9 @@ def run_comparison(
         judged = evaluate_layouts(everyone, setting, compute=compute)
         names = [layout.name for layout in layouts]
         evaluations = dict(zip([*names, EXPERT], judged, strict=False))
-        sampled, figure = None, None
+        sampled = None
         if samples:
-            sampled, figure = _in_worlds(job, everyone, judged, drawn, samples)
+            sampled = _in_worlds(job, everyone, judged, drawn, samples)
         bill = build_bill(layouts[0], scene, site_cost_eur=question.site_cost_eur)
         seen = [_private_ground(layout, setting.scene, private) for layout in layouts]
         result = build_comparison_result(
@@ -563,9 +554,7 @@ def run_comparison(
             baselines=proposed and build_baselines(proposed, evaluations.get(EXPERT), setting),
             sampled=sampled,
         )
-        return _finish(
-            job, result, evaluations, what_if, bill, out=out, command=command, figure=figure
-        )
+        return _finish(job, result, evaluations, what_if, bill, out=out, command=command)
 
 
 _R = TypeVar("_R", EvaluationResult, ComparisonResult)
@@ -586,7 +575,6 @@ def _finish(
     *,
     out: Path | None,
     command: str,
-    figure: Axes | None = None,
 ) -> _R:
     """The result with its seconds; in a folder, if asked for, with what wrong assumptions do."""
     if out is None:
@@ -600,7 +588,6 @@ def _finish(
         command=command,
         progress=job.progress,
         bill=bill,
-        sampled_figure=figure,
         side=job.side,
     )
 
@@ -611,15 +598,14 @@ def _in_worlds(
     judged: Sequence[Evaluation],
     drawn: Uncertainty,
     samples: int,
-) -> tuple[SampledRecord, Axes]:
-    """Layouts in the same sampled worlds, and their figure; `judged` are they as planned."""
+) -> SampledRecord:
+    """Layouts in the same sampled worlds; `judged` are they as planned."""
     found = out_of_sample_layouts(
         job.setting, layouts, drawn, n_samples=samples, compute=job.compute
     )
-    record = build_sampled_record(
+    return build_sampled_record(
         found, drawn, tail=1.0, seed=job.compute.seed, planned_apr=_planned_apr(judged)
     )
-    return record, plot_sampled_apr(found)
 
 
 def _with_distinct_names(layouts: Sequence[Layout]) -> list[Layout]:

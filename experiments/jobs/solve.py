@@ -8,7 +8,8 @@ from typing import cast
 import numpy as np
 
 from geometry.errors import InputError
-from placement.covering import HIGHS, load_instance, save_instance, solve_lscp, solve_mclp
+from geometry.files import open_file
+from placement.covering import load_instance, save_instance, solve_covering
 from placement.optimiser import (
     Effort,
     Floor,
@@ -22,6 +23,8 @@ from placement.verification.instances import load_problem
 
 from ..progress import WRITING, StageProgress
 from ..results.record import Record, StageRecord, build_stage_records
+
+HIGHS = "HIGHS"
 
 
 class CoveringResult(Record, frozen=True, kw_only=True):
@@ -37,14 +40,12 @@ class CoveringResult(Record, frozen=True, kw_only=True):
     gap: float
     chosen: tuple[int, ...]
     numbered_from: int
-    chosen_names: tuple[str, ...] | None
     seconds: float
     is_proven: bool
     solver: str
     cost: float
-    covered_weight: float
-    coverable_weight: float
-    total_weight: float
+    covered: int
+    coverable: int
     columns: int
     rows: int
 
@@ -72,6 +73,15 @@ class PlacementSolution(Record, frozen=True, kw_only=True):
     presolve_effect: str
 
 
+def is_placement_problem(path: Path) -> bool:
+    """True for an archive, ``.npz``; covering problems are text. What cannot be read is none."""
+    try:
+        with open_file(path) as file:
+            return file.read(2) == b"PK"
+    except (InputError, OSError):  # what is wrong with it is said by what reads it
+        return False
+
+
 def run_solve(
     path: Path,
     *,
@@ -85,12 +95,14 @@ def run_solve(
     out: Path | None,
     progress: StageProgress,
 ) -> CoveringResult:
-    """Read a covering instance and solve it; its own format is written to `out` if asked to.
+    """Read a covering instance and solve it; it is written to `out` as OR-Library's if asked to.
 
-    With a budget it is a maximal covering problem, else `target` is the share of the weight to
+    With a budget it is a maximal covering problem, else `target` is the share of the rows to
     cover: None for all that can be covered. Raises InputError if the file holds no instance or the
     question has no answer, OSError if `out` cannot be written.
     """
+    if solver.upper() not in ("AUTO", HIGHS):
+        raise InputError("--solver", solver, f"auto or {HIGHS} for covering problems")
     progress("read", 0, 0)
     instance = load_instance(path, format_name=format_name)
     if out is not None:
@@ -98,20 +110,14 @@ def run_solve(
         save_instance(out, instance)
         progress.kept = f"{out} was written"
     progress("solve", 0, 0)
-    if budget_units is None and budget_cost is None:
-        solution = solve_lscp(
-            instance, target=target, solver=solver, time_limit_s=time_limit_s, gap=gap
-        )
-    else:
-        solution = solve_mclp(
-            instance,
-            budget_units=budget_units,
-            budget_cost=budget_cost,
-            solver=solver,
-            time_limit_s=time_limit_s,
-            gap=gap,
-        )
-    chosen = [int(column) for column in solution.chosen]
+    solution = solve_covering(
+        instance,
+        budget_units=budget_units,
+        budget_cost=budget_cost,
+        target=target,
+        time_limit_s=time_limit_s,
+        gap=gap,
+    )
     has_budget = budget_units is not None or budget_cost is not None
     return CoveringResult(
         file=path.name,
@@ -122,18 +128,14 @@ def run_solve(
         objective=solution.objective,
         bound=solution.bound,
         gap=solution.gap,
-        chosen=tuple(column + instance.numbered_from for column in chosen),
+        chosen=tuple((solution.chosen + instance.numbered_from).tolist()),
         numbered_from=instance.numbered_from,
-        chosen_names=(
-            tuple(instance.names[column] for column in chosen) if instance.names else None
-        ),
         seconds=round(solution.seconds, 4),
         is_proven=solution.is_proven,
         solver=solution.solver,
-        cost=solution.cost,
-        covered_weight=solution.covered_weight,
-        coverable_weight=instance.coverable_weight,
-        total_weight=float(instance.weight.sum()),
+        cost=float(instance.cost[solution.chosen].sum()),
+        covered=instance.n_covered(solution.chosen),
+        coverable=instance.n_covered(),
         columns=instance.n_columns,
         rows=instance.n_rows,
     )

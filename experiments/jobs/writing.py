@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TypeVar
 
 import msgspec
-from matplotlib.axes import Axes
 
 from geometry.errors import InputError, Unquoted
 from geometry.files import write_atomically
@@ -54,7 +53,6 @@ def write_results(
     candidates: Sequence[CandidatePose] = (),
     recommended: Layout | None = None,
     bill: BillOfMaterials | None = None,
-    sampled_figure: Axes | None = None,
     side: SideProcess | None = None,
 ) -> _R:
     """Fill a result folder; returns the result with its "seconds", all stages but the writing.
@@ -98,7 +96,6 @@ def write_results(
             setting,
             evaluations,
             command=command,
-            sampled_figure=sampled_figure,
             bill=bill,
             side=side,
         )

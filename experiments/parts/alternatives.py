@@ -6,10 +6,8 @@ from functools import partial
 
 import numpy as np
 
-from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.evaluation import Evaluation
-from placement.explain import Pool
 from placement.explain.alternatives import (
     EQUAL_APR,
     STAGE,
@@ -24,7 +22,7 @@ from placement.explain.alternatives import (
 from placement.explain.sensitivity import MAX_UNITS, TOLERANCES, Standing, find_standing
 from placement.layout import Layout
 from placement.optimiser import is_feasible
-from placement.pipeline import Assembly, Placement, pick_layout
+from placement.pipeline import Assembly, Placement
 from placement.question import Question
 from placement.setting import Setting
 from scenarios.runs import FrameAxis
@@ -39,7 +37,6 @@ from ..side_process import SideProcess, Task
 HEAVY_SHARE = 0.02
 """A run that counts more is named."""
 _MAX_HEAVY = 8
-_MAX_POOLED = 5
 
 # ---------- values
 
@@ -153,13 +150,8 @@ def begin_standing(
     )
 
 
-def leading_layouts(
-    on_grid: Placement,
-    placement: Placement,
-    poses: Sequence[CandidatePose],
-    pool: Pool | None,
-) -> list[Layout]:
-    """Layouts that lead on the table behind the one found, the greedy one first.
+def leading_layouts(on_grid: Placement, placement: Placement) -> list[Layout]:
+    """Layouts that lead on the table behind the one found: the greedy one.
 
     None where it is not the highest APR that was asked for, worlds were sampled, or runs have
     levels of a score: the evaluator's APR is that of the runs as planned. `on_grid` is the
@@ -168,15 +160,10 @@ def leading_layouts(
     problem = placement.problem
     if problem.goal != "best" or problem.survive or placement.nominal is not problem:
         return []
-    layouts, known = [], {frozenset(placement.pose_index)}
     greedy = frozenset(on_grid.greedy_index)
     if greedy != frozenset(on_grid.pose_index) and is_feasible(on_grid.problem, [*greedy]):
-        layouts.append(on_grid.greedy)
-        known |= {greedy} if on_grid is placement else set()
-    for one in [] if pool is None else pool.sets:
-        if frozenset(one.pose_index) not in known and len(layouts) <= _MAX_POOLED:
-            layouts.append(pick_layout(poses, one.pose_index, f"pool-{len(layouts) + 1}"))
-    return layouts
+        return [on_grid.greedy]
+    return []
 
 
 def find_front_runners(

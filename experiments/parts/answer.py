@@ -1,6 +1,6 @@
 """The answer of a placement, an evaluation or a comparison: its title, and its few sentences."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from geometry.arrays import BoolArray
 from geometry.junction import street_names
@@ -8,8 +8,8 @@ from placement.evaluation import Evaluation, headline_apr
 from placement.setting import Setting
 from scenarios.weights import weight_share
 
-from ..results.numbers import percent, several
-from . import added, dangers, proof
+from ..results.numbers import percent
+from . import added, comparison, dangers, proof
 from .accidents import count_sensors, is_weighted
 from .alternatives import doubt_sentences, recommended_sentences
 from .dangers import avoided_runs
@@ -37,9 +37,9 @@ def words(result: Result, shown: Mapping[str, Evaluation]) -> list[str]:
     """The headline of the report; evaluations by display name, the first one is the subject."""
     subject = next(iter(shown.values()))
     sentences = (
-        _of_placement(result, subject, list(shown.items())[1:])
+        _of_placement(result, subject)
         if isinstance(result, PlacementResult)
-        else _of_others(result, shown)
+        else _of_others(result, subject)
     )
     return [
         *result.driven[:1],
@@ -101,48 +101,31 @@ def uncertainty(result: Result) -> list[str]:
     return uncertainty_sentences(result.sampled)
 
 
-def _of_placement(
-    result: PlacementResult, subject: Evaluation, others: Sequence[tuple[str, Evaluation]]
-) -> list[str]:
+def _of_placement(result: PlacementResult, subject: Evaluation) -> list[str]:
     verb = "avoids" if len(subject.units) == 1 else "avoid"
     how = ", each by itself," if result.fusion == "single" else ""
     score = _score(avoided_runs(subject, result.fusion), subject)
-    parts = [
-        f"{count_sensors(subject.layout)}{how} {verb} {score}",
-        _of_car(subject),
-        *_scores(others),
-        *_of_baselines(result),
-    ]
     further = next_unit_sentence(result.next_unit, proof.measure_of(result))
     last = (further, proof.words(result), *_failures(result, subject))
-    return ["; ".join(parts), ". ".join(part for part in last if part)]
+    return [
+        f"{count_sensors(subject.layout)}{how} {verb} {score}; {_of_car(subject)}",
+        ". ".join(part for part in last if part),
+    ]
 
 
-def _of_others(
-    result: EvaluationResult | ComparisonResult, shown: Mapping[str, Evaluation]
-) -> list[str]:
-    (name, subject), *others = shown.items()
-    baselines = _of_baselines(result) if isinstance(result, ComparisonResult) else []
+def _of_others(result: EvaluationResult | ComparisonResult, subject: Evaluation) -> list[str]:
+    name, compared = result.name, result.compared if isinstance(result, ComparisonResult) else ()
     return [
         f"{name} ({count_sensors(subject.layout)}) avoids "
         f"{_score(subject.headline.is_avoided, subject, headline_apr(subject))}; "
         f"{_of_car(subject)}",
-        "; ".join([*_scores(others), *baselines]),
-        *_differences(name, subject, others),
+        *comparison.words(name, compared),
         *_failures(result, subject),
     ]
 
 
 def _of_car(subject: Evaluation) -> str:
     return f"the car by itself avoids {_score(subject.vut.is_avoided, subject)}"
-
-
-def _scores(others: Sequence[tuple[str, Evaluation]]) -> list[str]:
-    return [
-        f"{name} ({count_sensors(item.layout)}) avoids "
-        f"{_score(item.headline.is_avoided, item, headline_apr(item))}"
-        for name, item in others
-    ]
 
 
 def _failures(result: Result, subject: Evaluation) -> list[str]:
@@ -157,25 +140,6 @@ def _failures(result: Result, subject: Evaluation) -> list[str]:
     return failed
 
 
-def _of_baselines(result: PlacementResult | ComparisonResult) -> list[str]:
-    """APR of an expert's rule and of random layouts, in short."""
-    if result.baselines is None:
-        return []
-    clauses = []
-    expert, random = result.baselines.expert, result.baselines.random
-    if expert is not None:
-        clauses.append(
-            f"an expert's rule ({several(len(expert.layout), 'unit', 'units')} at corners, "
-            f"looking at the middle) {percent(expert.score.all)}"
-        )
-    if random is not None:
-        clauses.append(
-            f"random layouts {percent(random.mean)} on average (of {random.layouts}, on the "
-            "detection table)"
-        )
-    return clauses
-
-
 def _one_failed(left: float, subject: Evaluation) -> str:
     if len(subject.units) == 1:
         return "If this one unit fails, only the car itself is left"
@@ -186,27 +150,6 @@ def _reach(left: float, who: str) -> str:
     if left > 1.0 - 1.0e-9:
         return f"{who} still avoid every run"
     return f"{who} reach at least {percent(left)}"
-
-
-def _differences(
-    name: str, ours: Evaluation, others: Sequence[tuple[str, Evaluation]]
-) -> list[str]:
-    """The first layout against each of the others; those that are alike in one sentence."""
-    alike, sentences = [name], []
-    for other_name, theirs in others:
-        gained = int((ours.headline.is_avoided & ~theirs.headline.is_avoided).sum())
-        lost = int((theirs.headline.is_avoided & ~ours.headline.is_avoided).sum())
-        if not gained and not lost:
-            alike.append(other_name)
-            continue
-        sentences.append(
-            f"{name} avoids {gained} that {other_name} does not, "
-            f"and {other_name} avoids {lost} that {name} does not"
-        )
-    if len(alike) > 1:
-        names = f"{', '.join(alike[:-1])} and {alike[-1]}"
-        sentences.append(f"{names} avoid the same runs")
-    return sentences
 
 
 def _score(is_avoided: BoolArray, evaluation: Evaluation, apr: float | None = None) -> str:

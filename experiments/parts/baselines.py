@@ -25,7 +25,7 @@ from placement.setting import Setting
 from placement.wishes import Wishes
 from scenarios.runs import FrameAxis
 
-from ..results.numbers import percent, several
+from ..results.numbers import percent
 from ..results.record import UnitRecord, build_unit_records, mixed
 
 STAGE = "baselines"
@@ -284,38 +284,26 @@ def _proposed(
 # ---------- words
 
 
-def words(found: Baselines | None, *, apr_found: float | None = None, n_units: int) -> list[str]:
-    """APR of random layouts and of the expert's rule, next to that of the layout found."""
+def words(found: Baselines | None, *, n_units: int) -> list[str]:
+    """How random layouts and the expert's are made, and what no table has of them."""
     if found is None:
         return []
     sentences = []
     random, expert = found.random, found.expert
     if random is not None:
-        of_found = "" if apr_found is None else f" (the layout found: {percent(apr_found)})"
-        sentences.append(
-            f"Random: {random.layouts} layouts of {several(random.units, 'pose', 'poses')} drawn "
-            f"within the same limits have a mean APR of {percent(random.mean)} on the detection "
-            f"table{of_found}; 5 % of them have no more than {percent(random.low)}, 5 % no less "
-            f"than {percent(random.high)}."
-        )
-    if random is not None and random.in_worlds is not None:
         worlds = random.in_worlds
+        over = "" if worlds is None else f" In the sampled worlds: {percent(worlds.mean)}."
         sentences.append(
-            f"Over the {worlds.worlds} sampled worlds that the layout was chosen in, their mean is "
-            f"{percent(worlds.mean)} (95 % interval {percent(worlds.low)} to "
-            f"{percent(worlds.high)})."
+            f"Random: {random.layouts} layouts drawn within the same limits, on the detection "
+            f"table; 5 % of them have an APR of at most {percent(random.low)}, 5 % of at least "
+            f"{percent(random.high)}.{over}"
         )
     if expert is not None:
-        corners = ", ".join(expert.corners)
+        corners = ", ".join(expert.corners) or "no corner fits"
+        few = "" if len(expert.layout) == n_units else ", no unit for each of all"
         sentences.append(
-            f"Expert rule: at each corner of the junction the nearest site, there the pose that "
-            f"looks at the middle the most directly; the corner whose camera prevents the most "
-            f"comes first ({corners or 'no corner fits'}). {percent(expert.on_table)} on the "
-            f"detection table, {percent(expert.score.all)} by the evaluator."
+            "Expert rule: at each corner of the junction the nearest site, there the pose that "
+            "looks at the middle the most directly; the corner whose camera prevents the most "
+            f"comes first ({corners}{few}); {percent(expert.on_table)} on the detection table."
         )
-        if len(expert.layout) < n_units:
-            sentences.append(
-                f"The expert's layout has {several(len(expert.layout), 'unit', 'units')}, not "
-                f"{n_units}: the rule knows one for each corner that fits."
-            )
     return sentences

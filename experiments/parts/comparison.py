@@ -38,7 +38,6 @@ GREEDY, EXPERT = "greedy", "expert rule"
 """Display names of layouts to compare with: they appear in tables and bars only."""
 
 _MAX_DRAWN_PAIRS = 28  # of eight layouts; the table has all
-_MAX_SENTENCES = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,6 +125,15 @@ def _only_first(one: Evaluation, other: Evaluation) -> tuple[str, ...]:
 
 
 # ---------- tables and words
+
+
+def words(name: str, compared: Sequence[Compared]) -> list[str]:
+    """How many runs the first layout avoids and each other one does not, and the other way."""
+    return [
+        f"{name} avoids {len(other.runs_gained)} that {other.name} does not, and "
+        f"{other.name} avoids {len(other.runs_lost)} that {name} does not"
+        for other in compared
+    ]
 
 
 def side_by_side_table(
@@ -257,37 +265,11 @@ def significance_table(sampled: SampledRecord) -> Table:
     )
 
 
-def significance_sentences(sampled: SampledRecord) -> list[str]:
-    """The differences in words, the largest sure one first, and how they are to be read."""
-    pairs = [_better_first(pair) for pair in sampled.pairs]
-    sure = sorted((p for p in pairs if not is_open(p)), key=lambda p: -abs(or_nan(p.mean)))
-    sentences = [
-        f"{pair.first} prevents more accidents than {pair.second} in "
-        f"{percent(pair.more_share)} of the worlds, "
-        f"{_points(pair.mean)} points on average (95 % interval "
-        f"{_points(pair.low)} to {_points(pair.high)})."
-        for pair in sure[:_MAX_SENTENCES]
-    ]
-    if len(sure) > _MAX_SENTENCES:
-        sentences.append(f"So do {len(sure) - _MAX_SENTENCES} more pairs of the table.")
-    n_open = len(pairs) - len(sure)
-    if n_open == 1:
-        (pair,) = (p for p in pairs if is_open(p))
-        sentences.append(
-            f"Between {pair.first} and {pair.second} there is no sure difference (95 % "
-            f"interval {_points(pair.low)} to {_points(pair.high)} points)."
-        )
-    elif n_open:
-        sentences.append(f"Between the layouts of {n_open} pairs there is no sure difference.")
-    sentences.append(
-        "Paired on the same worlds: what is drawn hits all layouts alike, so that the difference "
-        "in each world counts, not the spread between worlds."
-    )
-    if len(pairs) > 1:
-        sentences.append(
-            "Each interval holds by itself: of twenty such, one may miss the true difference."
-        )
-    return sentences
+_PAIRED = (
+    "Paired on the same worlds: what is drawn hits all layouts alike, so that the difference in "
+    "each world counts, not the spread between worlds. Each interval holds by itself: of twenty "
+    "such, one may miss the true difference."
+)
 
 
 def _better_first(pair: SampledPairRecord) -> SampledPairRecord:
@@ -318,19 +300,14 @@ def section(
     rule: AebRule,
     baselines: Baselines | None = None,
     sampled: SampledRecord | None = None,
-    *,
-    apr_found: float | None = None,
 ) -> Section | None:
-    """Layouts by display name side by side, the subject first; None where it stands alone.
-
-    `apr_found` is that of a layout found on the detection table.
-    """
+    """Layouts by display name side by side, the subject first; None where it stands alone."""
     if len(evaluations) < 2:
         return None
     n_units = len(next(iter(evaluations.values())).layout.units)
     differences = find_differences(evaluations)
     rows = difference_rows(differences)
-    sentences = baseline_words(baselines, apr_found=apr_found, n_units=n_units)
+    sentences = baseline_words(baselines, n_units=n_units)
     blocks: list[Block] = [
         side_by_side_table(evaluations, rule, baselines),
         _meaning(evaluations),
@@ -373,7 +350,7 @@ def _sampled_blocks(sampled: SampledRecord) -> list[Block]:
     table = significance_table(sampled)
     blocks: list[Block] = [
         Subheading("Is the difference sure?"),
-        Bullets(significance_sentences(sampled)),
+        _PAIRED,
     ]
     if len(sampled.pairs) <= _MAX_DRAWN_PAIRS:
         blocks.append(

@@ -1,31 +1,26 @@
-"""Why these poses, what they miss, what else would do: in sentences, tables and sections."""
+"""Why these poses, and what they miss: in sentences, tables and sections."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Annotated, cast
+from typing import Annotated
 
-import numpy as np
-
-from geometry.arrays import FloatArray
 from placement.candidates import CandidatePose
 from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.detection_table import run_of_level
 from placement.explain import (
     Contribution,
-    Pool,
     Reason,
     Unavoided,
     find_contributions,
     find_unavoided,
 )
 from placement.optimiser import PlacementProblem
-from placement.optimiser.objectives import Objective
 from placement.pipeline import Placement
 from placement.setting import Setting
 
 from ..results.numbers import NOTHING, count_runs, number, percent
-from ..results.record import LayoutValueRecord, Record, RunId, Share, StageName, says
+from ..results.record import LayoutValueRecord, Record, RunId, Share, says
 from .section import Block, Section, Table, tabulate
 
 
@@ -53,35 +48,8 @@ class ContributionRecord(Record, frozen=True, kw_only=True):
     without: Annotated[LayoutValueRecord, says("What the others are worth.")]
 
 
-class PooledLayoutRecord(LayoutValueRecord, frozen=True, kw_only=True):
-    """A layout of candidates."""
-
-    units: Annotated[tuple[str, ...], says("Names of the candidate poses.")]
-    objective: Annotated[
-        float, says("Value in the first stage, in the unit that its name ends in.")
-    ]
-
-
-class PoolRecord(Record, frozen=True, kw_only=True):
-    """Layouts that are as good in the first stage."""
-
-    stage: Annotated[StageName, says("The first stage.")]
-    is_complete: Annotated[
-        bool,
-        says("Whether all choices were gone through; else one unit was exchanged for another."),
-    ]
-    within: Annotated[int, says("How many were found.", ge=1)]
-    sets: Annotated[tuple[PooledLayoutRecord, ...], says("The best ones, the best first.")]
-    sites: Annotated[
-        dict[str, Share], says("Share of the layouts with a unit at a site, the largest first.")
-    ]
-    poses: Annotated[
-        dict[str, Share], says("Share of the layouts with a candidate pose, the largest first.")
-    ]
-
-
 class ExplainedRecord(Record, frozen=True, kw_only=True):
-    """Reasons for these units, runs that they miss, layouts as good; on the detection table.
+    """Reasons for these units, and runs that they miss, on the detection table.
 
     Runs of weight 0 are in no list.
     """
@@ -93,7 +61,6 @@ class ExplainedRecord(Record, frozen=True, kw_only=True):
     runs_without_weight: Annotated[
         int, says("How many runs have weight 0, and are left out.", ge=0)
     ]
-    pool: Annotated[PoolRecord | None, says("Layouts as good; null unless asked for with --pool.")]
 
 
 # ---------- explanations
@@ -104,13 +71,12 @@ def build_explained_record(
     setting: Setting,
     candidates: Sequence[CandidatePose],
     *,
-    pool: Pool | None = None,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> ExplainedRecord:
     """Explanation of a placement; `candidates` are the rows of its table.
 
     Runs that are not avoided are those of the world as planned; where worlds were sampled, nobody
-    looks for what would save them. `pool` has other layouts that are as good.
+    looks for what would save them.
     """
     problem, chosen = placement.problem, placement.pose_index
     names = {
@@ -135,7 +101,6 @@ def build_explained_record(
             replace(entry, unit=names.get(entry.unit, entry.unit)) for entry in missed
         ),
         runs_without_weight=int((placement.nominal.table.axis.weight == 0.0).sum()),
-        pool=None if pool is None else _pool(problem, candidates, pool),
     )
 
 
@@ -154,36 +119,6 @@ def _contribution(
         max_delay_s=part.max_delay_s,
         without=LayoutValueRecord(**part.without._asdict()),
     )
-
-
-def _pool(problem: PlacementProblem, candidates: Sequence[CandidatePose], pool: Pool) -> PoolRecord:
-    ids = problem.table.pose_ids
-    names = {
-        int(site): candidate.site_id or candidate.id
-        for site, candidate in zip(problem.limits.site_index, candidates, strict=True)
-    }
-    return PoolRecord(
-        stage=cast(StageName, pool.stage),
-        is_complete=pool.scope == "all",
-        within=pool.n_within,
-        sets=tuple(
-            PooledLayoutRecord(
-                units=tuple(ids[pose] for pose in entry.pose_index),
-                objective=entry.objective,
-                **entry.value._asdict(),
-            )
-            for entry in pool.sets
-        ),
-        sites={names[site]: float(pool.site_share[site]) for site in _frequent(pool.site_share)},
-        poses={ids[pose]: float(pool.pose_share[pose]) for pose in _frequent(pool.pose_share)},
-    )
-
-
-def _frequent(share: FloatArray) -> list[int]:
-    """Indices of positive shares, the largest first."""
-    order = np.argsort(-share, kind="stable")
-    indices: list[int] = order[share[order] > 0.0].tolist()
-    return indices
 
 
 # ---------- in sentences
@@ -237,23 +172,16 @@ def is_nothing_avoided(parts: Sequence[ContributionRecord]) -> bool:
 
 def missed_sentences(explained: ExplainedRecord) -> list[str]:
     """Sentences on the runs that are not avoided, and what is most often in the way."""
-    return [*missed_counts(explained), *_causes_and_remedies(explained.not_avoided)]
-
-
-def missed_counts(explained: ExplainedRecord, *, with_outcomes: bool = True) -> list[str]:
-    """Sentences on the number of runs that are not avoided, their outcomes, and runs left out."""
     missed, n_without = explained.not_avoided, explained.runs_without_weight
     which = "every run that counts" if n_without else "every run"
     sentences = [f"On the detection table, {which} is avoided."]
     if missed:
         verb = "is" if len(missed) == 1 else "are"
-        outcomes = f": {_outcomes(missed)}" if with_outcomes else ""
-        sentences = [
-            f"On the detection table, {count_runs(len(missed))} {verb} not avoided{outcomes}."
-        ]
+        runs, outcomes = count_runs(len(missed)), _outcomes(missed)
+        sentences = [f"On the detection table, {runs} {verb} not avoided: {outcomes}."]
     if n_without:
         sentences.append(f"Left out: {count_runs(n_without)} of weight 0.")
-    return sentences
+    return [*sentences, *_causes_and_remedies(missed)]
 
 
 def _outcomes(missed: Sequence[Unavoided]) -> str:
@@ -289,38 +217,6 @@ def cause(reason: Reason) -> str:
     if reason.cause == "hidden":
         return f"hidden by {reason.thing}"
     return _CAUSES[reason.cause]
-
-
-def pool_sentences(explained: ExplainedRecord) -> list[str]:
-    """Sentences on the layouts to choose from; none where nobody has looked."""
-    pool = explained.pool
-    if pool is None:
-        return []
-    stage, within = Objective(pool.stage).label, pool.within
-    worth = f"the best {stage}"
-    if pool.stage in ("units", "cost_eur"):
-        worth = f"the least {stage}"
-    if not pool.is_complete:
-        return [
-            f"Found by exchanging units one for one: {count_layouts(within)} with {worth}. There "
-            "may be more, and better ones among them in what comes after."
-        ]
-    sentences = [f"All choices were gone through: {count_layouts(within)} with {worth}."]
-    if within > len(pool.sets):
-        sentences.append(_listed(len(pool.sets)))
-    always = [site for site, share in pool.sites.items() if share == 1.0]
-    if always and within > 1:
-        sentences.append(f"Each of them has a unit at {', '.join(always)}.")
-    return sentences
-
-
-def _listed(count: int) -> str:
-    return "The best one is listed." if count == 1 else f"The {count} best of them are listed."
-
-
-def count_layouts(count: int) -> str:
-    """'1 layout', '1,234 layouts' and so on."""
-    return "1 layout" if count == 1 else f"{count:,} layouts"
 
 
 # ---------- in tables
@@ -405,43 +301,13 @@ def _rescue(entry: Unavoided) -> str:
     return f"{rescue.unit}, {where}, {number(rescue.margin_s)} s to spare"
 
 
-def pool_table(pool: PoolRecord) -> Table:
-    """Layouts that are as good: a row each, the best first."""
-    return tabulate(
-        "Layouts as good, the best first",
-        pool.sets,
-        {
-            "layout": lambda entry: " + ".join(entry.units),
-            "APR": lambda entry: percent(entry.apr),
-            "if the most needed unit fails": lambda entry: percent(entry.apr_one_failed),
-            "smallest time to spare (s)": lambda entry: number(entry.smallest_margin_s),
-            "mean time to spare (s)": lambda entry: number(entry.mean_margin_s),
-            "cost (EUR)": lambda entry: f"{entry.cost_eur:,.0f}",
-        },
-        numeric=range(1, 6),
-    )
-
-
-def site_table(pool: PoolRecord) -> Table:
-    """Share of the layouts as good that have a unit at a site: a row each."""
-    whole = "all " if pool.is_complete else "the listed "
-    if pool.within == 1:
-        whole = ""
-    return Table(
-        caption=f"How often each site carries a unit, of {whole}{count_layouts(pool.within)}",
-        columns=["site", "share of the layouts"],
-        rows=[[site, percent(share)] for site, share in pool.sites.items()],
-        numeric=[1],
-    )
-
-
 # ---------- sections of the report
 
 
 def explanation_sections(
     explained: ExplainedRecord | None, labels: Mapping[str, str]
 ) -> list[Section]:
-    """Why these poses, what they miss, what else would do; none where nothing was optimised.
+    """Why these poses, and what they miss; none where nothing was optimised.
 
     `labels` are short names of the layout's units, by id.
     """
@@ -470,11 +336,4 @@ def explanation_sections(
             "candidate poses, mounted next to these; its price is not asked for.",
         ]
     sections.append(Section("missed", "Runs that are not avoided", missed))
-    if explained.pool is not None:
-        pool: list[Block] = [
-            " ".join(pool_sentences(explained)),
-            pool_table(explained.pool),
-            site_table(explained.pool),
-        ]
-        sections.append(Section("pool", "Other layouts as good", pool))
     return sections

@@ -1,9 +1,8 @@
 """The front: what each further unit, or more money, buys, and its proof."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -21,10 +20,9 @@ from geometry.scene_files import load_scene
 from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.detection_table import plain_axis
-from placement.optimiser import PlacementProblem, PlacementValue, apr_one_failed
+from placement.optimiser import PlacementProblem, PlacementValue
 from placement.optimiser.front import Front, FrontPoint, StageChoice, cost_front, pareto_front
 from placement.optimiser.presolve import PresolveStatistics
-from placement.optimiser.steering import COST_TOLERANCE_EUR, TOLERANCE
 from placement.pipeline import Assembly, assemble, pick_layout
 from placement.question import Question
 from placement.wishes import assumed_prices, load_prices
@@ -34,7 +32,7 @@ from ..figures.axes import BLUE, VERMILION, WIDTH_IN, Style, finish_axes, new_fi
 from ..progress import WRITING, StageProgress
 from ..results.drives import RefusalRecord, build_drives_record, versions
 from ..results.folders import check_folder, write_files
-from ..results.numbers import NOTHING, euros, number, percent, points
+from ..results.numbers import NOTHING, euros, number, percent
 from ..results.record import (
     LayoutValueRecord,
     Record,
@@ -88,7 +86,7 @@ class FrontRecord(Record, frozen=True, kw_only=True):
     ]
     refused: Annotated[tuple[RefusedSizeRecord, ...], says("Sizes that cannot be.")]
     points: Annotated[tuple[FrontPointRecord, ...], says("In ascending order.")]
-    sentences: Annotated[tuple[str, ...], says("What each unit buys, in words.")]
+    sentences: Annotated[tuple[str, ...], says("What is proven, and where nothing grows.")]
 
 
 def _point(point: FrontPoint, candidates: Sequence[CandidatePose]) -> FrontPointRecord:
@@ -108,13 +106,12 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _VALUES = PlacementValue._fields
-_SHARES = ("apr", "apr_one_failed")
-_COLUMNS = {
+_HEADS = {
     "apr": "APR",
-    "apr_one_failed": "APR if the most needed unit fails",
-    "smallest_margin_s": "smallest time to spare (s)",
-    "mean_margin_s": "mean time to spare (s)",
-    "cost_eur": "cost (EUR)",
+    "apr_one_failed": "one fails",
+    "smallest_margin_s": "least",
+    "mean_margin_s": "mean",
+    "cost_eur": "EUR",
 }
 
 
@@ -123,95 +120,106 @@ def _stage(point: FrontPointRecord, name: str) -> StageRecord | None:
     return next((stage for stage in point.stages if stage.name == name), None)
 
 
-# ---------- rows, proof, and the section of the report
+# ---------- words, table, and the section of the report
 
 
-def front_rows(front: FrontRecord) -> list[list[str]]:
-    """A row for each point: units, values of the layout, and whether more is ruled out."""
-    return [
-        [
-            str(point.units),
-            *(_shown(name, getattr(point, name)) for name in _VALUES),
-            _proof(point),
-        ]
-        for point in front.points
+def table(front: FrontRecord) -> Table:
+    """A row for each point: units, its gain, values of the layout, whether more is ruled out."""
+    is_all = front.optimised == "all"
+    heads = [
+        head
+        if is_all or name.startswith("apr") or (name == "cost_eur" and front.by == "cost")
+        else f"{head}*"
+        for name, head in _HEADS.items()
     ]
+    before = [0.0, *(point.apr for point in front.points)]
+    return Table(
+        caption=f"The best layout for each {_ALLOWED[front.by]}",
+        columns=["units", heads[0], "gain", *heads[1:], "proof"],
+        rows=[
+            [
+                str(point.units),
+                percent(point.apr),
+                number(100.0 * (point.apr - less), 1),
+                percent(point.apr_one_failed),
+                number(point.smallest_margin_s, 3),
+                number(point.mean_margin_s, 3),
+                f"{point.cost_eur:,.0f}",
+                _proof(point),
+            ]
+            for less, point in zip(before, front.points, strict=False)
+        ],
+        numeric=range(7),
+    )
 
 
-def _shown(name: str, value: float) -> str:
-    if name in _SHARES:
-        return percent(value)
-    return f"{value:,.0f}" if name == "cost_eur" else number(value, 3)
+def notes(front: FrontRecord) -> list[str]:
+    """How the table is to be read."""
+    least = "each EUR is the least that buys this" if front.by == "cost" else ""
+    texts = [
+        "gain: points of APR over the row above; one fails: APR that is left when the most needed "
+        "unit fails; least, mean: time to spare in the runs avoided, in s",
+        *([least] if least else []),
+    ]
+    star = "* of this layout; not optimised: --all-stages does. "
+    return [f"{'' if front.optimised == 'all' else star}{'; '.join(texts)}."]
+
+
+_ALLOWED = {"units": "number of units", "cost": "sum of money"}
 
 
 def _proof(point: FrontPointRecord) -> str:
+    """What is not ruled out, of the first stage that is open."""
     if point.is_proven:
         return "proven"
     stage = next(stage for stage in point.stages if stage.gap != 0.0)
-    what = _COLUMNS.get(stage.name, stage.name)
+    head = _HEADS.get(stage.name, stage.name)
     if stage.bound is None or not math.isfinite(stage.bound):
-        return f"open: nothing is proven of the {what}"
-    more = "less" if stage.name == "cost_eur" else "more"
-    bound = _precise(stage.bound) if stage.name in _SHARES else number(stage.bound, 3)
-    return f"open: {what} no {more} than {bound}"
+        return f"{head} open"
+    is_share = stage.name in ("apr", "apr_one_failed")
+    bound = f"{100.0 * stage.bound:.2f} %" if is_share else number(stage.bound, 3)
+    return f"{head} {'>=' if stage.name == 'cost_eur' else '<='} {bound}"
 
 
-def proof_sentences(front: FrontRecord) -> list[str]:
-    """Sentences on the proof of a front."""
+def words(front: FrontRecord) -> list[str]:
+    """What is proven of a front, from where on nothing grows, and which sizes cannot be."""
     n_points, n_proven = len(front.points), sum(point.is_proven for point in front.points)
-    objectives = (
-        "in APR, then in what is left when the most needed unit fails, then in time to spare and "
-        "cost"
-        if front.optimised == "all"
-        else "in APR, then in what is left when the most needed unit fails"
-    )
-    among = "no other choice among the candidate poses is better on the detection table"
-    allowed = "units" if front.by == "units" else "money"
-    if n_points == 1:
-        first = (
-            f"Proven: {among}, {objectives}."
-            if n_proven
-            else f"Not proven: another choice may be better, {objectives}."
-        )
-    elif n_proven == n_points:
-        first = f"All {n_points} points are proven: with as many {allowed}, {among}, {objectives}."
-    elif n_proven:
-        first = (
-            f"{n_proven} of {n_points} points are proven: with as many {allowed}, {among}, "
-            f"{objectives}. Of the others the table says what is still open."
-        )
-    else:
-        first = (
-            f"None of the {n_points} points is proven: of each the table says what is still open."
-        )
-    sentences = [first]
-    if front.settled is not None and front.by == "units":
-        sentences.append(f"Proven, too: from {front.settled:g} units on nothing grows any more.")
-    return sentences
+    allowed = _ALLOWED[front.by]
+    last = ", then in time to spare and cost" if front.optimised == "all" else ""
+    better = f"better, in APR, then in what is left when the most needed unit fails{last}"
+    sentences = [
+        f"Proven: for each {allowed} no other choice among the candidate poses is {better} (on the "
+        "detection table)."
+        if n_proven == n_points
+        else f"{n_proven} of {n_points} points are proven; of the others another choice may be "
+        f"{better}: the table says what is open."
+    ]
+    if front.settled is not None:
+        where = f"From {front.settled:g} units" if front.by == "units" else "Beyond "
+        where = where if front.by == "units" else f"{where}{euros(front.settled)}"
+        more = "is better" if front.optimised == "all" else "avoids more, also when one unit fails"
+        sentences.append(f"{where} on nothing grows: no layout of any size {more}.")
+    return sentences + [
+        f"With {size.units} the wishes cannot be met: {size.reason}." for size in front.refused
+    ]
 
 
 def front_section(front: FrontRecord | UnsetType | None) -> Section | None:
     """Gains of each unit; None where the best was not what was asked for."""
     if not front:
         return None
-    rows, proof = front_rows(front), " ".join(proof_sentences(front))
+    shown = table(front)
     picture = build_picture(
         plot_front(front),
         title="What each further unit buys",
         caption="Every point is the best layout found for as many units; open markers and "
-        f"bars: what is not yet ruled out. {proof}",
+        "bars: what is not yet ruled out.",
         alt="Curves over the number of units. "
         + "; ".join(
-            f"{row[0]}: APR {row[1]}, {row[2]} if one fails, {row[3]} s to spare, {row[6]}"
-            for row in rows
+            f"{row[0]}: APR {row[1]}, {row[3]} if one fails, {row[4]} s to spare, {row[7]}"
+            for row in shown.rows
         )
         + ".",
-    )
-    table = Table(
-        caption="The best layout for each number of units",
-        columns=["units", *(_COLUMNS[name] for name in _VALUES), "proof"],
-        rows=rows,
-        numeric=range(1, 6),
     )
     poses = Table(
         caption="Candidate poses of each point, and their sites",
@@ -226,214 +234,16 @@ def front_section(front: FrontRecord | UnsetType | None) -> Section | None:
         ],
         summary="Which poses",
     )
-    proof += (
-        " Each number of units has the best layout of its own; the units of one are not always "
-        "among those of the next."
+    note = (
+        f"{' '.join(notes(front))} Each number of units has the best layout of its own; the units "
+        "of one are not always among those of the next."
     )
-    blocks: list[Block] = [Bullets(front.sentences), picture, table, proof, poses]
+    blocks: list[Block] = [Bullets(front.sentences), picture, shown, note, poses]
     return Section("front", "What each unit buys", blocks)
 
 
 def _listed(names: Sequence[str]) -> str:
     return ", ".join(names) or NOTHING
-
-
-# ---------- what each further unit, or more money, buys
-
-
-_ORDINALS = (
-    *("zeroth", "first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth"),
-    *("ninth", "tenth", "eleventh", "twelfth"),
-)
-
-PoleFailed = Callable[[FrontPoint], float]
-
-
-def describe_units(
-    front: Front, *, n_kept: int = 0, pole_failed: PoleFailed | None = None
-) -> list[str]:
-    """Sentences on the gain of each further unit.
-
-    A sentence for the first point, one for each that differs from the one before, one for what
-    follows; such as "The second unit adds no APR; the layout then survives any single failure."
-    `n_kept` units are mounted already, and count. `pole_failed` gives the APR that is left of a
-    point when the worst pole fails with all its units; without it only units fail.
-    """
-    points = front.points
-    sentences = [_first_units(points[0], n_kept)]
-    idle: list[int] = []
-    for before, point in pairwise(points):
-        if front.settled is not None and point.units > front.settled:
-            break
-        bought = _bought(before, point, front, pole_failed)
-        if not bought:
-            idle.append(point.units)
-            continue
-        sentences += _idle(idle)
-        idle = []
-        sentences.append(f"The {_ordinal(point.units)} unit {bought}{_doubt(point, front)}.")
-    sentences += _idle(idle, is_proven=front.is_proven)
-    if front.settled is not None:
-        sentences.append(_nothing_grows(front, f"From K = {front.settled:g} on nothing grows"))
-    for units, why in front.refused:
-        sentences.append(f"With {units} the wishes cannot be met: {why}.")
-    return sentences
-
-
-def describe_money(front: Front, *, pole_failed: PoleFailed | None = None) -> list[str]:
-    """Sentences on the gain of more money: one for every point, and one for what follows."""
-    first = front.points[0]
-    sentences = [
-        f"{euros(first.value.cost_eur)} buy an APR of {percent(first.value.apr)}"
-        f"{_left(first)}{_doubt(first, front)}."
-    ]
-    for before, point in pairwise(front.points):
-        more = point.value.cost_eur - before.value.cost_eur
-        verbs = _bought(before, point, front, pole_failed, many=True)
-        sentences.append(
-            f"{euros(more)} more ({euros(point.value.cost_eur)} in all) {verbs}"
-            f"{_doubt(point, front)}."
-        )
-    if front.settled is not None:
-        sentences.append(_nothing_grows(front, f"Beyond {euros(front.settled)} nothing grows"))
-    return sentences
-
-
-def _first_units(point: FrontPoint, n_kept: int) -> str:
-    number = point.units
-    if n_kept and number == n_kept:
-        who = f"The {number} existing units reach" if number > 1 else "The existing unit reaches"
-    elif number == 1:
-        who = "The first unit reaches"
-    else:
-        who = f"The first {number} units reach"
-    doubt = ""
-    stage = point.stage("apr")
-    if stage is not None and stage.gap != 0.0:
-        doubt = f" (proven is only: no more than {_precise(stage.bound)})"
-    return f"{who} an APR of {percent(point.value.apr)}{_left(point)}{doubt}."
-
-
-def _left(point: FrontPoint) -> str:
-    value = point.value
-    if len(point.pose_index) == 1 or value.apr <= TOLERANCE:
-        return ""
-    if value.apr_one_failed >= value.apr - TOLERANCE:
-        return ", whichever single one fails"
-    return f", {percent(value.apr_one_failed)} when the most needed one fails"
-
-
-def _bought(
-    before: FrontPoint,
-    point: FrontPoint,
-    front: Front,
-    pole_failed: PoleFailed | None,
-    *,
-    many: bool = False,
-) -> str:
-    """Gains of a point over the one before, as verbs and objects; empty if nothing."""
-    old, new = before.value, point.value
-    s = "" if many else "s"
-    clauses = []
-    gain = new.apr - old.apr
-    if gain > TOLERANCE:
-        clauses.append(f"add{s} {points(gain)} of APR ({percent(new.apr)})")
-    kept = new.apr_one_failed - old.apr_one_failed
-    if kept > TOLERANCE and new.apr_one_failed >= new.apr - TOLERANCE:
-        clauses.append(f"the layout then survives {_survived(point, pole_failed)}")
-    elif abs(kept) > TOLERANCE:
-        less = "only " if kept < 0.0 else ""
-        not_before = f", not {percent(old.apr_one_failed)}" if len(before.pose_index) > 1 else ""
-        clauses.append(
-            f"{less}{percent(new.apr_one_failed)} are then left when any one unit fails{not_before}"
-        )
-    if front.stages == "all" and abs(gain) <= TOLERANCE:
-        clauses += _time_bought(before, point, s)
-    if not clauses:
-        return ""
-    if gain <= TOLERANCE and not clauses[0].startswith(("buy", "save", "cost")):
-        clauses.insert(0, f"add{s} no APR")
-    return "; ".join(clauses)
-
-
-def _survived(point: FrontPoint, pole_failed: PoleFailed | None) -> str:
-    """Failures that a layout survives which loses nothing with any one unit."""
-    left = None if pole_failed is None else pole_failed(point)
-    if left is None:
-        return "the failure of any one unit"
-    if left >= point.value.apr - TOLERANCE:
-        return "any single failure"
-    return f"the failure of any one unit, but not that of a pole ({percent(left)} are then left)"
-
-
-def _time_bought(before: FrontPoint, point: FrontPoint, s: str) -> list[str]:
-    """Gains in time to spare, of two points with the same APR."""
-    old, new = before.value, point.value
-    parts = []
-    for gain, where in (
-        (new.smallest_margin_s - old.smallest_margin_s, "time to spare in the tightest run"),
-        (new.mean_margin_s - old.mean_margin_s, "mean time to spare"),
-    ):
-        if gain > TOLERANCE:
-            parts.append(f"{_seconds(gain)} of {where}")
-    if parts:
-        return [f"buy{s} " + " and ".join(parts)]
-    saved = old.cost_eur - new.cost_eur
-    is_same = all(abs(a - b) <= TOLERANCE for a, b in zip(old[:-1], new[:-1], strict=True))
-    return [f"save{s} {euros(saved)}"] if is_same and saved > COST_TOLERANCE_EUR else []
-
-
-def _doubt(point: FrontPoint, front: Front) -> str:
-    """Open bounds of a point, in brackets."""
-    for stage in point.certificate.stages:
-        if stage.gap == 0.0:
-            continue
-        if stage.name == "cost_eur":
-            if front.by == "cost":
-                return f" (proven is only: not for less than {euros(stage.bound)})"
-            return " (not proven: as good for less)"
-        what = {"apr": "the APR", "apr_one_failed": "what is left when one fails"}.get(stage.name)
-        if what is not None:
-            return f" (proven is only: {what} is no more than {_precise(stage.bound)})"
-        return f" (proven is only: no more than {_seconds(stage.bound)})"
-    return ""
-
-
-def _idle(units: Sequence[int], *, is_proven: bool = True) -> list[str]:
-    """Units that add nothing, in a sentence; none where there are none."""
-    if not units:
-        return []
-    if len(units) == 1:
-        text = f"The {_ordinal(units[0])} unit adds nothing"
-    else:
-        joint = "and" if len(units) == 2 else "to"
-        text = f"The {_ordinal(units[0])} {joint} {_ordinal(units[-1])} unit add nothing"
-    return [text + ("." if is_proven else ", as far as was found: that is not proven.")]
-
-
-def _nothing_grows(front: Front, words: str) -> str:
-    if front.stages == "all":
-        return f"{words}: no layout of any size is better."
-    return (
-        f"{words}: no layout of any size avoids more, or keeps more when one unit fails. "
-        "Time to spare was not optimised."
-    )
-
-
-def _precise(share: float) -> str:
-    return f"{100.0 * share:.2f} %"
-
-
-def _ordinal(number: int) -> str:
-    if number < len(_ORDINALS):
-        return _ORDINALS[number]
-    if number % 100 in (11, 12, 13):
-        return f"{number}th"
-    return f"{number}{ {1: 'st', 2: 'nd', 3: 'rd'}.get(number % 10, 'th') }"
-
-
-def _seconds(time_s: float) -> str:
-    return f"{time_s:.2f} s" if time_s >= 0.01 else f"{time_s:.1g} s"
 
 
 # ---------- the job, and the table
@@ -550,20 +360,11 @@ def describe_front(
     *,
     n_kept: int = 0,
 ) -> FrontRecord:
-    """A front with the units of every point, and what each unit, or more money, buys.
+    """A front with the units of every point; `n_kept` of them are mounted already.
 
-    `candidates` are the rows of the problem's table; `n_kept` units are mounted already.
+    `candidates` are the rows of the problem's table.
     """
-    by_pole = replace(problem, limits=replace(problem.limits, failing="site"))
-
-    def pole_failed(point: FrontPoint) -> float:
-        return apr_one_failed(by_pole, point.pose_index)
-
-    if front.by == "units":
-        sentences = describe_units(front, n_kept=n_kept, pole_failed=pole_failed)
-    else:
-        sentences = describe_money(front, pole_failed=pole_failed)
-    return FrontRecord(
+    record = FrontRecord(
         by=front.by,
         optimised=front.stages,
         candidates=problem.table.n_poses,
@@ -575,8 +376,9 @@ def describe_front(
         presolve=front.presolve,
         refused=tuple(RefusedSizeRecord(units=units, reason=why) for units, why in front.refused),
         points=tuple(_point(point, candidates) for point in front.points),
-        sentences=tuple(sentences),
+        sentences=(),
     )
+    return replace_fields(record, sentences=tuple(words(record)))
 
 
 def front_table(front: FrontRecord) -> "pd.DataFrame":

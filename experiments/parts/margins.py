@@ -22,13 +22,12 @@ from ..figures.axes import (
     SKY,
     VERMILION,
     WIDTH_IN,
-    describe_run,
     literal,
     new_axes,
     new_figure,
     write_beside,
 )
-from ..results.numbers import NOTHING, count_runs, milliseconds, number
+from ..results.numbers import NOTHING, count_runs, number
 from ..results.tables import (
     RunGroup,
     groups_by_case,
@@ -36,7 +35,7 @@ from ..results.tables import (
     groups_by_speed,
     margin_s,
 )
-from .section import Bullets, Section, Table, build_picture
+from .section import Section, Table, build_picture
 
 # ---------- the figure: a mark for each run, in a row for each case
 
@@ -63,15 +62,12 @@ _STYLES = (
 )
 
 
-def plot_margins(
-    parties: Sequence[tuple[str, Verdict]], axis: FrameAxis, *, axes: Sequence[Axes] | None = None
-) -> tuple[Axes, ...]:
+def plot_margins(parties: Sequence[tuple[str, Verdict]], axis: FrameAxis) -> tuple[Axes, ...]:
     """Margins of several parties side by side.
 
     One per party; see :func:`plot_margin_strip`. All have the same scale.
     """
-    if axes is None:
-        axes = _build_panels(len(parties), axis)
+    axes = _build_panels(len(parties), axis)
     low_ms, high_ms = _limits_ms([verdict for _, verdict in parties], axis)
     for column, (panel, (name, verdict)) in enumerate(zip(axes, parties, strict=True)):
         plot_margin_strip(verdict, axis, axes=panel)
@@ -243,7 +239,6 @@ class MarginSummary:
     median_m: float
     n_never: int  # not avoided: never confirmed
     n_lost: int  # not avoided: lost again before the last moment
-    n_hopeless: int  # no braking avoids them; in neither of the two before
     worst_late_s: float  # of those not avoided in which braking sets in
     worst_late_m: float
 
@@ -279,7 +274,6 @@ def summarise_margins(
         median_m=_of(np.median, metres[avoided]),
         n_never=int((missed_with_hope & ~sets_in & ~is_lost).sum()),
         n_lost=int((missed_with_hope & is_lost).sum()),
-        n_hopeless=int((missed & is_hopeless).sum()),
         worst_late_s=_of(np.max, -seconds[late]),
         worst_late_m=_of(np.max, -metres[late]),
     )
@@ -354,56 +348,7 @@ def _cells(summary: MarginSummary) -> list[str]:
     ]
 
 
-# ---------- sentences
-
-
-def margin_sentences(evaluations: Mapping[str, Evaluation]) -> list[str]:
-    """The least time and distance to spare of each layout and of the car alone."""
-    axis = next(iter(evaluations.values())).axis
-    *layouts, (_, vut) = _parties(evaluations)
-    return [
-        _sentence(name, verdict, axis) for name, verdict in (*layouts, ("The car by itself", vut))
-    ]
-
-
-def _sentence(subject: str, verdict: Verdict, axis: FrameAxis) -> str:
-    summary = summarise_margins(verdict, axis)
-    if not summary.n_avoided:
-        return f"{subject} avoids none of {count_runs(summary.n_runs)}."
-    margin = np.where(verdict.is_avoided & (axis.weight > 0.0), margin_s(verdict, axis), np.inf)
-    tightest = int(np.argmin(margin))
-    metres = number(float(margin_m(verdict, axis)[tightest]), 1)
-    words = (
-        f"{subject}: in the tightest run that is avoided, {describe_run(axis, tightest)}, "
-        f"{milliseconds(summary.smallest_s)} are to spare, {metres}\N{NO-BREAK SPACE}m at that "
-        "speed"
-    )
-    if summary.n_avoided > 1:
-        words += (
-            f"; in half of the {count_runs(summary.n_avoided)} avoided at least "
-            f"{milliseconds(summary.median_s)}"
-        )
-    text = f"{words}."
-    return f"{text} {_missed_words(summary)}" if summary.n_not_avoided else text
-
-
-def _missed_words(summary: MarginSummary) -> str:
-    """Sentence on what the runs lack that are not avoided."""
-    n_late = summary.n_not_avoided - summary.n_never - summary.n_lost - summary.n_hopeless
-    kinds = [
-        (summary.n_never, "never confirmed"),
-        (summary.n_lost, "confirmed, but lost again"),
-        (n_late, "confirmed too late"),
-        (summary.n_hopeless, "such that no braking avoids the impact"),
-    ]
-    each = ", ".join(f"{count} {words}" for count, words in kinds if count)
-    text = f"Not avoided: {count_runs(summary.n_not_avoided)} ({each})."
-    if not n_late:
-        return text
-    return (
-        f"{text} The worst of those confirmed too late misses the last moment by "
-        f"{milliseconds(summary.worst_late_s)}."
-    )
+# ---------- the section of the report
 
 
 def margin_notes(evaluations: Mapping[str, Evaluation]) -> list[str]:
@@ -437,7 +382,6 @@ def margins_section(evaluations: Mapping[str, Evaluation]) -> Section:
     parties = _parties(evaluations)
     # The car has the last column, whatever does not fit.
     shown = [*parties[:-1][: MAX_COLUMNS - 1], parties[-1]]
-    sentences = margin_sentences(evaluations)
     n_left = len(parties) - len(shown)
     picture = build_picture(
         plot_margins(shown, axis)[0],
@@ -446,7 +390,8 @@ def margins_section(evaluations: Mapping[str, Evaluation]) -> Section:
         "comes too late, by how much; at the left edge it never comes, or none avoids. Filled: "
         "avoided. The scale is logarithmic beyond 500 ms."
         + (f" {n_left} more layouts are in the tables." if n_left else ""),
-        alt="Strips of marks, one per run, in a row for each case. " + " ".join(sentences),
+        alt="Strips of marks, one per run, in a row for each case. The tables below have the "
+        "numbers.",
     )
     meaning = (
         "The margin is the time from the onset of braking to the last moment at which braking "
@@ -463,5 +408,5 @@ def margins_section(evaluations: Mapping[str, Evaluation]) -> Section:
     return Section(
         "margins",
         "Time and distance to spare",
-        [meaning, Bullets(sentences), picture, " ".join(notes), *margin_tables(evaluations)],
+        [meaning, picture, " ".join(notes), *margin_tables(evaluations)],
     )

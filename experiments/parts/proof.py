@@ -1,6 +1,7 @@
 """The proof of a placement, and how far detection table and evaluator agree about it."""
 
 import math
+from collections.abc import Callable, Sequence
 
 from placement.optimiser.objectives import Objective
 from scenarios.scores import AVOIDED
@@ -59,10 +60,17 @@ def section(result: PlacementResult) -> Section:
 
 def table(result: PlacementResult) -> Table:
     """A row per objective, in order."""
+    return stage_table(result.stages, lambda name: _label(name, result))
+
+
+def stage_table(
+    stages: Sequence[StageRecord], label: Callable[[str], str] = lambda name: Objective(name).label
+) -> Table:
+    """A row per stage of any certificate; `label` is the name of an objective in words."""
     return Table(
         caption="Objectives in order: each is optimised without giving up any before it",
         columns=["on the detection table", "found", "bound", "gap", "time (s)"],
-        rows=[[_label(stage.name, result), *_stage_row(stage)] for stage in result.stages],
+        rows=[[label(stage.name), *_stage_row(stage)] for stage in stages],
         numeric=range(1, 5),
     )
 

@@ -1,6 +1,6 @@
 """Retrofit of mounted units: the best change of every kind, with its price and effect."""
 
-from collections.abc import Sequence
+import textwrap
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -31,7 +31,7 @@ from ..export.json import to_json_text
 from ..progress import WRITING, StageProgress
 from ..results.drives import DrivesRecord, build_drives_record, versions
 from ..results.folders import check_folder, write_files
-from ..results.numbers import count_runs, euros, first_of, percent
+from ..results.numbers import euros, percent
 from ..results.record import (
     LayoutValueRecord,
     Record,
@@ -41,6 +41,7 @@ from ..results.record import (
     build_unit_records,
 )
 from ..results.tables import csv_text
+from .section import Table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -92,102 +93,70 @@ class RetrofitResult(DrivesRecord, frozen=True, kw_only=True):
     versions: dict[str, str]
 
 
-# ---------- in sentences
+# ---------- words, and the table
 
 
-_MAX_RUNS = 8
-
-
-def describe_retrofit(result: RetrofitResult) -> list[str]:
-    """The best change of every kind, in sentences."""
-    sentences = [_removal(result.removals)]
-    if result.re_aims:
-        sentences.append(_re_aim(result.re_aims[0]))
-    sentences.append(_addition(result.addition, result.budget_eur))
-    if result.budget_eur is not None:
-        sentences.append(_combination(result.combination, result.budget_eur))
+def words(result: RetrofitResult) -> list[str]:
+    """What is not worth changing; the table has all else."""
+    sentences = []
+    limit = "" if result.budget_eur is None else f" within {euros(result.budget_eur)}"
+    if len(result.removals) == 1:
+        unit = result.removals[0].actions[0].unit
+        sentences.append(f"{unit} is the only unit: without it, only the car itself is left.")
+    if result.re_aims and not result.re_aims[0].is_better:
+        sentences.append("No re-aim is better than to leave all as it is.")
+    if result.addition is None:
+        sentences.append(f"No unit that can be added{limit} is better than none.")
+    if result.budget_eur is not None and result.combination is None:
+        sentences.append("Re-aims and additions together are no better than to leave all as it is.")
     return sentences
 
 
-def _removal(removals: Sequence[ChangeRecord]) -> str:
-    best = removals[0]
-    name = best.actions[0].unit
-    if len(removals) == 1:
-        return f"{name} is the only unit: without it, only the car itself is left."
-    return (
-        f"Of all {len(removals)} units, {name} is needed least: without it "
-        f"{_lost(best.lost)}; {percent(best.apr_one_failed)} are left when one more fails."
+def table(result: RetrofitResult) -> Table:
+    """Possible changes: a row each, in groups, the best of each kind first."""
+    rows = [_row("as it is", 0.0, result.before)]
+    for head, changes in (
+        ("remove:", result.removals),
+        ("re-aim:", result.re_aims),
+        ("add:", [result.addition]),
+        ("together:", [result.combination]),
+    ):
+        known = [change for change in changes if change is not None]
+        rows += [[head, *[""] * 6]] if known else []
+        for change in known:
+            first, *others = [
+                line
+                for action in change.actions
+                for line in textwrap.wrap(action.words, _WORDS_WIDTH)
+            ]
+            counts = str(len(change.gained)), str(len(change.lost))
+            proof = "proven" if change.is_proven else "open"
+            rows.append(_row(f"  {first}", change.price_eur, change, *counts, proof))
+            rows += [[f"  {line}", *[""] * 6] for line in others]
+    return Table(
+        caption="Changes",
+        columns=["", "EUR", "APR", "one fails", "gained", "lost", "proof"],
+        rows=rows,
+        numeric=range(1, 7),
     )
 
 
-def _lost(runs: Sequence[str]) -> str:
-    if not runs:
-        return "no run is lost"
-    verb = "is" if len(runs) == 1 else "are"
-    return f"{count_runs(len(runs))} {verb} lost ({_ids(runs)})"
+_WORDS_WIDTH = 32
 
 
-def _re_aim(best: ChangeRecord) -> str:
-    what = _all_words(best)
-    if not best.is_better:
-        return (
-            f"No re-aim is better than to leave all as it is: of all {best.compared}, the best "
-            f"one would be to {what}."
-        )
-    return (
-        f"The best of {best.compared} re-aims, for {euros(best.price_eur)}: {what}. {_effect(best)}"
-    )
+def _row(
+    text: str,
+    price_eur: float,
+    value: LayoutValueRecord,
+    gained: str = "",
+    lost: str = "",
+    proof: str = "",
+) -> list[str]:
+    shares = (percent(value.apr), percent(value.apr_one_failed))
+    return [text, f"{price_eur:,.0f}", *shares, gained, lost, proof]
 
 
-def _addition(best: ChangeRecord | None, budget_eur: float | None) -> str:
-    limit = "" if budget_eur is None else f" within {euros(budget_eur)}"
-    if best is None:
-        return f"No unit that can be added{limit} is better than none."
-    return (
-        f"The best new unit{limit} costs {euros(best.price_eur)}: {_all_words(best)}. "
-        f"{_effect(best)}{_proof(best)}"
-    )
-
-
-def _combination(best: ChangeRecord | None, budget_eur: float) -> str:
-    if best is None:
-        return f"Within {euros(budget_eur)} nothing is better than to leave all as it is."
-    return (
-        f"The best re-aims and additions together within {euros(budget_eur)} cost "
-        f"{euros(best.price_eur)}: {_all_words(best)}. {_effect(best)}{_proof(best)}"
-    )
-
-
-def _all_words(change: ChangeRecord) -> str:
-    return "; ".join(action.words for action in change.actions)
-
-
-def _effect(change: ChangeRecord) -> str:
-    parts = []
-    if change.gained:
-        parts.append(f"gains {count_runs(len(change.gained))} ({_ids(change.gained)})")
-    if change.lost:
-        parts.append(f"loses {count_runs(len(change.lost))} ({_ids(change.lost)})")
-    if not parts:
-        parts.append("avoids the same runs")
-    return (
-        f"It {' and '.join(parts)}; APR {percent(change.apr)}, "
-        f"{percent(change.apr_one_failed)} when one fails, "
-        f"{change.mean_margin_s:.2f} s of mean time to spare."
-    )
-
-
-def _proof(change: ChangeRecord) -> str:
-    if change.is_proven:
-        return " Proven: nothing of its kind is better."
-    return " Not proven in the time given."
-
-
-def _ids(runs: Sequence[str]) -> str:
-    return first_of(runs, _MAX_RUNS)
-
-
-# ---------- the job, and the table
+# ---------- the job, and its file
 
 
 CSV_NAME, JSON_NAME = "retrofit.csv", "retrofit.json"
@@ -233,7 +202,7 @@ def run_retrofit(
         retrofit, poses, layout, setting, question, labour=labour, command=command
     )
     assumed = () if prices is None else assumed_prices(prices, scene.sites)
-    result = replace_fields(result, sentences=(*describe_retrofit(result), *assumed))
+    result = replace_fields(result, sentences=(*words(result), *assumed))
     if out is None:
         return replace_fields(result, seconds=progress.finish())
     progress(WRITING, 0, 0)

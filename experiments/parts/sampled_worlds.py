@@ -1,4 +1,4 @@
-"""APR of layouts in sampled worlds: in sentences, as text for a terminal, drawn."""
+"""APR of layouts in sampled worlds: in sentences, as a table, drawn."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, astuple, fields
@@ -7,7 +7,6 @@ from typing import Annotated
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from geometry.errors import InputError, Unquoted
 from placement.sampling.moving.trajectories import TrafficCount
@@ -16,9 +15,6 @@ from placement.sampling.uncertainty import MountingErrors, RoadUsers, Uncertaint
 
 from ..figures.axes import (
     BLUE,
-    GREEN,
-    PINK,
-    VERMILION,
     WIDTH_IN,
     Style,
     finish_axes,
@@ -26,9 +22,9 @@ from ..figures.axes import (
     new_axes,
     write_beside,
 )
-from ..results.numbers import number, or_nan, percent, points, shortened
+from ..results.numbers import or_nan, percent, shortened
 from ..results.record import Record, RunId, Share, says
-from .section import Picture, Section, build_picture
+from .section import Picture, Section, Table, build_picture, tabulate
 
 
 class UncertaintyRecord(Record, frozen=True, kw_only=True):
@@ -105,7 +101,7 @@ class SampledRecord(Record, frozen=True, kw_only=True):
     ] = None
     seed: Annotated[int, says("Of the draws.", ge=0)]
     traffic_source: Annotated[
-        str, says("Vehicles that drive by: SUMO with its demand, or the name of a file; or empty.")
+        str, says("Vehicles that drive by: SUMO with its demand; or empty.")
     ] = ""
     moving: Annotated[TrafficCount | None, says("Vehicles that drove by; null: none do.")] = None
     tail: Annotated[Share, says("Worst share of the worlds that cvar is about.")]
@@ -250,15 +246,6 @@ def uncertainty_sentences(found: SampledRecord) -> list[str]:
             if chosen > or_nan(subject.mean)
             else f"In the worlds that it was chosen in, it avoids {percent(chosen)}"
         )
-    if found.tail < 1.0:
-        sentences.append(
-            f"In the worst {percent(found.tail)} of these worlds it avoids "
-            f"{percent(subject.cvar)} on average, in the very worst {percent(subject.worst)}"
-        )
-    else:
-        sentences.append(f"In the worst of these worlds it avoids {percent(subject.worst)}")
-    for gain in found.gains:
-        sentences.append(_gain(subject.name, gain))
     if found.moving:
         sentences.append(moving_sentence(found))
     unsure = subject.least_sure_runs
@@ -341,15 +328,6 @@ def moving_sentence(found: SampledRecord) -> str:
     return text
 
 
-def _gain(name: str, gain: SampledPairRecord) -> str:
-    mean, low, high = (or_nan(share) for share in (gain.mean, gain.low, gain.high))
-    where = f"95 % interval {number(100.0 * low, 1)} to {number(100.0 * high, 1)}"
-    if is_open(gain):
-        return f"Between {name} and {gain.second} there is no sure difference ({where} points)"
-    more = "more" if mean > 0.0 else "less"
-    return f"{name} avoids {points(abs(mean))} {more} than {gain.second} ({where})"
-
-
 def is_open(difference: SampledPairRecord) -> bool:
     """True if the 95 % interval of a difference holds zero: no sure winner."""
     return or_nan(difference.low) <= 0.0 <= or_nan(difference.high)
@@ -363,107 +341,74 @@ def _worlds(count: int) -> str:
     return "world" if count == 1 else "worlds"
 
 
-# ---------- the section of the report
+# ---------- table, and the section of the report
 
 
-def sampled_picture(found: SampledRecord, figure: Axes | Figure) -> Picture:
-    """Picture of the layouts' APR, as drawn by :func:`plot_sampled_apr`."""
-    kind = "Staircases" if len(found.layouts) <= MAX_STAIRCASES else "Intervals"
-    return build_picture(
-        figure,
-        title="APR in sampled worlds",
-        caption="Worlds that were not used for the choice. Drawn at random: "
-        f"{what_is_uncertain(found)}.",
-        alt=f"{kind}. {' '.join(uncertainty_sentences(found))}",
+def table(found: SampledRecord) -> Table:
+    """APR of each layout: as planned, its mean with the interval, and in bad worlds."""
+    return tabulate(
+        "APR in sampled worlds",
+        found.layouts,
+        {
+            "layout": lambda one: shortened(one.name, _MAX_NAME_LENGTH),
+            "planned": lambda one: percent(one.planned),
+            "mean": lambda one: percent(one.mean),
+            "95 % interval": lambda one: f"{percent(one.low)} .. {percent(one.high)}",
+            # the mean of all is there already
+            **({f"worst {100.0 * found.tail:g} %": _of_tail} if found.tail < 1.0 else {}),
+            "worst": lambda one: percent(one.worst),
+        },
+        numeric=range(1, 6),
     )
 
 
-def sampled_section(picture: Picture) -> Section:
+def _of_tail(one: SampledLayoutRecord) -> str:
+    return percent(one.cvar)
+
+
+def sampled_picture(found: SampledRecord) -> Picture:
+    """Picture of the layouts' APR."""
+    return build_picture(
+        plot_sampled_apr(found),
+        title="APR in sampled worlds",
+        caption="Worlds that were not used for the choice. Drawn at random: "
+        f"{what_is_uncertain(found)}.",
+        alt=f"Intervals. {' '.join(uncertainty_sentences(found))}",
+    )
+
+
+def sampled_section(found: SampledRecord, picture: Picture) -> Section:
     """The layouts in sampled worlds."""
-    return Section("sampled", "If the world is not as planned", [picture])
+    return Section("sampled", "If the world is not as planned", [picture, table(found)])
 
 
-# ---------- figures of layouts in sampled worlds: staircases, intervals of means and of differences
+# ---------- figures of layouts in sampled worlds: intervals of means and of differences
 
 
-_STRIP = 0.08  # height of a mark's row
-_STYLES = (  # distinct by their lines and marks where colours are not
-    (BLUE, "-", "o"),
-    (VERMILION, "--", "s"),
-    (GREEN, "-.", "^"),
-    (PINK, ":", "D"),
-)
-MAX_STAIRCASES = len(_STYLES)
-"""Of more layouts, intervals are drawn in place of staircases."""
 _ROW_IN, _PAIR_ROW_IN = 0.27, 0.4
 _MAX_NAME_LENGTH = 32
 _LEAST_SPAN_POINTS = 1.0
 
 
-def plot_sampled_apr(judged: Sequence[SampledApr]) -> Axes:
-    """APR of layouts in sampled worlds, at least one of them.
-
-    Up to ``MAX_STAIRCASES`` have a staircase each: in what share of the worlds the layout avoids at
-    most how much; line styles and marks tell them apart without colour, and below the staircases a
-    mark stands at each mean, with its 95 % confidence interval. Of more: :func:`plot_intervals`.
-    """
-    if not judged:
-        raise InputError("layouts", Unquoted("none"), "at least one")
-    if len(judged) > MAX_STAIRCASES:
-        return plot_intervals(judged)
-    axes = new_axes(WIDTH_IN, 3.2)
-    for row, (item, (colour, line, mark)) in enumerate(zip(judged, _STYLES, strict=False)):
-        estimate = item.estimate
-        axes.ecdf(item.apr_by_sample, color=colour, linestyle=line, linewidth=1.8)
-        axes.errorbar(
-            [estimate.mean],
-            [-_STRIP * (row + 1)],
-            xerr=[[estimate.mean - estimate.low], [estimate.high - estimate.mean]],
-            color=colour,
-            marker=mark,
-            markersize=6.0,
-            markerfacecolor="white",
-            linestyle=line,  # of the legend: one point draws no line
-            elinewidth=1.2,
-            capsize=3.0,
-            clip_on=False,
-            label=literal(f"{item.layout.name}: mean {percent(estimate.mean)}"),
-            zorder=3,
-        )
-    axes.axhline(0.0, color="#999999", linewidth=0.8)
-    axes.set_ylim(-_STRIP * (len(judged) + 1), 1.02)
-    axes.set_yticks(np.linspace(0.0, 1.0, 6))
-    axes.xaxis.set_major_formatter(lambda value, _: f"{100.0 * value:.4g} %")
-    axes.yaxis.set_major_formatter(lambda value, _: f"{100.0 * value:.0f} %")
-    finish_axes(
-        axes,
-        x="share of the accidents avoided (APR)",
-        y="share of the sampled worlds\nwith at most this APR",
-        size=9,
-        grid="both",
-    )
-    axes.legend(fontsize=8, loc="upper left")
-    return axes
-
-
-def plot_intervals(judged: Sequence[SampledApr]) -> Axes:
+def plot_sampled_apr(found: SampledRecord) -> Axes:
     """A row per layout: its mean, the interval of the mean, and its worst and best world.
 
     Dot: mean; whisker with caps: its 95 % confidence interval; thin line: from the worst to the
     best world.
     """
-    axes = new_axes(WIDTH_IN, 1.0 + _ROW_IN * len(judged))
-    for row, item in enumerate(judged):
-        estimate, worlds = item.estimate, item.apr_by_sample
+    layouts = found.layouts
+    axes = new_axes(WIDTH_IN, 1.0 + _ROW_IN * len(layouts))
+    for row, layout in enumerate(layouts):
+        worlds = np.array([or_nan(share) for share in layout.apr_by_sample])
         axes.hlines(
             row, 100.0 * worlds.min(), 100.0 * worlds.max(), color="#999999", linewidth=1.0,
             linestyle=(0, (1.0, 1.5)), zorder=2,
         )  # fmt: skip
-        _whisker(axes, row, estimate.mean, estimate.low, estimate.high)
+        _whisker(axes, row, layout)
         to_the_right: Style = {"away_pt": (4.0, 0.0), "xycoords": ("axes fraction", "data")}
-        write_beside(axes, percent(estimate.mean), (1.0, row), **to_the_right)
-    axes.set_yticks(range(len(judged)), [_name(item.layout.name) for item in judged], fontsize=8)
-    axes.set_ylim(len(judged) - 0.5, -0.5)
+        write_beside(axes, percent(layout.mean), (1.0, row), **to_the_right)
+    axes.set_yticks(range(len(layouts)), [_name(one.name) for one in layouts], fontsize=8)
+    axes.set_ylim(len(layouts) - 0.5, -0.5)
     words = (
         "share of the accidents avoided, APR (%)\nmean and its 95 % interval; dotted: "
         "from the worst to the best world"
@@ -479,10 +424,7 @@ def plot_differences(pairs: Sequence[SampledPairRecord]) -> Axes:
     """
     axes = new_axes(WIDTH_IN, 1.0 + _PAIR_ROW_IN * max(len(pairs), 1))
     for row, pair in enumerate(pairs):
-        _whisker(
-            axes, row, or_nan(pair.mean), or_nan(pair.low), or_nan(pair.high),
-            is_hollow=is_open(pair),
-        )  # fmt: skip
+        _whisker(axes, row, pair, is_hollow=is_open(pair))
     axes.axvline(0.0, color="black", linewidth=1.2, zorder=1)
     names = [f"{_name(pair.first)}\nminus {_name(pair.second)}" for pair in pairs]
     axes.set_yticks(range(len(pairs)), names, fontsize=8)
@@ -498,9 +440,8 @@ def plot_differences(pairs: Sequence[SampledPairRecord]) -> Axes:
     return axes
 
 
-def _whisker(
-    axes: Axes, row: int, mean: float, low: float, high: float, *, is_hollow: bool = False
-) -> None:
+def _whisker(axes: Axes, row: int, estimate: EstimateRecord, *, is_hollow: bool = False) -> None:
+    mean, low, high = (or_nan(share) for share in (estimate.mean, estimate.low, estimate.high))
     axes.errorbar(
         [100.0 * mean],
         [row],

@@ -1,11 +1,10 @@
-"""Sensitivity to assumptions ("what if"): in sentences, tables, figures, and as a section."""
+"""Sensitivity to assumptions ("what if"): in tables, a figure, and as a section."""
 
 from operator import attrgetter
 from typing import NamedTuple
 
 from matplotlib.axes import Axes
 
-from geometry.errors import InputError
 from placement.explain.sensitivity import Sensitivity, Varied, VariedAssumption, Worth
 
 from ..figures.axes import BLUE, VERMILION, WIDTH_IN, finish_axes, new_axes, write_beside
@@ -77,33 +76,20 @@ def phrase(name: str, value: float | None) -> str:
 # ---------- the figure, a tornado: how far each assumption moves a layout's worth, the most on top
 
 
-# By name: in words, and how many of the axis' units one of ours is.
-QUANTITIES = {
-    "apr": ("share of the runs avoided (APR)", 100.0),
-    "smallest_margin_s": ("smallest time to spare", 1.0),
-}
-_AXIS_LABELS = {
-    "apr": "share of the runs avoided, APR (%)",
-    "smallest_margin_s": "smallest time to spare in the runs that are avoided (s)",
-}
 _NOTHING_MOVES = 1.0e-9
-_LEAST_SPAN = {"apr": 2.0, "smallest_margin_s": 0.2}  # so that nothing tiny fills the figure
+_LEAST_SPAN = 2.0  # points of APR, so that nothing tiny fills the figure
 _ROOM = 0.22  # for the values next to the bars, of the span
 
 
-def plot_sensitivity(found: Sensitivity, *, quantity: str = "apr") -> Axes:
-    """A bar for each assumption, from the worst to the best that its values lead to.
+def plot_sensitivity(found: Sensitivity) -> Axes:
+    """A bar for each assumption, from the worst to the best APR that its values lead to.
 
     Worse than planned: to the left of the line, hatched; better: to the right, plain. The values
-    stand at the ends of the bars. What moves nothing has no bar. `quantity` is one of
-    ``QUANTITIES``.
+    stand at the ends of the bars. What moves nothing has no bar.
     """
-    if quantity not in QUANTITIES:
-        raise InputError("quantity", quantity, "one of " + ", ".join(QUANTITIES))
-    scale = QUANTITIES[quantity][1]
-    planned = scale * (getattr(found.planned, quantity) or 0.0)
+    planned = 100.0 * or_nan(found.planned.apr)
     rows = [one for one in found.assumptions if one.varied]
-    ends = {one.name: _ends(one, quantity, scale) for one in rows}
+    ends = {one.name: _ends(one) for one in rows}
     # The widest on top; where nothing is known, at the bottom.
     rows.sort(key=lambda one: _span(ends[one.name], planned))
     axes = new_axes(WIDTH_IN, 0.9 + 0.3 * max(len(rows), 1))
@@ -113,29 +99,31 @@ def plot_sensitivity(found: Sensitivity, *, quantity: str = "apr") -> Axes:
     axes.set_yticks(range(len(rows)), [WORDS[one.name].title for one in rows], fontsize=8)
     axes.set_ylim(-0.6, len(rows) - 0.4)
     reached = [planned, *(end[0] for pair in ends.values() for end in pair)]
-    span = max(max(reached) - min(reached), _LEAST_SPAN[quantity])
+    span = max(max(reached) - min(reached), _LEAST_SPAN)
     axes.set_xlim(min(reached) - _ROOM * span, max(reached) + _ROOM * span)
     axes.tick_params(axis="y", length=0)
-    words = _AXIS_LABELS[quantity] + "; line: as planned"
-    finish_axes(axes, x=words, grid="x", hidden=("top", "right", "left"))
+    finish_axes(
+        axes,
+        x="share of the runs avoided, APR (%); line: as planned",
+        grid="x",
+        hidden=("top", "right", "left"),
+    )
     return axes
 
 
-def _ends(one: VariedAssumption, quantity: str, scale: float) -> list[tuple[float, str]]:
-    """The worst and the best of an assumption's values, with what they are; none if unknown."""
-    found = []
-    for value in _worst_and_best(one, quantity):
-        star = "*" if quantity != "apr" and value.lost_runs else ""
-        reached = scale * getattr(value, quantity)
-        found.append((reached, value_text(one.name, value.value) + star))
-    return found
+def _ends(one: VariedAssumption) -> list[tuple[float, str]]:
+    """The worst and the best APR of an assumption's values, with what they are; none if unknown."""
+    return [
+        (100.0 * or_nan(value.apr), value_text(one.name, value.value))
+        for value in _worst_and_best(one)
+    ]
 
 
-def _worst_and_best(one: VariedAssumption, quantity: str) -> list[Varied]:
-    """The values that lead to the least and to the most; none where that is not known."""
-    of = attrgetter(quantity)
-    known = [value for value in one.varied if of(value) is not None]
-    return [min(known, key=of), max(known, key=of)] if known else []
+def _worst_and_best(one: VariedAssumption) -> list[Varied]:
+    """The values that lead to the least and to the highest APR; none where that is not known."""
+    known = [value for value in one.varied if value.apr is not None]
+    by_apr = attrgetter("apr")
+    return [min(known, key=by_apr), max(known, key=by_apr)] if known else []
 
 
 def _span(ends: list[tuple[float, str]], planned: float) -> float:
@@ -148,7 +136,7 @@ def _draw_row(
     axes: Axes, row: int, name: str, ends: list[tuple[float, str]], planned: float
 ) -> None:
     if not ends:
-        _note(axes, planned, row, "left to chance" if name == "packet_loss" else "nothing avoided")
+        _note(axes, planned, row, "nothing avoided")
         return
     (worst, worst_text), (best, best_text) = ends
     if best - planned <= _NOTHING_MOVES and planned - worst <= _NOTHING_MOVES:
@@ -177,69 +165,7 @@ def _note(axes: Axes, planned: float, row: int, text: str) -> None:
     write_beside(axes, text, (planned, row), away_pt=(5.0, 0.0), fontsize=7, color="#555555")
 
 
-# ---------- sentences, tables, and the section of the report
-
-
-_MAX_NAMED = 3
-_SAME = 1.0e-9
-
-
-def sensitivity_sentences(found: Sensitivity) -> list[str]:
-    """Sentences on the assumptions that the layout's worth depends on."""
-    planned = found.planned
-    varied = [one for one in found.assumptions if one.varied]
-    if not varied:
-        return ["No assumption was varied."]
-    worst = [(min(one.varied, key=lambda value: or_nan(value.apr)), one) for one in varied]
-    hits = sorted(
-        (pair for pair in worst if or_nan(pair[0].apr) < or_nan(planned.apr) - _SAME),
-        key=lambda pair: or_nan(pair[0].apr),
-    )
-    if not hits:
-        sentences = [
-            f"Of {_count(len(varied))} assumptions, varied one at a time, none lowers the APR "
-            f"below the {percent(planned.apr)} as planned."
-        ]
-    else:
-        named = "; ".join(
-            f"{phrase(one.name, value.value)} ({percent(value.apr)})"
-            for value, one in hits[:_MAX_NAMED]
-        )
-        lowers = "lowers" if len(hits) == 1 else "lower"
-        most = f", most of all {named}" if len(hits) > _MAX_NAMED else f": {named}"
-        sentences = [
-            f"Of {_count(len(varied))} assumptions, varied one at a time, {_count(len(hits))} "
-            f"{lowers} the APR of {percent(planned.apr)} as planned{most}."
-        ]
-    tightest = _tightest(found)
-    if tightest is not None:
-        value, one = tightest
-        sentences.append(
-            f"The smallest time to spare in the runs that are avoided, "
-            f"{number(planned.smallest_margin_s)} s as planned, shrinks most with "
-            f"{phrase(one.name, value.value)}: to {number(value.smallest_margin_s)} s."
-        )
-    stuck = sorted({unit for one in varied for value in one.varied for unit in value.unmoved})
-    if stuck:
-        sentences.append(
-            "Left where they are, since they would be inside something: " + ", ".join(stuck) + "."
-        )
-    return sentences
-
-
-def _tightest(found: Sensitivity) -> tuple[Varied, VariedAssumption] | None:
-    """The value, and its assumption, with the least time to spare; None if none has less."""
-    planned = found.planned.smallest_margin_s
-    pairs = [
-        (value, one)
-        for one in found.assumptions
-        for value in one.varied
-        if value.smallest_margin_s is not None
-    ]
-    if planned is None or not pairs:
-        return None
-    value, one = min(pairs, key=lambda pair: or_nan(pair[0].smallest_margin_s))
-    return (value, one) if or_nan(value.smallest_margin_s) < planned - _SAME else None
+# ---------- tables, and the section of the report
 
 
 def sensitivity_table(found: Sensitivity) -> Table:
@@ -294,19 +220,23 @@ def sensitivity_section(found: Sensitivity | None) -> Section | None:
     """What becomes of the layout if an assumption is wrong; None where nothing was varied."""
     if not found:
         return None
-    blocks: list[Block] = [" ".join(sensitivity_sentences(found))]
+    blocks: list[Block] = []
     if any(one.varied for one in found.assumptions):
-        blocks += [
+        blocks.append(
             build_picture(
-                plot_sensitivity(found, quantity=quantity),
-                title=f"What moves the {words}",
+                plot_sensitivity(found),
+                title="What moves the share of the runs avoided (APR)",
                 caption="Plain bars to the right of the line: better than planned; hatched "
-                "ones to the left: worse. The values are those at the ends."
-                + _margin_note(quantity),
-                alt=_alt(found, quantity, words),
+                "ones to the left: worse. The values are those at the ends.",
+                alt=_alt(found),
             )
-            for quantity, (words, _) in QUANTITIES.items()
-        ]
+        )
+    stuck = {unit for one in found.assumptions for value in one.varied for unit in value.unmoved}
+    if stuck:
+        blocks.append(
+            "Left where they are, since they would be inside something: "
+            f"{', '.join(sorted(stuck))}."
+        )
     blocks += [
         sensitivity_table(found),
         "On the detection table of these units, on which no message is lost. Mounting errors are "
@@ -337,33 +267,17 @@ def sensitivity_section(found: Sensitivity | None) -> Section | None:
     return Section("sensitivity", "What if an assumption is wrong?", blocks)
 
 
-def _margin_note(quantity: str) -> str:
-    if quantity != "smallest_margin_s":
-        return ""
-    return " A star: runs are lost there, which no longer count, so that the rest looks better."
-
-
-def _alt(found: Sensitivity, quantity: str, words: str) -> str:
-    def show(value: float | None) -> str:
-        return percent(value) if quantity == "apr" else f"{number(value)} s"
-
-    of = attrgetter(quantity)
-    planned = of(found.planned)
+def _alt(found: Sensitivity) -> str:
     parts = [
-        f"{_title(one)} {show(of(ends[0]))} to {show(of(ends[1]))}"
+        f"{_title(one)} {percent(ends[0].apr)} to {percent(ends[1].apr)}"
         for one in found.assumptions
-        if (ends := _worst_and_best(one, quantity))
+        if (ends := _worst_and_best(one))
     ]
-    shown = NOTHING if planned is None else show(planned)
-    return f"Bars of the {words}, {shown} as planned. " + "; ".join(parts) + "."
+    return f"Bars of the APR, {percent(found.planned.apr)} as planned. " + "; ".join(parts) + "."
 
 
 def _title(one: VariedAssumption) -> str:
     return WORDS[one.name].title
-
-
-def _count(n: int) -> str:
-    return "one" if n == 1 else str(n)
 
 
 def lost_runs_rows(found: Sensitivity) -> list[list[str]]:

@@ -96,13 +96,6 @@ Examples:
     is_flag=True,
     help="Other clothes, paints and facades in each run, by seed; for training.",
 )
-@option(
-    "--scheduler",
-    default="",
-    metavar="ADDRESS",
-    help="Draw on the workers of a dask scheduler, which must have this program and see the "
-    "folder; default: on this machine.",
-)
 @question_options(*PICTURED)
 @json_option
 @quiet_option
@@ -121,7 +114,6 @@ def dataset(
     depth: bool,
     vehicles: bool,
     vary: bool,
-    scheduler: str,
     question: Question,
     as_json: bool,
     quiet: bool,
@@ -148,7 +140,6 @@ def dataset(
             depth=depth,
             vehicles=vehicles,
             vary=vary,
-            scheduler=scheduler,
         ),
         out=out,
         compute=compute,

@@ -45,7 +45,7 @@ from scenarios.runs import Run
 from ..export.calibration import calibrations, camera_matrix
 from ..progress import StageProgress
 from ..results.record import Record
-from .drawing import DEPTHS, DRAW, MASKS, DrawTask, Viewer, draw_all, start_executors
+from .drawing import DEPTHS, DRAW, MASKS, DrawTask, Viewer, draw_all
 
 MANIFEST = "dataset.json"
 _SCHEMA = "place-rsus/dataset/1"
@@ -78,7 +78,6 @@ class DatasetWish:
     depth: bool = False
     vehicles: bool = False  # vehicles get labels, too, in frames with pictures
     vary: bool = False  # clothes, paints and facades are drawn at random for each run
-    scheduler: str = ""  # address of a dask scheduler; empty: processes on this machine
 
 
 class DatasetUnit(Record, frozen=True):
@@ -175,28 +174,27 @@ def run_dataset(
 
     The folder is new, empty, or of the same dataset; `tell` gets a sentence on how much will be
     drawn. Raises InputError if the layout has no such units, or LiDARs among them, the folder holds
-    something else, or the scheduler does not answer; OSError if the disk is full: what is drawn
+    something else; OSError if the disk is full: what is drawn
     stays.
     """
     lidar = None if wish.lidar == NO_LIDAR else pick_sensor(wish.lidar, "--lidar", kind="lidar")
     assert lidar is None or isinstance(lidar, LidarModel)
     viewers = _pick_viewers(layout, wish.units)
-    with start_executors(wish.scheduler, compute.workers) as new_executor:
-        progress("lay the runs", 0, 0)
-        setting = build_setting(question, compute=compute)
-        record = _build_record(setting, layout, viewers, wish, compute.seed)
-        if not _is_begun(out, record):
-            _write_texts(out, setting, viewers, record, compute, progress)
-        progress.kept = f"the dataset in {out} is not complete; the same command goes on with it"
-        tasks = list(_tasks(out, setting, viewers, record, lidar))
-        n_each = sum(len(drive.pictured(record.every)) for drive in record.drives)
-        n_pictures = n_each * len(viewers)
-        n_missing = sum(len(task.frames) for task in tasks)
-        tell(_size_sentence(n_pictures, n_missing, out, tasks, lidar))
-        n_bytes = draw_all(tasks, new_executor, progress)
-        _remove_left(out)
-        if record.vehicles and record.format == "coco":
-            _add_vehicles(out)
+    progress("lay the runs", 0, 0)
+    setting = build_setting(question, compute=compute)
+    record = _build_record(setting, layout, viewers, wish, compute.seed)
+    if not _is_begun(out, record):
+        _write_texts(out, setting, viewers, record, compute, progress)
+    progress.kept = f"the dataset in {out} is not complete; the same command goes on with it"
+    tasks = list(_tasks(out, setting, viewers, record, lidar))
+    n_each = sum(len(drive.pictured(record.every)) for drive in record.drives)
+    n_pictures = n_each * len(viewers)
+    n_missing = sum(len(task.frames) for task in tasks)
+    tell(_size_sentence(n_pictures, n_missing, out, tasks, lidar))
+    n_bytes = draw_all(tasks, compute.workers, progress)
+    _remove_left(out)
+    if record.vehicles and record.format == "coco":
+        _add_vehicles(out)
     progress.kept = f"the dataset is in {out}"
     seconds = progress.finish()
     return DatasetSummary(

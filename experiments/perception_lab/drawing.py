@@ -1,4 +1,4 @@
-"""Pictures and point clouds of many frames, drawn by processes here or by a dask cluster.
+"""Pictures and point clouds of many frames, drawn by processes.
 
 Each file is written whole or not at all, and what is there already is not drawn again.
 """
@@ -7,9 +7,8 @@ import multiprocessing
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -33,7 +32,6 @@ from placement.imaging.materials import Materials, load_materials, vary_material
 from placement.imaging.mesh import build_frame_mesh, scan_mesh
 from scenarios.runs import Run
 
-from ..jobs.schedulers import connect_to_scheduler, program, run_alike
 from ..progress import StageProgress, follow_parent
 from .render import cloud_bytes, depth_image, instance_image
 
@@ -223,50 +221,8 @@ def _png(pixels: NDArray[Any]) -> Callable[[BinaryIO], object]:
 # ---------- workers
 
 
-NewExecutor = Callable[[], Executor]
-
-
-@contextmanager
-def start_executors(scheduler: str, workers: int) -> Iterator[NewExecutor | None]:
-    """A function that makes executors; None: all is drawn in this process."""
-    if scheduler:
-        try:
-            connected = connect_to_scheduler(scheduler)
-        except ImportError:
-            raise InputError(
-                "--scheduler", scheduler, "dask installed: pip install 'place-rsus[cluster]'"
-            ) from None
-        with connected as client:
-            yield lambda: _AlikeExecutor(client.get_executor(retries=_TRIES - 1, pure=False))
-    elif workers == 1:
-        yield None
-    else:
-        yield lambda: ProcessPoolExecutor(
-            workers,
-            mp_context=multiprocessing.get_context("spawn"),
-            initializer=follow_parent,
-        )
-
-
-class _AlikeExecutor(Executor):
-    """Runs tasks on workers that have the same program."""
-
-    def __init__(self, executor: Executor) -> None:
-        self._executor = executor
-
-    def submit(self, function: Callable[..., Any], /, *args: Any, **options: Any) -> Future[Any]:
-        """Hand a task over."""
-        return self._executor.submit(run_alike, program(), function, *args, **options)
-
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Give up what is left."""
-        self._executor.shutdown(wait)
-
-
-def draw_all(
-    tasks: Sequence[DrawTask], new_executor: NewExecutor | None, progress: StageProgress
-) -> int:
-    """Draw all tasks; those of workers that die are drawn again, by others. Bytes written."""
+def draw_all(tasks: Sequence[DrawTask], n_workers: int, progress: StageProgress) -> int:
+    """Draw all tasks by processes; those of ones that die are drawn again. Bytes written."""
     n_all, n_drawn, n_bytes = sum(len(task.frames) for task in tasks), 0, 0
     progress(DRAW, 0, n_all)
 
@@ -276,13 +232,17 @@ def draw_all(
         n_bytes += size
         progress(DRAW, n_drawn, n_all)
 
-    if new_executor is None:
+    if n_workers == 1:
         for task in tasks:
             note(task, draw_task(task))
         return n_bytes
     left = dict(enumerate(tasks))
     for attempt in range(1, _TRIES + 1):
-        executor = new_executor()
+        executor = ProcessPoolExecutor(
+            n_workers,
+            mp_context=multiprocessing.get_context("spawn"),
+            initializer=follow_parent,
+        )
         pending: dict[Future[int], int] = {}
         try:
             pending = {executor.submit(draw_task, task): key for key, task in left.items()}

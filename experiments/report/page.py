@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from geometry.errors import InputError, Unquoted
 from geometry.files import write_atomically
@@ -84,16 +82,14 @@ def build_report(
     evaluations: Mapping[str, Evaluation],
     *,
     command: str,
-    sampled_figure: Axes | Figure | None = None,
     bill: BillOfMaterials | None = None,
     side: SideProcess | None = None,
 ) -> tuple[str, dict[str, Picture]]:
     """A result as one HTML page that loads nothing, and its pictures worth a file, by name.
 
     Evaluations are by display name: the first one is the subject, one named "greedy" appears in
-    tables and bars only. `command` makes the result again; `sampled_figure` is that of the APR in
-    sampled worlds; `bill` knows more of the costs than the scene. Raises InputError if there is
-    no evaluation.
+    tables and bars only. `command` makes the result again; `bill` knows more of the costs than the
+    scene. Raises InputError if there is no evaluation.
     """
     side = side or SideProcess()
     tasks = begin_tasks(side, result, setting, evaluations)
@@ -106,8 +102,8 @@ def build_report(
     pictures = {"plan": plans[0], "apr_by_case": of_apr}
     for run_id, picture in zip(tasks.run_ids, heatmaps[subject_name], strict=True):
         pictures[f"heatmap_{run_id.replace('/', '_')}"] = picture
-    if not isinstance(result, EvaluationResult) and result.sampled and sampled_figure is not None:
-        pictures["sampled_apr"] = sampled_picture(result.sampled, sampled_figure)
+    if not isinstance(result, EvaluationResult) and result.sampled:
+        pictures["sampled_apr"] = sampled_picture(result.sampled)
     page = page_template().render(
         title=answer.title(result, setting, shown),
         answer=answer.words(result, shown),
@@ -136,7 +132,7 @@ def _sections(
     pictures = tasks.heatmaps.result()
     of_proof: list[Section | None] = []
     of_grid: list[Section | None] = []
-    side_by_side = None
+    side_by_side = in_worlds = None
     if isinstance(result, PlacementResult):
         of_proof = [
             proof.section(result),
@@ -146,12 +142,13 @@ def _sections(
         ]
         of_grid = [proof.agreement_section(result)]
     if not isinstance(result, EvaluationResult):
+        if result.sampled and sampled:
+            in_worlds = sampled_section(result.sampled, sampled)
         side_by_side = comparison.section(
             evaluations,
             setting.rule,
             result.baselines,
             result.sampled,
-            apr_found=result.apr if of_proof else None,
         )
     return [
         units_section(layouts, tasks.plans.result(), setting.scene),
@@ -164,7 +161,7 @@ def _sections(
         study_cases.section(result.study_cases),
         tasks.margins.result(),
         failures_section(subject, setting.rule, labels),
-        None if sampled is None else sampled_section(sampled),
+        in_worlds,
         tasks.what_if.result(),
         alone_section(detailed),
         tasks.coverage.result(),

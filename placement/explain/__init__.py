@@ -2,10 +2,9 @@
 
 ``contributions`` takes one or two units away, or adds one, ``other_sensors`` exchanges them;
 ``unavoided`` says why runs are not avoided, ``agreement`` where detection table and evaluator
-differ, ``sensitivity`` what wrong assumptions and errors of mounting do. ``pool`` lists other sets
-that are as good, ``alternatives`` those that other priorities would choose, of which it picks one
-by the evaluator. ``conflicts`` finds the smallest set of demands that no layout meets, with the
-search of ``feasible_sets``.
+differ, ``sensitivity`` what wrong assumptions and errors of mounting do. ``alternatives`` are
+layouts that other priorities would choose, of which it picks one by the evaluator. ``conflicts``
+finds the smallest set of demands that no layout meets, with the search of ``feasible_sets``.
 """
 
 from .conflicts import (
@@ -20,7 +19,6 @@ from .conflicts import (
 )
 from .contributions import Contribution, NextUnit, find_contributions, find_next_unit
 from .other_sensors import OtherSensor, OtherSensors, find_other_sensors
-from .pool import Pool, PooledSet, find_pool
 from .unavoided import Reason, Rescue, Unavoided, find_unavoided
 
 __all__ = [
@@ -30,8 +28,6 @@ __all__ = [
     "NextUnit",
     "OtherSensor",
     "OtherSensors",
-    "Pool",
-    "PooledSet",
     "Reason",
     "Relaxation",
     "Rescue",
@@ -42,7 +38,6 @@ __all__ = [
     "find_contributions",
     "find_next_unit",
     "find_other_sensors",
-    "find_pool",
     "find_refusal",
     "find_unavoided",
     "relax",

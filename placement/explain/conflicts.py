@@ -1,10 +1,8 @@
 """Conflicts: demands that contradict each other, and the least by which one must give way.
 
-A problem is taken apart into demands, of which any part makes a problem again. The smallest
-conflict is found by implicit hitting sets: demands that cannot all be met have to hit the
-complement of every set that can. The smallest set that hits all complements known so far is asked
-for; either nothing meets it, and no smaller conflict exists, or what meets it shows another
-complement.
+A problem is taken apart into demands, of which any part makes a problem again. Parts are asked
+for in order of size, but for those that a set of poses found before meets, too: the first part that
+nothing meets is a smallest conflict.
 """
 
 from collections.abc import Callable, Sequence, Set
@@ -474,15 +472,18 @@ def _smallest_conflict(
     wish: Wish, demands: frozenset[int], ask: Callable[[frozenset[int]], Answer]
 ) -> frozenset[int]:
     """A smallest conflict among demands that cannot all be met; any, where time is short."""
-    complements: list[frozenset[int]] = []
-    while True:
-        tried = _smallest_hitting_set(complements, demands)
-        answer = ask(tried)
-        if _is_refused(answer):
-            return tried
-        if answer.pose_index is None:  # time is up
-            return _thinned(demands, ask)
-        complements.append(demands - wish.met_by(answer.pose_index, tried))
+    met = list[frozenset[int]]()  # demands that some set of poses meets together
+    for size in range(len(demands) + 1):
+        for tried in map(frozenset, combinations(sorted(demands), size)):
+            if any(tried <= known for known in met):
+                continue
+            answer = ask(tried)
+            if _is_refused(answer):
+                return tried
+            if answer.pose_index is None:  # time is up
+                return _thinned(demands, ask)
+            met.append(wish.met_by(answer.pose_index, tried))
+    raise ValueError("the demands can be met")
 
 
 def _thinned(demands: frozenset[int], ask: Callable[[frozenset[int]], Answer]) -> frozenset[int]:
@@ -491,22 +492,6 @@ def _thinned(demands: frozenset[int], ask: Callable[[frozenset[int]], Answer]) -
         if _is_refused(ask(demands - {demand})):
             demands -= {demand}
     return demands
-
-
-def _smallest_hitting_set(sets: Sequence[Set[int]], universe: Set[int]) -> frozenset[int]:
-    """Fewest members that every set has one of, the earliest ones first.
-
-    Examples
-    --------
-    >>> sorted(_smallest_hitting_set([{0, 1}, {1, 2}, {3}], {0, 1, 2, 3}))
-    [1, 3]
-    """
-    members = sorted(set().union(*sets) & universe)
-    for size in range(len(members) + 1):
-        for chosen in combinations(members, size):
-            if all(not of_set.isdisjoint(chosen) for of_set in sets):
-                return frozenset(chosen)
-    raise ValueError("a set has no member in the universe")
 
 
 def _relaxations(

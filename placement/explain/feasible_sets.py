@@ -1,25 +1,20 @@
 """Search for sets of poses that meet a wish, and for the least by which a number must give way."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.arrays import BoolArray, IntArray
 from geometry.clock import now_s
 from geometry.errors import InputError
 
 from ..optimiser import Limits, PlacementProblem, ReducedProblem, cost_eur, is_allowed, presolve
 from ..optimiser.bitsets import (
-    SetValues,
-    avoided_with_each,
-    build_values,
-    costs_with_each_eur,
-    least_left_with_each,
     left_after_failures,
     set_values,
     union_margins_s,
+    values_with_each,
 )
 from ..optimiser.greedy import forced_units, improve, to_full
 from ..optimiser.limits import fitting
@@ -29,96 +24,6 @@ from ..optimiser.solve import check_limits
 from ..optimiser.stages import Search
 from ..optimiser.steering import COST_TOLERANCE_EUR, TOLERANCE, Deadline
 from ..optimiser.walk import best_of_few
-
-_MAX_REMEMBERED = 4_000_000  # numbers: 32 MB
-_BLOCK_RUNS = 32
-
-
-class QuickRows:
-    """Quick values of a set of poses together with each pose in turn."""
-
-    def __init__(self, reduced: ReducedProblem) -> None:
-        self.reduced = reduced
-        self.measures: list[Measure] = [
-            reduced.measure,
-            *(floor.measure for floor in reduced.floors),
-        ]
-        self._ratios: dict[tuple[int, ...], dict[int, FloatArray]] = {}
-
-    def with_each(self, units: IntArray) -> SetValues:
-        """Quick values of a set together with each pose, up to the APR if a unit fails."""
-        reduced = self.reduced
-        n_poses = reduced.n_poses
-        values: dict[Objective, Callable[[], FloatArray]] = {
-            Objective.UNITS: lambda: np.full(n_poses, len(units) + 1.0),
-            Objective.APR_SURVIVED: lambda: self._left(reduced.measure, reduced.survive, units),
-            Objective.APR: lambda: self._ratio(reduced.measure, units),
-            Objective.APR_ONE_FAILED: lambda: self._left(reduced.measure, 1, units),
-        }
-        if reduced.objectives[0] is Objective.COST:  # else it comes after the margins
-            values[Objective.COST] = lambda: costs_with_each_eur(reduced, units)
-        return build_values(
-            reduced, lambda measure, n_failures: self._left(measure, n_failures, units), values
-        )
-
-    def _left(self, measure: Measure, n_failures: int, units: IntArray) -> FloatArray:
-        """Ratio that each set still reaches when its most needed units fail, (n_poses,)."""
-
-        def alone(left: IntArray) -> float:
-            if not len(left):
-                base_s = union_margins_s(self.reduced, self.reduced.base[None, :])
-                return float(measure.of(base_s > -np.inf)[0])
-            return float(self._ratio(measure, left[:-1])[left[-1]])
-
-        return least_left_with_each(
-            self.reduced.limits,
-            units,
-            n_failures,
-            poses=np.arange(self.reduced.n_poses),
-            with_each=lambda left: self._ratio(measure, left),
-            alone=alone,
-        )
-
-    def _ratio(self, measure: Measure, units: IntArray) -> FloatArray:
-        """Ratio of avoided runs of a set together with each pose, (n_poses,)."""
-        key = tuple(units.tolist())
-        if key not in self._ratios:
-            if len(self._ratios) * self.reduced.n_poses > _MAX_REMEMBERED:
-                self._ratios.clear()
-            is_avoided = avoided_with_each(self.reduced, units)
-            self._ratios[key] = {id(each): _ratios(each, is_avoided) for each in self.measures}
-        return self._ratios[key][id(measure)]
-
-
-def _ratios(measure: Measure, is_avoided: BoolArray) -> FloatArray:
-    """Value of a measure by avoided runs, (n_sets, n_runs) -> (n_sets,)."""
-    if not measure.is_mean:
-        return measure.of(is_avoided)
-    total = np.zeros(len(is_avoided))
-    # A few runs at a time stay in the cache: ten times as fast as the product as a whole.
-    for start in range(0, len(measure.weight), _BLOCK_RUNS):
-        block = slice(start, start + _BLOCK_RUNS)
-        total += measure.weight[block] @ is_avoided.T[block].astype(np.float64)
-    return total
-
-
-def is_within(value: float | FloatArray, threshold: float) -> BoolArray:
-    """Mask of values that reach a threshold, rounding noise aside."""
-    return np.asarray(value) >= threshold - TOLERANCE * max(1.0, abs(threshold))
-
-
-def exceeds_clearly(value: float, other: float) -> bool:
-    """True if a value is higher than another one by more than any rounding noise."""
-    return value > other + 1.0e-6 * max(1.0, abs(other))
-
-
-def site_counts(reduced: ReducedProblem, sets: IntArray) -> IntArray:
-    """Number of sets with a unit at each site, (n_sets, n_units) -> (n_sites,)."""
-    sites = np.sort(reduced.limits.site_index[sets], axis=1)
-    is_first = np.ones(sites.shape, dtype=bool)
-    is_first[:, 1:] = sites[:, 1:] != sites[:, :-1]
-    return np.bincount(sites[is_first], minlength=reduced.limits.n_sites)
-
 
 # ---------- greedy choice
 
@@ -132,7 +37,6 @@ def choose_greedily(reduced: ReducedProblem) -> IntArray:
     These are no more poses than are needed, or all that greedy choice has found room for; what
     comes after the floors does not matter. They may lack something, see :func:`meets`.
     """
-    quick = QuickRows(reduced)
     units = forced_units(reduced)
     most = min(reduced.limits.max_units, len(units) + _MAX_ADDED)
     while len(units) < most and not meets(reduced, units):
@@ -142,7 +46,7 @@ def choose_greedily(reduced: ReducedProblem) -> IntArray:
         free = np.flatnonzero(fits)
         if not len(free):
             break
-        units = np.append(units, free[quick.with_each(units)[free].descending()[0]])
+        units = np.append(units, free[values_with_each(reduced, units)[free].descending()[0]])
     return units
 
 

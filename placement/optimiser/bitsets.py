@@ -69,22 +69,10 @@ class SetValues:
         order: IntArray = np.lexsort(-self.gains.round(DECIMALS).T[::-1])
         return order
 
-    def ties_or_beats(self, other: "SetValues") -> BoolArray:
-        """Which sets are at least as good as a single other one."""
-        difference = self.gains.round(DECIMALS) - other.gains.round(DECIMALS)
-        first = (difference != 0.0).argmax(axis=1)
-        reaches: BoolArray = difference[np.arange(len(difference)), first] >= 0.0
-        return reaches
-
 
 @lru_cache(maxsize=32)
 def _tolerances(objectives: tuple[Objective, ...]) -> FloatArray:
     return np.array([TOLERANCE, *(objective.tolerance for objective in objectives)])
-
-
-def concatenate_values(parts: list[SetValues]) -> SetValues:
-    """Values of all sets of some groups, at least one group."""
-    return SetValues(parts[0].objectives, np.concatenate([part.gains for part in parts]))
 
 
 def no_values(reduced: ReducedProblem, gain: float = -np.inf) -> SetValues:

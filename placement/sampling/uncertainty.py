@@ -309,13 +309,11 @@ def load_drawn(question: Question, scene: Scene, *, n_samples: int) -> Uncertain
     given and no world is sampled; MissingExtraError where SUMO is asked for and not installed.
     """
     uncertainty = load_uncertainty(question.uncertainty, where="uncertainty")
-    if question.traffic_offset and not question.traffic:
-        raise InputError("traffic_offset", question.traffic_offset, "`traffic` FILE beside it")
     if not question.traffic:
         return uncertainty
     if n_samples == 0:
         raise InputError("traffic", question.traffic, "`samples` N beside it: worlds to drive in")
-    moving = load_traffic(question.traffic, scene, offset=question.traffic_offset)
+    moving = load_traffic(question.traffic, scene)
     return with_moving_traffic(uncertainty, moving)
 
 

@@ -22,7 +22,6 @@ EXCEPTIONS = {
     "geometry/scene_files.py": {"ZipFile", "open"},
     "geometry/maps/point_clouds.py": {"open"},  # laspy
     "placement/verification/instances.py": {"ZipFile", "open"},
-    "placement/covering.py": {"load", "savez_compressed"},
     "placement/sampling/moving/sumo.py": {"load"},
     "geometry/untrusted_files.py": {"ZipFile", "ParquetFile", "open"},
     "experiments/parts/reading.py": {"read_csv"},

@@ -23,7 +23,7 @@ _FILE = "demand.toml"
 _MOST_PER_LANE = 2_400.0
 _MOST_PER_ARM = 10 * _MOST_PER_LANE
 _SUM_TOLERANCE = 1.0e-6
-_KIND_KEYS = ("sumo_class", "share", "words")
+_KIND_KEYS = ("sumo_class", "share")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -33,7 +33,6 @@ class DrivingKind:
     actor: Actor  # its body
     sumo_class: str  # one of `SUMO_CLASSES`
     share: float  # of all vehicles, 0 .. 1
-    words: tuple[str, ...] = ()  # in names of types of a file of FCD that are of this kind
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -88,7 +87,6 @@ class _DemandFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 class _Kind(Struct, frozen=True, kw_only=True):
     sumo_class: Text
     share: _Share
-    words: tuple[Text, ...] = ()
 
 
 def load_demand(path: Path | None = None) -> Demand:
@@ -152,19 +150,7 @@ def _read_kind(entry: Table, where: str) -> DrivingKind:
         actor=read_body({k: v for k, v in entry.items() if k not in _KIND_KEYS}, where),
         sumo_class=kind.sumo_class,
         share=kind.share,
-        words=tuple(word.lower() for word in kind.words),
     )
-
-
-def kind_of(demand: Demand, type_name: str) -> DrivingKind | None:
-    """The kind of vehicle that a type of SUMO's is, by its name; None where no word fits."""
-    lower = type_name.lower()
-    fitting = [
-        kind
-        for kind in demand.vehicles
-        if lower == kind.actor.name or any(word in lower for word in kind.words)
-    ]
-    return fitting[-1] if fitting else None
 
 
 # ---------- SUMO's routes

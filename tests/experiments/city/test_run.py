@@ -24,11 +24,10 @@ from experiments.city import run as job
 from experiments.city import workers as city_workers
 from experiments.city.answer import fronts_table, load_front
 from experiments.city.inputs import CitySearch, CityWish
-from experiments.jobs import schedulers
 from experiments.progress import WRITING, StageProgress
 from experiments.results.folders import changed_files
 from experiments.results.numbers import percent
-from geometry.errors import InputError, MissingExtraError
+from geometry.errors import InputError
 from placement.city.fronts import Options
 from placement.layout import load_layout
 from placement.question import Question, load_question_values
@@ -410,127 +409,6 @@ def test_maps_that_overlap_or_have_no_junction_are_refused(tiny, never, tmp_path
 
 
 # ---------- workers
-
-
-def test_dask_that_is_missing_is_one_line(tiny, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    workers = job.CityWorkers(scheduler="tcp://127.0.0.1:9")
-    with pytest.raises(MissingExtraError, match=r"pip install 'place-rsus\[cluster\]'"):
-        run(tiny / "tiny.osm", tmp_path / "city", workers=workers)
-
-
-class OtherProgram:
-    """A client of a cluster whose workers have another program."""
-
-    def wait_for_workers(self, n, timeout):
-        pass
-
-    def run(self, function):
-        return {"tcp://worker": "place-rsus 0.0.9 (0123)"}
-
-
-def test_workers_with_another_program_are_refused(monkeypatch):
-    said = r"--scheduler: got tcp://x: tcp://worker with place-rsus 0\.0\.9 \(0123\); expected"
-    with pytest.raises(InputError, match=said):
-        schedulers._check_workers(OtherProgram(), "tcp://x")
-    assert schedulers.run_alike(schedulers.program(), abs, -1) == 1
-    with pytest.raises(InputError, match="joined later with place-rsus 0\\.0\\.9"):
-        schedulers.run_alike("place-rsus 0.0.9 (0123)", abs, -1)
-
-
-def test_the_program_is_told_by_version_and_by_code_and_data(monkeypatch):
-    said = schedulers.program()
-    assert said.startswith("place-rsus ")
-    monkeypatch.setattr(
-        schedulers, "hash_of_files", lambda name: b"other" if name == "scenarios" else b"same"
-    )
-    assert schedulers.program.__wrapped__() != said
-
-
-def test_a_scheduler_that_is_not_there_is_one_line(tiny, tmp_path, monkeypatch):
-    monkeypatch.setattr(schedulers, "ANSWER_S", 0.3)
-    with pytest.raises(InputError, match=r"--scheduler: got tcp://127.0.0.1:9: .*; expected the"):
-        run(
-            tiny / "tiny.osm",
-            tmp_path / "city",
-            workers=job.CityWorkers(scheduler="tcp://127.0.0.1:9"),
-        )
-
-
-@pytest.mark.filterwarnings("ignore")  # those of dask
-def test_a_cluster_by_its_address_gives_the_same_fronts(tiny, tmp_path, no_pages):
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp"
-    ) as cluster:
-        check_fronts_of(cluster.scheduler_address, tiny, tmp_path)
-
-
-@pytest.mark.long
-@pytest.mark.filterwarnings("ignore")  # those of dask
-def test_a_cluster_of_processes_gives_the_same_fronts(tiny, tmp_path, no_pages):
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    address_file = tmp_path / "scheduler.json"
-    started = [
-        subprocess.Popen(
-            [sys.executable, "-m", f"distributed.cli.dask_{role}", *arguments],
-            env=environment,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-        for role, arguments in (
-            (
-                "scheduler",
-                (
-                    "--scheduler-file",
-                    address_file,
-                    "--port",
-                    "0",
-                    "--no-dashboard",
-                    "--host",
-                    "127.0.0.1",
-                ),
-            ),
-            *(
-                [
-                    (
-                        "worker",
-                        (
-                            "--scheduler-file",
-                            address_file,
-                            "--nthreads",
-                            "1",
-                            "--no-dashboard",
-                            "--local-directory",
-                            tmp_path,
-                        ),
-                    )
-                ]
-                * 2
-            ),
-        )
-    ]
-    try:
-        deadline = threading.Event()
-        for _ in range(600):
-            if address_file.exists() and address_file.stat().st_size:
-                break
-            deadline.wait(0.1)
-        address = json.loads(address_file.read_text())["address"]
-        check_fronts_of(address, tiny, tmp_path)
-    finally:
-        for process in started:
-            process.terminate()
-        for process in started:
-            process.wait()
-
-
-def check_fronts_of(address, tiny, tmp_path):
-    result = run(tiny / "tiny.osm", tmp_path / "city", workers=job.CityWorkers(scheduler=address))
-    assert result.computed == 3
-    for mine, theirs in zip(fronts_of(tiny / "city"), fronts_of(tmp_path / "city"), strict=True):
-        assert mine.key == theirs.key
-        assert (mine.front, mine.layouts) == (theirs.front, theirs.layouts)
 
 
 def tasks_of(path):

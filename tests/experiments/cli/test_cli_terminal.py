@@ -69,7 +69,7 @@ def test_help_of_a_command_is_that_of_its_option(run):
 @pytest.mark.parametrize(
     ("names", "expected"),
     [
-        (("scen",), "one of city, compare, completion"),
+        (("scen",), "one of certify, city, compare"),
         (("scene", "imp"), "one of check, import, show"),
         (("sheet", "more"), "nothing behind sheet"),
     ],

@@ -2,46 +2,69 @@
 
 import importlib.util
 import json
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from experiments.jobs import placement
+from geometry.actors import load_actors
+from placement.sampling.moving import source
+from placement.sampling.moving.sumo import SimulatedWindows
+from placement.sampling.moving.trajectories import Trajectories
 
-HEAD = "timestep_time,vehicle_id,vehicle_x,vehicle_y,vehicle_angle,vehicle_type\n"
-MIDDLE_M = (-126.76, 1.89)  # of the study's junction
+MIDDLE_M = np.array([-126.76, 1.89])  # of the study's junction
 
 
 @pytest.fixture
-def vans(tmp_path):
-    """A minute of vans, one every 4 s, that drive west at 10 m/s beside the middle."""
-    path = tmp_path / "vans.csv"
-    rows = [
-        f"{0.5 * k:.1f},van{n},{MIDDLE_M[0] + 95 - 5 * (k - 8 * n)},{MIDDLE_M[1] + 6.5},270,van\n"
-        for k in range(121)
-        for n in range(15)
-        if 0 <= k - 8 * n <= 38
-    ]
-    path.write_text(HEAD + "".join(rows))
-    return path
+def vans(monkeypatch):
+    """In place of SUMO: two minutes of vans, one every 4 s, west at 10 m/s beside the middle."""
+    van, n_vans, step_s = load_actors()["parked-van"], 30, 0.1
+    along_m = np.arange(95.0, -96.0, -10.0 * step_s)
+    starts_s = 4.0 * np.arange(n_vans)
+    driven = Trajectories(
+        bodies=(van,) * n_vans,
+        row_start=len(along_m) * np.arange(n_vans + 1),
+        time_s=(starts_s[:, None] + step_s * np.arange(len(along_m))).ravel(),
+        position_m=np.tile(MIDDLE_M + np.column_stack([along_m, 0.0 * along_m + 6.5]), (n_vans, 1)),
+        yaw_deg=np.full(n_vans * len(along_m), 180.0),
+        step_s=step_s,
+        first_s=0.0,
+        last_s=float(starts_s[-1] + step_s * len(along_m)),
+    )
+
+    def simulate(network, demand, groups, *, reach_m, step_s, rng):
+        impact_s = rng.integers(200, 1000, size=len(groups)) * 0.1
+        return SimulatedWindows(
+            trajectories=driven,
+            impact_s=dict(zip(groups, impact_s.tolist(), strict=True)),
+            n_departed=n_vans,
+            n_waiting=0,
+        )
+
+    monkeypatch.setattr(source, "simulate_windows", simulate)
+    monkeypatch.setattr(source, "build_network", lambda scene, **options: None)
+    real = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name: name if name == "libsumo" else real(name)
+    )
 
 
-def test_a_file_of_traffic_drives_by_in_sampled_worlds(
-    run, small_study, monkeypatch, vans, request
-):
+@pytest.mark.usefixtures("vans")
+def test_traffic_drives_by_in_sampled_worlds(run, small_study, monkeypatch, request):
     monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 2)
-    asked = ("--budget", 1, "--samples", 1, "--traffic", vans, "--quiet")
+    asked = ("--budget", 1, "--samples", 1, "--traffic", "sumo", "--quiet", "--workers", 1)
     code, out, _ = run(*asked, "--json", "--out", "with")
     assert code == 0
     summary = json.loads(out)
     moving = summary["sampled"]["moving"]
-    assert summary["sampled"]["traffic_source"] == "vans.csv"
+    assert summary["sampled"]["traffic_source"] == "SUMO, demand default"
     assert moving["n_runs"] == 2 * summary["runs"]
     assert 0 <= moving["n_left_out"] < moving["n_vehicles"]
-    with open("with/report.html", encoding="utf-8") as file:  # noqa: PTH123
-        page = file.read()
+    page = Path("with/report.html").read_text(encoding="utf-8")
     said = f"{moving['n_left_out']} of {moving['n_vehicles']}"
     assert page.count(said) >= 2  # in the answer and among the assumptions
-    assert "vehicles that drive by (vans.csv)" in page
+    assert "vehicles that drive by (SUMO, demand default)" in page
     request.getfixturevalue("without_figures")
     code, out, _ = run(*asked, "--json", "--out", "again")
     assert json.loads(out)["sampled"] == summary["sampled"]
@@ -52,21 +75,12 @@ def test_a_file_of_traffic_drives_by_in_sampled_worlds(
     [
         (("--traffic", "sumo"), "--traffic: got it without --samples; expected both"),
         (
-            ("--traffic-offset", "1,2"),
-            "--traffic-offset: got it without --traffic; expected both",
-        ),
-        (
             ("--traffic", "cars.avi", "--samples", 1),
-            "got 'cars.avi'; expected sumo, a .toml file",
-        ),
-        (
-            ("--traffic", "VANS", "--traffic-offset", "-900,0", "--samples", 1),
-            "vans.csv: got no vehicle within 100 m of the junction, the nearest 8",
+            "got 'cars.avi'; expected sumo, or a .toml file",
         ),
     ],
 )
-def test_what_cannot_be_asked_is_one_clear_line(run, small_study, vans, options, message):
-    options = [vans if option == "VANS" else option for option in options]
+def test_what_cannot_be_asked_is_one_clear_line(run, small_study, options, message):
     code, out, err = run("--budget", 1, *options, "--quiet")
     assert (code, out) == (2, "")
     assert message in err

@@ -74,7 +74,7 @@ def test_the_table_is_printed(run, problem, tmp_path):
     save_problem(tmp_path / "one.npz", problem)
     code, out, _ = run("solve", tmp_path / "one.npz", "--quiet")
     assert code == 0
-    assert "apr" in out
+    assert "APR" in out
     assert "proven" in out
     assert "east" in out
 

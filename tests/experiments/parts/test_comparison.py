@@ -12,7 +12,6 @@ from experiments.parts.comparison import (
     find_differences,
     section,
     side_by_side_table,
-    significance_sentences,
     significance_table,
 )
 from experiments.parts.sampled_worlds import build_sampled_record
@@ -148,16 +147,10 @@ def test_the_better_one_comes_first_in_the_table(sampled):
     assert row[6] == f"{low:.1f} to {high:.1f}".replace("-", "\N{MINUS SIGN}")
 
 
-def test_what_is_sure_is_said_in_words(evaluations):
+def test_what_is_sure_is_said(evaluations):
     sampled = sampled_of(
         evaluations, [0.5, 0.6, 0.5, 0.4], [0.9, 0.9, 0.8, 0.8], [0.5, 0.5, 0.5, 0.5]
     )
-    sentences = significance_sentences(sampled)
-    assert sentences[0].startswith(
-        "<b> prevents more accidents than a $1_ in 100.0 % of the worlds, 35.0 points on average"
-    )
-    assert any("Between a $1_ and c there is no sure difference" in one for one in sentences)
-    assert any(one.startswith("Paired on the same worlds") for one in sentences)
     rows = {(row[0], row[1]): row[7] for row in significance_table(sampled).rows}
     assert rows["<b>", "a $1_"] == "yes"
     assert rows["a $1_", "c"] == "no sure difference"

@@ -5,7 +5,8 @@ import pytest
 from msgspec import UNSET
 from partial_pages import render_section
 
-from experiments.cli.answers import explanation_text
+from experiments.cli.answers import explanation_parts
+from experiments.cli.terminal import answer_text
 from experiments.parts.explanation import (
     ExplainedRecord,
     contribution_sentences,
@@ -13,9 +14,6 @@ from experiments.parts.explanation import (
     explanation_sections,
     missed_sentences,
     missed_table,
-    pool_sentences,
-    pool_table,
-    site_table,
 )
 
 WITHOUT = {
@@ -42,7 +40,6 @@ def explained(**parts):
         "contributions": [FIRST, OTHER],
         "not_avoided": [],
         "runs_without_weight": 0,
-        "pool": None,
     }
     return msgspec.convert(plain | parts, ExplainedRecord)
 
@@ -69,24 +66,6 @@ MISSED = [
     missed("r7", "too late", late_s=0.125, reasons=[("too far", "", 28)]),
     missed("r8", "hopeless", unit=""),
 ]
-POOL = {
-    "stage": "apr",
-    "is_complete": True,
-    "within": 1234,
-    "sets": [
-        {
-            "units": ["a", "b"],
-            "objective": 0.9,
-            "apr": 0.9,
-            "apr_one_failed": 0.5,
-            "smallest_margin_s": 0.25,
-            "mean_margin_s": 1.5,
-            "cost_eur": 3000.0,
-        }
-    ],
-    "sites": {"pole": 1.0, "mast": 0.25},
-    "poses": {},
-}
 
 
 def test_units_that_something_hangs_on_are_counted():
@@ -193,98 +172,31 @@ def test_runs_without_weight_are_counted_in_one_sentence_and_nowhere_else():
         "On the detection table, 1 run is not avoided: confirmed too late.",
         "Left out: 7 runs of weight 0.",
     ]
-    assert "Left out: 7 runs of weight 0." in explanation_text(found)
+    assert "Left out: 7 runs of weight 0." in " ".join(terminal(found).split())
 
 
-@pytest.mark.parametrize(
-    ("pool", "sentences"),
-    [
-        (
-            POOL,
-            [
-                "All choices were gone through: 1,234 layouts with the best APR.",
-                "The best one is listed.",
-                "Each of them has a unit at pole.",
-            ],
-        ),
-        (
-            POOL | {"stage": "cost_eur", "within": 1},
-            ["All choices were gone through: 1 layout with the least cost."],
-        ),
-        (
-            POOL | {"is_complete": False, "within": 20},
-            [
-                "Found by exchanging units one for one: 20 layouts with the best APR. There may be "
-                "more, and better ones among them in what comes after."
-            ],
-        ),
-    ],
-)
-def test_a_pool_says_what_it_holds_and_whether_that_is_all(pool, sentences):
-    assert pool_sentences(explained(pool=pool)) == sentences
-
-
-def test_tables_of_the_pool_have_a_row_for_each_layout_and_site():
-    found = explained(pool=POOL)
-    assert pool_table(found.pool).rows == [["a + b", "90.0 %", "50.0 %", "0.25", "1.50", "3,000"]]
-    table = site_table(found.pool)
-    assert table.caption == "How often each site carries a unit, of all 1,234 layouts"
-    assert table.columns == ["site", "share of the layouts"]
-    assert table.rows == [["pole", "100.0 %"], ["mast", "25.0 %"]]
-    found = explained(pool=POOL | {"is_complete": False, "within": 20})
-    assert "of the listed 20 layouts" in site_table(found.pool).caption
-    found = explained(pool=POOL | {"within": 1})
-    assert site_table(found.pool).caption == "How often each site carries a unit, of 1 layout"
+def terminal(found):
+    return answer_text(explanation_parts(found), is_verbose=True)
 
 
 def test_a_terminal_shows_it_in_80_columns():
-    sets = [POOL["sets"][0] | {"units": [f"a-rather-long-name-of-a-pose-{i}"]} for i in range(7)]
     runs = [missed(f"run-{i}", reasons=[("hidden", f"wall-{i}", 3)]) for i in range(10)]
-    text = explanation_text(explained(not_avoided=MISSED + runs, pool=POOL | {"sets": sets}))
+    text = terminal(explained(not_avoided=MISSED + runs))
     assert max(map(len, text.splitlines())) <= 80
     words = " ".join(text.split())
     for expected in (
-        "a: only it saves 4 runs (r1, r2, r3 and 1 more), 40.0 points of the APR; without it what "
-        "the other saves is confirmed 0.30 s later on average",
-        "b: no run depends on it alone",
+        "Why these units, on the detection table:",
         "r5, r6: never seen; for a hidden by wall-ne-1; would be saved by c",
         "r7: confirmed too late; for a too small",
         "and 5 more in summary.json",
-        "and 2 more in summary.json",
-        "a-rather-long-name-of-a-pose-0: APR 90.0 %, if one fails 50.0 %, 0.25 s to spare",
-        "sites: pole 100.0 %, mast 25.0 %",
     ):
         assert expected in words
-    assert "pose-5" not in text
 
 
-def test_a_terminal_names_what_would_save_runs_once():
-    alike = explained(not_avoided=MISSED[:2])
-    text = " ".join(explanation_text(alike).split())
-    assert text.count("would be saved by c") == text.count("hidden by wall-ne-1") == 1
-    assert text.count("never seen") == 1
-    assert "2 runs are not avoided. r5, r6: never seen; for a hidden" in text
-    text = " ".join(explanation_text(explained(not_avoided=MISSED)).split())
+def test_a_terminal_tells_runs_that_are_alike_together():
+    text = " ".join(terminal(explained(not_avoided=MISSED)).split())
     assert text.count("saved by c") == 1
-
-
-def test_units_are_told_in_the_singular_and_in_the_plural():
-    first, other = FIRST, OTHER
-    alone = first | {"only_runs": ["r1"], "without": first["without"] | {"apr": 0.0}}
-    assert explanation_text(explained(contributions=[alone])).splitlines()[:2] == [
-        "Why this unit, on the detection table:",
-        "  a: saves 1 run (r1), an APR of 40.0 %",
-    ]
-    idle = alone | {"only_runs": [], "marginal_apr": 0.0}
-    assert explanation_text(explained(contributions=[idle])).splitlines()[:2] == [
-        "Why this unit, on the detection table:",
-        "  This unit avoids nothing.",
-    ]
-    text = explanation_text(explained(contributions=[first, other, other | {"mean_delay_s": 0.0}]))
-    words = " ".join(text.split())
-    assert "Why these units" in words
-    assert "without it what the others save is confirmed 0.30 s later on average" in words
-    assert "without it what the others save is confirmed as early" in words
+    assert text.count("for a hidden by wall-ne-1") == 1
 
 
 def render(found, labels):
@@ -298,12 +210,10 @@ def test_the_report_has_a_section_for_each_question():
     assert "every run is avoided" in page
     assert "Other layouts" not in page
     assert "<details" not in page
-    page = render(explained(not_avoided=MISSED, pool=POOL), {"a": "<#1>"})
+    page = render(explained(not_avoided=MISSED), {"a": "<#1>"})
     assert "&lt;#1&gt;" in page
     assert "Runs that are not avoided</h2>" in page
     assert "hidden by wall-ne-1 in 20 of 30 frames" in page
-    assert "Other layouts as good</h2>" in page
-    assert "1,234 layouts" in page
-    assert page.count("<table>") == page.count("</table>") == 4
+    assert page.count("<table>") == page.count("</table>") == 2
     assert "4 runs: why, and what would save them" in page
     assert "1 run: why, and what would save it" in render(explained(not_avoided=MISSED[:1]), {})

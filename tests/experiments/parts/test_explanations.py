@@ -6,15 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.cli.answers import explanation_text
+from experiments.cli.answers import explanation_parts
+from experiments.cli.terminal import answer_text
 from experiments.parts.explanation import (
     build_explained_record,
     missed_table,
-    pool_sentences,
 )
 from experiments.results.record import to_plain
 from placement.detection_table import pack_table
-from placement.explain import find_contributions, find_pool, find_unavoided
+from placement.explain import find_contributions, find_unavoided
 from placement.layout import load_carlancap_layout
 from placement.pipeline import Assembly, place
 from placement.wishes import Wishes
@@ -38,8 +38,7 @@ def placement(small_setting, candidates):
 
 @pytest.fixture(scope="module")
 def summary(placement, small_setting, candidates):
-    pool = find_pool(placement.problem, placement.pose_index, n_sets=4)
-    found = to_plain(explain(placement, small_setting, candidates, pool=pool))
+    found = to_plain(explain(placement, small_setting, candidates))
     return json.loads(json.dumps(found, allow_nan=False))
 
 
@@ -55,19 +54,6 @@ def test_the_summary_says_what_the_library_found(summary, placement, small_setti
         assert record["without"] == part.without._asdict()
     missed = find_unavoided(small_setting, problem, candidates, chosen)
     assert [record["run"] for record in summary["not_avoided"]] == [e.run for e in missed]
-    pool = find_pool(problem, chosen, n_sets=4)
-    record = summary["pool"]
-    assert record["is_complete"] == (pool.scope == "all")
-    assert record["within"] == pool.n_within
-    assert record["sets"][0]["units"] == [ids[pose] for pose in pool.sets[0].pose_index]
-    assert [entry["apr"] for entry in record["sets"]] == [e.value.apr for e in pool.sets]
-    shares = list(record["poses"].values())
-    assert sorted(shares, reverse=True) == shares
-    assert sum(shares) == pytest.approx(pool.pose_share.sum())
-    by_site = record["sites"]
-    assert set(by_site) <= {candidate.site_id for candidate in candidates}
-    assert sorted(by_site.values(), reverse=True) == list(by_site.values())
-    assert max(by_site.values()) == pytest.approx(pool.site_share.max())
 
 
 def test_what_one_unit_misses_is_explained_run_by_run(small_setting, candidates):
@@ -75,7 +61,6 @@ def test_what_one_unit_misses_is_explained_run_by_run(small_setting, candidates)
         Assembly(setting=small_setting, candidates=candidates[8:9], wishes=Wishes(budget_units=1))
     )
     found = explain(placement, small_setting, candidates[8:9])
-    assert found.pool is None
     assert len(found.not_avoided) > 0
     for entry in found.not_avoided:
         assert entry.unit == candidates[8].id
@@ -83,10 +68,9 @@ def test_what_one_unit_misses_is_explained_run_by_run(small_setting, candidates)
             entry.frames_in_time - entry.frames_seen
         )
         assert entry.rescue is None  # there is no other candidate
-    assert pool_sentences(found) == []
     table = missed_table(found)
     assert len(table.rows) == len(found.not_avoided)
-    text = explanation_text(found)
+    text = answer_text(explanation_parts(found), is_verbose=True)
     assert f"{len(found.not_avoided)} runs are not avoided" in " ".join(text.split())
 
 
@@ -114,7 +98,7 @@ def test_what_no_ratio_knows_is_in_no_list(small_setting, candidates):
     assert set(found.contributions[0].only_runs) == saved_runs - out
     assert found.contributions[0].marginal_apr == pytest.approx(1.0)
     assert found.runs_without_weight == len(out)
-    assert "not avoided" not in explanation_text(found)
+    assert "not avoided" not in answer_text(explanation_parts(found), is_verbose=True)
 
 
 def test_sampled_worlds_are_explained_in_the_world_as_planned(placement, small_setting, candidates):

@@ -13,10 +13,11 @@ from experiments.export.json import to_json_text
 from experiments.parts.front import (
     FrontRecord,
     describe_front,
-    front_rows,
     front_section,
     plot_front,
-    proof_sentences,
+)
+from experiments.parts.front import (
+    table as front_table,
 )
 from experiments.results.record import to_plain
 from geometry.poses import Pose
@@ -55,7 +56,6 @@ def test_any_number_of_points_is_shown_with_its_proof(n_units, candidates):
     assert [row[0] for row in table.rows] == [str(n + 1) for n in range(n_units)]
     assert [row[1] for row in table.rows] == [f"{12.5 * (n + 1):.1f} %" for n in range(n_units)]
     assert {row[-1] for row in table.rows} == {"proven"}
-    assert "roven" in part.blocks[3]
     page = render_section(part)
     assert page.count("<img") == 1
     assert "p&lt;0&gt;" in page
@@ -89,24 +89,31 @@ def test_what_is_open_is_said_and_never_called_proven(candidates):
     problem, front = front_of(2)
     half = loosened(front, 1, 0, 0.875)
     record = describe_front(half, problem, candidates)
-    assert proof_sentences(record)[0].startswith("1 of 2 points are proven")
-    assert [row[-1] for row in front_rows(record)] == ["proven", "open: APR no more than 87.50 %"]
+    assert record.sentences[0].startswith("1 of 2 points are proven")
+    assert [row[-1] for row in front_table(record).rows] == ["proven", "APR <= 87.50 %"]
     none = describe_front(loosened(half, 0, 4, 10.0), problem, candidates)
-    assert proof_sentences(none)[0].startswith("None of the 2 points is proven")
-    assert front_rows(none)[0][-1] == "open: cost (EUR) no less than 10.000"
+    assert none.sentences[0].startswith("0 of 2 points are proven")
+    assert front_table(none).rows[0][-1] == "EUR >= 10.000"
     unknown = loosened(front, 1, 1, math.inf)
     part = front_section(record_of(describe_front(unknown, problem, candidates)))
     table, _ = tables_of(part)
-    assert table.rows[1][-1].startswith("open: nothing is proven of the APR if")
-    problem, single = front_of(1)
-    unproven = describe_front(loosened(single, 0, 0, 1.0), problem, candidates)
-    assert proof_sentences(unproven)[0].startswith("Not proven")
+    assert table.rows[1][-1] == "one fails open"
 
 
-def test_a_settled_front_says_from_where_on(candidates):
+def test_gains_are_points_over_the_row_above(candidates):
+    problem, front = front_of(3)
+    shown = front_table(describe_front(front, problem, candidates))
+    assert [row[shown.columns.index("gain")] for row in shown.rows] == ["12.5"] * 3
+
+
+def test_a_settled_front_and_sizes_that_cannot_be_are_said(candidates):
     problem = avoiding_problem(["11", "11", "10"])
-    front = describe_front(pareto_front(problem, max_units=4), problem, candidates)
-    assert "from 2 units on nothing grows" in proof_sentences(front)[-1]
+    found = pareto_front(problem, max_units=4)
+    refused = replace(found, refused=((1, "a reason"),))
+    proof, settled, reason = describe_front(refused, problem, candidates).sentences
+    assert proof.startswith("Proven: for each number of units no other choice")
+    assert settled.startswith("From 2 units on nothing grows")
+    assert reason == "With 1 the wishes cannot be met: a reason."
 
 
 def test_without_a_front_there_is_no_section():

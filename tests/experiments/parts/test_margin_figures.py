@@ -2,7 +2,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 from experiments.figures.axes import to_png
 from experiments.parts.margins import MAX_COLUMNS, plot_margin_strip, plot_margins
@@ -80,14 +79,6 @@ def test_panels_share_their_scale_and_names_are_drawn_letter_by_letter(axis):
         "hollow: not avoided",
     ]
     assert to_png(panels[0].get_figure(root=True)).startswith(b"\x89PNG")
-
-
-def test_figures_are_drawn_into_given_axes(axis):
-    figure = Figure()
-    given = figure.subplots(1, 2)
-    parties = [(name, verdict(axis, [-0.6, 0.3, np.inf])) for name in "ab"]
-    assert plot_margins(parties, axis, axes=given) == tuple(given)
-    assert figure.legends == []
 
 
 @pytest.mark.filterwarnings("error")

@@ -14,7 +14,7 @@ def test_what_the_evaluator_recommends_is_written_and_what_is_proven_still_verif
 ):
     monkeypatch.setattr(alternatives, "recommend", lambda runners, mounted_wrongly: (1, "apr"))
     out = tmp_path / "out"
-    command = ("--budget", 2, "--pool", 3, "--out", out, "--workers", 2)
+    command = ("--budget", 2, "--out", out, "--workers", 2)
     code, told, _ = run(*command, "--verbose")
     assert code == 0
     summary = json.loads((out / "summary.json").read_text())

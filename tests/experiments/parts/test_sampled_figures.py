@@ -4,16 +4,16 @@ from msgspec.structs import replace as replace_fields
 
 from experiments.figures.axes import to_png
 from experiments.parts.sampled_worlds import (
-    MAX_STAIRCASES,
     SampledPairRecord,
+    build_sampled_record,
     plot_differences,
-    plot_intervals,
     plot_sampled_apr,
 )
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.layout import Layout
 from placement.sampling.out_of_sample import SampledApr
+from placement.sampling.uncertainty import Uncertainty
 
 
 @pytest.fixture
@@ -29,8 +29,12 @@ def judged(frame_axis, camera):
             apr_by_sample=generator.uniform(0.2, 0.8, 6),
             avoided_share=np.ones(3),
         )
-        for number in range(MAX_STAIRCASES + 1)
+        for number in range(5)
     ]
+
+
+def record(judged):
+    return build_sampled_record(judged, Uncertainty(), tail=1.0, seed=0)
 
 
 def dots(axes):
@@ -39,8 +43,8 @@ def dots(axes):
     ]
 
 
-def test_more_layouts_than_styles_have_intervals(judged):
-    axes = plot_sampled_apr(judged)
+def test_each_layout_has_a_dot_at_its_mean(judged):
+    axes = plot_sampled_apr(record(judged))
     means = [100.0 * item.estimate.mean for item in judged]
     assert [x for x, _ in dots(axes)] == pytest.approx(means)
     assert [label.get_text() for label in axes.get_yticklabels()] == [
@@ -52,7 +56,7 @@ def test_more_layouts_than_styles_have_intervals(judged):
 
 
 def test_whiskers_are_the_intervals_and_thin_lines_the_worlds(judged):
-    axes = plot_intervals(judged[:2])
+    axes = plot_sampled_apr(record(judged[:2]))
     for container, item in zip(axes.containers, judged, strict=False):
         (bar,) = container[2]
         (segment,) = bar.get_segments()

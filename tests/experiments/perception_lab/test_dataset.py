@@ -7,10 +7,8 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from threading import Thread
 
 import numpy as np
 import pytest
@@ -19,7 +17,6 @@ from met_cases import MET_CASES
 from PIL import Image
 
 from experiments.export.json import to_json
-from experiments.jobs import schedulers
 from experiments.perception_lab import drawing as job
 from geometry.sensors import CameraModel
 from placement.layout import load_carlancap_layout
@@ -397,66 +394,3 @@ def test_a_folder_of_another_dataset_or_of_something_else_is_left_alone(dataset)
     code, _, err = dataset("--lidar", "none", out="mine")
     assert (code, _files("mine")) == (2, {"letter.txt": b"mine"})
     assert "a folder that is not empty" in err.splitlines()[-1]
-
-
-def test_a_scheduler_that_does_not_answer_is_named(dataset, monkeypatch):
-    pytest.importorskip("distributed")
-    monkeypatch.setattr(schedulers, "ANSWER_S", 0.5)
-    code, _, err = dataset("--lidar", "none", "--scheduler", "nowhere:1")
-    assert code == 2
-    assert "--scheduler: got nowhere:1" in err.splitlines()[-1]
-
-
-def test_without_dask_its_name_is_said(dataset, monkeypatch):
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    code, _, err = dataset("--lidar", "none", "--scheduler", "tcp://127.0.0.1:1")
-    assert code == 2
-    assert err.splitlines()[-1].endswith("pip install 'place-rsus[cluster]'")
-
-
-@pytest.fixture
-def cluster():
-    """Starts a dask cluster of two workers: processes, or threads of this one."""
-    distributed = pytest.importorskip("distributed")
-    with ExitStack() as stack:
-        yield lambda **settings: stack.enter_context(
-            distributed.LocalCluster(
-                n_workers=2,
-                threads_per_worker=1,
-                dashboard_address=None,
-                protocol="tcp",
-                **settings,
-            )
-        )
-
-
-def test_workers_of_a_dask_cluster_draw_the_same(dataset, drawn, cluster):
-    address = cluster(processes=False).scheduler_address
-    code, _, err = dataset("--lidar", "none", "--scheduler", address, out="other")
-    assert code == 0, err
-    assert _files("other") == _files(drawn)
-
-
-@pytest.mark.long
-def test_of_the_workers_of_a_dask_cluster_one_may_die_at_work(dataset, cluster):
-    processes = cluster(processes=True)
-    first = next(iter(processes.workers.values()))
-    first.auto_restart = False
-    n_there = []
-
-    def kill_one():
-        while not (there := len(list(Path("data").rglob("[0-9]*.png")))):
-            time.sleep(0.02)
-        n_there.append(there)
-        os.kill(first.pid, signal.SIGKILL)
-
-    killer = Thread(target=kill_one, daemon=True)
-    killer.start()
-    asked = ("--lidar", "none", "--scheduler", processes.scheduler_address)
-    code, out, err = dataset(*asked, every=20)
-    killer.join(timeout=1.0)
-    assert code == 0, err
-    n_pictures = int(out.split()[0])
-    assert n_there[0] < n_pictures  # it was killed before the end
-    assert len(list(Path("data").rglob("*.png"))) == n_pictures
-    assert not list(Path("data").rglob("*.tmp"))

@@ -12,6 +12,7 @@ from msgspec.structs import replace as replace_fields
 from partial_pages import blank_pictures, build_result
 
 from experiments.figures.evaluation import pick_heatmap_runs
+from experiments.parts.result import build_comparison_result
 from experiments.report.page import build_report, write_report
 from experiments.results.numbers import percent
 from experiments.results.record import StageRecord
@@ -177,7 +178,8 @@ def placement_page(placement_result, setting, evaluations):
 def comparison_page(setting, evaluations):
     pair = {name: evaluations[name] for name in ("found", "carlancap-12")}
     with blank_pictures():
-        return _page_of(plain_result(pair["found"]), setting, pair, command=COMMAND)
+        result = build_comparison_result(setting, pair["found"], [pair["carlancap-12"]])
+        return _page_of(result, setting, pair, command=COMMAND)
 
 
 @pytest.fixture(scope="module")
@@ -245,16 +247,14 @@ def test_every_unit_and_every_run_appears(page, setting):
 
 def test_placement_page_opens_with_the_answer(placement_page, evaluations):
     words = Page(placement_page).words
-    found, baseline = evaluations["found"], evaluations["carlancap-12"]
+    found = evaluations["found"]
     n_avoided = int(found.rsu_all.is_avoided.sum())
     assert 0 < n_avoided < 104  # else this test is worth little
     assert (
         f"2 cameras avoid {n_avoided} of 104 runs "
         f"(APR {100.0 * apr(found.rsu_all, found.axis):.1f} %); the car by itself avoids "
         f"{int(found.vut.is_avoided.sum())} of 104 runs "
-        f"(APR {100.0 * apr(found.vut, found.axis):.1f} %); "
-        f"carlancap-12 (12 cameras) avoids {int(baseline.rsu_all.is_avoided.sum())} of 104 runs "
-        f"(APR {100.0 * apr(baseline.rsu_all, found.axis):.1f} %). "
+        f"(APR {100.0 * apr(found.vut, found.axis):.1f} %). "
         "Proven on the detection table: no choice among 4032 candidate poses has a higher APR. "
         "If any one unit fails, the others reach at least 75.0 %."
     ) in words

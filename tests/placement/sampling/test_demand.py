@@ -6,7 +6,7 @@ from importlib.resources import files
 import pytest
 
 from geometry.errors import InputError
-from placement.sampling.moving.demand import kind_of, load_demand, write_routes
+from placement.sampling.moving.demand import load_demand, write_routes
 
 DEFAULT = (files("placement") / "data" / "demand.toml").read_text(encoding="utf-8")
 WAYS = {
@@ -54,23 +54,6 @@ def test_an_arm_may_have_a_count_of_its_own(tmp_path):
 def test_an_arm_without_traffic_has_no_flow(tmp_path):
     demand = load_demand(changed(tmp_path, ("[arms]", "[arms]\nnorth = 0.0")))
     assert not any(name.startswith("north") for name in rates(write_routes(demand, WAYS, LANES)))
-
-
-@pytest.mark.parametrize(
-    ("type_name", "body"),
-    [
-        ("passenger", "parked-car-large"),
-        ("taxi", "parked-car-small"),
-        ("veh_delivery", "parked-van"),
-        ("truck/trailer", "truck"),
-        ("CityBus", "bus"),
-        ("parked-van", "parked-van"),
-        ("DEFAULT_VEHTYPE", None),
-    ],
-)
-def test_kinds_are_known_by_words_in_the_names_of_types(type_name, body):
-    kind = kind_of(load_demand(), type_name)
-    assert (None if kind is None else kind.actor.name) == body
 
 
 @pytest.mark.parametrize(
