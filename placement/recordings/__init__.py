@@ -1,10 +1,13 @@
-"""Detections from elsewhere: recordings in the folder layout of the CarlaNCAP study.
+"""Detections from elsewhere: recordings of the CarlaNCAP study, and in the formats of others.
 
 ``read`` reads a folder strictly, cuts its frames into drives that end at the impact, and counts
 what it leaves out; ``evaluate`` matches, confirms and brakes. ``files`` knows the layout, from
-``data/carla_ncap_format.toml``, and writes such a folder.
+``data/carla_ncap_format.toml``, and writes such a folder. ``boxes`` has the value of annotated
+tracks and detections in other formats, of which each has a file: ``mot``, ``kitti``, ``cvml``,
+``wildtrack``.
 """
 
+from .boxes import RecordedBoxes, read_boxes
 from .evaluate import (
     RecordedEvaluation,
     evaluate_recording,
@@ -18,12 +21,14 @@ from .read import Drive, Recording, read_recording
 __all__ = [
     "Drive",
     "FrameKey",
+    "RecordedBoxes",
     "RecordedEvaluation",
     "Recording",
     "WrittenDrive",
     "evaluate_recording",
     "is_longitudinal",
     "load_format",
+    "read_boxes",
     "read_recording",
     "recorded_table",
     "take_units",

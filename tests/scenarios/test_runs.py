@@ -132,7 +132,9 @@ def test_a_junction_that_lies_otherwise_gives_the_same_runs(actors, rule, name, 
     )
     case = load_cases()[name]
     # One run an approach: of two vehicles in motion, too, the first pair of speeds alone.
-    case = dataclasses.replace(case, vut_speeds_kmh=case.vut_speeds_kmh[:1], pairs_kmh=case.pairs_kmh[:1])
+    case = dataclasses.replace(
+        case, vut_speeds_kmh=case.vut_speeds_kmh[:1], pairs_kmh=case.pairs_kmh[:1]
+    )
     here, _ = build_runs(scene, [case], vut=actors["vut"], rule=rule, approaches=["west"])
     there, _ = build_runs(moved, [case], vut=actors["vut"], rule=rule)
     for run in there:
