@@ -83,7 +83,8 @@ class TsaiRadial:
             shown = np.clip(shown - step, 0.0, turn)
         share = np.divide(shown, radius, out=np.ones_like(radius), where=radius > 0.0)
         off = abs(shown * (1.0 + self.kappa * shown**2) - radius) > 1.0e-9 * (1.0 + radius)
-        return np.where(off[:, None], np.nan, points * share[:, None])
+        placed: FloatArray = np.where(off[:, None], np.nan, points * share[:, None])
+        return placed
 
     def undistort(self, points: FloatArray) -> FloatArray:
         """The inverse of :meth:`distort`, (n, 2)."""

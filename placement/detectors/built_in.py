@@ -211,7 +211,7 @@ class ResponseDetector:
         from scipy.special import ndtr
 
         draws, row_draw = np.unique(evidence.draw_index, return_inverse=True)
-        chance = ndtr(_linked_noise(draws, self.frame_correlation, rng))[row_draw]
+        chance = ndtr(linked_noise(draws, self.frame_correlation, rng))[row_draw]
         noise = rng.standard_normal((len(draws), 4))[row_draw]
         probability = self.probability(evidence)
         rows = np.flatnonzero(chance < probability)
@@ -260,7 +260,7 @@ def _rising(values: FloatArray, *, half: float, steepness: float) -> FloatArray:
     return rising
 
 
-def _linked_noise(draws: IntArray, correlation: float, rng: np.random.Generator) -> FloatArray:
+def linked_noise(draws: IntArray, correlation: float, rng: np.random.Generator) -> FloatArray:
     """Standard normal numbers, each correlated with that of the frame before, (n,)."""
     fresh = rng.standard_normal(len(draws))
     linked = fresh.copy()

@@ -7,9 +7,10 @@ format a file has.
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
@@ -123,7 +124,7 @@ def gather_boxes(path: Path, rows: Iterable[BoxRow]) -> RecordedBoxes:
     )
 
 
-def _frozen(values: Sequence[object], kind: type) -> np.ndarray:  # type: ignore[type-arg]
+def _frozen(values: Sequence[object], kind: type) -> NDArray[Any]:
     return freeze(np.array(values, dtype=kind))
 
 
