@@ -610,7 +610,39 @@ def joint_normal(first: FloatArray, second: FloatArray, correlation: float) -> F
     return joint
 
 
+def correlation_at(correlation: float, *, from_hz: float, to_hz: float) -> float:
+    """Correlation of consecutive frames at another frame rate.
+
+    It falls off exponentially with time, as that of the linked draws does.
+
+    Examples
+    --------
+    >>> round(correlation_at(0.64, from_hz=10.0, to_hz=20.0), 9)
+    0.8
+    """
+    return float(correlation ** (from_hz / to_hz))
+
+
 # ---------- recall by group
+
+
+def calibration_error(probability: FloatArray, found: BoolArray) -> float:
+    """Mean difference of predicted and found shares in ten bins of the probability (n,).
+
+    Each bin weighs as much as it has frames.
+
+    References
+    ----------
+    .. [1] M. Naeini et al., "Obtaining well calibrated probabilities using Bayesian binning", 2015.
+
+    Examples
+    --------
+    >>> calibration_error(np.array([0.2, 0.2, 0.7, 0.7]), np.array([False, False, True, True]))
+    0.25
+    """
+    bins = np.clip((probability * 10.0).astype(np.int64), 0, 9)
+    off = np.bincount(bins, weights=probability - found, minlength=10)
+    return float(np.abs(off).sum() / len(found))
 
 
 _HEIGHT_EDGES_PX = (0.0, 20.0, 30.0, 40.0, 60.0, 80.0, 120.0, np.inf)
