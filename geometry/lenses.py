@@ -81,6 +81,8 @@ class TsaiRadial:
             slope = np.maximum(1.0 + 3.0 * self.kappa * shown**2, 1.0e-6)
             step = (shown * (1.0 + self.kappa * shown**2) - radius) / slope
             shown = np.clip(shown - step, 0.0, turn)
+            if not (abs(step) > 1.0e-14 * (1.0 + shown)).any():
+                break
         share = np.divide(shown, radius, out=np.ones_like(radius), where=radius > 0.0)
         off = abs(shown * (1.0 + self.kappa * shown**2) - radius) > 1.0e-9 * (1.0 + radius)
         placed: FloatArray = np.where(off[:, None], np.nan, points * share[:, None])
@@ -88,7 +90,8 @@ class TsaiRadial:
 
     def undistort(self, points: FloatArray) -> FloatArray:
         """The inverse of :meth:`distort`, (n, 2)."""
-        return points * (1.0 + self.kappa * (points**2).sum(axis=1, keepdims=True))
+        straight: FloatArray = points * (1.0 + self.kappa * (points**2).sum(axis=1, keepdims=True))
+        return straight
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

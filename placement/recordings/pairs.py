@@ -120,7 +120,8 @@ def _overlap(boxes: FloatArray, others: FloatArray) -> FloatArray:
     high = np.minimum(boxes[:, None, 2:], others[None, :, 2:])
     area = np.prod(np.maximum(high - low, 0.0), axis=2)
     whole = np.prod(boxes[:, 2:] - boxes[:, :2], axis=1)[:, None]
-    return np.divide(area, whole, out=np.zeros_like(area), where=whole > 0.0)
+    shares: FloatArray = np.divide(area, whole, out=np.zeros_like(area), where=whole > 0.0)
+    return shares
 
 
 def _inside(boxes: FloatArray, others: FloatArray) -> FloatArray:

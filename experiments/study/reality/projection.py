@@ -19,9 +19,10 @@ from placement.recordings.kitti import read_kitti_camera
 from placement.recordings.wildtrack import read_opencv_camera, read_wildtrack
 
 BODY = "adult"
+POLE_M = 1.7
 WALKED_FRAMES = 4  # before and after, over which a heading is measured
 BAND_EDGES_M = (0.0, 20.0, 25.0, 30.0, 50.0)
-TILTS_DEG = np.linspace(-2.0, 2.0, 81)
+TILTS_DEG = np.linspace(-2.0, 2.0, 41)
 _DRAWS = 400
 _INSIDE_PX = 2.0  # a box that comes nearer to the picture's edge may be cut off
 _KITTI_SIZE = (1242, 375)
@@ -65,6 +66,8 @@ class Heights:
     drawn_px: FloatArray
     ratio: FloatArray  # (n,): by the calibrated camera
     pinhole_ratio: FloatArray  # (n,): by this project's pinhole at the same pose
+    pole_ratio: FloatArray  # (n,): by an upright pole of 1.70 m, as the first look had it
+    slant_m: FloatArray  # (n,): from the lens to the foot
     tilt_deg: Interval  # that fits best, relative to the calibration
     seen_from_m: float  # height of the camera
 
@@ -88,7 +91,9 @@ def measure_pets_heights(folder: Path) -> Heights:
         drawn_px=drawn_px,
         ratio=ratio,
         pinhole_ratio=drawn_px / (boxes[:, 3] - boxes[:, 1]),
-        tilt_deg=_best_tilt(drawn, camera),
+        pole_ratio=_pole_ratios(drawn, camera),
+        slant_m=np.linalg.norm(foot - camera.position_m, axis=1),
+        tilt_deg=_best_tilt(drawn, camera, heading, phase),
         seen_from_m=float(camera.position_m[2]),
     )
 
@@ -137,20 +142,26 @@ def _ratios(
     return foot, drawn_px / (boxes[:, 3] - boxes[:, 1])
 
 
-def _best_tilt(drawn: RecordedBoxes, camera: CalibratedCamera) -> Interval:
-    """Tilt that makes the heights of upright poles at the drawn feet agree best, (+: down).
+def _pole_ratios(drawn: RecordedBoxes, camera: CalibratedCamera) -> FloatArray:
+    """Drawn heights over those of upright poles at the drawn feet, (n,)."""
+    foot = ground_points(bottoms(drawn.box_px), camera)
+    top = project_distorted(foot + [0.0, 0.0, POLE_M], camera)[:, 1]
+    ratio: FloatArray = (drawn.box_px[:, 3] - drawn.box_px[:, 1]) / (drawn.box_px[:, 3] - top)
+    return ratio
+
+
+def _best_tilt(
+    drawn: RecordedBoxes, camera: CalibratedCamera, heading: FloatArray, phase: IntArray
+) -> Interval:
+    """Tilt that makes the heights of bodies at the drawn feet agree best, (+: down).
 
     The height of all is free: least squares of the logarithms of drawn over predicted heights
     around their mean. 95 % by tracks drawn with repetition.
     """
-    drawn_px = drawn.box_px[:, 3] - drawn.box_px[:, 1]
     _, which = np.unique(drawn.track, return_inverse=True)
     moments = []
     for tilt in TILTS_DEG:
-        turned = tilted(camera, float(tilt))
-        foot = ground_points(bottoms(drawn.box_px), turned)
-        top = project_distorted(foot + [0.0, 0.0, 1.7], turned)[:, 1]
-        log = np.log(drawn_px / (drawn.box_px[:, 3] - top))
+        log = np.log(_ratios(drawn, tilted(camera, float(tilt)), heading, phase)[1])
         moments.append([np.bincount(which, weights=log**power) for power in (0, 1, 2)])
     sums = np.array(moments)  # (n_tilts, 3, n_tracks)
     n_tracks = sums.shape[2]

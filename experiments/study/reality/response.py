@@ -32,7 +32,7 @@ N_CONFIRMATIONS = 3
 TABLE_HZ = 10.0  # frame rate that tables' correlations hold for
 KITTI_SEQUENCES = tuple(range(0, 21, 2))  # the odd ones judge the finished model
 HEIGHT_EDGES_PX = (0.0, 25.0, 40.0, 60.0, 80.0, 100.0, np.inf)
-SHARE_EDGES = (0.0, 0.01, 0.10, 0.35, 0.80, 1.01)  # hidden
+SHARE_EDGES = (0.0, 0.01, 0.10, 0.35, 0.80, np.inf)  # hidden
 DISTANCE_EDGES_M = (0.0, 10.0, 20.0, 30.0, 40.0, np.inf)
 _DRAWS = 100  # of held-out frames by the table
 _TRACKS = 1000  # numbers kept free for those of a sequence
@@ -53,7 +53,7 @@ class Watched:
     distance_m: FloatArray  # (n,): from the sensor, on the ground
     hidden_level: IntArray  # (n,): KITTI's; -1: the share hidden is that of boxes
     alarms: FalseAlarms
-    n_unmatched: int  # boxes that found nobody, on somebody or not
+    unmatched: float  # boxes per picture that find nobody, on somebody or not
     halves: Mapping[str, BoolArray]  # by what divides: rows of the first half
 
 
@@ -76,7 +76,7 @@ def watch_pets(folder: Path) -> Watched:
         distance_m=np.hypot(*ground.T)[rows],
         hidden_level=given.hidden_level[rows],
         alarms=alarms,
-        n_unmatched=_unmatched(paired, sightings),
+        unmatched=_unmatched(paired, sightings),
         halves={
             "people": given.track[rows] % 2 == 0,
             "time": sightings.frame < 0.5 * given.frame.max(),
@@ -128,7 +128,7 @@ def watch_kitti(folder: Path, *, name: str, class_name: str) -> Watched:
         distance_m=np.hypot(place[:, 0], place[:, 2]),
         hidden_level=np.concatenate([one.hidden_level for one in labelled])[order],
         alarms=alarms,
-        n_unmatched=_unmatched(whole, sightings),
+        unmatched=_unmatched(whole, sightings),
         halves={
             "sequence": np.concatenate(sequence)[order] == 16,
             "people": sightings.track % 2 == 0,
@@ -165,11 +165,9 @@ def _gather(
     return sightings.take(order), alarms, order
 
 
-def _unmatched(paired: PairedBoxes, sightings: Sightings) -> int:
-    boxes = sum(
-        len(one.found_px if one.alone_px is None else one.alone_px) for one in paired.pictures
-    )
-    return boxes - int(sightings.is_found.sum())
+def _unmatched(paired: PairedBoxes, sightings: Sightings) -> float:
+    boxes = sum(len(one.found_px) for one in paired.pictures) - int(sightings.is_found.sum())
+    return boxes / len(paired.pictures)
 
 
 # ---------- recall, by what it may depend on
@@ -318,21 +316,35 @@ def _draw(held: Sightings, probability: FloatArray, correlation: float) -> BoolA
 
 def _confirmed(held: Sightings, found: BoolArray) -> FloatArray:
     """Share of starts that are confirmed within 1, 2, .. frames, over all draws (n_draws, n)."""
-    waits = np.concatenate(
-        [
-            frames_to_confirm(one, held.track, held.frame, n_confirmations=N_CONFIRMATIONS)
-            for one in found
-        ]
-    )
+    waits = np.concatenate([_waits(held, one) for one in found])
     within = np.searchsorted(np.sort(waits[waits > 0]), _WITHIN, side="right")
     return within / len(waits)
 
 
+def confirmed_at_once(sightings: Sightings) -> Recall:
+    """Share of starts whose first three frames confirm; the prediction is drawn by "response"."""
+    table = built_in()
+    waits = _waits(sightings, sightings.is_found)
+    probability = table.probability(sightings.evidence())
+    drawn = _draw(sightings, probability, table.frame_correlation)
+    return Recall(
+        words="starts confirmed at once",
+        frames=len(sightings),
+        tracks=len(np.unique(sightings.track)),
+        measured=share_by_track(waits == N_CONFIRMATIONS, sightings.track),
+        predicted=float(_confirmed(sightings, drawn)[N_CONFIRMATIONS - 1]),
+    )
+
+
+def _waits(sightings: Sightings, found: BoolArray) -> IntArray:
+    return frames_to_confirm(
+        found, sightings.track, sightings.frame, n_confirmations=N_CONFIRMATIONS
+    )
+
+
 def first_confirmed(sightings: Sightings) -> tuple[int, int]:
     """Tracks confirmed by their first three frames, and all tracks."""
-    waits = frames_to_confirm(
-        sightings.is_found, sightings.track, sightings.frame, n_confirmations=N_CONFIRMATIONS
-    )
+    waits = _waits(sightings, sightings.is_found)
     first = np.unique(sightings.track, return_index=True)[1]
     return int((waits[first] == N_CONFIRMATIONS).sum()), len(first)
 
