@@ -512,6 +512,10 @@ _NOTES = {
 }
 
 
+_KEYS_OF = {"aspect": ("cyclist_end_on",), "contrast": ("contrast_half", "contrast_steepness")}
+"""By what a source does not say, the keys whose figures are the built-in ones."""
+
+
 def table_text(
     fit: ResponseFit,
     *,
@@ -531,17 +535,21 @@ def table_text(
     if unknown:
         lines.append(f"# Not known from them, and as built in: {', '.join(unknown)}.")
     lines += ["", "[response]"]
+    assumed = {key for what in unknown for key in _KEYS_OF.get(what, ())} | {*detector.assumed}
+    assumed.add("plan_probability")
 
     def add(key: str, value: object, *names: str) -> None:
         ranges = [intervals[name] for name in names if intervals[name].low < intervals[name].high]
-        words = "; ".join(f"95 %: {one.low:.3g} to {one.high:.3g}" for one in ranges)
+        words = ", ".join(f"{one.low:.3g} to {one.high:.3g}" for one in ranges)
+        words = f"95 %: {words}" if ranges else "assumption" if key in assumed else ""
         if key in _NOTES:
             lines.append(f"# {_NOTES[key]}")
         lines.append(f"{key} = {value}" + (f" # {words}" if words else ""))
 
     add("seen_share", [round(value, 6) for value in detector.seen_share.tolist()])
     recalls = detector.recall.tolist()
-    add("recall", [round(value, 6) for value in recalls], f"recall[{len(recalls) - 1}]")
+    names = [f"recall[{index}]" for index in range(len(recalls))]
+    add("recall", [round(value, 6) for value in recalls], *names)
     for key in ("height_half_px", "height_steepness", "min_box_height_px"):
         add(key, f"{getattr(detector, key):.6g}", key)
     for kind, factor in zip(VRU_CLASSES, detector.class_factor.tolist(), strict=True):
