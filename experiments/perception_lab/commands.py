@@ -193,6 +193,7 @@ Examples:
       --weather day,night,rain --out mine
   place-rsus detector fit --recording ncap_data --out mine
   place-rsus detector fit --labels coco.json --results found.json --out mine
+  place-rsus detector fit --labels tracks.xml --results det.txt --frame-rate 7 --out mine
   place-rsus --budget 3 --detector mine/response.toml      plans with it""",
 )
 @layout_option
@@ -216,13 +217,22 @@ Examples:
     "--labels",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Fit to COCO's files: annotations, such as coco.json of place-rsus dataset ..",
+    help="Fit to annotations: coco.json of place-rsus dataset, MOT challenge, KITTI, CVML ..",
 )
 @option(
     "--results",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help=".. and what a detector found: a list of image_id, category_id, bbox, score.",
+    help=".. and to what a detector found: COCO's list of results; MOT challenge, KITTI.",
+)
+@option(
+    "--frame-rate",
+    "frame_rate_hz",
+    type=click.FloatRange(min=1.0, max=1000.0),
+    metavar="HZ",
+    needs="labels",
+    expected="frames per second, 1 to 1000",
+    help="With --labels: of the recording; default: 10. The table holds for 10 Hz.",
 )
 @option(
     "--min-confidence",
@@ -245,6 +255,7 @@ def fit(
     recording: Path | None,
     labels: Path | None,
     results: Path | None,
+    frame_rate_hz: float | None,
     min_confidence: float,
     out: Path | None,
     question: Question,
@@ -270,6 +281,7 @@ def fit(
             recording=recording,
             labels=labels,
             results=results,
+            frame_rate_hz=frame_rate_hz,
             min_confidence=min_confidence,
         ),
         out=out,

@@ -623,6 +623,20 @@ def correlation_at(correlation: float, *, from_hz: float, to_hz: float) -> float
     return float(correlation ** (from_hz / to_hz))
 
 
+def at_frame_rate(fit: ResponseFit, *, from_hz: float, to_hz: float) -> ResponseFit:
+    """The fit with the correlation of consecutive frames at another frame rate."""
+    key = "frame_correlation"
+    of = fit.intervals[key]
+    there = Interval(
+        *(correlation_at(one, from_hz=from_hz, to_hz=to_hz) for one in (of.value, of.low, of.high))
+    )
+    return replace(
+        fit,
+        detector=replace(fit.detector, frame_correlation=there.value),
+        intervals={**fit.intervals, key: there},
+    )
+
+
 # ---------- recall by group
 
 

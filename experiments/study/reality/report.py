@@ -174,7 +174,7 @@ def comparisons(m: Measured) -> list[tuple[str, Interval, float]]:
     for words, one in m.watched.items():
         groups = [recall_of(one.sightings, "recall")]
         if one in (m.pole, m.car):
-            groups += [*m.by_hidden[words], confirmed_at_once(one.sightings)]
+            groups += [*m.by_hidden[words], confirmed_at_once(one)]
         rows += [(f"{words}: {g.words}", g.measured, g.predicted) for g in groups]
     for one in (m.pole, m.car):
         fitted = m.fits[one.name].intervals

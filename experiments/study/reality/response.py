@@ -1,7 +1,7 @@
 """What real detectors found: recall, its correlation in time, boxes, and frames to confirmation."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from placement.detectors.fitting import (
     FalseAlarms,
     ResponseFit,
     Sightings,
+    at_frame_rate,
     calibration_error,
     correlation_at,
     fit_response,
@@ -285,8 +286,8 @@ def hold_out(watched: Watched, divided_by: str, *, fit_first: bool) -> HeldOut:
     probability = fit.detector.probability(held.evidence())
     drawn = _draw(held, probability, fit.detector.frame_correlation)
     table = built_in()
-    there = correlation_at(table.frame_correlation, from_hz=TABLE_HZ, to_hz=watched.frame_rate_hz)
-    by_response = _draw(held, table.probability(held.evidence()), there)
+    there = table.probability(held.evidence())
+    by_response = _draw(held, there, _correlation_there(table, watched))
     real = _confirmed(held, held.is_found[None])
     predicted = _confirmed(held, drawn)
     chance = [calibration_error(probability, one) for one in drawn]
@@ -301,6 +302,11 @@ def hold_out(watched: Watched, divided_by: str, *, fit_first: bool) -> HeldOut:
         predicted=predicted,
         by_response=_confirmed(held, by_response),
     )
+
+
+def _correlation_there(table: ResponseDetector, watched: Watched) -> float:
+    """A table's correlation at the recording's frame rate."""
+    return correlation_at(table.frame_correlation, from_hz=TABLE_HZ, to_hz=watched.frame_rate_hz)
 
 
 def _draw(held: Sightings, probability: FloatArray, correlation: float) -> BoolArray:
@@ -321,12 +327,12 @@ def _confirmed(held: Sightings, found: BoolArray) -> FloatArray:
     return within / len(waits)
 
 
-def confirmed_at_once(sightings: Sightings) -> Recall:
+def confirmed_at_once(watched: Watched) -> Recall:
     """Share of starts whose first three frames confirm; the prediction is drawn by "response"."""
-    table = built_in()
+    table, sightings = built_in(), watched.sightings
     waits = _waits(sightings, sightings.is_found)
     probability = table.probability(sightings.evidence())
-    drawn = _draw(sightings, probability, table.frame_correlation)
+    drawn = _draw(sightings, probability, _correlation_there(table, watched))
     return Recall(
         words="starts confirmed at once",
         frames=len(sightings),
@@ -352,15 +358,4 @@ def first_confirmed(sightings: Sightings) -> tuple[int, int]:
 def fit_table(watched: Watched) -> ResponseFit:
     """The table fitted to all frames; its correlation is that at the tables' frame rate."""
     fit = fit_response(watched.sightings, name=watched.name)
-
-    def at_table_rate(correlation: float) -> float:
-        return correlation_at(correlation, from_hz=watched.frame_rate_hz, to_hz=TABLE_HZ)
-
-    key = "frame_correlation"
-    of = fit.intervals[key]
-    there = Interval(*(at_table_rate(one) for one in (of.value, of.low, of.high)))
-    return replace(
-        fit,
-        detector=replace(fit.detector, frame_correlation=there.value),
-        intervals={**fit.intervals, key: there},
-    )
+    return at_frame_rate(fit, from_hz=watched.frame_rate_hz, to_hz=TABLE_HZ)
