@@ -659,7 +659,7 @@ def _recordings() -> Mapping[str, tuple[str, Files]]:
 
 
 def _read_boxes(path: Path) -> Any:
-    from placement.recordings.boxes import read_boxes
+    from placement.recordings.formats import read_boxes
     from placement.recordings.wildtrack import read_wildtrack
 
     return read_wildtrack(path) if path.is_dir() else read_boxes(path)
@@ -1096,7 +1096,7 @@ READERS: Mapping[str, Reader] = {
         read=_read_boxes,
         seeds=_many_boxes,
         covers=(
-            "placement.recordings.boxes.read_boxes",
+            "placement.recordings.formats.read_boxes",
             "placement.recordings.boxes.read_lines",
             "placement.recordings.cvml.read_cvml",
             "placement.recordings.kitti.read_kitti_labels",

@@ -3,11 +3,11 @@
 ``read`` reads a folder strictly, cuts its frames into drives that end at the impact, and counts
 what it leaves out; ``evaluate`` matches, confirms and brakes. ``files`` knows the layout, from
 ``data/carla_ncap_format.toml``, and writes such a folder. ``boxes`` has the value of annotated
-tracks and detections in other formats, of which each has a file: ``mot``, ``kitti``, ``cvml``,
-``wildtrack``.
+tracks and detections in other formats, which ``formats`` tells apart, each in a file: ``mot``,
+``kitti``, ``cvml``, ``wildtrack``; ``pairs`` lays the two side by side.
 """
 
-from .boxes import RecordedBoxes, read_boxes
+from .boxes import RecordedBoxes
 from .evaluate import (
     RecordedEvaluation,
     evaluate_recording,
@@ -16,6 +16,7 @@ from .evaluate import (
     take_units,
 )
 from .files import FrameKey, WrittenDrive, load_format, write_folder, write_recording
+from .formats import read_boxes
 from .read import Drive, Recording, read_recording
 
 __all__ = [

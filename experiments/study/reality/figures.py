@@ -75,7 +75,7 @@ def plot_recall(panels: Mapping[str, Mapping[str, Sequence[Recall]]]) -> "Figure
                 linewidth=1.0,
             )
             predicted = [one.predicted for one in groups]
-            (handles["table response"],) = axes.plot(places, predicted, "_k", ms=7, mew=2.0)
+            (handles["table `response`"],) = axes.plot(places, predicted, "_k", ms=7, mew=2.0)
         axes.set_xticks(range(len(names)), [_short(name) for name in names], rotation=40)
         axes.set_title(title, fontsize=8)
         axes.set_ylim(0.0, 1.04)
@@ -92,12 +92,15 @@ def plot_recall(panels: Mapping[str, Mapping[str, Sequence[Recall]]]) -> "Figure
 
 
 def _short(words: str) -> str:
-    return (
-        words.removesuffix(" hidden")
-        .replace(" to ", "-")
-        .replace(" and more", "+")
-        .removesuffix(" px")
-    )
+    for long, short in (
+        (" to ", "-"),
+        (" and more", "+"),
+        (" hidden", ""),
+        (" px", ""),
+        (" %", ""),
+    ):
+        words = words.replace(long, short)
+    return words
 
 
 def plot_confirmations(held: Mapping[str, HeldOut]) -> "Figure":

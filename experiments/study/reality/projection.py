@@ -13,8 +13,9 @@ from geometry.lenses import CalibratedCamera, ground_points, project_distorted
 from geometry.poses import Pose, body_rotation
 from geometry.sensors import CameraModel, project_points
 from placement.detectors.evidence import Interval
-from placement.recordings.boxes import RecordedBoxes, read_boxes
+from placement.recordings.boxes import RecordedBoxes
 from placement.recordings.cvml import read_tsai
+from placement.recordings.formats import read_boxes
 from placement.recordings.kitti import read_kitti_camera
 from placement.recordings.wildtrack import read_opencv_camera, read_wildtrack
 
@@ -74,7 +75,7 @@ class Heights:
 
 def measure_pets_heights(folder: Path) -> Heights:
     """Drawn over predicted heights of PETS' boxes that lie wholly in the picture."""
-    drawn, camera = read_pets(folder)
+    drawn, camera = pets_tracks(folder)
     height, width = camera.height_px, camera.width_px
     box = drawn.box_px
     whole = (box[:, :2] > _INSIDE_PX).all(axis=1) & (box[:, 2] < width - _INSIDE_PX)
@@ -98,7 +99,7 @@ def measure_pets_heights(folder: Path) -> Heights:
     )
 
 
-def read_pets(folder: Path) -> tuple[RecordedBoxes, CalibratedCamera]:
+def pets_tracks(folder: Path) -> tuple[RecordedBoxes, CalibratedCamera]:
     """Annotated people of PETS S2L1 and the camera of view 1."""
     data = folder / "OpenTraj" / "datasets" / "PETS-2009" / "data"
     return (

@@ -24,10 +24,11 @@ from placement.detectors.fitting import (
     gather_sightings,
     share_by_track,
 )
-from placement.recordings.boxes import RecordedBoxes, read_boxes
+from placement.recordings.boxes import RecordedBoxes
+from placement.recordings.formats import read_boxes
 from placement.recordings.pairs import PairedBoxes, frames_to_confirm, pair_boxes
 
-from .projection import bottoms, read_pets
+from .projection import bottoms, pets_tracks
 
 N_CONFIRMATIONS = 3
 TABLE_HZ = 10.0  # frame rate that tables' correlations hold for
@@ -60,7 +61,7 @@ class Watched:
 
 def watch_pets(folder: Path) -> Watched:
     """Faster R-CNN on PETS; halves by people and by time."""
-    given, camera = read_pets(folder)
+    given, camera = pets_tracks(folder)
     found = read_boxes(folder / "sort" / "data" / "train" / "PETS09-S2L1" / "det" / "det.txt")
     paired = pair_boxes(given, found, classes={"pedestrian": "pedestrian"}, min_score=0.5)
     ground = ground_points(bottoms(given.box_px), camera)[:, :2] - camera.position_m[:2]

@@ -14,7 +14,7 @@ from experiments.study.reality.projection import (
     measure_flags,
     measure_pets_heights,
     nearest_pinhole,
-    read_pets,
+    pets_tracks,
     tilted,
 )
 from geometry.image_boxes import box_height_px
@@ -165,7 +165,7 @@ def test_bodies_that_this_camera_drew_have_the_height_that_it_predicts(folder):
 
 
 def test_a_camera_without_distortion_and_roll_is_its_nearest_pinhole(folder):
-    _, camera = read_pets(folder)
+    _, camera = pets_tracks(folder)
     square = replace(
         camera,
         lens=TsaiRadial(kappa=0.0),
@@ -180,7 +180,7 @@ def test_a_camera_without_distortion_and_roll_is_its_nearest_pinhole(folder):
 
 
 def test_a_camera_tilted_down_shows_the_same_point_higher_up(folder):
-    _, camera = read_pets(folder)
+    _, camera = pets_tracks(folder)
     point = [[0.0, 15.0, 0.0]]
     assert project_distorted(point, tilted(camera, 1.0))[0, 1] < (
         project_distorted(point, camera)[0, 1] - 10.0

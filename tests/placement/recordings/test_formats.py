@@ -6,8 +6,9 @@ from readers import READERS
 
 from geometry.errors import InputError
 from geometry.lenses import project_distorted
-from placement.recordings.boxes import IGNORE, read_boxes
+from placement.recordings.boxes import IGNORE
 from placement.recordings.cvml import read_tsai
+from placement.recordings.formats import read_boxes
 from placement.recordings.kitti import read_kitti_camera, read_kitti_motion
 from placement.recordings.wildtrack import read_opencv_camera, read_wildtrack
 
