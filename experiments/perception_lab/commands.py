@@ -193,7 +193,8 @@ Examples:
       --weather day,night,rain --out mine
   place-rsus detector fit --recording ncap_data --out mine
   place-rsus detector fit --labels coco.json --results found.json --out mine
-  place-rsus detector fit --labels tracks.xml --results det.txt --frame-rate 7 --out mine
+  place-rsus detector fit --labels gt.txt --results det.txt --frame-rate 7 \\
+      --out mine
   place-rsus --budget 3 --detector mine/response.toml      plans with it""",
 )
 @layout_option
