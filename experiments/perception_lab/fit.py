@@ -469,7 +469,7 @@ def _load_json(path: Path) -> Any:
     data = read_bytes(path, max_bytes=_MAX_BYTES)
     try:
         return msgspec.json.decode(data)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(str(path), Unquoted(error), "a JSON file") from None
 
 

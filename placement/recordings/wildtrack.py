@@ -53,7 +53,7 @@ def read_wildtrack(folder: Path) -> tuple[RecordedBoxes, ...]:
     for frame, path in enumerate(_files(folder)):
         try:
             found = msgspec.json.decode(read_bytes(path))
-        except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
             raise InputError(str(path), Unquoted(error), "a JSON file") from None
         for person in read_table(found, tuple[_Person, ...], str(path)):
             if sorted(view.viewNum for view in person.views) != [*range(N_VIEWS)]:

@@ -166,6 +166,8 @@ def test_mixed_rates_and_missing_views_of_wildtrack_are_told(tmp_path):
     assert "person 1: got 7 views; expected views 0 to 6, once each" in refused(
         read_wildtrack, folder
     )
+    (folder / "00000005.json").write_text("[" * 100_000)
+    assert "00000005.json: got maximum recursion depth exceeded" in refused(read_wildtrack, folder)
     (folder / "00000005.json").write_text(text[:-9])
     assert "00000005.json: got Input data was truncated; expected a JSON file" in refused(
         read_wildtrack, folder
