@@ -172,8 +172,9 @@ class Question:
         any: a frame counts if any unit detects; single: one unit must confirm alone.
     detector : str
         Of cameras: geometric (by boxes), response (misses by size, cover, class, weather), cnn (the
-        shipped network, on rendered pictures), cnn-table (the table fitted to it), a .toml file
-        with a response table, or an .onnx network.
+        shipped network, on rendered pictures), cnn-table (the table fitted to it), pole-2015 or
+        car-2019 (tables fitted to real recordings), a .toml file with a response table, or an
+        .onnx network.
     vut_sensors : str
         What the VUT itself looks with: camera,lidar.
     cars : str

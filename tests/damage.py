@@ -133,7 +133,7 @@ def _other_value(rng: random.Random, data: bytes) -> bytes:
     except (ValueError, RecursionError):
         return data[: len(data) // 2]
     places: list[tuple[Any, Any]] = []
-    nodes = [document]
+    nodes = [document] if isinstance(document, dict | list) else []
     for node in nodes:  # grows while it is walked through
         items = node.items() if isinstance(node, dict) else enumerate(node)
         for key, value in list(items):

@@ -658,6 +658,86 @@ def _recordings() -> Mapping[str, tuple[str, Files]]:
     return {"one drive": (".", files)}
 
 
+def _read_boxes(path: Path) -> Any:
+    from placement.recordings.formats import read_boxes
+    from placement.recordings.wildtrack import read_wildtrack
+
+    return read_wildtrack(path) if path.is_dir() else read_boxes(path)
+
+
+_CVML = (
+    "<dataset>"
+    + "".join(
+        f'<frame number="{frame}"><objectlist><object id="1">'
+        f'<box h="80" w="30" xc="{100 + frame}" yc="90"/></object></objectlist></frame>'
+        for frame in range(3)
+    )
+    + "</dataset>"
+)
+_KITTI = (
+    "0 -1 DontCare -1 -1 -10 219 188 245 218 -1000 -1000 -1000 -10 -1 -1 -1\n"
+    "0 2 Pedestrian 0 1 -2.5 1106.1 166.5 1204.4 323.8 1.7 0.7 0.9 6.3 1.6 8.4 -1.9\n"
+    "1 2 Pedestrian 0 3 -2.5 1106.1 166.5 1204.4 323.8 1.7 0.7 0.9 6.3 1.6 8.4 -1.9\n"
+)
+
+
+def _many_boxes() -> Mapping[str, tuple[str, Files]]:
+    person = {"personID": 1, "positionID": 456826, "views": []}
+    for view in range(7):
+        sides = (10, 20, 30, 40) if view else (-1, -1, -1, -1)
+        names = ("xmin", "ymin", "xmax", "ymax")
+        person["views"] += [{"viewNum": view} | dict(zip(names, sides, strict=True))]
+    frame = json.dumps([person]).encode()
+    return {
+        "cvml": _one("a.xml", _CVML),
+        "mot gt": _one("a.txt", "1,1,10,20,30,40,1,1,0.5\n2,1,11,20,30,40,0,1,0.5\n"),
+        "mot det": _one("a.txt", "1,-1,10,20,30,40,0.9,-1,-1,-1\n1,-1,0,0,3,4,0.1,-1,-1,-1\n"),
+        "kitti": _one("a.txt", _KITTI),
+        "rrc": _one("a.txt", "0,107.7,198.4,161.2,291.5,0.73\n4,1,2,3,4,0.5\n"),
+        "pointrcnn": _one("a.txt", "0,3,753,160,927,374,6.1,1.7,0.6,1.8,1.6,1.6,5.7,-1.7,-1.9\n"),
+        "wildtrack": (".", {f"{number:08d}.json": frame for number in (0, 5, 10)}),
+    }
+
+
+_TSAI = (
+    '<Camera><Geometry width="768" height="576" dpx="5e-3" dpy="4.6e-3"/><Intrinsic focal="5.5" '
+    'kappa1="5e-3" cx="324" cy="282" sx="1.09"/><Extrinsic tx="828" ty="-3175" tz="35469" '
+    'rx="2.04" ry="-0.89" rz="-0.43"/></Camera>'
+)
+_INTRINSIC = (
+    "<opencv_storage><camera_matrix><data>1743 0 934 0 1735 444 0 0 1</data></camera_matrix>"
+    "<distortion_coefficients><data>-0.4 0.6 0.008 0.001 -0.6</data></distortion_coefficients>"
+    "</opencv_storage>"
+)
+_EXTRINSIC = "<opencv_storage><rvec>1.7 0.4 -0.3</rvec><tvec>-525 45 986</tvec></opencv_storage>"
+
+
+def _read_calibration(path: Path) -> Any:
+    from placement.recordings.cvml import read_tsai
+    from placement.recordings.kitti import read_kitti_camera, read_kitti_motion
+    from placement.recordings.wildtrack import read_opencv_camera
+
+    size: dict[str, int] = {"width_px": 1242, "height_px": 375}
+    if path.name == "tsai.xml":
+        return read_tsai(path)
+    if path.name == "intrinsic.xml":
+        return read_opencv_camera(path, path.with_name("extrinsic.xml"), **size)
+    if path.name == "oxts.txt":
+        return read_kitti_motion(path)
+    return read_kitti_camera(path, **size)
+
+
+def _calibrations() -> Mapping[str, tuple[str, Files]]:
+    pair = {"intrinsic.xml": _INTRINSIC.encode(), "extrinsic.xml": _EXTRINSIC.encode()}
+    oxts = "49.01 8.42 112.8 0.02 0.01 -1.22 -3.3 1.1 3.5 " + " ".join(["0.5"] * 21) + "\n"
+    return {
+        "tsai": _one("tsai.xml", _TSAI),
+        "opencv": ("intrinsic.xml", pair),
+        "kitti": _one("calib.txt", "P0: 1\nP2: 721.5 0 609.5 44.8 0 721.5 172.8 0.2 0 0 1 0.003\n"),
+        "oxts": _one("oxts.txt", 2 * oxts),
+    }
+
+
 # ---------- problems, and what commands have written
 
 
@@ -977,6 +1057,32 @@ READERS: Mapping[str, Reader] = {
             "placement.recordings.files.read_detections",
             "placement.recordings.files.read_world",
         ),
+    ),
+    "recorded boxes": Reader(
+        read=_read_boxes,
+        seeds=_many_boxes,
+        covers=(
+            "placement.recordings.formats.read_boxes",
+            "placement.recordings.boxes.read_lines",
+            "placement.recordings.cvml.read_cvml",
+            "placement.recordings.kitti.read_kitti_labels",
+            "placement.recordings.kitti.read_pointrcnn",
+            "placement.recordings.kitti.read_rrc",
+            "placement.recordings.mot.read_mot",
+            "placement.recordings.wildtrack.read_wildtrack",
+        ),
+        share=3,
+    ),
+    "recorded calibrations": Reader(
+        read=_read_calibration,
+        seeds=_calibrations,
+        covers=(
+            "placement.recordings.cvml.read_tsai",
+            "placement.recordings.kitti.read_kitti_camera",
+            "placement.recordings.kitti.read_kitti_motion",
+            "placement.recordings.wildtrack.read_opencv_camera",
+        ),
+        share=2,
     ),
     "covering instances": Reader(
         read=_read_covering,

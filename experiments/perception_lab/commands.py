@@ -184,6 +184,8 @@ Examples:
       --weather day,night,rain --out mine
   place-rsus detector fit --recording ncap_data --out mine
   place-rsus detector fit --labels coco.json --results found.json --out mine
+  place-rsus detector fit --labels gt.txt --results det.txt --frame-rate 7 \\
+      --out mine
   place-rsus --budget 3 --detector mine/response.toml      plans with it""",
 )
 @layout_option
@@ -207,13 +209,22 @@ Examples:
     "--labels",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Fit to COCO's files: annotations, such as coco.json of place-rsus dataset ..",
+    help="Fit to annotations: coco.json of place-rsus dataset, MOT challenge, KITTI, CVML ..",
 )
 @option(
     "--results",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help=".. and what a detector found: a list of image_id, category_id, bbox, score.",
+    help=".. and to what a detector found: COCO's list of results; MOT challenge, KITTI.",
+)
+@option(
+    "--frame-rate",
+    "frame_rate_hz",
+    type=click.FloatRange(min=1.0, max=1000.0),
+    metavar="HZ",
+    needs="labels",
+    expected="frames per second, 1 to 1000",
+    help="With --labels: of the recording; default: 10. The table holds for 10 Hz.",
 )
 @option(
     "--min-confidence",
@@ -236,6 +247,7 @@ def fit(
     recording: Path | None,
     labels: Path | None,
     results: Path | None,
+    frame_rate_hz: float | None,
     min_confidence: float,
     out: Path | None,
     question: Question,
@@ -261,6 +273,7 @@ def fit(
             recording=recording,
             labels=labels,
             results=results,
+            frame_rate_hz=frame_rate_hz,
             min_confidence=min_confidence,
         ),
         out=out,

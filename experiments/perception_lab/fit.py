@@ -1,7 +1,8 @@
 """``place-rsus detector fit``: a response table from what a detector really finds.
 
-Three sources: a network that looks at rendered pictures, a recording in the study's format, and
-COCO's files of labels and results. Each gives labelled pictures; what follows is the same.
+Sources: a network that looks at rendered pictures, a recording in the study's format, and files of
+labels and results, of COCO or of recordings in the formats of others. Each gives labelled pictures;
+what follows is the same.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -28,6 +29,7 @@ from placement.detectors.fitting import (
     Group,
     LabelledPicture,
     ResponseFit,
+    at_frame_rate,
     fit_response,
     gather_sightings,
 )
@@ -43,7 +45,8 @@ from placement.evaluator.perceive import perceive_from_roadside, perceive_from_v
 from placement.evaluator.pictures import FrameCamera, PictureSource
 from placement.layout import Layout, check_layout
 from placement.question import Question
-from placement.recordings import Recording, load_format, read_recording
+from placement.recordings import Recording, load_format, read_boxes, read_recording
+from placement.recordings.pairs import pair_boxes
 from placement.setting import Setting, build_rule, build_setting
 
 from ..export.json import to_json_text
@@ -70,15 +73,16 @@ _FROM_THE_SIDE_DEG = 90.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FitWish:
-    """Source of a response table: exactly one of the three."""
+    """Source of a response table: exactly one."""
 
     # whose cameras, and the VUT's, show rendered pictures to the question's network
     layout: Layout | None = None
     pictures: int = 1000  # how many of these
     recording: Path | None = None  # folder in the study's format, with labels and detections
-    # labels, results: COCO's files of annotations and of results
+    # labels, results: files of annotations and of detections, of COCO or of recordings
     labels: Path | None = None
     results: Path | None = None
+    frame_rate_hz: float | None = None  # of recordings; by default that of runs
     min_confidence: float = 0.5  # boxes below do not count
 
 
@@ -130,10 +134,11 @@ def run_detector_fit(
         progress.kept = f"nothing was written to {out}"
     source = _open_source(question, wish, compute, progress)
     rule = build_rule(question)
+    frame_rate_hz = wish.frame_rate_hz or rule.frame_rate_hz
     sightings, alarms = gather_sightings(
         source.pictures,
         n_confirmations=rule.n_confirmations,
-        frame_rate_hz=rule.frame_rate_hz,
+        frame_rate_hz=frame_rate_hz,
     )
     fit = fit_response(
         sightings,
@@ -141,6 +146,7 @@ def run_detector_fit(
         seed=compute.seed,
         progress=lambda done, total: progress(FIT, done, total),
     )
+    fit = at_frame_rate(fit, from_hz=frame_rate_hz, to_hz=rule.frame_rate_hz)
     unknown = source.unknown
     if not fit.is_contrast_fitted and "contrast" not in unknown:
         unknown = (*unknown, "contrast")
@@ -188,6 +194,8 @@ def _open_source(
         return _from_recording(read_recording(wish.recording), wish.min_confidence)
     if wish.labels is not None and wish.results is not None:
         progress("read", 0, 0)
+        if wish.labels.suffix.lower() != ".json":
+            return _from_boxes(wish.labels, wish.results, wish.min_confidence)
         return _from_coco(wish.labels, wish.results, wish.min_confidence)
     assert wish.layout is not None
     return _from_network(question, wish.layout, wish, compute, progress)
@@ -378,6 +386,20 @@ def _plain_picture(
     )
 
 
+# ---------- recordings in the formats of others
+
+
+_FOUND_CLASSES = ("pedestrian", "cyclist")
+
+
+def _from_boxes(labels: Path, results: Path, min_score: float) -> _Source:
+    annotated, found = read_boxes(labels), read_boxes(results)
+    classes = {name: name for name in _FOUND_CLASSES if annotated.is_class(name).any()}
+    paired = pair_boxes(annotated, found, classes=classes, min_score=min_score)
+    words = f"{results} on the {len(paired.pictures)} frames of {labels}"
+    return _Source(words=words, pictures=iter(paired.pictures), unknown=("contrast", "aspect"))
+
+
 # ---------- COCO's files
 
 
@@ -447,7 +469,7 @@ def _load_json(path: Path) -> Any:
     data = read_bytes(path, max_bytes=_MAX_BYTES)
     try:
         return msgspec.json.decode(data)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(str(path), Unquoted(error), "a JSON file") from None
 
 
@@ -512,6 +534,10 @@ _NOTES = {
 }
 
 
+_KEYS_OF = {"aspect": ("cyclist_end_on",), "contrast": ("contrast_half", "contrast_steepness")}
+"""By what a source does not say, the keys whose figures are the built-in ones."""
+
+
 def table_text(
     fit: ResponseFit,
     *,
@@ -531,17 +557,21 @@ def table_text(
     if unknown:
         lines.append(f"# Not known from them, and as built in: {', '.join(unknown)}.")
     lines += ["", "[response]"]
+    assumed = {key for what in unknown for key in _KEYS_OF.get(what, ())} | {*detector.assumed}
+    assumed.add("plan_probability")
 
     def add(key: str, value: object, *names: str) -> None:
         ranges = [intervals[name] for name in names if intervals[name].low < intervals[name].high]
-        words = "; ".join(f"95 %: {one.low:.3g} to {one.high:.3g}" for one in ranges)
+        words = ", ".join(f"{one.low:.3g} to {one.high:.3g}" for one in ranges)
+        words = f"95 %: {words}" if ranges else "assumption" if key in assumed else ""
         if key in _NOTES:
             lines.append(f"# {_NOTES[key]}")
         lines.append(f"{key} = {value}" + (f" # {words}" if words else ""))
 
     add("seen_share", [round(value, 6) for value in detector.seen_share.tolist()])
     recalls = detector.recall.tolist()
-    add("recall", [round(value, 6) for value in recalls], f"recall[{len(recalls) - 1}]")
+    names = [f"recall[{index}]" for index in range(len(recalls))]
+    add("recall", [round(value, 6) for value in recalls], *names)
     for key in ("height_half_px", "height_steepness", "min_box_height_px"):
         add(key, f"{getattr(detector, key):.6g}", key)
     for kind, factor in zip(VRU_CLASSES, detector.class_factor.tolist(), strict=True):

@@ -97,6 +97,7 @@ _POSITIVES = (
     "contrast_half",
     "contrast_steepness",
 )
+_HALVINGS = 10  # of errors of boxes
 _PROBABILITIES = ("cyclist_end_on", "box_noise_share", "frame_correlation", "plan_probability")
 
 
@@ -211,15 +212,13 @@ class ResponseDetector:
         from scipy.special import ndtr
 
         draws, row_draw = np.unique(evidence.draw_index, return_inverse=True)
-        chance = ndtr(_linked_noise(draws, self.frame_correlation, rng))[row_draw]
+        chance = ndtr(linked_noise(draws, self.frame_correlation, rng))[row_draw]
         noise = rng.standard_normal((len(draws), 4))[row_draw]
         probability = self.probability(evidence)
         rows = np.flatnonzero(chance < probability)
-        boxes = evidence.visible_px[rows]
-        size = np.tile(boxes[:, 2:] - boxes[:, :2], 2)
         return Detections(
             row_index=rows,
-            boxes_px=boxes + self.box_noise_share * size * noise[rows],
+            boxes_px=_correct_boxes(evidence.visible_px[rows], self.box_noise_share * noise[rows]),
             confidence=probability[rows],
         )
 
@@ -260,7 +259,22 @@ def _rising(values: FloatArray, *, half: float, steepness: float) -> FloatArray:
     return rising
 
 
-def _linked_noise(draws: IntArray, correlation: float, rng: np.random.Generator) -> FloatArray:
+def _correct_boxes(boxes_px: FloatArray, error: FloatArray) -> FloatArray:
+    """Boxes (n, 4) whose sides are off by shares (n, 4) of their sizes, as far as they are correct.
+
+    The probability is that of a correct detection: an error that would make the box miss the road
+    user is halved until it does not.
+    """
+    off = np.tile(boxes_px[:, 2:] - boxes_px[:, :2], 2) * error
+    for _ in range(_HALVINGS):
+        is_wrong = iou(boxes_px + off, boxes_px) <= load_min_iou()
+        if not is_wrong.any():
+            break
+        off[is_wrong] *= 0.5
+    return boxes_px + off
+
+
+def linked_noise(draws: IntArray, correlation: float, rng: np.random.Generator) -> FloatArray:
     """Standard normal numbers, each correlated with that of the frame before, (n,)."""
     fresh = rng.standard_normal(len(draws))
     linked = fresh.copy()
@@ -273,15 +287,21 @@ def _linked_noise(draws: IntArray, correlation: float, rng: np.random.Generator)
 # ---------- by name or file
 
 
-DETECTOR_NAMES = ("geometric", "response", "cnn-table", "cnn")
-_FILE, _NETWORK_FILE, _TABLE_FILE = "detectors.toml", "vru.onnx", "vru.toml"
+DETECTOR_NAMES = ("geometric", "response", "pole-2015", "car-2019", "cnn-table", "cnn")
+_FILE, _NETWORK_FILE = "detectors.toml", "vru.onnx"
+# Tables fitted to what a detector found: on rendered pictures, and on real recordings.
+_TABLE_FILES = {
+    "cnn-table": "vru.toml",
+    "pole-2015": "pole-2015.toml",
+    "car-2019": "car-2019.toml",
+}
 
 
 def load_detector(name: str = "geometric", *, where: str = "detector") -> Detector:
     """Detector by name or file; `where` names it in messages.
 
-    Names are "geometric", "response", "cnn-table" and "cnn"; files are ``.toml`` with a table
-    ``[response]`` as in ``data/detectors.toml``, or ``.onnx``. Raises InputError if the name is
+    Names are those of ``DETECTOR_NAMES``; files are ``.toml`` with a table ``[response]`` as in
+    ``data/detectors.toml``, or ``.onnx``. Raises InputError if the name is
     unknown or the file cannot be used, MissingExtraError for "cnn" or an ONNX file without
     onnxruntime.
     """
@@ -329,9 +349,9 @@ def _load_shipped_network() -> Detector:
 
 @cache
 def load_planning_detector(name: str = "geometric") -> PlanningDetector:
-    """One of the built-in detectors, "geometric", "response" or "cnn-table"."""
-    if name == "cnn-table":
-        source = files(__package__) / "data" / _TABLE_FILE
+    """One of the built-in detectors but "cnn"."""
+    if name in _TABLE_FILES:
+        source = files(__package__) / "data" / _TABLE_FILES[name]
         return _read_response(source, load_toml(source), name=name)
     table = take(_defaults(), name, _FILE)
     if name == "response":

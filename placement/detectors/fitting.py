@@ -102,6 +102,8 @@ class LabelledPicture:
     alone_px: FloatArray | None = None
     # all of the picture was looked at: otherwise its false alarms are not counted
     is_whole: bool = True
+    # (n,): whose label it is, where each road user is a track of its own; by default the picture's
+    label_track: IntArray | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,9 +132,9 @@ def gather_sightings(
 ) -> tuple[Sightings, FalseAlarms]:
     """Match boxes with labels, picture by picture; those of a track in the order of their frames.
 
-    Gives a row for each label. As many frames in a row as `n_confirmations` confirm a track. A
-    false track lasts while its boxes of consecutive frames overlap by an IoU of more than 0.3, and
-    is counted once.
+    Gives a row for each label, in their order; a box finds one of them. As many frames in a row as
+    `n_confirmations` confirm a track. A false track lasts while its boxes of consecutive frames
+    overlap by an IoU of more than 0.3, and is counted once.
     """
     rows: list[FloatArray] = []
     n_pictures = n_alarms = n_chances = n_confirmed = 0
@@ -146,7 +148,8 @@ def gather_sightings(
                 [
                     box_height_px(one.label_px),
                     *(one.seen_share, one.contrast, one.aspect_deg, one.label_class),
-                    *(np.full(n_labels, number) for number in (one.track, one.frame)),
+                    np.full(n_labels, one.track) if one.label_track is None else one.label_track,
+                    np.full(n_labels, one.frame),
                     _errors(one, overlap),
                 ]
             )
@@ -189,16 +192,19 @@ def gather_sightings(
 
 
 def _errors(picture: LabelledPicture, overlap: FloatArray) -> FloatArray:
-    """Errors of the box that overlaps each label best, as shares of its size; NaN for none."""
+    """Errors of the box that finds each label, as shares of its size; NaN for none."""
+    from scipy.optimize import linear_sum_assignment
+
     error = np.full((len(picture.label_px), 4), np.nan)
-    if not overlap.size:
-        return error
-    counted = overlap if picture.finds is None else np.where(picture.finds, overlap, 0.0)
-    best = counted.argmax(axis=1)
-    label = np.flatnonzero(counted.max(axis=1) > load_min_iou())
+    counted = np.where(overlap > load_min_iou(), overlap, 0.0)
+    if picture.finds is not None:
+        counted = np.where(picture.finds, counted, 0.0)
+    label, box = linear_sum_assignment(counted, maximize=True)  # each box finds one at most
+    is_match = counted[label, box] > 0.0
+    label, box = label[is_match], box[is_match]
     truth = picture.label_px[label]
     size = np.tile(truth[:, 2:] - truth[:, :2], 2)
-    error[label] = (picture.found_px[best[label]] - truth) / size
+    error[label] = (picture.found_px[box] - truth) / size
     return error
 
 
@@ -240,6 +246,24 @@ def wilson(n_found: int, n_all: int) -> Interval:
     return Interval(share, max(0.0, middle - float(half)), min(1.0, middle + float(half)))
 
 
+def share_by_track(found: BoolArray, track: IntArray) -> Interval:
+    """Share of frames (n,) found, with a 95 % interval that counts tracks.
+
+    Tracks are drawn with repetition (bootstrap); the interval is never narrower than Wilson's.
+    """
+    plain = wilson(int(found.sum()), len(found))
+    _, which = np.unique(track, return_inverse=True)
+    frames = np.bincount(which)
+    if len(frames) < 2:  # one track says nothing about others
+        return Interval(plain.value, 0.0, 1.0)
+    draws = np.random.default_rng(0).multinomial(
+        len(frames), np.full(len(frames), 1.0 / len(frames)), size=_SHARE_DRAWS
+    )
+    shares = draws @ np.bincount(which, weights=found) / (draws @ frames)
+    low, high = np.quantile(shares, _INTERVAL).tolist()
+    return Interval(plain.value, min(low, plain.low), max(high, plain.high))
+
+
 def poisson(n_events: int, n_chances: float) -> Interval:
     """Events per chance, with the exact 95 % interval of a Poisson distribution.
 
@@ -264,20 +288,22 @@ def poisson(n_events: int, n_chances: float) -> Interval:
 # ---------- the table
 
 
-SEEN_KNOTS = (0.0, 0.25, 0.5, 0.75, 1.0)
+SEEN_KNOTS = (0.0, 0.25, 0.5, 0.75, 0.9, 1.0)
 """Shares of the road user that are seen, between which recall is linear; 0 at 0."""
 
 _LEAST_FRAMES = 50
 _LEAST_OF_EACH = 5  # frames found, and frames missed
 _DRAWS = 400  # of parameters
+_SHARE_DRAWS = 1000  # of tracks, for the share found
 _MOST_DRAWS = 60  # of tracks
 _STEP = 1.0e-4  # for slopes
 _OTHERS = ("min_box_height_px", "box_noise_share", "frame_correlation")
 _MOST_PER_DRAW = 20_000  # frames
 _PRIOR_FRAMES = 2.0  # how many frames the built-in table weighs: decides what no frame tells
 # How far parameters may go from the built-in table: logits of shares, logarithms of the others.
-_CLASSES = slice(7, 7 + len(VRU_CLASSES))  # among the parameters: factor by class
-_REACH = np.array([6.0] * 5 + [1.5] * 2 + [3.0] * len(VRU_CLASSES) + [1.5] * 2)
+_END_ON = len(SEEN_KNOTS) - 1  # among the parameters: after the ratios of recalls
+_CLASSES = slice(_END_ON + 3, _END_ON + 3 + len(VRU_CLASSES))  # factor by class
+_REACH = np.array([6.0] * (_END_ON + 1) + [1.5] * 2 + [3.0] * len(VRU_CLASSES) + [1.5] * 2)
 _CONTRAST_SPREAD = 0.02  # contrasts that differ less say nothing about contrast
 _PROBABILITY = (1.0e-4, 1.0 - 1.0e-4)  # no frame is impossible: a label may be wrong
 _MAX_CORRELATION = 0.98
@@ -291,7 +317,7 @@ class Group:
     name: str
     frames: int
     found: int
-    recall: Interval  # Wilson's interval, as if frames were independent
+    recall: Interval  # its interval counts tracks
     expected: float  # mean probability of the fitted table
 
 
@@ -349,9 +375,7 @@ def fit_response(
             key: Interval(value, *_quantiles(spread.get(key, np.zeros(0)), value))
             for key, value in values.items()
         },
-        calibration=_by_bins(
-            "", probability, np.linspace(0.0, 1.0, 11), sightings.is_found, probability
-        ),
+        calibration=_by_bins("", probability, np.linspace(0.0, 1.0, 11), sightings, probability),
         groups=_groups(sightings, probability),
         frames=len(sightings),
         found=n_found,
@@ -374,7 +398,7 @@ def _free(sightings: Sightings) -> BoolArray:
     """Parameters (see :func:`_detector`) about which the frames tell something."""
     free = np.ones(len(_prior()), dtype=bool)
     is_there = np.isin(np.arange(len(VRU_CLASSES)), sightings.vru_class)
-    free[4] = is_there[VRU_CLASSES.index("cyclist")]
+    free[_END_ON] = is_there[VRU_CLASSES.index("cyclist")]
     free[_CLASSES] = is_there & (is_there.sum() > 1)  # factors are relative to one another
     free[_CLASSES.stop :] = float(np.std(sightings.contrast)) > _CONTRAST_SPREAD
     return free
@@ -479,10 +503,10 @@ def _detector(values: FloatArray, name: str) -> ResponseDetector:
     """The table of parameters: logits of ratios of recalls and of the end-on factor, logarithms."""
     table = load_planning_detector("response")
     assert isinstance(table, ResponseDetector)
-    shares = 1.0 / (1.0 + np.exp(-values[:5]))
+    shares = 1.0 / (1.0 + np.exp(-values[: _END_ON + 1]))
     # Each recall is a share of the next one, so that recall never falls with what is seen.
-    recall = np.cumprod(shares[:4][::-1])[::-1]
-    half_px, steepness = np.exp(values[5:7]).tolist()
+    recall = np.cumprod(shares[:_END_ON][::-1])[::-1]
+    half_px, steepness = np.exp(values[_END_ON + 1 : _CLASSES.start]).tolist()
     factor = np.exp(values[_CLASSES] - values[_CLASSES].max())
     contrast_half, contrast_steepness = np.exp(values[_CLASSES.stop :]).tolist()
     return replace(
@@ -493,7 +517,7 @@ def _detector(values: FloatArray, name: str) -> ResponseDetector:
         height_half_px=half_px,
         height_steepness=steepness,
         class_factor=factor,
-        cyclist_end_on=float(shares[4]),
+        cyclist_end_on=float(shares[_END_ON]),
         contrast_half=contrast_half,
         contrast_steepness=contrast_steepness,
     )
@@ -586,7 +610,53 @@ def joint_normal(first: FloatArray, second: FloatArray, correlation: float) -> F
     return joint
 
 
+def correlation_at(correlation: float, *, from_hz: float, to_hz: float) -> float:
+    """Correlation of consecutive frames at another frame rate.
+
+    It falls off exponentially with time, as that of the linked draws does.
+
+    Examples
+    --------
+    >>> round(correlation_at(0.64, from_hz=10.0, to_hz=20.0), 9)
+    0.8
+    """
+    return float(correlation ** (from_hz / to_hz))
+
+
+def at_frame_rate(fit: ResponseFit, *, from_hz: float, to_hz: float) -> ResponseFit:
+    """The fit with the correlation of consecutive frames at another frame rate."""
+    key = "frame_correlation"
+    of = fit.intervals[key]
+    there = Interval(
+        *(correlation_at(one, from_hz=from_hz, to_hz=to_hz) for one in (of.value, of.low, of.high))
+    )
+    return replace(
+        fit,
+        detector=replace(fit.detector, frame_correlation=there.value),
+        intervals={**fit.intervals, key: there},
+    )
+
+
 # ---------- recall by group
+
+
+def calibration_error(probability: FloatArray, found: BoolArray) -> float:
+    """Mean difference of predicted and found shares in ten bins of the probability (n,).
+
+    Each bin weighs as much as it has frames.
+
+    References
+    ----------
+    .. [1] M. Naeini et al., "Obtaining well calibrated probabilities using Bayesian binning", 2015.
+
+    Examples
+    --------
+    >>> calibration_error(np.array([0.2, 0.2, 0.7, 0.7]), np.array([False, False, True, True]))
+    0.25
+    """
+    bins = np.clip((probability * 10.0).astype(np.int64), 0, 9)
+    off = np.bincount(bins, weights=probability - found, minlength=10)
+    return float(np.abs(off).sum() / len(found))
 
 
 _HEIGHT_EDGES_PX = (0.0, 20.0, 30.0, 40.0, 60.0, 80.0, 120.0, np.inf)
@@ -596,17 +666,16 @@ _CONTRAST_EDGES = (0.0, 0.1, 0.3, 0.6, np.inf)
 
 
 def _groups(sightings: Sightings, probability: FloatArray) -> dict[str, tuple[Group, ...]]:
-    found = sightings.is_found
     by_class = [
-        _group(kind, sightings.vru_class == number, found, probability)
+        _group(kind, sightings.vru_class == number, sightings, probability)
         for number, kind in enumerate(VRU_CLASSES)
     ]
     return {
-        "height": _by_bins(" px", sightings.height_px, _HEIGHT_EDGES_PX, found, probability),
-        "seen": _by_bins("", sightings.seen_share, _SHARE_EDGES, found, probability),
+        "height": _by_bins(" px", sightings.height_px, _HEIGHT_EDGES_PX, sightings, probability),
+        "seen": _by_bins("", sightings.seen_share, _SHARE_EDGES, sightings, probability),
         "class": tuple(group for group in by_class if group.frames),
-        "aspect": _by_bins(" deg", sightings.aspect_deg, _ASPECT_EDGES_DEG, found, probability),
-        "contrast": _by_bins("", sightings.contrast, _CONTRAST_EDGES, found, probability),
+        "aspect": _by_bins(" deg", sightings.aspect_deg, _ASPECT_EDGES_DEG, sightings, probability),
+        "contrast": _by_bins("", sightings.contrast, _CONTRAST_EDGES, sightings, probability),
     }
 
 
@@ -614,7 +683,7 @@ def _by_bins(
     unit: str,
     values: FloatArray,
     edges: tuple[float, ...] | FloatArray,
-    found: BoolArray,
+    sightings: Sightings,
     probability: FloatArray,
 ) -> tuple[Group, ...]:
     """Groups between edges, the last one with its upper edge; empty ones are left out."""
@@ -623,16 +692,16 @@ def _by_bins(
     groups = []
     for number, (low, high) in enumerate(pairwise(bounds)):
         words = f"{low:g}{unit} and more" if np.isinf(high) else f"{low:g} to {high:g}{unit}"
-        groups.append(_group(words, which == number, found, probability))
+        groups.append(_group(words, which == number, sightings, probability))
     return tuple(group for group in groups if group.frames)
 
 
-def _group(name: str, rows: BoolArray, found: BoolArray, probability: FloatArray) -> Group:
-    n, k = int(rows.sum()), int(found[rows].sum())
+def _group(name: str, rows: BoolArray, sightings: Sightings, probability: FloatArray) -> Group:
+    found = sightings.is_found[rows]
     return Group(
         name=name,
-        frames=n,
-        found=k,
-        recall=wilson(k, n),
-        expected=float(probability[rows].mean()) if n else 0.0,
+        frames=len(found),
+        found=int(found.sum()),
+        recall=share_by_track(found, sightings.track[rows]),
+        expected=float(probability[rows].mean()) if len(found) else 0.0,
     )

@@ -1,10 +1,13 @@
-"""Detections from elsewhere: recordings in the folder layout of the CarlaNCAP study.
+"""Detections from elsewhere: recordings of the CarlaNCAP study, and in the formats of others.
 
 ``read`` reads a folder strictly, cuts its frames into drives that end at the impact, and counts
 what it leaves out; ``evaluate`` matches, confirms and brakes. ``files`` knows the layout, from
-``data/carla_ncap_format.toml``, and writes such a folder.
+``data/carla_ncap_format.toml``, and writes such a folder. ``boxes`` has the value of annotated
+tracks and detections in other formats, which ``formats`` tells apart, each in a file: ``mot``,
+``kitti``, ``cvml``, ``wildtrack``; ``pairs`` lays the two side by side.
 """
 
+from .boxes import RecordedBoxes
 from .evaluate import (
     RecordedEvaluation,
     evaluate_recording,
@@ -13,17 +16,20 @@ from .evaluate import (
     take_units,
 )
 from .files import FrameKey, WrittenDrive, load_format, write_folder, write_recording
+from .formats import read_boxes
 from .read import Drive, Recording, read_recording
 
 __all__ = [
     "Drive",
     "FrameKey",
+    "RecordedBoxes",
     "RecordedEvaluation",
     "Recording",
     "WrittenDrive",
     "evaluate_recording",
     "is_longitudinal",
     "load_format",
+    "read_boxes",
     "read_recording",
     "recorded_table",
     "take_units",

@@ -109,7 +109,7 @@ def read_labels(path: Path, form: RecordingFormat) -> tuple[list[Label], int]:
             Label(
                 class_name=_class(fields[0], form, path, number),
                 box_px=_box(fields[1:5], form.label_fields[1:5], path, number),
-                distance_m=_number(fields[5], path, number, "dist", least=0.0),
+                distance_m=parse_number(fields[5], f"{path}:{number}: dist", least=0.0),
             )
         )
     return labels, n_repeated
@@ -126,7 +126,9 @@ def read_detections(path: Path, form: RecordingFormat) -> tuple[list[Detection],
                 unit=fields[0],
                 class_name=_class(fields[1], form, path, number),
                 box_px=_box(fields[2:6], form.eval_fields[2:6], path, number),
-                confidence=_number(fields[6], path, number, "confidence", least=0.0, most=1.0),
+                confidence=parse_number(
+                    fields[6], f"{path}:{number}: confidence", least=0.0, most=1.0
+                ),
                 line_number=number,
             )
         )
@@ -148,9 +150,9 @@ def read_world(path: Path, form: RecordingFormat) -> tuple[World, int]:
         )
     distance, vut_speed, vru_speed = fields
     world = World(
-        distance_m=_number(distance, path, 1, "dist", least=0.0),
-        vut_speed_mps=_number(vut_speed, path, 1, "car_speed"),
-        vru_speed_mps=_number(vru_speed, path, 1, "vru_speed", least=0.0),
+        distance_m=parse_number(distance, f"{path}:1: dist", least=0.0),
+        vut_speed_mps=parse_number(vut_speed, f"{path}:1: car_speed"),
+        vru_speed_mps=parse_number(vru_speed, f"{path}:1: vru_speed", least=0.0),
     )
     if world.vut_speed_mps <= 0.0:
         raise InputError(f"{path}:1: car_speed", world.vut_speed_mps, "m/s, more than 0")
@@ -199,7 +201,8 @@ def _class(word: str, form: RecordingFormat, path: Path, number: int) -> str:
 
 def _box(words: Sequence[str], names: Sequence[str], path: Path, number: int) -> Box:
     x_min, y_min, x_max, y_max = (
-        _number(word, path, number, name) for word, name in zip(words, names, strict=True)
+        parse_number(word, f"{path}:{number}: {name}")
+        for word, name in zip(words, names, strict=True)
     )
     if x_max < x_min or y_max < y_min:
         raise InputError(
@@ -208,15 +211,10 @@ def _box(words: Sequence[str], names: Sequence[str], path: Path, number: int) ->
     return x_min, y_min, x_max, y_max
 
 
-def _number(
-    word: str,
-    path: Path,
-    line_number: int,
-    name: str,
-    *,
-    least: float = -math.inf,
-    most: float = math.inf,
+def parse_number(
+    word: str, where: str, *, least: float = -math.inf, most: float = math.inf
 ) -> float:
+    """The finite number that a word of a file is; `where` is its file, line and field."""
     try:
         # float() would also take 1_0 and other scripts' digits.
         value = float(word) if word.isascii() and "_" not in word else math.nan
@@ -225,7 +223,7 @@ def _number(
     if not (math.isfinite(value) and least <= value <= most):
         limits = "" if least == -math.inf else f", at least {least:g}"
         limits = limits if most == math.inf else f", {least:g} .. {most:g}"
-        raise InputError(f"{path}:{line_number}: {name}", word, f"a finite number{limits}")
+        raise InputError(where, word, f"a finite number{limits}")
     return value
 
 

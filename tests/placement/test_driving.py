@@ -212,7 +212,7 @@ def test_forced_speeds_are_warned_about(caplog):
         ({"along_arms": ","}, "along_arms: got ''; expected metres along the arm"),
         (
             {"detector": "best"},
-            "detector: got 'best'; expected geometric, response, cnn-table, cnn, a ",
+            "detector: got 'best'; expected geometric, response, pole-2015, car-2019, cnn-table, ",
         ),
         ({"vut_sensors": "radar"}, "vut_sensors: got 'radar'; expected one or more of camera"),
         ({"vut_sensors": ""}, "vut_sensors: got ''; expected one or more of camera, lidar"),

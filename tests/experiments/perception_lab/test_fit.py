@@ -134,6 +134,35 @@ def test_a_table_is_fitted_to_files_of_coco(run, coco):
     assert list(Path().glob("response.toml")) == []
 
 
+def test_a_table_is_fitted_to_tracks_and_detections_of_others(run, tmp_path):
+    """Found in all frames but one of five; the correlation is that at 10 Hz."""
+    tracks, found = [], []
+    for frame in range(1, 101):
+        for track in (1, 2, 3):
+            line = f"{200 * track + frame},100,40,{80 + 20 * track}"
+            tracks.append(f"{frame},{track},{line},1,1,1")
+            if (frame // 2 + track) % 5:
+                found.append(f"{frame},-1,{line},0.9,-1,-1,-1")
+    labels, results = tmp_path / "gt.txt", tmp_path / "det.txt"
+    labels.write_text("\n".join(tracks))
+    results.write_text("\n".join(found))
+    command = ("detector", "fit", "--labels", labels, "--results", results, "--json", "--quiet")
+    fits = []
+    for more in ((), ("--frame-rate", "5")):
+        code, out, err = run(*command, *more)
+        assert (code, err) == (0, "")
+        fits.append(json.loads(out))
+    slow, fast = fits[1], fits[0]
+    assert (slow["frames"], slow["found"], slow["tracks"]) == (300, len(found), 3)
+    assert slow["unknown"] == ["contrast", "aspect"]
+    correlation = [one["table"]["frame_correlation"]["value"] for one in (fast, slow)]
+    assert correlation[1] == pytest.approx(correlation[0] ** 0.5)
+    results.write_text("\n".join(found)[:-20])
+    code, _, err = run(*command)
+    assert code == 2
+    assert f"det.txt:{len(found)}: got 4 fields; expected 7 to 10 fields" in err
+
+
 def test_confidence_decides_what_counts(run, coco):
     labels, results = coco
     code, _, err = run(

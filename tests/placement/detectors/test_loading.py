@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from geometry.errors import InputError
+from geometry.files import load_toml
 from placement.detectors import (
     DETECTOR_NAMES,
     GeometricDetector,
@@ -11,7 +12,7 @@ from placement.detectors import (
     load_detector,
     load_planning_detector,
 )
-from placement.detectors.evidence import Interval
+from placement.detectors.evidence import Evidence, Interval
 
 OURS = (files("placement.detectors") / "data" / "detectors.toml").read_text(encoding="utf-8")
 TABLE = """# A user's own response.
@@ -51,7 +52,14 @@ def _message(name, **options):
 
 
 def test_detectors_are_found_by_name():
-    assert DETECTOR_NAMES == ("geometric", "response", "cnn-table", "cnn")
+    assert DETECTOR_NAMES == (
+        "geometric",
+        "response",
+        "pole-2015",
+        "car-2019",
+        "cnn-table",
+        "cnn",
+    )
     assert isinstance(load_detector("geometric"), GeometricDetector)
     assert isinstance(load_detector("response"), ResponseDetector)
     assert load_detector() is load_detector("geometric")
@@ -62,8 +70,8 @@ def test_detectors_are_found_by_name():
 
 def test_an_unknown_name_lists_the_known_ones():
     assert _message("best", where="--detector") == (
-        "--detector: got 'best'; expected geometric, response, cnn-table, cnn, a .toml file with "
-        "a response table, or an .onnx file"
+        "--detector: got 'best'; expected geometric, response, pole-2015, car-2019, cnn-table, "
+        "cnn, a .toml file with a response table, or an .onnx file"
     )
 
 
@@ -71,7 +79,8 @@ def test_an_unknown_name_lists_the_known_ones():
 def test_a_file_of_another_kind_is_refused_even_if_it_is_there(write, name):
     path = write(TABLE, name)
     assert _message(path) == (
-        f"detector: got {str(path)!r}; expected geometric, response, cnn-table, cnn, a .toml "
+        f"detector: got {str(path)!r}; expected geometric, response, pole-2015, car-2019, "
+        "cnn-table, cnn, a .toml "
         "file with a response table, or an .onnx file"
     )
 
@@ -247,3 +256,41 @@ def test_a_file_that_is_not_there_or_not_text_is_named(write, tmp_path):
     assert _message(tmp_path / "gone.onnx").startswith(
         f"{tmp_path / 'gone.onnx'}: got no such file"
     )
+
+
+@pytest.mark.parametrize(
+    ("name", "height_px", "seen_share", "found"),
+    [  # results/reality.md: share found, 95 % by tracks
+        ("pole-2015", 80.0, 1.0, (0.73, 0.86)),
+        ("pole-2015", 80.0, 0.95, (0.40, 0.72)),
+        ("pole-2015", 80.0, 0.78, (0.26, 0.56)),
+        ("pole-2015", 57.0, 1.0, (0.13, 1.0)),
+        ("car-2019", 80.0, 1.0, (0.77, 0.91)),
+        ("car-2019", 80.0, 0.75, (0.53, 0.66)),
+        ("car-2019", 80.0, 0.25, (0.05, 0.37)),
+    ],
+)
+def test_tables_of_real_recordings_find_as_many_as_was_measured(name, height_px, seen_share, found):
+    detector = load_planning_detector(name)
+    box = np.array([[0.0, 0.0, 0.4 * height_px, height_px]])
+    evidence = Evidence(
+        visible_px=box,
+        amodal_px=box,
+        contrast=np.ones(1),
+        visible_share=np.array([seen_share]),
+        inside_share=np.ones(1),
+        aspect_deg=np.full(1, 90.0),
+        vru_class=np.zeros(1, dtype=np.int64),
+        draw_index=np.zeros(1, dtype=np.int64),
+    )
+    assert found[0] <= detector.probability(evidence)[0] <= found[1]
+    assert detector.assumed == ("child", "cyclist", "motorcyclist", "car")
+    assert detector.false_tracks_per_hour.low > 100.0
+
+
+def test_what_the_lidars_table_holds_is_a_share_with_its_interval():
+    table = load_toml(files("placement.detectors") / "data" / "pointrcnn-2019.toml")
+    for name in ("pedestrian", "cyclist"):
+        for value, low, high, frames, tracks in table[name]["recall_by_distance_m"].values():
+            assert 0.0 <= low <= value <= high <= 1.0
+            assert frames >= tracks >= 1

@@ -250,20 +250,23 @@ def test_luck_does_not_depend_on_what_the_rows_show():
     assert (_hits(DETECTOR, rich, 6) >= _hits(DETECTOR, poor, 6)).all()
 
 
-def test_boxes_are_off_by_the_noise_asked_for_and_still_match_mostly():
+def test_boxes_are_off_by_the_noise_asked_for_and_are_still_correct():
     truth = _box(100.0, 20_000)
     evidence = build_evidence(truth)
     found = DETECTOR.detect(evidence, np.random.default_rng(7))
     off = (found.boxes_px - truth[found.row_index]) / [40.0, 100.0, 40.0, 100.0]
     assert np.abs(off.mean(axis=0)).max() < 0.002
     assert off.std(axis=0) == pytest.approx(DETECTOR.box_noise_share, rel=0.03)
-    assert (iou(found.boxes_px, truth[found.row_index]) > 0.5).mean() > 0.999
+    assert (iou(found.boxes_px, truth[found.row_index]) > 0.5).all()
     exact = replace(DETECTOR, box_noise_share=0.0).detect(evidence, np.random.default_rng(7))
     assert np.array_equal(exact.row_index, found.row_index)
     assert np.array_equal(exact.boxes_px, truth[exact.row_index])
     assert is_matched(exact, truth, min_iou=0.99).sum() == len(exact.row_index)
     wild = replace(DETECTOR, box_noise_share=1.0).detect(evidence, np.random.default_rng(7))
-    assert is_matched(wild, truth, min_iou=0.5).mean() < 0.5
+    # The probability is that of correct boxes: however wild, they find as many.
+    assert np.array_equal(wild.row_index, found.row_index)
+    assert is_matched(wild, truth, min_iou=0.5).sum() == len(wild.row_index)
+    assert iou(wild.boxes_px, truth[wild.row_index]).mean() < 0.8
 
 
 # The model itself

@@ -1,0 +1,513 @@
+"""What recordings measured, in words and tables: ``reality.md``, and the tables fitted."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.resources import files
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from shapely import Polygon, union_all
+
+from geometry.actors import pick_actor
+from geometry.arrays import BoolArray, FloatArray
+from geometry.files import load_toml
+from geometry.lidar import load_lidar_detection
+from placement.detectors.evidence import Interval
+from placement.detectors.fitting import ResponseFit, share_by_track
+
+from ...perception_lab.fit import table_text
+from ...results.numbers import number, percent
+from .projection import (
+    BODY,
+    Heights,
+    LabelHeights,
+    ViewFlags,
+    measure_flags,
+    measure_kitti_heights,
+    measure_pets_heights,
+)
+from .response import (
+    DISTANCE_EDGES_M,
+    HEIGHT_EDGES_PX,
+    KITTI_SEQUENCES,
+    SHARE_EDGES,
+    TABLE_HZ,
+    HeldOut,
+    Recall,
+    Watched,
+    built_in,
+    confirmed_at_once,
+    first_confirmed,
+    fit_table,
+    hold_out,
+    phi,
+    recall_of,
+    recalls,
+    side_errors,
+    watch_kitti,
+    watch_pets,
+)
+
+COMMAND = "python -m experiments.study.reality FOLDER"
+_LEVELS = ("in view", "partly hidden", "largely hidden")
+_SPREAD = (0.1, 0.5, 0.9)
+_UNKNOWN = ("contrast", "aspect")
+
+
+@dataclass(frozen=True)
+class Measured:
+    """All that is measured, by what was recorded; the figures of a recording follow from it."""
+
+    heights: Heights
+    labels: LabelHeights
+    flags: tuple[ViewFlags, ...]
+    pole: Watched
+    car: Watched
+    lidar: Watched  # pedestrians
+    lidar_cyclists: Watched
+
+    @property
+    def watched(self) -> dict[str, Watched]:
+        """By the words that the report has for them."""
+        return {
+            "PETS, camera": self.pole,
+            "KITTI, camera": self.car,
+            "KITTI, LiDAR": self.lidar,
+            "KITTI, LiDAR, cyclists": self.lidar_cyclists,
+        }
+
+    @cached_property
+    def fits(self) -> dict[str, ResponseFit]:
+        """Tables fitted to all frames, by name."""
+        return {one.name: fit_table(one) for one in (self.pole, self.car)}
+
+    @cached_property
+    def held(self) -> dict[str, list[HeldOut]]:
+        """Halves predicted from the other ones, both ways."""
+        return {
+            words: [hold_out(one, by, fit_first=way) for by in one.halves for way in (True, False)]
+            for words, one in self.watched.items()
+        }
+
+    @cached_property
+    def by_height(self) -> dict[str, list[Recall]]:
+        """Recall by height in the picture."""
+        return {
+            words: recalls(one, one.sightings.height_px, HEIGHT_EDGES_PX, "px")
+            for words, one in self.watched.items()
+        }
+
+    @cached_property
+    def by_hidden(self) -> dict[str, list[Recall]]:
+        """Recall by what is hidden: in per cent, or KITTI's levels."""
+        hidden = 100.0 * (1.0 - self.pole.sightings.seen_share)
+        edges = [100.0 * edge for edge in SHARE_EDGES]
+        found = {"PETS, camera": recalls(self.pole, hidden, edges, "% hidden")}
+        for words, one in self.watched.items():
+            if one is not self.pole:
+                found[words] = [
+                    recall_of(one.sightings.take(rows), level)
+                    for number, level in enumerate(_LEVELS)
+                    if len(rows := np.flatnonzero(one.hidden_level == number))
+                ]
+        return found
+
+    def panels(self) -> dict[str, Mapping[str, Sequence[Recall]]]:
+        """Recalls of the figure: panel by panel, by what was watched."""
+        by_level = {words: self.by_hidden[words] for words in list(self.watched)[1:3]}
+        return {
+            "% hidden": {"PETS, camera": self.by_hidden["PETS, camera"]},
+            "hidden": by_level,
+            "height, px": {words: self.by_height[words] for words in list(self.watched)[:3]},
+        }
+
+    def confirmations(self) -> dict[str, HeldOut]:
+        """Distributions of the figure: people held out."""
+        return {
+            f"{words}, people held out": next(
+                held for held in self.held[words] if held.words.startswith("people")
+            )
+            for words, one in list(self.watched.items())[:2]
+        }
+
+
+def measure(folder: Path) -> Measured:
+    """Read and measure everything below a folder of laid-out repositories.
+
+    Raises InputError if a file is missing, or is not what its format asks for.
+    """
+    return Measured(
+        heights=measure_pets_heights(folder),
+        labels=measure_kitti_heights(folder, KITTI_SEQUENCES),
+        flags=measure_flags(folder),
+        pole=watch_pets(folder),
+        car=watch_kitti(folder, name="car-2019", class_name="pedestrian"),
+        lidar=watch_kitti(folder, name="pointrcnn-2019", class_name="pedestrian"),
+        lidar_cyclists=watch_kitti(folder, name="pointrcnn-2019", class_name="cyclist"),
+    )
+
+
+# ---------- words
+
+
+def _share(interval: Interval) -> str:
+    """A share with its interval, in per cent."""
+    low, high = (f"{100.0 * one:.0f}" for one in (interval.low, interval.high))
+    return f"{percent(interval.value)} ({low} to {high})"
+
+
+def _plain(interval: Interval) -> str:
+    return f"{number(interval.value)} ({number(interval.low)} to {number(interval.high)})"
+
+
+def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    lines = ["| " + " | ".join(header) + " |", "|" + " --- |" * len(header)]
+    return [*lines, *("| " + " | ".join(row) + " |" for row in rows), ""]
+
+
+def comparisons(m: Measured) -> list[tuple[str, Interval, float]]:
+    """Headline figures: what, as measured with its interval, as predicted."""
+    table = built_in()
+    rows = [("tilt of PETS' camera that fits best, degrees", m.heights.tilt_deg, 0.0)]
+    for words, one in m.watched.items():
+        groups = [recall_of(one.sightings, "recall")]
+        if one in (m.pole, m.car):
+            groups += [*m.by_hidden[words], confirmed_at_once(one)]
+        rows += [(f"{words}: {g.words}", g.measured, g.predicted) for g in groups]
+    for one in (m.pole, m.car):
+        fitted = m.fits[one.name].intervals
+        for key, words in (
+            ("frame_correlation", "correlation of what decides consecutive frames"),
+            ("box_noise_share", "error of boxes' sides, as a share"),
+        ):
+            rows.append((f"{one.name}: {words}", fitted[key], getattr(table, key)))
+    return rows
+
+
+def _first_sentence(rows: list[tuple[str, Interval, float]]) -> str:
+    off = [row for row in rows if not row[1].low <= row[2] <= row[1].high]
+    words = "; ".join(
+        f"{what} {number(measured.value)} ({number(measured.low)} to {number(measured.high)}), "
+        f"not {number(predicted)}"
+        for what, measured, predicted in off
+    )
+    return (
+        f"By more than its 95 % interval, {len(off)} of {len(rows)} figures differ from what the "
+        f"camera model and the built-in table `response` predict: {words}."
+    )
+
+
+def text(m: Measured) -> str:
+    """The report, as Markdown."""
+    rows = comparisons(m)
+    lines = [
+        "# Real recordings against predictions",
+        "",
+        _first_sentence(rows),
+        "",
+        f"`{COMMAND}` reads recordings of others (`docs/how_to/recordings.md` says which; none of "
+        "their files is in this project) and wrote this page. Intervals are 95 % by tracks drawn "
+        "with repetition. Nothing of KITTI's odd sequences was read.",
+        "",
+        *_held_out_lines(m),
+        *_projection_lines(m),
+        *_response_lines(m),
+        *_lidar_lines(m),
+        *_first_look_lines(m),
+    ]
+    return "\n".join(lines)
+
+
+def _projection_lines(m: Measured) -> list[str]:
+    h, height_m = m.heights, pick_actor(BODY, "body").height_m
+    agreed = np.mean([flag.agreed for flag in m.flags])
+    rows = [
+        [name, *(number(float(value), 3) for value in np.quantile(ratio, _SPREAD)), near, far]
+        for name, ratio in (
+            ("lens as calibrated", h.ratio),
+            ("pinhole of this project", h.pinhole_ratio),
+        )
+        for near, far in [
+            [
+                number(float(np.median(ratio[mask])), 3)
+                for mask in (h.distance_m < 20.0, h.distance_m >= 30.0)
+            ]
+        ]
+    ]
+    labels = np.quantile(m.labels.ratio, _SPREAD)
+    return [
+        "## Who is where in the picture",
+        "",
+        f"PETS: {len(h.ratio)} boxes drawn by hand, {len(np.unique(h.track))} people, a camera "
+        f"{h.seen_from_m:.2f} m above the road. Drawn over predicted height, by this project's "
+        f"walking body of {height_m:g} m for all:",
+        "",
+        *_table(("camera", "10 %", "median", "90 %", "below 20 m", "beyond 30 m"), rows),
+        f"The tilt that fits best is {_plain(h.tilt_deg)} degrees off the calibration (+: down).",
+        "",
+        "![Drawn over predicted heights by distance](reality_heights.png)",
+        "",
+        f"KITTI: labelled over predicted heights of {len(m.labels.ratio)} pedestrians have a "
+        f"median of {labels[1]:.2f} ({labels[0]:.2f} to {labels[2]:.2f}). Labels are projections "
+        "of boxes that were fitted to points: their near upper edge is higher than a head.",
+        "",
+        f"WILDTRACK: {percent(float(agreed))} of the flags of view are reproduced (the body's "
+        "middle is in the picture):",
+        "",
+        *_table(
+            ("view", "people", "in view", "agreed", "without distortion"),
+            [
+                [f.view, str(f.people), *map(percent, (f.in_view, f.agreed, f.agreed_pinhole))]
+                for f in m.flags
+            ],
+        ),
+    ]
+
+
+def _held_out_lines(m: Measured) -> list[str]:
+    rows = [
+        [
+            words,
+            one.words,
+            f"{one.frames} of {one.tracks}",
+            f"{one.error:.3f} ({one.chance_error:.3f})",
+            f"{one.distance:.3f}",
+            f"{np.abs(one.real - one.by_response).max():.3f}",
+        ]
+        for words, halves in m.held.items()
+        for one in halves
+    ]
+    in_16 = m.car.halves["sequence"]
+    small = m.car.sightings.height_px < m.car.sightings.height_px[in_16].min()
+    return [
+        "## A half that was held out",
+        "",
+        "The response table is fitted to one half and predicts the other one: the calibration "
+        "error of recall (in brackets: what a true table stays below in 97.5 % of draws), and how "
+        "far the distributions of frames to confirmation, from every frame on, lie apart at most "
+        f"(Kolmogorov-Smirnov). {percent(float(in_16.mean()))} of KITTI's pedestrians in the even "
+        "sequences are in sequence 16, which is the first half by sequence; nobody there is below "
+        f"{m.car.sightings.height_px[in_16].min():.0f} px, and of the others "
+        f"{percent(float((small & ~in_16).sum() / (~in_16).sum()))} are.",
+        "",
+        *_table(
+            (
+                "watched",
+                "divided by",
+                "frames and tracks held out",
+                "calibration error",
+                "distance",
+                "by `response`",
+            ),
+            rows,
+        ),
+        "![Frames to confirmation](reality_confirmation.png)",
+        "",
+        "A table's frame_correlation is that of the normal numbers whose place decides a frame, "
+        "at 10 Hz; it is not phi, the correlation of found and missed. "
+        + "; ".join(
+            f"{words}: phi {phi(one.sightings).value:.2f} at {one.frame_rate_hz:g} Hz, "
+            f"frame_correlation {_plain(m.fits[one.name].intervals['frame_correlation'])}"
+            for words, one in m.watched.items()
+            if one.name in m.fits
+        )
+        + ". To compare a table's 0.98 with a phi of 0.6 says too much.",
+        "",
+    ]
+
+
+def _response_lines(m: Measured) -> list[str]:
+    lines = [
+        "## What is found",
+        "",
+        "![Recall by what is hidden and by height](reality_recall.png)",
+        "",
+        "A star: the table `response` lies outside of the interval.",
+        "",
+    ]
+    for words, one in m.watched.items():
+        seen = one.sightings
+        distance = recalls(one, one.distance_m, DISTANCE_EDGES_M, "m")
+        groups = [recall_of(seen, "all"), *m.by_hidden[words], *m.by_height[words], *distance]
+        left, top = side_errors(seen)
+        first, people = first_confirmed(seen)
+        per_hour = one.alarms.per_hour
+        lines += [
+            f"### {words}: {one.recording}",
+            "",
+            f"{one.detector}, {one.year} ({one.source}); {one.frame_rate_hz:g} Hz. Phi of "
+            f"consecutive frames {_plain(phi(seen))}. Sides are off by {left:.2f} of the width, "
+            f"top and bottom by {top:.2f} of the height. {first} of {people} people are confirmed "
+            f"by their first three frames. Boxes on nobody: {_plain(one.alarms.per_picture)} per "
+            "frame; of them stay for three frames and are confirmed: "
+            + (
+                f"{per_hour.value:.0f} ({per_hour.low:.0f} to {per_hour.high:.0f}) an hour."
+                if per_hour
+                else "unknown."
+            ),
+            "",
+            *_table(
+                ("group", "frames", "people", "found", "`response`", ""),
+                [
+                    [
+                        g.words,
+                        str(g.frames),
+                        str(g.tracks),
+                        _share(g.measured),
+                        percent(g.predicted),
+                        "*" if g.is_off else "",
+                    ]
+                    for g in groups
+                ],
+            ),
+        ]
+    return lines
+
+
+# KITTI's LiDAR, Velodyne HDL-64E: A. Geiger et al., "Vision meets robotics", 2013, sensor setup.
+_HDL_LINES, _HDL_FOV_DEG, _HDL_POINTS_PER_S = 64, 26.8, 1.3e6
+
+
+def lidar_reach_m() -> float:
+    """Distance up to which KITTI's LiDAR returns as many points as this project's rule asks for.
+
+    If every pulse comes back: outline of the body from ahead and from the side, times pulses per
+    solid angle. [m]
+    """
+    shape = pick_actor(BODY, "body").shapes[0]
+    areas = []
+    for axis in (0, 1):
+        corners = shape.vertices_m[shape.triangles][:, :, [axis, 2]]
+        areas.append(union_all([Polygon(one).buffer(1.0e-6) for one in corners]).area)
+    columns = _HDL_POINTS_PER_S / TABLE_HZ / _HDL_LINES
+    per_sr = columns / (2.0 * np.pi) * _HDL_LINES / np.radians(_HDL_FOV_DEG)
+    n_points = load_lidar_detection().min_points["pedestrian"]
+    return float(np.sqrt(np.mean(areas) * per_sr / n_points))
+
+
+def _lidar_lines(m: Measured) -> list[str]:
+    reach = lidar_reach_m()
+    seen, far = m.lidar.sightings, m.lidar.distance_m
+    rows = (m.lidar.hidden_level == 0) & (far < reach)
+    share = share_by_track(seen.is_found[rows], seen.track[rows])
+    return [
+        "## What the rule for LiDARs leaves out",
+        "",
+        f"By this project's rule KITTI's LiDAR finds every adult in view up to {reach:.0f} m "
+        f"(enough points, if all pulses come back). PointRCNN found {_share(share)} of them; the "
+        "table by distance is above. What a network makes of few points is not modelled.",
+        "",
+    ]
+
+
+# ---------- the first look
+
+
+def _mean(values: BoolArray | FloatArray) -> str:
+    return number(float(values.mean()) if len(values) else None)
+
+
+def _values(m: Measured) -> dict[str, str]:
+    """Figures of the first look, measured anew."""
+    h, pole, car = m.heights, m.pole.sightings, m.car.sightings
+
+    def found(watched: Watched, *masks: BoolArray) -> str:
+        return ", ".join(_mean(watched.sightings.is_found[mask]) for mask in masks)
+
+    hidden = 1.0 - pole.seen_share
+    bands = [(hidden >= low) & (hidden < high) for low, high in pairwise(SHARE_EDGES[:5])]
+    same = np.diff(pole.track) == 0
+    missed, then = ~pole.is_found[:-1][same], ~pole.is_found[1:][same]
+    left, top = side_errors(pole)
+    first, people = first_confirmed(pole)
+
+    def by_px(watched: Watched) -> str:
+        px, seen = watched.sightings.height_px, watched.hidden_level == 0
+        return found(
+            watched,
+            *(
+                seen & (px >= low) & (px < high)
+                for low, high in ((25, 40), (40, 60), (60, 100), (100, np.inf))
+            ),
+        )
+
+    probability = built_in().probability(pole.evidence())
+    tenth, median, most = np.quantile(h.pole_ratio, _SPREAD)
+    near, far = h.slant_m < 20.0, h.slant_m >= 30.0
+    return {
+        "heights": f"{median:.2f} ({tenth:.2f} to {most:.2f})",
+        "near": ", ".join(f"{np.median(h.pole_ratio[mask]):.2f}" for mask in (near, far)),
+        "hidden": found(m.pole, *bands),
+        "response": ", ".join(_mean(probability[mask]) for mask in bands),
+        "alarms": f"{m.pole.unmatched:.2f}",
+        "follows": f"{then[missed].mean():.2f}, {then[~missed].mean():.2f}; {phi(pole).value:.2f}",
+        "sides": f"{left:.2f}; {top:.2f}",
+        "first": f"{first} of {people}",
+        "levels": found(m.car, *(m.car.hidden_level == level for level in range(3))),
+        "small": found(m.car, (car.height_px >= 25.0) & (car.height_px < 40.0)),
+        "kitti_phi": number(phi(car).value),
+        "kitti_phi_seen": number(phi(car.take(np.flatnonzero(m.car.hidden_level == 0))).value),
+        "lidar": by_px(m.lidar),
+        "lidar_cyclists": by_px(m.lidar_cyclists),
+        "flags": percent(float(np.mean([flag.agreed for flag in m.flags]))),
+    }
+
+
+def _first_look_lines(m: Measured) -> list[str]:
+    table = load_toml(files("experiments") / "data" / "reality_first_look.toml")["figures"]
+    values = _values(m)
+    return [
+        "## Against a first look at the same recordings",
+        "",
+        "Speeds of road users (VRU) and encounters (DUT) are not measured by this command.",
+        "",
+        *_table(
+            ("figure", "first look", "here", "why it differs"),
+            [[what, before, values[key], why] for key, (what, before, why) in table.items()],
+        ),
+    ]
+
+
+# ---------- tables
+
+
+def tables(m: Measured) -> dict[str, str]:
+    """Response tables of cameras, and the LiDAR's recalls, as TOML by the names of their files."""
+    written = {}
+    for one in (m.pole, m.car):
+        head = (
+            f"{one.detector}, {one.year}, on {one.recording} ({one.source}), "
+            f"{one.frame_rate_hz:g} Hz"
+        )
+        written[f"{one.name}.toml"] = table_text(
+            m.fits[one.name],
+            source=head,
+            command=COMMAND,
+            unknown=_UNKNOWN,
+            false_tracks_per_hour=one.alarms.per_hour,
+        )
+    lines = [
+        f"# Recalls of {m.lidar.detector}, {m.lidar.year}, on KITTI tracking, even sequences "
+        f"({m.lidar.source}).",
+        f"# {COMMAND}",
+        "# Found: image boxes overlap by more than half. Lists: value, 95 % interval, frames, "
+        "tracks. Whether somebody is hidden is not told apart.",
+    ]
+    for name, one in (("pedestrian", m.lidar), ("cyclist", m.lidar_cyclists)):
+        phi_ = phi(one.sightings)
+        lines += [
+            "",
+            f"[{name}]",
+            f"phi_of_frames = [{phi_.value:.3g}, {phi_.low:.3g}, {phi_.high:.3g}] # 10 Hz",
+            f"false_boxes_per_frame = {one.alarms.per_picture.value:.3g}",
+            f"[{name}.recall_by_distance_m]",
+            *(
+                f'"{g.words}" = [{g.measured.value:.3g}, {g.measured.low:.3g}, '
+                f"{g.measured.high:.3g}, {g.frames}, {g.tracks}]"
+                for g in recalls(one, one.distance_m, DISTANCE_EDGES_M, "m")
+            ),
+        ]
+    written["pointrcnn-2019.toml"] = "\n".join(lines) + "\n"
+    return written

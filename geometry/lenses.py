@@ -1,0 +1,163 @@
+"""Calibrated cameras whose lenses distort: Brown-Conrady's model and Tsai's one radial term.
+
+Cameras that are placed are ideal pinholes (:mod:`geometry.sensors`); these are read from files, to
+compare what real cameras recorded.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .arrays import FloatArray, set_arrays
+from .errors import InputError
+
+_NEWTON_STEPS = 50
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BrownConrady:
+    """Radial and tangential distortion; all zeros: none.
+
+    References
+    ----------
+    .. [1] D. Brown, "Decentering distortion of lenses", 1966; order and signs as OpenCV's
+       ``distCoeffs``.
+    """
+
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    k3: float = 0.0
+
+    def distort(self, points: FloatArray) -> FloatArray:
+        """Points (n, 2) at depth 1 as the lens shows them.
+
+        Not a number beyond the radius up to which the lens keeps their order: the polynomial would
+        fold them back into the image.
+        """
+        x, y = points.T
+        square = x**2 + y**2
+        radial = 1.0 + square * (self.k1 + square * (self.k2 + square * self.k3))
+        across = 2.0 * x * y
+        distorted = np.stack(
+            [
+                x * radial + self.p1 * across + self.p2 * (square + 2.0 * x**2),
+                y * radial + self.p2 * across + self.p1 * (square + 2.0 * y**2),
+            ],
+            axis=1,
+        )
+        distorted[square > self._largest_square()] = np.nan
+        return distorted
+
+    def _largest_square(self) -> float:
+        """Square of the radius at which r (1 + k1 r^2 + k2 r^4 + k3 r^6) stops rising."""
+        roots = np.roots([7.0 * self.k3, 5.0 * self.k2, 3.0 * self.k1, 1.0])
+        rising = roots[(abs(roots.imag) < 1.0e-12) & (roots.real > 0.0)].real
+        return float(rising.min()) if len(rising) else np.inf
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TsaiRadial:
+    """Radial distortion by one term: undistorted = distorted x (1 + kappa r_distorted^2).
+
+    References
+    ----------
+    .. [1] R. Tsai, "A versatile camera calibration technique for high-accuracy 3D machine vision
+       metrology", 1987. His kappa1 is per mm^2 of the sensor; here it is times the focal length
+       squared, for points at depth 1.
+    """
+
+    kappa: float
+
+    def distort(self, points: FloatArray) -> FloatArray:
+        """Points (n, 2) at depth 1 as the lens shows them; not a number where it shows none."""
+        radius = np.hypot(*points.T)
+        # With kappa < 0 the cubic r + kappa r^3 rises up to this radius only.
+        turn = np.inf if self.kappa >= 0.0 else (-1.0 / (3.0 * self.kappa)) ** 0.5
+        shown = np.minimum(radius, turn)
+        for _ in range(_NEWTON_STEPS):
+            slope = np.maximum(1.0 + 3.0 * self.kappa * shown**2, 1.0e-6)
+            step = (shown * (1.0 + self.kappa * shown**2) - radius) / slope
+            shown = np.clip(shown - step, 0.0, turn)
+            if not (abs(step) > 1.0e-14 * (1.0 + shown)).any():
+                break
+        share = np.divide(shown, radius, out=np.ones_like(radius), where=radius > 0.0)
+        off = abs(shown * (1.0 + self.kappa * shown**2) - radius) > 1.0e-9 * (1.0 + radius)
+        placed: FloatArray = np.where(off[:, None], np.nan, points * share[:, None])
+        return placed
+
+    def undistort(self, points: FloatArray) -> FloatArray:
+        """The inverse of :meth:`distort`, (n, 2)."""
+        straight: FloatArray = points * (1.0 + self.kappa * (points**2).sum(axis=1, keepdims=True))
+        return straight
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CalibratedCamera:
+    """A camera as its calibration file has it; a point is at R (p - position) in its frame.
+
+    Attributes
+    ----------
+    fx_px, fy_px, cx_px, cy_px : float
+        Focal lengths and principal point. [px]
+    R_camera_world : (3, 3) float
+        Takes directions of the world to the camera frame (x right, y down, z ahead).
+    position_m : (3,) float
+        Of the lens, world frame. [m]
+    """
+
+    width_px: int
+    height_px: int
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    R_camera_world: FloatArray
+    position_m: FloatArray
+    lens: BrownConrady | TsaiRadial = field(default_factory=BrownConrady)
+
+    def __post_init__(self) -> None:
+        set_arrays(self, "camera: ", R_camera_world=(3, 3), position_m=(3,))
+        for name in ("width_px", "height_px", "fx_px", "fy_px"):
+            if not 0.0 < getattr(self, name) < np.inf:
+                raise InputError(f"camera: {name}", getattr(self, name), "pixels, > 0")
+        if not np.allclose(self.R_camera_world @ self.R_camera_world.T, np.eye(3), atol=1.0e-3):
+            raise InputError("camera: R_camera_world", self.R_camera_world.tolist(), "a rotation")
+
+
+def project_distorted(points_m: ArrayLike, camera: CalibratedCamera) -> FloatArray:
+    """Project points (n, 3) of the world frame into the image of a calibrated camera.
+
+    Returns (n, 3): column and row in the calibration's pixels, and depth along the optical axis in
+    metres; column and row are NaN where the depth is not positive, or the lens shows no such point.
+
+    References
+    ----------
+    .. [1] OpenCV, ``cv::projectPoints``, for :class:`BrownConrady`.
+    """
+    offsets = np.asarray(points_m, dtype=np.float64) - camera.position_m
+    in_camera = offsets @ camera.R_camera_world.T
+    depth = in_camera[:, 2]
+    at_depth_1 = in_camera[:, :2] / np.where(depth > 0.0, depth, np.nan)[:, None]
+    shown = camera.lens.distort(at_depth_1)
+    column = camera.cx_px + camera.fx_px * shown[:, 0]
+    row = camera.cy_px + camera.fy_px * shown[:, 1]
+    return np.stack([column, row, depth], axis=1)
+
+
+def ground_points(pixels_px: ArrayLike, camera: CalibratedCamera) -> FloatArray:
+    """Points (n, 3) of the plane z = 0 that a camera with Tsai's lens shows at pixels (n, 2).
+
+    NaN above the horizon. [m]
+    """
+    if not isinstance(camera.lens, TsaiRadial):
+        raise ValueError(f"lens: got {camera.lens}; expected Tsai's, whose inverse is known")
+    middle, focal = np.array([camera.cx_px, camera.cy_px]), np.array([camera.fx_px, camera.fy_px])
+    at_depth_1 = camera.lens.undistort((np.asarray(pixels_px, dtype=np.float64) - middle) / focal)
+    rays = np.column_stack([at_depth_1, np.ones(len(at_depth_1))]) @ camera.R_camera_world
+    is_below = rays[:, 2] * camera.position_m[2] < 0.0
+    far = -camera.position_m[2] / np.where(is_below, rays[:, 2], np.nan)
+    points: FloatArray = camera.position_m + far[:, None] * rays
+    return points

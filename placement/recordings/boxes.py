@@ -1,0 +1,179 @@
+"""Boxes of recordings in the formats of others: annotated tracks, and what detectors found.
+
+Readers of single formats make :class:`RecordedBoxes` of rows.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
+from geometry.errors import InputError, Unquoted
+from geometry.files import read_text
+
+from .files import Box, parse_number
+
+IGNORE = "ignore"
+"""Class of a region in which nothing is annotated: what is found there does not count."""
+
+_MOST_FRAMES = 100_000_000
+_NOWHERE = (np.nan, np.nan, np.nan)
+
+
+class BoxRow(NamedTuple):
+    """A box in a file, and where it stands there: a line, or words."""
+
+    place: str
+    frame: int
+    class_name: str  # "pedestrian", "cyclist", "car", "other" or "ignore"
+    box_px: Box
+    track: int = -1
+    score: float = np.nan
+    seen_share: float = np.nan
+    hidden_level: int = -1
+    position_m: tuple[float, float, float] = _NOWHERE
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RecordedBoxes:
+    """Boxes (n) in a camera's frames: annotated, or found by a detector.
+
+    Attributes
+    ----------
+    source : str
+        File that they come from.
+    frame : (n,) int
+        Number of the frame, from 0; consecutive numbers are consecutive frames.
+    box_px : (n, 4) float
+        Left, upper, right, lower side. Without area: not in view. [px]
+    track : (n,) int
+        Whose box it is; -1: not said.
+    score : (n,) float
+        A detector's; not a number where it is annotated.
+    seen_share : (n,) float
+        Share that nothing hides; not a number where it is not said.
+    hidden_level : (n,) int
+        KITTI's: 0 in view, 1 partly, 2 largely hidden; -1: not said.
+    position_m : (n, 3) float
+        Middle of the body's foot in the recording's own frame; not a number where not said. [m]
+    """
+
+    source: str
+    frame: IntArray
+    class_name: tuple[str, ...]
+    box_px: FloatArray
+    track: IntArray
+    score: FloatArray
+    seen_share: FloatArray
+    hidden_level: IntArray
+    position_m: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    def is_class(self, *names: str) -> BoolArray:
+        """Boxes of some classes, (n,)."""
+        return np.isin(np.array(self.class_name, dtype=str), names)
+
+    def take(self, rows: IntArray | BoolArray) -> "RecordedBoxes":
+        """Some of the boxes, by index or mask."""
+        index = np.arange(len(self))[rows]
+        arrays = {
+            name: getattr(self, name)[index]
+            for name in self.__slots__
+            if name not in ("source", "class_name")
+        }
+        names = tuple(self.class_name[one] for one in index.tolist())
+        return RecordedBoxes(source=self.source, class_name=names, **arrays)
+
+
+def gather_boxes(path: Path, rows: Iterable[BoxRow]) -> RecordedBoxes:
+    """The boxes of a file's rows, in their order.
+
+    Raises InputError, with the row's place: a frame before that of the row above (of the same
+    track, where there are tracks), a negative width or height, numbers out of range.
+    """
+    kept = list(rows)
+    last: dict[int, int] = {}
+    for row in kept:
+        before = last.get(row.track, -1)
+        # A track is once in a frame; a detector finds several things in one.
+        if row.frame < before or (row.track >= 0 and row.frame == before):
+            what = f"of track {row.track}, once each, " if row.track >= 0 else ""
+            raise InputError(row.place, Unquoted(f"frame {row.frame}"), f"frames {what}in order")
+        last[row.track] = row.frame
+        left, top, right, bottom = row.box_px
+        if right < left or bottom < top:
+            got = Unquoted(f"{right - left:g} x {bottom - top:g} px")
+            raise InputError(f"{row.place}: box", got, "a width and a height, at least 0")
+    return RecordedBoxes(
+        source=str(path),
+        frame=_frozen([row.frame for row in kept], np.int64),
+        class_name=tuple(row.class_name for row in kept),
+        box_px=_frozen([row.box_px for row in kept], np.float64).reshape(-1, 4),
+        track=_frozen([row.track for row in kept], np.int64),
+        score=_frozen([row.score for row in kept], np.float64),
+        seen_share=_frozen([row.seen_share for row in kept], np.float64),
+        hidden_level=_frozen([row.hidden_level for row in kept], np.int64),
+        position_m=_frozen([row.position_m for row in kept], np.float64).reshape(-1, 3),
+    )
+
+
+def _frozen(values: Sequence[object], kind: type) -> NDArray[Any]:
+    return freeze(np.array(values, dtype=kind))
+
+
+# ---------- lines of numbers
+
+
+class Fields:
+    """The fields of a line, taken by name."""
+
+    def __init__(self, path: Path, line: int, words: Sequence[str], names: Sequence[str]) -> None:
+        self.path, self.line = path, line
+        self.words = dict(zip(names, words, strict=False))
+
+    @property
+    def place(self) -> str:
+        """File and line."""
+        return f"{self.path}:{self.line}"
+
+    def number(self, name: str, *, least: float = -1.0e9, most: float = 1.0e9) -> float:
+        """A field's number; raises InputError unless it lies between `least` and `most`."""
+        return parse_number(self.words[name], f"{self.place}: {name}", least=least, most=most)
+
+    def whole(self, name: str, *, least: int = -1, most: int = _MOST_FRAMES) -> int:
+        """A field's whole number; raises InputError as :meth:`number` does."""
+        value = self.number(name, least=least, most=most)
+        if value != int(value):
+            raise InputError(f"{self.place}: {name}", self.words[name], "a whole number")
+        return int(value)
+
+    def box(self, names: Sequence[str]) -> Box:
+        """A box of the four fields that are named."""
+        left, top, right, bottom = (self.number(name) for name in names)
+        return left, top, right, bottom
+
+
+def read_lines(
+    path: Path, names: Sequence[str], *, separator: str | None, least: int | None = None
+) -> Iterator[Fields]:
+    """Lines of a text file that are not empty, cut into fields.
+
+    Raises InputError where a line has fewer than `least` fields (by default all that are named), or
+    more than are named: a file that was cut off ends in such a line.
+    """
+    fewest = len(names) if least is None else least
+    for line, text in enumerate(read_text(path, "text").splitlines(), start=1):
+        words = [word.strip() for word in text.strip().split(separator)]
+        if not any(words):
+            continue
+        if not fewest <= len(words) <= len(names):
+            count = f"{fewest}" if fewest == len(names) else f"{fewest} to {len(names)}"
+            what = f"{count} fields: {(separator or ' ').join(names)}"
+            raise InputError(f"{path}:{line}", Unquoted(f"{len(words)} fields"), what)
+        yield Fields(path, line, words, names)

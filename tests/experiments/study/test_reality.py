@@ -1,0 +1,258 @@
+"""Made-up recordings, drawn by this project's own camera, body and response table."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.special import ndtr
+
+from experiments.study.reality import report, response
+from experiments.study.reality.__main__ import main
+from experiments.study.reality.projection import (
+    body_boxes,
+    measure_flags,
+    measure_pets_heights,
+    nearest_pinhole,
+    pets_tracks,
+    tilted,
+)
+from geometry.image_boxes import box_height_px
+from geometry.lenses import TsaiRadial, project_distorted
+from geometry.sensors import project_points
+from placement.detectors import load_detector
+from placement.detectors.built_in import linked_noise
+from placement.recordings.cvml import read_tsai
+from placement.recordings.wildtrack import read_opencv_camera, read_wildtrack
+
+TSAI = (  # 7 m above the road, looking along it
+    '<Camera><Geometry width="768" height="576" dpx="5e-3" dpy="5e-3"/><Intrinsic focal="5.5" '
+    'kappa1="5e-3" cx="380" cy="290" sx="1.05"/><Extrinsic tx="0" ty="6500" tz="2600" '
+    'rx="1.9" ry="0" rz="0"/></Camera>'
+)
+N_PEOPLE, N_FRAMES = 10, 60
+
+
+def put(path, text):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+
+
+def pets(folder, rng):
+    """People who walk across; a detector that finds what the table "response" says."""
+    data = folder / "OpenTraj" / "datasets" / "PETS-2009" / "data"
+    put(data / "calibration" / "View_001.xml", TSAI)
+    camera = read_tsai(data / "calibration" / "View_001.xml")
+    frames = np.arange(N_FRAMES)
+    frame_texts, found = [[] for _ in frames], []
+    table = load_detector("response")
+    for person in range(N_PEOPLE):
+        far, way = 12.0 + 2.0 * person, (-1.0) ** person
+        foot = np.column_stack([way * (-2.0 + 0.1 * frames), np.full(N_FRAMES, far), 0 * frames])
+        heading = np.full(N_FRAMES, 0.0 if way > 0 else 180.0)
+        walked = (0.1 * frames / 1.4 * 8).round().astype(int)
+        boxes = body_boxes(foot, heading, walked, lambda p: project_distorted(p, camera))
+        height = box_height_px(boxes)
+        draws = linked_noise(frames, table.frame_correlation, rng)
+        chance = 0.924 / (1.0 + (table.height_half_px / height) ** table.height_steepness)
+        for frame, (box, is_found) in enumerate(zip(boxes, ndtr(draws) < chance, strict=True)):
+            x, y, w, h = box[0] + box[2], box[1] + box[3], box[2] - box[0], box[3] - box[1]
+            frame_texts[frame].append(
+                f'<object id="{person}"><box h="{h}" w="{w}" xc="{x / 2}" yc="{y / 2}"/></object>'
+            )
+            if is_found:
+                found.append((frame + 1, f"{frame + 1},-1,{box[0]},{box[1]},{w},{h},0.9,-1,-1,-1"))
+    text = "".join(
+        f'<frame number="{n}"><objectlist>{"".join(one)}</objectlist></frame>'
+        for n, one in enumerate(frame_texts)
+    )
+    put(data / "annotations" / "PETS2009-S2L1.xml", f"<dataset>{text}</dataset>")
+    lines = "\n".join(text for _, text in sorted(found))
+    put(folder / "sort" / "data" / "train" / "PETS09-S2L1" / "det" / "det.txt", lines)
+
+
+def kitti(folder, rng):
+    """Two sequences of people and cyclists, each found in seven or eight of ten frames."""
+    data = folder / "OpenTraj" / "datasets" / "KITTI" / "data"
+    for sequence in (0, 16):
+        labels, points, pictures = [], {"Pedestrian": [], "Cyclist": []}, []
+        for frame in range(50):
+            for track, kind in enumerate(["Pedestrian"] * 4 + ["Cyclist"] * 4):
+                far = 8.0 + 3.0 * track + 0.02 * frame
+                top, left = 173 - 180 / far, 150 * track + 20
+                box = f"{left} {top:.1f} {left + 300 / far:.1f} {top + 1300 / far:.1f}"
+                level = track % 3
+                labels.append(
+                    f"{frame} {track} {kind} 0 {level} 0 {box} 1.8 0.5 0.5 {track - 3} 1.6 {far} 0"
+                )
+                commas = box.replace(" ", ",")
+                number = 1 if kind == "Pedestrian" else 3
+                if rng.random() < 0.75:
+                    points[kind].append(
+                        f"{frame},{number},{commas},2.0,1.8,0.5,0.5,{track - 3},1.6,{far},0,0"
+                    )
+                if kind == "Pedestrian" and rng.random() < 0.8:
+                    pictures.append(f"{frame},{commas},0.9")
+        name = f"{sequence:04d}.txt"
+        put(data / "label" / name, "\n".join(labels))
+        put(data / "calib" / name, "P2: 721.5 0 609.5 0 0 721.5 172.8 0 0 0 1 0\n")
+        put(data / "oxts" / name, "0\n" * 50)
+        rrc = folder / "DeepFusionMOT/data/detections/2D/rrc/training/Pedestrian"
+        put(rrc / name, "\n".join(pictures))
+        for kind, lines in points.items():
+            path = folder / f"AB3DMOT/data/KITTI/detection/pointrcnn_{kind}_val" / name
+            put(path, "\n".join(lines))
+
+
+def wildtrack(folder):
+    """Three frames of people, whose flags say whether their middle is in the picture."""
+    from scipy.spatial.transform import Rotation
+
+    data = folder / "OpenTraj" / "datasets" / "Wild-Track"
+    cameras = []
+    for view, name in enumerate(
+        ("CVLab1", "CVLab2", "CVLab3", "CVLab4", "IDIAP1", "IDIAP2", "IDIAP3")
+    ):
+        turn = Rotation.from_euler("xz", [-95.0, 50.0 * view], degrees=True)
+        shift = turn.apply([-200.0, -300.0, -250.0])
+        words = " ".join(map(str, turn.as_rotvec())), " ".join(map(str, shift))
+        extrinsic = data / "calibrations" / "extrinsic" / f"extr_{name}.xml"
+        put(extrinsic, f"<opencv><rvec>{words[0]}</rvec><tvec>{words[1]}</tvec></opencv>")
+        for kind, terms in (("original", "-0.05 0.01 0 0 0"), ("zero", "0 0 0 0 0")):
+            path = data / "calibrations" / f"intrinsic_{kind}" / f"intr_{name}.xml"
+            k = "<camera_matrix><data>900 0 960 0 900 540 0 0 1</data></camera_matrix>"
+            d = f"<distortion_coefficients><data>{terms}</data></distortion_coefficients>"
+            put(path, f"<opencv_storage>{k}{d}</opencv_storage>")
+            if kind == "original":
+                cameras.append(read_opencv_camera(path, extrinsic, width_px=1920, height_px=1080))
+    people = []
+    for number in range(40):
+        cell = 480 * (40 + 30 * number) + 5 + 11 * number
+        x, y = -3.0 + 0.025 * (cell % 480), -9.0 + 0.025 * (cell // 480)
+        views = []
+        for view, camera in enumerate(cameras):
+            (at,) = project_distorted([[x, y, 0.9]], camera)
+            inside = 0 <= at[0] < 1920 and 0 <= at[1] < 1080
+            names = ("xmin", "ymin", "xmax", "ymax")
+            sides = (1, 2, 30, 40) if inside else (-1, -1, -1, -1)
+            views.append({"viewNum": view} | dict(zip(names, sides, strict=True)))
+        people.append({"personID": number, "positionID": cell, "views": views})
+    import json
+
+    for frame in (0, 5, 10):
+        put(data / "annotations_positions" / f"{frame:08d}.json", json.dumps(people))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    place, rng = tmp_path_factory.mktemp("recordings"), np.random.default_rng(3)
+    pets(place, rng)
+    kitti(place, rng)
+    wildtrack(place)
+    return place
+
+
+@pytest.fixture(autouse=True)
+def two_sequences(monkeypatch):
+    for module in (report, response):
+        monkeypatch.setattr(module, "KITTI_SEQUENCES", (0, 16))
+
+
+def test_bodies_that_this_camera_drew_have_the_height_that_it_predicts(folder):
+    heights = measure_pets_heights(folder)
+    assert np.quantile(heights.ratio, [0.05, 0.5, 0.95]) == pytest.approx(1.0, abs=0.02)
+    assert abs(heights.tilt_deg.value) <= 0.1
+
+
+def test_a_camera_without_distortion_and_roll_is_its_nearest_pinhole(folder):
+    _, camera = pets_tracks(folder)
+    square = replace(
+        camera,
+        lens=TsaiRadial(kappa=0.0),
+        fy_px=camera.fx_px,
+        cx_px=0.5 * camera.width_px,
+        cy_px=0.5 * camera.height_px,
+    )
+    pinhole, pose = nearest_pinhole(square)
+    points = np.array([[0.0, 12.0, 0.0], [2.0, 20.0, 1.8], [-3.0, 30.0, 0.5]])
+    ours = project_points(points, pose, pinhole)
+    assert ours == pytest.approx(project_distorted(points, square), abs=1e-6)
+
+
+def test_a_camera_tilted_down_shows_the_same_point_higher_up(folder):
+    _, camera = pets_tracks(folder)
+    point = [[0.0, 15.0, 0.0]]
+    assert project_distorted(point, tilted(camera, 1.0))[0, 1] < (
+        project_distorted(point, camera)[0, 1] - 10.0
+    )
+
+
+def test_flags_by_the_middles_of_bodies_agree_with_the_lens_that_made_them(folder):
+    flags = measure_flags(folder)
+    assert [flag.agreed for flag in flags] == [1.0] * 7
+    assert min(flag.agreed_pinhole for flag in flags) < 1.0
+    assert len(read_wildtrack(folder / "OpenTraj/datasets/Wild-Track/annotations_positions")) == 7
+
+
+def test_what_was_drawn_is_counted(folder):
+    det = folder / "sort" / "data" / "train" / "PETS09-S2L1" / "det" / "det.txt"
+    n_found = len(det.read_text().splitlines())
+    watched = response.watch_pets(folder)
+    assert int(watched.sightings.is_found.sum()) == n_found
+    assert len(watched.sightings) == N_PEOPLE * N_FRAMES
+    assert watched.unmatched == 0.0
+    everybody = response.recall_of(watched.sightings, "all")
+    assert everybody.measured.value == pytest.approx(n_found / (N_PEOPLE * N_FRAMES))
+    groups = response.recalls(watched, watched.distance_m, (0.0, 21.0, np.inf), "m")
+    assert [group.tracks for group in groups] == [5, 5]
+    car = response.watch_kitti(folder, name="car-2019", class_name="pedestrian")
+    assert sorted(set(car.hidden_level.tolist())) == [0, 1, 2]
+    assert car.halves["sequence"].sum() == 200
+
+
+def test_phi_is_that_of_two_states_and_their_chances():
+    rng, n = np.random.default_rng(1), 4000
+    states = np.empty(n, dtype=bool)
+    states[0] = True
+    for index in range(1, n):  # stays found with 0.9, stays missed with 0.6: phi 0.9 + 0.6 - 1
+        states[index] = rng.random() < (0.9 if states[index - 1] else 0.4)
+    some = response.Sightings(
+        height_px=np.full(n, 80.0),
+        seen_share=np.ones(n),
+        contrast=np.ones(n),
+        aspect_deg=np.full(n, 90.0),
+        vru_class=np.zeros(n, dtype=np.int64),
+        is_found=states,
+        box_error=np.where(states[:, None], 0.0, np.nan) * np.ones(4),
+        track=np.repeat(np.arange(40), 100),
+        frame=np.tile(np.arange(100), 40),
+    )
+    found = response.phi(some)
+    assert found.low <= 0.5 <= found.high
+    assert found.value == pytest.approx(0.5, abs=0.06)
+
+
+def test_the_command_writes_page_figures_and_tables(folder, tmp_path):
+    result = CliRunner().invoke(
+        main, [str(folder), "--out", str(tmp_path / "out"), "--tables", str(tmp_path / "tables")]
+    )
+    assert result.exit_code == 0, result.output
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert names == {
+        "reality.md",
+        "reality_heights.png",
+        "reality_recall.png",
+        "reality_confirmation.png",
+    }
+    text = (tmp_path / "out" / "reality.md").read_text()
+    assert text.splitlines()[2].startswith("By more than its 95 % interval, ")
+    for name in ("pole-2015.toml", "car-2019.toml"):
+        table = load_detector(str(tmp_path / "tables" / name))
+        assert table.assumed == ("child", "cyclist", "motorcyclist", "car")
+    assert "[cyclist.recall_by_distance_m]" in (tmp_path / "tables/pointrcnn-2019.toml").read_text()
+
+
+def test_a_missing_recording_is_told_in_one_line(tmp_path):
+    result = CliRunner().invoke(main, [str(tmp_path), "--out", str(tmp_path / "out")])
+    assert result.exit_code == 2
+    assert "PETS2009-S2L1.xml: got No such file or directory" in result.output

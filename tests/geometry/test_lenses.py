@@ -1,0 +1,117 @@
+import cv2
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from strategies import cameras, numbers, poses
+
+from geometry.errors import InputError
+from geometry.lenses import (
+    BrownConrady,
+    CalibratedCamera,
+    TsaiRadial,
+    ground_points,
+    project_distorted,
+)
+from geometry.poses import camera_rotation
+from geometry.sensors import project_points
+
+POINTS = np.random.default_rng(1).uniform([-8, -8, -2], [8, 8, 6], (200, 3))
+
+
+def calibrated(pose, camera, lens):
+    return CalibratedCamera(
+        width_px=camera.width_px,
+        height_px=camera.height_px,
+        fx_px=camera.focal_length_px,
+        fy_px=camera.focal_length_px,
+        cx_px=0.5 * camera.width_px,
+        cy_px=0.5 * camera.height_px,
+        R_camera_world=camera_rotation(pose.yaw_deg, pose.pitch_deg).T,
+        position_m=pose.position_m,
+        lens=lens,
+    )
+
+
+@given(poses(), cameras(), st.sampled_from([BrownConrady(), TsaiRadial(kappa=0.0)]))
+def test_a_lens_without_distortion_is_the_pinhole(pose, camera, lens):
+    points = POINTS * 5.0 + pose.position_m
+    ours = project_distorted(points, calibrated(pose, camera, lens))
+    assert ours == pytest.approx(project_points(points, pose, camera), rel=1e-9, nan_ok=True)
+
+
+@given(
+    st.tuples(*[numbers(-0.2, 0.2)] * 2, *[numbers(-0.01, 0.01)] * 2, numbers(-0.05, 0.05)),
+    st.tuples(numbers(-3.0, 3.0), numbers(-3.0, 3.0), numbers(-3.0, 3.0)),
+)
+def test_brown_conrady_agrees_with_opencv_wherever_the_lens_keeps_the_order(terms, turn):
+    rotation, _ = cv2.Rodrigues(np.array(turn))
+    k = np.array([[900.0, 0, 640], [0, 880.0, 360], [0, 0, 1]])
+    camera = CalibratedCamera(
+        width_px=1280,
+        height_px=720,
+        fx_px=900.0,
+        fy_px=880.0,
+        cx_px=640.0,
+        cy_px=360.0,
+        R_camera_world=rotation,
+        position_m=np.array([1.0, 2.0, 3.0]),
+        lens=BrownConrady(**dict(zip(("k1", "k2", "p1", "p2", "k3"), terms, strict=True))),
+    )
+    ours = project_distorted(POINTS, camera)
+    shown = np.isfinite(ours[:, 0])
+    assume(shown.any())
+    offset = -rotation @ camera.position_m
+    theirs, _ = cv2.projectPoints(POINTS[shown], np.array(turn), offset, k, np.array(terms))
+    assert ours[shown, :2] == pytest.approx(theirs[:, 0], rel=1e-8, abs=1e-6)
+
+
+def test_points_that_the_polynomial_would_fold_back_are_not_shown():
+    lens = BrownConrady(k1=-0.4)  # r - 0.4 r^3 stops rising at r^2 = 1 / 1.2
+    edge = (1.0 / 1.2) ** 0.5
+    shown = lens.distort(np.array([[edge - 1e-6, 0.0], [edge + 1e-6, 0.0]]))
+    assert np.isfinite(shown).all(axis=1).tolist() == [True, False]
+
+
+@given(numbers(-0.3, 0.5), numbers(-0.8, 0.8), numbers(-0.8, 0.8))
+def test_tsais_lens_and_its_inverse_cancel(kappa, x, y):
+    lens, points = TsaiRadial(kappa=kappa), np.array([[x, y]])
+    shown = lens.distort(points)
+    if np.isfinite(shown).all():
+        assert lens.undistort(shown) == pytest.approx(points, abs=1e-8)
+    else:  # beyond the largest radius, 2 / 3 of the turning point, that it shows
+        assert np.hypot(x, y) > 2.0 / 3.0 * (-1.0 / (3.0 * kappa)) ** 0.5 - 1e-6
+
+
+@given(numbers(-0.05, 0.3))
+def test_a_ground_point_projects_to_its_pixel(kappa):
+    camera = CalibratedCamera(
+        width_px=768,
+        height_px=576,
+        fx_px=1185.0,
+        fy_px=1195.0,
+        cx_px=324.0,
+        cy_px=283.0,
+        R_camera_world=camera_rotation(30.0, -20.0).T,
+        position_m=np.array([-5.0, 3.0, 7.0]),
+        lens=TsaiRadial(kappa=kappa),
+    )
+    pixels = np.array([[10.0, 500.0], [400.0, 300.0], [760.0, 20.0], [324.0, -2000.0]])
+    points = ground_points(pixels, camera)
+    assert points[:3, 2] == pytest.approx(0.0, abs=1e-9)
+    assert project_distorted(points[:3], camera)[:, :2] == pytest.approx(pixels[:3], abs=1e-6)
+    assert np.isnan(points[3]).all()  # above the horizon
+
+
+def test_a_matrix_that_is_no_rotation_is_refused():
+    with pytest.raises(InputError, match=r"R_camera_world: got .* expected a rotation"):
+        CalibratedCamera(
+            width_px=1,
+            height_px=1,
+            fx_px=1.0,
+            fy_px=1.0,
+            cx_px=0.0,
+            cy_px=0.0,
+            R_camera_world=np.ones((3, 3)),
+            position_m=np.zeros(3),
+        )

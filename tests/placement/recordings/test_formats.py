@@ -1,0 +1,196 @@
+"""Recordings in the formats of others, made up line by line; readers.py has whole ones."""
+
+import numpy as np
+import pytest
+from readers import READERS
+
+from geometry.errors import InputError
+from geometry.lenses import project_distorted
+from placement.recordings.boxes import IGNORE
+from placement.recordings.cvml import read_tsai
+from placement.recordings.formats import read_boxes
+from placement.recordings.kitti import read_kitti_camera, read_kitti_motion
+from placement.recordings.wildtrack import read_opencv_camera, read_wildtrack
+
+
+def put(tmp_path, reader, kind):
+    entry, files = READERS[reader].seeds()[kind]
+    for name, data in files.items():
+        (tmp_path / name).write_bytes(data)
+    return tmp_path / entry
+
+
+def refused(read, path, text=None):
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        read(path)
+    return str(caught.value).replace(str(path), "F")
+
+
+def test_cvml_has_middles_and_sizes_of_boxes(tmp_path):
+    found = read_boxes(put(tmp_path, "recorded boxes", "cvml"))
+    assert found.frame.tolist() == [0, 1, 2]
+    assert found.box_px[1].tolist() == [86.0, 50.0, 116.0, 130.0]
+    assert (found.track.tolist(), found.class_name) == ([1, 1, 1], ("pedestrian",) * 3)
+
+
+def test_mot_counts_frames_from_one_and_tells_annotations_by_their_ids(tmp_path):
+    given = read_boxes(put(tmp_path, "recorded boxes", "mot gt"))
+    assert given.frame.tolist() == [0, 1]
+    assert given.box_px[0].tolist() == [10.0, 20.0, 40.0, 60.0]
+    assert given.class_name == ("pedestrian", IGNORE)  # its flag is 0
+    assert given.seen_share.tolist() == [0.5, 0.5]
+    assert np.isnan(given.score).all()
+    found = read_boxes(put(tmp_path, "recorded boxes", "mot det"))
+    assert (found.track.tolist(), found.score.tolist()) == ([-1, -1], [0.9, 0.1])
+
+
+def test_kitti_labels_and_detectors_are_told_by_their_fields(tmp_path):
+    given = read_boxes(put(tmp_path, "recorded boxes", "kitti"))
+    assert given.class_name == (IGNORE, "pedestrian", "pedestrian")
+    assert (given.track.tolist(), given.hidden_level.tolist()) == ([-1, 2, 2], [-1, 1, -1])
+    assert given.position_m[1].tolist() == [6.3, 1.6, 8.4]
+    found = read_boxes(put(tmp_path, "recorded boxes", "rrc"))
+    assert (found.frame.tolist(), found.score.tolist()) == ([0, 4], [0.73, 0.5])
+    found = read_boxes(put(tmp_path, "recorded boxes", "pointrcnn"))
+    assert (found.class_name, found.position_m.tolist()) == (("cyclist",), [[1.6, 1.6, 5.7]])
+
+
+def test_wildtrack_has_a_value_for_each_view(tmp_path):
+    views = read_wildtrack(put(tmp_path, "recorded boxes", "wildtrack"))
+    assert len(views) == 7
+    assert [view.frame.tolist() for view in views] == [[0, 1, 2]] * 7
+    assert views[0].box_px.tolist() == [[0.0] * 4] * 3  # not in view
+    assert views[3].box_px[0].tolist() == [10.0, 20.0, 30.0, 40.0]
+    row, column = divmod(456826, 480)
+    x, y = -3.0 + 0.025 * column, -9.0 + 0.025 * row
+    assert views[0].position_m[0] == pytest.approx([x, y, 0.0])
+
+
+def test_a_tsai_camera_stands_where_its_rotation_and_shift_say(tmp_path):
+    camera = read_tsai(put(tmp_path, "recorded calibrations", "tsai"))
+    shift_m = camera.R_camera_world @ -camera.position_m
+    assert shift_m == pytest.approx([0.828, -3.175, 35.469])
+    assert camera.fx_px == pytest.approx(5.5 * 1.09 / 5e-3)
+    assert np.linalg.det(camera.R_camera_world) == pytest.approx(1.0)
+    # The world's origin is at the shift: its undistorted place follows without any rotation.
+    u = np.array([0.828, -3.175]) / 35.469
+    (shown,) = project_distorted([[0.0, 0.0, 0.0]], camera)
+    x = (shown[:2] - [324.0, 282.0]) / [camera.fx_px, camera.fy_px]
+    assert x * (1.0 + 5e-3 * 5.5**2 * (x @ x)) == pytest.approx(u, abs=1e-9)
+
+
+def test_a_kitti_camera_projects_as_its_matrix(tmp_path):
+    path = put(tmp_path, "recorded calibrations", "kitti")
+    camera = read_kitti_camera(path, width_px=1242, height_px=375)
+    P = np.array([721.5, 0, 609.5, 44.8, 0, 721.5, 172.8, 0.2, 0, 0, 1, 0.003]).reshape(3, 4)
+    u, v, w = P @ [2.0, 1.0, 15.0, 1.0]
+    (shown,) = project_distorted([[2.0, 1.0, 15.0]], camera)
+    assert shown.tolist() == pytest.approx([u / w, v / w, w])
+
+
+def test_an_opencv_camera_agrees_with_opencv(tmp_path):
+    import cv2
+
+    path = put(tmp_path, "recorded calibrations", "opencv")
+    camera = read_opencv_camera(path, tmp_path / "extrinsic.xml", width_px=1920, height_px=1080)
+    turn, shift = np.array([1.7, 0.4, -0.3]), np.array([-5.25, 0.45, 9.86])
+    k, d = np.array([[1743.0, 0, 934], [0, 1735, 444], [0, 0, 1]]), [-0.4, 0.6, 0.008, 0.001, -0.6]
+    points = np.array([[5.0, 1.0, 0.0], [6.0, 2.0, 1.0]])
+    theirs, _ = cv2.projectPoints(points, turn, shift, k, np.array(d))
+    assert project_distorted(points, camera)[:, :2] == pytest.approx(theirs[:, 0], rel=1e-9)
+
+
+def test_own_motion_is_read_by_frame(tmp_path):
+    motion = read_kitti_motion(put(tmp_path, "recorded calibrations", "oxts"))
+    assert motion.speed_mps.tolist() == [3.5, 3.5]
+    assert motion.yaw_rad.tolist() == [-1.22, -1.22]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("1,-1,1,2,3,4,0.5,-1,-1,-1\n2,-1,1,2", "F:2: got 4 fields; expected 7 to 10 fields"),
+        ("5,-1,1,2,3,4,0.5\n4,-1,1,2,3,4,0.5", "F:2: got frame 3; expected frames in order"),
+        ("1,1,1,2,3,4,1\n1,1,1,2,3,4,1", "F:2: got frame 0; expected frames of track 1, once each"),
+        ("1,-1,1,2,-3,4,0.5", "F:1: box: got -3 x 4 px; expected a width and a height, at least 0"),
+        ("1,-1,1,2,x,4,0.5", "F:1: width: got 'x'; expected a finite number"),
+        ("0,-1,1,2,3,4,0.5", "F:1: frame: got '0'; expected a finite number, 1 .. 1e+08"),
+        ("1.5,-1,1,2,3,4,0.5", "F:1: frame: got '1.5'; expected a whole number"),
+        ("1,2,1,2,3,4,0.5", "F:1: conf: got 0.5; expected 0 or 1 where there is an id"),
+        ("1,2", "F:1: got 2 fields; expected CVML, or lines of MOT challenge, KITTI"),
+        ("0 1 Bear 0 0 0 1 2 3 4 0 0 0 0 0 0 0", "F:1: type: got 'Bear'; expected one of Ped"),
+        ("0 1 Car 0 0 0 1 2 3", "F:1: got 9 fields; expected 17 fields: frame track type"),
+        ("3,1,2,3,4,0.5\n2,1,2,3,4,0.5", "F:2: got frame 2; expected frames in order"),
+        ("3,9,2,3,4,0.5", "F:1: box: got -6 x 2 px; expected a width"),
+        ("3,1,2,3,4,1.5", "F:1: score: got '1.5'; expected a finite number, 0 .. 1"),
+    ],
+)
+def test_a_wrong_line_is_told_with_its_number(text, words, tmp_path):
+    assert refused(read_boxes, tmp_path / "a.txt", text).startswith(words)
+
+
+def cvml(*frames, box='h="8" w="3" xc="1" yc="9"'):
+    parts = (
+        f'<frame number="{n}"><objectlist><object id="1"><box {box}/></object></objectlist></frame>'
+        for n in frames
+    )
+    return "<dataset>" + "".join(parts) + "</dataset>"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (cvml(0, 1, 2)[:-40], "F: got no element found: line 1, column 300; expected CVML"),
+        (cvml(0, 2, 1), "F: frame 1: got 1; expected 4 after frame 2: frames in order, all as far"),
+        (cvml(0, 1, 3), "F: frame 3: got 3; expected 2 after frame 1: frames in order, all as far"),
+        (cvml(3, box='h="8" w="-3" xc="1" yc="9"'), "F: frame 3, object 1: box: got -3 x 8 px"),
+        (cvml(3, box='h="8" xc="1" yc="9"'), "F: frame 3, object 1: w: got nothing; expected a"),
+        ("<osm/>", "F: got 'osm'; expected CVML: an element <dataset> with frames"),
+    ],
+)
+def test_wrong_xml_is_told_with_its_frame(text, words, tmp_path):
+    assert refused(read_boxes, tmp_path / "a.xml", text).startswith(words)
+
+
+def test_mixed_rates_and_missing_views_of_wildtrack_are_told(tmp_path):
+    folder = put(tmp_path, "recorded boxes", "wildtrack")
+    text = (folder / "00000010.json").read_text()
+    (folder / "00000012.json").write_text(text)
+    assert "frame 12; expected numbers all 5 apart: one frame rate" in refused(
+        read_wildtrack, folder
+    )
+    (folder / "00000012.json").unlink()
+    (folder / "00000005.json").write_text(text.replace('"viewNum": 6', '"viewNum": 5'))
+    assert "person 1: got 7 views; expected views 0 to 6, once each" in refused(
+        read_wildtrack, folder
+    )
+    (folder / "00000005.json").write_text("[" * 100_000)
+    assert "00000005.json: got maximum recursion depth exceeded" in refused(read_wildtrack, folder)
+    (folder / "00000005.json").write_text(text[:-9])
+    assert "00000005.json: got Input data was truncated; expected a JSON file" in refused(
+        read_wildtrack, folder
+    )
+
+
+def test_calibrations_that_are_cut_off_or_impossible_are_told(tmp_path):
+    path = put(tmp_path, "recorded calibrations", "tsai")
+    text = path.read_text()
+    assert refused(read_tsai, path, text.replace('dpx="5e-3"', 'dpx="0"')) == (
+        "F: dpx: got 0.0; expected more than 0"
+    )
+    assert refused(read_tsai, path, text.replace("Extrinsic", "Other")).startswith(
+        "F: Extrinsic: got nothing; expected <Extrinsic tx="
+    )
+    path = put(tmp_path, "recorded calibrations", "kitti")
+
+    def read(file):
+        return read_kitti_camera(file, width_px=1242, height_px=375)
+
+    assert refused(read, path, "P0: 1\n") == "F: got no P2; expected a line P2: with 12 numbers"
+    assert refused(read, path, "P2: 1 2\n") == "F:1: P2: got 2 numbers; expected 12 numbers"
+    lines = put(tmp_path, "recorded calibrations", "oxts").read_text()
+    assert refused(read_kitti_motion, tmp_path / "oxts.txt", lines[:-20]).startswith(
+        "F:2: got 25 fields; expected 30 fields"
+    )
