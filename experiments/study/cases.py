@@ -25,7 +25,7 @@ from placement.pipeline import Assembly, Placement, assemble, place
 from placement.question import Question
 from placement.setting import Drives, Setting, drive
 
-from ..figures.axes import WIDTH_IN, new_figure
+from ..figures.axes import WIDTH_IN, new_figure, to_png
 from ..figures.plan import plot_plan
 from ..progress import StageProgress
 from ..results.numbers import percent
@@ -150,7 +150,7 @@ def save_plans(path: Path, answers: Mapping[str, Answer]) -> None:
     for (name, answer), axes in zip(answers.items(), figure.subplots(1, len(answers)), strict=True):
         plot_plan(answer.setting, answer.placement.layout, axes=axes)
         axes.set_title(f"best three for --cases {name}")
-    figure.savefig(path)
+    write_atomically(path, to_png(figure))
 
 
 def describe(maps: Sequence[str], picture: Path, compute: Compute) -> str:
