@@ -8,9 +8,10 @@ from typing import Annotated
 import numpy as np
 from matplotlib.axes import Axes
 
+from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
 from placement.sampling.moving.trajectories import TrafficCount
-from placement.sampling.out_of_sample import SampledApr, cvar, estimate_mean
+from placement.sampling.out_of_sample import SampledApr, cvar, estimate_mean, resampled_cvar
 from placement.sampling.uncertainty import MountingErrors, RoadUsers, Uncertainty
 
 from ..figures.axes import (
@@ -75,6 +76,9 @@ class SampledLayoutRecord(EstimateRecord, frozen=True, kw_only=True):
         says("Mean APR in the worlds that it was chosen in; null: not chosen in worlds."),
     ]
     cvar: Annotated[float | None, says("Mean APR of the worst worlds.")]
+    cvar_error: Annotated[
+        float | None, says("Its standard error, by worlds drawn with repetition; null: all count.")
+    ] = None
     worst: Annotated[float | None, says("APR in the very worst one.")]
     apr_by_sample: Annotated[tuple[float | None, ...], says("APR in each world.")]
     least_sure_runs: Annotated[tuple[LeastSureRunRecord, ...], says("The least sure first.")]
@@ -88,6 +92,11 @@ class SampledPairRecord(EstimateRecord, frozen=True, kw_only=True):
     more_share: Annotated[Share, says("Worlds in which the first one avoids more.")]
     equal_share: Annotated[Share, says("Worlds in which they avoid as much.")]
     less_share: Annotated[Share, says("Worlds in which the first one avoids less.")]
+    cvar_low: Annotated[
+        float | None,
+        says("Lower end of the 95 % interval of the difference of cvar; null: all worlds count."),
+    ] = None
+    cvar_high: Annotated[float | None, says("Upper end of it.")] = None
 
 
 class SampledRecord(Record, frozen=True, kw_only=True):
@@ -118,6 +127,7 @@ class SampledRecord(Record, frozen=True, kw_only=True):
 
 
 _MAX_LEAST_SURE_RUNS = 5
+_LEAST_WORST = 8  # worlds that a tail must have: with fewer, choosing for the mean has better tails
 _SAME_APR = 1.0e-9  # shares of summed weights carry rounding noise
 
 
@@ -143,6 +153,9 @@ def build_sampled_record(
     if len(n_samples) > 1:
         raise InputError("samples", sorted(n_samples), "the same number for every layout")
     subject = judged[0]
+    tails = None
+    if tail < 1.0:
+        tails = resampled_cvar([item.apr_by_sample for item in judged], tail, seed=seed)
     planned, chosen = planned_apr or {}, chosen_apr or {}
     return SampledRecord(
         uncertainty=build_uncertainty_record(uncertainty),
@@ -160,13 +173,17 @@ def build_sampled_record(
                 in_sample=chosen.get(item.layout.name),
                 **asdict(item.estimate),
                 cvar=cvar(item.apr_by_sample, tail),
+                cvar_error=None if tails is None else float(tails[row].std(ddof=1)),
                 worst=item.worst,
                 apr_by_sample=tuple(item.apr_by_sample.tolist()),
                 least_sure_runs=_least_sure(item),
             )
-            for item in judged
+            for row, item in enumerate(judged)
         ),
-        pairs=tuple(_pair(first, second) for first, second in combinations(judged, 2)),
+        pairs=tuple(
+            _pair(judged[one], judged[other], None if tails is None else tails[one] - tails[other])
+            for one, other in combinations(range(len(judged)), 2)
+        ),
     )
 
 
@@ -201,9 +218,13 @@ def build_uncertainty_record(uncertainty: Uncertainty) -> UncertaintyRecord:
     )
 
 
-def _pair(first: SampledApr, second: SampledApr) -> SampledPairRecord:
-    """Two layouts in the same worlds: the difference, and who avoids more how often."""
+def _pair(first: SampledApr, second: SampledApr, tails: FloatArray | None) -> SampledPairRecord:
+    """Two layouts in the same worlds: the difference, and who avoids more how often.
+
+    `tails` are differences of cvar in resampled worlds.
+    """
     gain = first.apr_by_sample - second.apr_by_sample
+    low, high = (None, None) if tails is None else np.quantile(tails, (0.025, 0.975)).tolist()
     return SampledPairRecord(
         first=first.layout.name,
         second=second.layout.name,
@@ -211,6 +232,8 @@ def _pair(first: SampledApr, second: SampledApr) -> SampledPairRecord:
         more_share=float((gain > _SAME_APR).mean()),
         equal_share=float((np.abs(gain) <= _SAME_APR).mean()),
         less_share=float((gain < -_SAME_APR).mean()),
+        cvar_low=low,
+        cvar_high=high,
     )
 
 
@@ -246,6 +269,13 @@ def uncertainty_sentences(found: SampledRecord) -> list[str]:
             if chosen > or_nan(subject.mean)
             else f"In the worlds that it was chosen in, it avoids {percent(chosen)}"
         )
+    n_worst = found.tail * (found.chosen_in or 0)
+    if found.tail < 1.0 and 0.0 < n_worst < _LEAST_WORST:
+        sentences.append(
+            f"The worst {percent(found.tail)} of the {found.chosen_in} worlds that it was chosen "
+            f"in {'is' if n_worst <= 1.0 else 'are'} {max(n_worst, 1.0):g}: too few to choose by; "
+            "ask for more with --samples, or for the mean"
+        )
     if found.moving:
         sentences.append(moving_sentence(found))
     unsure = subject.least_sure_runs
@@ -260,7 +290,13 @@ def overtaken_sentences(found: SampledRecord) -> list[str]:
     subject = found.layouts[0]
     units = {layout.name: layout.units for layout in found.layouts}
     most = units[subject.name]
-    ahead = [gain for gain in found.gains if or_nan(gain.high) < 0.0 and units[gain.second] <= most]
+    of_tail = found.tail < 1.0  # what was asked for
+    ahead = [
+        gain
+        for gain in found.gains
+        if or_nan(gain.cvar_high if of_tail else gain.high) < -_SAME_APR
+        and units[gain.second] <= most
+    ]
     if not ahead or found.chosen_in is None:
         return []
     gain = min(ahead, key=lambda gain: or_nan(gain.mean))
@@ -363,7 +399,7 @@ def table(found: SampledRecord) -> Table:
 
 
 def _of_tail(one: SampledLayoutRecord) -> str:
-    return percent(one.cvar)
+    return f"{percent(one.cvar)} (\N{PLUS-MINUS SIGN}{100.0 * or_nan(one.cvar_error):.1f})"
 
 
 def sampled_picture(found: SampledRecord) -> Picture:

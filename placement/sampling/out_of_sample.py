@@ -129,6 +129,26 @@ def cvar(apr_by_sample: ArrayLike, tail: float) -> float:
     return math.fsum(counts * samples) / n_counted
 
 
+_N_RESAMPLED = 1000
+
+
+def resampled_cvar(apr_by_sample: ArrayLike, tail: float, *, seed: int = 0) -> FloatArray:
+    """CVaR of several layouts, (n_layouts, n_samples), in worlds drawn with repetition.
+
+    (n_layouts, 1000): the bootstrap's distribution. In each draw all layouts have the same worlds,
+    so that differences have a distribution, too.
+
+    References
+    ----------
+    .. [1] B. Efron, "Bootstrap methods: another look at the jackknife", Annals of Statistics 7
+       (1979).
+    """
+    samples = float_array(apr_by_sample, (-1, -1), "samples")
+    rng = np.random.default_rng(seed)
+    drawn = rng.integers(samples.shape[1], size=(_N_RESAMPLED, samples.shape[1]))
+    return np.array([[cvar(row[worlds], tail) for worlds in drawn] for row in samples])
+
+
 # ---------- layouts in new worlds
 
 

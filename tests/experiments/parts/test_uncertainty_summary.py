@@ -156,6 +156,36 @@ def test_sentences_say_mean_interval_plan_and_what_is_least_sure(summary):
     )
 
 
+def test_a_tail_of_few_worlds_is_warned_of(judged):
+    def sentences(tail, chosen_in):
+        found = summarise(judged, Uncertainty(), tail=tail, seed=0, chosen_in=chosen_in)
+        return " ".join(uncertainty_sentences(found))
+
+    said = "The worst 25.0 % of the 8 worlds that it was chosen in are 2: too few to choose by"
+    assert said in sentences(0.25, 8)
+    assert "too few" not in sentences(0.25, 32)  # eight of them
+    assert "too few" not in sentences(1.0, 2)
+    assert "too few" not in sentences(0.25, None)
+
+
+def test_the_worst_worlds_have_an_error_and_layouts_are_compared_by_what_was_asked_for(judge):
+    rng = np.random.default_rng(1)
+    steady = judge("steady", np.full(40, 0.9))
+    mixed = judge("mixed", np.where(rng.random(40) < 0.3, 0.6, 1.0) + 0.0)
+    found = summarise([mixed, steady], Uncertainty(), tail=0.25, seed=0, chosen_in=40)
+    errors = [layout.cvar_error for layout in found.layouts]
+    assert errors[1] == pytest.approx(0.0, abs=1e-12)
+    assert errors[0] > 0.0
+    (pair,) = found.pairs
+    assert pair.cvar_low <= found.layouts[0].cvar - found.layouts[1].cvar <= pair.cvar_high < 0.0
+    (said,) = overtaken_sentences(found)
+    assert said.startswith("steady does better in 40 fresh worlds")
+    # By the mean of all worlds the same two are alike.
+    alike = summarise([mixed, steady], Uncertainty(), tail=1.0, seed=0, chosen_in=40)
+    assert alike.layouts[0].cvar_error is None
+    assert overtaken_sentences(alike) == []
+
+
 def test_sentences_say_where_nothing_is_uncertain(judge):
     close = [judge("a", [0.5, 0.6, 0.5]), judge("b", [0.55, 0.5, 0.5])]
     said, *_ = uncertainty_sentences(summarise(close, Uncertainty(), tail=1.0, seed=0))

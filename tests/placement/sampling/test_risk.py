@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from geometry.errors import InputError
-from placement.sampling.out_of_sample import cvar, estimate_mean
+from placement.sampling.out_of_sample import cvar, estimate_mean, resampled_cvar
 
 shares = st.lists(st.floats(0.0, 1.0, allow_subnormal=False), min_size=1, max_size=12)
 
@@ -150,3 +150,15 @@ def test_what_is_no_ratio_has_no_interval(bad):
 def test_no_confidence_and_certainty_are_refused(confidence):
     with pytest.raises(InputError, match="confidence"):
         estimate_mean([0.5, 0.6], confidence=confidence)
+
+
+def test_the_error_of_a_tail_is_that_of_fresh_worlds():
+    rng = np.random.default_rng(3)
+    samples = rng.beta(20.0, 2.0, size=(2, 80))
+    resampled = resampled_cvar(samples, 0.25)
+    assert resampled.shape == (2, 1000)
+    fresh = [cvar(rng.beta(20.0, 2.0, size=80), 0.25) for _ in range(2000)]
+    assert resampled[0].std() == pytest.approx(np.std(fresh), rel=0.35)
+    # Both layouts have the same worlds: one that is always better is so in every draw.
+    better = resampled_cvar([samples[0] + 0.0, samples[0] - 0.01], 0.25)
+    assert better[0] - better[1] == pytest.approx(np.full(1000, 0.01))
