@@ -146,7 +146,7 @@ def _difference(junction: Answer, default: Answer) -> Iterator[str]:
 
 def save_plans(path: Path, answers: Mapping[str, Answer]) -> None:
     """Plans of the best layouts, side by side."""
-    figure = new_figure(2.0 * WIDTH_IN, 1.2 * WIDTH_IN)
+    figure = new_figure(2.0 * WIDTH_IN, 1.35 * WIDTH_IN)
     for (name, answer), axes in zip(answers.items(), figure.subplots(1, len(answers)), strict=True):
         plot_plan(answer.setting, answer.placement.layout, axes=axes)
         axes.set_title(f"best three for --cases {name}")

@@ -41,7 +41,7 @@ from scenarios.positions import (
     spread_speeds,
 )
 from scenarios.runs import FrameAxis, build_frame_axis, build_runs
-from scenarios.staging import lateral_acceleration_mps2, load_way_rules
+from scenarios.staging import is_vehicle, lateral_acceleration_mps2, load_way_rules
 from scenarios.weights import default_weights
 
 FREE = tuple(  # one of each kind: years and impact points are laid alike
@@ -207,11 +207,15 @@ def test_the_vut_changes_smoothly_into_a_lane_that_is_not_in_line(
         motion = run.encounter.vut_motion
         distance = np.linspace(0.0, float(motion.distance_m(0.0)), 400)
         place, yaw_deg = motion.path.at(distance)
+        # Where a car that comes towards it is too fast for the bend, both take it more gently.
+        eased_m = load_way_rules().max_ease_aside_m if is_vehicle(run.encounter.vru) else 0.0
         is_before = place[:, 0] < -MOUTH_M - 3.0
-        assert np.abs(place[is_before, 1] + 0.5 * LANE_M).max(initial=0.0) < 0.1
+        off_m = np.abs(place[is_before, 1] + 0.5 * LANE_M).max(initial=0.0)
+        assert off_m < max(0.1, eased_m)
         is_after = place[:, 0] > MOUTH_M + 6.0
         if is_after.any():
-            assert distance_to_chain_m(place[is_after], exit_lane.centreline_m).max() < 0.2
+            off_m = distance_to_chain_m(place[is_after], exit_lane.centreline_m).max()
+            assert off_m < max(0.2, eased_m + 0.1)
         turn = np.abs(np.diff(np.unwrap(np.radians(yaw_deg)))) / np.diff(distance)
         limit = load_way_rules().max_lateral_mps2
         assert turn.max() * motion.speed_mps**2 < 1.1 * limit
