@@ -98,7 +98,7 @@ class Evaluation:
     def headline(self) -> Verdict:
         """Verdict that the layout is judged by: of all units, with the VUT where every VUT sees.
 
-        Where only a share of them sees, this is that of the others; see :func:`headline_apr`.
+        Where only a share of them sees, this is that of the others; see ``headline_apr``.
         """
         return self.vut_and_rsus if self.cars == 1.0 else self.rsu_all
 
