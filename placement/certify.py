@@ -13,7 +13,6 @@ from .pipeline import Assembly, pick_layout
 from .sampling.out_of_sample import MeanEstimate, SampledApr, estimate_mean, out_of_sample_layouts
 
 N_BLOCKS = 5
-N_WORLDS = 8  # of a block
 N_JUDGED = 60
 
 

@@ -4,6 +4,7 @@ With a score, every level of a run is a run of its own with a later deadline and
 weight, so that to the optimiser, its proofs and their checker it is one run more.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -162,6 +163,30 @@ def has_levels(axis: FrameAxis) -> bool:
     return any(_BELOW in name for name in axis.run_ids)
 
 
+def repeated_axis(
+    axis: FrameAxis, endings: Sequence[str], *, weight: FloatArray, last_brake_time_s: FloatArray
+) -> FrameAxis:
+    """The axis once for each ending of its runs' ids, one after the other.
+
+    Weights and last brake times are those of all repeated runs, (n_endings * n_runs,).
+    """
+    n = len(endings)
+    starts = [axis.run_start[:-1] + index * axis.n_frames for index in range(n)]
+    return replace(
+        axis,
+        run_ids=tuple(f"{run}{ending}" for ending in endings for run in axis.run_ids),
+        cases=axis.cases * n,
+        approaches=axis.approaches * n,
+        positions=axis.positions * n,
+        weathers=axis.weathers * n,
+        vut_speed_kmh=np.tile(axis.vut_speed_kmh, n),
+        weight=weight,
+        last_brake_time_s=last_brake_time_s,
+        run_start=np.append(np.concatenate(starts), n * axis.n_frames),
+        time_s=np.tile(axis.time_s, n),
+    )
+
+
 # ---------- cars that see, and cars that do not
 
 
@@ -175,18 +200,11 @@ def mixed_table(table: DetectionTable, share: float) -> DetectionTable:
     for row in range(0, table.n_poses, _ROWS):
         bits = table.detected(slice(row, row + _ROWS))
         packed[row : row + _ROWS] = np.packbits(np.tile(bits, 2), axis=1, bitorder="little")
-    twice = replace(
+    twice = repeated_axis(
         axis,
-        run_ids=(*axis.run_ids, *(f"{name}{_BLIND}" for name in axis.run_ids)),
-        cases=axis.cases * 2,
-        approaches=axis.approaches * 2,
-        weathers=axis.weathers * 2,
-        positions=axis.positions * 2,
-        vut_speed_kmh=np.tile(axis.vut_speed_kmh, 2),
+        ("", _BLIND),
         weight=np.concatenate([share * axis.weight, (1.0 - share) * axis.weight]),
         last_brake_time_s=np.tile(axis.last_brake_time_s, 2),
-        run_start=np.append(axis.run_start[:-1], axis.run_start + n_frames),
-        time_s=np.tile(axis.time_s, 2),
     )
     return DetectionTable(pose_ids=table.pose_ids, axis=twice, packed=packed)
 

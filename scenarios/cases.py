@@ -30,7 +30,8 @@ ROAD_USERS = {
     "vehicle": "car",
 }
 """Road-user groups, by the class of the body."""
-PROTECTED = {"vru": ("on foot", "bicycle", "motorcycle"), "all": tuple(ROAD_USERS.values())}
+ROAD_USER_GROUPS = tuple(dict.fromkeys(ROAD_USERS.values()))  # each once
+PROTECTED = {"vru": ("on foot", "bicycle", "motorcycle"), "all": ROAD_USER_GROUPS}
 """Whose runs count, by the word of a user."""
 
 

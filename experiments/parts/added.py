@@ -8,7 +8,7 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray
 from placement.evaluation import Evaluation, unit_arrivals_s
 from placement.setting import Setting
-from scenarios.cases import ROAD_USERS
+from scenarios.cases import ROAD_USER_GROUPS
 from scenarios.runs import find_onsets
 from scenarios.weights import weight_share
 
@@ -96,7 +96,7 @@ def build_added(setting: Setting, evaluation: Evaluation, *, fusion: str = "any"
     for kind, found in (
         ("case", groups_by_case(axis)),
         ("position", groups_by_position(axis)),
-        ("road user", [(name, met == name) for name in ROAD_USERS.values() if name in met]),
+        ("road user", [(name, met == name) for name in ROAD_USER_GROUPS if name in met]),
     ):
         groups += [(kind, name, mask) for name, mask in found if len(found) > 1]
 

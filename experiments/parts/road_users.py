@@ -7,7 +7,7 @@ import numpy as np
 
 from placement.evaluation import Evaluation, Verdict, apr, mean_impact_speed_kmh
 from placement.setting import Setting
-from scenarios.cases import ROAD_USERS
+from scenarios.cases import ROAD_USER_GROUPS
 
 from ..results.drives import unprotected_cases
 from ..results.numbers import count_runs, finite_or_none, number, percent, several
@@ -103,7 +103,7 @@ def build_road_users(setting: Setting, evaluations: Mapping[str, Evaluation]) ->
                     for name, (blind, seeing) in verdicts.items()
                 ),
             )
-            for group in dict.fromkeys(ROAD_USERS.values())
+            for group in ROAD_USER_GROUPS
             if (met == group).any()
         ),
         unprotected=tuple(unprotected_cases(setting)),

@@ -16,11 +16,10 @@ from threadpoolctl import threadpool_limits
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
 from geometry.lidar import LidarModel
-from scenarios.runs import FrameAxis
 
 from ..candidates import CandidatePose
 from ..compute import DEFAULT_COMPUTE, Compute, Progress, silent
-from ..detection_table import DetectionTable
+from ..detection_table import DetectionTable, repeated_axis
 from ..detectors import ResponseDetector
 from ..evaluator import with_sight
 from ..evaluator.surroundings import draw_index
@@ -253,7 +252,12 @@ def sampled_table(
     return SampledTable(
         table=DetectionTable(
             pose_ids=tuple(candidate.id for candidate in candidates),
-            axis=_stack_axis(setting.axis, np.concatenate(last_brake_s), n_samples),
+            axis=repeated_axis(
+                setting.axis,
+                [f"#{number}" for number in range(1, n_samples + 1)],
+                weight=np.tile(setting.axis.weight / n_samples, n_samples),  # they sum to 1
+                last_brake_time_s=np.concatenate(last_brake_s),
+            ),
             packed=packed,
         ),
         sample_index=np.repeat(np.arange(n_samples), setting.axis.n_runs),
@@ -425,24 +429,6 @@ def _build(sample: Sample, compute: Compute, lasting: SharedScene | None) -> Det
         detector=setting.table_detector,
         compute=compute,
         shared=lasting,
-    )
-
-
-def _stack_axis(axis: FrameAxis, last_brake_time_s: FloatArray, n_samples: int) -> FrameAxis:
-    """The axis once per world; the weights of all worlds together sum to 1."""
-    starts = [axis.run_start[:-1] + sample * axis.n_frames for sample in range(n_samples)]
-    return replace(
-        axis,
-        run_ids=tuple(f"{run}#{n}" for n in range(1, n_samples + 1) for run in axis.run_ids),
-        cases=axis.cases * n_samples,
-        approaches=axis.approaches * n_samples,
-        positions=axis.positions * n_samples,
-        weathers=axis.weathers * n_samples,
-        vut_speed_kmh=np.tile(axis.vut_speed_kmh, n_samples),
-        weight=np.tile(axis.weight / n_samples, n_samples),
-        last_brake_time_s=last_brake_time_s,
-        run_start=np.append(np.concatenate(starts), n_samples * axis.n_frames),
-        time_s=np.tile(axis.time_s, n_samples),
     )
 
 

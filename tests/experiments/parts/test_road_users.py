@@ -98,3 +98,11 @@ def test_cars_and_cases_laid_nowhere_are_not_called_impossible():
     assert "--protect all counts cars, too" in text
     assert "Not laid at any junction: CPRA" in text
     assert not any("CCFtap" in one or "CPRA" in one for one in driven if "possible" in one.lower())
+
+
+def test_a_group_of_two_classes_of_bodies_is_there_once(evaluation):
+    record = build_road_users(setting_of(("car", "car", "on foot")), {"mine": evaluation})
+    assert [(group.road_user, group.runs) for group in record.groups] == [
+        ("on foot", 1),
+        ("car", 2),
+    ]
