@@ -1,0 +1,134 @@
+"""The study of worlds: what it computes, resumes and tells."""
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from experiments.study import worlds
+from experiments.study.worlds import Chosen, Records, Row, Where, _read, main
+from geometry.errors import InputError
+from placement.question import Question
+
+PLAN = Where(scene="", cars="blind", n_worlds=0)
+CHOSEN = Chosen(
+    budget=1,
+    tail=1.0,
+    found=(3,),
+    greedy=(5,),
+    value=0.9,
+    bound=0.9,
+    processor_s=1.0,
+    memory_mib=1.0,
+)
+
+
+def row(found: list[float], greedy: list[float], *, tail: float = 1.0) -> Row:
+    chosen = msgspec.structs.replace(CHOSEN, tail=tail)
+    return Row(where=PLAN, chosen=chosen, found=np.array(found), greedy=np.array(greedy), bounds=())
+
+
+def test_ahead_of_greedy_is_by_students_t_of_the_differences() -> None:
+    # Differences 0.1, 0.2, 0.3: mean 0.2, error 0.1 / sqrt(3), t(2) = 4.3027 (any table of t).
+    low, high = row([0.5, 0.7, 0.9], [0.4, 0.5, 0.6]).ahead
+    reach = 4.302653 * 0.1 / np.sqrt(3.0)
+    assert (low, high) == pytest.approx((0.2 - reach, 0.2 + reach), abs=1e-6)
+
+
+def test_the_worst_quarter_is_compared_by_the_worst_quarter() -> None:
+    # The found layout has the better mean, and a worst quarter that is worse by 0.1 in any draw.
+    found, greedy = [1.0, 1.0, 1.0, 1.0], [0.9, 0.9, 0.9, 0.9]
+    low, high = row(found, greedy, tail=0.25).ahead
+    assert low == high == pytest.approx(0.1)
+
+
+def test_equal_values_are_not_compared() -> None:
+    assert row([0.5, 0.7], [0.5, 0.7]).is_same
+    assert row([0.5, 0.7], [0.5, 0.7]).cells()[6] == "-"
+
+
+def test_records_of_another_question_are_refused_and_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "records.json"
+    records = _read(path, Question(budget=1))
+    path.write_bytes(msgspec.json.encode(records))
+    assert _read(path, Question(budget=1)) == records
+    with pytest.raises(InputError, match="another question"):
+        _read(path, Question(budget=2))
+    path.write_text("{")
+    with pytest.raises(InputError, match="records"):
+        _read(path, Question(budget=1))
+    assert path.read_text() == "{"
+
+
+@pytest.mark.parametrize("text", ["", "0", "1,x", "-1", "1.5"])
+def test_numbers_of_units_are_whole(text: str, tmp_path: Path) -> None:
+    answer = CliRunner().invoke(main, [str(tmp_path / "f"), f"--units={text}"])
+    assert answer.exit_code == 2
+    assert "whole numbers" in answer.output
+    assert not (tmp_path / "f").exists()
+
+
+def _here(monkeypatch: pytest.MonkeyPatch, asked: list[str]) -> None:
+    def choose(
+        question: Question, where: Where, wanted: list[tuple[int, float]], compute: object
+    ) -> list[Chosen]:
+        asked.append(where.name)
+        return [msgspec.structs.replace(CHOSEN, budget=k, tail=tail) for k, tail in wanted]
+
+    monkeypatch.setattr(worlds, "choose", choose)
+    monkeypatch.setattr(
+        worlds,
+        "plan_values",
+        lambda q, w, layouts, c: {str(rows[0]): (0.9, 0.5) for rows in layouts},
+    )
+    monkeypatch.setattr(
+        worlds,
+        "judge",
+        lambda q, w, layouts, first, c: {str(rows[0]): [0.9] * 10 for rows in layouts},
+    )
+    monkeypatch.setattr(worlds, "in_own_process", lambda function, *arguments: function(*arguments))
+
+
+def test_a_run_that_was_cut_off_goes_on_where_it_stopped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+    _here(monkeypatch, asked)
+    study = worlds.Study(
+        question=Question(),
+        scenes=("",),
+        budgets=(1, 2),
+        samples=(8,),
+        n_blocks=2,
+        n_judged=20,
+    )
+    path = tmp_path / "records.json"
+    whole = worlds.run(study, path, worlds.Compute())
+    assert len(asked) == 2 * (1 + 2)  # cars of either kind: the plan, and two blocks
+    text = worlds.describe(study, whole, ["layouts.png", "study.png"])
+    less = msgspec.json.decode(path.read_bytes(), type=Records)
+    name = Where(scene="", cars="see", n_worlds=8, block=1).name
+    del less.chosen[name]
+    path.write_bytes(msgspec.json.encode(less))
+    asked.clear()
+    again = worlds.run(study, path, worlds.Compute())
+    assert asked == [name]
+    assert worlds.describe(study, again, ["layouts.png", "study.png"]) == text
+
+
+@pytest.mark.long
+def test_a_small_study_from_the_command_line(tmp_path: Path) -> None:
+    arguments = [
+        *(str(tmp_path / "parts"), "--units=1", "--samples=2", "--blocks=2", "--judge=10"),
+        *("--speeds=40", f"--out={tmp_path / 'worlds.md'}"),
+    ]
+    answer = CliRunner().invoke(main, arguments, catch_exceptions=False)
+    assert answer.exit_code == 0, answer.output
+    text = (tmp_path / "worlds.md").read_text()
+    assert "## study, cars see" in text
+    assert "| 1 | 2 worlds | mean |" in text
+    assert (tmp_path / "worlds_layouts.png").stat().st_size > 10_000
+    assert CliRunner().invoke(main, arguments).exit_code == 0
+    assert (tmp_path / "worlds.md").read_text() == text
