@@ -54,9 +54,11 @@ def render_city_report(
     return page_template().render(
         title=f"Roadside units for {names}",
         answer=list(result.sentences),
-        sections=[section for section in sections if section is not None],
+        sections=[
+            *(section for section in sections if section is not None),
+            Section("again", "Make it again", [Code(result.command)]),
+        ],
         interactive=None,
-        details=[Section("again", "Make it again", [Code(result.command)])],
     )
 
 
@@ -291,7 +293,7 @@ def render_junction_page(
     if record.notes:
         sections.append(Section("notes", "Left out or assumed", [Bullets(record.notes[:60])]))
     return page_template().render(
-        title=one.label, answer=answer, sections=sections, interactive=None, details=[]
+        title=one.label, answer=answer, sections=sections, interactive=None
     )
 
 

@@ -55,6 +55,11 @@ def words(result: Result, shown: Mapping[str, Evaluation]) -> list[str]:
     ]
 
 
+def warnings(result: Result) -> list[str]:
+    """What must not be overlooked: runs that were not driven, options that did nothing, doubts."""
+    return [*result.driven[:1], *result.without_effect, *preferred(result)]
+
+
 def preferred(result: Result) -> list[str]:
     """Other layouts that the evaluator or fresh sampled worlds prefer to the one found."""
     if isinstance(result, EvaluationResult):

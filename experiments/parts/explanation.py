@@ -181,7 +181,7 @@ def missed_sentences(explained: ExplainedRecord) -> list[str]:
         sentences = [f"On the detection table, {runs} {verb} not avoided: {outcomes}."]
     if n_without:
         sentences.append(f"Left out: {count_runs(n_without)} of weight 0.")
-    return [*sentences, *_causes_and_remedies(missed)]
+    return [*sentences, *causes_and_remedies(missed)]
 
 
 def _outcomes(missed: Sequence[Unavoided]) -> str:
@@ -192,7 +192,8 @@ def _outcomes(missed: Sequence[Unavoided]) -> str:
     return ", ".join(f"{count} {OUTCOMES[outcome]}" for outcome, count in counts.most_common())
 
 
-def _causes_and_remedies(missed: Sequence[Unavoided]) -> list[str]:
+def causes_and_remedies(missed: Sequence[Unavoided]) -> list[str]:
+    """Why runs are missed most often, and how many of them a further unit would save."""
     sentences = []
     causes = Counter(cause(entry.reasons[0]) for entry in missed if entry.reasons)
     if causes:

@@ -120,6 +120,7 @@ class Section:
     id: str
     title: str
     blocks: Sequence[Block]
+    is_folded: bool = False  # its title alone is in sight
 
 
 # ---------- figures as pictures

@@ -2,7 +2,7 @@
 
 import base64
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from ..parts.bill_of_materials import BillOfMaterials, bill_section, build_bill
 from ..parts.comparison import EXPERT, GREEDY
 from ..parts.explanation import explanation_sections
 from ..parts.failures import failures_section
+from ..parts.first_screen import build_first_screen
 from ..parts.front import front_section
 from ..parts.ground import coverage_section, private_ground_section
 from ..parts.margins import margins_section
@@ -104,15 +105,27 @@ def build_report(
         pictures[f"heatmap_{run_id.replace('/', '_')}"] = picture
     if not isinstance(result, EvaluationResult) and result.sampled:
         pictures["sampled_apr"] = sampled_picture(result.sampled)
+    subject = evaluations[subject_name]
+    bill = bill or build_bill(subject.layout, setting.scene)
     page = page_template().render(
         title=answer.title(result, setting, shown),
+        first=build_first_screen(
+            result,
+            setting,
+            subject,
+            bill=bill,
+            plan=plans[0],
+            warnings=answer.warnings(result),
+        ),
         answer=answer.words(result, shown),
         assumed=assumption_sentences(result),
-        sections=_present(
-            _sections(result, setting, evaluations, tasks, pictures.get("sampled_apr"))
+        sections=_in_order(
+            [
+                *_sections(result, setting, evaluations, tasks, pictures.get("sampled_apr")),
+                *_details(result, setting, evaluations, command=command, bill=bill),
+            ]
         ),
         interactive=interactive,
-        details=_present(_details(result, setting, evaluations, command=command, bill=bill)),
     )
     return page, pictures
 
@@ -151,7 +164,7 @@ def _sections(
             result.sampled,
         )
     return [
-        units_section(layouts, tasks.plans.result(), setting.scene),
+        units_section(layouts, tasks.plans.result()[1:], setting.scene),
         *of_proof,
         accidents_section(evaluations, tasks.apr.result(), is_optimised=bool(of_proof)),
         added.section(result.added),
@@ -176,14 +189,14 @@ def _details(
     evaluations: Mapping[str, Evaluation],
     *,
     command: str,
-    bill: BillOfMaterials | None,
+    bill: BillOfMaterials,
 ) -> list[Section | None]:
-    """Parts at the end, which few read."""
+    """Parts that need no picture."""
     layout = next(iter(evaluations.values())).layout
     shown, _ = _shown(result, evaluations)
     return [
         private_ground_section(result.private_ground, unit_labels(layout)),
-        bill_section(bill or build_bill(layout, setting.scene)),
+        bill_section(bill),
         assumptions_section(result, setting, {name: item.layout for name, item in shown.items()}),
         cases_section(setting),
         runs_section(evaluations),
@@ -252,5 +265,22 @@ def _shown(
     return shown, shown if is_comparison else dict([next(iter(evaluations.items()))])
 
 
-def _present(sections: Sequence[Section | None]) -> list[Section]:
-    return [section for section in sections if section is not None]
+# In the order of questions: what to mount, how sure that is, who remains at risk, what if, what it
+# costs, how it was made.
+_IN_SIGHT = (
+    *("units", "front", "proof", "comparison", "sampled"),
+    *("accidents", "dangers", "failures", "private-ground", "bill"),
+)
+_FOLDED = (
+    *("why", "next-unit", "models", "study-cases", "road", "who-when", "missed", "added"),
+    *("road-users", "alone", "margins", "sensitivity", "assumptions", "cases", "runs", "again"),
+)
+
+
+def _in_order(sections: Sequence[Section | None]) -> list[Section]:
+    """Those that there are: first those in sight, then those of which the title alone is."""
+    found = {section.id: section for section in sections if section is not None}
+    return [
+        *(found[name] for name in _IN_SIGHT if name in found),
+        *(replace(found[name], is_folded=True) for name in _FOLDED if name in found),
+    ]

@@ -148,7 +148,7 @@ def check_letters_are_no_smaller_than_9_pixels(page):
 
 
 def check_contents_lead_to_every_section(page):
-    assert texts(page, "#contents a") == texts(page, "h2")
+    assert texts(page, "#contents a") == texts(page, "main h2")
     page.click("#contents summary")
     for link in page.locator("#contents a").all():
         link.click()
@@ -157,6 +157,23 @@ def check_contents_lead_to_every_section(page):
         at_end = page.evaluate("innerHeight + scrollY >= document.body.scrollHeight - 2")
         assert -1.0 <= top < 60.0 or (at_end and 0.0 <= top < 900.0)
     assert page.evaluate("getComputedStyle(document.documentElement).scrollBehavior") == "auto"
+
+
+def test_a_link_to_a_folded_section_opens_it(browser, addresses):
+    with open_page(browser, addresses["placement"].as_uri() + "#sensitivity") as page:
+        assert page.locator("details.part[open]").count() == 1
+        assert page.is_visible("details.part[open] #sensitivity")
+        assert page.locator("details.part:not([open])").count() > 4
+
+
+def test_the_first_screen_needs_no_script_and_is_on_the_first_screen(browser, addresses):
+    path = addresses["placement"]
+    with open_page(browser, path.as_uri(), java_script_enabled=False) as page:
+        lowest = page.locator(".overview").bounding_box()
+        assert lowest["y"] + lowest["height"] < 1100
+        assert page.locator(".cards > div").count() == 4
+    text = path.read_text()
+    assert text.index("</header>") < 1_500_000
 
 
 def test_contents_without_scripts_name_no_section_that_is_missing(browser, addresses):
@@ -290,6 +307,9 @@ def test_paper_has_every_section_and_what_was_folded_but_not_what_is_long(
     with open_page(browser, address, java_script_enabled=has_scripts) as page:
         missing = set() if has_scripts else {"Watch a run"}
         headings = set(texts(page, "h2")) - missing - {"Turn it in three dimensions"}
+        page.evaluate(
+            "document.querySelectorAll('details.part').forEach((d) => { d.open = true; })"
+        )
         page.pdf(path=path, prefer_css_page_size=True)
         if has_scripts:  # the screen is as it was
             assert page.locator("main details[open].paper-length").count() < (

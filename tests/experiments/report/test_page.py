@@ -12,6 +12,7 @@ from msgspec.structs import replace as replace_fields
 from partial_pages import blank_pictures, build_result
 
 from experiments.figures.evaluation import pick_heatmap_runs
+from experiments.parts.dangers import build_dangers
 from experiments.parts.result import build_comparison_result
 from experiments.report.page import build_report, write_report
 from experiments.results.numbers import percent
@@ -258,6 +259,89 @@ def test_placement_page_opens_with_the_answer(placement_page, evaluations):
         "Proven on the detection table: no choice among 4032 candidate poses has a higher APR. "
         "If any one unit fails, the others reach at least 75.0 %."
     ) in words
+
+
+def _first_screen(page):
+    """Text of the page's head, without the answer in full."""
+    start, end = page.index("<header>"), page.index("<details")
+    return " ".join(re.sub("<[^>]*>", " ", page[start:end]).split())
+
+
+def test_the_first_screen_has_one_sentence_and_four_figures(placement_page, evaluations):
+    words = html.unescape(_first_screen(placement_page))
+    found = evaluations["found"]
+    share, own, together = (
+        f"{100.0 * apr(verdict, found.axis):.1f} %"
+        for verdict in (found.rsu_all, found.vut, found.vut_and_rsus)
+    )
+    assert (
+        f"Two cameras on two poles prevent {share} of the collisions that were tried, and no other "
+        f"choice prevents more. Cars by themselves prevent {own}, and {together} if they hear what "
+        "the sensors see."
+    ) in words
+    n_avoided = int(found.rsu_all.is_avoided.sum())
+    assert f"Prevented {share} of the collisions that were tried: {n_avoided} of 104" in words
+    assert "If a sensor fails 75.0 %" in words
+    assert "Proof proven best no other choice does better among 4,032 possible mountings" in words
+    assert re.search(r"Cost [\d,]+ EUR", words)
+
+
+@pytest.mark.usefixtures("with_blank_pictures")
+def test_the_first_screen_needs_no_code_and_no_abbreviation(placement_result, setting, evaluations):
+    found = evaluations["found"]
+    dangers = build_dangers(found.rsu_all.is_avoided, found.axis)
+    page = _page_of(
+        replace_fields(placement_result, dangers=dangers),
+        setting,
+        {"found": found},
+        command=COMMAND,
+    )
+    words = html.unescape(_first_screen(page))
+    for case in {run.case.name for run in setting.runs}:
+        assert case not in words
+    for unknown in ("APR", "VUT", "RSU", "HiGHS", "detection table"):
+        assert unknown not in words
+    worst = dangers.by_case[0]
+    titles = {run.case.name: run.case.title for run in setting.runs}
+    title = titles[worst.name].replace("VUT", "car")
+    assert f"{title[:1].upper()}{title[1:]}: {worst.not_avoided} of {worst.runs} left." in words
+
+
+@pytest.mark.usefixtures("with_blank_pictures")
+def test_the_first_screen_tells_weights_once_and_no_proof_that_there_is_not(
+    placement_result, setting, evaluations
+):
+    axis = setting.axis
+    weight = np.where(np.arange(axis.n_runs) % 2, 3.0, 1.0)
+    weighted = replace(setting, axis=replace(axis, weight=weight / weight.sum()))
+    found = evaluations["found"]
+    found = replace(found, axis=weighted.axis)
+    page = _page_of(
+        replace_fields(
+            placement_result,
+            bound=0.99,
+            stages=(StageRecord(name="apr", objective=0.9, bound=0.99, gap=0.1, seconds=1.0),),
+        ),
+        weighted,
+        {"found": found},
+        command=COMMAND,
+    )
+    words = html.unescape(_first_screen(page))
+    counted = int(found.rsu_all.is_avoided.sum()) / 104
+    assert words.count("all shares here are by weight") == 1
+    assert f"That would be {100.0 * counted:.1f} %" in words
+    assert "no other choice" not in words
+    assert "Proof 99.0 % is the most that any choice could prevent" in words
+
+
+def test_a_layout_that_was_given_is_not_said_to_be_proven(evaluation_page):
+    assert "this layout was given, and not searched for" in _first_screen(evaluation_page)
+
+
+def test_at_most_ten_sections_are_in_sight(page):
+    in_sight = re.sub(r'<details class="part">.*?</summary>', "", page, flags=re.DOTALL)
+    assert 3 < len(re.findall("<h2 id=", in_sight[in_sight.index("<main>") :])) <= 12
+    assert page.count('<details class="part">') >= 5
 
 
 def test_placement_page_shows_the_certificate(placement_page):

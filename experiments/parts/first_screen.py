@@ -1,0 +1,183 @@
+"""The first screen of a report: one sentence, four figures, and where it is still dangerous."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from placement.evaluation import Evaluation
+from placement.setting import Setting
+from scenarios.weights import weight_share
+
+from ..results.numbers import NOTHING, euros, joined, percent, points, several
+from .accidents import count_sensors, is_weighted
+from .bill_of_materials import BillOfMaterials
+from .dangers import DangerGroup, avoided_runs, position_words
+from .explanation import causes_and_remedies
+from .result import PlacementResult, Result
+from .section import Picture
+
+_MOST_DANGERS = 3
+_BEST = {
+    "best": "does better",
+    "fewest": "reaches what was asked for with fewer sensors",
+    "cheapest": "reaches what was asked for with less money",
+}
+_SMALL = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Card:
+    """A figure with what it means."""
+
+    head: str
+    figure: str
+    words: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FirstScreen:
+    """What somebody reads who reads nothing else: without codes, and without abbreviations."""
+
+    sentence: str
+    warnings: tuple[str, ...]  # what must not be overlooked
+    cards: tuple[Card, ...]
+    dangers: tuple[str, ...]
+    plan: Picture
+
+
+def build_first_screen(
+    result: Result,
+    setting: Setting,
+    subject: Evaluation,
+    *,
+    bill: BillOfMaterials,
+    plan: Picture,
+    warnings: Sequence[str] = (),
+) -> FirstScreen:
+    """The first screen of a result; `warnings` stand between its sentence and its figures."""
+    return FirstScreen(
+        sentence=_sentence(result, subject),
+        warnings=tuple(warnings),
+        cards=(
+            _prevented(result, subject),
+            _if_one_fails(result, subject),
+            _cost(bill, subject),
+            _proof(result),
+        ),
+        dangers=tuple(_dangers(result, setting)),
+        plan=plan,
+    )
+
+
+def _sentence(result: Result, subject: Evaluation) -> str:
+    """What the layout prevents, and what cars prevent by themselves."""
+    axis = subject.axis
+    avoided = avoided_runs(subject, result.fusion)
+    share, own, together = (
+        percent(weight_share(mask, axis.weight))
+        for mask in (avoided, subject.vut.is_avoided, subject.vut_and_rsus.is_avoided)
+    )
+    n_poles = len({unit.site_id or unit.id for unit in subject.layout.units})
+    units = _spelled(count_sensors(subject.layout))
+    mounted = f"{_capital(units)} on {_spelled(several(n_poles, 'pole', 'poles'))}"
+    verb = "prevents" if len(subject.layout.units) == 1 else "prevent"
+    seeing = " together with cars that see for themselves" if result.cars == 1.0 else ""
+    is_best = isinstance(result, PlacementResult) and result.sampled is None and _is_best(result)
+    best = ", and no other choice prevents more" if is_best else ""
+    also = "" if result.cars == 1.0 else f", and {together} if they hear what the sensors see"
+    return (
+        f"{mounted}{seeing} {verb} {share} of the collisions that were tried{best}. Cars by "
+        f"themselves prevent {own}{also}."
+    )
+
+
+def _is_best(result: PlacementResult) -> bool:
+    """True if no choice is proven to prevent more, and nothing else was asked for."""
+    return result.goal == "best" and result.stages[0].name == "apr" and result.stages[0].gap == 0.0
+
+
+def _spelled(text: str) -> str:
+    """A count with its noun, small numbers as words."""
+    count, _, noun = text.partition(" ")
+    is_small = count.isdigit() and int(count) < len(_SMALL)
+    return f"{_SMALL[int(count)]} {noun}" if is_small else text
+
+
+def _prevented(result: Result, subject: Evaluation) -> Card:
+    axis = subject.axis
+    avoided = avoided_runs(subject, result.fusion)
+    n_avoided, n_runs = int(avoided.sum()), axis.n_runs
+    words = f"of the collisions that were tried: {n_avoided} of {n_runs}"
+    if is_weighted(axis):
+        words += (
+            f". That would be {percent(n_avoided / n_runs)}, but some count more than others: "
+            "all shares here are by weight"
+        )
+    share = percent(weight_share(avoided, axis.weight))
+    return Card(head="Prevented", figure=share, words=words)
+
+
+def _if_one_fails(result: Result, subject: Evaluation) -> Card:
+    left = result.evaluation.apr_without_worst_unit
+    if len(subject.units) == 1 and result.cars < 1.0:
+        words = "there is but one: if it fails, only the car itself is left"
+        return Card(head="If a sensor fails", figure=NOTHING, words=words)
+    words = "are prevented even if the sensor that is needed most is out of order"
+    return Card(head="If a sensor fails", figure=percent(left), words=words)
+
+
+def _cost(bill: BillOfMaterials, subject: Evaluation) -> Card:
+    sites = bill.sites_eur
+    sensors = [item.sum_eur for item in bill.sensors]
+    known = [amount for amount in sensors if amount is not None]
+    total = None if sites is None or len(known) < len(sensors) else sum(known) + sites
+    words = f"to buy {count_sensors(subject.layout)} and to make their poles ready"
+    if bill.assumed:
+        words += "; prices of poles are assumed"
+    return Card(head="Cost", figure=euros(total), words=words)
+
+
+def _proof(result: Result) -> Card:
+    if not isinstance(result, PlacementResult):
+        words = "this layout was given, and not searched for"
+        return Card(head="Proof", figure=NOTHING, words=words)
+    tried = f"among {result.candidates:,} possible mountings (by the planning model)"
+    if result.stages[0].gap == 0.0:
+        words = f"no other choice {_BEST[result.goal]} {tried}"
+        return Card(head="Proof", figure="proven best", words=words)
+    if result.bound is None:
+        return Card(head="Proof", figure="none", words=f"the best that was found {tried}")
+    words = f"is the most that any choice could prevent {tried}; it is not proven to be reached"
+    return Card(head="Proof", figure=percent(result.bound), words=words)
+
+
+def _dangers(result: Result, setting: Setting) -> list[str]:
+    """Who is still at risk, where, why, and what would help: a sentence each."""
+    dangers = result.dangers
+    if not dangers.not_avoided:
+        return ["Of the collisions that were tried, none is left."]
+    titles = {
+        run.case.name: run.case.title.replace("VUT", "car") or run.case.name for run in setting.runs
+    }
+    found = [
+        f"{_capital(titles.get(group.name, group.name))}: {_left(group)}."
+        for group in dangers.by_case[:_MOST_DANGERS]
+        if group.not_avoided
+    ]
+    where = [group for group in dangers.by_position[:2] if group.not_avoided]
+    if where:
+        told = joined([f"{position_words(group.name)} ({_left(group)})" for group in where])
+        found.append(f"Most of it happens {told}.")
+    if isinstance(result, PlacementResult):
+        found += causes_and_remedies(result.explained.not_avoided)[:1]
+        if result.next_unit is not None:
+            more = points(result.next_unit.gain)
+            found.append(f"One more sensor would prevent {more} more (by the planning model).")
+    return found
+
+
+def _left(group: DangerGroup) -> str:
+    return f"{group.not_avoided} of {group.runs} left"
+
+
+def _capital(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}"
