@@ -110,7 +110,9 @@ def choose(
         started = time.process_time()
         problem = replace(whole, limits=replace(whole.limits, budget_units=budget), tail=tail)
         reduced = presolve(problem, workers=compute.workers)
-        solution = solve_placement(problem, reduced, effort=assembly.effort)
+        # Of further blocks the bound alone counts.
+        n_stages = 1 if where.block else None
+        solution = solve_placement(problem, reduced, effort=assembly.effort, n_stages=n_stages)
         stage = solution.certificate.stages[0]
         chosen.append(
             Chosen(
