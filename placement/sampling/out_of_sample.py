@@ -268,8 +268,7 @@ def look_at_fresh_worlds(
         first=first,
     )
     compute.progress(STAGE, 0, n_worlds)
-    is_drawn = uncertainty.draws_detections or uncertainty.packet_loss > 0.0
-    n_draws = N_DRAWS if is_drawn else 1
+    n_draws = N_DRAWS if uncertainty.draws_anew else 1
     avoided = np.zeros((len(layouts), n_worlds, setting.axis.n_runs))
     quiet = replace(compute, cache_folder=None, progress=silent)
     worlds = build_sample_tables(
