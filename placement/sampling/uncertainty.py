@@ -125,10 +125,15 @@ class LatencyJitter:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outages:
-    """How often a unit tells nothing for a whole run."""
+    """How often a unit tells nothing for a whole run.
 
-    # unit_share, pole_share: probability, in each run, that a unit is out of order, and that a pole
-    # is with all of its units. 0 .. 1
+    Attributes
+    ----------
+    unit_share, pole_share : float
+        Probability, in each run, that a unit is out of order, and that a pole is with all of its
+        units. 0 .. 1
+    """
+
     unit_share: float = 0.0
     pole_share: float = 0.0
 
@@ -139,15 +144,23 @@ class Outages:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Blinding:
-    """How often a camera sees nothing for a whole run: units' cameras, and the VUT's."""
+    """How often a camera sees nothing for a whole run: units' cameras, and the VUT's.
 
-    # probability that a camera is dirty: that of a unit in all runs of a world. 0 .. 1
+    Attributes
+    ----------
+    dirty_share : float
+        Probability that a camera is dirty: that of a unit in all runs of a world. 0 .. 1
+    low_sun_share : float
+        Share of the runs by day with low sun, from a direction that all cameras share. 0 .. 1
+    sun_below_deg : float
+        Most that low sun stands above the horizon, in degrees.
+    dazzled_within_deg : float
+        Least angle between a camera's axis and the sun without being dazzled, in degrees.
+    """
+
     dirty_share: float = 0.0
-    # share of the runs by day with low sun, from a direction that all cameras share. 0 .. 1
     low_sun_share: float = 0.0
-    # low sun stands between the horizon and this. [deg]
     sun_below_deg: float = 0.0
-    # least angle between a camera's axis and the sun without being dazzled. [deg]
     dazzled_within_deg: float = 0.0
 
     def __post_init__(self) -> None:
