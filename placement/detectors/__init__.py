@@ -8,7 +8,6 @@ pictures to an ONNX file. ``fitting`` makes a response table of what a detector 
 from .built_in import (
     DETECTOR_NAMES,
     GeometricDetector,
-    LastingNoise,
     ResponseDetector,
     load_detector,
     load_planning_detector,
@@ -32,7 +31,6 @@ __all__ = [
     "Detector",
     "Evidence",
     "GeometricDetector",
-    "LastingNoise",
     "PlanningDetector",
     "ResponseDetector",
     "aspects_deg",

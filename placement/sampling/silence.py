@@ -13,20 +13,20 @@ from geometry.weather import pick_weather
 from ..candidates import CandidatePose
 from ..detection_table import DetectionTable
 from ..evaluator.surroundings import draw_index
-from .uncertainty import Blinding, Outages
+from .uncertainty import Blinding
 from .worlds import Sample, link_frames, mount_key, pose_key, unit_key
 
 
 def silence(sample: Sample, table: DetectionTable) -> DetectionTable:
     """A table without the detections that do not reach the VUT, the same ones in all weathers.
 
-    Lost messages, and units and poles out of order, are drawn anew each time that a world is looked
-    at; low sun, which shines by day alone, and dirt belong to the world. Poses that may be the same
-    unit (see :func:`.unit_key`) are out of order and dirty together. LiDARs are never blinded.
+    All is drawn for each run, for accidents fall on independent days, and anew each time that a
+    world is looked at, but for low sun, which is that of the VUT and shines by day alone. Poses
+    that may be the same unit (see :func:`.unit_key`) are out of order and dirty together. LiDARs
+    are never blinded.
     """
     drawn, loss = sample.uncertainty, sample.setting.radio.packet_loss
-    may_fail = (drawn.outages, drawn.blinding) != (Outages(), Blinding())
-    if loss == 0.0 and not may_fail:
+    if loss == 0.0 and not drawn.may_fail:
         return table
     from .drawing import lose_frames
 
@@ -37,7 +37,11 @@ def silence(sample: Sample, table: DetectionTable) -> DetectionTable:
     packed = np.array(table.packed)
     for row in np.flatnonzero(packed.any(axis=1)).tolist():
         planned = sample.planned[row]
-        silent = is_silent(planned, sample.candidates[row]) if may_fail else np.zeros(1, dtype=bool)
+        silent = (
+            is_silent(planned, sample.candidates[row])
+            if drawn.may_fail
+            else np.zeros(1, dtype=bool)
+        )
         if silent.any():
             packed[row] &= np.packbits(~np.repeat(silent, n_frames), bitorder="little")
         if loss:
@@ -73,8 +77,7 @@ def blinded_frames(sample: Sample) -> BoolArray:
 def _silent_runs(sample: Sample) -> Callable[[CandidatePose, CandidatePose], BoolArray]:
     """Runs in which a unit tells nothing, (n_runs,): of its pose as planned, and as mounted."""
     outages, blinding = sample.uncertainty.outages, sample.uncertainty.blinding
-    lasting = replace(sample, streams=replace(sample.streams, draw=0))
-    is_low, sun = _low_sun(lasting)
+    is_low, sun = _low_sun(sample)
     least = np.cos(np.radians(blinding.dazzled_within_deg))
 
     @cache
@@ -86,8 +89,8 @@ def _silent_runs(sample: Sample) -> Callable[[CandidatePose, CandidatePose], Boo
         return _coins(sample, "unit", *unit) < outages.unit_share
 
     @cache
-    def is_dirty(unit: tuple[object, ...]) -> bool:
-        return bool(lasting.streams.rng("dirt", *unit).random() < blinding.dirty_share)
+    def is_dirty(unit: tuple[object, ...]) -> BoolArray:
+        return _coins(sample, "dirt", *unit) < blinding.dirty_share
 
     def is_silent(planned: CandidatePose, mounted: CandidatePose) -> BoolArray:
         unit = unit_key(planned)

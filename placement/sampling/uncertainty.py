@@ -149,7 +149,7 @@ class Blinding:
     Attributes
     ----------
     dirty_share : float
-        Probability that a camera is dirty: that of a unit in all runs of a world. 0 .. 1
+        Probability, in each run, that a camera is dirty. 0 .. 1
     low_sun_share : float
         Share of the runs by day with low sun, from a direction that all cameras share. 0 .. 1
     sun_below_deg : float
@@ -314,9 +314,14 @@ class Uncertainty:
             raise InputError("draws_detections", self.draws_detections, "true or false")
 
     @property
+    def may_fail(self) -> bool:
+        """True if units may tell nothing for a whole run."""
+        return (self.outages, self.blinding) != (Outages(), Blinding())
+
+    @property
     def draws_anew(self) -> bool:
         """True if chance decides anew each time that a world is looked at."""
-        return self.draws_detections or self.packet_loss > 0.0 or self.outages != Outages()
+        return self.draws_detections or self.packet_loss > 0.0 or self.may_fail
 
     def __repr__(self) -> str:
         return f"Uncertainty({self.name!r})"

@@ -19,7 +19,8 @@ from scenarios.runs import Run
 
 from ..candidates import CandidatePose
 from ..compute import check_whole
-from ..detectors import LastingNoise, ResponseDetector
+from ..detectors import ResponseDetector
+from ..detectors.built_in import LastingNoise
 from ..evaluator.surroundings import draw_index
 from ..setting import Setting
 from .moving import TrafficCount
