@@ -32,7 +32,7 @@ def silence(sample: Sample, table: DetectionTable) -> DetectionTable:
 
     order = link_frames(draw_index(sample.setting.runs))
     n_frames = [len(run.time_s) for run in sample.setting.runs]
-    is_silent, never = _silent_runs(sample), np.zeros(1, dtype=bool)
+    is_silent = _silent_runs(sample)
     mounts = pose_key if drawn.loss_shared_by == "unit" else mount_key
     packed = np.array(table.packed)
     for row in np.flatnonzero(packed.any(axis=1)).tolist():

@@ -16,6 +16,7 @@ from geometry.files import Table, load_toml, pick, take, take_list, take_number,
 from geometry.scene import Scene
 from scenarios.cases import load_cases
 
+from ..compute import check_whole
 from ..latency import LatencyBudget, load_latency_budget
 from ..question import Question
 from .bodies import read_body
@@ -296,6 +297,8 @@ class Uncertainty:
     outages: Outages = field(default_factory=Outages)  # units out of order
     blinding: Blinding = field(default_factory=Blinding)  # cameras that see nothing
     v2x_share: float = 1.0  # of all cars, those that hear the units. 0 .. 1
+    # in worlds to choose in, a run of k times the mean weight is drawn k times, at most so often
+    most_draws: int = 1
     traffic: StandingTraffic = field(default_factory=StandingTraffic)  # what stands at random
     road_users: RoadUsers = field(default_factory=RoadUsers)  # how those of the cases move
     moving: MovingTraffic | None = None  # what drives by; see :func:`with_moving_traffic`
@@ -306,6 +309,7 @@ class Uncertainty:
             _check_range(self, name, 1.0, "")
         _check_range(self, "unit_person_share", 1.0 - self.person_share, "")
         _check_range(self, "burst_frames", _MAX_BURST_FRAMES, "frames", least=1.0)
+        check_whole("most_draws", self.most_draws, least=1)
         if self.loss_shared_by not in SHARED_BY:
             raise InputError(
                 "loss_shared_by", self.loss_shared_by, "one of " + ", ".join(SHARED_BY)
@@ -359,7 +363,7 @@ DEFAULT_UNCERTAINTY = UNCERTAINTY_NAMES[0]
 _FILE = "uncertainty.toml"
 _SECTIONS = (
     *("mounting", "latency", "messages", "detector", "outages", "blinding", "fleet"),
-    *("traffic", "vehicles", "road_users"),
+    *("choosing", "traffic", "vehicles", "road_users"),
 )
 _AIMED = "aimed"  # mounting errors by how units are aimed
 _AS = "as"  # what else is as in one of the names
@@ -371,9 +375,14 @@ _FLAT = {
     "messages": ("packet_loss", "burst_frames", "shared_by"),
     "detector": ("is_drawn", "person_share", "unit_person_share"),
     "fleet": ("v2x_share",),
+    "choosing": ("most_draws",),
 }
 _FIELDS = {"is_drawn": "draws_detections", "shared_by": "loss_shared_by"}  # of other names
-_TAKEN: dict[str, Callable[..., Any]] = {"is_drawn": take, "shared_by": take_text}
+_TAKEN: dict[str, Callable[..., Any]] = {
+    "is_drawn": take,
+    "shared_by": take_text,
+    "most_draws": take,
+}
 _PLACES = {_FIELDS.get(key, key): f"{name}.{key}" for name, keys in _FLAT.items() for key in keys}
 _T = TypeVar("_T")
 

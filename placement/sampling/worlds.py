@@ -15,7 +15,7 @@ from geometry.actors import PlacedActor
 from geometry.arrays import FloatArray, IntArray, freeze
 from geometry.errors import InputError
 from geometry.poses import Pose
-from scenarios.runs import Run
+from scenarios.runs import Run, build_frame_axis
 
 from ..candidates import CandidatePose
 from ..compute import check_whole
@@ -163,6 +163,39 @@ class Sample:
             f"Sample({self.streams.index}, {self.streams.purpose!r}, "
             f"{len(self.vehicles)} vehicles, {len(self.candidates)} poses)"
         )
+
+
+def repeat_heavy_runs(setting: Setting, *, most: int) -> Setting:
+    """Setting that has a run of k times the mean weight k times, at most so often, k rounded.
+
+    The copies share its weight, and whatever is drawn for a run is drawn for each of them: so is
+    the variance of a weighted sum least for so many draws (Neyman), if runs are equally uncertain.
+    Ids of copies end in "+1", "+2" and so on.
+    """
+    axis = setting.axis
+    times = np.clip(np.rint(axis.weight / axis.weight.mean()), 1, most).astype(np.int64)
+    if times.max() == 1:
+        return setting
+    rows = np.repeat(np.arange(axis.n_runs), times)
+    copies = np.concatenate([np.arange(count) for count in times])
+    encounters: dict[tuple[int, int], Any] = {}
+    runs = []
+    for row, copy in zip(rows.tolist(), copies.tolist(), strict=True):
+        run = setting.runs[row]
+        if copy:
+            key = (id(run.encounter), copy)  # one and the same in all weathers
+            encounter = encounters.setdefault(key, replace(run.encounter))
+            run = replace(run, id=f"{run.id}+{copy}", encounter=encounter)
+        runs.append(run)
+    seen = setting.seen_by_vut
+    return replace(
+        setting,
+        runs=tuple(runs),
+        axis=build_frame_axis(runs, (axis.weight / times)[rows]),
+        seen_by_vut=None
+        if seen is None
+        else np.concatenate([seen[axis.frames_of(row)] for row in rows.tolist()]),
+    )
 
 
 def draw_samples(
