@@ -272,11 +272,8 @@ class ResponseDetector:
         linked = linked_noise(draws, lasting.frame_correlation(self.frame_correlation), rng)
         run = np.cumsum(np.diff(draws, prepend=draws[:1]) != 1) - 1
         own = rng.standard_normal(len(draws))[run]  # of the unit and the person, by run
-        return (
-            np.sqrt(lasting.frame_share) * linked
-            + np.sqrt(lasting.unit_person_share) * own
-            + lasting.person[draws]
-        )
+        noise: FloatArray = np.sqrt(lasting.unit_person_share) * own + lasting.person[draws]
+        return noise + np.sqrt(lasting.frame_share) * linked
 
     def _most(self, evidence: Evidence) -> FloatArray:
         """Probability of a correct detection of a box of any height, (n,)."""
@@ -427,7 +424,7 @@ def _read_response(source: Path | Traversable, document: Table, *, name: str) ->
             float_array(take_list(table, key, "response"), (-1,), key)
             for key in ("seen_share", "recall")
         )
-        numbers = {
+        numbers: dict[str, Any] = {
             key: take_number(table, key, "response") for key in (*_POSITIVES, *_PROBABILITIES)
         }
         factors, assumed = _read_classes(table)

@@ -70,36 +70,39 @@ def blinded_frames(sample: Sample) -> BoolArray:
     dazzled = np.repeat(is_low, n_frames) & (
         cosine > np.cos(np.radians(blinding.dazzled_within_deg))
     )
-    dirty = _coins(sample, "dirt of the VUT") < blinding.dirty_share
-    return dazzled | np.repeat(dirty, n_frames)
+    dirty = _coins(sample)("dirt of the VUT") < blinding.dirty_share
+    blinded: BoolArray = dazzled | np.repeat(dirty, n_frames)
+    return blinded
 
 
 def _silent_runs(sample: Sample) -> Callable[[CandidatePose, CandidatePose], BoolArray]:
     """Runs in which a unit tells nothing, (n_runs,): of its pose as planned, and as mounted."""
     outages, blinding = sample.uncertainty.outages, sample.uncertainty.blinding
+    coins = _coins(sample)
     is_low, sun = _low_sun(sample)
     least = np.cos(np.radians(blinding.dazzled_within_deg))
 
     @cache
     def is_pole_out(mount: tuple[object, ...]) -> BoolArray:
-        return _coins(sample, "pole", *mount) < outages.pole_share
+        return coins("pole", *mount) < outages.pole_share
 
     @cache
     def is_unit_out(unit: tuple[object, ...]) -> BoolArray:
-        return _coins(sample, "unit", *unit) < outages.unit_share
+        return coins("unit", *unit) < outages.unit_share
 
     @cache
     def is_dirty(unit: tuple[object, ...]) -> BoolArray:
-        return _coins(sample, "dirt", *unit) < blinding.dirty_share
+        return coins("dirt", *unit) < blinding.dirty_share
 
     def is_silent(planned: CandidatePose, mounted: CandidatePose) -> BoolArray:
         unit = unit_key(planned)
-        silent: BoolArray = is_unit_out(unit) | is_pole_out(mount_key(planned))
+        silent = is_unit_out(unit) | is_pole_out(mount_key(planned))
         if isinstance(planned.sensor, LidarModel):
             return silent
         yaw, pitch = np.radians([mounted.pose.yaw_deg, mounted.pose.pitch_deg])
         axis = [np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch)]
-        return silent | is_dirty(unit) | (is_low & (sun @ axis > least))
+        is_dazzled: BoolArray = is_low & (sun @ axis > least)
+        return silent | is_dirty(unit) | is_dazzled
 
     return is_silent
 
@@ -107,22 +110,26 @@ def _silent_runs(sample: Sample) -> Callable[[CandidatePose, CandidatePose], Boo
 def _low_sun(sample: Sample) -> tuple[BoolArray, FloatArray]:
     """Runs with low sun (n_runs,), and unit vectors towards it (n_runs, 3)."""
     blinding, runs = sample.uncertainty.blinding, sample.setting.runs
-    sample = replace(sample, streams=replace(sample.streams, draw=0))
-    is_low = _coins(sample, "low sun") < blinding.low_sun_share
+    coins = _coins(replace(sample, streams=replace(sample.streams, draw=0)))
+    is_low = coins("low sun") < blinding.low_sun_share
     is_low &= [pick_weather(run.weather, "runs: weather").sun_lux > 0.0 for run in runs]
-    yaw = 2.0 * np.pi * _coins(sample, "yaw of the sun")
-    height = np.radians(blinding.sun_below_deg) * _coins(sample, "height of the sun")
+    yaw = 2.0 * np.pi * coins("yaw of the sun")
+    height = np.radians(blinding.sun_below_deg) * coins("height of the sun")
     level = np.cos(height)
     return is_low, np.stack([level * np.cos(yaw), level * np.sin(yaw), np.sin(height)], axis=1)
 
 
-def _coins(sample: Sample, *thing: object) -> FloatArray:
-    """Numbers from 0 to 1 of each run (n_runs,), the same in all weathers."""
+def _coins(sample: Sample) -> Callable[..., FloatArray]:
+    """Function of a thing: its numbers from 0 to 1 by run (n_runs,), the same in all weathers."""
     from .drawing import draw_coins
 
     runs = sample.setting.runs
     first = np.cumsum([0, *(len(run.time_s) for run in runs[:-1])])
     counter = link_frames(draw_index(runs)).run_of_frame[first]
-    coins = np.empty(len(runs))
-    draw_coins(counter, sample.streams.key(*thing), coins)
-    return coins
+
+    def draw(*thing: object) -> FloatArray:
+        coins = np.empty(len(runs))
+        draw_coins(counter, sample.streams.key(*thing), coins)
+        return coins
+
+    return draw

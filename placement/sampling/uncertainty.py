@@ -456,7 +456,8 @@ def _with_rest(document: Table, prefix: str) -> Table:
     if _AS not in document:
         return document
     other = take_text(document, _AS, prefix.rstrip(".: "))
-    named = load_toml(files("placement") / "data" / _FILE)
+    shipped = load_toml(files("placement") / "data" / _FILE)
+    named = {name: shipped[name] for name in UNCERTAINTY_NAMES}
     given = _with_rest(pick(named, other, f"{prefix}{_AS}"), f"{_FILE}: {other}.")
     return {**given, **{key: document[key] for key in document if key != _AS}}
 
