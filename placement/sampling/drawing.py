@@ -82,24 +82,16 @@ def _normal(key: Any, counter: int) -> Any:
 def _linked(
     key: Any, correlation: float, step: float, run: int, place: int, before: int, last: float
 ) -> float:
-    """Noise at a place of a run, from that at a place before; -1 is before the first."""
+    """Noise at a place of a run, from that at a place before; -1 is before the first.
+
+    Standard normal, a first-order autoregression: the frame of number `place` of a run has the
+    fresh random number of counter `run` + `place`; `correlation` is that of a frame with the next.
+    """
     for here in range(before + 1, place + 1):
         fresh = _normal(key, run + here)
         # The first one stands for all that came before.
         last = step * fresh + correlation * last if here > 0 else fresh
     return last
-
-
-@kernel
-def link_noise(run: Array, place: Array, key: Any, correlation: float, noise: Array) -> None:
-    """Noise of frames (n,): standard normal, a first-order autoregression in each run.
-
-    The frame of number `place` of a run has the fresh random number of counter `run` + `place`;
-    `correlation` is that of a frame with the next, 0 .. 1.
-    """
-    step = np.sqrt(1.0 - correlation**2)
-    for index in range(len(run)):
-        noise[index] = _linked(key, correlation, step, run[index], place[index], -1, 0.0)
 
 
 @kernel
@@ -119,8 +111,8 @@ def draw_frames(
     """Bits (n_bytes,) of the frames whose noise is below the limit of what they show.
 
     `limit` (n_weathers, n_entries); a frame whose entry is -1 shows nothing. Noise is the sum of
-    what the `person` (n_frames,) adds, of a number that lasts for a run, and of that of
-    :func:`link_noise`; `deviations` (2,) are those of the last two.
+    what the `person` (n_frames,) adds, of a number that lasts for a run, and of one that is linked
+    from frame to frame, with this `correlation`; `deviations` (2,) are those of the last two.
     """
     step = np.sqrt(1.0 - correlation**2)
     run, before, last, own = -1, -1, 0.0, 0.0
@@ -160,7 +152,7 @@ def lose_frames(
     again: float,
     packed: Array,
 ) -> None:
-    """Take a share of the frames out of bits (n_bytes,), by counters as in :func:`link_noise`.
+    """Take a share of the frames out of bits (n_bytes,), with counters `run` + `place`.
 
     Whether a frame is lost is drawn anew with the probability `again`, and is else as in the frame
     before: a chain of two states, with the same share of lost frames whatever `again` is.

@@ -6,11 +6,12 @@ from scipy.signal import lfilter
 from scipy.stats import kstest, norm
 
 from geometry.catalogue import load_lidars
+from geometry.kernels import kernel
 from placement.compute import Compute
 from placement.detection_table import pack_table
 from placement.detectors import load_planning_detector
 from placement.evaluator import build_surroundings, perceive_from_roadside
-from placement.sampling.drawing import draw_frames, link_noise, random_bits
+from placement.sampling.drawing import _linked, draw_frames, random_bits
 from placement.sampling.silence import silence
 from placement.sampling.tables import (
     build_drawn_tables,
@@ -36,8 +37,15 @@ def _first(setting, poses, uncertainty, seed=0):
 
 def _noise(frames, correlation, seed):
     links = link_frames(np.asarray(frames))
-    noise = np.empty(len(frames))
-    link_noise(links.run_of_frame, links.place_of_frame, np.uint64(seed), correlation, noise)
+    return _noise_at(links.run_of_frame, links.place_of_frame, np.uint64(seed), correlation)
+
+
+@kernel
+def _noise_at(run, place, key, correlation):
+    noise = np.empty(len(run))
+    for index in range(len(run)):
+        step = np.sqrt(1.0 - correlation**2)
+        noise[index] = _linked(key, correlation, step, run[index], place[index], -1, 0.0)
     return noise
 
 
@@ -84,8 +92,7 @@ def test_frames_are_drawn_where_the_noise_of_their_cell_is_below_the_limit(seed)
     key, packed = np.uint64(seed), np.zeros(-(-n // 8), dtype=np.uint8)
     nothing, own = np.zeros(n), np.array([0.0, 1.0])
     draw_frames(limit, weather, entry, *where, key, 0.6, nothing, key, own, packed)
-    noise = np.empty(n)
-    link_noise(*where, key, 0.6, noise)
+    noise = _noise_at(*where, key, 0.6)
     expected = (entry >= 0) & (noise < limit[weather, entry])
     drawn = np.unpackbits(packed, count=n, bitorder="little").astype(bool)
     assert np.array_equal(drawn, expected)
