@@ -65,6 +65,9 @@ class UncertaintyRecord(Record, frozen=True, kw_only=True):
     outages: Annotated[Outages, says("Units out of order.")] = Outages()
     blinding: Annotated[Blinding, says("Cameras that see nothing.")] = Blinding()
     v2x_share: Annotated[Share, says("Of all cars, those that hear the units.")] = 1.0
+    most_draws: Annotated[
+        int, says("How often a run of great weight is drawn in a world to choose in, at most.")
+    ] = 1
 
 
 class LeastSureRunRecord(Record, frozen=True, kw_only=True):
@@ -213,6 +216,7 @@ def build_sampled_record(
 
 _AS_THEY_ARE = (
     *("packet_loss", "burst_frames", "loss_shared_by", "outages", "blinding", "v2x_share"),
+    "most_draws",
     *("draws_detections", "person_share", "unit_person_share", "road_users"),
 )
 
