@@ -46,6 +46,7 @@ from .optimiser.problem import Fusion
 from .question import BLIND, SEE, Question, read_cars
 from .sampling.tables import SampledTable, obtain_table, sampled_table
 from .sampling.uncertainty import Uncertainty, load_drawn
+from .sampling.worlds import repeat_heavy_runs
 from .setting import Setting, build_setting
 from .wishes import Wishes, build_limits, build_problem, read_wishes
 
@@ -136,10 +137,12 @@ class Assembly:
     def _sampled(self) -> SampledTable | None:
         if self.uncertainty is None or self.n_samples == 0:
             return None
-        n_frames = self.setting.axis.n_frames
-        check_memory(len(self.candidates), n_frames, n_worlds=self.n_samples)
+        setting = self.setting
+        if self.uncertainty.draws_anew:
+            setting = repeat_heavy_runs(setting, most=self.uncertainty.most_draws)
+        check_memory(len(self.candidates), setting.axis.n_frames, n_worlds=self.n_samples)
         return sampled_table(
-            self.setting,
+            setting,
             self.candidates,
             self.uncertainty,
             n_samples=self.n_samples,

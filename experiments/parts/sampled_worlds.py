@@ -12,7 +12,13 @@ from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
 from placement.sampling.moving.trajectories import TrafficCount
 from placement.sampling.out_of_sample import SampledApr, cvar, estimate_mean, resampled_cvar
-from placement.sampling.uncertainty import MountingErrors, RoadUsers, Uncertainty
+from placement.sampling.uncertainty import (
+    Blinding,
+    MountingErrors,
+    Outages,
+    RoadUsers,
+    Uncertainty,
+)
 
 from ..figures.axes import (
     BLUE,
@@ -46,6 +52,22 @@ class UncertaintyRecord(Record, frozen=True, kw_only=True):
     road_users: Annotated[
         RoadUsers, says("How road users move otherwise than their cases say.")
     ] = RoadUsers()
+    person_share: Annotated[
+        Share, says("Of the noise of detections, what a person has in all frames for all units.")
+    ] = 0.0
+    unit_person_share: Annotated[
+        Share, says("Of the same, what a person has in all frames for one unit.")
+    ] = 0.0
+    burst_frames: Annotated[
+        float, says("Frames after which it is drawn anew whether messages get lost.")
+    ] = 1.0
+    loss_shared_by: Annotated[str, says("Who loses the same messages: unit or pole.")] = "unit"
+    outages: Annotated[Outages, says("Units out of order.")] = Outages()
+    blinding: Annotated[Blinding, says("Cameras that see nothing.")] = Blinding()
+    v2x_share: Annotated[Share, says("Of all cars, those that hear the units.")] = 1.0
+    most_draws: Annotated[
+        int, says("How often a run of great weight is drawn in a world to choose in, at most.")
+    ] = 1
 
 
 class LeastSureRunRecord(Record, frozen=True, kw_only=True):
@@ -80,6 +102,10 @@ class SampledLayoutRecord(EstimateRecord, frozen=True, kw_only=True):
         float | None, says("Its standard error, by worlds drawn with repetition; null: all count.")
     ] = None
     worst: Annotated[float | None, says("APR in the very worst one.")]
+    of_all: Annotated[
+        Share | None,
+        says("Mean APR over all cars, those without V2X too; null: every car hears the units."),
+    ] = None
     apr_by_sample: Annotated[tuple[float | None, ...], says("APR in each world.")]
     least_sure_runs: Annotated[tuple[LeastSureRunRecord, ...], says("The least sure first.")]
 
@@ -175,6 +201,7 @@ def build_sampled_record(
                 cvar=cvar(item.apr_by_sample, tail),
                 cvar_error=None if tails is None else float(tails[row].std(ddof=1)),
                 worst=item.worst,
+                of_all=_of_all(item, uncertainty.v2x_share),
                 apr_by_sample=tuple(item.apr_by_sample.tolist()),
                 least_sure_runs=_least_sure(item),
             )
@@ -185,6 +212,20 @@ def build_sampled_record(
             for one, other in combinations(range(len(judged)), 2)
         ),
     )
+
+
+_AS_THEY_ARE = (
+    *("packet_loss", "burst_frames", "loss_shared_by", "outages", "blinding", "v2x_share"),
+    "most_draws",
+    *("draws_detections", "person_share", "unit_person_share", "road_users"),
+)
+
+
+def _of_all(item: SampledApr, v2x_share: float) -> float | None:
+    """Mean APR over all cars: those that hear nothing have what the VUT does alone."""
+    if v2x_share == 1.0:
+        return None
+    return v2x_share * item.estimate.mean + (1.0 - v2x_share) * item.alone
 
 
 def build_uncertainty_record(uncertainty: Uncertainty) -> UncertaintyRecord:
@@ -200,9 +241,7 @@ def build_uncertainty_record(uncertainty: Uncertainty) -> UncertaintyRecord:
         name=uncertainty.name,
         mounting=uncertainty.mounting,
         latency=drawn,
-        packet_loss=uncertainty.packet_loss,
-        draws_detections=uncertainty.draws_detections,
-        road_users=uncertainty.road_users,
+        **{name: getattr(uncertainty, name) for name in _AS_THEY_ARE},
         traffic={
             field.name: getattr(traffic, field.name)
             for field in fields(traffic)
@@ -261,6 +300,11 @@ def uncertainty_sentences(found: SampledRecord) -> list[str]:
         f"{subject.name} avoids {percent(subject.mean)} of the accidents on average "
         f"({_interval(subject)})" + ("" if planned is None else f"; as planned {percent(planned)}")
     ]
+    if subject.of_all is not None:
+        sentences.append(
+            f"With V2X in {percent(found.uncertainty.v2x_share)} of the cars, these are "
+            f"{percent(subject.of_all)} of the accidents of all cars"
+        )
     chosen = subject.in_sample
     if chosen is not None:
         sentences.append(
@@ -333,9 +377,27 @@ def what_is_uncertain(found: SampledRecord) -> str:
     elif latency["mean_s"]:
         parts.append(f"messages {1000.0 * float(latency['mean_s']):g} ms later on average")
     if record.packet_loss > 0.0:
-        parts.append(f"{percent(record.packet_loss)} of the messages lost")
+        bursts = f" in bursts (drawn anew after {record.burst_frames:g} frames)"
+        parts.append(
+            f"{percent(record.packet_loss)} of the messages lost"
+            + (bursts if record.burst_frames > 1.0 else "")
+        )
     if record.draws_detections:
-        parts.append("detections drawn where the detector gives a probability")
+        lasting = record.person_share + record.unit_person_share
+        parts.append(
+            "detections drawn where the detector gives a probability"
+            + (f" ({percent(lasting)} of the noise for a whole run)" if lasting else "")
+        )
+    outages, blinding = record.outages, record.blinding
+    if outages != Outages():
+        parts.append(
+            f"units out of order in {percent(outages.unit_share)} and poles in "
+            f"{percent(outages.pole_share)} of the runs"
+        )
+    if blinding.dirty_share:
+        parts.append(f"{percent(blinding.dirty_share)} of the cameras dirty")
+    if blinding.low_sun_share:
+        parts.append(f"low sun in {percent(blinding.low_sun_share)} of the runs by day")
     if traffic["taken_share"] > 0.0:
         parts.append(f"{percent(traffic['taken_share'])} of the parking places taken")
     if traffic["waiting_share"] > 0.0:

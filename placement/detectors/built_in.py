@@ -102,6 +102,39 @@ _PROBABILITIES = ("cyclist_end_on", "box_noise_share", "frame_correlation", "pla
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LastingNoise:
+    """What decides a frame, as far as it is the same in all frames of a run.
+
+    Attributes
+    ----------
+    person : (n,) float
+        Noise of whoever is there, the same for all units, by `draw_index`; its variance is
+        `person_share`.
+    person_share, unit_person_share : float
+        Variance of it, and of what one unit and one person have in common; all noise has 1.
+    """
+
+    person: FloatArray
+    person_share: float
+    unit_person_share: float
+
+    @property
+    def frame_share(self) -> float:
+        """Variance of what changes from frame to frame, 0 .. 1."""
+        return 1.0 - self.person_share - self.unit_person_share
+
+    def frame_correlation(self, correlation: float) -> float:
+        """Correlation of what changes that leaves all noise with one of consecutive frames.
+
+        0 where what lasts alone makes them more alike than that.
+        """
+        if self.frame_share == 1.0:
+            return correlation
+        lasting = self.person_share + self.unit_person_share
+        return max(0.0, correlation - lasting) / (1.0 - lasting) if lasting < 1.0 else 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ResponseDetector:
     """Detects with a probability; each frame is drawn at random."""
 
@@ -129,6 +162,7 @@ class ResponseDetector:
     assumed: tuple[str, ...] = ()  # classes of which nothing is measured
     # Tracks of nothing that a unit confirms in an hour, with the 95 % interval; None: unknown.
     false_tracks_per_hour: Interval | None = None
+    lasting: LastingNoise | None = None  # in a sampled world; None: all noise is that of frames
 
     needs_shares = True
     needs_pictures = False
@@ -212,7 +246,7 @@ class ResponseDetector:
         from scipy.special import ndtr
 
         draws, row_draw = np.unique(evidence.draw_index, return_inverse=True)
-        chance = ndtr(linked_noise(draws, self.frame_correlation, rng))[row_draw]
+        chance = ndtr(self._noise(draws, rng))[row_draw]
         noise = rng.standard_normal((len(draws), 4))[row_draw]
         probability = self.probability(evidence)
         rows = np.flatnonzero(chance < probability)
@@ -229,6 +263,17 @@ class ResponseDetector:
             *(getattr(self, name).tobytes() for name in ("seen_share", "recall", "class_factor")),
             *(getattr(self, name) for name in (*_POSITIVES, "cyclist_end_on", "plan_probability")),
         )
+
+    def _noise(self, draws: IntArray, rng: np.random.Generator) -> FloatArray:
+        """Standard normal numbers of frames in ascending order, (n,)."""
+        lasting = self.lasting
+        if lasting is None:
+            return linked_noise(draws, self.frame_correlation, rng)
+        linked = linked_noise(draws, lasting.frame_correlation(self.frame_correlation), rng)
+        run = np.cumsum(np.diff(draws, prepend=draws[:1]) != 1) - 1
+        own = rng.standard_normal(len(draws))[run]  # of the unit and the person, by run
+        noise: FloatArray = np.sqrt(lasting.unit_person_share) * own + lasting.person[draws]
+        return noise + np.sqrt(lasting.frame_share) * linked
 
     def _most(self, evidence: Evidence) -> FloatArray:
         """Probability of a correct detection of a box of any height, (n,)."""
@@ -379,7 +424,7 @@ def _read_response(source: Path | Traversable, document: Table, *, name: str) ->
             float_array(take_list(table, key, "response"), (-1,), key)
             for key in ("seen_share", "recall")
         )
-        numbers = {
+        numbers: dict[str, Any] = {
             key: take_number(table, key, "response") for key in (*_POSITIVES, *_PROBABILITIES)
         }
         factors, assumed = _read_classes(table)

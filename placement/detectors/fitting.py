@@ -590,7 +590,68 @@ def _frame_correlation(sightings: Sightings, probability: FloatArray) -> float:
     return float(brentq(surplus, 0.0, _MAX_CORRELATION, xtol=1.0e-4))
 
 
-def joint_normal(first: FloatArray, second: FloatArray, correlation: float) -> FloatArray:
+_DISTANCES = (1, 2, 3, 5, 8, 13, 21, 34, 55)  # between two frames of a track
+_CORRELATIONS = np.linspace(0.0, _MAX_CORRELATION, 50)
+_SHARES = np.linspace(0.0, 0.95, 96)
+
+
+def fit_lasting_share(
+    sightings: Sightings, probability: FloatArray, *, seed: int = 0, draws: int = _SHARE_DRAWS
+) -> Interval:
+    """Share of the variance of what decides a frame that is the same in all frames of a track.
+
+    Frames of a track are correlated by s + (1 - s) r^distance, as :class:`LastingNoise` has it. Of
+    all pairs 1 to 55 frames apart it is found which s and r make what was found and missed most
+    likely, with each distance as heavy as another. 95 % interval: tracks drawn with repetition.
+    Raises InputError where no frames are consecutive.
+
+    References
+    ----------
+    .. [1] C. Varin, N. Reid, D. Firth, "An overview of composite likelihood methods", Statistica
+       Sinica 21 (2011).
+    """
+    tracks, which = np.unique(sightings.track, return_inverse=True)
+    share, falling = (one.ravel() for one in np.meshgrid(_SHARES, _CORRELATIONS))
+    # Log likelihood of each track's pairs by s and r: (n_tracks, n).
+    likely = np.zeros((len(tracks), len(share)))
+    for distance in _DISTANCES:
+        by_correlation = _pair_likelihood(sightings, which, probability, distance)
+        correlation = share + (1.0 - share) * falling**distance
+        likely += [np.interp(correlation, _CORRELATIONS, row) for row in by_correlation]
+    if not likely.any():
+        raise InputError("frames", Unquoted("none consecutive"), "consecutive frames of a track")
+    rng = np.random.default_rng(seed)
+    drawn = rng.multinomial(len(tracks), np.full(len(tracks), 1.0 / len(tracks)), size=draws)
+    low, high = np.quantile(share[(drawn @ likely).argmax(axis=1)], _INTERVAL).tolist()
+    best = float(share[likely.sum(axis=0).argmax()])
+    return Interval(best, min(low, best), max(high, best))
+
+
+def _pair_likelihood(
+    sightings: Sightings, which: IntArray, probability: FloatArray, distance: int
+) -> FloatArray:
+    """Mean log likelihood of pairs so far apart, by track and correlation (n_tracks, 50)."""
+    from scipy.special import ndtri
+
+    likely = np.zeros((which.max() + 1, len(_CORRELATIONS)))
+    order = np.lexsort((sightings.frame, sightings.track))
+    first, second = order[:-distance], order[distance:]
+    is_pair = which[first] == which[second]
+    is_pair &= sightings.frame[second] - sightings.frame[first] == distance
+    first, second = first[is_pair], second[is_pair]
+    sign = np.where(sightings.is_found, 1.0, -1.0)
+    level = sign * ndtri(np.clip(probability, *_PROBABILITY))
+    same = sign[first] == sign[second]
+    for column, correlation in enumerate(_CORRELATIONS):
+        # Of one that is found and one that is missed, the noise of one is turned over.
+        joint = joint_normal(level[first], level[second], np.where(same, correlation, -correlation))
+        np.add.at(likely[:, column], which[first], np.log(np.maximum(joint, 1.0e-12)))
+    return likely / max(1, len(first))
+
+
+def joint_normal(
+    first: FloatArray, second: FloatArray, correlation: float | FloatArray
+) -> FloatArray:
     """Probability that two correlated standard normal numbers lie below `first` and `second`.
 
     References
@@ -602,8 +663,8 @@ def joint_normal(first: FloatArray, second: FloatArray, correlation: float) -> F
 
     nodes, weights = leggauss(20)
     # Over the arc sine of the correlation the integrand is smooth up to a correlation of 1.
-    angle = np.arcsin(correlation)
-    sine = np.sin(0.5 * angle * (nodes + 1.0))
+    angle = np.broadcast_to(np.arcsin(correlation), first.shape)
+    sine = np.sin(0.5 * angle[:, None] * (nodes + 1.0))
     a, b = first[:, None], second[:, None]
     density = np.exp(-0.5 * (a**2 - 2.0 * sine * a * b + b**2) / (1.0 - sine**2))
     joint: FloatArray = ndtr(first) * ndtr(second) + density @ weights * angle / (4.0 * np.pi)

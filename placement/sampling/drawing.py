@@ -82,24 +82,16 @@ def _normal(key: Any, counter: int) -> Any:
 def _linked(
     key: Any, correlation: float, step: float, run: int, place: int, before: int, last: float
 ) -> float:
-    """Noise at a place of a run, from that at a place before; -1 is before the first."""
+    """Noise at a place of a run, from that at a place before; -1 is before the first.
+
+    Standard normal, a first-order autoregression: the frame of number `place` of a run has the
+    fresh random number of counter `run` + `place`; `correlation` is that of a frame with the next.
+    """
     for here in range(before + 1, place + 1):
         fresh = _normal(key, run + here)
         # The first one stands for all that came before.
         last = step * fresh + correlation * last if here > 0 else fresh
     return last
-
-
-@kernel
-def link_noise(run: Array, place: Array, key: Any, correlation: float, noise: Array) -> None:
-    """Noise of frames (n,): standard normal, a first-order autoregression in each run.
-
-    The frame of number `place` of a run has the fresh random number of counter `run` + `place`;
-    `correlation` is that of a frame with the next, 0 .. 1.
-    """
-    step = np.sqrt(1.0 - correlation**2)
-    for index in range(len(run)):
-        noise[index] = _linked(key, correlation, step, run[index], place[index], -1, 0.0)
 
 
 @kernel
@@ -111,15 +103,19 @@ def draw_frames(
     place_of_frame: Array,
     key: Any,
     correlation: float,
+    person: Array,
+    own_key: Any,
+    deviations: Array,
     packed: Array,
 ) -> None:
     """Bits (n_bytes,) of the frames whose noise is below the limit of what they show.
 
-    `limit` (n_weathers, n_entries); a frame whose entry is -1 shows nothing. Noise is as in
-    :func:`link_noise`.
+    `limit` (n_weathers, n_entries); a frame whose entry is -1 shows nothing. Noise is the sum of
+    what the `person` (n_frames,) adds, of a number that lasts for a run, and of one that is linked
+    from frame to frame, with this `correlation`; `deviations` (2,) are those of the last two.
     """
     step = np.sqrt(1.0 - correlation**2)
-    run, before, last = -1, -1, 0.0
+    run, before, last, own = -1, -1, 0.0, 0.0
     for frame in range(len(entry_of_frame)):
         entry = entry_of_frame[frame]
         if entry < 0:
@@ -131,21 +127,47 @@ def draw_frames(
             place = place_of_frame[frame]
             if run_of_frame[frame] != run or place < before:
                 run, before, last = run_of_frame[frame], -1, 0.0
+                own = deviations[0] * _normal(own_key, run)
             last = _linked(key, correlation, step, run, place, before, last)
             before = place
-            if not last < least:
+            if not deviations[1] * last + own + person[frame] < least:
                 continue
         packed[frame >> 3] |= np.uint8(1 << (frame & 7))
 
 
 @kernel
+def draw_coins(counter: Array, key: Any, coins: Array) -> None:
+    """Numbers from 0 to 1, one for each counter (n,)."""
+    for index in range(len(counter)):
+        coins[index] = _share(random_bits(key, counter[index]))
+
+
+@kernel
 def lose_frames(
-    run_of_frame: Array, place_of_frame: Array, key: Any, loss: float, packed: Array
+    run_of_frame: Array,
+    place_of_frame: Array,
+    key: Any,
+    loss: float,
+    again_key: Any,
+    again: float,
+    packed: Array,
 ) -> None:
-    """Take a share of the frames out of bits (n_bytes,), by counters as in :func:`link_noise`."""
+    """Take a share of the frames out of bits (n_bytes,), with counters `run` + `place`.
+
+    Whether a frame is lost is drawn anew with the probability `again`, and is else as in the frame
+    before: a chain of two states, with the same share of lost frames whatever `again` is.
+
+    References
+    ----------
+    .. [1] E. N. Gilbert, "Capacity of a burst-noise channel", Bell System Technical Journal 39
+       (1960).
+    """
     for frame in range(len(run_of_frame)):
         bit = np.uint8(1 << (frame & 7))
         if not packed[frame >> 3] & bit:
             continue
-        if _share(random_bits(key, run_of_frame[frame] + place_of_frame[frame])) < loss:
+        run, drawn = run_of_frame[frame], place_of_frame[frame]
+        while drawn > 0 and not _share(random_bits(again_key, run + drawn)) < again:
+            drawn -= 1
+        if _share(random_bits(key, run + drawn)) < loss:
             packed[frame >> 3] &= np.uint8(~bit)

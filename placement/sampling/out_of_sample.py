@@ -173,6 +173,8 @@ class SampledApr:
         Of all worlds, those in which each run is avoided. 0 .. 1
     driving : TrafficCount
         Vehicles that drove by in these worlds.
+    alone : float
+        Mean accident prevention ratio of the VUT without units; 0 where cars are blind. 0 .. 1
     """
 
     layout: Layout
@@ -180,6 +182,7 @@ class SampledApr:
     apr_by_sample: FloatArray
     avoided_share: FloatArray
     driving: TrafficCount = NO_TRAFFIC
+    alone: float = 0.0
 
     def __post_init__(self) -> None:
         for name, shape in (("apr_by_sample", (-1,)), ("avoided_share", (self.axis.n_runs,))):
@@ -212,6 +215,7 @@ class FreshWorlds:
 
     avoided: FloatArray  # (n_layouts, n_worlds, n_runs): share of the draws in a world
     driving: TrafficCount  # vehicles that drove by, in all of them
+    alone: BoolArray  # (n_worlds, n_runs): what the VUT avoids without units
 
 
 def out_of_sample_layouts(
@@ -268,9 +272,9 @@ def look_at_fresh_worlds(
         first=first,
     )
     compute.progress(STAGE, 0, n_worlds)
-    is_drawn = uncertainty.draws_detections or uncertainty.packet_loss > 0.0
-    n_draws = N_DRAWS if is_drawn else 1
+    n_draws = N_DRAWS if uncertainty.draws_anew else 1
     avoided = np.zeros((len(layouts), n_worlds, setting.axis.n_runs))
+    alone = np.zeros(avoided.shape[1:], dtype=bool)
     quiet = replace(compute, cache_folder=None, progress=silent)
     worlds = build_sample_tables(
         samples,
@@ -288,6 +292,8 @@ def look_at_fresh_worlds(
             driving += sample.driving
             seen = seen_by_vut(sample, quiet)  # once in each world: nothing repeats in its images
             own = [] if seen is None else [(seen, setting.rule.latency_s)]
+            if own:
+                alone[index] = _avoided(own, table.axis, setting.rule, fusion)
         detected = table.detected(slice(None))
         for which, layout in enumerate(layouts):
             avoided[which, index] += _avoided(
@@ -300,7 +306,7 @@ def look_at_fresh_worlds(
                 fusion,
             )
         compute.progress(STAGE, index + 1, n_worlds)
-    return FreshWorlds(avoided=avoided / n_draws, driving=driving)
+    return FreshWorlds(avoided=avoided / n_draws, driving=driving, alone=alone)
 
 
 @lru_cache(maxsize=1)  # worlds of one question may be looked at in parts
@@ -320,6 +326,7 @@ def judge_layouts(
         driving += some.driving
     tell_traffic(driving, uncertainty)
     weight = setting.axis.weight
+    alone = np.concatenate([some.alone for some in worlds]).mean(axis=0)
     return [
         SampledApr(
             layout=layout,
@@ -328,6 +335,7 @@ def judge_layouts(
             apr_by_sample=1.0 - (1.0 - by_sample) @ (weight / weight.sum()),
             avoided_share=by_sample.mean(axis=0),
             driving=driving,
+            alone=float(alone @ (weight / weight.sum())),
         )
         for layout, by_sample in zip(
             layouts, np.concatenate([some.avoided for some in worlds], axis=1), strict=True

@@ -29,10 +29,11 @@ from ..visibility.build import N_POINTS
 from ..visibility.casting import SharedScene, World, build_shared_scene, build_world
 from ..visibility.sensing import build_sensing, cast_for
 from .moving import TrafficCount
+from .silence import blinded_frames, silence
 from .uncertainty import Uncertainty
-from .worlds import RandomStreams, Sample, draw_samples, pose_key
+from .worlds import RandomStreams, Sample, draw_samples, link_frames, pose_key
 
-# ---------- misses and lost messages
+# ---------- misses
 
 
 def build_drawn_tables(
@@ -45,11 +46,11 @@ def build_drawn_tables(
 ) -> tuple[DetectionTable, ...]:
     """Detection tables of a sampled world in which chance decides every frame of a camera.
 
-    The random numbers of a pose do not depend on the other poses, and are the same in all
-    weathers; from frame to frame they are linked as in the evaluator. Boxes are not drawn: they
-    are near enough to match. A LiDAR counts the points that it may expect. `lasting` is what this
-    world shares with others, if there are some. A table for each of `n_draws`: what can be seen is
-    the same in all, chance decides anew.
+    The random numbers of a pose do not depend on the other poses, but for those of the person, and
+    are the same in all weathers; from frame to frame they are linked as in the evaluator. Boxes are
+    not drawn: they are near enough to match. A LiDAR counts the points that it may expect.
+    `lasting` is what this world shares with others, if there are some. A table for each of
+    `n_draws`: what can be seen is the same in all, and who is hard to see; chance decides anew.
     """
     setting = sample.setting
     world = build_world(
@@ -64,7 +65,14 @@ def build_drawn_tables(
     for row, candidate in enumerate(sample.candidates):
         key = (*candidate.pose.position_m.tolist(), candidate.sensor.near_m)
         groups.setdefault(key, []).append(row)
-    order = link_frames(draw_index(setting.runs))
+    numbers = draw_index(setting.runs)
+    order, lasting_noise = link_frames(numbers), detector.lasting
+    correlation, deviations = detector.frame_correlation, np.array([0.0, 1.0])
+    person = np.zeros(len(numbers))
+    if lasting_noise is not None:
+        correlation = lasting_noise.frame_correlation(correlation)
+        shares = (lasting_noise.unit_person_share, lasting_noise.frame_share)
+        deviations, person = np.sqrt(shares), lasting_noise.person[numbers]
     n_bytes = -(-setting.axis.n_frames // 8)
     packed = np.zeros((n_draws, len(sample.candidates), n_bytes), dtype=np.uint8)
 
@@ -78,11 +86,15 @@ def build_drawn_tables(
             if (limit == -np.inf).all():
                 continue
             for draw in range(n_draws):
+                streams, key = replace(sample.streams, draw=draw), pose_key(planned)
                 draw_frames(
                     *(limit, world.views.weather_of_frame, entry_of_frame),
                     *(order.run_of_frame, order.place_of_frame),
-                    replace(sample.streams, draw=draw).key("detector", *pose_key(planned)),
-                    detector.frame_correlation,
+                    streams.key("detector", *key),
+                    correlation,
+                    person,
+                    streams.key("unit and person", *key),
+                    deviations,
                     packed[draw, row],
                 )
 
@@ -108,49 +120,8 @@ def seen_by_vut(sample: Sample, compute: Compute) -> BoolArray | None:
     compute = replace(compute, progress=silent)
     if sample.drawn_detector is not None:
         compute = replace(compute, seed=int(sample.streams.key("vut") >> np.uint64(1)))
-    return with_sight(sample.setting, compute=compute).seen_by_vut
-
-
-def lose_messages(sample: Sample, table: DetectionTable) -> DetectionTable:
-    """A table without the detections whose messages are lost.
-
-    Each pose loses its messages independently of the others, the same ones in all weathers.
-    """
-    loss = sample.setting.radio.packet_loss
-    if loss == 0.0:
-        return table
-    from .drawing import lose_frames
-
-    order = link_frames(draw_index(sample.setting.runs))
-    packed = np.array(table.packed)
-    for row in np.flatnonzero(packed.any(axis=1)).tolist():
-        key = sample.streams.key("message", *pose_key(sample.planned[row]))
-        lose_frames(order.run_of_frame, order.place_of_frame, key, loss, packed[row])
-    return DetectionTable(pose_ids=table.pose_ids, axis=table.axis, packed=packed)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FrameLinks:
-    """Frames that share their random numbers, and frames that follow one another."""
-
-    # run_of_frame, place_of_frame: (n_frames,): place in its run, and what makes the sum of both
-    # another for each frame; the same for the same run in several weathers
-    run_of_frame: IntArray
-    place_of_frame: IntArray
-
-
-def link_frames(frames: IntArray) -> FrameLinks:
-    """Find out which frames belong together, from numbers as `draw_index` gives, (n_frames,).
-
-    Equal ones share their random numbers, those that follow one another are linked.
-    """
-    draws, index = np.unique(frames, return_inverse=True)
-    starts = np.flatnonzero(np.diff(draws, prepend=draws[0] - 2) != 1)
-    run = np.repeat(starts, np.diff(np.append(starts, len(draws))))
-    return FrameLinks(
-        run_of_frame=run[index].astype(np.int32),
-        place_of_frame=(np.arange(len(draws)) - run)[index].astype(np.int32),
-    )
+    seen = with_sight(sample.setting, compute=compute).seen_by_vut
+    return None if seen is None else seen & ~blinded_frames(sample)
 
 
 def _limits(
@@ -179,7 +150,10 @@ def _limits(
 
 def drawing_key(streams: RandomStreams, detector: ResponseDetector) -> str:
     """Everything but the probabilities that a drawn table depends on, and how it is drawn."""
-    return f"2 {streams.seed} {streams.purpose} {streams.index} {detector.frame_correlation!r}"
+    lasting = detector.lasting
+    shares = "" if lasting is None else f" {lasting.person_share} {lasting.unit_person_share}"
+    where = f"{streams.seed} {streams.purpose} {streams.index}"
+    return f"2 {where} {detector.frame_correlation!r}{shares}"
 
 
 # ---------- detection tables of sampled worlds
@@ -286,13 +260,13 @@ def build_sample_tables(
 ) -> Iterator[tuple[Sample, DetectionTable]]:
     """Detection table of one sampled world after the other, from the cache or built anew.
 
-    Detections whose messages are lost are taken out. Worlds in which everything looks as planned
-    share one build, and all of them what scene and bodies hide from the same eyes. The next world
-    is drawn, and built, while one is looked at. `n_samples` is the number of all worlds, for the
-    progress. With few poses, laying worlds out takes as long as looking: then several worlds may be
-    built `at_once`, each by one thread. `lasting` is as :func:`share_scene` finds it, where other
-    worlds were built from it. Each world comes `n_draws` times, with detections and lost messages
-    drawn anew; only single draws are cached.
+    Detections that are not told are taken out, see :func:`.silence`. Worlds in which everything
+    looks as planned share one build, and all of them what scene and bodies hide from the same eyes.
+    The next world is drawn, and built, while one is looked at. `n_samples` is the number of all
+    worlds, for the progress. With few poses, laying worlds out takes as long as looking: then
+    several worlds may be built `at_once`, each by one thread. `lasting` is as :func:`share_scene`
+    finds it, where other worlds were built from it. Each world comes `n_draws` times, with
+    detections and lost messages drawn anew; only single draws are cached.
     """
     lock, shared = Lock(), [] if lasting is None else [lasting]
 
@@ -348,7 +322,7 @@ def _received(
     """A world and its tables without what is lost; its deadlines are its own."""
     for draw, table in enumerate(tables.result()):
         one = replace(sample, streams=replace(sample.streams, draw=draw))
-        yield one, lose_messages(one, replace(table, axis=sample.setting.axis))
+        yield one, silence(one, replace(table, axis=sample.setting.axis))
 
 
 def _obtain(

@@ -1,7 +1,7 @@
 """Uncertainty: mounting errors, traffic, misses, lost messages, latencies; read from TOML."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cache, partial
 from importlib.resources import files
 from pathlib import Path
@@ -16,6 +16,7 @@ from geometry.files import Table, load_toml, pick, take, take_list, take_number,
 from geometry.scene import Scene
 from scenarios.cases import load_cases
 
+from ..compute import check_whole
 from ..latency import LatencyBudget, load_latency_budget
 from ..question import Question
 from .bodies import read_body
@@ -38,9 +39,11 @@ _TRAFFIC = ("taken_share", "waiting_share", "following_share", *_LENGTHS)
 
 DISTRIBUTIONS = ("gamma", "uniform")
 DRAWN_PER = ("run", "sample")
+SHARED_BY = ("unit", "pole")
 _MAX_ANGLE_SD_DEG = 30.0
 _MAX_HEIGHT_SD_M = 0.5  # a small error: the same poles, the same view
 _MAX_LATENCY_S = 10.0
+_MAX_BURST_FRAMES = 1000.0
 _MAX_LENGTH_M = 1000.0
 _MAX_FASTER_KMH = 50.0
 _MAX_NEARER = 0.9
@@ -119,6 +122,56 @@ class LatencyJitter:
             scale_s = self.sd_s**2 / self.mean_s
             drawn = rng.gamma(self.mean_s / scale_s, scale_s, n_draws)
         return np.broadcast_to(drawn, (n_runs,)).copy()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outages:
+    """How often a unit tells nothing for a whole run.
+
+    Attributes
+    ----------
+    unit_share, pole_share : float
+        Probability, in each run, that a unit is out of order, and that a pole is with all of its
+        units. 0 .. 1
+    """
+
+    unit_share: float = 0.0
+    pole_share: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("unit_share", "pole_share"):
+            _check_range(self, name, 1.0, "")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Blinding:
+    """How often a camera sees nothing for a whole run: units' cameras, and the VUT's.
+
+    Attributes
+    ----------
+    dirty_share : float
+        Probability, in each run, that a camera is dirty. 0 .. 1
+    low_sun_share : float
+        Share of the runs by day with low sun, from a direction that all cameras share. 0 .. 1
+    sun_below_deg : float
+        Most that low sun stands above the horizon, in degrees.
+    dazzled_within_deg : float
+        Least angle between a camera's axis and the sun without being dazzled, in degrees.
+    """
+
+    dirty_share: float = 0.0
+    low_sun_share: float = 0.0
+    sun_below_deg: float = 0.0
+    dazzled_within_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, most, unit in (
+            ("dirty_share", 1.0, ""),
+            ("low_sun_share", 1.0, ""),
+            ("sun_below_deg", 90.0, "degrees"),
+            ("dazzled_within_deg", 180.0, "degrees"),
+        ):
+            _check_range(self, name, most, unit)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -234,15 +287,45 @@ class Uncertainty:
     packet_loss: float = 0.0
     # whether a planning detector that gives probabilities is drawn frame by frame
     draws_detections: bool = False
+    # person_share, unit_person_share: of the variance of what decides a frame, what is the same in
+    # all frames of a run: for all units, and for one of them. 0 .. 1
+    person_share: float = 0.0
+    unit_person_share: float = 0.0
+    # whether messages get lost lasts so many frames on average, then it is drawn anew; 1: each
+    burst_frames: float = 1.0
+    loss_shared_by: str = "unit"  # {"unit", "pole"}: who loses the same messages
+    outages: Outages = field(default_factory=Outages)  # units out of order
+    blinding: Blinding = field(default_factory=Blinding)  # cameras that see nothing
+    v2x_share: float = 1.0  # of all cars, those that hear the units. 0 .. 1
+    # in worlds to choose in, a run of k times the mean weight is drawn k times, at most so often
+    most_draws: int = 1
     traffic: StandingTraffic = field(default_factory=StandingTraffic)  # what stands at random
     road_users: RoadUsers = field(default_factory=RoadUsers)  # how those of the cases move
     moving: MovingTraffic | None = None  # what drives by; see :func:`with_moving_traffic`
     name: str = "none"  # what it is called in reports
 
     def __post_init__(self) -> None:
-        _check_range(self, "packet_loss", 1.0, "")
+        for name in ("packet_loss", "person_share", "v2x_share"):
+            _check_range(self, name, 1.0, "")
+        _check_range(self, "unit_person_share", 1.0 - self.person_share, "")
+        _check_range(self, "burst_frames", _MAX_BURST_FRAMES, "frames", least=1.0)
+        check_whole("most_draws", self.most_draws, least=1)
+        if self.loss_shared_by not in SHARED_BY:
+            raise InputError(
+                "loss_shared_by", self.loss_shared_by, "one of " + ", ".join(SHARED_BY)
+            )
         if not isinstance(self.draws_detections, bool):
             raise InputError("draws_detections", self.draws_detections, "true or false")
+
+    @property
+    def may_fail(self) -> bool:
+        """True if units may tell nothing for a whole run."""
+        return (self.outages, self.blinding) != (Outages(), Blinding())
+
+    @property
+    def draws_anew(self) -> bool:
+        """True if chance decides anew each time that a world is looked at."""
+        return self.draws_detections or self.packet_loss > 0.0 or self.may_fail
 
     def __repr__(self) -> str:
         return f"Uncertainty({self.name!r})"
@@ -264,12 +347,12 @@ def _check_mix(vehicles: Sequence[VehicleKind], use: str) -> None:
         )
 
 
-def _check_range(holder: object, name: str, most: float, unit: str) -> None:
-    """Check that a field is a number from 0 to a limit."""
+def _check_range(holder: object, name: str, most: float, unit: str, *, least: float = 0.0) -> None:
+    """Check that a field is a number from a limit, 0 by default, to another."""
     value: Any = getattr(holder, name)
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not (is_number and 0.0 <= value <= most):
-        raise InputError(name, value, f"0 to {most:g} {unit}".rstrip())
+    if not (is_number and least <= value <= most):
+        raise InputError(name, value, f"{least:g} to {most:g} {unit}".rstrip())
 
 
 # ---------- reading
@@ -278,10 +361,29 @@ def _check_range(holder: object, name: str, most: float, unit: str) -> None:
 UNCERTAINTY_NAMES = ("default", "robustness", "none")
 DEFAULT_UNCERTAINTY = UNCERTAINTY_NAMES[0]
 _FILE = "uncertainty.toml"
-_SECTIONS = ("mounting", "latency", "messages", "detector", "traffic", "vehicles", "road_users")
+_SECTIONS = (
+    *("mounting", "latency", "messages", "detector", "outages", "blinding", "fleet"),
+    *("choosing", "traffic", "vehicles", "road_users"),
+)
+_AIMED = "aimed"  # mounting errors by how units are aimed
 _AS = "as"  # what else is as in one of the names
 _MOUNTING = ("yaw_sd_deg", "pitch_sd_deg", "height_sd_m")
 _SHARES = ("parked_share", "waiting_share")
+# Keys of sections whose values are fields of :class:`Uncertainty` itself; but for the first of a
+# section they may be left out.
+_FLAT = {
+    "messages": ("packet_loss", "burst_frames", "shared_by"),
+    "detector": ("is_drawn", "person_share", "unit_person_share"),
+    "fleet": ("v2x_share",),
+    "choosing": ("most_draws",),
+}
+_FIELDS = {"is_drawn": "draws_detections", "shared_by": "loss_shared_by"}  # of other names
+_TAKEN: dict[str, Callable[..., Any]] = {
+    "is_drawn": take,
+    "shared_by": take_text,
+    "most_draws": take,
+}
+_PLACES = {_FIELDS.get(key, key): f"{name}.{key}" for name, keys in _FLAT.items() for key in keys}
 _T = TypeVar("_T")
 
 
@@ -329,19 +431,24 @@ def _read(document: Table, name: str, prefix: str) -> Uncertainty:
     vehicles = _read_vehicles(document, prefix)
     if vehicles and "traffic" not in document:
         raise InputError(f"{prefix}vehicles", Unquoted("no section traffic"), "where they stand")
-    errors = _numbers(document, "mounting", _MOUNTING, prefix)
-    messages = _numbers(document, "messages", ("packet_loss",), prefix)
     street = _numbers(document, "traffic", _TRAFFIC, prefix)
     parts: dict[str, Any] = {
-        "mounting": _named(f"{prefix}mounting.", partial(MountingErrors, **errors)),
+        "mounting": _read_mounting(document, prefix),
         "latency": _read_latency(_section(document, "latency", prefix), f"{prefix}latency"),
-        "draws_detections": _read_is_drawn(document, prefix),
         "road_users": _read_road_users(document, prefix),
         "traffic": _named(
             f"{prefix}traffic.", partial(StandingTraffic, vehicles=vehicles, **street)
         ),
     }
-    return _named(f"{prefix}messages.", partial(Uncertainty, name=name, **parts, **messages))
+    for key, kind in (("outages", Outages), ("blinding", Blinding)):
+        numbers = _numbers(document, key, [one.name for one in fields(kind)], prefix)
+        parts[key] = _named(f"{prefix}{key}.", partial(kind, **numbers))
+    parts |= _read_flat(document, prefix)
+    try:
+        return Uncertainty(name=name, **parts)
+    except InputError as error:
+        where = prefix + _PLACES.get(error.where, error.where)
+        raise InputError(where, error.got, error.expected) from None
 
 
 def _with_rest(document: Table, prefix: str) -> Table:
@@ -349,7 +456,8 @@ def _with_rest(document: Table, prefix: str) -> Table:
     if _AS not in document:
         return document
     other = take_text(document, _AS, prefix.rstrip(".: "))
-    named = load_toml(files("placement") / "data" / _FILE)
+    shipped = load_toml(files("placement") / "data" / _FILE)
+    named = {name: shipped[name] for name in UNCERTAINTY_NAMES}
     given = _with_rest(pick(named, other, f"{prefix}{_AS}"), f"{_FILE}: {other}.")
     return {**given, **{key: document[key] for key in document if key != _AS}}
 
@@ -385,15 +493,28 @@ def _read_latency(table: Table | None, where: str) -> LatencyJitter:
     return _named(f"{where}.", lambda: LatencyJitter(**fields))
 
 
-def _read_is_drawn(document: Table, prefix: str) -> bool:
-    table, where = _section(document, "detector", prefix), f"{prefix}detector"
-    if table is None:
-        return False
-    _refuse_unknown(table, ("is_drawn",), where)
-    is_drawn = take(table, "is_drawn", where)
-    if not isinstance(is_drawn, bool):
-        raise InputError(f"{where}.is_drawn", is_drawn, "true or false")
-    return is_drawn
+def _read_flat(document: Table, prefix: str) -> dict[str, Any]:
+    """Fields of an uncertainty that are no values of their own."""
+    values: dict[str, Any] = {}
+    for name, keys in _FLAT.items():
+        table, where = _section(document, name, prefix), f"{prefix}{name}"
+        if table is None:
+            continue
+        _refuse_unknown(table, keys, where)
+        for key in keys:
+            if key in table or key == keys[0]:
+                values[_FIELDS.get(key, key)] = _TAKEN.get(key, take_number)(table, key, where)
+    return values
+
+
+def _read_mounting(document: Table, prefix: str) -> MountingErrors:
+    """Errors that a section says, or the name of how units are aimed."""
+    given = document.get("mounting")
+    if isinstance(given, str):
+        named = load_toml(files("placement") / "data" / _FILE)[_AIMED]
+        document = {"mounting": pick(named, given, f"{prefix}mounting")}
+    errors = _numbers(document, "mounting", _MOUNTING, prefix)
+    return _named(f"{prefix}mounting.", partial(MountingErrors, **errors))
 
 
 def _read_road_users(document: Table, prefix: str) -> RoadUsers:

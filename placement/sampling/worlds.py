@@ -7,23 +7,53 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
+from typing import Any
 
 import numpy as np
 
 from geometry.actors import PlacedActor
-from geometry.arrays import FloatArray, freeze
+from geometry.arrays import FloatArray, IntArray, freeze
 from geometry.errors import InputError
 from geometry.poses import Pose
-from scenarios.runs import Run
+from scenarios.runs import Run, build_frame_axis
 
 from ..candidates import CandidatePose
 from ..compute import check_whole
 from ..detectors import ResponseDetector
+from ..detectors.built_in import LastingNoise
+from ..evaluator.surroundings import draw_index
 from ..setting import Setting
 from .moving import TrafficCount
 from .road_users import draw_road_users
 from .traffic import GroupKey, Street, Ways, build_street, build_ways, clear_of_ways, group_key
 from .uncertainty import MountingErrors, Uncertainty
+
+# ---------- random numbers
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FrameLinks:
+    """Frames that share their random numbers, and frames that follow one another."""
+
+    # run_of_frame, place_of_frame: (n_frames,): place in its run, and what makes the sum of both
+    # another for each frame; the same for the same run in several weathers
+    run_of_frame: IntArray
+    place_of_frame: IntArray
+
+
+def link_frames(frames: IntArray) -> FrameLinks:
+    """Find out which frames belong together, from numbers as `draw_index` gives, (n_frames,).
+
+    Equal ones share their random numbers, those that follow one another are linked.
+    """
+    draws, index = np.unique(frames, return_inverse=True)
+    starts = np.flatnonzero(np.diff(draws, prepend=draws[0] - 2) != 1)
+    run = np.repeat(starts, np.diff(np.append(starts, len(draws))))
+    return FrameLinks(
+        run_of_frame=run[index].astype(np.int32),
+        place_of_frame=(np.arange(len(draws)) - run)[index].astype(np.int32),
+    )
+
 
 PURPOSES = ("choose", "judge")
 """Worlds to choose a layout in, and worlds to judge it in, share no random number."""
@@ -62,6 +92,16 @@ def mount_key(candidate: CandidatePose) -> tuple[object, ...]:
     if candidate.site_id:
         return ("site", candidate.site_id)
     return ("point", *candidate.pose.position_m[:2].tolist())
+
+
+def unit_key(candidate: CandidatePose) -> tuple[object, ...]:
+    """Equal for poses of one sensor model at one mount that look into the same quarter.
+
+    So those that are tried for one unit share what becomes of it: none is chosen because it alone
+    was in order.
+    """
+    quarter = round(candidate.pose.yaw_deg / 90.0) % 4
+    return (*mount_key(candidate), candidate.sensor.name, quarter)
 
 
 def pose_key(candidate: CandidatePose) -> tuple[object, ...]:
@@ -123,6 +163,39 @@ class Sample:
             f"Sample({self.streams.index}, {self.streams.purpose!r}, "
             f"{len(self.vehicles)} vehicles, {len(self.candidates)} poses)"
         )
+
+
+def repeat_heavy_runs(setting: Setting, *, most: int) -> Setting:
+    """Setting that has a run of k times the mean weight k times, at most so often, k rounded.
+
+    The copies share its weight, and whatever is drawn for a run is drawn for each of them: so is
+    the variance of a weighted sum least for so many draws (Neyman), if runs are equally uncertain.
+    Ids of copies end in "+1", "+2" and so on.
+    """
+    axis = setting.axis
+    times = np.clip(np.rint(axis.weight / axis.weight.mean()), 1, most).astype(np.int64)
+    if times.max() == 1:
+        return setting
+    rows = np.repeat(np.arange(axis.n_runs), times)
+    copies = np.concatenate([np.arange(count) for count in times])
+    encounters: dict[tuple[int, int], Any] = {}
+    runs = []
+    for row, copy in zip(rows.tolist(), copies.tolist(), strict=True):
+        run = setting.runs[row]
+        if copy:
+            key = (id(run.encounter), copy)  # one and the same in all weathers
+            encounter = encounters.setdefault(key, replace(run.encounter))
+            run = replace(run, id=f"{run.id}+{copy}", encounter=encounter)
+        runs.append(run)
+    seen = setting.seen_by_vut
+    return replace(
+        setting,
+        runs=tuple(runs),
+        axis=build_frame_axis(runs, (axis.weight / times)[rows]),
+        seen_by_vut=None
+        if seen is None
+        else np.concatenate([seen[axis.frames_of(row)] for row in rows.tolist()]),
+    )
 
 
 def draw_samples(
@@ -213,7 +286,7 @@ def _draw(
         streams=streams,
         uncertainty=uncertainty,
         setting=replace(
-            setting,
+            _with_lasting_noise(setting, runs, uncertainty, streams),
             runs=runs,
             axis=replace(axis, last_brake_time_s=last_s - extra_s),
             radio=replace(setting.radio, packet_loss=uncertainty.packet_loss),
@@ -228,6 +301,28 @@ def _draw(
     if sample.is_seen_as_planned:
         return sample
     return replace(sample, setting=replace(sample.setting, seen_by_vut=None))
+
+
+def _with_lasting_noise(
+    setting: Setting, runs: tuple[Run, ...], uncertainty: Uncertainty, streams: RandomStreams
+) -> Setting:
+    """Setting whose detectors draw what is the same in all frames of a run as shares say."""
+    shares = (uncertainty.person_share, uncertainty.unit_person_share)
+    if not uncertainty.draws_detections or shares == (0.0, 0.0):
+        return setting
+    numbers = draw_index(runs)
+    drawn = streams.rng("person").standard_normal(len(numbers))
+    person = np.zeros(numbers.max() + 1)
+    person[numbers] = np.sqrt(shares[0]) * drawn[link_frames(numbers).run_of_frame]
+    lasting = LastingNoise(
+        person=freeze(person), person_share=shares[0], unit_person_share=shares[1]
+    )
+    changed: dict[str, Any] = {
+        name: replace(detector, lasting=lasting)
+        for name in ("detector", "table_detector")
+        if isinstance(detector := getattr(setting, name), ResponseDetector)
+    }
+    return replace(setting, **changed)
 
 
 def _with_vehicles(

@@ -10,7 +10,12 @@ from scipy.stats import multivariate_normal
 from geometry.errors import InputError
 from placement.detectors import load_planning_detector
 from placement.detectors.built_in import linked_noise
-from placement.detectors.fitting import Sightings, fit_response, joint_normal
+from placement.detectors.fitting import (
+    Sightings,
+    fit_lasting_share,
+    fit_response,
+    joint_normal,
+)
 
 N_TRACKS, N_FRAMES = 250, 30
 TRUTH = replace(
@@ -51,6 +56,28 @@ def drawn(truth=TRUTH, *, seed=1, classes=(0, 1, 2, 3, 4), contrasts=(0.1, 0.3, 
     return replace(
         sightings, is_found=is_found, box_error=np.where(is_found[:, None], error, np.nan)
     )
+
+
+@pytest.mark.parametrize("share", [0.0, 0.4])
+def test_the_share_that_lasts_for_a_track_is_found(share):
+    """Noise drawn as a sampled world draws it, of tracks that are found as often as missed."""
+    rng = np.random.default_rng(2)
+    sightings = drawn()
+    linked = linked_noise(sightings.frame + sightings.track * (N_FRAMES + 1), 0.5, rng)
+    lasts = rng.standard_normal(N_TRACKS)[sightings.track]
+    noise = np.sqrt(share) * lasts + np.sqrt(1.0 - share) * linked
+    probability = rng.uniform(0.3, 0.9, N_TRACKS)[sightings.track]
+    seen = replace(sightings, is_found=ndtr(noise) < probability)
+    fitted = fit_lasting_share(seen, probability, draws=100)
+    assert fitted.low <= share <= fitted.high
+    assert fitted.value == pytest.approx(share, abs=0.1)
+    assert fitted.high - fitted.low < 0.35
+
+
+def test_without_consecutive_frames_nothing_is_known_of_what_lasts():
+    sightings = replace(drawn(), frame=np.tile(200 * np.arange(N_FRAMES), N_TRACKS))
+    with pytest.raises(InputError, match=r"^frames: got none consecutive; expected consecutive "):
+        fit_lasting_share(sightings, np.full(len(sightings), 0.5), draws=2)
 
 
 @pytest.fixture(scope="module")

@@ -6,19 +6,19 @@ from scipy.signal import lfilter
 from scipy.stats import kstest, norm
 
 from geometry.catalogue import load_lidars
+from geometry.kernels import kernel
 from placement.compute import Compute
 from placement.detection_table import pack_table
 from placement.detectors import load_planning_detector
 from placement.evaluator import build_surroundings, perceive_from_roadside
-from placement.sampling.drawing import draw_frames, link_noise, random_bits
+from placement.sampling.drawing import _linked, draw_frames, random_bits
+from placement.sampling.silence import silence
 from placement.sampling.tables import (
     build_drawn_tables,
     build_sample_tables,
-    link_frames,
-    lose_messages,
 )
 from placement.sampling.uncertainty import Uncertainty
-from placement.sampling.worlds import draw_samples
+from placement.sampling.worlds import draw_samples, link_frames
 
 DRAWN = Uncertainty(draws_detections=True)
 
@@ -37,8 +37,15 @@ def _first(setting, poses, uncertainty, seed=0):
 
 def _noise(frames, correlation, seed):
     links = link_frames(np.asarray(frames))
-    noise = np.empty(len(frames))
-    link_noise(links.run_of_frame, links.place_of_frame, np.uint64(seed), correlation, noise)
+    return _noise_at(links.run_of_frame, links.place_of_frame, np.uint64(seed), correlation)
+
+
+@kernel
+def _noise_at(run, place, key, correlation):
+    noise = np.empty(len(run))
+    for index in range(len(run)):
+        step = np.sqrt(1.0 - correlation**2)
+        noise[index] = _linked(key, correlation, step, run[index], place[index], -1, 0.0)
     return noise
 
 
@@ -83,9 +90,9 @@ def test_frames_are_drawn_where_the_noise_of_their_cell_is_below_the_limit(seed)
     limit[rng.random((2, 30)) < 0.2] = np.inf
     limit[rng.random((2, 30)) < 0.2] = -np.inf
     key, packed = np.uint64(seed), np.zeros(-(-n // 8), dtype=np.uint8)
-    draw_frames(limit, weather, entry, *where, key, 0.6, packed)
-    noise = np.empty(n)
-    link_noise(*where, key, 0.6, noise)
+    nothing, own = np.zeros(n), np.array([0.0, 1.0])
+    draw_frames(limit, weather, entry, *where, key, 0.6, nothing, key, own, packed)
+    noise = _noise_at(*where, key, 0.6)
     expected = (entry >= 0) & (noise < limit[weather, entry])
     drawn = np.unpackbits(packed, count=n, bitorder="little").astype(bool)
     assert np.array_equal(drawn, expected)
@@ -264,23 +271,23 @@ def test_messages_are_lost_as_often_as_asked_and_each_pose_loses_its_own(
 ):
     table = all_seen(candidates)
     sample = _first(setting, candidates, Uncertainty(packet_loss=0.2))
-    arrived = lose_messages(sample, table).detected(slice(None))
+    arrived = silence(sample, table).detected(slice(None))
     n = arrived.size
     assert arrived.mean() == pytest.approx(0.8, abs=4.0 * np.sqrt(0.16 / n))
     agreement = (arrived[0] == arrived[1]).mean()
     assert agreement == pytest.approx(0.8**2 + 0.2**2, abs=0.1)
-    again = lose_messages(sample, table).detected(slice(None))
+    again = silence(sample, table).detected(slice(None))
     assert np.array_equal(arrived, again)
     other = _first(setting, candidates, Uncertainty(packet_loss=0.2), seed=1)
-    assert not np.array_equal(lose_messages(other, table).detected(slice(None)), arrived)
+    assert not np.array_equal(silence(other, table).detected(slice(None)), arrived)
 
 
 def test_no_message_and_every_message_may_be_lost(setting, candidates, all_seen):
     table = all_seen(candidates)
     sample = _first(setting, candidates, Uncertainty())
-    assert lose_messages(sample, table) is table
+    assert silence(sample, table) is table
     silent = _first(setting, candidates, Uncertainty(packet_loss=1.0))
-    assert not lose_messages(silent, table).packed.any()
+    assert not silence(silent, table).packed.any()
 
 
 def test_the_same_messages_are_lost_in_all_weathers(watched):
@@ -290,7 +297,7 @@ def test_the_same_messages_are_lost_in_all_weathers(watched):
         tuple(p.id for p in poses), setting.axis, np.ones((3, setting.axis.n_frames), dtype=bool)
     )
     day, fog = (
-        lose_messages(sample, every).detected(slice(None))[:, setting.axis.frames_of(run)]
+        silence(sample, every).detected(slice(None))[:, setting.axis.frames_of(run)]
         for run in (0, 1)
     )
     assert np.array_equal(day, fog)

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from geometry.errors import InputError
-from placement.sampling.uncertainty import UNCERTAINTY_NAMES, load_uncertainty
+from placement.sampling.uncertainty import UNCERTAINTY_NAMES, Outages, load_uncertainty
 
 WHOLE = """
 [mounting]
@@ -65,6 +65,10 @@ def test_the_default_is_uncertain_in_every_way():
     assert default.latency.mean_s > 0.0
     assert default.packet_loss > 0.0
     assert default.draws_detections
+    assert min(default.person_share, default.unit_person_share) > 0.0
+    assert default.outages != Outages()
+    assert min(default.blinding.dirty_share, default.blinding.low_sun_share) > 0.0
+    assert (default.burst_frames, default.loss_shared_by, default.v2x_share) == (3.0, "pole", 1.0)
     assert {kind.actor.name for kind in default.traffic.vehicles} >= {"parked-van", "truck", "bus"}
     assert math.fsum(kind.parked_share for kind in default.traffic.vehicles) == pytest.approx(1.0)
 

@@ -15,7 +15,7 @@ from placement.sampling.out_of_sample import (
     out_of_sample_layouts,
 )
 from placement.sampling.tables import build_sample_tables
-from placement.sampling.uncertainty import LatencyJitter, Uncertainty
+from placement.sampling.uncertainty import Blinding, LatencyJitter, Uncertainty
 from placement.sampling.worlds import draw_samples
 from placement.visibility import build_detection_table
 
@@ -162,6 +162,17 @@ def test_a_units_own_latency_counts(setting, layouts):
     slow = replace(layouts[1], units=tuple(replace(u, latency_s=60.0) for u in layouts[1].units))
     result = out_of_sample(setting, slow, Uncertainty(), n_samples=1)
     assert result.estimate.mean == 0.0
+
+
+def test_cars_that_see_are_judged_without_units_too(setting, layouts):
+    seeing = replace(setting, cars=1.0)
+    dirty = replace(LOSSY, blinding=Blinding(dirty_share=0.5))
+    slow = replace(layouts[1], units=tuple(replace(u, latency_s=60.0) for u in layouts[1].units))
+    for uncertainty in (LOSSY, dirty):
+        judged = out_of_sample_layouts(seeing, [layouts[1], slow], uncertainty, n_samples=3)
+        assert [item.alone for item in judged] == [pytest.approx(judged[1].estimate.mean)] * 2
+        assert judged[0].alone <= judged[0].estimate.mean
+    assert out_of_sample(setting, layouts[1], LOSSY, n_samples=1).alone == 0.0
 
 
 def test_progress_counts_worlds(setting, layouts):

@@ -5,8 +5,16 @@ import pytest
 
 from geometry.errors import InputError
 from geometry.poses import Pose
+from placement.sampling.tables import build_sample_tables
 from placement.sampling.uncertainty import LatencyJitter, MountingErrors, Uncertainty
-from placement.sampling.worlds import RandomStreams, draw_samples, mount_key, pose_key
+from placement.sampling.worlds import (
+    RandomStreams,
+    draw_samples,
+    mount_key,
+    pose_key,
+    repeat_heavy_runs,
+)
+from scenarios.runs import build_frame_axis
 
 
 def _offsets(sample):
@@ -188,3 +196,48 @@ def test_a_pose_keeps_its_luck_under_another_name(candidates):
     moved = replace(one, pose=Pose(position_m=one.pose.position_m + 1.0, yaw_deg=one.pose.yaw_deg))
     assert pose_key(moved) != pose_key(one)
     assert mount_key(moved) == mount_key(one)
+
+
+# Runs of great weight
+
+
+def test_heavy_runs_are_there_as_often_as_they_weigh_and_are_drawn_each_by_itself(
+    setting, candidates
+):
+    weight = np.array([0.1, 0.8, 0.1])  # 2.4 times the mean: twice
+    setting = replace(setting, axis=replace(setting.axis, weight=weight))
+    often = repeat_heavy_runs(setting, most=10)
+    names = list(setting.axis.run_ids)
+    assert often.axis.run_ids == (names[0], names[1], f"{names[1]}+1", names[2])
+    assert often.axis.weight == pytest.approx([0.1, 0.4, 0.4, 0.1])
+    assert repeat_heavy_runs(setting, most=1) is setting
+    uncertainty = Uncertainty(packet_loss=0.5)
+    seen = []
+    for drawn in (Uncertainty(), uncertainty):
+        samples = draw_samples(often, candidates, drawn, n_samples=1, seed=0)
+        ((_, table),) = build_sample_tables(samples)
+        frames = table.detected(slice(None))
+        seen += [frames[:, often.axis.frames_of(run)] for run in (1, 2)]
+    one, copy, lossy_one, lossy_copy = seen
+    assert np.array_equal(one, copy)
+    assert one.any()
+    assert not np.array_equal(lossy_one, lossy_copy)
+
+
+def test_weathers_of_a_repeated_run_share_its_draws(setting):
+    fog = tuple(replace(run, id=f"{run.id} in fog", weather="fog") for run in setting.runs)
+    runs = (*setting.runs, *fog)
+    axis = build_frame_axis(runs, np.tile([0.05, 0.4, 0.05], 2))
+    often = repeat_heavy_runs(replace(setting, runs=runs, axis=axis), most=10)
+    by_id = {run.id: run.encounter for run in often.runs}
+    name = setting.runs[1].id
+    assert by_id[f"{name}+1"] is by_id[f"{name} in fog+1"]
+    assert by_id[f"{name}+1"] is not by_id[name]
+
+
+def test_what_the_vut_sees_is_repeated_with_its_run(setting):
+    axis = replace(setting.axis, weight=np.array([0.1, 0.8, 0.1]))
+    seen = np.random.default_rng(0).random(axis.n_frames) < 0.5
+    often = repeat_heavy_runs(replace(setting, axis=axis, seen_by_vut=seen), most=10)
+    parts = [seen[axis.frames_of(run)] for run in (0, 1, 1, 2)]
+    assert np.array_equal(often.seen_by_vut, np.concatenate(parts))
