@@ -72,7 +72,7 @@ def time_to_collision_s(
         apart = offset[..., 0] * east + offset[..., 1] * north
         speed = closing[..., 0] * east + closing[..., 1] * north
         reach = np.abs(apart) - gap
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             ends = np.stack([(-reach - apart) / speed, (reach - apart) / speed])
         still = np.where(gap <= 0.0, np.inf, -np.inf)
         first = np.maximum(first, np.where(speed == 0.0, -still, ends.min(axis=0)))
