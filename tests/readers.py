@@ -556,9 +556,10 @@ def _uncertainties() -> Mapping[str, tuple[str, Files]]:
     from importlib.resources import files
 
     text = (files("placement") / "data" / "uncertainty.toml").read_text(encoding="utf-8")
-    starts = [text.index(f"[{name}") for name in ("default", "robustness", "none")]
+    names = ("default", "robustness", "as-measured")
+    starts = [text.index(f"[{name}") for name in (*names, "none")]
     files_of = {"example": _example("uncertainty.toml")}
-    for name, start, end in zip(("default", "robustness"), starts, starts[1:], strict=False):
+    for name, start, end in zip(names, starts, starts[1:], strict=False):
         table = text[start:end].replace(f"[{name}]\n", "").replace(f"[{name}.", "[")
         files_of[name] = _one("a.toml", table)
     return files_of
