@@ -350,7 +350,7 @@ def import_scenarios(
     from scenarios.conflicts import cases_text, find_encounters
     from scenarios.trajectories import read_tracks
 
-    for where, value in (("ttc", ttc_s), ("within", within_m), ("rate", rate_hz)):
+    for where, value in (("--ttc", ttc_s), ("--within", within_m), ("--rate", rate_hz)):
         if value is not None and not 0.0 < value < math.inf:
             raise InputError(where, value, "a number, more than 0")
     named = dict(word.partition("=")[::2] for word in columns.split(",") if word)
@@ -370,7 +370,7 @@ def import_scenarios(
     for reason, n_pairs in why.items():
         tell(f"{several(n_pairs, 'pair', 'pairs')} left out: {reason}.")
     if not found:
-        raise InputError("encounters", Unquoted("none"), "a higher `ttc`, or `within`")
+        raise InputError("encounters", Unquoted("none"), "a higher --ttc, or --within")
     source = ", ".join(path.name for path in paths)
     text = cases_text(found, name=name or paths[0].stem, source=source)
     if out is None:

@@ -180,10 +180,12 @@ def _parked(tracks: Sequence[Track]) -> Iterator[Body]:
 
 
 def _crosswalk_m(tracks: Sequence[Track], cars: Sequence[Track]) -> FloatArray:
-    """The line on which people cross cars' ways, from end to end: their main axis, (1, 2, 2)."""
+    """The line on which people cross cars' ways, from end to end, (1, 2, 2); (0, 2, 2): none."""
     ways = shapely.union_all([shapely.LineString(car.position_m) for car in cars])
     walks = [shapely.LineString(one.position_m) for one in tracks if one.class_name != VEHICLE]
     points = shapely.get_coordinates(shapely.intersection(walks, ways))
+    if len(points) < 2:
+        return np.empty((0, 2, 2))
     middle = np.median(points, axis=0)
     _, _, axes = np.linalg.svd(points - middle, full_matrices=False)
     ends = np.percentile((points - middle) @ axes[0], [5.0, 95.0])
@@ -267,7 +269,9 @@ def study(folder: Path, *, ttc_s: float, compute: Compute) -> tuple[str, Scene]:
         )
         + ". "
         + "".join(f"{number} more are left out: {why}. " for why, number in left_out.items())
-        + f"{len(scene.sites)} poles along the kerbs; of at most {N_CAMERAS} cameras {len(at)} "
+        + f"{sum(map(_meets_front, alone.runs))} would be met by the car's front; the others would "
+        "walk into its side, where its own camera does not look. "
+        f"{len(scene.sites)} poles along the kerbs; of at most {N_CAMERAS} cameras {len(at)} "
         f"see all that any do, at {', '.join(at)}. They were chosen with everybody else of the "
         f"clip in view: {n_bodies / len(alone.runs):.0f} bodies a run.",
         "",
@@ -283,13 +287,15 @@ def _table(
     setting: Setting, found: Mapping[str, FoundEncounter], verdicts: Mapping[str, Verdict]
 ) -> Iterator[str]:
     ttc_s = np.array([found[run.case.name].ttc_s for run in setting.runs])
-    yield f"| seen in time to brake | pairs | {' | '.join(_WORDS)} |"
+    yield f"| met by | pairs | in time by: {' | '.join(_WORDS)} |"
     yield "| --- " * 6 + "|"
-    for limit in _FACTS:
-        is_short: BoolArray = ttc_s <= limit
-        counts = [int(verdicts[name].is_avoided[is_short].sum()) for name in _PARTIES]
-        words = " | ".join(map(str, counts))
-        yield f"| time to collision below {limit:g} s | {int(is_short.sum())} | {words} |"
+    is_front = np.array([_meets_front(run) for run in setting.runs])
+    for met, is_met in (("front", is_front), ("side", ~is_front)):
+        for limit in _FACTS:
+            is_short: BoolArray = is_met & (ttc_s <= limit)
+            counts = [int(verdicts[name].is_avoided[is_short].sum()) for name in _PARTIES]
+            words = f"the car's {met}, time to collision below {limit:g} s"
+            yield f"| {words} | {int(is_short.sum())} | {' | '.join(map(str, counts))} |"
     yield ""
     yield (
         'Times in seconds before the replayed impact; "-": never confirmed, "lost": out of sight '
@@ -297,18 +303,29 @@ def _table(
     )
     yield ""
     yield (
-        "| pair | time to collision (s) | car (km/h) | pedestrian (km/h) | seen for (s) | "
-        "last moment | VUT confirms | cameras confirm |"
+        "| pair | met by | time to collision (s) | car (km/h) | pedestrian (km/h) | "
+        "recorded for (s) | last moment | VUT confirms | cameras confirm |"
     )
-    yield "| --- " * 8 + "|"
+    yield "| --- " * 9 + "|"
     for index in np.argsort(ttc_s):
         run = setting.runs[index]
         told = [_confirmed(verdicts[name], int(index)) for name in _PARTIES[:2]]
         yield (
-            f"| {run.case.name.removeprefix('dut')} | {ttc_s[index]:.2f} | {run.vut_speed_kmh:g} | "
-            f"{run.case.vru_speed_kmh:g} | {-run.time_s[0]:.1f} | {-run.last_brake_time_s:.2f} | "
+            f"| {run.case.name.removeprefix('dut')} | {'front' if is_front[index] else 'side'} | "
+            f"{ttc_s[index]:.2f} | {run.vut_speed_kmh:g} | {run.case.vru_speed_kmh:g} | "
+            f"{-run.time_s[0]:.1f} | {-run.last_brake_time_s:.2f} | "
             f"{' | '.join(told)} |"
         )
+
+
+def _meets_front(run: Run) -> bool:
+    """True if the middle of the VRU is ahead of the VUT's front at the impact."""
+    at = [
+        motion.path.at(motion.distance_m(0.0))
+        for motion in (run.encounter.vut_motion, run.encounter.vru_motion)
+    ]
+    ahead_m, _ = rotated(at[1][0] - at[0][0], -float(at[0][1]))
+    return bool(ahead_m > 0.5 * run.encounter.vut.length_m)
 
 
 def _confirmed(verdict: Verdict, index: int) -> str:
