@@ -120,9 +120,9 @@ def find_encounters(
 
     Notes
     -----
-    Bodies are the VUT's and those of ``data/actors.toml``, turned the way in which they move. The
-    least time to collision is looked for while the vehicle drives forwards, and until the bodies
-    first touch: those who walk beside a car are thinner than these boxes.
+    Bodies are the VUT's and those of ``geometry/data/actors.toml``, turned the way in which they
+    move. The least time to collision is looked for while the vehicle drives forwards, and until the
+    bodies first touch: those who walk beside a car are thinner than these boxes.
     """
     vut = pick_actor("vut", "vut")
     bodies = load_trajectory_rules().bodies

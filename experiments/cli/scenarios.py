@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from placement.setting import Drives
     from scenarios.cases import Case
     from scenarios.runs import Run
+    from scenarios.trajectories import Track
 
 
 class DrivenRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -328,7 +329,7 @@ Examples:
 @option("--class", "class_name", default="", metavar="CLASS", help="Of CSV files without classes.")
 @option("--name", default="", help="What names of cases begin with; default: the first FILE's.")
 @option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
-def import_scenarios(
+def take_recordings(
     *,
     paths: tuple[Path, ...],
     ttc_s: float | None,
@@ -354,7 +355,8 @@ def import_scenarios(
         if value is not None and not 0.0 < value < math.inf:
             raise InputError(where, value, "a number, more than 0")
     named = dict(word.partition("=")[::2] for word in columns.split(",") if word)
-    tracks, n_left_out = [], 0
+    tracks: list[Track] = []
+    n_left_out = 0
     for path in paths:
         read, n_more = read_tracks(
             path, columns=named, frame_rate_hz=rate_hz, class_name=class_name

@@ -46,7 +46,7 @@ _FACTS = (1.0, 2.0, 3.0)
 
 
 # ---------- clips
-def read_clips(folder: Path) -> dict[str, tuple[Track, ...]]:
+def lay_clips(folder: Path) -> dict[str, tuple[Track, ...]]:
     """Tracks of each clip, in the frame of the first one that shows the two parked cars.
 
     Pictures count downwards: north is minus y. Clips were taken from slightly different points; the
@@ -189,7 +189,8 @@ def _crosswalk_m(tracks: Sequence[Track], cars: Sequence[Track]) -> FloatArray:
     middle = np.median(points, axis=0)
     _, _, axes = np.linalg.svd(points - middle, full_matrices=False)
     ends = np.percentile((points - middle) @ axes[0], [5.0, 95.0])
-    return (middle + ends[:, None] * axes[0])[None]
+    line: FloatArray = middle + ends[:, None] * axes[0]
+    return line[None]
 
 
 # ---------- runs
@@ -236,7 +237,7 @@ def _with_others(run: Run, one: FoundEncounter, tracks: Sequence[Track]) -> Run:
 # ---------- answer
 def study(folder: Path, *, ttc_s: float, compute: Compute) -> tuple[str, Scene]:
     """The table of encounters as Markdown, and the scene."""
-    clips = read_clips(folder)
+    clips = lay_clips(folder)
     found: dict[str, FoundEncounter] = {}
     left_out, texts, n_pairs = Counter[str](), [], 0
     for clip, tracks in clips.items():

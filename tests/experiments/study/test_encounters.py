@@ -50,7 +50,7 @@ def folder(tmp_path):
 
 
 def test_clips_are_laid_upon_one_another(folder):
-    one, other = encounters.read_clips(folder).values()
+    one, other = encounters.lay_clips(folder).values()
     for a, b in zip(one, other, strict=True):
         np.testing.assert_allclose(a.position_m, b.position_m, atol=1.0e-6)
         off_deg = (a.yaw_deg - b.yaw_deg + 180.0) % 360.0 - 180.0
@@ -58,7 +58,7 @@ def test_clips_are_laid_upon_one_another(folder):
 
 
 def test_the_street_is_made_of_what_the_tracks_tell(folder):
-    scene = encounters.build_street(encounters.read_clips(folder))
+    scene = encounters.build_street(encounters.lay_clips(folder))
     arms = build_junction(scene).arms
     assert {name: len(arm.entry_lanes) for name, arm in arms.items()} == {"west": 1, "east": 0}
     assert [thing.id for thing in scene.instances] == ["ground", "parked-0", "parked-1"]
