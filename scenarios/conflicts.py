@@ -16,11 +16,10 @@ References
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from msgspec import structs
 from numpy.typing import ArrayLike
 
 from geometry.actors import Actor, pick_actor
@@ -309,7 +308,7 @@ def cases_text(found: Sequence[FoundEncounter], *, name: str, source: str) -> st
             "vut_speed_kmh": one.vut_speed_kmh,
             "vru_speed_kmh": one.vru_speed_kmh,
             "known_s": one.recorded.known_s,
-            "vut_way": structs.asdict(one.recorded.vut),
-            "vru_way": structs.asdict(one.recorded.vru),
+            "vut_way": asdict(one.recorded.vut),
+            "vru_way": asdict(one.recorded.vru),
         }
     return tomlkit.dumps(table)

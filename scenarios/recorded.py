@@ -5,7 +5,7 @@ from itertools import pairwise
 from math import dist, isfinite
 from typing import Annotated
 
-from msgspec import Meta, Struct
+from msgspec import Meta
 
 from geometry.actors import Actor
 from geometry.errors import InputError, Unquoted
@@ -18,7 +18,8 @@ _LONGEST_M = 1000.0
 _MAX_EARLY_S = 0.3  # of a contact before the impact: more is another impact, somewhere else
 
 
-class RecordedWay(Struct, frozen=True, kw_only=True):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordedWay:
     """A way as it was taken, and when."""
 
     # of the middle of the body; goes straight on before and after them. World frame. [m]

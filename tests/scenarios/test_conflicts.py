@@ -221,9 +221,7 @@ def test_recorded_cases_stay_where_they_were(cases_file):
 
 
 def _moved(way):
-    from msgspec import structs
-
-    return structs.replace(way, points_m=tuple((x, y + 500.0) for x, y in way.points_m))
+    return replace(way, points_m=tuple((x, y + 500.0) for x, y in way.points_m))
 
 
 @pytest.mark.parametrize(

@@ -69,7 +69,7 @@ def test_the_street_is_made_of_what_the_tracks_tell(folder):
 
 
 def test_the_table_says_who_was_seen_in_time(folder):
-    text, _ = encounters.study(folder, ttc_s=2.0, compute=Compute(workers=2, cache_folder=None))
+    text, _ = encounters.study(folder, ttc_s=2.0, compute=Compute(workers=2, cache_folder=folder))
     assert text.startswith(
         "2 pairs of a moving car and a pedestrian come to a time to collision below 2 s in 2 clips"
     )
