@@ -176,10 +176,11 @@ def _replay(
         crossing = _crossing_s(vehicle, vru, time)
         if crossing is None:
             return "their ways do not cross"
-        # The VUT's front and the middle of the VRU are there together.
-        moments, ends_s = crossing, (0.5 * vut.length_m / _speed(vehicle, crossing[0]), 0.0)
-        if _speed(vehicle, crossing[0]) < rules.min_vut_mps:
+        speed_mps = _speed(vehicle, crossing[0])
+        if speed_mps < rules.min_vut_mps:
             return "the car is slower than walking where their ways cross"
+        # The VUT's front and the middle of the VRU are there together.
+        moments, ends_s = crossing, (0.5 * vut.length_m / speed_mps, 0.0)
     else:
         return ""
     seen_s = min(moments) - float(time[0])

@@ -351,9 +351,10 @@ def take_recordings(
     from scenarios.conflicts import cases_text, find_encounters
     from scenarios.trajectories import read_tracks
 
-    for where, value in (("--ttc", ttc_s), ("--within", within_m), ("--rate", rate_hz)):
-        if value is not None and not 0.0 < value < math.inf:
-            raise InputError(where, value, "a number, more than 0")
+    limits = (("--ttc", ttc_s, 10.0), ("--within", within_m, 50.0), ("--rate", rate_hz, 1000.0))
+    for where, value, most in limits:
+        if value is not None and not 0.0 < value <= most:
+            raise InputError(where, value, f"a number, more than 0, at most {most:g}")
     named = dict(word.partition("=")[::2] for word in columns.split(",") if word)
     tracks: list[Track] = []
     n_left_out = 0

@@ -128,6 +128,8 @@ def test_who_passes_near_is_replayed_without_the_time_between():
     # The front reaches his box, which is then about in the middle of the car's way.
     assert met[0] - front[0] == pytest.approx(0.25, abs=0.26)
     assert abs(met[1] + 1.75) < 0.5
+    parked = car(speed_mps=0.0)
+    assert find_encounters([parked, walker()], ttc_s=2.0, within_m=3.0) == ((), {})
     parallel = [car(), track("p", "pedestrian", lambda t: (1.5 * t, 1.0))]
     assert find_encounters(parallel, ttc_s=None, within_m=5.0)[1] == {"their ways do not cross": 1}
 
