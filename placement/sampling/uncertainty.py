@@ -176,11 +176,21 @@ class StandingTraffic:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuredPeople:
-    """Speeds and starts of a class of people: values (n,) at ascending shares of all."""
+    """Speeds and starts of a class of people.
+
+    Attributes
+    ----------
+    probability : tuple of float
+        Shares of all people, ascending. 0 .. 1
+    speed_kmh : tuple of float
+        So fast go those who keep moving, at these shares. [km/h]
+    start_mps2 : tuple of float
+        Mean acceleration of those who start, at these shares. [m/s^2]
+    """
 
     probability: tuple[float, ...]
-    speed_kmh: tuple[float, ...]  # of those who keep moving
-    start_mps2: tuple[float, ...]  # mean acceleration of those who start
+    speed_kmh: tuple[float, ...]
+    start_mps2: tuple[float, ...]
 
     def __post_init__(self) -> None:
         for name, most in (("probability", 1.0), ("speed_kmh", 50.0), ("start_mps2", 10.0)):
