@@ -16,6 +16,8 @@ from geometry.actors import Actor, pick_actor
 from geometry.errors import InputError, Unquoted
 from geometry.files import Table, Text, load_toml, pick, read_table, read_tables
 
+from .recorded import RecordedEncounter, RecordedWay
+
 ALL_CASES = "all"
 ALL_SPEEDS = "all"
 
@@ -88,7 +90,7 @@ class Case:
     source : str
         "protocol-4.5.1", "protocol-2026" or "CarlaNCAP".
     kind : str
-        "crossing", "longitudinal" or "turning"; "not laid" where `not_laid` says why.
+        "crossing", "longitudinal", "turning" or "recorded"; "not laid" where `not_laid` says why.
     vru : Actor
         Body of the road user that is met.
     vru_speed_kmh : float
@@ -135,6 +137,8 @@ class Case:
         do, as everywhere but in "all".
     not_laid : str
         Why it cannot be laid anywhere; empty: it can.
+    recorded : RecordedEncounter or None
+        Of kind "recorded": the ways that were taken; such a case is laid there alone.
     """
 
     name: str
@@ -164,6 +168,7 @@ class Case:
     braking: Braking | None = None
     impact_turn: tuple[int, int] = (0, 1)
     not_laid: str = ""
+    recorded: RecordedEncounter | None = None
 
     def __repr__(self) -> str:
         speeds = ", ".join(f"{speed:g}" for speed in self.vut_speeds_kmh)
@@ -365,6 +370,17 @@ class _Turning(_CaseEntry, frozen=True, kw_only=True, tag="turning", tag_field="
     vru_line: _Crosswalk | _Lane | _Kerb | _Through
 
 
+class _Recorded(Struct, frozen=True, kw_only=True, tag="recorded", tag_field="kind"):
+    title: Text
+    source: Text
+    vru: Text
+    vut_speed_kmh: Annotated[float, Meta(gt=0.0, le=250.0)]
+    vru_speed_kmh: Annotated[float, Meta(ge=0.0, le=250.0)]
+    known_s: Annotated[float, Meta(gt=0.0, le=60.0)]  # runs begin so long before the impact
+    vut_way: RecordedWay
+    vru_way: RecordedWay
+
+
 @cache
 def load_cases() -> dict[str, Case]:
     """All cases that come with this package and can be laid, by name."""
@@ -386,30 +402,38 @@ def load_unlaid_cases() -> dict[str, Case]:
     where = "unlaid_cases.toml"
     table = load_toml(files(__package__) / "data" / where)
     return {
-        name: Case(
-            name=name,
-            title=entry.title,
-            source=entry.source,
-            kind="not laid",
-            vru=pick_actor(entry.vru, f"{where}: {name}.vru"),
-            vru_speed_kmh=0.0,
+        name: replace(
+            _bare_case(name, entry, "not laid", f"{where}: {name}"),
             vut_speeds_kmh=entry.vut_speeds_kmh,
-            speed_limits_kmh=(0.0, 0.0),
-            impact_percent=50.0,
-            impact_face="front",
-            vru_reference_m=0.0,
-            acceleration_distance_m=0.0,
-            start_distance_m=None,
-            steady_distance_m=None,
-            vru_side="",
-            turn="",
-            vru_direction="",
-            vru_line=None,
-            obstruction=None,
             not_laid=entry.reason,
         )
         for name, entry in read_tables(table, _UnlaidEntry, where).items()
     }
+
+
+def _bare_case(name: str, entry: "_UnlaidEntry | _Recorded", kind: str, where: str) -> Case:
+    """A case that says nothing about where its bodies meet."""
+    return Case(
+        name=name,
+        title=entry.title,
+        source=entry.source,
+        kind=kind,
+        vru=pick_actor(entry.vru, f"{where}.vru"),
+        vru_speed_kmh=0.0,
+        vut_speeds_kmh=(),
+        speed_limits_kmh=(0.0, 0.0),
+        impact_percent=50.0,
+        impact_face="front",
+        vru_reference_m=0.0,
+        acceleration_distance_m=0.0,
+        start_distance_m=None,
+        steady_distance_m=None,
+        vru_side="",
+        turn="",
+        vru_direction="",
+        vru_line=None,
+        obstruction=None,
+    )
 
 
 def load_own_cases(path: str | Path) -> dict[str, Case]:
@@ -461,7 +485,8 @@ def _read_cases(table: Table, names: Iterable[str], where: str) -> dict[str, Cas
         for name, one in _each_impact(table_name, _whole_entry(table, table_name, where)):
             # A union is no class to mypy, but the reader takes it.
             entry = read_table(one, _ANY_CASE, here)
-            cases[name] = _build_case(name, entry, here)
+            build = _build_recorded if isinstance(entry, _Recorded) else _build_case
+            cases[name] = build(name, entry, here)
     return cases
 
 
@@ -480,7 +505,7 @@ def _each_impact(name: str, entry: dict[str, Any]) -> Iterator[tuple[str, dict[s
         yield called, {**entry, "impact_percent": percent, "title": title, **which}
 
 
-_ANY_CASE: Any = _Crossing | _Longitudinal | _Turning
+_ANY_CASE: Any = _Crossing | _Longitudinal | _Turning | _Recorded
 
 
 @cache
@@ -539,6 +564,17 @@ def _whole_entry(
     if not isinstance(other, str) or other not in table or other in (*seen, name):
         raise InputError(f"{where}: {name}.as", other, "another case, not in a circle")
     return {**_whole_entry(table, other, where, seen=(*seen, name)), **entry}
+
+
+def _build_recorded(name: str, entry: _Recorded, where: str) -> Case:
+    speed_kmh = entry.vut_speed_kmh
+    return replace(
+        _bare_case(name, entry, "recorded", where),
+        vru_speed_kmh=entry.vru_speed_kmh,
+        vut_speeds_kmh=(speed_kmh,),
+        speed_limits_kmh=(speed_kmh, speed_kmh),
+        recorded=RecordedEncounter(vut=entry.vut_way, vru=entry.vru_way, known_s=entry.known_s),
+    )
 
 
 def _build_case(name: str, entry: _Crossing | _Longitudinal | _Turning, where: str) -> Case:

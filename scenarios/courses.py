@@ -154,6 +154,13 @@ def follow_lane(centreline_m: FloatArray, *, is_in: bool) -> Course:
     return _follow(tuple(map(tuple, points)), tuple(origin))
 
 
+def follow_way(points_m: Sequence[tuple[float, float]], yaw_deg: float) -> Course:
+    """The smooth course along a way, whose last point is the origin; it goes on in a direction."""
+    end, ahead = np.array(points_m[-1]), np.radians(yaw_deg)
+    beyond = end + 2.0 * _END_CHORD_M * np.array([np.cos(ahead), np.sin(ahead)])
+    return _follow((*map(tuple, points_m), tuple(beyond.tolist())), tuple(points_m[-1]))
+
+
 @lru_cache(maxsize=256)  # every case and speed follows the same few lanes
 def _follow(
     points: tuple[tuple[float, ...], ...],

@@ -179,12 +179,12 @@ def sort_positions(names: Iterable[str]) -> list[str]:
 
 # ---------- positions of cases
 def is_bound(case: Case) -> bool:
-    """True if a case can happen at the junction alone: the VUT turns, or the VRU's road is there.
+    """True if a case has one place: the VUT turns, the VRU's road is there, or it was recorded.
 
     All others - people who cross the VUT's lane, those who move ahead in it - may happen anywhere
     along an arm.
     """
-    if case.kind == "turning":
+    if case.kind in ("turning", "recorded"):
         return True
     return case.vru_line is not None and case.vru_line.along != "crosswalk"
 

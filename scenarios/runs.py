@@ -24,10 +24,13 @@ from .aeb import AebRule, confirmation_mask, held_frames, is_in_time, last_brake
 from .cases import Case, at_vru_speed, worded_for
 from .encounters import Encounter
 from .obstructions import make_room
+from .paths import MPS_PER_KMH
 from .positions import AT_ZERO, Position, is_bound, positions_of, read_position, spread_speeds
 from .protocol import stage_by_protocol
 from .published import find_placement, stage_published
+from .recorded import RecordedEncounter
 from .staging import CannotCarryError, NoRoadError, Staging, is_vehicle, mirror_staging
+from .trajectories import load_trajectory_rules
 
 WEATHERS = tuple(load_weathers())
 _GRID_TOLERANCE = 1.0e-6  # of a frame
@@ -429,6 +432,8 @@ def build_runs(
             if case.not_laid:
                 refusals.append(left_out_case(case, approach, case.not_laid, "not laid"))
                 continue
+            if case.recorded is not None and approach != nearest_arm(case.recorded, junction)[0]:
+                continue
             for number, position in enumerate(positions_of(case, positions)):
                 speeds_kmh = case.vut_speeds_kmh
                 if is_spread:
@@ -438,14 +443,15 @@ def build_runs(
                         turn=tuple(junction.arms).index(approach) + number,
                         impact_turn=(0, 1) if is_bound(case) else case.impact_turn,
                     )
+                keeps = keeps_limits and case.recorded is None  # so it was driven
                 drive = _Drive(
                     case=case,
                     scene=scene,
                     right_hand=right_hand,
                     approach=approach,
                     position=position,
-                    limit_kmh=junction.arms[approach].speed_limit_kmh if keeps_limits else None,
-                    target_limit_kmh=_highest_limit_kmh(junction) if keeps_limits else None,
+                    limit_kmh=junction.arms[approach].speed_limit_kmh if keeps else None,
+                    target_limit_kmh=_highest_limit_kmh(junction) if keeps else None,
                     vut=vut,
                     rule=rule,
                 )
@@ -453,6 +459,20 @@ def build_runs(
                 runs += [_in_weather(run, one) for run in laid for one in dict.fromkeys(weathers)]
                 refusals += refused
     return tuple(runs), tuple(refusals)
+
+
+def nearest_arm(recorded: RecordedEncounter, junction: Junction) -> tuple[str, float]:
+    """The arm to whose lanes the VUT's recorded way begins nearest, and how near, in metres."""
+    from shapely import LineString, Point
+
+    start = Point(recorded.vut.points_m[0])
+    away_m = {
+        name: min(LineString(lane.centreline_m).distance(start) for lane in arm.lanes_in)
+        for name, arm in junction.arms.items()
+        if arm.lanes_in
+    }
+    name = min(away_m, key=lambda one: away_m[one], default=next(iter(junction.arms)))
+    return name, away_m.get(name, np.inf)
 
 
 def _highest_limit_kmh(junction: Junction) -> float | None:
@@ -547,6 +567,8 @@ class _Drive:
 
     def _stage(self, case: Case, speed_kmh: float) -> Staging:
         scene, position = self.scene, self.position
+        if case.recorded is not None:
+            return self._stage_recorded(case, case.recorded, speed_kmh)
         at_zero = position == AT_ZERO
         placement = find_placement(scene.name, case, self.approach) if at_zero else None
         if placement is not None:
@@ -566,10 +588,26 @@ class _Drive:
             settle=settle,
         )
 
+    def _stage_recorded(self, case: Case, recorded: RecordedEncounter, speed_kmh: float) -> Staging:
+        _, away_m = nearest_arm(recorded, build_junction(self.scene))
+        if away_m > load_trajectory_rules().encounters.max_away_m:
+            raise NoRoadError(f"it was recorded {away_m:.0f} m from the junction's lanes")
+        encounter = recorded.encounter(
+            vut=self.vut,
+            vut_speed_mps=speed_kmh * MPS_PER_KMH,
+            vru=case.vru,
+            vru_speed_mps=case.vru_speed_kmh * MPS_PER_KMH,
+        )
+        if encounter is None:
+            raise CannotCarryError("at these speeds the recorded ways do not lead to an impact")
+        return Staging(encounter=encounter, obstruction=())
+
     def _run(self, case: Case, speed_kmh: float, staging: Staging) -> Run:
         encounter, rate_hz = staging.encounter, self.rule.frame_rate_hz
         vut, vru = encounter.vut_motion, encounter.vru_motion
         first_s = min(vut.start_time_s, vru.start_time_s)
+        if case.recorded is not None:  # what was before, nobody knows
+            first_s = -case.recorded.known_s
         n_steps = int(-first_s * rate_hz + _GRID_TOLERANCE)
         time_s = np.arange(-n_steps, 1) / rate_hz
         vut_position, vut_yaw = vut.path.at(vut.distance_m(time_s))

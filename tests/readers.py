@@ -466,8 +466,59 @@ def _own_cases() -> Mapping[str, tuple[str, Files]]:
     title = "a child runs across"
     vru = "child"
     vut_speed_kmh = { min = 30, max = 40, step = 10 }
+
+    [NEAR]
+    kind = "recorded"
+    title = "a pedestrian"
+    source = "a.csv"
+    vru = "adult"
+    vut_speed_kmh = 30.0
+    vru_speed_kmh = 5.0
+    known_s = 3.0
+    vut_way = { points_m = [[0.0, 0.0], [10.0, 0.0]], yaw_deg = 0.0, end_s = -1.0 }
+    vru_way = { points_m = [[20.0, -5.0], [20.0, -1.5]], yaw_deg = 90.0, end_s = -1.0 }
     """
     return {"toml": _one("a.toml", text)}
+
+
+def _read_trajectories(path: Path) -> Any:
+    from scenarios.conflicts import find_encounters
+    from scenarios.trajectories import read_tracks
+
+    tracks, _ = read_tracks(path)
+    return find_encounters(tracks[:6], ttc_s=2.0)
+
+
+def _trajectories() -> Mapping[str, tuple[str, Files]]:
+    rows = [
+        f"{name},{0.1 * step:.1f},{x + 0.1 * step * u},{y + 0.1 * step * v},{heading},{word}"
+        for name, x, y, u, v, heading, word in (
+            ("a", 0.0, 0.0, 8.0, 0.0, 0.0, "car"),
+            ("b", 30.0, -6.0, 0.0, 1.4, 90.0, "pedestrian"),
+        )
+        for step in range(25)
+    ]
+    header = "id,time,x,y,heading,class"
+    things = [
+        f'<timestep time="{0.1 * step:.1f}"><vehicle id="a" x="{0.8 * step}" y="0" angle="90" '
+        f'type="car"/><person id="b" x="30" y="{0.14 * step - 6.0}" angle="0"/></timestep>'
+        for step in range(25)
+    ]
+    states = [
+        f"<state><position><point><x>{step}</x><y>0</y></point></position><orientation><exact>0"
+        f"</exact></orientation><time><exact>{step}</exact></time></state>"
+        for step in range(1, 9)
+    ]
+    first = states[0].replace("state>", "initialState>").replace("<exact>1", "<exact>0")
+    road = (
+        f'<commonRoad timeStepSize="0.1"><dynamicObstacle id="1"><type>car</type>{first}'
+        f"<trajectory>{''.join(states)}</trajectory></dynamicObstacle></commonRoad>"
+    )
+    return {
+        "csv": _one("a.csv", "\n".join([header, *rows])),
+        "fcd": _one("a.xml", f"<fcd-export>{''.join(things)}</fcd-export>"),
+        "commonroad": _one("b.xml", road),
+    }
 
 
 def _read_layout_list(path: Path) -> Any:
@@ -505,9 +556,10 @@ def _uncertainties() -> Mapping[str, tuple[str, Files]]:
     from importlib.resources import files
 
     text = (files("placement") / "data" / "uncertainty.toml").read_text(encoding="utf-8")
-    starts = [text.index(f"[{name}") for name in ("default", "robustness", "none")]
+    names = ("default", "robustness", "as-measured")
+    starts = [text.index(f"[{name}") for name in (*names, "none")]
     files_of = {"example": _example("uncertainty.toml")}
-    for name, start, end in zip(("default", "robustness"), starts, starts[1:], strict=False):
+    for name, start, end in zip(names, starts, starts[1:], strict=False):
         table = text[start:end].replace(f"[{name}]\n", "").replace(f"[{name}.", "[")
         files_of[name] = _one("a.toml", table)
     return files_of
@@ -1028,6 +1080,9 @@ READERS: Mapping[str, Reader] = {
         ("placement.question.load_question", "placement.question.load_question_values"),
     ),
     "own cases": Reader(_read_own_cases, _own_cases, ("scenarios.cases.load_own_cases",)),
+    "trajectories": Reader(
+        _read_trajectories, _trajectories, ("scenarios.trajectories.read_tracks",)
+    ),
     "layout lists": Reader(
         _read_layout_list, _layout_lists, ("placement.layout.read_layout_rows",)
     ),

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
+from geometry.errors import InputError, Unquoted
 from placement.question import Question
 
 from ..progress import StageProgress, tell, write_out
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from placement.setting import Drives
     from scenarios.cases import Case
     from scenarios.runs import Run
+    from scenarios.trajectories import Track
 
 
 class DrivenRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -308,6 +310,76 @@ def show(
     )
     progress.stop()
     tell(f"Written to {path}.")
+
+
+@scenarios.command(
+    "import",
+    epilog="""\b
+Examples:
+  place-rsus scenarios import fcd.xml --out near.toml
+  place-rsus scenarios import 4_traj_ped.csv 4_traj_veh.csv --rate 23.98 --out near.toml
+  place-rsus scenarios import walks.csv --columns x=east,y=north --within 1.5 --out near.toml
+  place-rsus --scene junction --cases near.toml --budget 3""",
+)
+@click.argument("paths", metavar="FILE..", nargs=-1, required=True, type=click.Path(path_type=Path))
+@option("--ttc", "ttc_s", type=float, metavar="S", help="Longest time to collision; default: 2.")
+@option("--within", "within_m", type=float, metavar="M", help="Also pairs that come so near.")
+@option("--rate", "rate_hz", type=float, metavar="HZ", help="Of CSV files that count frames.")
+@option("--columns", default="", metavar="WHAT=NAME,..", help="Of CSV files: id=..,time=..,x=..")
+@option("--class", "class_name", default="", metavar="CLASS", help="Of CSV files without classes.")
+@option("--name", default="", help="What names of cases begin with; default: the first FILE's.")
+@option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
+def take_recordings(
+    *,
+    paths: tuple[Path, ...],
+    ttc_s: float | None,
+    within_m: float | None,
+    rate_hz: float | None,
+    columns: str,
+    class_name: str,
+    name: str,
+    out: Path | None,
+) -> None:
+    """Read recorded trajectories, and write those who nearly met as cases.
+
+    Files are CSV (id, time, x, y, and if wanted heading and class), CommonRoad XML, or SUMO's
+    floating car data, all of one place and clock. A pair counts if a vehicle and a vulnerable road
+    user would touch within --ttc seconds if nobody changed speed or direction. It is replayed with
+    both on their recorded ways up to that moment, and straight on from there at the same speeds.
+    """
+    from geometry.files import write_atomically
+    from scenarios.conflicts import cases_text, find_encounters
+    from scenarios.trajectories import read_tracks
+
+    limits = (("--ttc", ttc_s, 10.0), ("--within", within_m, 50.0), ("--rate", rate_hz, 1000.0))
+    for where, value, most in limits:
+        if value is not None and not 0.0 < value <= most:
+            raise InputError(where, value, f"a number, more than 0, at most {most:g}")
+    named = dict(word.partition("=")[::2] for word in columns.split(",") if word)
+    tracks: list[Track] = []
+    n_left_out = 0
+    for path in paths:
+        read, n_more = read_tracks(
+            path, columns=named, frame_rate_hz=rate_hz, class_name=class_name
+        )
+        tracks += read
+        n_left_out += n_more
+    if ttc_s is None and within_m is None:
+        ttc_s = 2.0
+    found, why = find_encounters(tracks, ttc_s=ttc_s, within_m=within_m)
+    tell(f"{several(len(found), 'encounter', 'encounters')} of {len(tracks)} road users.")
+    if n_left_out:
+        tell(f"{n_left_out} road users of other classes, or seen only briefly, left out.")
+    for reason, n_pairs in why.items():
+        tell(f"{several(n_pairs, 'pair', 'pairs')} left out: {reason}.")
+    if not found:
+        raise InputError("encounters", Unquoted("none"), "a higher --ttc, or --within")
+    source = ", ".join(path.name for path in paths)
+    text = cases_text(found, name=name or paths[0].stem, source=source)
+    if out is None:
+        write_out(text)
+    else:
+        _write(out, lambda: write_atomically(out, text))
 
 
 @scenarios.command(

@@ -1,7 +1,7 @@
 """APR of layouts in sampled worlds: in sentences, as a table, drawn."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, astuple, fields
+from dataclasses import asdict, astuple, fields, replace
 from itertools import combinations
 from typing import Annotated
 
@@ -402,7 +402,9 @@ def what_is_uncertain(found: SampledRecord) -> str:
         parts.append(f"{percent(traffic['taken_share'])} of the parking places taken")
     if traffic["waiting_share"] > 0.0:
         parts.append(f"vehicles waiting in {percent(traffic['waiting_share'])} of the lanes")
-    if record.road_users != RoadUsers():
+    if record.road_users.measured:
+        parts.append("people as fast as they were measured")
+    if replace(record.road_users, measured={}) != RoadUsers():
         parts.append("road users faster or slower, from nearer starts")
     if found.moving:
         parts.append(f"vehicles that drive by ({found.traffic_source})")

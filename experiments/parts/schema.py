@@ -30,6 +30,7 @@ _UNITS = {
     "EUR": "EUR",
     "m^2": "square metres",
     "km/h": "km/h",
+    "m/s^2": "m/s^2",
 }
 
 

@@ -29,10 +29,10 @@ def draw_road_users(
     """Runs of one sampled world, and how many road users move as planned because they must.
 
     `rng` gives each encounter its generator: a run is the same in all weathers, and does not depend
-    on the other runs. Speed, start, heading and way are drawn evenly within their limits. Where
-    something stands in the turned or shifted way, the planned way stays. Where the drawn motion
-    leads to no impact at the planned place - whom the VUT follows is as fast as it - the planned
-    motion stays.
+    on the other runs. Speed, start, heading and way are drawn evenly within their limits; measured
+    speeds and starts, where there are some, as often as they were measured. Where something stands
+    in the turned or shifted way, the planned way stays. Where the drawn motion leads to no impact
+    at the planned place - whom the VUT follows is as fast as it - the planned motion stays.
     """
     changed: dict[int, Run | None] = {}
     drawn, n_kept = [], 0
@@ -40,7 +40,8 @@ def draw_road_users(
         key = id(run.encounter)  # one and the same in all weathers
         if key not in changed:
             place = (run.case.name, run.approach, run.position, run.vut_speed_kmh)
-            changed[key] = _draw_one(run, users, rule, rng("road user", *place), scene)
+            both = (run.case.vru_speed_kmh,) if run.case.pairs_kmh else ()
+            changed[key] = _draw_one(run, users, rule, rng("road user", *place, *both), scene)
         other = changed[key]
         n_kept += other is None
         drawn.append(run if other is None else _like(run, other))
@@ -57,8 +58,13 @@ def _draw_one(
     turn_deg = random.uniform(*users.heading_deg.get(run.case.family, (0.0, 0.0)))
     aside_m = random.uniform(*users.path_m.get(run.case.family, (0.0, 0.0)))
     is_steady = planned_mps > 0.0 and np.isinf(encounter.vru_motion.brake_time_s)
+    start_mps2 = None
     if is_steady:
         speed_mps = planned_mps + faster_mps
+        measured = users.measured.get(encounter.vru.class_name)
+        if measured is not None and run.case.recorded is None:
+            speed_kmh, start_mps2 = measured.draw(random, planned_mps / MPS_PER_KMH)
+            speed_mps = speed_kmh * MPS_PER_KMH + faster_mps
     else:  # who stands or brakes does what the case is about
         speed_mps, nearer_share = planned_mps, 0.0
     if turn_deg or aside_m:
@@ -69,12 +75,15 @@ def _draw_one(
             nearer_share=nearer_share,
             turn_deg=_sense(run) * turn_deg,
             aside_m=aside_m,
+            start_mps2=start_mps2,
         )
         if other is not None:
             motion = other.encounter.vru_motion
             if is_way_free(encounter.vru, motion, scene, run.obstruction):
                 return other
-    return change_motion(run, rule, speed_mps=speed_mps, nearer_share=nearer_share)
+    return change_motion(
+        run, rule, speed_mps=speed_mps, nearer_share=nearer_share, start_mps2=start_mps2
+    )
 
 
 def _sense(run: Run) -> float:
@@ -93,6 +102,7 @@ def change_motion(
     nearer_share: float = 0.0,
     turn_deg: float = 0.0,
     aside_m: float = 0.0,
+    start_mps2: float | None = None,
 ) -> Run | None:
     """A run whose road user is faster or slower, starts nearer to the impact, or comes otherwise.
 
@@ -114,24 +124,29 @@ def change_motion(
         By which its way is turned about the impact, counter-clockwise. [deg]
     aside_m : float
         By which its way, once turned, lies farther to its left. [m]
+    start_mps2 : float, optional
+        Acceleration from rest of a road user that sets off; by default over the planned distance.
+        [m/s^2]
     """
     encounter, vru = run.encounter, run.encounter.vru_motion
     if speed_mps < 0.0 or (speed_mps == 0.0 and vru.speed_mps > 0.0):
         return None
-    motion = vru
-    if speed_mps != vru.speed_mps or nearer_share:
+    motion, gains_m = vru, vru.acceleration_distance_m
+    if start_mps2 is not None and gains_m > 0.0:
+        gains_m = 0.5 * speed_mps**2 / start_mps2
+    if speed_mps != vru.speed_mps or nearer_share or gains_m != vru.acceleration_distance_m:
         whole_m = float(vru.distance_m(0.0))
         ahead_m = nearer_share * whole_m
         travel_s = travel_time_s(
             whole_m - ahead_m,
             speed_mps=speed_mps,
-            acceleration_distance_m=vru.acceleration_distance_m,
+            acceleration_distance_m=gains_m,
         )
         motion = Motion(
             path=MovedPath(path=vru.path, ahead_m=ahead_m) if ahead_m else vru.path,
             speed_mps=speed_mps,
             start_time_s=-travel_s,
-            acceleration_distance_m=vru.acceleration_distance_m,
+            acceleration_distance_m=gains_m,
         )
     if turn_deg or aside_m:
         there_m, yaw_deg = vru.path.at(vru.distance_m(0.0))

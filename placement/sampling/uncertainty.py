@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cache, partial
 from importlib.resources import files
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -227,6 +228,42 @@ class StandingTraffic:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class MeasuredPeople:
+    """Speeds and starts of a class of people.
+
+    Attributes
+    ----------
+    probability : tuple of float
+        Shares of all people, ascending. 0 .. 1
+    speed_kmh : tuple of float
+        So fast go those who keep moving, at these shares. [km/h]
+    start_mps2 : tuple of float
+        Mean acceleration of those who start, at these shares. [m/s^2]
+    """
+
+    probability: tuple[float, ...]
+    speed_kmh: tuple[float, ...]
+    start_mps2: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        for name, most in (("probability", 1.0), ("speed_kmh", 50.0), ("start_mps2", 10.0)):
+            values = getattr(self, name)
+            is_ascending = all(low < high for low, high in pairwise((0.0, *values, most + 1.0e-9)))
+            if not (is_ascending and len(values) == len(self.probability) > 1):
+                expected = f"at least two that ascend, above 0, up to {most:g}, in each list alike"
+                raise InputError(name, list(values), expected)
+
+    def draw(self, rng: np.random.Generator, planned_kmh: float) -> tuple[float, float]:
+        """A speed in km/h and an acceleration in m/s^2; a planned speed beyond all stays."""
+        speed, start = (
+            float(np.interp(rng.random(), self.probability, values))
+            for values in (self.speed_kmh, self.start_mps2)
+        )
+        is_usual = self.speed_kmh[0] <= planned_kmh <= self.speed_kmh[-1]
+        return (speed if is_usual else planned_kmh), start
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RoadUsers:
     """How road users may move otherwise than their case says; by default they do not.
 
@@ -242,6 +279,8 @@ class RoadUsers:
     path_m : dict of (2,) float
         By Euro NCAP's name of a case: least and most by which the way lies farther to the left of
         whoever takes it. [m]
+    measured : dict of MeasuredPeople
+        By class: speeds and starts that are drawn in place of those of the case.
     """
 
     pedestrian_kmh: tuple[float, float] = (0.0, 0.0)
@@ -251,6 +290,7 @@ class RoadUsers:
     start_nearer_share: float = 0.0
     heading_deg: dict[str, tuple[float, float]] = field(default_factory=dict)
     path_m: dict[str, tuple[float, float]] = field(default_factory=dict)
+    measured: dict[str, MeasuredPeople] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name, (unit, reach) in _WAYS.items():
@@ -358,12 +398,12 @@ def _check_range(holder: object, name: str, most: float, unit: str, *, least: fl
 # ---------- reading
 
 
-UNCERTAINTY_NAMES = ("default", "robustness", "none")
+UNCERTAINTY_NAMES = ("default", "robustness", "as-measured", "none")
 DEFAULT_UNCERTAINTY = UNCERTAINTY_NAMES[0]
 _FILE = "uncertainty.toml"
 _SECTIONS = (
     *("mounting", "latency", "messages", "detector", "outages", "blinding", "fleet"),
-    *("choosing", "traffic", "vehicles", "road_users"),
+    *("choosing", "traffic", "vehicles", "road_users", "people"),
 )
 _AIMED = "aimed"  # mounting errors by how units are aimed
 _AS = "as"  # what else is as in one of the names
@@ -435,7 +475,9 @@ def _read(document: Table, name: str, prefix: str) -> Uncertainty:
     parts: dict[str, Any] = {
         "mounting": _read_mounting(document, prefix),
         "latency": _read_latency(_section(document, "latency", prefix), f"{prefix}latency"),
-        "road_users": _read_road_users(document, prefix),
+        "road_users": replace(
+            _read_road_users(document, prefix), measured=_read_people(document, prefix)
+        ),
         "traffic": _named(
             f"{prefix}traffic.", partial(StandingTraffic, vehicles=vehicles, **street)
         ),
@@ -530,6 +572,31 @@ def _read_road_users(document: Table, prefix: str) -> RoadUsers:
         _refuse_unknown(by_case, known, f"{where}.{key}")
         limits[key] = {name: _read_limits(by_case, name, f"{where}.{key}") for name in by_case}
     return _named(f"{where}.", lambda: RoadUsers(**limits, start_nearer_share=nearer))
+
+
+def _read_people(document: Table, prefix: str) -> dict[str, MeasuredPeople]:
+    table, where = _section(document, "people", prefix), f"{prefix}people"
+    if table is None:
+        return {}
+    _refuse_unknown(table, ("probability", *_PEOPLE), where)
+    probability, found = _read_values(table, "probability", where), {}
+    for name in _PEOPLE:
+        values = _section(table, name, f"{where}.") or {}
+        here = f"{where}.{name}"
+        _refuse_unknown(values, _MEASURED, here)
+        if values:
+            lists = {key: _read_values(values, key, here) for key in _MEASURED}
+            build = partial(MeasuredPeople, probability=probability, **lists)
+            found[name] = _named(f"{here}.", build)
+    return found
+
+
+_PEOPLE = ("pedestrian", "cyclist")
+_MEASURED = ("speed_kmh", "start_mps2")
+
+
+def _read_values(table: Table, key: str, where: str) -> tuple[float, ...]:
+    return tuple(float_array(take_list(table, key, where), (-1,), f"{where}.{key}").tolist())
 
 
 def _read_limits(table: Table, key: str, where: str) -> tuple[float, float]:

@@ -74,7 +74,8 @@ def test_a_single_speed_is_allowed(monkeypatch):
     [
         (
             {"kind": "flying"},
-            "cases.toml: X.kind: got 'flying'; expected one of crossing, longitudinal, turning",
+            "cases.toml: X.kind: got 'flying'; expected one of crossing, longitudinal, turning, "
+            "recorded",
         ),
         ({"kind": None}, "cases.toml: X.kind: got nothing; expected a value"),
         ({"source": None}, "cases.toml: X.source: got nothing; expected a value"),

@@ -173,3 +173,41 @@ def test_forced_speeds_are_driven_with_a_warning(run, caplog):
     assert code == 0
     assert [row["speeds_kmh"] for row in json.loads(out)] == [[15.0]] * 4
     assert "15 km/h are not speeds of the protocol" in caplog.text
+
+
+# ---------- recorded encounters
+ROWS = [
+    row
+    for n in range(40)
+    for row in (
+        f"v,{0.1 * n:.1f},{n - 45.0},-1.75,0,car",
+        f"p,{0.1 * n:.1f},2.7,{0.15 * n - 8.5},90,pedestrian",
+    )
+]
+
+
+def test_recordings_become_cases_that_can_be_driven(run, tmp_path):
+    path, out = tmp_path / "walk.csv", tmp_path / "near.toml"
+    path.write_text("\n".join(["id,time,x,y,heading,class", *ROWS]))
+    told = run("scenarios", "import", str(path), "--name", "a", "--out", str(out))
+    assert told == (0, "1 encounter of 2 road users.\n", "") or "1 encounter" in told[2]
+    text = out.read_text()
+    assert text.startswith('[a-v-p]\nkind = "recorded"\n')
+    assert run("scenarios", "import", str(path), "--name", "a")[1].endswith(text)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--ttc", "0.1"), "encounters: got none; expected a higher --ttc, or --within"),
+        (("--ttc", "nan"), "--ttc: got nan; expected a number, more than 0"),
+        (("--within", "-1"), "--within: got -1.0; expected a number, more than 0"),
+        (("--columns", "z=y"), "--columns: got 'z'; expected one of id, time, frame, x, y, headin"),
+    ],
+)
+def test_imports_that_cannot_be_are_refused(run, tmp_path, options, message):
+    path = tmp_path / "walk.csv"
+    path.write_text("\n".join(["id,time,x,y,heading,class", *ROWS]))
+    code, _, err = run("scenarios", "import", str(path), *options)
+    assert code == 2
+    assert message in err.splitlines()[-1]

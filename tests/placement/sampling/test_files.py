@@ -78,7 +78,7 @@ def test_none_is_uncertain_in_no_way():
     assert none.traffic.is_empty
     assert (none.packet_loss, none.draws_detections) == (0.0, False)
     assert none.mounting.yaw_sd_deg == none.latency.mean_s == 0.0
-    assert set(UNCERTAINTY_NAMES) == {"default", "robustness", "none"}
+    assert set(UNCERTAINTY_NAMES) == {"default", "robustness", "as-measured", "none"}
 
 
 def test_a_file_says_it_all(write):
@@ -192,8 +192,8 @@ def test_a_name_that_nobody_knows_is_refused():
     with pytest.raises(InputError) as caught:
         load_uncertainty("much", where="--uncertainty")
     assert str(caught.value) == (
-        "--uncertainty: got 'much'; expected default, robustness, none, or a .toml file with "
-        "uncertainties"
+        "--uncertainty: got 'much'; expected default, robustness, as-measured, none, or a "
+        ".toml file with uncertainties"
     )
     with pytest.raises(InputError, match=r"nowhere\.toml"):
         load_uncertainty("nowhere.toml")

@@ -13,7 +13,12 @@ from geometry.study_scene import load_study_scene
 from placement.compute import Compute
 from placement.sampling.road_users import change_motion, draw_road_users
 from placement.sampling.tables import sampled_table
-from placement.sampling.uncertainty import RoadUsers, Uncertainty, load_uncertainty
+from placement.sampling.uncertainty import (
+    MeasuredPeople,
+    RoadUsers,
+    Uncertainty,
+    load_uncertainty,
+)
 from placement.sampling.worlds import RandomStreams, draw_samples
 from scenarios.cases import load_cases, select_cases
 from scenarios.encounters import first_contact_s
@@ -344,5 +349,80 @@ def test_a_file_may_take_the_rest_from_a_name(tmp_path):
     assert (mine.packet_loss, mine.name) == (0.2, "mine.toml")
     assert mine.mounting == load_uncertainty("default").mounting
     path.write_text('as = "best"\n')
-    with pytest.raises(InputError, match="as: got 'best'; expected one of default, none, robust"):
+    with pytest.raises(InputError, match="as: got 'best'; expected one of as-measured, default, "):
         load_uncertainty(str(path))
+
+
+# ---------- people as they were measured
+MEASURED = load_uncertainty("as-measured").road_users
+
+
+def test_measured_speeds_are_drawn_as_often_as_measured():
+    people = MeasuredPeople(
+        probability=(0.1, 0.5, 0.9), speed_kmh=(4.0, 5.0, 8.0), start_mps2=(0.5, 1.0, 1.5)
+    )
+    rng = np.random.default_rng(4)
+    drawn = np.array([people.draw(rng, 5.0) for _ in range(4000)])
+    shares = [0.2, 0.5, 0.7]
+    for column, values in zip(drawn.T, (people.speed_kmh, people.start_mps2), strict=True):
+        expected = np.interp(shares, people.probability, values)
+        np.testing.assert_allclose(np.quantile(column, shares), expected, atol=0.1)
+    assert abs(np.corrcoef(drawn.T)[0, 1]) < 0.05
+    assert {people.draw(rng, 8.5)[0] for _ in range(20)} == {8.5}
+
+
+def test_each_run_has_people_of_its_own(laid, rule):
+    drawn, _ = draw_road_users(laid, MEASURED, rule, _streams().rng, SCENE)
+    speeds = {}
+    for run, planned in zip(drawn, laid, strict=True):
+        before, motion = planned.encounter.vru_motion, run.encounter.vru_motion
+        measured = MEASURED.measured.get(run.encounter.vru.class_name)
+        if measured is None or motion is before:
+            assert motion.speed_mps == before.speed_mps
+            continue
+        speed_kmh = motion.speed_mps / MPS_PER_KMH
+        speeds[run.id] = speed_kmh
+        assert measured.speed_kmh[0] <= speed_kmh <= measured.speed_kmh[-1]
+        assert abs(first_contact_s(run.encounter)) < 1e-6
+        if before.acceleration_distance_m > 0.0:
+            start = 0.5 * motion.speed_mps**2 / motion.acceleration_distance_m
+            assert measured.start_mps2[0] <= start <= measured.start_mps2[-1]
+    assert len(speeds) >= 3
+    assert len(set(speeds.values())) == len(speeds)
+    again, _ = draw_road_users(laid, MEASURED, rule, _streams(1).rng, SCENE)
+    assert [run.encounter.vru_motion.speed_mps for run in again] != [
+        run.encounter.vru_motion.speed_mps for run in drawn
+    ]
+
+
+def test_who_starts_faster_is_at_the_impact_in_the_same_moment(laid, rule):
+    run = next(run for run in laid if run.encounter.vru_motion.acceleration_distance_m)
+    speed_mps = run.encounter.vru_motion.speed_mps
+    quick = change_motion(run, rule, speed_mps=speed_mps, start_mps2=2.0).encounter.vru_motion
+    assert quick.acceleration_distance_m == pytest.approx(speed_mps**2 / 4.0)
+    assert quick.acceleration_mps2 == pytest.approx(2.0)
+    assert quick.distance_m(0.0) == pytest.approx(
+        float(run.encounter.vru_motion.distance_m(0.0)), abs=1e-6
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("speed_kmh = [5, 4], start_mps2 = [1, 2]", "speed_kmh: got [5.0, 4.0]; expected at least"),
+        ("speed_kmh = [5], start_mps2 = [1, 2]", "people.pedestrian.speed_kmh: got [5.0]"),
+        (
+            "speed_kmh = [5, nan], start_mps2 = [1, 2]",
+            "people.pedestrian.speed_kmh: got [5.0, nan]",
+        ),
+        ("speed_kmh = [5, 6]", "people.pedestrian"),
+        ("pace = [5, 6]", "people.pedestrian: got 'pace'; expected one of speed_kmh, start_mps2"),
+    ],
+)
+def test_people_that_cannot_be_are_told_in_one_line(tmp_path, text, message):
+    path = tmp_path / "own.toml"
+    path.write_text(f"[people]\nprobability = [0.1, 0.9]\npedestrian = {{ {text} }}\n")
+    with pytest.raises(InputError) as caught:
+        load_uncertainty(str(path))
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)

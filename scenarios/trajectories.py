@@ -1,0 +1,334 @@
+"""Recorded trajectories of road users: CSV, CommonRoad XML, and SUMO's floating car data."""
+
+import csv
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from msgspec import Struct
+
+from geometry.actors import pick_actor
+from geometry.arrays import FloatArray
+from geometry.errors import InputError, Unquoted, check_one_of
+from geometry.files import load_toml, read_table, read_text
+from geometry.untrusted_files import read_xml
+
+VEHICLE = "vehicle"
+"""Class of whatever is replayed as the VUT."""
+
+
+class _Tracks(Struct, frozen=True, kw_only=True):
+    step_tolerance: float
+    max_gap_s: float
+    velocity_s: float
+
+
+class EncounterRules(Struct, frozen=True, kw_only=True):
+    """Which pairs of tracks are encounters; in metres, seconds and metres per second."""
+
+    min_vut_mps: float
+    min_vru_mps: float
+    min_known_s: float
+    max_known_s: float
+    way_step_m: float
+    max_away_m: float
+
+
+class TrajectoryRules(Struct, frozen=True, kw_only=True):
+    """``data/trajectories.toml``."""
+
+    columns: dict[str, list[str]]
+    classes: dict[str, list[str]]
+    bodies: dict[str, str]
+    fastest_mps: dict[str, float]
+    tracks: _Tracks
+    encounters: EncounterRules
+
+
+@cache
+def load_trajectory_rules() -> TrajectoryRules:
+    """How trajectories are read, from ``data/trajectories.toml``."""
+    where = "trajectories.toml"
+    return read_table(load_toml(files(__package__) / "data" / where), TrajectoryRules, where)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Track:
+    """Where a road user was.
+
+    Attributes
+    ----------
+    id : str
+        As in the file.
+    class_name : str
+        "vehicle", "pedestrian", "cyclist" or "motorcyclist".
+    time_s : (n,) float
+        Ascending, on the recording's clock; n >= 3. [s]
+    position_m : (n, 2) float
+        Middle of the body. The recording's frame. [m]
+    yaw_deg : (n,) float
+        Counter-clockwise from x; not a number where the file does not say. [deg]
+    """
+
+    id: str
+    class_name: str
+    time_s: FloatArray
+    position_m: FloatArray
+    yaw_deg: FloatArray
+
+    def __repr__(self) -> str:
+        return f"Track({self.id!r}, {self.class_name}, {len(self.time_s)} samples)"
+
+    def at(self, time_s: FloatArray) -> FloatArray:
+        """Positions (..., 2) at times, between samples linearly; at its ends it stays."""
+        east, north = (np.interp(time_s, self.time_s, axis) for axis in self.position_m.T)
+        return np.stack([east, north], axis=-1)
+
+    def velocity_mps(self, time_s: FloatArray) -> FloatArray:
+        """Mean velocities (..., 2) from a moment before to one after each time."""
+        reach_s = load_trajectory_rules().tracks.velocity_s
+        before = np.maximum(time_s - reach_s, self.time_s[0])
+        after = np.minimum(time_s + reach_s, self.time_s[-1])
+        moved: FloatArray = (self.at(after) - self.at(before)) / (after - before)[..., None]
+        return moved
+
+
+class _Sample(NamedTuple):
+    place: str  # file, and line or element
+    id: str
+    word: str  # for its class
+    time_s: float
+    x_m: float
+    y_m: float
+    yaw_deg: float
+
+
+def read_tracks(
+    path: Path,
+    *,
+    columns: Mapping[str, str] | None = None,
+    frame_rate_hz: float | None = None,
+    class_name: str = "",
+) -> tuple[tuple[Track, ...], int]:
+    """Tracks of a file, and how many road users are left out: of other classes, or seen briefly.
+
+    Parameters
+    ----------
+    path : Path
+        ``.csv``, or ``.xml`` of CommonRoad or of SUMO (floating car data).
+    columns : mapping, optional
+        Names of CSV columns by what they hold (id, time, frame, x, y, heading, heading_rad,
+        class), in place of those that are recognised.
+    frame_rate_hz : float, optional
+        For CSV files that count frames. [Hz]
+    class_name : str
+        Of everybody in a CSV file without such a column.
+
+    Raises
+    ------
+    InputError
+        With file and line, or element: no such format or column, a number is missing or not
+        finite, times of a track do not ascend or are not whole steps of the file (mixed frame
+        rates), or a track jumps.
+    """
+    if class_name:
+        check_one_of("class", class_name, load_trajectory_rules().classes)
+    if path.suffix.lower() == ".csv":
+        samples = _csv_samples(path, columns or {}, frame_rate_hz, class_name)
+    elif path.suffix.lower() == ".xml":
+        samples = _xml_samples(path)
+    else:
+        raise InputError(str(path), path.suffix, ".csv, or .xml of CommonRoad or SUMO")
+    return _gather(path, samples)
+
+
+def _gather(path: Path, samples: Iterator[_Sample]) -> tuple[tuple[Track, ...], int]:
+    rules = load_trajectory_rules()
+    by_word = {word: name for name, words in rules.classes.items() for word in words}
+    tracks: dict[str, list[_Sample]] = {}
+    for sample in samples:
+        before = tracks.setdefault(sample.id, [])
+        if before and not sample.time_s > before[-1].time_s:
+            got = Unquoted(f"{sample.time_s:g} s after {before[-1].time_s:g} s")
+            raise InputError(f"{sample.place}: time", got, f"times of {sample.id} that ascend")
+        before.append(sample)
+    if not tracks:
+        raise InputError(str(path), Unquoted("nobody"), "trajectories of road users")
+    known = {name: by_word.get(own[0].word.lower(), "") for name, own in tracks.items()}
+    steps = [np.diff([sample.time_s for sample in own]) for own in tracks.values()]
+    every = np.concatenate(steps)
+    step_s = float(np.median(every)) if len(every) else 1.0
+    found, n_left_out = [], 0
+    for (name, own), dt in zip(tracks.items(), steps, strict=True):
+        if not known[name]:
+            n_left_out += 1
+            continue
+        _check(own, dt, step_s, rules.fastest_mps[known[name]])
+        cuts = np.flatnonzero(dt > rules.tracks.max_gap_s) + 1
+        parts = np.split(np.array([row[3:] for row in own]), cuts)
+        for number, part in enumerate(parts, start=1):
+            if len(part) < _FEWEST:
+                n_left_out += 1
+                continue
+            track = Track(
+                id=name if len(parts) == 1 else f"{name}.{number}",
+                class_name=known[name],
+                time_s=part[:, 0],
+                position_m=part[:, 1:3],
+                yaw_deg=part[:, 3],
+            )
+            found.append(track)
+    return tuple(found), n_left_out
+
+
+_FEWEST = 3  # samples of a track
+
+
+def _check(own: Sequence[_Sample], dt: FloatArray, step_s: float, fastest_mps: float) -> None:
+    """Raise InputError at the first sample that is off the file's steps, or has jumped."""
+    off = np.abs(dt / step_s - np.maximum(np.rint(dt / step_s), 1.0))
+    bad = np.flatnonzero(off > load_trajectory_rules().tracks.step_tolerance)
+    if len(bad):
+        sample, got = own[bad[0] + 1], Unquoted(f"{dt[bad[0]]:g} s after the one before")
+        expected = f"steps of {step_s:g} s, as in most of the file: one frame rate"
+        raise InputError(f"{sample.place}: time", got, expected)
+    moved = np.hypot(*np.diff([row[4:6] for row in own], axis=0).T) if len(own) > 1 else dt
+    jumps = np.flatnonzero(moved > fastest_mps * dt)
+    if len(jumps):
+        sample, first = own[jumps[0] + 1], jumps[0]
+        got = Unquoted(f"{moved[first]:.1f} m in {dt[first]:g} s")
+        expected = f"a track of {sample.id} without jumps, at most {fastest_mps:g} m/s"
+        raise InputError(sample.place, got, expected)
+
+
+# ---------- CSV
+def _csv_samples(
+    path: Path, columns: Mapping[str, str], frame_rate_hz: float | None, class_name: str
+) -> Iterator[_Sample]:
+    lines = read_text(path, "a CSV file").splitlines()
+    try:
+        rows = csv.reader(lines, strict=True)
+        header = [cell.strip() for cell in next(rows, [])]
+        at = _find_columns(path, header, columns, frame_rate_hz)
+        if "class" not in at and not class_name:
+            expected = "a column with the class, or `class`: what all in the file are"
+            raise InputError(f"{path}: line 1", Unquoted(", ".join(header)), expected)
+        for row in rows:
+            if not any(cell.strip() for cell in row):
+                continue
+            place = f"{path}: line {rows.line_num}"
+            if len(row) != len(header):
+                raise InputError(place, Unquoted(f"{len(row)} columns"), f"{len(header)}")
+            value = {
+                name: _number(row[index], f"{place}: {header[index]}")
+                for name, index in at.items()
+                if name not in ("id", "class")
+            }
+            yaw_deg = math.degrees(value.get("heading_rad", math.nan))
+            yield _Sample(
+                place,
+                row[at["id"]].strip(),
+                row[at["class"]].strip() if "class" in at else class_name,
+                value["time"] if "time" in at else value["frame"] / (frame_rate_hz or 1.0),
+                value["x"],
+                value["y"],
+                value.get("heading", yaw_deg),
+            )
+    except csv.Error as error:
+        raise InputError(str(path), Unquoted(error), "a CSV file") from None
+
+
+def _find_columns(
+    path: Path, header: list[str], columns: Mapping[str, str], frame_rate_hz: float | None
+) -> dict[str, int]:
+    """Where in a row each thing stands, by what it is."""
+    known, where = load_trajectory_rules().columns, f"{path}: line 1"
+    for name in columns:
+        check_one_of("columns", name, known)
+    lower, at = [name.lower() for name in header], {}
+    for name, words in known.items():
+        if name in columns:
+            if columns[name] not in header:
+                raise InputError(where, columns[name], "a column: " + ", ".join(header))
+            at[name] = header.index(columns[name])
+        elif found := [word for word in words if word in lower]:
+            at[name] = lower.index(found[0])
+    if frame_rate_hz is None:
+        at.pop("frame", None)
+    else:
+        at.pop("time", None)
+    for name in ("id", "x", "y"):
+        if name not in at:
+            expected = f"a column {name}, one of {', '.join(known[name])}, or `columns`"
+            raise InputError(where, Unquoted(", ".join(header)), expected)
+    if not {"time", "frame"} & set(at):
+        expected = "a column time in seconds, or frame with `rate`: frames per second"
+        raise InputError(where, Unquoted(", ".join(header)), expected)
+    return at
+
+
+def _number(word: str | None, where: str) -> float:
+    """The finite number that a word of a file is."""
+    try:
+        # float() would also take 1_0 and other scripts' digits.
+        value = float(word) if word and word.isascii() and "_" not in word else math.nan
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value) or abs(value) > _LARGEST:
+        raise InputError(where, Unquoted("nothing") if word is None else word, "a finite number")
+    return value
+
+
+_LARGEST = 1.0e9  # of seconds or metres: beyond it differences are rounded off
+
+
+# ---------- XML
+def _xml_samples(path: Path) -> Iterator[_Sample]:
+    root = read_xml(path, expected="CommonRoad or SUMO")
+    if root.tag == "fcd-export":
+        length_m = pick_actor("vut", "vut").length_m
+        for step in root.iter("timestep"):
+            time_s = _number(step.get("time"), f"{path}: timestep: time")
+            for thing in step:
+                place = f"{path}: timestep {time_s:g}, {thing.tag} {thing.get('id')}"
+                x, y, angle = (_number(thing.get(k), f"{place}: {k}") for k in ("x", "y", "angle"))
+                yaw = math.radians(90.0 - angle)  # SUMO's is clockwise from north
+                word = _sumo_class(thing.tag, thing.get("type") or "")
+                # SUMO's point of a vehicle is its front bumper; the VUT's stands there, too.
+                back_m = 0.5 * length_m if word == VEHICLE else 0.0
+                x, y = x - back_m * math.cos(yaw), y - back_m * math.sin(yaw)
+                name = f"{thing.get('id')}"
+                yield _Sample(place, name, word, time_s, x, y, math.degrees(yaw))
+    elif root.tag == "commonRoad":
+        step_s = _number(root.get("timeStepSize"), f"{path}: commonRoad: timeStepSize")
+        for thing in root.iter("dynamicObstacle"):
+            here = f"{path}: dynamicObstacle {thing.get('id')}"
+            states = [*thing.findall("initialState"), *thing.findall("trajectory/state")]
+            for number, state in enumerate(states):
+                place = f"{here}, state {number}"
+                time, x, y, yaw = (
+                    _number(state.findtext(name), f"{place}: {name.split('/')[0]}")
+                    for name in (
+                        *("time/exact", "position/point/x", "position/point/y"),
+                        "orientation/exact",
+                    )
+                )
+                word = (thing.findtext("type") or "").strip()
+                name = f"{thing.get('id')}"
+                yield _Sample(place, name, word, time * step_s, x, y, math.degrees(yaw))
+    else:
+        raise InputError(str(path), root.tag, "an element <commonRoad> or <fcd-export>")
+
+
+def _sumo_class(tag: str, type_name: str) -> str:
+    """Class of a person or vehicle; who has a type of another name is a vehicle."""
+    if tag != "vehicle":
+        return tag
+    words = load_trajectory_rules().classes
+    is_known = any(type_name.lower() in words[name] for name in ("cyclist", "motorcyclist"))
+    return type_name if is_known else VEHICLE

@@ -1,0 +1,160 @@
+"""Recorded trajectories: what is read, and the line for everything that cannot be."""
+
+import math
+
+import numpy as np
+import pytest
+
+from geometry.actors import pick_actor
+from geometry.errors import InputError
+from scenarios.trajectories import read_tracks
+
+HEADER = "id,time,x,y,heading,class"
+
+
+def csv_of(rows, header=HEADER):
+    return "\n".join([header, *(",".join(map(str, row)) for row in rows)]) + "\n"
+
+
+def walk(name="a", word="pedestrian", *, steps=range(10), step_s=0.1, speed_mps=1.0):
+    return [(name, n * step_s, n * step_s * speed_mps, 2.0, 90.0, word) for n in steps]
+
+
+def read(tmp_path, text, name="a.csv", **options):
+    path = tmp_path / name
+    path.write_text(text)
+    return read_tracks(path, **options)
+
+
+def refusal(tmp_path, text, name="a.csv", **options):
+    with pytest.raises(InputError) as caught:
+        read(tmp_path, text, name, **options)
+    assert "\n" not in str(caught.value)
+    return str(caught.value).removeprefix(f"{tmp_path / name}: ")
+
+
+def test_a_csv_file_gives_tracks_by_id_whatever_the_order_of_rows(tmp_path):
+    rows = sorted(walk("a") + walk("b", "CAR"), key=lambda row: row[1])
+    (a, b), n_left_out = read(tmp_path, csv_of(rows))
+    assert (a.id, a.class_name, b.class_name, n_left_out) == ("a", "pedestrian", "vehicle", 0)
+    np.testing.assert_allclose(a.position_m, [[0.1 * n, 2.0] for n in range(10)])
+    np.testing.assert_array_equal(a.yaw_deg, 90.0)
+    np.testing.assert_allclose(a.velocity_mps(np.array([0.0, 0.45, 0.9])), [[1.0, 0.0]] * 3)
+
+
+def test_columns_frames_and_radians_of_dut_are_recognised(tmp_path):
+    rows = [(7, 24 * n, "veh", 3.0 * n, 0.0, math.pi / 2, 3.0) for n in range(4)]
+    text = csv_of(rows, "id,frame,label,x_est,y_est,psi_est,vel_est")
+    ((track,), _) = read(tmp_path, text, frame_rate_hz=24.0)
+    np.testing.assert_allclose(track.time_s, range(4))
+    np.testing.assert_allclose(track.yaw_deg, 90.0)
+    assert refusal(tmp_path, text).startswith("line 1: got id, frame, label, x_est")
+
+
+def test_columns_may_have_other_names_and_one_class(tmp_path):
+    rows = [("p", n, 0.5 * n, 0.0) for n in range(4)]
+    text = csv_of(rows, "who,time,east,north")
+    names = {"id": "who", "x": "east", "y": "north"}
+    ((track,), _) = read(tmp_path, text, columns=names, class_name="cyclist")
+    assert (track.id, track.class_name) == ("p", "cyclist")
+    assert np.isnan(track.yaw_deg).all()
+
+
+def test_who_is_away_for_a_while_comes_back_as_somebody_else(tmp_path):
+    rows = walk(steps=[*range(5), *range(30, 36)])
+    (first, second), _ = read(tmp_path, csv_of(rows))
+    assert (first.id, second.id) == ("a.1", "a.2")
+    assert (len(first.time_s), len(second.time_s)) == (5, 6)
+
+
+def test_who_has_another_class_or_is_seen_briefly_is_counted(tmp_path):
+    rows = [*walk("a", steps=range(2)), *walk("b", "horse"), *walk("c")]
+    (track,), n_left_out = read(tmp_path, csv_of(rows))
+    assert (track.id, n_left_out) == ("c", 2)
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        (walk(steps=[0, 1, 1, 2]), "line 4: time: got 0.1 s after 0.1 s; expected times of a that"),
+        (walk(steps=[0, 2, 1]), "line 4: time: got 0.1 s after 0.2 s; expected times of a that"),
+        (
+            [*walk(steps=range(8)), ("a", 0.75, 0.75, 2.0, 90.0, "pedestrian")],
+            "line 10: time: got 0.05 s after the one before; expected steps of 0.1 s, as in most",
+        ),
+        (
+            [*walk(), ("a", 1.0, 9.9, 2.0, 90.0, "pedestrian")],
+            "line 12: got 9.0 m in 0.1 s; expected a track of a without jumps, at most 12 m/s",
+        ),
+        ([*walk(), ("a", 1.0, "nan", 2.0, 90.0, "ped")], "line 12: x: got 'nan'; expected a fini"),
+        ([*walk(), ("a", "1e999", 1.0, 2.0, 0.0, "ped")], "line 12: time: got '1e999'; expected"),
+        ([*walk(), ("a", 1.0, 1.0)], "line 12: got 3 columns; expected 6"),
+        ([], "got nobody; expected trajectories of road users"),
+    ],
+)
+def test_what_cannot_be_is_told_with_its_line(tmp_path, rows, message):
+    assert refusal(tmp_path, csv_of(rows)).startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("header", "options", "message"),
+    [
+        ("id,time,x,class", {}, "expected a column y, one of y, y_m, y_est"),
+        ("id,x,y,class", {}, "expected a column time in seconds, or frame with `rate`"),
+        ("id,time,x,y", {}, "expected a column with the class, or `class`"),
+        ("id,time,x,y", {"columns": {"x": "east"}}, "got 'east'; expected a column: id, time"),
+        ("id,time,x,y", {"columns": {"up": "x"}}, "columns: got 'up'; expected one of id, time"),
+        ("id,time,x,y", {"class_name": "dog"}, "class: got 'dog'; expected one of pedestrian"),
+    ],
+)
+def test_missing_columns_are_named(tmp_path, header, options, message):
+    assert message in refusal(tmp_path, csv_of([], header), **options)
+
+
+def test_floating_car_data_of_sumo(tmp_path):
+    steps = "".join(
+        f'<timestep time="{n}"><vehicle id="v" x="{10 * n}" y="5" angle="90" type="t"/>'
+        f'<vehicle id="b" x="0" y="{n}" angle="0" type="DEFAULT_BIKETYPE"/>'
+        f'<person id="p" x="1" y="{n}" angle="0"/></timestep>'
+        for n in range(4)
+    )
+    tracks, _ = read(tmp_path, f"<fcd-export>{steps}</fcd-export>", "a.xml")
+    assert [track.class_name for track in tracks] == ["vehicle", "cyclist", "pedestrian"]
+    # The front bumper stands where SUMO's does.
+    front_m = tracks[0].position_m[:, 0] + 0.5 * pick_actor("vut", "vut").length_m
+    np.testing.assert_allclose(front_m, [0.0, 10.0, 20.0, 30.0])
+    np.testing.assert_allclose(tracks[1].yaw_deg, 90.0)
+    lost = '<fcd-export><timestep time="0"><person id="p" x="1" angle="0"/></timestep></fcd-export>'
+    message = "timestep 0, person p: y: got nothing; expected a finite number"
+    assert refusal(tmp_path, lost, "a.xml") == message
+
+
+def state(number, tag="state", x="<x>1.5</x>"):
+    return (
+        f"<{tag}><position><point>{x}<y>{number}</y></point></position><orientation>"
+        f"<exact>1.5707963267948966</exact></orientation><time><exact>{number}</exact></time></{tag}>"
+    )
+
+
+def test_commonroad(tmp_path):
+    text = (
+        '<commonRoad timeStepSize="0.2"><dynamicObstacle id="8"><type>bicycle</type>'
+        f"{state(0, 'initialState')}<trajectory>{state(1)}{state(2)}</trajectory>"
+        "</dynamicObstacle></commonRoad>"
+    )
+    ((track,), _) = read(tmp_path, text, "a.xml")
+    assert (track.id, track.class_name) == ("8", "cyclist")
+    np.testing.assert_allclose(track.time_s, [0.0, 0.2, 0.4])
+    np.testing.assert_allclose(track.position_m, [[1.5, 0.0], [1.5, 1.0], [1.5, 2.0]])
+    np.testing.assert_allclose(track.yaw_deg, 90.0)
+    uncertain = text.replace(state(2), state(2, x=""))
+    assert refusal(tmp_path, uncertain, "a.xml").startswith("dynamicObstacle 8, state 2: position:")
+
+
+def test_other_files_are_refused(tmp_path):
+    assert refusal(tmp_path, "", "a.txt") == (
+        "got '.txt'; expected .csv, or .xml of CommonRoad or SUMO"
+    )
+    assert refusal(tmp_path, "<a/>", "a.xml") == (
+        "got 'a'; expected an element <commonRoad> or <fcd-export>"
+    )
