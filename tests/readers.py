@@ -659,10 +659,10 @@ def _recordings() -> Mapping[str, tuple[str, Files]]:
 
 
 def _read_boxes(path: Path) -> Any:
-    from placement.recordings.formats import read_boxes
+    from placement.recordings.formats import WILDTRACK, find_format, read_boxes
     from placement.recordings.wildtrack import read_wildtrack
 
-    return read_wildtrack(path) if path.is_dir() else read_boxes(path)
+    return read_wildtrack(path) if find_format(path) == WILDTRACK else read_boxes(path)
 
 
 _CVML = (
@@ -1062,6 +1062,7 @@ READERS: Mapping[str, Reader] = {
         read=_read_boxes,
         seeds=_many_boxes,
         covers=(
+            "placement.recordings.formats.find_format",
             "placement.recordings.formats.read_boxes",
             "placement.recordings.boxes.read_lines",
             "placement.recordings.cvml.read_cvml",

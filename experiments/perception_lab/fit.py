@@ -46,6 +46,7 @@ from placement.evaluator.pictures import FrameCamera, PictureSource
 from placement.layout import Layout, check_layout
 from placement.question import Question
 from placement.recordings import Recording, load_format, read_boxes, read_recording
+from placement.recordings.formats import COCO, MOT_FILES, MOT_FOLDER, find_format
 from placement.recordings.pairs import pair_boxes
 from placement.setting import Setting, build_rule, build_setting
 
@@ -191,12 +192,14 @@ def _open_source(
 ) -> _Source:
     if wish.recording is not None:
         progress("read", 0, 0)
+        if find_format(wish.recording) == MOT_FOLDER:
+            labels, results = (wish.recording / name for name in MOT_FILES)
+            return _from_boxes(labels, results, wish.min_confidence)
         return _from_recording(read_recording(wish.recording), wish.min_confidence)
     if wish.labels is not None and wish.results is not None:
         progress("read", 0, 0)
-        if wish.labels.suffix.lower() != ".json":
-            return _from_boxes(wish.labels, wish.results, wish.min_confidence)
-        return _from_coco(wish.labels, wish.results, wish.min_confidence)
+        read = _from_coco if find_format(wish.labels) == COCO else _from_boxes
+        return read(wish.labels, wish.results, wish.min_confidence)
     assert wish.layout is not None
     return _from_network(question, wish.layout, wish, compute, progress)
 
@@ -396,7 +399,8 @@ def _from_boxes(labels: Path, results: Path, min_score: float) -> _Source:
     annotated, found = read_boxes(labels), read_boxes(results)
     classes = {name: name for name in _FOUND_CLASSES if annotated.is_class(name).any()}
     paired = pair_boxes(annotated, found, classes=classes, min_score=min_score)
-    words = f"{results} on the {len(paired.pictures)} frames of {labels}"
+    left_out = "".join(f" without {n} {what}" for what, n in annotated.left_out.items())
+    words = f"{results} on the {len(paired.pictures)} frames of {labels}{left_out}"
     return _Source(words=words, pictures=iter(paired.pictures), unknown=("contrast", "aspect"))
 
 
