@@ -2,12 +2,12 @@
 
 import re
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import as_file, files
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -22,7 +22,9 @@ from .evidence import (
     Detector,
     Evidence,
     Interval,
+    LidarTable,
     PlanningDetector,
+    linked_noise,
     load_min_iou,
 )
 
@@ -37,8 +39,9 @@ class GeometricDetector:
     min_iou: float
     min_box_height_px: float  # the visible box must be at least this high. [px]
     min_contrast: float = 0.0  # the VRU must stand out by at least this much
+    name: str = "geometric"
+    lidar: LidarTable | None = None
 
-    name = "geometric"
     needs_shares = False
     needs_pictures = False
 
@@ -59,7 +62,7 @@ class GeometricDetector:
             "A road user counts as detected in a frame if the box around its visible part overlaps "
             f"the box around all of it by more than {self.min_iou:g} (intersection over union), is "
             f"at least {self.min_box_height_px:g} pixels high, and light and air leave it a "
-            f"contrast of at least {100.0 * self.min_contrast:g} %."
+            f"contrast of at least {100.0 * self.min_contrast:g} %.{_in_points(self.lidar)}"
         )
 
     def is_expected(self, evidence: Evidence) -> BoolArray:
@@ -84,7 +87,17 @@ class GeometricDetector:
 
     def fingerprint(self) -> tuple[object, ...]:
         """Everything that it depends on."""
-        return (self.name, self.min_iou, self.min_box_height_px, self.min_contrast)
+        numbers = (self.min_iou, self.min_box_height_px, self.min_contrast)
+        return ("geometric", *numbers, *_fingerprint(self.lidar))
+
+
+def _in_points(lidar: LidarTable | None) -> str:
+    return "" if lidar is None else lidar.description
+
+
+def _fingerprint(lidar: LidarTable | None) -> tuple[object, ...]:
+    """Of what LiDARs find; nothing for the rule, which is none of the detector's."""
+    return () if lidar is None else (lidar,)
 
 
 # ---------- by probability
@@ -129,6 +142,7 @@ class ResponseDetector:
     assumed: tuple[str, ...] = ()  # classes of which nothing is measured
     # Tracks of nothing that a unit confirms in an hour, with the 95 % interval; None: unknown.
     false_tracks_per_hour: Interval | None = None
+    lidar: LidarTable | None = None
 
     needs_shares = True
     needs_pictures = False
@@ -142,6 +156,7 @@ class ResponseDetector:
             "seen, its class, the side that it shows and its contrast in light and weather. The "
             "detection table counts on frames with a probability of at least "
             f"{self.plan_probability:g}.{self.assumed_words()}{self.alarm_words}"
+            f"{_in_points(self.lidar)}"
         )
 
     def assumed_words(self, classes: Collection[str] = VRU_CLASSES) -> str:
@@ -228,6 +243,7 @@ class ResponseDetector:
             "response",
             *(getattr(self, name).tobytes() for name in ("seen_share", "recall", "class_factor")),
             *(getattr(self, name) for name in (*_POSITIVES, "cyclist_end_on", "plan_probability")),
+            *_fingerprint(self.lidar),
         )
 
     def _most(self, evidence: Evidence) -> FloatArray:
@@ -274,20 +290,12 @@ def _correct_boxes(boxes_px: FloatArray, error: FloatArray) -> FloatArray:
     return boxes_px + off
 
 
-def linked_noise(draws: IntArray, correlation: float, rng: np.random.Generator) -> FloatArray:
-    """Standard normal numbers, each correlated with that of the frame before, (n,)."""
-    fresh = rng.standard_normal(len(draws))
-    linked = fresh.copy()
-    step = np.sqrt(1.0 - correlation**2)
-    for index in np.flatnonzero(np.diff(draws) == 1) + 1:
-        linked[index] = correlation * linked[index - 1] + step * fresh[index]
-    return linked
-
-
 # ---------- by name or file
 
 
 DETECTOR_NAMES = ("geometric", "response", "pole-2015", "car-2019", "cnn-table", "cnn")
+"""Of cameras; ``LIDAR_NAMES`` may follow any of them, or a file, behind a plus sign."""
+LIDAR_NAMES = ("pointrcnn-2019",)
 _FILE, _NETWORK_FILE = "detectors.toml", "vru.onnx"
 # Tables fitted to what a detector found: on rendered pictures, and on real recordings.
 _TABLE_FILES = {
@@ -301,10 +309,17 @@ def load_detector(name: str = "geometric", *, where: str = "detector") -> Detect
     """Detector by name or file; `where` names it in messages.
 
     Names are those of ``DETECTOR_NAMES``; files are ``.toml`` with a table ``[response]`` as in
-    ``data/detectors.toml``, or ``.onnx``. Raises InputError if the name is
-    unknown or the file cannot be used, MissingExtraError for "cnn" or an ONNX file without
+    ``data/detectors.toml``, or ``.onnx``. One of ``LIDAR_NAMES`` behind a plus sign says what
+    LiDARs find; alone, cameras go by the first of ``DETECTOR_NAMES``. Raises InputError if the name
+    is unknown or the file cannot be used, MissingExtraError for "cnn" or an ONNX file without
     onnxruntime.
     """
+    cameras, _, lidars = name.rpartition("+")
+    if lidars in LIDAR_NAMES:
+        found = load_detector(cameras or DETECTOR_NAMES[0], where=where)
+        return replace(
+            cast(Any, found), name=f"{found.name}+{lidars}", lidar=_load_lidar_table(lidars)
+        )
     if name == "cnn":
         return _load_shipped_network()
     if name in DETECTOR_NAMES:
@@ -322,8 +337,22 @@ def load_detector(name: str = "geometric", *, where: str = "detector") -> Detect
             min_box_height_px=limits["min_box_height_px"],
             min_confidence=limits["min_confidence"],
         )
-    known = ", ".join(DETECTOR_NAMES)
+    known = ", ".join((*DETECTOR_NAMES, *LIDAR_NAMES))
     raise InputError(where, name, f"{known}, a .toml file with a response table, or an .onnx file")
+
+
+@cache
+def _load_lidar_table(name: str) -> LidarTable:
+    """A built-in table of what LiDARs find."""
+    document = load_toml(files(__package__) / "data" / f"{name}.toml")
+    of_class = [document[document["stands_for"].get(one, one)] for one in VRU_CLASSES]
+    return LidarTable(
+        name=name,
+        distance_m=tuple(tuple(one["distance_m"]) for one in of_class),
+        recall=tuple(tuple(one["recall"]) for one in of_class),
+        frame_correlation=tuple(one["frame_correlation"][0] for one in of_class),
+        plan_probability=document["plan_probability"],
+    )
 
 
 @cache
