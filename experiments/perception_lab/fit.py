@@ -530,6 +530,7 @@ _NOTES = {
     "min_box_height_px": "the lowest box that was found",
     "pedestrian": "factor by class, relative to the class that is found best",
     "assumed": "classes that nothing was measured of",
+    "assumed_figures": "other figures that were not measured",
     "cyclist_end_on": "factor of a cyclist seen from straight behind or ahead; 1 from the side",
     "contrast_half": "factor 1 / (1 + (half / contrast)^steepness), 1 at full contrast",
     "box_noise_share": "standard deviation of the sides of boxes, by the median error",
@@ -538,7 +539,11 @@ _NOTES = {
 }
 
 
-_KEYS_OF = {"aspect": ("cyclist_end_on",), "contrast": ("contrast_half", "contrast_steepness")}
+_KEYS_OF = {
+    "aspect": ("cyclist_end_on",),
+    "contrast": ("contrast_half", "contrast_steepness"),
+    "frame_correlation": ("frame_correlation",),
+}
 """By what a source does not say, the keys whose figures are the built-in ones."""
 
 
@@ -561,8 +566,8 @@ def table_text(
     if unknown:
         lines.append(f"# Not known from them, and as built in: {', '.join(unknown)}.")
     lines += ["", "[response]"]
-    assumed = {key for what in unknown for key in _KEYS_OF.get(what, ())} | {*detector.assumed}
-    assumed.add("plan_probability")
+    figures = sorted(key for what in unknown for key in _KEYS_OF.get(what, ()))
+    assumed = {*figures, *detector.assumed, "plan_probability"}
 
     def add(key: str, value: object, *names: str) -> None:
         ranges = [intervals[name] for name in names if intervals[name].low < intervals[name].high]
@@ -582,6 +587,7 @@ def table_text(
         add(kind, f"{factor:.6g}", kind)
     if detector.assumed:
         add("assumed", msgspec.json.encode(detector.assumed).decode())
+    add("assumed_figures", msgspec.json.encode(figures).decode())
     for key in ("cyclist_end_on", "contrast_half", "contrast_steepness", "box_noise_share"):
         add(key, f"{getattr(detector, key):.6g}", key)
     add("frame_correlation", f"{detector.frame_correlation:.6g}", "frame_correlation")

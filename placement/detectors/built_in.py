@@ -112,6 +112,8 @@ _POSITIVES = (
 )
 _HALVINGS = 10  # of errors of boxes
 _PROBABILITIES = ("cyclist_end_on", "box_noise_share", "frame_correlation", "plan_probability")
+_FIGURES = ("recall", *VRU_CLASSES, *_POSITIVES, *_PROBABILITIES[:-1])
+"""What can be measured; from which probability on a plan counts on a frame is chosen."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -140,6 +142,8 @@ class ResponseDetector:
     frame_correlation: float  # between the random draws of consecutive frames
     plan_probability: float  # a plan counts on a detection from this probability on
     assumed: tuple[str, ...] = ()  # classes of which nothing is measured
+    # further figures that are assumed, by their keys; None: the file does not say
+    assumed_figures: tuple[str, ...] | None = None
     # Tracks of nothing that a unit confirms in an hour, with the 95 % interval; None: unknown.
     false_tracks_per_hour: Interval | None = None
     lidar: LidarTable | None = None
@@ -167,6 +171,16 @@ class ResponseDetector:
         factors = dict(zip(VRU_CLASSES, self.class_factor.tolist(), strict=True))
         words = " and ".join(f"{name} (factor {factors[name]:g})" for name in names)
         return f" Nothing is measured of {words}: how well they are found is assumed."
+
+    @property
+    def figures_words(self) -> str:
+        """How many of its figures are measured, and which are assumed."""
+        if self.assumed_figures is None:
+            return f"{self.name} does not say which of its figures are measured."
+        names = [one for one in _FIGURES if one in (*self.assumed, *self.assumed_figures)]
+        n_measured = len(_FIGURES) - len(names)
+        listed = f"; assumed: {', '.join(names)}" if names else ""
+        return f"Of the {len(_FIGURES)} figures of {self.name} {n_measured} are measured{listed}."
 
     @property
     def alarm_words(self) -> str:
@@ -418,6 +432,7 @@ def _read_response(source: Path | Traversable, document: Table, *, name: str) ->
         return ResponseDetector(
             name=name,
             assumed=assumed,
+            assumed_figures=_read_assumed_figures(table),
             false_tracks_per_hour=_read_alarms(document),
             seen_share=shares,
             recall=recall,
@@ -444,6 +459,17 @@ def _read_classes(table: Table) -> tuple[dict[str, float], tuple[str, ...]]:
     whole = {**{name: given[name] for name in missing}, **table}
     factors = {key: take_number(whole, key, "response") for key in VRU_CLASSES}
     return factors, tuple(name for name in VRU_CLASSES if name in (*named, *missing))
+
+
+def _read_assumed_figures(table: Table) -> tuple[str, ...] | None:
+    key = "assumed_figures"
+    if key not in table:
+        return None
+    names = take_list(table, key, "response")
+    for name in names:
+        if name not in _FIGURES:
+            raise InputError(key, name, "one of " + ", ".join(_FIGURES))
+    return tuple(names)
 
 
 def _read_alarms(document: Table) -> Interval | None:

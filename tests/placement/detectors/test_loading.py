@@ -329,3 +329,31 @@ def test_what_is_found_in_points_is_drawn_with_the_tables_shares_and_correlation
     assert table.is_expected(distance[20_000:], classes[20_000:]).all()
     weathers = table.detect(distance[:2], classes[:2], np.zeros(2, int), np.random.default_rng(1))
     assert weathers[0] == weathers[1]
+
+
+def test_a_table_says_which_of_its_figures_are_measured(write):
+    """So do the built-in ones; a file without the list does not say."""
+    assert load_detector("response").figures_words == (
+        "Of the 14 figures of response 4 are measured; assumed: child, cyclist, motorcyclist, car, "
+        "height_half_px, height_steepness, min_box_height_px, contrast_half, contrast_steepness, "
+        "cyclist_end_on."
+    )
+    assert load_detector("pole-2015").figures_words.startswith(
+        "Of the 14 figures of pole-2015 7 are measured; assumed: child, cyclist, motorcyclist, car,"
+    )
+    mine = load_detector(str(write(TABLE)))
+    assert mine.figures_words == "mine.toml does not say which of its figures are measured."
+    listed = TABLE + 'assumed_figures = ["recall"]\n'
+    assert "11 are measured; assumed: recall, motorcyclist, car." in (
+        load_detector(str(write(listed))).figures_words
+    )
+    assert "mine.toml:18: assumed_figures: got 'x'; expected one of recall, pedestrian" in (
+        _message(write(TABLE + 'assumed_figures = ["x"]\n'))
+    )
+
+
+def test_what_response_has_from_recordings_is_the_middle_of_their_tables():
+    response, *tables = map(load_detector, ("response", "pole-2015", "car-2019"))
+    for name, digits in (("frame_correlation", 2), ("box_noise_share", 2)):
+        middle = np.mean([getattr(one, name) for one in tables])
+        assert getattr(response, name) == pytest.approx(middle, abs=0.51 * 10.0**-digits)
