@@ -18,8 +18,9 @@ _KINDS: dict[str, type[CameraModel] | type[LidarModel]] = {
     "lidar": LidarModel,
 }
 SENSOR_KINDS = tuple(_KINDS)
-_LENS_FIELDS = ("lens", "distortion", "distortion_coefficients", "kappa1")
-_LENS_FIELDS += ("k1", "k2", "k3", "k4", "p1", "p2")
+_LENS_FIELDS = ("lens", "distortion", "distortion_coefficients", "kappa1") + (
+    *("k1", "k2", "k3", "k4", "p1", "p2"),
+)
 
 
 @cache

@@ -89,6 +89,7 @@ def export(
     missing: list[str] = []
     if calibration is not None and layout_names:
         raise click.UsageError("--calibration: got it with --layout; expected one of them")
+    content: str | bytes
     if calibration is not None:
         content = _convert(calibration, format_name, size)
     else:

@@ -331,9 +331,11 @@ def load_detector(name: str = "geometric", *, where: str = "detector") -> Detect
     cameras, _, lidars = name.rpartition("+")
     if lidars in LIDAR_NAMES:
         found = load_detector(cameras or DETECTOR_NAMES[0], where=where)
-        return replace(
-            cast(Any, found), name=f"{found.name}+{lidars}", lidar=_load_lidar_table(lidars)
+        named = cast(Any, found)  # all of them are dataclasses
+        both: Detector = replace(
+            named, name=f"{found.name}+{lidars}", lidar=_load_lidar_table(lidars)
         )
+        return both
     if name == "cnn":
         return _load_shipped_network()
     if name in DETECTOR_NAMES:
@@ -400,7 +402,11 @@ def load_planning_detector(name: str = "geometric") -> PlanningDetector:
     if name == "response":
         return _read_response(_source(), _defaults(), name=name)
     limits = read_table(table, dict[str, float], f"{_FILE}: {name}")
-    return GeometricDetector(min_iou=load_min_iou(), **limits)
+    return GeometricDetector(
+        min_iou=load_min_iou(),
+        min_box_height_px=limits["min_box_height_px"],
+        min_contrast=limits["min_contrast"],
+    )
 
 
 def _source() -> Traversable:
@@ -422,7 +428,7 @@ def _read_response(source: Path | Traversable, document: Table, *, name: str) ->
             float_array(take_list(table, key, "response"), (-1,), key)
             for key in ("seen_share", "recall")
         )
-        numbers = {
+        numbers: dict[str, Any] = {
             key: take_number(table, key, "response") for key in (*_POSITIVES, *_PROBABILITIES)
         }
         factors, assumed = _read_classes(table)

@@ -149,10 +149,10 @@ def _numbers(
     record: Mapping[str, Any], key: str, counts: tuple[int, ...], where: str
 ) -> FloatArray:
     """Numbers of a matrix, a list, or a map of them."""
-    value = record.get(key)
+    value: Any = record.get(key)
     if isinstance(value, Mapping):
         value = value["data"] if "data" in value else [*value.values()]
-    listed = value if isinstance(value, list) else [value]
+    listed: list[Any] = value if isinstance(value, list) else [value]
     try:
         numbers = np.array([float(one) for one in listed])  # a list in a list is none
     except (TypeError, ValueError):
