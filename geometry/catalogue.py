@@ -18,6 +18,9 @@ _KINDS: dict[str, type[CameraModel] | type[LidarModel]] = {
     "lidar": LidarModel,
 }
 SENSOR_KINDS = tuple(_KINDS)
+_LENS_FIELDS = ("lens", "distortion", "distortion_coefficients", "kappa1") + (
+    *("k1", "k2", "k3", "k4", "p1", "p2"),
+)
 
 
 @cache
@@ -47,6 +50,8 @@ def load_catalogue(path: str | Path) -> dict[str, Sensor]:
     for group, entries in table.items():
         if group not in ("cameras", "lidars") or not isinstance(entries, Mapping):
             raise InputError(f"{path}: {group}", Unquoted("it"), expected)
+    for name, entry in table.get("cameras", {}).items():
+        _check_pinhole(entry, f"{path}: cameras.{name}")
     for kind, group in (("camera", "cameras"), ("lidar", "lidars")):
         models |= read_tables(table.get(group, {}), _KINDS[kind], str(path))
     if not models:
@@ -56,7 +61,16 @@ def load_catalogue(path: str | Path) -> dict[str, Sensor]:
 
 def read_sensor(name: str, entry: Any, kind: str, source: str) -> Sensor:
     """Sensor model of a kind from its fields; `source` names the file in messages."""
+    if kind == "camera":
+        _check_pinhole(entry, f"{source}: {name}")
     return read_tables({name: entry}, _KINDS[kind], source)[name]
+
+
+def _check_pinhole(entry: Any, where: str) -> None:
+    """Refuse fields of lenses that distort: other fields of no meaning are passed over."""
+    if isinstance(entry, Mapping) and (named := [one for one in _LENS_FIELDS if one in entry]):
+        expected = "no such field: cameras that are planned are ideal pinholes"
+        raise InputError(f"{where}.{named[0]}", entry[named[0]], expected)
 
 
 def own_sensor_record(sensor: Sensor) -> dict[str, Any] | None:

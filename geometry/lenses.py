@@ -1,4 +1,4 @@
-"""Calibrated cameras whose lenses distort: Brown-Conrady's model and Tsai's one radial term.
+"""Calibrated cameras whose lenses distort: Brown-Conrady's model, Tsai's one term, fisheyes.
 
 Cameras that are placed are ideal pinholes (:mod:`geometry.sensors`); these are read from files, to
 compare what real cameras recorded.
@@ -48,14 +48,10 @@ class BrownConrady:
             ],
             axis=1,
         )
-        distorted[square > self._largest_square()] = np.nan
+        # Where r (1 + k1 r^2 + k2 r^4 + k3 r^6) stops rising, by the square of r.
+        turn = _first_turn([7.0 * self.k3, 5.0 * self.k2, 3.0 * self.k1, 1.0])
+        distorted[square > turn] = np.nan
         return distorted
-
-    def _largest_square(self) -> float:
-        """Square of the radius at which r (1 + k1 r^2 + k2 r^4 + k3 r^6) stops rising."""
-        roots = np.roots([7.0 * self.k3, 5.0 * self.k2, 3.0 * self.k1, 1.0])
-        rising = roots[(abs(roots.imag) < 1.0e-12) & (roots.real > 0.0)].real
-        return float(rising.min()) if len(rising) else np.inf
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,6 +90,43 @@ class TsaiRadial:
         return straight
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fisheye:
+    """A fisheye: an angle off the axis is shown at angle (1 + k1 angle^2 + .. + k4 angle^8).
+
+    References
+    ----------
+    .. [1] J. Kannala, S. Brandt, "A generic camera model and calibration method for conventional,
+       wide-angle, and fish-eye lenses", 2006; as ``cv::fisheye`` and ROS's "equidistant".
+    """
+
+    k1: float = 0.0
+    k2: float = 0.0
+    k3: float = 0.0
+    k4: float = 0.0
+
+    def distort(self, points: FloatArray) -> FloatArray:
+        """Points (n, 2) at depth 1 as the lens shows them; not a number where it shows none."""
+        radius = np.hypot(*points.T)
+        angle = np.arctan(radius)
+        terms = (self.k4, 0.0, self.k3, 0.0, self.k2, 0.0, self.k1, 0.0, 1.0, 0.0)
+        shown = np.polyval(terms, angle)
+        share = np.divide(shown, radius, out=np.ones_like(radius), where=radius > 0.0)
+        share[angle > _first_turn(np.polyder(terms))] = np.nan
+        distorted: FloatArray = points * share[:, None]
+        return distorted
+
+
+def _first_turn(slope: ArrayLike) -> float:
+    """Smallest positive root of a polynomial, highest power first; infinite if there is none."""
+    roots = np.roots(np.asarray(slope))
+    rising = roots[(abs(roots.imag) < 1.0e-12) & (roots.real > 0.0)].real
+    return float(rising.min()) if len(rising) else np.inf
+
+
+Lens = BrownConrady | TsaiRadial | Fisheye
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CalibratedCamera:
     """A camera as its calibration file has it; a point is at R (p - position) in its frame.
@@ -116,7 +149,7 @@ class CalibratedCamera:
     cy_px: float
     R_camera_world: FloatArray
     position_m: FloatArray
-    lens: BrownConrady | TsaiRadial = field(default_factory=BrownConrady)
+    lens: Lens = field(default_factory=BrownConrady)
 
     def __post_init__(self) -> None:
         set_arrays(self, "camera: ", R_camera_world=(3, 3), position_m=(3,))
@@ -135,7 +168,7 @@ def project_distorted(points_m: ArrayLike, camera: CalibratedCamera) -> FloatArr
 
     References
     ----------
-    .. [1] OpenCV, ``cv::projectPoints``, for :class:`BrownConrady`.
+    .. [1] OpenCV, ``cv::projectPoints`` for :class:`BrownConrady`, ``cv::fisheye`` for its own.
     """
     offsets = np.asarray(points_m, dtype=np.float64) - camera.position_m
     in_camera = offsets @ camera.R_camera_world.T

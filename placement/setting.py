@@ -470,7 +470,8 @@ def _table_detector(detector: Detector) -> PlanningDetector:
         "a tenth of a second" if detector.looks_at_crops else "a second",
         detector.plans_with,
     )
-    return load_planning_detector(detector.plans_with)
+    planner = load_planning_detector(detector.plans_with)
+    return planner if detector.lidar is None else replace(planner, lidar=detector.lidar)  # type: ignore[type-var]
 
 
 def _words(text: str, where: str, known: tuple[str, ...]) -> tuple[str, ...]:

@@ -711,10 +711,10 @@ def _recordings() -> Mapping[str, tuple[str, Files]]:
 
 
 def _read_boxes(path: Path) -> Any:
-    from placement.recordings.formats import read_boxes
+    from placement.recordings.formats import WILDTRACK, find_format, read_boxes
     from placement.recordings.wildtrack import read_wildtrack
 
-    return read_wildtrack(path) if path.is_dir() else read_boxes(path)
+    return read_wildtrack(path) if find_format(path) == WILDTRACK else read_boxes(path)
 
 
 _CVML = (
@@ -764,19 +764,33 @@ _INTRINSIC = (
 _EXTRINSIC = "<opencv_storage><rvec>1.7 0.4 -0.3</rvec><tvec>-525 45 986</tvec></opencv_storage>"
 
 
+_MATRIX = "camera_matrix: {tag}{rows: 3, cols: 3, data: [900, 0, 640, 0, 880, 360, 0, 0, 1]}"
+_ROS = (
+    "image_width: 1280\nimage_height: 720\ncamera_name: a\n"
+    + _MATRIX.replace("{tag}", "")
+    + "\ndistortion_model: equidistant\ndistortion_coefficients: {data: [0.1, 0, 0, 0.01]}\n"
+    "static_transform:\n  transform:\n    translation: {x: 1, y: 2, z: 6}\n"
+    "    rotation: {x: 0, y: 0.6, z: 0, w: 0.8}\n"
+)
+_FILE_STORAGE = (
+    '%YAML:1.0\n---\ncameras:\n  - id: "a"\n    image_width: 1280\n    image_height: 720\n    '
+    + _MATRIX.replace("{tag}", "!!opencv-matrix ")
+    + "\n    distortion_coefficients: !!opencv-matrix {data: [0.1, 0, 0, 0, 0]}\n"
+    "    R: !!opencv-matrix {data: [1, 0, 0, 0, 1, 0, 0, 0, 1]}\n"
+    "    t: !!opencv-matrix {data: [0, 0, 6]}\n"
+)
+
+
 def _read_calibration(path: Path) -> Any:
-    from placement.recordings.cvml import read_tsai
-    from placement.recordings.kitti import read_kitti_camera, read_kitti_motion
+    from placement.recordings.calibrations import read_cameras
+    from placement.recordings.kitti import read_kitti_motion
     from placement.recordings.wildtrack import read_opencv_camera
 
-    size: dict[str, int] = {"width_px": 1242, "height_px": 375}
-    if path.name == "tsai.xml":
-        return read_tsai(path)
     if path.name == "intrinsic.xml":
-        return read_opencv_camera(path, path.with_name("extrinsic.xml"), **size)
+        read_opencv_camera(path, path.with_name("extrinsic.xml"), width_px=1242, height_px=375)
     if path.name == "oxts.txt":
         return read_kitti_motion(path)
-    return read_kitti_camera(path, **size)
+    return read_cameras(path, size_px=(1242, 375))
 
 
 def _calibrations() -> Mapping[str, tuple[str, Files]]:
@@ -787,6 +801,8 @@ def _calibrations() -> Mapping[str, tuple[str, Files]]:
         "opencv": ("intrinsic.xml", pair),
         "kitti": _one("calib.txt", "P0: 1\nP2: 721.5 0 609.5 44.8 0 721.5 172.8 0.2 0 0 1 0.003\n"),
         "oxts": _one("oxts.txt", 2 * oxts),
+        "ros": _one("ros.yaml", _ROS),
+        "filestorage": _one("cameras.yaml", _FILE_STORAGE),
     }
 
 
@@ -1117,6 +1133,7 @@ READERS: Mapping[str, Reader] = {
         read=_read_boxes,
         seeds=_many_boxes,
         covers=(
+            "placement.recordings.formats.find_format",
             "placement.recordings.formats.read_boxes",
             "placement.recordings.boxes.read_lines",
             "placement.recordings.cvml.read_cvml",
@@ -1132,6 +1149,7 @@ READERS: Mapping[str, Reader] = {
         read=_read_calibration,
         seeds=_calibrations,
         covers=(
+            "placement.recordings.calibrations.read_cameras",
             "placement.recordings.cvml.read_tsai",
             "placement.recordings.kitti.read_kitti_camera",
             "placement.recordings.kitti.read_kitti_motion",

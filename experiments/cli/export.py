@@ -36,9 +36,25 @@ lies somewhere on earth.
 Examples:
   place-rsus export --layout carlancap-12 --format carla
   place-rsus export --layout carlancap-12 --format geojson --out rsus.geojson
-  place-rsus export --layout a.json --scene city --format gpkg --out a.gpkg""",
+  place-rsus export --layout a.json --scene city --format gpkg --out a.gpkg
+  place-rsus export --calibration tsai.xml --format ros""",
 )
 @layout_option
+@option(
+    "--calibration",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Real cameras with their lenses, in place of a layout: of OpenCV, ROS, KITTI or Tsai.",
+)
+@option(
+    "--size",
+    nargs=2,
+    type=click.IntRange(min=1),
+    metavar="WIDTH HEIGHT",
+    expected="two numbers of pixels, at least 1",
+    needs="calibration",
+    help="With --calibration: of pictures, where the file does not tell.",
+)
 @option(
     "--format",
     "format_name",
@@ -55,6 +71,8 @@ def export(
     progress: StageProgress,
     *,
     layout_names: tuple[str, ...],
+    calibration: Path | None,
+    size: tuple[int, int] | None,
     format_name: str,
     scene: str,
     out: Path | None,
@@ -68,9 +86,16 @@ def export(
     chosen = load_format(format_name)
     if out is None and chosen.is_binary:
         raise click.UsageError(f"--out: got nothing; expected a file: {format_name} is no text")
-    layout = load_one_layout(layout_names)
-    content = export_layout(layout, format_name, scene_path=scene)
-    missing = [] if chosen.has_lidars else lidar_ids(layout)
+    missing: list[str] = []
+    if calibration is not None and layout_names:
+        raise click.UsageError("--calibration: got it with --layout; expected one of them")
+    content: str | bytes
+    if calibration is not None:
+        content = _convert(calibration, format_name, size)
+    else:
+        layout = load_one_layout(layout_names)
+        content = export_layout(layout, format_name, scene_path=scene)
+        missing = [] if chosen.has_lidars else lidar_ids(layout)
     if missing and not quiet:
         tell(f"left out, for they are no cameras: {', '.join(missing)}", err=True)
     if out is None:
@@ -82,3 +107,19 @@ def export(
         write_atomically(out, content)
     except OSError as error:
         raise unwritable(out, error) from None
+
+
+def _convert(path: Path, format_name: str, size_px: tuple[int, int] | None) -> str:
+    """Cameras of a calibration in another format."""
+    from placement.recordings.calibrations import read_cameras
+
+    from ..export.calibration import of_calibrated
+    from ..export.opencv import opencv_text
+    from ..export.ros import ros_text
+
+    if format_name not in ("opencv", "ros"):
+        got = f"got {format_name} beside --calibration; expected opencv or ros"
+        raise click.UsageError(f"--format: {got}")
+    cameras = read_cameras(path, size_px=size_px or None)
+    found = [of_calibrated(name, camera) for name, camera in cameras.items()]
+    return opencv_text(found, path.stem) if format_name == "opencv" else ros_text(found)

@@ -1,13 +1,14 @@
 """Cameras of a layout as the field of computer vision writes them down: K, R, t."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from geometry.arrays import FloatArray
 from geometry.catalogue import Sensor
 from geometry.errors import InputError, Unquoted
+from geometry.lenses import BrownConrady, CalibratedCamera, Fisheye, Lens
 from geometry.notes import assumed_sites
 from geometry.poses import Pose, body_rotation, camera_rotation
 from geometry.scene import Scene
@@ -34,8 +35,10 @@ class Calibration:
         R: from the world (east, north, up) to the camera (x right, y down, z ahead).
     translation_m : (3,) float
         t: where the world's origin is for the camera, so that x_camera = R x_world + t. [m]
-    pose : Pose
-        Pose of the camera. World frame.
+    position_m : (3,) float
+        Of the lens. World frame. [m]
+    lens : Lens
+        How it distorts; by default not at all.
     """
 
     id: str
@@ -44,7 +47,43 @@ class Calibration:
     camera_matrix: FloatArray
     world_to_camera: FloatArray
     translation_m: FloatArray
-    pose: Pose
+    position_m: FloatArray
+    lens: Lens = field(default_factory=BrownConrady)
+
+
+def of_calibrated(name: str, camera: CalibratedCamera) -> Calibration:
+    """Calibration of a camera that was read."""
+    rotation = camera.R_camera_world
+    return Calibration(
+        id=name,
+        width_px=camera.width_px,
+        height_px=camera.height_px,
+        camera_matrix=np.array(
+            [
+                [camera.fx_px, 0.0, camera.cx_px],
+                [0.0, camera.fy_px, camera.cy_px],
+                [0.0, 0.0, 1.0],
+            ]
+        ),
+        world_to_camera=rotation,
+        translation_m=-rotation @ camera.position_m,
+        position_m=camera.position_m,
+        lens=camera.lens,
+    )
+
+
+def lens_coefficients(camera: Calibration) -> tuple[bool, FloatArray]:
+    """Whether the lens is a fisheye, and its coefficients as OpenCV orders them, (1, n).
+
+    Raises InputError for Tsai's, which neither of OpenCV's models is.
+    """
+    lens = camera.lens
+    if isinstance(lens, BrownConrady):
+        return False, np.array([[lens.k1, lens.k2, lens.p1, lens.p2, lens.k3]])
+    if isinstance(lens, Fisheye):
+        return True, np.array([[lens.k1, lens.k2, lens.k3, lens.k4]])
+    expected = "Brown-Conrady's or a fisheye: the other way round is not of the same form"
+    raise InputError(f"{camera.id}: lens", Unquoted("Tsai's radial term"), expected)
 
 
 def calibrations(layout: Layout, format_name: str) -> list[Calibration]:
@@ -69,7 +108,7 @@ def calibrations(layout: Layout, format_name: str) -> list[Calibration]:
                 camera_matrix=camera_matrix(unit.sensor),
                 world_to_camera=rotation,
                 translation_m=rotation @ (np.zeros(3) - unit.pose.position_m),
-                pose=unit.pose,
+                position_m=unit.pose.position_m,
             )
         )
     if not found:
@@ -116,7 +155,7 @@ def camera_matrix(camera: CameraModel) -> FloatArray:
 
 def optical_quaternion(pose: Pose) -> list[float]:
     """Rotation from the camera (x right, y down, z ahead) to the world: x, y, z, w."""
-    return _quaternion(camera_rotation(pose.yaw_deg, pose.pitch_deg))
+    return quaternion(camera_rotation(pose.yaw_deg, pose.pitch_deg))
 
 
 def sensor_quaternion(pose: Pose, sensor: Sensor) -> list[float]:
@@ -126,7 +165,7 @@ def sensor_quaternion(pose: Pose, sensor: Sensor) -> list[float]:
     """
     if isinstance(sensor, CameraModel):
         return optical_quaternion(pose)
-    return _quaternion(body_rotation(pose.yaw_deg, pose.pitch_deg))
+    return quaternion(body_rotation(pose.yaw_deg, pose.pitch_deg))
 
 
 def plain(values: FloatArray) -> list[float]:
@@ -135,7 +174,8 @@ def plain(values: FloatArray) -> list[float]:
     return list(numbers)
 
 
-def _quaternion(rotation: FloatArray) -> list[float]:
+def quaternion(rotation: FloatArray) -> list[float]:
+    """A rotation (3, 3) as x, y, z, w with w >= 0."""
     # q and -q are the same rotation; w >= 0 makes it one.
     from scipy.spatial.transform import Rotation
 

@@ -1,5 +1,7 @@
 """Cameras of a layout for OpenCV: the YAML of cv::FileStorage."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import yaml  # type: ignore[import-untyped]
 from scipy.spatial.transform import Rotation
@@ -8,7 +10,7 @@ from geometry.arrays import FloatArray
 from geometry.scene import Scene
 from placement.layout import Layout
 
-from .calibration import N_DISTORTION, Calibration, calibrations, comments, plain
+from .calibration import Calibration, calibrations, comments, lens_coefficients, plain
 from .formats import ExportFormat
 
 
@@ -21,25 +23,29 @@ def to_opencv(layout: Layout, scene: Scene | None = None) -> str:
     east, north, up, metres. Camera: x right, y down, z ahead. Pixels: the middle of the first one
     is (0, 0). Raises InputError if there is no camera.
     """
-    document = {
-        "layout": _Quoted(layout.name),
-        "cameras": [_camera_record(camera) for camera in calibrations(layout, "opencv")],
-    }
+    return opencv_text(calibrations(layout, "opencv"), layout.name, comments(layout, scene))
+
+
+def opencv_text(cameras: Sequence[Calibration], name: str, comment: str = "") -> str:
+    """Calibrations as such a file; fisheyes have `distortion_model` "fisheye", and k1 to k4."""
+    document = {"layout": _Quoted(name), "cameras": [_camera_record(one) for one in cameras]}
     text: str = yaml.dump(
         document, Dumper=_Dumper, allow_unicode=True, sort_keys=False, width=float("inf")
     )
     # The format's own first lines: FileStorage tells YAML from XML and JSON by them.
-    return "%YAML:1.0\n---\n" + comments(layout, scene) + text
+    return "%YAML:1.0\n---\n" + comment + text
 
 
 def _camera_record(camera: Calibration) -> dict[str, object]:
     rotation = camera.world_to_camera
+    is_fisheye, coefficients = lens_coefficients(camera)
     return {
         "id": _Quoted(camera.id),
         "image_width": camera.width_px,
         "image_height": camera.height_px,
         "camera_matrix": camera.camera_matrix,
-        "distortion_coefficients": np.zeros((1, N_DISTORTION)),
+        **({"distortion_model": "fisheye"} if is_fisheye else {}),
+        "distortion_coefficients": coefficients,
         "R": rotation,
         "rvec": Rotation.from_matrix(rotation).as_rotvec()[:, None],
         "t": camera.translation_m[:, None],

@@ -10,12 +10,12 @@ from geometry.scene import Scene
 from placement.layout import Layout
 
 from .calibration import (
-    N_DISTORTION,
     Calibration,
     calibrations,
     comments,
-    optical_quaternion,
+    lens_coefficients,
     plain,
+    quaternion,
 )
 from .formats import ExportFormat
 
@@ -35,7 +35,11 @@ def to_ros(layout: Layout, scene: Scene | None = None) -> str:
     ----------
     .. [1] sensor_msgs/CameraInfo; REP 103 (optical frames), REP 105 (map).
     """
-    cameras = calibrations(layout, "ros")
+    return ros_text(calibrations(layout, "ros"), comments(layout, scene))
+
+
+def ros_text(cameras: list[Calibration], comment: str = "") -> str:
+    """Calibrations as such documents; a fisheye's model is "equidistant"."""
     documents = [
         _camera_record(camera, name)
         for camera, name in zip(cameras, camera_names(cameras), strict=True)
@@ -48,7 +52,7 @@ def to_ros(layout: Layout, scene: Scene | None = None) -> str:
         default_flow_style=None,  # numbers of a list on one line
         width=float("inf"),
     )
-    return comments(layout, scene) + text
+    return comment + text
 
 
 def camera_names(cameras: list[Calibration]) -> list[str]:
@@ -66,16 +70,17 @@ def camera_names(cameras: list[Calibration]) -> list[str]:
 
 def _camera_record(camera: Calibration, name: str) -> dict[str, object]:
     projection = np.column_stack([camera.camera_matrix, np.zeros(3)])
-    translation = dict(zip("xyz", plain(camera.pose.position_m), strict=True))
-    rotation = dict(zip("xyzw", optical_quaternion(camera.pose), strict=True))
+    translation = dict(zip("xyz", plain(camera.position_m), strict=True))
+    rotation = dict(zip("xyzw", quaternion(camera.world_to_camera.T), strict=True))
+    is_fisheye, coefficients = lens_coefficients(camera)
     return {
         "unit": camera.id,
         "image_width": camera.width_px,
         "image_height": camera.height_px,
         "camera_name": name,
         "camera_matrix": _matrix_record(camera.camera_matrix),
-        "distortion_model": "plumb_bob",
-        "distortion_coefficients": _matrix_record(np.zeros((1, N_DISTORTION))),
+        "distortion_model": "equidistant" if is_fisheye else "plumb_bob",
+        "distortion_coefficients": _matrix_record(coefficients),
         "rectification_matrix": _matrix_record(np.eye(3)),
         "projection_matrix": _matrix_record(projection),
         "static_transform": {

@@ -5,6 +5,7 @@ import re
 from collections.abc import Mapping, Sequence
 
 from geometry.notes import Note
+from placement.detectors import ResponseDetector
 from placement.layout import Layout
 from placement.setting import Radio, Setting
 from scenarios.aeb import AebRule
@@ -93,7 +94,7 @@ def assumptions(
         ("Weights", _weights(setting)),
         (
             "Detection",
-            f"{setting.detector.description} The car itself looks with: "
+            f"{setting.detector.description}{_figures(setting)} The car itself looks with: "
             f"{' and '.join(setting.vut_sensors)}.{_cars(setting)}",
         ),
         (
@@ -119,6 +120,13 @@ def assumptions(
     if isinstance(result, PlacementResult) and result.budget is not None:
         terms.append(("Budget", several(result.budget, "unit", "units") + "."))
     return terms
+
+
+def _figures(setting: Setting) -> str:
+    """How many figures of response tables are measured; that of the table where it is another."""
+    tables = {one.name: one for one in (setting.detector, setting.table_detector)}.values()
+    words = [one.figures_words for one in tables if isinstance(one, ResponseDetector)]
+    return "".join(f" {one}" for one in words)
 
 
 def _tracks(rule: AebRule) -> str:

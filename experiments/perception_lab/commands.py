@@ -203,7 +203,7 @@ Examples:
     "--recording",
     type=click.Path(path_type=Path),
     metavar="DIR",
-    help="Fit to the labels and detections of a recording in the study's folder format.",
+    help="Fit to labels and detections: the study's folder, or one of MOT challenge.",
 )
 @option(
     "--labels",

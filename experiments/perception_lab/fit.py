@@ -46,6 +46,7 @@ from placement.evaluator.pictures import FrameCamera, PictureSource
 from placement.layout import Layout, check_layout
 from placement.question import Question
 from placement.recordings import Recording, load_format, read_boxes, read_recording
+from placement.recordings.formats import COCO, MOT_FILES, MOT_FOLDER, find_format
 from placement.recordings.pairs import pair_boxes
 from placement.setting import Setting, build_rule, build_setting
 
@@ -191,12 +192,14 @@ def _open_source(
 ) -> _Source:
     if wish.recording is not None:
         progress("read", 0, 0)
+        if find_format(wish.recording) == MOT_FOLDER:
+            labels, results = (wish.recording / name for name in MOT_FILES)
+            return _from_boxes(labels, results, wish.min_confidence)
         return _from_recording(read_recording(wish.recording), wish.min_confidence)
     if wish.labels is not None and wish.results is not None:
         progress("read", 0, 0)
-        if wish.labels.suffix.lower() != ".json":
-            return _from_boxes(wish.labels, wish.results, wish.min_confidence)
-        return _from_coco(wish.labels, wish.results, wish.min_confidence)
+        read = _from_coco if find_format(wish.labels) == COCO else _from_boxes
+        return read(wish.labels, wish.results, wish.min_confidence)
     assert wish.layout is not None
     return _from_network(question, wish.layout, wish, compute, progress)
 
@@ -396,7 +399,8 @@ def _from_boxes(labels: Path, results: Path, min_score: float) -> _Source:
     annotated, found = read_boxes(labels), read_boxes(results)
     classes = {name: name for name in _FOUND_CLASSES if annotated.is_class(name).any()}
     paired = pair_boxes(annotated, found, classes=classes, min_score=min_score)
-    words = f"{results} on the {len(paired.pictures)} frames of {labels}"
+    left_out = "".join(f" without {n} {what}" for what, n in annotated.left_out.items())
+    words = f"{results} on the {len(paired.pictures)} frames of {labels}{left_out}"
     return _Source(words=words, pictures=iter(paired.pictures), unknown=("contrast", "aspect"))
 
 
@@ -526,6 +530,7 @@ _NOTES = {
     "min_box_height_px": "the lowest box that was found",
     "pedestrian": "factor by class, relative to the class that is found best",
     "assumed": "classes that nothing was measured of",
+    "assumed_figures": "other figures that were not measured",
     "cyclist_end_on": "factor of a cyclist seen from straight behind or ahead; 1 from the side",
     "contrast_half": "factor 1 / (1 + (half / contrast)^steepness), 1 at full contrast",
     "box_noise_share": "standard deviation of the sides of boxes, by the median error",
@@ -534,7 +539,11 @@ _NOTES = {
 }
 
 
-_KEYS_OF = {"aspect": ("cyclist_end_on",), "contrast": ("contrast_half", "contrast_steepness")}
+_KEYS_OF = {
+    "aspect": ("cyclist_end_on",),
+    "contrast": ("contrast_half", "contrast_steepness"),
+    "frame_correlation": ("frame_correlation",),
+}
 """By what a source does not say, the keys whose figures are the built-in ones."""
 
 
@@ -557,8 +566,8 @@ def table_text(
     if unknown:
         lines.append(f"# Not known from them, and as built in: {', '.join(unknown)}.")
     lines += ["", "[response]"]
-    assumed = {key for what in unknown for key in _KEYS_OF.get(what, ())} | {*detector.assumed}
-    assumed.add("plan_probability")
+    figures = sorted(key for what in unknown for key in _KEYS_OF.get(what, ()))
+    assumed = {*figures, *detector.assumed, "plan_probability"}
 
     def add(key: str, value: object, *names: str) -> None:
         ranges = [intervals[name] for name in names if intervals[name].low < intervals[name].high]
@@ -578,6 +587,7 @@ def table_text(
         add(kind, f"{factor:.6g}", kind)
     if detector.assumed:
         add("assumed", msgspec.json.encode(detector.assumed).decode())
+    add("assumed_figures", msgspec.json.encode(figures).decode())
     for key in ("cyclist_end_on", "contrast_half", "contrast_steepness", "box_noise_share"):
         add(key, f"{getattr(detector, key):.6g}", key)
     add("frame_correlation", f"{detector.frame_correlation:.6g}", "frame_correlation")

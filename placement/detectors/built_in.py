@@ -2,12 +2,12 @@
 
 import re
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import as_file, files
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -22,7 +22,9 @@ from .evidence import (
     Detector,
     Evidence,
     Interval,
+    LidarTable,
     PlanningDetector,
+    linked_noise,
     load_min_iou,
 )
 
@@ -37,8 +39,9 @@ class GeometricDetector:
     min_iou: float
     min_box_height_px: float  # the visible box must be at least this high. [px]
     min_contrast: float = 0.0  # the VRU must stand out by at least this much
+    name: str = "geometric"
+    lidar: LidarTable | None = None
 
-    name = "geometric"
     needs_shares = False
     needs_pictures = False
 
@@ -59,7 +62,7 @@ class GeometricDetector:
             "A road user counts as detected in a frame if the box around its visible part overlaps "
             f"the box around all of it by more than {self.min_iou:g} (intersection over union), is "
             f"at least {self.min_box_height_px:g} pixels high, and light and air leave it a "
-            f"contrast of at least {100.0 * self.min_contrast:g} %."
+            f"contrast of at least {100.0 * self.min_contrast:g} %.{_in_points(self.lidar)}"
         )
 
     def is_expected(self, evidence: Evidence) -> BoolArray:
@@ -84,7 +87,17 @@ class GeometricDetector:
 
     def fingerprint(self) -> tuple[object, ...]:
         """Everything that it depends on."""
-        return (self.name, self.min_iou, self.min_box_height_px, self.min_contrast)
+        numbers = (self.min_iou, self.min_box_height_px, self.min_contrast)
+        return ("geometric", *numbers, *_fingerprint(self.lidar))
+
+
+def _in_points(lidar: LidarTable | None) -> str:
+    return "" if lidar is None else lidar.description
+
+
+def _fingerprint(lidar: LidarTable | None) -> tuple[object, ...]:
+    """Of what LiDARs find; nothing for the rule, which is none of the detector's."""
+    return () if lidar is None else (lidar,)
 
 
 # ---------- by probability
@@ -99,6 +112,8 @@ _POSITIVES = (
 )
 _HALVINGS = 10  # of errors of boxes
 _PROBABILITIES = ("cyclist_end_on", "box_noise_share", "frame_correlation", "plan_probability")
+_FIGURES = ("recall", *VRU_CLASSES, *_POSITIVES, *_PROBABILITIES[:-1])
+"""What can be measured; from which probability on a plan counts on a frame is chosen."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -160,9 +175,12 @@ class ResponseDetector:
     frame_correlation: float  # between the random draws of consecutive frames
     plan_probability: float  # a plan counts on a detection from this probability on
     assumed: tuple[str, ...] = ()  # classes of which nothing is measured
+    # further figures that are assumed, by their keys; None: the file does not say
+    assumed_figures: tuple[str, ...] | None = None
     # Tracks of nothing that a unit confirms in an hour, with the 95 % interval; None: unknown.
     false_tracks_per_hour: Interval | None = None
     lasting: LastingNoise | None = None  # in a sampled world; None: all noise is that of frames
+    lidar: LidarTable | None = None
 
     needs_shares = True
     needs_pictures = False
@@ -176,6 +194,7 @@ class ResponseDetector:
             "seen, its class, the side that it shows and its contrast in light and weather. The "
             "detection table counts on frames with a probability of at least "
             f"{self.plan_probability:g}.{self.assumed_words()}{self.alarm_words}"
+            f"{_in_points(self.lidar)}"
         )
 
     def assumed_words(self, classes: Collection[str] = VRU_CLASSES) -> str:
@@ -186,6 +205,16 @@ class ResponseDetector:
         factors = dict(zip(VRU_CLASSES, self.class_factor.tolist(), strict=True))
         words = " and ".join(f"{name} (factor {factors[name]:g})" for name in names)
         return f" Nothing is measured of {words}: how well they are found is assumed."
+
+    @property
+    def figures_words(self) -> str:
+        """How many of its figures are measured, and which are assumed."""
+        if self.assumed_figures is None:
+            return f"{self.name} does not say which of its figures are measured."
+        names = [one for one in _FIGURES if one in (*self.assumed, *self.assumed_figures)]
+        n_measured = len(_FIGURES) - len(names)
+        listed = f"; assumed: {', '.join(names)}" if names else ""
+        return f"Of the {len(_FIGURES)} figures of {self.name} {n_measured} are measured{listed}."
 
     @property
     def alarm_words(self) -> str:
@@ -262,6 +291,7 @@ class ResponseDetector:
             "response",
             *(getattr(self, name).tobytes() for name in ("seen_share", "recall", "class_factor")),
             *(getattr(self, name) for name in (*_POSITIVES, "cyclist_end_on", "plan_probability")),
+            *_fingerprint(self.lidar),
         )
 
     def _noise(self, draws: IntArray, rng: np.random.Generator) -> FloatArray:
@@ -319,20 +349,12 @@ def _correct_boxes(boxes_px: FloatArray, error: FloatArray) -> FloatArray:
     return boxes_px + off
 
 
-def linked_noise(draws: IntArray, correlation: float, rng: np.random.Generator) -> FloatArray:
-    """Standard normal numbers, each correlated with that of the frame before, (n,)."""
-    fresh = rng.standard_normal(len(draws))
-    linked = fresh.copy()
-    step = np.sqrt(1.0 - correlation**2)
-    for index in np.flatnonzero(np.diff(draws) == 1) + 1:
-        linked[index] = correlation * linked[index - 1] + step * fresh[index]
-    return linked
-
-
 # ---------- by name or file
 
 
 DETECTOR_NAMES = ("geometric", "response", "pole-2015", "car-2019", "cnn-table", "cnn")
+"""Of cameras; ``LIDAR_NAMES`` may follow any of them, or a file, behind a plus sign."""
+LIDAR_NAMES = ("pointrcnn-2019",)
 _FILE, _NETWORK_FILE = "detectors.toml", "vru.onnx"
 # Tables fitted to what a detector found: on rendered pictures, and on real recordings.
 _TABLE_FILES = {
@@ -346,10 +368,19 @@ def load_detector(name: str = "geometric", *, where: str = "detector") -> Detect
     """Detector by name or file; `where` names it in messages.
 
     Names are those of ``DETECTOR_NAMES``; files are ``.toml`` with a table ``[response]`` as in
-    ``data/detectors.toml``, or ``.onnx``. Raises InputError if the name is
-    unknown or the file cannot be used, MissingExtraError for "cnn" or an ONNX file without
+    ``data/detectors.toml``, or ``.onnx``. One of ``LIDAR_NAMES`` behind a plus sign says what
+    LiDARs find; alone, cameras go by the first of ``DETECTOR_NAMES``. Raises InputError if the name
+    is unknown or the file cannot be used, MissingExtraError for "cnn" or an ONNX file without
     onnxruntime.
     """
+    cameras, _, lidars = name.rpartition("+")
+    if lidars in LIDAR_NAMES:
+        found = load_detector(cameras or DETECTOR_NAMES[0], where=where)
+        named = cast(Any, found)  # all of them are dataclasses
+        both: Detector = replace(
+            named, name=f"{found.name}+{lidars}", lidar=_load_lidar_table(lidars)
+        )
+        return both
     if name == "cnn":
         return _load_shipped_network()
     if name in DETECTOR_NAMES:
@@ -367,8 +398,22 @@ def load_detector(name: str = "geometric", *, where: str = "detector") -> Detect
             min_box_height_px=limits["min_box_height_px"],
             min_confidence=limits["min_confidence"],
         )
-    known = ", ".join(DETECTOR_NAMES)
+    known = ", ".join((*DETECTOR_NAMES, *LIDAR_NAMES))
     raise InputError(where, name, f"{known}, a .toml file with a response table, or an .onnx file")
+
+
+@cache
+def _load_lidar_table(name: str) -> LidarTable:
+    """A built-in table of what LiDARs find."""
+    document = load_toml(files(__package__) / "data" / f"{name}.toml")
+    of_class = [document[document["stands_for"].get(one, one)] for one in VRU_CLASSES]
+    return LidarTable(
+        name=name,
+        distance_m=tuple(tuple(one["distance_m"]) for one in of_class),
+        recall=tuple(tuple(one["recall"]) for one in of_class),
+        frame_correlation=tuple(one["frame_correlation"][0] for one in of_class),
+        plan_probability=document["plan_probability"],
+    )
 
 
 @cache
@@ -402,7 +447,11 @@ def load_planning_detector(name: str = "geometric") -> PlanningDetector:
     if name == "response":
         return _read_response(_source(), _defaults(), name=name)
     limits = read_table(table, dict[str, float], f"{_FILE}: {name}")
-    return GeometricDetector(min_iou=load_min_iou(), **limits)
+    return GeometricDetector(
+        min_iou=load_min_iou(),
+        min_box_height_px=limits["min_box_height_px"],
+        min_contrast=limits["min_contrast"],
+    )
 
 
 def _source() -> Traversable:
@@ -434,6 +483,7 @@ def _read_response(source: Path | Traversable, document: Table, *, name: str) ->
         return ResponseDetector(
             name=name,
             assumed=assumed,
+            assumed_figures=_read_assumed_figures(table),
             false_tracks_per_hour=_read_alarms(document),
             seen_share=shares,
             recall=recall,
@@ -460,6 +510,17 @@ def _read_classes(table: Table) -> tuple[dict[str, float], tuple[str, ...]]:
     whole = {**{name: given[name] for name in missing}, **table}
     factors = {key: take_number(whole, key, "response") for key in VRU_CLASSES}
     return factors, tuple(name for name in VRU_CLASSES if name in (*named, *missing))
+
+
+def _read_assumed_figures(table: Table) -> tuple[str, ...] | None:
+    key = "assumed_figures"
+    if key not in table:
+        return None
+    names = take_list(table, key, "response")
+    for name in names:
+        if name not in _FIGURES:
+            raise InputError(key, name, "one of " + ", ".join(_FIGURES))
+    return tuple(names)
 
 
 def _read_alarms(document: Table) -> Interval | None:

@@ -135,8 +135,76 @@ def is_matched(detections: Detections, truth_px: FloatArray, *, min_iou: float) 
     return matched
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LidarTable:
+    """What a detector finds in the points of a LiDAR, of those on whom there are enough of them.
+
+    Of each class, in the order of ``VRU_CLASSES``: shares found at `distance_m`, straight lines
+    between, and the correlation between the random draws of consecutive frames.
+    """
+
+    name: str
+    distance_m: tuple[tuple[float, ...], ...]
+    recall: tuple[tuple[float, ...], ...]
+    frame_correlation: tuple[float, ...]
+    plan_probability: float  # a plan counts on a detection from this probability on
+
+    @property
+    def description(self) -> str:
+        """When it detects, in a sentence."""
+        return (
+            f" What LiDARs find of those on whom there are enough points is drawn by {self.name}, "
+            "by class and distance; the detection table counts on frames with a probability of at "
+            f"least {self.plan_probability:g}."
+        )
+
+    def probability(self, distance_m: FloatArray, vru_class: IntArray) -> FloatArray:
+        """Probability of a detection on the ground so far away, (n,)."""
+        curves = zip(self.distance_m, self.recall, strict=True)
+        by_class = [np.interp(distance_m, far, shares) for far, shares in curves]
+        chosen: FloatArray = np.choose(vru_class, by_class)
+        return chosen
+
+    def is_expected(self, distance_m: FloatArray, vru_class: IntArray) -> BoolArray:
+        """Rows that are detected with at least `plan_probability`, (n,)."""
+        return self.probability(distance_m, vru_class) >= self.plan_probability
+
+    def detect(
+        self,
+        distance_m: FloatArray,
+        vru_class: IntArray,
+        draw_index: IntArray,
+        rng: np.random.Generator,
+    ) -> BoolArray:
+        """Draw which rows are detected, (n,); those of the same `draw_index` share their draw."""
+        from scipy.special import ndtr
+
+        draws, first, row_draw = np.unique(draw_index, return_index=True, return_inverse=True)
+        links = np.array(self.frame_correlation)[vru_class[first]]
+        chance = ndtr(linked_noise(draws, links, rng))[row_draw]
+        found: BoolArray = chance < self.probability(distance_m, vru_class)
+        return found
+
+
+def linked_noise(
+    draws: IntArray, correlation: float | FloatArray, rng: np.random.Generator
+) -> FloatArray:
+    """Standard normal numbers, each correlated with that of the frame before, (n,)."""
+    fresh = rng.standard_normal(len(draws))
+    linked = fresh.copy()
+    links = np.broadcast_to(correlation, len(draws))
+    steps = np.sqrt(1.0 - links**2)
+    for index in np.flatnonzero(np.diff(draws) == 1) + 1:
+        linked[index] = links[index] * linked[index - 1] + steps[index] * fresh[index]
+    return linked
+
+
 class Detector(Protocol):
     """Image evidence in, boxes with confidence out."""
+
+    @property
+    def lidar(self) -> LidarTable | None:
+        """What LiDARs find beyond the rule that enough points are found; None: just that."""
 
     @property
     def name(self) -> str:

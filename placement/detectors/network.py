@@ -22,7 +22,7 @@ from geometry.errors import InputError, MissingExtraError, Unquoted
 from geometry.files import check_file, load_toml, take
 from geometry.image_boxes import clip_boxes, iou
 
-from .evidence import VRU_CLASSES, Crop, Detections, Evidence, Image, load_min_iou
+from .evidence import VRU_CLASSES, Crop, Detections, Evidence, Image, LidarTable, load_min_iou
 
 # ---------- outputs of exported detectors, recognised by their names, shapes and types
 
@@ -577,6 +577,7 @@ class NetworkDetector:
     looks_at_crops: bool = False
     plans_with: str = "geometric"  # the built-in detector by which poses are chosen
     alarm_words: str = ""  # how often it confirms what is not there, if that was measured
+    lidar: LidarTable | None = None
 
     needs_shares = False
     needs_pictures = True
@@ -590,6 +591,7 @@ class NetworkDetector:
             f"count from a confidence of {self.min_confidence:g} on where they overlap the road "
             f"user's visible part by more than {load_min_iou():g} (intersection over union). Poses "
             f"are chosen {_CHOSEN_BY[self.plans_with]}.{self.alarm_words}"
+            f"{self.lidar.description if self.lidar else ''}"
         )
 
     def look(self, image: Image) -> ImageBoxes:

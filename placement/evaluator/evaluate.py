@@ -210,7 +210,26 @@ class _Watcher:
         seen = {key: future.result() for key, future in looks.items()}
         if by_vut:
             seen[VUT_KEY] = _join([future.result() for future in by_vut])
-        return seen, {key: future.result() for key, future in scans.items()}
+        poses = {key: unit.pose.position_m[:2] for key, unit in units.items()}
+        scanned = {key: self._find_in_points(key, f.result(), poses) for key, f in scans.items()}
+        return seen, scanned
+
+    def _find_in_points(
+        self, key: UnitKey, is_enough: BoolArray, poses: Mapping[UnitKey, FloatArray]
+    ) -> BoolArray:
+        """Of the frames with enough points on the VRU those in which the detector finds it."""
+        table, runs = self._setting.detector.lidar, self._setting.runs
+        if table is None:
+            return is_enough
+        vru = np.concatenate([run.vru_position_m[:, :2] for run in runs])
+        eye = poses.get(key)
+        if eye is None:
+            eye = np.concatenate([run.vut_position_m[:, :2] for run in runs])
+        around = self._surroundings
+        rng = build_rng(self._seed, key, table.name)
+        distance = np.hypot(*(vru - eye).T)
+        found = table.detect(distance, around.vru_class, around.draw_index, rng)
+        return is_enough & found
 
     def find(
         self, looks: Mapping[UnitKey, Evidence], units: Mapping[UnitKey, CandidatePose]

@@ -16,7 +16,7 @@ from .evaluate import (
     take_units,
 )
 from .files import FrameKey, WrittenDrive, load_format, write_folder, write_recording
-from .formats import read_boxes
+from .formats import find_format, read_boxes
 from .read import Drive, Recording, read_recording
 
 __all__ = [
@@ -27,6 +27,7 @@ __all__ = [
     "Recording",
     "WrittenDrive",
     "evaluate_recording",
+    "find_format",
     "is_longitudinal",
     "load_format",
     "read_boxes",

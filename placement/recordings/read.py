@@ -28,6 +28,7 @@ from .files import (
     read_labels,
     read_world,
 )
+from .formats import STUDY, find_format
 
 NO_WORLD = "frames without WorldData"
 OTHER_LABELS = "labels of other classes"
@@ -247,6 +248,10 @@ def read_recording(folder: Path) -> Recording:
     a folder is missing or holds no frame, a line is not what it should be, Eval names a unit that
     has no folder, or nothing remains that could be judged.
     """
+    name = find_format(folder)
+    if name != STUDY:
+        expected = "the study's folder, which has a car that brakes (detector fit reads others)"
+        raise InputError(str(folder), Unquoted(name), expected)
     form = load_format()
     skipped: Counter[str] = Counter()
     units, has_vut = _find_units(folder, form, skipped)

@@ -77,6 +77,11 @@ def read_wildtrack(folder: Path) -> tuple[RecordedBoxes, ...]:
     return tuple(gather_boxes(folder, of_view) for of_view in rows)
 
 
+def is_wildtrack(folder: Path) -> bool:
+    """True for a folder with files that are named as those of frames."""
+    return any(_NAME.fullmatch(path.name) for path in folder.iterdir())
+
+
 def _files(folder: Path) -> list[Path]:
     """Files of the frames, in order."""
     try:

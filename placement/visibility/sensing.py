@@ -385,4 +385,7 @@ def _detect_echoes(
         math.sin(math.radians(0.5 * lidar.vertical_fov_deg)) + _SLACK_LIMIT,
         found,
     )
+    table = sensing.detector.lidar
+    if table is not None:
+        found &= table.is_expected(np.hypot(*sensing.middle_m[:, :2].T), vru_class)
     return found

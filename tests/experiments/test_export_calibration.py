@@ -239,3 +239,27 @@ def test_vcd_reads_openlabel_by_its_schema_and_projects_alike(build, tmp_path):
         own = transform @ np.column_stack([points_m, np.ones(len(points_m))]).T
         found, _ = scene.get_camera(unit.id, compute_remaps=False).project_points3d(own)
         np.testing.assert_allclose(found[:2].T, expected_px(unit, points_m), atol=1e-6)
+
+
+def test_a_calibration_is_written_for_ros_with_its_lens(run, tmp_path):
+    path = tmp_path / "north.xml"
+    path.write_text(
+        "<opencv_storage><camera_matrix><data>1743 0 934 0 1735 444 0 0 1</data></camera_matrix>"
+        "<distortion_coefficients><data>-0.4 0.6 0.008 0.001 -0.6</data></distortion_coefficients>"
+        "</opencv_storage>"
+    )
+    asked = ("export", "--calibration", path, "--size", 1920, 1080, "--quiet", "--format")
+    code, out, err = run(*asked, "ros")
+    assert (code, err) == (0, "")
+    (document,) = yaml.safe_load_all(out)
+    assert document["distortion_coefficients"]["data"] == [-0.4, 0.6, 0.008, 0.001, -0.6]
+    assert (document["unit"], document["distortion_model"]) == ("north", "plumb_bob")
+    (tmp_path / "north.yaml").write_text(run(*asked, "opencv")[1])
+    again = run("export", "--calibration", tmp_path / "north.yaml", "--quiet", "--format", "ros")
+    assert again == (0, out, "")
+    assert run(*asked, "carla")[::2] == (
+        2,
+        "place-rsus: --format: got carla beside --calibration; expected opencv or ros\n",
+    )
+    both = run(*asked, "ros", "--layout", "carlancap-12")
+    assert both[2] == "place-rsus: --calibration: got it with --layout; expected one of them\n"

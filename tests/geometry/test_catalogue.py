@@ -115,3 +115,18 @@ def test_real_cameras_have_the_angles_of_their_calibration():
         camera = load_cameras()[name]
         angle_deg = 2.0 * np.degrees(np.arctan(0.5 * camera.width_px / focal_px))
         assert camera.horizontal_fov_deg == pytest.approx(angle_deg, abs=0.05)
+
+
+@pytest.mark.parametrize("field", ["k1", "distortion_coefficients"])
+def test_a_lens_that_distorts_is_refused_and_not_passed_over(field, tmp_path):
+    path = tmp_path / "own.toml"
+    path.write_text(
+        "[cameras.a]\nwidth_px = 9\nheight_px = 9\nhorizontal_fov_deg = 50.0\nnear_m = 0.5\n"
+        f"frame_rate_hz = 10.0\nprice_eur = 1.0\n{field} = 0.1\n"
+    )
+    with pytest.raises(InputError) as caught:
+        load_catalogue(path)
+    assert str(caught.value) == (
+        f"{path}: cameras.a.{field}: got 0.1; expected no such field: cameras that are planned are "
+        "ideal pinholes"
+    )

@@ -9,6 +9,7 @@ from geometry.errors import InputError
 from geometry.lenses import (
     BrownConrady,
     CalibratedCamera,
+    Fisheye,
     TsaiRadial,
     ground_points,
     project_distorted,
@@ -115,3 +116,31 @@ def test_a_matrix_that_is_no_rotation_is_refused():
             R_camera_world=np.ones((3, 3)),
             position_m=np.zeros(3),
         )
+
+
+@given(st.tuples(*[numbers(-0.1, 0.1)] * 4), st.tuples(*[numbers(-1.0, 1.0)] * 3))
+def test_a_fisheye_agrees_with_opencv_wherever_the_lens_keeps_the_order(terms, turn):
+    rotation, _ = cv2.Rodrigues(np.array(turn))
+    k = np.array([[500.0, 0, 640], [0, 490.0, 360], [0, 0, 1]])
+    camera = CalibratedCamera(
+        width_px=1280,
+        height_px=720,
+        fx_px=500.0,
+        fy_px=490.0,
+        cx_px=640.0,
+        cy_px=360.0,
+        R_camera_world=rotation,
+        position_m=np.zeros(3),
+        lens=Fisheye(**dict(zip(("k1", "k2", "k3", "k4"), terms, strict=True))),
+    )
+    ours = project_distorted(POINTS, camera)[:, :2]
+    theirs, _ = cv2.fisheye.projectPoints(
+        POINTS[:, None], np.array(turn)[:, None], np.zeros((3, 1)), k, np.array(terms)
+    )
+    shown = ~np.isnan(ours[:, 0])
+    assert ours[shown] == pytest.approx(theirs[shown, 0], rel=1e-7, abs=1e-6)
+    in_camera = POINTS @ rotation.T
+    straight = (in_camera[:, 2] > 0) & (
+        np.hypot(*in_camera[:, :2].T) < 0.3 * in_camera[:, 2]
+    )  # so near the axis these terms turn nothing round
+    assert shown[straight].all()

@@ -1,9 +1,9 @@
-"""Pages of drawn pictures, and how much drawn people look like people.
+"""Pages of drawn pictures, photographs, and how much drawn people look like people.
 
 ``python -m experiments.perception_lab.training.pictures sheet`` puts forty of them on one
-page. ``.. judge`` shows many to a detector that was trained on photographs by others, the people
-detector of OpenCV, which is no dependency of the program: it comes with ``uv run
---no-default-groups --group judge python -m ..``.
+page. ``.. photographs FOLDER`` shows photographs to the shipped network. ``.. judge`` shows many to
+a detector that was trained on photographs by others, the people detector of OpenCV, which is no
+dependency of the program: it comes with ``uv run --no-default-groups --group judge python -m ..``.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -19,8 +19,11 @@ from PIL import Image, ImageDraw
 from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError, Unquoted
 from geometry.image_boxes import box_height_px, iou
+from placement.detectors import load_detector, load_min_iou
 from placement.detectors.fitting import poisson, wilson
+from placement.detectors.network import NetworkDetector
 from placement.question import Question
+from placement.recordings.boxes import read_lines
 from placement.setting import Setting, build_setting
 
 from ...results.numbers import percent
@@ -302,6 +305,72 @@ def _line(name: str, found: BoolArray, alarms: str = "") -> str:
     return f"| {name} | {' | '.join(figures)}{percent(share.high)} | {alarms} |"
 
 
+# ---------- photographs, shown to a network
+
+
+_KITTI_OBJECT = ("type", "truncated", "occluded", "alpha", "left", "top", "right", "bottom") + (
+    *("height", "width", "length", "x", "y", "z", "yaw", "score"),
+)
+_SIDES = ("left", "top", "right", "bottom")
+_FINDERS = {"pedestrian": ("person",), "cyclist": ("cyclist", "person"), "motorcyclist": ()}
+"""By what is labelled: which boxes of a network find it; on a motorcyclist none is a false one."""
+
+
+def photographs_text(folder: Path, network: NetworkDetector) -> str:
+    """What a network finds in photographs with KITTI's labels, as Markdown.
+
+    FOLDER has ``image_2/NAME.jpg`` or ``.png`` and ``label_2/NAME.txt``. Raises InputError: there
+    is none, or a picture or a line of labels is not what it should be.
+    """
+    labels = sorted((folder / "label_2").glob("*.txt"))
+    if not labels:
+        raise InputError(str(folder / "label_2"), Unquoted("no labels"), "files NAME.txt")
+    height: dict[str, list[float]] = {name: [] for name in _FINDERS}
+    found: dict[str, list[bool]] = {name: [] for name in _FINDERS}
+    n_boxes = n_alarms = 0
+    for path in labels:
+        seen = network.look(_photograph(folder / "image_2", path.stem))
+        seen = seen.take(np.flatnonzero(seen.confidence >= network.min_confidence))
+        kinds = np.array([seen.kinds.get(one, "") for one in seen.class_ids.tolist()])
+        is_on = np.zeros(len(kinds), dtype=bool)
+        for fields in read_lines(path, _KITTI_OBJECT, separator=None, least=8):
+            name = fields.words["type"].lower()
+            if name not in _FINDERS:
+                continue
+            box = np.array([fields.box(_SIDES)])
+            is_over = (iou(box, seen.boxes_px) > load_min_iou()).reshape(-1)
+            is_on |= is_over
+            height[name].append(float(box_height_px(box)[0]))
+            found[name].append(bool((is_over & np.isin(kinds, _FINDERS[name])).any()))
+        n_boxes += len(kinds)
+        n_alarms += int((~is_on).sum())
+    lines = [
+        f"{len(labels)} photographs; boxes of confidence {network.min_confidence:g} and more: "
+        f"{n_boxes}, of them on nobody: {n_alarms}.",
+        "",
+        "| labelled | number | height | found |",
+        "| --- | --- | --- | --- |",
+    ]
+    for name in ("pedestrian", "cyclist"):
+        if found[name]:
+            low, high = min(height[name]), max(height[name])
+            lines.append(
+                f"| {name} | {len(found[name])} | {low:.0f} to {high:.0f} px | {sum(found[name])} |"
+            )
+    return "\n".join(lines) + "\n"
+
+
+def _photograph(folder: Path, stem: str) -> NDArray[np.uint8]:
+    for path in (folder / f"{stem}.jpg", folder / f"{stem}.png"):
+        if path.exists():
+            try:
+                with Image.open(path) as picture:
+                    return np.asarray(picture.convert("RGB"))
+            except (OSError, ValueError, Image.DecompressionBombError) as error:
+                raise InputError(str(path), Unquoted(error), "a picture") from None
+    raise InputError(str(folder / stem), Unquoted("no picture"), f"{stem}.jpg or {stem}.png")
+
+
 # ---------- commands
 
 
@@ -354,6 +423,17 @@ def judge_command(
         tell=_tell,
     )
     out.write_text(text, encoding="utf-8")
+
+
+@main.command()
+@click.argument("folder", type=click.Path(path_type=Path))
+@click.option("--detector", default="cnn", show_default=True, help="cnn, or an .onnx file.")
+def photographs(*, folder: Path, detector: str) -> None:
+    """Show photographs with KITTI's labels to a network: image_2/ and label_2/ in FOLDER."""
+    network = load_detector(detector, where="--detector")
+    if not isinstance(network, NetworkDetector):
+        raise InputError("--detector", detector, "cnn, or an .onnx file")
+    click.echo(photographs_text(folder, network), nl=False)
 
 
 def _tell(words: str) -> None:

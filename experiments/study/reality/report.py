@@ -15,7 +15,12 @@ from geometry.arrays import BoolArray, FloatArray
 from geometry.files import load_toml
 from geometry.lidar import load_lidar_detection
 from placement.detectors.evidence import Interval
-from placement.detectors.fitting import ResponseFit, fit_lasting_share, share_by_track
+from placement.detectors.fitting import (
+    ResponseFit,
+    fit_lasting_share,
+    fit_response,
+    share_by_track,
+)
 
 from ...perception_lab.fit import table_text
 from ...results.numbers import number, percent
@@ -504,22 +509,36 @@ def tables(m: Measured) -> dict[str, str]:
         f"# Recalls of {m.lidar.detector}, {m.lidar.year}, on KITTI tracking, even sequences "
         f"({m.lidar.source}).",
         f"# {COMMAND}",
-        "# Found: image boxes overlap by more than half. Lists: value, 95 % interval, frames, "
-        "tracks. Whether somebody is hidden is not told apart.",
+        "# Found: image boxes overlap by more than half. Whether somebody is hidden is not told "
+        "apart.",
+    ]
+    lines += [
+        "# Classes of which nothing was measured are found as others are: assumption.",
+        'stands_for = { child = "pedestrian", motorcyclist = "cyclist", car = "cyclist" }',
+        "plan_probability = 0.5 # assumption",
+        "# Recall by the middles of tens of metres, the last of 40 m and more; straight lines "
+        "between: assumption.",
     ]
     for name, one in (("pedestrian", m.lidar), ("cyclist", m.lidar_cyclists)):
-        phi_ = phi(one.sightings)
+        groups = recalls(one, one.distance_m, DISTANCE_EDGES_M, "m")
+        rows = np.array([(g.measured.value, g.measured.low, g.measured.high) for g in groups])
+        shares = {"recall": rows[:, 0], "recall_low": rows[:, 1], "recall_high": rows[:, 2]}
+        link = fit_response(one.sightings, name=name).intervals["frame_correlation"]
         lines += [
             "",
             f"[{name}]",
-            f"phi_of_frames = [{phi_.value:.3g}, {phi_.low:.3g}, {phi_.high:.3g}] # 10 Hz",
+            f"distance_m = {[5.0 + float(g.words.split()[0]) for g in groups]}",
+            *(f"{key} = {[float(f'{v:.3g}') for v in of_all]}" for key, of_all in shares.items()),
+            f"frames = {[g.frames for g in groups]}",
+            f"tracks = {[g.tracks for g in groups]}",
+            "# as in response tables, and of found or not; value, 95 % interval; 10 Hz",
+            f"frame_correlation = {_three(link)}",
+            f"phi_of_frames = {_three(phi(one.sightings))}",
             f"false_boxes_per_frame = {one.alarms.per_picture.value:.3g}",
-            f"[{name}.recall_by_distance_m]",
-            *(
-                f'"{g.words}" = [{g.measured.value:.3g}, {g.measured.low:.3g}, '
-                f"{g.measured.high:.3g}, {g.frames}, {g.tracks}]"
-                for g in recalls(one, one.distance_m, DISTANCE_EDGES_M, "m")
-            ),
         ]
     written["pointrcnn-2019.toml"] = "\n".join(lines) + "\n"
     return written
+
+
+def _three(figure: Interval) -> list[float]:
+    return [float(f"{value:.3g}") for value in (figure.value, figure.low, figure.high)]

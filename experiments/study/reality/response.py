@@ -11,8 +11,7 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.files import read_text
 from geometry.lenses import ground_points
 from placement.detectors import ResponseDetector, load_planning_detector
-from placement.detectors.built_in import linked_noise
-from placement.detectors.evidence import Interval
+from placement.detectors.evidence import Interval, linked_noise
 from placement.detectors.fitting import (
     FalseAlarms,
     ResponseFit,

@@ -162,5 +162,5 @@ def test_a_bad_recording_is_one_line(run, recording):
     assert run("evaluate", "--recording", "nowhere", "--quiet") == (
         2,
         "",
-        "place-rsus: nowhere: got No such file or directory; expected a folder with a recording\n",
+        "place-rsus: nowhere: got No such file or directory; expected a recording\n",
     )

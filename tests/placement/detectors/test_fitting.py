@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal
 
 from geometry.errors import InputError
 from placement.detectors import load_planning_detector
-from placement.detectors.built_in import linked_noise
+from placement.detectors.evidence import linked_noise
 from placement.detectors.fitting import (
     Sightings,
     fit_lasting_share,

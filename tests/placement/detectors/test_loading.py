@@ -1,3 +1,4 @@
+from dataclasses import replace
 from importlib.resources import files
 
 import numpy as np
@@ -7,6 +8,7 @@ from geometry.errors import InputError
 from geometry.files import load_toml
 from placement.detectors import (
     DETECTOR_NAMES,
+    VRU_CLASSES,
     GeometricDetector,
     ResponseDetector,
     load_detector,
@@ -71,7 +73,7 @@ def test_detectors_are_found_by_name():
 def test_an_unknown_name_lists_the_known_ones():
     assert _message("best", where="--detector") == (
         "--detector: got 'best'; expected geometric, response, pole-2015, car-2019, cnn-table, "
-        "cnn, a .toml file with a response table, or an .onnx file"
+        "cnn, pointrcnn-2019, a .toml file with a response table, or an .onnx file"
     )
 
 
@@ -80,7 +82,7 @@ def test_a_file_of_another_kind_is_refused_even_if_it_is_there(write, name):
     path = write(TABLE, name)
     assert _message(path) == (
         f"detector: got {str(path)!r}; expected geometric, response, pole-2015, car-2019, "
-        "cnn-table, cnn, a .toml "
+        "cnn-table, cnn, pointrcnn-2019, a .toml "
         "file with a response table, or an .onnx file"
     )
 
@@ -291,6 +293,67 @@ def test_tables_of_real_recordings_find_as_many_as_was_measured(name, height_px,
 def test_what_the_lidars_table_holds_is_a_share_with_its_interval():
     table = load_toml(files("placement.detectors") / "data" / "pointrcnn-2019.toml")
     for name in ("pedestrian", "cyclist"):
-        for value, low, high, frames, tracks in table[name]["recall_by_distance_m"].values():
-            assert 0.0 <= low <= value <= high <= 1.0
-            assert frames >= tracks >= 1
+        of = table[name]
+        shares = np.array([of["recall_low"], of["recall"], of["recall_high"]])
+        assert (np.diff(shares, axis=0) >= 0.0).all()
+        assert ((shares >= 0.0) & (shares <= 1.0)).all()
+        assert (np.array(of["frames"]) >= of["tracks"]).all()
+
+
+def test_a_lidars_table_stands_behind_a_cameras():
+    both = load_detector("pole-2015+pointrcnn-2019")
+    camera = load_detector("pole-2015")
+    assert (both.name, both.lidar.name) == ("pole-2015+pointrcnn-2019", "pointrcnn-2019")
+    assert both.recall.tolist() == camera.recall.tolist()
+    assert both.fingerprint() == (*camera.fingerprint(), both.lidar)
+    alone = load_detector("pointrcnn-2019")
+    assert alone.name == "geometric+pointrcnn-2019"
+    assert replace(alone, lidar=None, name="geometric") == load_detector()
+    for name in ("pole-2015+car-2019", "+pole-2015", "pole+pointrcnn-2019"):
+        with pytest.raises(InputError, match=r"car-2019, cnn-table, cnn, pointrcnn-2019, a \.toml"):
+            load_detector(name)
+
+
+def test_what_is_found_in_points_is_drawn_with_the_tables_shares_and_correlation():
+    table = load_detector("pointrcnn-2019").lidar
+    classes = np.repeat([0, VRU_CLASSES.index("cyclist")], 20_000)
+    distance = np.repeat([15.0, 25.0, 15.0, 45.0], 10_000)
+    found = table.detect(distance, classes, np.arange(40_000), np.random.default_rng(1))
+    shares = found.reshape(4, -1).mean(axis=1)
+    assert shares == pytest.approx([0.756, 0.545, 0.936, 0.667], abs=0.03)
+    # A miss follows a miss more often than not, as in the recording (phi 0.66).
+    first = found[:10_000]
+    assert 0.45 < np.corrcoef(first[1:], first[:-1])[0, 1] < 0.7
+    # The table counts pedestrians nearer than 26 m, and all cyclists.
+    assert table.is_expected(np.array([25.0, 26.0]), np.zeros(2, int)).tolist() == [True, False]
+    assert table.is_expected(distance[20_000:], classes[20_000:]).all()
+    weathers = table.detect(distance[:2], classes[:2], np.zeros(2, int), np.random.default_rng(1))
+    assert weathers[0] == weathers[1]
+
+
+def test_a_table_says_which_of_its_figures_are_measured(write):
+    """So do the built-in ones; a file without the list does not say."""
+    assert load_detector("response").figures_words == (
+        "Of the 14 figures of response 4 are measured; assumed: child, cyclist, motorcyclist, car, "
+        "height_half_px, height_steepness, min_box_height_px, contrast_half, contrast_steepness, "
+        "cyclist_end_on."
+    )
+    assert load_detector("pole-2015").figures_words.startswith(
+        "Of the 14 figures of pole-2015 7 are measured; assumed: child, cyclist, motorcyclist, car,"
+    )
+    mine = load_detector(str(write(TABLE)))
+    assert mine.figures_words == "mine.toml does not say which of its figures are measured."
+    listed = TABLE + 'assumed_figures = ["recall"]\n'
+    assert "11 are measured; assumed: recall, motorcyclist, car." in (
+        load_detector(str(write(listed))).figures_words
+    )
+    assert "mine.toml:18: assumed_figures: got 'x'; expected one of recall, pedestrian" in (
+        _message(write(TABLE + 'assumed_figures = ["x"]\n'))
+    )
+
+
+def test_what_response_has_from_recordings_is_the_middle_of_their_tables():
+    response, *tables = map(load_detector, ("response", "pole-2015", "car-2019"))
+    for name, digits in (("frame_correlation", 2), ("box_noise_share", 2)):
+        middle = np.mean([getattr(one, name) for one in tables])
+        assert getattr(response, name) == pytest.approx(middle, abs=0.51 * 10.0**-digits)

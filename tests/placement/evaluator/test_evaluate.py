@@ -352,6 +352,20 @@ def test_luck_depends_on_the_seed_and_on_nothing_else(build_layout, real):
     assert (other.vut.detected != whole.vut.detected).any()
 
 
+def test_a_lidars_table_finds_some_of_those_with_enough_points(build_layout, real):
+    setting, x_m = real
+    setting = replace(setting, vut_sensors=("camera", "lidar"))
+    layout = build_layout("l", "m", x_m=x_m, sensor=LIDAR)
+    by_points = evaluate_layout(layout, setting)
+    drawn = evaluate_layout(layout, replace(setting, detector=load_detector("pointrcnn-2019")))
+    for name, verdict in by_points.units.items():
+        found = drawn.units[name].detected[verdict.detected]
+        assert (drawn.units[name].detected <= verdict.detected).all()
+        assert 0.8 < found.mean() < 1.0  # cyclists
+    assert (drawn.units["l"].detected != drawn.units["m"].detected).any()
+    assert (drawn.vut.detected < by_points.vut.detected).any()
+
+
 def test_what_is_missed_by_day_is_missed_at_night_and_in_fog(build_layout, build_setting, real):
     """The same frame has the same luck in every weather: only the weather makes the difference."""
     setting, x_m = real

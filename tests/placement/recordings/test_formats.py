@@ -6,6 +6,7 @@ from readers import READERS
 
 from geometry.errors import InputError
 from geometry.lenses import project_distorted
+from placement.recordings import find_format, read_recording
 from placement.recordings.boxes import IGNORE
 from placement.recordings.cvml import read_tsai
 from placement.recordings.formats import read_boxes
@@ -119,7 +120,7 @@ def test_own_motion_is_read_by_frame(tmp_path):
         ("0,-1,1,2,3,4,0.5", "F:1: frame: got '0'; expected a finite number, 1 .. 1e+08"),
         ("1.5,-1,1,2,3,4,0.5", "F:1: frame: got '1.5'; expected a whole number"),
         ("1,2,1,2,3,4,0.5", "F:1: conf: got 0.5; expected 0 or 1 where there is an id"),
-        ("1,2", "F:1: got 2 fields; expected CVML, or lines of MOT challenge, KITTI"),
+        ("1,2", "F:1: got 2 fields; expected the study's folder, or one of CVML, MOT challenge"),
         ("0 1 Bear 0 0 0 1 2 3 4 0 0 0 0 0 0 0", "F:1: type: got 'Bear'; expected one of Ped"),
         ("0 1 Car 0 0 0 1 2 3", "F:1: got 9 fields; expected 17 fields: frame track type"),
         ("3,1,2,3,4,0.5\n2,1,2,3,4,0.5", "F:2: got frame 2; expected frames in order"),
@@ -194,3 +195,50 @@ def test_calibrations_that_are_cut_off_or_impossible_are_told(tmp_path):
     assert refused(read_kitti_motion, tmp_path / "oxts.txt", lines[:-20]).startswith(
         "F:2: got 25 fields; expected 30 fields"
     )
+
+
+def test_a_recording_says_which_format_it_is_in(tmp_path):
+    for kind, name in (
+        ("cvml", "CVML"),
+        ("mot gt", "MOT challenge"),
+        ("kitti", "KITTI"),
+        ("rrc", "RRC"),
+        ("pointrcnn", "PointRCNN"),
+        ("wildtrack", "WILDTRACK"),
+    ):
+        (tmp_path / kind).mkdir()
+        path = put(tmp_path / kind, "recorded boxes", kind)
+        assert find_format(path) == name
+        if path.is_file():  # the name does not count
+            assert find_format(path.rename(tmp_path / "file")) == name
+    (tmp_path / "mot" / "gt").mkdir(parents=True)
+    (tmp_path / "mot" / "gt" / "gt.txt").touch()
+    (tmp_path / "study" / "WorldData").mkdir(parents=True)
+    (tmp_path / "coco").write_text('{"images": []}')
+    assert find_format(tmp_path / "mot") == "MOT challenge's folder"
+    assert find_format(tmp_path / "study") == "study"
+    assert find_format(tmp_path / "coco") == "COCO"
+    known = "CVML, MOT challenge, KITTI, RRC, PointRCNN, MOT challenge's folder, WILDTRACK, COCO"
+    known = f"expected the study's folder, or one of {known}"
+    (tmp_path / "none").mkdir()
+    assert (
+        refused(find_format, tmp_path / "none") == f"F: got a folder without their files; {known}"
+    )
+    assert refused(find_format, tmp_path / "a.txt", "\n1,2") == f"F:1: got 2 fields; {known}"
+    assert refused(read_recording, tmp_path / "coco") == (
+        "F: got COCO; expected the study's folder, which has a car that brakes "
+        "(detector fit reads others)"
+    )
+
+
+def test_tracks_that_jump_are_left_out_and_counted(tmp_path):
+    path = tmp_path / "gt.txt"
+    # 40 px high: 8 heights are 320 px a frame, and twice that over a frame that is missing.
+    rows = [(1, 1, 0), (2, 1, 320), (4, 1, 960), (1, 2, 0), (2, 2, 321), (3, 2, 330)]
+    path.write_text("".join(f"{f},{t},{x},9,30,40,1\n" for f, t, x in rows))
+    found = read_boxes(path)
+    assert found.left_out == {"tracks that jump": 1}
+    assert found.track.tolist() == [1, 1, 1]
+    assert found.take([0, 1]).left_out == found.left_out
+    path.write_text("1,-1,0,9,30,40,0.9\n2,-1,900,9,30,40,0.9\n")  # found: of no track
+    assert len(read_boxes(path)) == 2

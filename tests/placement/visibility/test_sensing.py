@@ -12,7 +12,12 @@ from geometry.lidar import (
     load_lidar_detection,
     load_lidars,
 )
-from placement.detectors import VRU_CLASSES, GeometricDetector, load_planning_detector
+from placement.detectors import (
+    VRU_CLASSES,
+    GeometricDetector,
+    load_detector,
+    load_planning_detector,
+)
 from placement.evaluator import perceive
 from placement.evaluator.perceive import perceive_from_roadside, scan_from_roadside
 from placement.evaluator.surroundings import build_surroundings
@@ -250,6 +255,24 @@ def test_only_the_part_inside_the_field_of_view_counts(mount, block_run, expecte
     away = expected_points(mount("a", [0.0, 0.0, 0.9], camera=SURE, yaw_deg=60.0), run)
     beyond = expected_points(mount("a", [0.0, 0.0, 0.9], camera=replace(SURE, range_m=7.0)), run)
     assert (away, beyond) == (0, 0)
+
+
+def test_a_lidars_table_leaves_of_those_with_enough_points_who_are_near_enough(
+    build_scene, random_runs, mount, table_of
+):
+    at = mount("a", [-30.0, -12.0, 6.0], yaw_deg=20.0, pitch_deg=-12.0, camera=SURE)
+    rule, table = load_planning_detector(), load_detector("pointrcnn-2019").lidar
+    half_at_30_m = replace(table, distance_m=((0.0, 60.0),) * 5, recall=((1.0, 0.0),) * 5)
+    by_points, found = (
+        table_of(build_scene(), [at], random_runs, replace(rule, lidar=lidar))[0]
+        for lidar in (None, half_at_30_m)
+    )
+    vru = np.concatenate([run.vru_position_m[:, :2] for run in random_runs])
+    distance = np.hypot(*(vru - at.pose.position_m[:2]).T)
+    clear = abs(distance - 30.0) > 0.5  # the table measures to the body's points
+    assert (found == (by_points & (distance < 30.0)))[clear].all()
+    assert found.any()
+    assert (found < by_points).any()
 
 
 @pytest.mark.parametrize("lidar", [STUDY, SURE], ids=["study", "sure"])

@@ -2,10 +2,12 @@
 
 import itertools
 import sys
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from experiments.perception_lab.training import pictures
 from experiments.perception_lab.training.crops import (
@@ -15,10 +17,12 @@ from experiments.perception_lab.training.crops import (
     look_around,
     save_crops,
 )
+from experiments.perception_lab.training.pictures import photographs_text
 from geometry.errors import InputError
 from geometry.image_boxes import iou
 from geometry.study_scene import load_study_scene
 from placement.detectors.evidence import VRU_CLASSES
+from placement.detectors.network import ImageBoxes
 from placement.question import Question
 from placement.setting import build_setting
 
@@ -133,3 +137,48 @@ def test_a_page_of_nothing_but_darkness_is_refused():
 def test_a_folder_without_crops_is_named(tmp_path):
     with pytest.raises(InputError, match=r"crops of adults, day, made by python -m exp"):
         pictures.draw_sheet(pictures.stored_looks(tmp_path, seed=0))
+
+
+def _label(kind, *sides):
+    return " ".join([kind, "0", "0", "0.1", *map(str, sides), *["0"] * 8]) + "\n"
+
+
+def test_photographs_with_labels_are_shown_to_a_network(tmp_path):
+    @dataclass
+    class Seen:
+        """Finds the red block whole, as a person, and a box at the upper left on nothing."""
+
+        min_confidence = 0.5
+
+        def look(self, image):
+            rows, columns = np.nonzero(image[..., 0] > 200)
+            block = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
+            boxes = np.array([block, [0, 0, 9, 9], block], dtype=float)
+            return ImageBoxes(boxes, np.array([0, 0, 1]), np.array([0.9, 0.6, 0.4]), {0: "person"})
+
+    picture = np.zeros((100, 200, 3), np.uint8)
+    picture[20:70, 50:70] = (255, 0, 0)
+    (tmp_path / "image_2").mkdir()
+    (tmp_path / "label_2").mkdir()
+    Image.fromarray(picture).save(tmp_path / "image_2" / "a.png")
+    labels = tmp_path / "label_2" / "a.txt"
+    labels.write_text(
+        _label("Pedestrian", 50, 20, 70, 70)
+        + _label("pedestrian", 100, 20, 120, 60)
+        + _label("cyclist", 55, 20, 70, 70)
+        + _label("Car", 0, 0, 9, 9)
+    )
+    text = photographs_text(tmp_path, Seen())
+    assert text.startswith(
+        "1 photographs; boxes of confidence 0.5 and more: 2, of them on nobody: 1."
+    )
+    assert "| pedestrian | 2 | 40 to 50 px | 1 |\n| cyclist | 1 | 50 to 50 px | 1 |" in text
+    labels.write_text("Pedestrian 0 0\n")
+    with pytest.raises(InputError, match=r"a\.txt:1: got 3 fields; expected 8 to 16 fields"):
+        photographs_text(tmp_path, Seen())
+    (tmp_path / "image_2" / "a.png").write_bytes(b"no picture")
+    with pytest.raises(InputError, match=r"a\.png: got cannot identify .*; expected a picture"):
+        photographs_text(tmp_path, Seen())
+    labels.unlink()
+    with pytest.raises(InputError, match="label_2: got no labels; expected files NAME"):
+        photographs_text(tmp_path, Seen())

@@ -1,0 +1,108 @@
+"""Calibrations with lenses, read, written and read again."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from readers import READERS
+from strategies import numbers, poses
+
+from experiments.export.calibration import of_calibrated
+from experiments.export.opencv import opencv_text
+from experiments.export.ros import ros_text
+from geometry.errors import InputError
+from geometry.lenses import BrownConrady, CalibratedCamera, Fisheye, TsaiRadial
+from geometry.poses import camera_rotation
+from placement.recordings.calibrations import read_cameras
+
+TERMS = st.tuples(*[numbers(-0.3, 0.3)] * 5)
+
+
+def camera_with(lens, pose):
+    return CalibratedCamera(
+        width_px=1280,
+        height_px=720,
+        fx_px=900.0,
+        fy_px=880.0,
+        cx_px=633.0,
+        cy_px=361.5,
+        R_camera_world=camera_rotation(pose.yaw_deg, pose.pitch_deg).T,
+        position_m=pose.position_m,
+        lens=lens,
+    )
+
+
+@given(pose=poses(), terms=TERMS, is_fisheye=st.booleans(), is_ros=st.booleans())
+def test_what_is_written_is_read_again(pose, terms, is_fisheye, is_ros, tmp_path_factory):
+    k1, k2, k3, k4, k5 = terms
+    lens = (
+        Fisheye(k1=k1, k2=k2, k3=k3, k4=k4)
+        if is_fisheye
+        else BrownConrady(k1=k1, k2=k2, p1=k3, p2=k4, k3=k5)
+    )
+    camera = camera_with(lens, pose)
+    named = [of_calibrated("north 1", camera), of_calibrated("south", camera)]
+    path = tmp_path_factory.mktemp("read") / "cameras.yaml"
+    path.write_text(ros_text(named) if is_ros else opencv_text(named, "both"))
+    found = read_cameras(path)
+    assert list(found) == ["north 1", "south"]
+    for one in found.values():
+        assert one.lens == lens
+        assert (one.width_px, one.height_px) == (1280, 720)
+        assert (one.fx_px, one.fy_px, one.cx_px, one.cy_px) == (900.0, 880.0, 633.0, 361.5)
+        assert one.R_camera_world == pytest.approx(camera.R_camera_world, abs=1e-9)
+        assert one.position_m == pytest.approx(pose.position_m, rel=1e-9, abs=1e-9)
+
+
+def test_files_of_others_are_told_apart(tmp_path):
+    for kind in ("tsai", "opencv", "kitti"):
+        entry, files = READERS["recorded calibrations"].seeds()[kind]
+        (tmp_path / entry).write_bytes(files[entry])
+    (tsai,) = read_cameras(tmp_path / "tsai.xml").values()
+    assert isinstance(tsai.lens, TsaiRadial)
+    (opencv,) = read_cameras(tmp_path / "intrinsic.xml", size_px=(1920, 1080)).values()
+    assert opencv.lens == BrownConrady(k1=-0.4, k2=0.6, p1=0.008, p2=0.001, k3=-0.6)
+    assert (opencv.R_camera_world == np.eye(3)).all()  # the file does not say
+    (kitti,) = read_cameras(tmp_path / "calib.txt", size_px=(1242, 375)).values()
+    assert kitti.lens == BrownConrady()
+    with pytest.raises(InputError, match=r"calib\.txt: got no size of pictures; expected their"):
+        read_cameras(tmp_path / "calib.txt")
+    with pytest.raises(InputError, match="tsai: lens: got Tsai's radial term; expected Brown-Con"):
+        ros_text([of_calibrated("tsai", tsai)])
+
+
+ROS = """image_width: 1280
+image_height: 720
+camera_matrix: {rows: 3, cols: 3, data: [900, 0, 640, 0, 900, 360, 0, 0, 1]}
+distortion_model: plumb_bob
+distortion_coefficients: {rows: 1, cols: 5, data: [0.1, 0, 0, 0, 0]}
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("plumb_bob", "rational_polynomial", ""),
+        ("data: [0.1, 0, 0, 0, 0]", "data: [0.1, 0, 0, 0, 0, 1, 0, 0]", "distortion_model: got"),
+        ("plumb_bob", "equidistant", "got 'equidistant with 5 terms'; expected plumb_bob, or 4"),
+        ("data: [0.1, ", "data: [[0.1], ", "distortion_coefficients: got 5 of another kind"),
+        ("[900, 0, 640", "[900, 1, 640", "camera_matrix: got [900.0, 1.0, 640.0"),
+        ("[900, 0, 640", "[-9, 0, 640", "fx_px: got -9.0; expected pixels, > 0"),
+        ("360, 0, 0, 1]}", "360, 0", "; expected a calibration in YAML"),
+        ("image_height: 720\n", "", "image_height: got nothing; expected 1 finite numbers"),
+        ("data: [900", "data: [.nan", "camera_matrix: got 9 of another kind or size"),
+        ("1280\n", "1280\ncameras: [1]\n", "cameras: got 1; expected maps with camera_matrix"),
+        ("1280\n", "1280\nstatic_transform: {transform: 1}\n", "translation: got nothing"),
+    ],
+)
+def test_what_is_wrong_in_a_calibration_is_one_line(old, new, words, tmp_path):
+    path = tmp_path / "camera.yaml"
+    assert old in ROS
+    path.write_text(ROS.replace(old, new))
+    if not words:
+        assert read_cameras(path)["camera"].lens == BrownConrady(k1=0.1)
+        return
+    with pytest.raises(InputError) as caught:
+        read_cameras(path)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
