@@ -1,0 +1,283 @@
+"""Exports, runs and proofs, judged by others' programs: ``python -m experiments.study.judges``.
+
+Needs the group ``judges`` and uv, which makes the environments of judges that cannot live in ours.
+"""
+
+import importlib.metadata
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import click
+import numpy as np
+
+from geometry.actors import load_actors
+from geometry.errors import MissingExtraError
+from geometry.files import write_atomically
+from geometry.study_scene import load_study_scene
+from placement.layout import load_carlancap_layout
+from scenarios.aeb import load_aeb_rule
+from scenarios.cases import load_cases
+from scenarios.runs import Run, build_runs
+
+APART = {
+    "xosc": ("asam-qc-openscenarioxml==1.0.0", "lxml<6"),
+    "touch": ("commonroad-drivability-checker==2025.4.0",),
+}
+"""Packages of each judge that has an environment of its own."""
+STEP_S = 0.01  # within which a judge has to find the impact
+_AFTER_S = 0.1  # how long bodies drive on behind the impact
+_EPSILON = 1.0e-6  # s, of times of frames
+_BARE_ROADS = '<OpenDRIVE><header revMajor="1" revMinor="7" name="bare"/></OpenDRIVE>'
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Judgement:
+    """What a judge says of a format: a row of ``results/judges.md``."""
+
+    what: str
+    judge: str
+    checked: str
+    result: str
+    is_passed: bool
+
+
+def judge_apart(kind: str, folder: Path) -> Any:
+    """Answer of a judge of :mod:`.judging_apart` in an environment that uv makes for it.
+
+    Raises MissingExtraError if there is no uv, or the environment cannot be made.
+    """
+    uv = shutil.which("uv")
+    if uv is None:
+        raise MissingExtraError(f"{APART[kind][0]} needs uv, which makes its environment")
+    given = [part for package in APART[kind] for part in ("--with", package)]
+    python = f"{sys.version_info.major}.{sys.version_info.minor}"
+    base = [
+        uv,
+        "run",
+        "--quiet",
+        "--isolated",
+        "--no-project",
+        "--python",
+        python,
+        *given,
+        "python",
+    ]
+    if subprocess.run([*base, "-c", ""], capture_output=True, check=False).returncode:
+        raise MissingExtraError(f"uv cannot make an environment with {', '.join(APART[kind])}")
+    script = Path(__file__).with_name("judging_apart.py")
+    done = subprocess.run(
+        [*base, str(script), kind, str(folder)], capture_output=True, check=True, text=True
+    )
+    return json.loads(done.stdout)
+
+
+def lay_all_cases() -> list[Run]:
+    """All runs of all cases at the study's junction by day."""
+    runs, _ = build_runs(
+        load_study_scene(),
+        list(load_cases().values()),
+        vut=load_actors()["vut"],
+        rule=load_aeb_rule(),
+    )
+    return list(runs)
+
+
+def judge_openscenario(runs: Sequence[Run]) -> Judgement:
+    """ASAM's checker on one run of every case."""
+    from ..export.openscenario import to_openscenario
+
+    firsts = {run.case.name: run for run in reversed(runs)}
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "roads.xodr").write_text(_BARE_ROADS, encoding="utf-8")
+        for case, run in firsts.items():
+            text = to_openscenario(run, road_network="roads.xodr")
+            (folder / f"{case}.xosc").write_text(text, encoding="utf-8")
+        said = judge_apart("xosc", folder)
+    statuses = ", ".join(f"{n} {status}" for status, n in sorted(said["checks"].items()))
+    return Judgement(
+        what="OpenSCENARIO 1.3",
+        judge=f"asam-qc-openscenarioxml {said['version']} (ASAM)",
+        checked=f"one run of each of {said['n']} cases beside a bare road network; {statuses}",
+        result=_issues(said["issues"]),
+        is_passed=not said["issues"] and set(said["checks"]) == {"completed"},
+    )
+
+
+def judge_impacts(runs: Sequence[Run], n_runs: int = 100) -> Judgement:
+    """First touch of both rectangles by CommonRoad's collision checker, in steps of 0.01 s."""
+    chosen = [runs[i] for i in np.linspace(0, len(runs) - 1, n_runs).round().astype(int)]
+    with TemporaryDirectory() as name:
+        for index, run in enumerate(chosen):
+            met = run.encounter
+            n_steps = round((_AFTER_S - run.time_s[0]) / STEP_S)
+            time_s = STEP_S * (np.arange(n_steps + 1) - n_steps) + _AFTER_S
+            pose = []
+            for motion in (met.vut_motion, met.vru_motion):
+                position_m, yaw_deg = motion.path.at(motion.distance_m(time_s))
+                pose.append(np.column_stack([position_m, np.radians(yaw_deg)]))
+            sizes = [[0.5 * body.length_m, 0.5 * body.width_m] for body in (met.vut, met.vru)]
+            path = Path(name) / f"{index}.npz"
+            np.savez(path, id=run.id, time_s=time_s, pose=np.array(pose), half_sizes=sizes)
+        said = judge_apart("touch", Path(name))
+    found = [np.inf if touch_s is None else touch_s for touch_s in said["touch_s"].values()]
+    off_s = np.abs(found)
+    return Judgement(
+        what="impact times",
+        judge=f"commonroad-drivability-checker {said['version']}",
+        checked=f"{len(found)} runs of all cases: first touch in steps of {STEP_S:g} s",
+        result=f"largest difference {off_s.max():.3f} s",
+        is_passed=len(found) == n_runs and bool(off_s.max() <= STEP_S + _EPSILON),
+    )
+
+
+def judge_openlabel() -> Judgement:
+    """openlabel-checker on the study's layout."""
+    from openlabel_checker.core import check_text  # type: ignore[import-not-found]
+
+    from ..export.openlabel import to_openlabel
+
+    report = check_text(to_openlabel(load_carlancap_layout()), "layout.json")
+    issues = [
+        f"{issue.severity.value}: {issue.message}" for o in report.outcomes for issue in o.issues
+    ]
+    return Judgement(
+        what="OpenLABEL 1.0",
+        judge=f"openlabel-checker {importlib.metadata.version('openlabel-checker')}",
+        checked=f"the study's 12 cameras; {len(report.outcomes)} checks, the schema among them",
+        result=_issues(issues),
+        is_passed=not issues,
+    )
+
+
+def _issues(issues: Sequence[str]) -> str:
+    return "no issue" if not issues else f"{len(issues)} issues; first: {issues[0]}"
+
+
+def judge_proof(path: Path = Path("results/budget-3"), limit_s: float = 3600.0) -> Judgement:
+    """SCIP on ``instance.npz``, read as docs/formats.md describes it, as a plain model.
+
+    Nothing of :mod:`placement` is called: no presolve, no bound, no rule of when a run is avoided.
+    """
+    from pyscipopt import Model  # type: ignore[import-not-found]
+
+    stage = json.loads((path / "certificate.json").read_text(encoding="utf-8"))["stages"][0]
+    with np.load(path / "instance.npz", allow_pickle=False) as file:
+        instance = dict(file)
+    model = Model()
+    model.hideOutput()
+    model.setParam("limits/time", limit_s)
+    _state_coverage(model, instance)
+    model.optimize()
+    apr, bound = model.getObjVal(), model.getDualbound()
+    same = abs(apr - stage["objective"]) < _EPSILON and abs(bound - stage["bound"]) < _EPSILON
+    return Judgement(
+        what="certificate.json, instance.npz",
+        judge=f"SCIP {model.version()} (pyscipopt {importlib.metadata.version('pyscipopt')})",
+        checked=f"APR of the main job, {stage['objective']:.9f}, as a plain model of "
+        f"{model.getNVars(transformed=False):,} variables and "
+        f"{model.getNConss(transformed=False):,} rows",
+        result=f"{model.getStatus()}: {apr:.9f}, bound {bound:.9f}",
+        is_passed=model.getStatus() == "optimal" and same,
+    )
+
+
+def _state_coverage(model: Any, instance: dict[str, Any]) -> None:
+    """Most APR of a problem of one world with budget and capacities; nothing else may be asked."""
+    from pyscipopt import quicksum
+
+    time_s, memory_s = instance["time_s"], float(instance["track_memory_s"]) + _EPSILON
+    n = int(instance["n_confirmations"])
+    sees = np.unpackbits(instance["packed"], axis=1, bitorder="little", count=len(time_s)) > 0
+    chosen = [model.addVar(vtype="B") for _ in sees]
+    model.addCons(quicksum(chosen) <= int(instance["budget_units"]))
+    for site, capacity in enumerate(instance["site_capacity"].tolist()):
+        poses = np.flatnonzero(instance["site_index"] == site)
+        model.addCons(quicksum(chosen[pose] for pose in poses) <= capacity)
+    frames: dict[bytes, Any] = {}  # those that the same poses see are one
+
+    def at_most(parts: Sequence[Any]) -> Any:
+        variable = model.addVar(ub=1.0)
+        model.addCons(variable <= quicksum(parts))
+        return variable
+
+    def seen(frame: int) -> Any:
+        poses = np.flatnonzero(sees[:, frame])
+        key = poses.tobytes()
+        if len(poses) and key not in frames:
+            frames[key] = at_most([chosen[pose] for pose in poses])
+        return frames.get(key)
+
+    avoided = []
+    for run, weight in enumerate(instance["weight"].tolist()):
+        moment_s = instance["last_brake_time_s"][run] - float(instance["latency_s"])
+        all_frames = np.arange(*instance["run_start"][run : run + 2])
+        timely = all_frames[time_s[all_frames] <= moment_s + _EPSILON]
+        is_seen, at_s = [seen(frame) for frame in timely], time_s[timely]
+        tracks, lives = [], None
+        for last in range(len(timely) - 1, n - 2, -1):
+            if moment_s - at_s[last] > memory_s:  # a detection has to follow in time
+                ahead = [
+                    one
+                    for one, then_s in zip(is_seen[last + 1 :], at_s[last + 1 :], strict=True)
+                    if one is not None and then_s <= at_s[last] + memory_s
+                ]
+                if not ahead:
+                    break
+                before, lives = lives, at_most(ahead)
+                if before is not None:
+                    model.addCons(lives <= before)
+            window = is_seen[last - n + 1 : last + 1]
+            if any(one is None for one in window):
+                continue
+            tracks.append(at_most([window[0]]))
+            for one in [*window[1:], *([] if lives is None else [lives])]:
+                model.addCons(tracks[-1] <= one)
+        if tracks:
+            avoided.append(weight * at_most(tracks))
+    model.setObjective(quicksum(avoided), "maximize")
+
+
+def describe(rows: Sequence[Judgement]) -> str:
+    """``results/judges.md``."""
+    lines = [
+        "# Judged by others",
+        "",
+        "`uv run --group judges python -m experiments.study.judges` wrote this page: programs of",
+        "others, those of who wrote the standards among them, on what this project writes.",
+        "",
+        "| format | judge | what was checked | result |",
+        "| --- | --- | --- | --- |",
+        *(f"| {row.what} | {row.judge} | {row.checked} | {row.result} |" for row in rows),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+@click.command()
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=Path("results/judges.md"), show_default=True
+)
+def main(out: Path) -> None:
+    """Ask every judge, and write what they say."""
+    runs = lay_all_cases()
+    asked: list[Callable[[], Judgement]] = [
+        lambda: judge_openscenario(runs),
+        lambda: judge_impacts(runs),
+        judge_openlabel,
+        judge_proof,
+    ]
+    rows = [ask() for ask in asked]
+    write_atomically(out, describe(rows))
+    if not all(row.is_passed for row in rows):
+        raise click.ClickException(f"a judge found a fault: {out}")
+
+
+if __name__ == "__main__":
+    main()
