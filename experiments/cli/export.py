@@ -36,7 +36,9 @@ lies somewhere on earth.
 Examples:
   place-rsus export --layout carlancap-12 --format carla
   place-rsus export --layout carlancap-12 --format geojson --out rsus.geojson
-  place-rsus export --layout a.json --scene city --format gpkg --out a.gpkg""",
+  place-rsus export --layout a.json --scene city --format gpkg --out a.gpkg
+  place-rsus export --layout carlancap-12 --run CPNC-50/east/40 \\
+      --format cpm-uper --out cpm.bin""",
 )
 @layout_option
 @option(
@@ -48,6 +50,14 @@ Examples:
     help="One of those below.",
 )
 @scene_option
+@option(
+    "--run",
+    "run_id",
+    default="",
+    metavar="RUN",
+    help="cpm, cpm-uper: what the units detect in a run, such as CPNC-50/east/40.",
+)
+@option("--release", metavar="V", help="cpm, cpm-uper: of the dictionary, 2.1.1 or 2.4.1.")
 @option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
 @quiet_option
 @click.pass_obj
@@ -57,6 +67,8 @@ def export(
     layout_names: tuple[str, ...],
     format_name: str,
     scene: str,
+    run_id: str,
+    release: str | None,
     out: Path | None,
     quiet: bool,
 ) -> None:
@@ -69,7 +81,8 @@ def export(
     if out is None and chosen.is_binary:
         raise click.UsageError(f"--out: got nothing; expected a file: {format_name} is no text")
     layout = load_one_layout(layout_names)
-    content = export_layout(layout, format_name, scene_path=scene)
+    options = {} if release is None else {"release": release}
+    content = export_layout(layout, format_name, scene_path=scene, run_id=run_id, **options)
     missing = [] if chosen.has_lidars else lidar_ids(layout)
     if missing and not quiet:
         tell(f"left out, for they are no cameras: {', '.join(missing)}", err=True)
@@ -82,3 +95,5 @@ def export(
         write_atomically(out, content)
     except OSError as error:
         raise unwritable(out, error) from None
+    if chosen.told is not None and isinstance(content, bytes) and not quiet:
+        tell(chosen.told(content), err=True)

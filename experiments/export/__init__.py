@@ -15,5 +15,6 @@ FORMAT_NAMES = (
     "ros",
     "openlabel",
     "cpm",
+    "cpm-uper",
 )
-"""In the order of the help; each is the name of a module of this package."""
+"""In the order of the help; each is the name of a module of this package, with _ for -."""

@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -161,6 +162,48 @@ def _issues(issues: Sequence[str]) -> str:
     return "no issue" if not issues else f"{len(issues)} issues; first: {issues[0]}"
 
 
+def judge_messages(folder: Path) -> Judgement:
+    """ETSI's own modules on messages of a run: ``CPM-*.asn`` and a dictionary in a folder."""
+    import asn1tools
+
+    from ..export.cpm import RELEASES, build_stations
+    from ..export.cpm_uper import CONTAINERS, encode
+    from ..export.watched import watch_run
+
+    paths = sorted(folder.glob("*.asn"))
+    is_old = any("stationaryHorizontal" in path.read_text(encoding="latin-1") for path in paths)
+    release = RELEASES[0] if is_old else RELEASES[1]
+    uper = asn1tools.compile_files([str(path) for path in paths], "uper", encoding="latin-1")
+    layout, scene = load_carlancap_layout(), load_study_scene()
+    watched = watch_run(layout, scene, "CPNC-50/east/40")
+    n_messages = n_wrong = 0
+    for station in build_stations(layout, scene, watched, release=release):
+        for message in station.messages:
+            found = uper.decode("CollectivePerceptionMessage", encode(message, release))
+            for container in found["payload"]["cpmContainers"]:
+                name = CONTAINERS[container["containerId"]]
+                container["containerData"] = uper.decode(name, container["containerData"])
+            n_messages += 1
+            n_wrong += _as_json(found) != message
+    return Judgement(
+        what="cpm-uper",
+        judge=f"ETSI's ASN.1 (TS 103 324 V2.1.1, TS 102 894-2 V{release}) in asn1tools "
+        + importlib.metadata.version("asn1tools"),
+        checked=f"{n_messages} messages of the study's 12 cameras in CPNC-50/east/40, decoded",
+        result="all equal" if not n_wrong else f"{n_wrong} differ",
+        is_passed=n_messages > 0 and not n_wrong,
+    )
+
+
+def _as_json(value: Any) -> Any:
+    """Values of asn1tools as JSON has them: a choice is an object with one key."""
+    if isinstance(value, tuple):
+        return {value[0]: _as_json(value[1])}
+    if isinstance(value, dict):
+        return {key: _as_json(one) for key, one in value.items()}
+    return [_as_json(one) for one in value] if isinstance(value, list) else value
+
+
 def judge_proof(path: Path = Path("results/budget-3"), limit_s: float = 3600.0) -> Judgement:
     """SCIP on ``instance.npz``, read as docs/formats.md describes it, as a plain model.
 
@@ -264,13 +307,21 @@ def describe(rows: Sequence[Judgement]) -> str:
 @click.option(
     "--out", type=click.Path(path_type=Path), default=Path("results/judges.md"), show_default=True
 )
-def main(out: Path) -> None:
+@click.option(
+    "--asn1",
+    "folders",
+    multiple=True,
+    type=click.Path(path_type=Path, exists=True),
+    help="Folder with ETSI's modules, CPM-*.asn and the dictionary's; may be repeated.",
+)
+def main(out: Path, folders: tuple[Path, ...]) -> None:
     """Ask every judge, and write what they say."""
     runs = lay_all_cases()
     asked: list[Callable[[], Judgement]] = [
         lambda: judge_openscenario(runs),
         lambda: judge_impacts(runs),
         judge_openlabel,
+        *(partial(judge_messages, folder) for folder in folders),
         judge_proof,
     ]
     rows = [ask() for ask in asked]
