@@ -55,7 +55,7 @@ Examples:
     "run_id",
     default="",
     metavar="RUN",
-    help="cpm, cpm-uper: what the units detect in a run, such as CPNC-50/east/40.",
+    help="cpm, cpm-uper, mcap: what the units detect in a run, such as CPNC-50/east/40.",
 )
 @option("--release", metavar="V", help="cpm, cpm-uper: of the dictionary, 2.1.1 or 2.4.1.")
 @option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")

@@ -16,5 +16,6 @@ FORMAT_NAMES = (
     "openlabel",
     "cpm",
     "cpm-uper",
+    "mcap",
 )
 """In the order of the help; each is the name of a module of this package, with _ for -."""

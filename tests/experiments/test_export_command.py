@@ -16,7 +16,7 @@ from experiments.export.json import to_json
 from experiments.progress import StageProgress
 from geometry.errors import InputError
 
-BINARY = ["parquet", "gpkg", "cpm-uper"]
+BINARY = ["parquet", "gpkg", "cpm-uper", "mcap"]
 TOLD = {"cpm-uper": "10 messages of "}  # what is said of a file that was written
 
 
