@@ -58,6 +58,7 @@ Examples:
     help="cpm, cpm-uper, mcap: what the units detect in a run, such as CPNC-50/east/40.",
 )
 @option("--release", metavar="V", help="cpm, cpm-uper: of the dictionary, 2.1.1 or 2.4.1.")
+@option("--views", is_flag=True, help="geojson, gpkg, kml: what each camera sees, as polygons.")
 @option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
 @quiet_option
 @click.pass_obj
@@ -69,6 +70,7 @@ def export(
     scene: str,
     run_id: str,
     release: str | None,
+    views: bool,
     out: Path | None,
     quiet: bool,
 ) -> None:
@@ -81,7 +83,9 @@ def export(
     if out is None and chosen.is_binary:
         raise click.UsageError(f"--out: got nothing; expected a file: {format_name} is no text")
     layout = load_one_layout(layout_names)
-    options = {} if release is None else {"release": release}
+    options: dict[str, str | bool] = {} if release is None else {"release": release}
+    if views:
+        options["views"] = True
     content = export_layout(layout, format_name, scene_path=scene, run_id=run_id, **options)
     missing = [] if chosen.has_lidars else lidar_ids(layout)
     if missing and not quiet:

@@ -10,6 +10,7 @@ FORMAT_NAMES = (
     "geojson",
     "gpkg",
     "kml",
+    "dxf",
     "carla",
     "opencv",
     "ros",

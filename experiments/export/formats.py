@@ -57,7 +57,7 @@ def export_layout(
     scene_path: str = "",
     run_id: str = "",
     compute: Compute = DEFAULT_COMPUTE,
-    **options: str,
+    **options: str | bool,
 ) -> str | bytes:
     """A layout for another program.
 

@@ -138,12 +138,12 @@ def test_a_budget_beyond_what_the_sites_can_carry_is_refused(run, value):
         ("compare a b c", "LAYOUT: got 'a'; expected carlancap-12, or a layout file that exists"),
         (
             "export --layout carlancap-12",
-            "Missing option '--format'. Choose from: json, csv, parquet, geojson, gpkg, kml, "
+            "Missing option '--format'. Choose from: json, csv, parquet, geojson, gpkg, kml, dxf, "
             "carla, opencv, ros, openlabel, cpm, cpm-uper, mcap",
         ),
         (
             "export --layout carlancap-12 --format xml",
-            "--format: got 'xml'; expected one of json, csv, parquet, geojson, gpkg, kml, "
+            "--format: got 'xml'; expected one of json, csv, parquet, geojson, gpkg, kml, dxf, "
             "carla, opencv, ros, openlabel, cpm, cpm-uper, mcap",
         ),
         (
