@@ -86,7 +86,7 @@ def export(
     options: dict[str, str | bool] = {} if release is None else {"release": release}
     if views:
         options["views"] = True
-    content = export_layout(layout, format_name, scene_path=scene, run_id=run_id, **options)
+    content = export_layout(layout, format_name, scene_path=scene, run_id=run_id, options=options)
     missing = [] if chosen.has_lidars else lidar_ids(layout)
     if missing and not quiet:
         tell(f"left out, for they are no cameras: {', '.join(missing)}", err=True)

@@ -1,6 +1,6 @@
 """The formats in which a layout can be exported, by name."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 
@@ -57,7 +57,7 @@ def export_layout(
     scene_path: str = "",
     run_id: str = "",
     compute: Compute = DEFAULT_COMPUTE,
-    **options: str | bool,
+    options: Mapping[str, str | bool] | None = None,
 ) -> str | bytes:
     """A layout for another program.
 
@@ -73,8 +73,8 @@ def export_layout(
         Run to show as the layout's units see it; empty: none.
     compute : Compute
         How the run is watched.
-    **options
-        Of the format.
+    options : mapping, optional
+        Of the format: its ``ExportFormat.options``.
 
     Returns
     -------
@@ -90,13 +90,14 @@ def export_layout(
     chosen = load_format(format_name)
     if run_id and not chosen.shows_runs:
         raise InputError("--run", run_id, f"none: {format_name} shows no runs")
-    for name, value in options.items():
+    given = options or {}
+    for name, value in given.items():
         if name not in chosen.options:
             raise InputError(f"--{name}", value, f"none: {format_name} has no such option")
     scene = load_scene(scene_path)
     check_layout(layout, scene)
     if not run_id:
-        return chosen.write(layout, scene, **options)
+        return chosen.write(layout, scene, **given)
     from .watched import watch_run
 
-    return chosen.write(layout, scene, watch_run(layout, scene, run_id, compute=compute), **options)
+    return chosen.write(layout, scene, watch_run(layout, scene, run_id, compute=compute), **given)

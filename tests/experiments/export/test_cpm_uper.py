@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from experiments.export.cpm import RELEASES, build_stations, to_cpm
 from experiments.export.cpm_uper import decode, encode, split, tell_load, to_cpm_uper
-from experiments.export.watched import WatchedRun, watch_run
-from experiments.perception_lab.render import find_run
+from experiments.export.watched import WatchedRun, find_run, watch_run
 from geometry.errors import InputError
 from geometry.study_scene import load_study_scene
 from placement.layout import Layout, load_carlancap_layout

@@ -9,8 +9,7 @@ import pytest
 from export_layouts import awkward_layout, large_layout
 
 from experiments.export.mcap import to_mcap
-from experiments.export.watched import WatchedRun
-from experiments.perception_lab.render import find_run
+from experiments.export.watched import WatchedRun, find_run
 from geometry.sensors import CameraModel
 from geometry.study_scene import load_study_scene
 from placement.layout import load_carlancap_layout

@@ -1,9 +1,11 @@
 """Programs of others on what this project writes; skipped where they cannot be had."""
 
 import importlib.util
+import json
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from experiments.export import openlabel, openscenario
@@ -68,3 +70,60 @@ def test_openlabel_checker_finds_no_issue_but_those_made(monkeypatch):
         openlabel, "to_openlabel", lambda layout: write(layout).replace('"sensor_cs"', "7")
     )
     assert not judges.judge_openlabel().is_passed
+
+
+needs_scip = pytest.mark.skipif(
+    importlib.util.find_spec("pyscipopt") is None, reason="pyscipopt is missing"
+)
+
+
+@needs_scip
+def test_scip_proves_the_same_apr_of_the_main_job():
+    found = judges.judge_proof()
+    assert found.is_passed, found
+
+
+@pytest.fixture
+def one_unit(tmp_path):
+    """Every 20th run of the main job with one unit, and its APR by trying each pose."""
+    with np.load("results/budget-3/instance.npz") as file:
+        whole = dict(file)
+    runs = np.arange(0, len(whole["weight"]), 20)
+    spans = [np.arange(*whole["run_start"][run : run + 2]) for run in runs]
+    frames = np.concatenate(spans)
+    sees = np.unpackbits(whole["packed"], axis=1, bitorder="little")[:, frames].astype(bool)
+    weight = whole["weight"][runs] / whole["weight"][runs].sum()
+    part = whole | {
+        "packed": np.packbits(sees, axis=1, bitorder="little"),
+        "time_s": whole["time_s"][frames],
+        "run_start": np.cumsum([0, *map(len, spans)]),
+        "weight": weight,
+        "last_brake_time_s": whole["last_brake_time_s"][runs],
+        "budget_units": np.array(1),
+    }
+    apr = np.zeros(len(sees))
+    for index, run in enumerate(runs):
+        moment_s = whole["last_brake_time_s"][run] - 0.025
+        first, time_s = part["run_start"][index], whole["time_s"][spans[index]]
+        timely = np.flatnonzero(time_s <= moment_s + 1e-6)
+        for pose in range(len(sees)):
+            # In words: three frames in a row, then never more than a second without one.
+            seen = timely[sees[pose, first + timely]]
+            is_third = np.isin(seen - 1, seen) & np.isin(seen - 2, seen)
+            if not is_third.any():
+                continue
+            ends = np.append(time_s[seen], moment_s)
+            late = np.flatnonzero(np.diff(ends) > 1.0 + 1e-6)
+            alive = is_third[late[-1] + 1 :] if len(late) else is_third
+            apr[pose] += weight[index] * alive.any()
+    np.savez(tmp_path / "instance.npz", **part)
+    return tmp_path, float(apr.max())
+
+
+@needs_scip
+@pytest.mark.parametrize("off", [0.0, 0.001])
+def test_scip_agrees_with_trying_each_pose_and_with_nothing_else(one_unit, off):
+    folder, apr = one_unit
+    stage = {"objective": apr + off, "bound": apr + off}
+    (folder / "certificate.json").write_text(json.dumps({"stages": [stage]}), encoding="utf-8")
+    assert judges.judge_proof(folder).is_passed == (off == 0.0)
