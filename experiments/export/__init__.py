@@ -18,5 +18,6 @@ FORMAT_NAMES = (
     "cpm",
     "cpm-uper",
     "mcap",
+    "usd",
 )
 """In the order of the help; each is the name of a module of this package, with _ for -."""

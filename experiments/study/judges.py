@@ -230,7 +230,7 @@ def judge_proof(path: Path = Path("results/budget-3")) -> Judgement:
         model.addCons(quicksum(chosen[pose] for pose in poses) <= capacity)
     counted = np.array(
         [
-            weight if one.avoids(one.sees.any(axis=0)) else 0.0
+            weight if one.avoids(one.seen_by(slice(None))) else 0.0
             for one, weight in zip(runs, instance["weight"], strict=True)
         ]
     )
@@ -271,7 +271,7 @@ class _InstanceRun:
     memory_s: float
     n_confirmations: int
 
-    def seen_by(self, layout: Sequence[int]) -> BoolArray:
+    def seen_by(self, layout: Sequence[int] | slice) -> BoolArray:
         seen: BoolArray = self.sees[layout].any(axis=0)
         return seen
 
@@ -288,8 +288,7 @@ class _InstanceRun:
         """Poses of a largest set that does not avoid the run, frames in `seen` given."""
         rule = (self.time_s, self.moment_s, self.memory_s, self.n_confirmations)
         known = _join(self.sees, seen, order, *rule)
-        joined: BoolArray = ~(self.sees & ~known).any(axis=1)
-        return joined
+        return np.asarray(~(self.sees & ~known).any(axis=1), dtype=bool)
 
 
 def _read_runs(instance: dict[str, Any]) -> list[_InstanceRun]:
@@ -312,7 +311,7 @@ def _read_runs(instance: dict[str, Any]) -> list[_InstanceRun]:
     return runs
 
 
-@njit
+@njit  # type: ignore[untyped-decorator]
 def _avoids(seen: BoolArray, time_s: FloatArray, moment_s: float, memory_s: float, n: int) -> bool:
     """True if a track is confirmed and alive at the last moment."""
     in_a_row, last_s, is_confirmed = 0, -np.inf, False
@@ -326,7 +325,7 @@ def _avoids(seen: BoolArray, time_s: FloatArray, moment_s: float, memory_s: floa
     return is_confirmed and moment_s - last_s <= memory_s
 
 
-@njit
+@njit  # type: ignore[untyped-decorator]
 def _join(
     sees: BoolArray, seen: BoolArray, order: IntArray,
     time_s: FloatArray, moment_s: float, memory_s: float, n: int,
