@@ -23,6 +23,7 @@ from geometry.actors import load_actors
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import MissingExtraError
 from geometry.files import write_atomically
+from geometry.poses import camera_rotation
 from geometry.study_scene import load_study_scene
 from placement.layout import load_carlancap_layout
 from scenarios.aeb import load_aeb_rule
@@ -31,6 +32,7 @@ from scenarios.runs import Run, build_runs
 
 APART = {
     "xosc": ("asam-qc-openscenarioxml==1.0.0", "lxml<6"),
+    "carla": ("carla==0.9.16",),
     "touch": ("commonroad-drivability-checker==2025.4.0",),
 }
 """Packages of each judge that has an environment of its own."""
@@ -138,6 +140,29 @@ def judge_impacts(runs: Sequence[Run], n_runs: int = 100) -> Judgement:
         checked=f"{len(found)} runs of all cases: first touch in steps of {STEP_S:g} s",
         result=f"largest difference {off_s.max():.3f} s",
         is_passed=len(found) == n_runs and bool(off_s.max() <= STEP_S + _EPSILON),
+    )
+
+
+def judge_carla() -> Judgement:
+    """CARLA's classes of places and turns on the study's layout."""
+    from ..export.carla import to_carla
+
+    layout = load_carlancap_layout()
+    with TemporaryDirectory() as name:
+        (Path(name) / "layout.json").write_text(to_carla(layout), encoding="utf-8")
+        said = judge_apart("carla", Path(name))
+    off = 0.0
+    for unit in layout.units:
+        right, down, ahead = camera_rotation(unit.pose.yaw_deg, unit.pose.pitch_deg).T
+        ours = np.array([unit.pose.position_m, ahead, right, -down]) * [1.0, -1.0, 1.0]
+        off = max(off, float(np.abs(ours - said["axes"][unit.id]).max()))
+    return Judgement(
+        what="carla",
+        judge=f"CARLA's Python classes {said['version']}",
+        checked="the study's 12 cameras: places and axes of their transforms, south for north; "
+        "blueprints and attributes are known to its server alone and not checked",
+        result=f"largest difference {off:.1e}",
+        is_passed=len(said["axes"]) == len(layout.units) and off < 1.0e-4,  # of single precision
     )
 
 
@@ -272,8 +297,7 @@ class _InstanceRun:
     n_confirmations: int
 
     def seen_by(self, layout: Sequence[int] | slice) -> BoolArray:
-        seen: BoolArray = self.sees[layout].any(axis=0)
-        return seen
+        return np.asarray(self.sees[layout].any(axis=0), dtype=bool)
 
     def avoids(self, seen: BoolArray) -> bool:
         return bool(_avoids(seen, self.time_s, self.moment_s, self.memory_s, self.n_confirmations))
@@ -372,6 +396,7 @@ def main(out: Path, folders: tuple[Path, ...]) -> None:
         lambda: judge_openscenario(runs),
         lambda: judge_impacts(runs),
         judge_openlabel,
+        judge_carla,
         *(partial(judge_messages, folder) for folder in folders),
         judge_proof,
     ]

@@ -66,7 +66,28 @@ def judge_touches(folder: Path) -> dict[str, Any]:
     return {"version": version, "touch_s": touch_s}
 
 
+def judge_transforms(folder: Path) -> dict[str, Any]:
+    """Place [m] and axes ahead, right and up of each unit of ``layout.json`` in CARLA."""
+    import carla  # type: ignore[import-not-found]
+
+    axes = {}
+    for unit in json.loads((folder / "layout.json").read_text(encoding="utf-8")):
+        found = carla.Transform(
+            carla.Location(**unit["transform"]["location"]),
+            carla.Rotation(**unit["transform"]["rotation"]),
+        )
+        vectors = (
+            found.location,
+            found.get_forward_vector(),
+            found.get_right_vector(),
+            found.get_up_vector(),
+        )
+        axes[unit["id"]] = [[vector.x, vector.y, vector.z] for vector in vectors]
+    return {"version": importlib.metadata.version("carla"), "axes": axes}
+
+
 if __name__ == "__main__":
     kind, folder = sys.argv[1], Path(sys.argv[2])
-    answer = judge_touches(folder) if kind == "touch" else judge_by_asam(kind, folder)
+    judges = {"touch": judge_touches, "carla": judge_transforms}
+    answer = judges[kind](folder) if kind in judges else judge_by_asam(kind, folder)
     sys.stdout.write(json.dumps(answer) + "\n")

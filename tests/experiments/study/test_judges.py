@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.export import openlabel, openscenario
+from experiments.export import carla, openlabel, openscenario
 from experiments.study import judges
 from geometry.errors import MissingExtraError
 
@@ -70,6 +70,15 @@ def test_openlabel_checker_finds_no_issue_but_those_made(monkeypatch):
         openlabel, "to_openlabel", lambda layout: write(layout).replace('"sensor_cs"', "7")
     )
     assert not judges.judge_openlabel().is_passed
+
+
+def test_carlas_classes_turn_cameras_as_ours(monkeypatch):
+    assert ask(judges.judge_carla).is_passed
+    write = carla.to_carla
+    monkeypatch.setattr(
+        carla, "to_carla", lambda layout: write(layout).replace('"pitch": -', '"pitch": ')
+    )
+    assert not judges.judge_carla().is_passed
 
 
 needs_scip = pytest.mark.skipif(
