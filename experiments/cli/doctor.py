@@ -21,6 +21,10 @@ _EXTRAS = (
     ("onnxruntime", "perception", "--detector cnn, FILE.onnx: networks on rendered pictures"),
     ("starlette", "plan", "plan: the planner's page in the browser"),
     ("euroncap-rating-2026", "rating", "--weights euroncap-rating-2026: Euro NCAP's points"),
+    ("pxr", "usd", "export --format usd: stages for Omniverse and Isaac"),
+    ("asn1tools", "v2x", "export --format cpm-uper: messages as bytes"),
+    ("ezdxf", "dxf", "export --format dxf: drawings"),
+    ("foxglove", "mcap", "export --format mcap: recordings for Foxglove"),
     ("libsumo", "traffic", "--traffic sumo: vehicles that drive by in sampled worlds"),
 )
 _LIBRARIES = (

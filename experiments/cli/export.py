@@ -37,7 +37,9 @@ Examples:
   place-rsus export --layout carlancap-12 --format carla
   place-rsus export --layout carlancap-12 --format geojson --out rsus.geojson
   place-rsus export --layout a.json --scene city --format gpkg --out a.gpkg
-  place-rsus export --calibration tsai.xml --format ros""",
+  place-rsus export --calibration tsai.xml --format ros
+  place-rsus export --layout carlancap-12 --run CPNC-50/east/40 \\
+      --format cpm-uper --out cpm.bin""",
 )
 @layout_option
 @option(
@@ -64,6 +66,15 @@ Examples:
     help="One of those below.",
 )
 @scene_option
+@option(
+    "--run",
+    "run_id",
+    default="",
+    metavar="RUN",
+    help="cpm, cpm-uper, mcap: what the units detect in a run, such as CPNC-50/east/40.",
+)
+@option("--release", metavar="V", help="cpm, cpm-uper: of the dictionary, 2.1.1 or 2.4.1.")
+@option("--views", is_flag=True, help="geojson, gpkg, kml: what each camera sees, as polygons.")
 @option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
 @quiet_option
 @click.pass_obj
@@ -75,6 +86,9 @@ def export(
     size: tuple[int, int] | None,
     format_name: str,
     scene: str,
+    run_id: str,
+    release: str | None,
+    views: bool,
     out: Path | None,
     quiet: bool,
 ) -> None:
@@ -94,7 +108,12 @@ def export(
         content = _convert(calibration, format_name, size)
     else:
         layout = load_one_layout(layout_names)
-        content = export_layout(layout, format_name, scene_path=scene)
+        options: dict[str, str | bool] = {} if release is None else {"release": release}
+        if views:
+            options["views"] = True
+        content = export_layout(
+            layout, format_name, scene_path=scene, run_id=run_id, options=options
+        )
         missing = [] if chosen.has_lidars else lidar_ids(layout)
     if missing and not quiet:
         tell(f"left out, for they are no cameras: {', '.join(missing)}", err=True)
@@ -107,6 +126,8 @@ def export(
         write_atomically(out, content)
     except OSError as error:
         raise unwritable(out, error) from None
+    if chosen.told is not None and isinstance(content, bytes) and not quiet:
+        tell(chosen.told(content), err=True)
 
 
 def _convert(path: Path, format_name: str, size_px: tuple[int, int] | None) -> str:

@@ -10,10 +10,14 @@ FORMAT_NAMES = (
     "geojson",
     "gpkg",
     "kml",
+    "dxf",
     "carla",
     "opencv",
     "ros",
     "openlabel",
     "cpm",
+    "cpm-uper",
+    "mcap",
+    "usd",
 )
-"""In the order of the help; each is the name of a module of this package."""
+"""In the order of the help; each is the name of a module of this package, with _ for -."""

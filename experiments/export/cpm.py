@@ -1,12 +1,15 @@
-"""Layouts as the sensor information of collective perception messages (CPM)."""
+"""Layouts as collective perception messages (CPM): sensors, and what they detect in a run."""
 
 import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from geometry.actors import load_actors
 from geometry.arrays import FloatArray, IntArray
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, Unquoted, check_one_of
 from geometry.frames import parse_crs, to_carla_yaw
 from geometry.maps.georeferences import transform
 from geometry.scene import Scene
@@ -15,36 +18,87 @@ from geometry.terrain import on_ground, terrain_of
 from placement.candidates import CandidatePose, is_ring
 from placement.detectors import load_detector
 from placement.layout import Layout
+from scenarios.runs import Run
 
 from .formats import ExportFormat
 from .json import to_json_text
 from .places import longitude_latitude, require_crs
+from .watched import WatchedRun
 
-STANDARD = "ETSI TS 103 324 V2.1.1 with ETSI TS 102 894-2 V2.1.1"
-_RSU_CONTAINER, _SENSOR_CONTAINER = 2, 3  # CpmContainerId
+RELEASES = ("2.1.1", "2.4.1")
+"""Versions of the dictionary, ETSI TS 102 894-2, the usual one first."""
+_VERSION, _CPM = 2, 14  # ItsPduHeader
+_RSU_CONTAINER, _SENSOR_CONTAINER, _OBJECT_CONTAINER = 2, 3, 5  # CpmContainerId
 _LIDAR, _MONOVIDEO = 2, 3  # SensorType
 _PER_DEGREE = 1.0e7  # Latitude, Longitude
 _MAX_SENSORS = 128  # SensorInformationContainer
+_SENSORS_EVERY_S = 1.0  # T_AddSensorInformation
 _MAX_RANGE = 4093  # StandardLength12b, in 0.1 m
 _MAX_OFFSET = 32766  # CartesianCoordinate, in 0.01 m
+_MAX_COORDINATE, _MAX_VELOCITY = 131070, 16381  # CartesianCoordinateLarge, VelocityComponentValue
 _TURN = 3600  # a full turn in 0.1 degrees: a value that is not used
 _SEMI_AXIS_UNKNOWN, _HEADING_UNKNOWN, _ALTITUDE_UNKNOWN = 4095, 3601, 800001
+_COORDINATE_UNKNOWN, _SPEED_UNKNOWN, _CLASS_UNKNOWN = 4096, 127, 101  # confidences
 _ALTITUDES = -100_000, 800_000  # the first and the last stand for all beyond
 _SLACK = 1.0e-6  # of a unit: what rounding may add before it counts as the next one
+_STEP_S = 1.0e-3  # half of that over which a velocity is taken
+_CLASSES = {  # by road user: kind of VRU, its profile as 2.1.1 names it, and as 2.4.1 counts it
+    "on foot": ("pedestrian", "ordinary-pedestrian", 1),
+    "bicycle": ("bicyclistAndLightVruVehicle", "bicyclist", 1),
+    "motorcycle": ("motorcyclist", "motorcycle", 2),
+}
+_PASSENGER_CAR = 5  # TrafficParticipantType
 
 
-def to_cpm(layout: Layout, scene: Scene) -> str:
-    """Layout as sensor information containers, a station (RSU) per site.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Station:
+    """Messages of the units of a site.
 
-    JSON: {"standard", "stations": [{"site", "units", "payload"}]}. A payload has the standard's
-    names and units and what a layout says: the reference position (WGS 84, 0.1 microdegrees; on the
-    road in the middle of the station's units; its altitude [0.01 m] where the map counts heights
-    from the ellipsoid), the RSU's container and that of its sensors. A sensor's id is its place
-    in "units". Its region is a radial shape: reference point east, north, up of the reference
-    position [0.01 m], range [0.1 m], horizontal opening clockwise from north and vertical
-    opening upwards from the horizon [0.1 degrees]. What a station adds when it sends (reference
-    time, confidences) is not in it. Raises InputError if the scene has no crs; a site carries
-    more than 128 units, or units too far apart.
+    Attributes
+    ----------
+    site : str
+        Empty: a unit without a site.
+    units : tuple of str
+        A sensor's id is its place here.
+    messages : tuple of dict
+        CollectivePerceptionMessage each, as JSON writes it.
+    """
+
+    site: str
+    units: tuple[str, ...]
+    messages: tuple[dict[str, Any], ...]
+
+
+def to_cpm(
+    layout: Layout, scene: Scene, watched: WatchedRun | None = None, *, release: str = RELEASES[0]
+) -> str:
+    """Layout as collective perception messages, a station (RSU) per site, as JSON.
+
+    {"standard", "stations": [{"site", "units", "messages"}]}: see :func:`build_stations`.
+    """
+    standard = f"ETSI TS 103 324 V2.1.1 with ETSI TS 102 894-2 V{release}"
+    stations = build_stations(layout, scene, watched, release=release)
+    return to_json_text({"standard": standard, "stations": stations})
+
+
+def build_stations(
+    layout: Layout, scene: Scene, watched: WatchedRun | None = None, *, release: str = RELEASES[0]
+) -> list[Station]:
+    """Stations of a layout, and what they send.
+
+    Without a run one message: header, reference time 0, reference position (WGS 84, 0.1
+    microdegrees; on the road in the middle of the station's units; its altitude [0.01 m] where the
+    map counts heights from the ellipsoid), the RSU's container and that of its sensors. Their
+    regions are radial shapes: reference point east, north, up of the reference position [0.01 m],
+    range [0.1 m], horizontal opening - V2.1.1: clockwise from north, V2.4.1: counter-clockwise from
+    east - and vertical opening upwards from the horizon [0.1 degrees].
+
+    With a run a message for each frame in which a unit detects the road user, and each second one
+    with the sensors. Reference times are milliseconds since the run's first frame, after the
+    slowest unit's latency; the object's measurement is older by that. Position of the middle of its
+    box [0.01 m] and velocity [0.01 m/s] are the run's own, so their confidence is unavailable.
+    Raises InputError if the scene has no crs; a site carries more than 128 units, or units too far
+    apart, or the run leaves the standard's range; the release is unknown.
 
     Notes
     -----
@@ -56,10 +110,10 @@ def to_cpm(layout: Layout, scene: Scene) -> str:
     heights would be wrong by up to 100 m, and the grid that turns one into the other is seldom at
     hand. Then the altitude is unavailable.
 
-    Of a LiDAR that scans all round the horizontal opening starts at 0 (north) and ends at 359.9
+    Of a LiDAR that scans all round the horizontal opening starts at 0 and ends at 359.9
     degrees. A full turn has no value of its own: 360.0 means "not used", and a start that equals
-    the end reads as no opening as well as a full one. So a tenth of a degree is left out, to the
-    north, and every receiver that takes the way from start to end has all but that. If the LiDAR is
+    the end reads as no opening as well as a full one. So a tenth of a degree is left out, and
+    every receiver that takes the way from start to end has all but that. If the LiDAR is
     tilted, the vertical opening is what it reaches to any side, not to each.
 
     References
@@ -68,6 +122,7 @@ def to_cpm(layout: Layout, scene: Scene) -> str:
        RadialShape, CartesianPosition3d, Wgs84AngleValue, CartesianAngleValue.
     """
     require_crs(scene.crs, "cpm")
+    check_one_of("release", release, RELEASES)
     stations: dict[tuple[str, str], list[CandidatePose]] = {}
     for unit in layout.units:
         key = (unit.site_id, "") if unit.site_id else ("", unit.id)
@@ -82,59 +137,131 @@ def to_cpm(layout: Layout, scene: Scene) -> str:
     # Offsets count from the rounded position, or they would be a centimetre off.
     origins_m = transform(lon_lat / _PER_DEGREE, "EPSG:4326", scene.crs)
     adult_px_m = load_actors()["adult"].height_m / load_detector().min_box_height_px
-    records = []
-    for ((site, own), units), reference, origin_m in zip(
-        stations.items(), lon_lat, origins_m, strict=True
-    ):
+    found = []
+    for index, ((site, own), units) in enumerate(stations.items()):
         where = f"cpm: {site or own}"
         if len(units) > _MAX_SENSORS:
             raise InputError(where, Unquoted(f"{len(units)} units"), f"at most {_MAX_SENSORS}")
-        road_m = on_ground(origin_m, terrain_of(scene))
-        shapes = [_radial_shape(unit, road_m, adult_px_m, where) for unit in units]
-        payload = _payload(units, shapes, reference, _altitude_cm(scene, float(road_m[2])))
-        records.append({"site": site, "units": [unit.id for unit in units], "payload": payload})
-    return to_json_text({"standard": STANDARD, "stations": records})
+        road_m = on_ground(origins_m[index], terrain_of(scene))
+        sensors = _container(
+            _SENSOR_CONTAINER,
+            [
+                _sensor(number, unit, _radial_shape(unit, road_m, adult_px_m, where, release))
+                for number, unit in enumerate(units)
+            ],
+        )
+        altitude_cm = _altitude_cm(scene, float(road_m[2]))
+        messages = [
+            _message(index, time_ms, _reference_position(lon_lat[index], altitude_cm), containers)
+            for time_ms, containers in (
+                [(0, [sensors])]
+                if watched is None
+                else _sent(watched, units, sensors, road_m, where, release)
+            )
+        ]
+        names = tuple(unit.id for unit in units)
+        found.append(Station(site=site, units=names, messages=tuple(messages)))
+    return found
 
 
-def _payload(
-    units: list[CandidatePose],
-    shapes: list[dict[str, object]],
-    lon_lat: IntArray,
-    altitude_cm: int,
-) -> dict[str, object]:
+def _message(
+    station_id: int, time_ms: int, position: dict[str, Any], containers: list[dict[str, Any]]
+) -> dict[str, Any]:
     return {
-        "managementContainer": {
-            "referencePosition": {
-                "latitude": int(lon_lat[1]),
-                "longitude": int(lon_lat[0]),
-                "positionConfidenceEllipse": {
-                    "semiMajorConfidence": _SEMI_AXIS_UNKNOWN,
-                    "semiMinorConfidence": _SEMI_AXIS_UNKNOWN,
-                    "semiMajorOrientation": _HEADING_UNKNOWN,
-                },
-                "altitude": {
-                    "altitudeValue": altitude_cm,
-                    "altitudeConfidence": "unavailable",
-                },
+        "header": {"protocolVersion": _VERSION, "messageId": _CPM, "stationId": station_id},
+        "payload": {
+            "managementContainer": {"referenceTime": time_ms, "referencePosition": position},
+            "cpmContainers": [_container(_RSU_CONTAINER, {}), *containers],
+        },
+    }
+
+
+def _container(container_id: int, data: object) -> dict[str, Any]:
+    return {"containerId": container_id, "containerData": data}
+
+
+def _reference_position(lon_lat: IntArray, altitude_cm: int) -> dict[str, Any]:
+    return {
+        "latitude": int(lon_lat[1]),
+        "longitude": int(lon_lat[0]),
+        "positionConfidenceEllipse": {
+            "semiMajorConfidence": _SEMI_AXIS_UNKNOWN,
+            "semiMinorConfidence": _SEMI_AXIS_UNKNOWN,
+            "semiMajorOrientation": _HEADING_UNKNOWN,
+        },
+        "altitude": {"altitudeValue": altitude_cm, "altitudeConfidence": "unavailable"},
+    }
+
+
+def _sensor(number: int, unit: CandidatePose, shape: dict[str, object]) -> dict[str, object]:
+    return {
+        "sensorId": number,
+        "sensorType": _MONOVIDEO if isinstance(unit.sensor, CameraModel) else _LIDAR,
+        "perceptionRegionShape": {"radial": shape},
+        "shadowingApplies": True,
+    }
+
+
+def _sent(
+    watched: WatchedRun,
+    units: list[CandidatePose],
+    sensors: dict[str, Any],
+    origin_m: FloatArray,
+    where: str,
+    release: str,
+) -> Iterator[tuple[int, list[dict[str, Any]]]]:
+    """Reference times of a station's messages, and containers beside the RSU's own."""
+    time_s = watched.run.time_s
+    latency_s = max(unit.latency(watched.rule) for unit in units)
+    detected = np.array([watched.detected[unit.id] for unit in units])
+    told_s = -np.inf
+    for frame in range(len(time_s)):
+        containers = []
+        if time_s[frame] - told_s >= _SENSORS_EVERY_S - _SLACK:
+            containers.append(sensors)
+            told_s = time_s[frame]
+        if detected[:, frame].any():
+            seeing = np.flatnonzero(detected[:, frame]).tolist()
+            described = _object(watched.run, frame, origin_m, where, release)
+            described |= {
+                "measurementDeltaTime": -round(1000.0 * latency_s),
+                "sensorIdList": seeing,
+            }
+            data = {"numberOfPerceivedObjects": 1, "perceivedObjects": [described]}
+            containers.append(_container(_OBJECT_CONTAINER, data))
+        if containers:
+            yield round(1000.0 * (time_s[frame] - time_s[0] + latency_s)), containers
+
+
+def _object(run: Run, frame: int, origin_m: FloatArray, where: str, release: str) -> dict[str, Any]:
+    """Whoever the VUT meets in a frame, east, north and up of the reference position."""
+    motion, body = run.encounter.vru_motion, run.encounter.vru
+    around_s = run.time_s[frame] + np.array([-_STEP_S, _STEP_S])
+    places_m = on_ground(motion.path.at(motion.distance_m(around_s))[0], run.terrain)
+    velocity = np.round(100.0 * np.diff(places_m, axis=0)[0] / (2.0 * _STEP_S)).astype(int)
+    middle_m = on_ground(run.vru_position_m[frame], run.terrain)
+    middle_m = middle_m + [0.0, 0.0, 0.5 * body.height_m]
+    offset = np.round(100.0 * (middle_m - origin_m)).astype(int)
+    if np.abs(offset).max() > _MAX_COORDINATE or np.abs(velocity).max() > _MAX_VELOCITY:
+        got = Unquoted(f"a road user {np.abs(offset).max() / 100.0:g} m away")
+        raise InputError(where, got, f"at most {_MAX_COORDINATE / 100.0:g} m")
+    kind: dict[str, Any] = {"vehicleSubClass": _PASSENGER_CAR}
+    if run.road_user in _CLASSES:
+        name, *profiles = _CLASSES[run.road_user]
+        kind = {"vruSubClass": {name: profiles[RELEASES.index(release)]}}
+    return {
+        "objectId": 0,
+        "position": {
+            f"{axis}Coordinate": {"value": int(value), "confidence": _COORDINATE_UNKNOWN}
+            for axis, value in zip("xyz", offset, strict=True)
+        },
+        "velocity": {
+            "cartesianVelocity": {
+                f"{axis}Velocity": {"value": int(value), "confidence": _SPEED_UNKNOWN}
+                for axis, value in zip("xyz", velocity, strict=True)
             }
         },
-        "cpmContainers": [
-            {"containerId": _RSU_CONTAINER, "containerData": {}},
-            {
-                "containerId": _SENSOR_CONTAINER,
-                "containerData": [
-                    {
-                        "sensorId": index,
-                        "sensorType": _MONOVIDEO
-                        if isinstance(unit.sensor, CameraModel)
-                        else _LIDAR,
-                        "perceptionRegionShape": {"radial": shape},
-                        "shadowingApplies": True,
-                    }
-                    for index, (unit, shape) in enumerate(zip(units, shapes, strict=True))
-                ],
-            },
-        ],
+        "classification": [{"objectClass": kind, "confidence": _CLASS_UNKNOWN}],
     }
 
 
@@ -150,7 +277,7 @@ def _altitude_cm(scene: Scene, height_m: float) -> int:
 
 
 def _radial_shape(
-    unit: CandidatePose, origin_m: FloatArray, adult_px_m: float, where: str
+    unit: CandidatePose, origin_m: FloatArray, adult_px_m: float, where: str, release: str
 ) -> dict[str, object]:
     offset = np.round((unit.pose.position_m - origin_m) * 100.0).astype(int)
     if np.abs(offset).max() > _MAX_OFFSET:
@@ -162,8 +289,11 @@ def _radial_shape(
     half_deg = 0.5 * unit.sensor.horizontal_fov_deg
     half_vertical_deg = 0.5 * unit.sensor.vertical_fov_deg
     lowest_deg, highest_deg = unit.pose.pitch_deg, unit.pose.pitch_deg
-    heading_deg = float(to_carla_yaw(unit.pose.yaw_deg)) + 90.0
-    start, end = _tenths(heading_deg - half_deg) % _TURN, _tenths(heading_deg + half_deg) % _TURN
+    is_old = release == RELEASES[0]  # V2.2.1 turned the angles' zero and sense
+    middle_deg = unit.pose.yaw_deg
+    if is_old:
+        middle_deg = float(to_carla_yaw(middle_deg)) + 90.0
+    start, end = _tenths(middle_deg - half_deg) % _TURN, _tenths(middle_deg + half_deg) % _TURN
     if is_ring(unit.sensor):
         start, end = 0, _TURN - 1
         # Tilted, its front goes down by as much as its back goes up.
@@ -171,6 +301,7 @@ def _radial_shape(
     # What looks straight down sees beyond it, but there is no steeper direction.
     low_deg = max(lowest_deg - half_vertical_deg, -90.0)
     high_deg = min(highest_deg + half_vertical_deg, 90.0)
+    horizontal = "stationaryHorizontalOpeningAngle" if is_old else "horizontalOpeningAngle"
     return {
         "shapeReferencePoint": {
             "xCoordinate": int(offset[0]),
@@ -178,8 +309,8 @@ def _radial_shape(
             "zCoordinate": int(offset[2]),
         },
         "range": min(_tenths(_range_m(unit, adult_px_m)), _MAX_RANGE),
-        "stationaryHorizontalOpeningAngleStart": start,
-        "stationaryHorizontalOpeningAngleEnd": end,
+        f"{horizontal}Start": start,
+        f"{horizontal}End": end,
         "verticalOpeningAngleStart": _tenths(low_deg) % _TURN,
         "verticalOpeningAngleEnd": _tenths(high_deg) % _TURN,
     }
@@ -198,6 +329,8 @@ def _tenths(value: float) -> int:
 
 FORMAT = ExportFormat(
     write=to_cpm,
-    content="sensor information per site, ETSI TS 103 324 as JSON; V2X stacks",
+    content="messages of each site, ETSI TS 103 324 as JSON; V2X stacks",
     needs_crs=True,
+    shows_runs=True,
+    options=("release",),
 )

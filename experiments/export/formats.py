@@ -1,11 +1,12 @@
 """The formats in which a layout can be exported, by name."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 
-from geometry.scene import Scene
+from geometry.errors import InputError
 from geometry.scene_files import load_scene
+from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.layout import Layout, check_layout
 
 
@@ -25,22 +26,39 @@ class ExportFormat:
         Whether LiDARs are in it, too, and not only cameras.
     needs_crs : bool
         Whether the scene has to say where on earth it lies.
+    shows_runs : bool
+        Whether `write` takes a :class:`.watched.WatchedRun`, too.
+    options : tuple of str
+        Names of further arguments of `write`.
+    told : callable, optional
+        A sentence about the content that was written.
     """
 
-    write: Callable[[Layout, Scene], str | bytes]
+    write: Callable[..., str | bytes]
     content: str
     is_binary: bool = False
     has_lidars: bool = True
     needs_crs: bool = False
+    shows_runs: bool = False
+    options: tuple[str, ...] = ()
+    told: Callable[[bytes], str] | None = None
 
 
 def load_format(name: str) -> ExportFormat:
     """A format by its name, one of ``FORMAT_NAMES``."""
-    found: ExportFormat = import_module(f".{name}", __package__).FORMAT
+    found: ExportFormat = import_module(f".{name.replace('-', '_')}", __package__).FORMAT
     return found
 
 
-def export_layout(layout: Layout, format_name: str, *, scene_path: str = "") -> str | bytes:
+def export_layout(
+    layout: Layout,
+    format_name: str,
+    *,
+    scene_path: str = "",
+    run_id: str = "",
+    compute: Compute = DEFAULT_COMPUTE,
+    options: Mapping[str, str | bool] | None = None,
+) -> str | bytes:
     """A layout for another program.
 
     Parameters
@@ -51,6 +69,12 @@ def export_layout(layout: Layout, format_name: str, *, scene_path: str = "") -> 
         One of ``FORMAT_NAMES``.
     scene_path : str
         Folder or .zip file of its scene; empty: the study's junction.
+    run_id : str
+        Run to show as the layout's units see it; empty: none.
+    compute : Compute
+        How the run is watched.
+    options : mapping, optional
+        Of the format: its ``ExportFormat.options``.
 
     Returns
     -------
@@ -60,8 +84,20 @@ def export_layout(layout: Layout, format_name: str, *, scene_path: str = "") -> 
     Raises
     ------
     InputError
-        The layout does not fit the scene, or the format needs a place on earth.
+        The layout does not fit the scene, or the format needs a place on earth, shows no runs, or
+        lacks an option.
     """
+    chosen = load_format(format_name)
+    if run_id and not chosen.shows_runs:
+        raise InputError("--run", run_id, f"none: {format_name} shows no runs")
+    given = options or {}
+    for name, value in given.items():
+        if name not in chosen.options:
+            raise InputError(f"--{name}", value, f"none: {format_name} has no such option")
     scene = load_scene(scene_path)
     check_layout(layout, scene)
-    return load_format(format_name).write(layout, scene)
+    if not run_id:
+        return chosen.write(layout, scene, **given)
+    from .watched import watch_run
+
+    return chosen.write(layout, scene, watch_run(layout, scene, run_id, compute=compute), **given)

@@ -1,23 +1,33 @@
 """Layouts as GeoPackage."""
 
-import io
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from geometry.scene import Scene
 from placement.layout import Layout
 
 from .formats import ExportFormat
-from .places import longitude_latitude, map_positions, placed_records, positions_m, require_crs
+from .places import (
+    longitude_latitude,
+    map_points,
+    map_positions,
+    placed_records,
+    positions_m,
+    require_crs,
+)
+from .views import find_views, moved
 
 _LAYER = "units"
 
 
-def to_geopackage(layout: Layout, scene: Scene) -> bytes:
+def to_geopackage(layout: Layout, scene: Scene, *, views: bool = False) -> bytes:
     """Layout as a GeoPackage: points in the coordinates of the map that the scene was made from.
 
     A SQLite database with the layer "units": points with the height as z (that
     of the map where the ground is not flat and the map tells it, else above the road), and the
-    fields of the layout; x_m and y_m among them stay in the world frame. Raises InputError if the
-    scene has no crs, or one that pyproj does not know.
+    fields of the layout; x_m and y_m among them stay in the world frame. With `views` also the
+    layer "views": see :func:`.views.find_views`. Raises InputError if the scene
+    has no crs, or one that pyproj does not know.
 
     References
     ----------
@@ -34,9 +44,23 @@ def to_geopackage(layout: Layout, scene: Scene) -> bytes:
         position[:, 0], position[:, 1], z=[record.get("map_z", record["z_m"]) for record in records]
     )
     table = gpd.GeoDataFrame(records, geometry=points, crs=scene.source_crs or scene.crs)
-    file = io.BytesIO()
-    pyogrio.write_dataframe(table, file, layer=_LAYER, driver="GPKG", geometry_type="Point Z")
-    return file.getvalue()
+    with TemporaryDirectory() as folder:  # layers can be added to files alone
+        path = Path(folder) / "layout.gpkg"
+        pyogrio.write_dataframe(table, path, layer=_LAYER, driver="GPKG", geometry_type="Point Z")
+        if views:
+            shown = [
+                moved(view, lambda points_m: map_points(points_m, scene))
+                for view in find_views(layout, scene)
+            ]
+            areas = gpd.GeoDataFrame(
+                [view.record() for view in shown],
+                geometry=[view.area for view in shown],
+                crs=table.crs,
+            )
+            pyogrio.write_dataframe(
+                areas, path, layer="views", driver="GPKG", promote_to_multi=True
+            )
+        return path.read_bytes()
 
 
 FORMAT = ExportFormat(
@@ -44,4 +68,5 @@ FORMAT = ExportFormat(
     content="points in the map's own coordinates; QGIS, ArcGIS",
     is_binary=True,
     needs_crs=True,
+    options=("views",),
 )

@@ -9,15 +9,17 @@ from placement.layout import Layout
 
 from .formats import ExportFormat
 from .places import longitude_latitude, placed_records, positions_m, require_crs
+from .views import View, find_views, moved
 
 _NAMESPACE = "http://www.opengis.net/kml/2.2"
 
 
-def to_kml(layout: Layout, scene: Scene) -> str:
+def to_kml(layout: Layout, scene: Scene, *, views: bool = False) -> str:
     """Layout as KML: a placemark per unit, at its height above ground, with a pole below it.
 
     An XML document. Every field of the layout is in the placemark's ExtendedData; the placemark's
-    camera looks from the unit's place along its optical axis. Raises InputError if
+    camera looks from the unit's place along its optical axis. With `views` also what each camera
+    sees, see :func:`.views.find_views`, as polygons on the ground. Raises InputError if
     the scene has no crs, or one that pyproj does not know, or if a name is not printable.
 
     References
@@ -50,9 +52,29 @@ def to_kml(layout: Layout, scene: Scene) -> str:
         _text(point, "extrude", "1")
         _text(point, "altitudeMode", "relativeToGround")
         _text(point, "coordinates", f"{longitude!r},{latitude!r},{height_m!r}")
+    for view in find_views(layout, scene) if views else ():
+        _add_view(document, view, scene.crs)
     ET.indent(root)
     text = ET.tostring(root, encoding="unicode")
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'
+
+
+def _add_view(document: ET.Element, view: View, crs: str) -> None:
+    placemark = ET.SubElement(document, "Placemark")
+    record = view.record()
+    _text(placemark, "name", record.pop("id"))
+    data = ET.SubElement(placemark, "ExtendedData")
+    for name, value in record.items():
+        _text(ET.SubElement(data, "Data", {"name": name}), "value", str(value))
+    area = moved(view, lambda points_m: longitude_latitude(points_m, crs)).area
+    together = ET.SubElement(placemark, "MultiGeometry")
+    for part in getattr(area, "geoms", [area]):
+        polygon = ET.SubElement(together, "Polygon")
+        rings = [("outerBoundaryIs", part.exterior)]
+        rings += [("innerBoundaryIs", ring) for ring in part.interiors]
+        for name, ring in rings:
+            line = ET.SubElement(ET.SubElement(polygon, name), "LinearRing")
+            _text(line, "coordinates", " ".join(f"{x!r},{y!r}" for x, y in ring.coords))
 
 
 def _text(parent: ET.Element, name: str, value: str) -> None:
@@ -61,4 +83,9 @@ def _text(parent: ET.Element, name: str, value: str) -> None:
     ET.SubElement(parent, name).text = value
 
 
-FORMAT = ExportFormat(write=to_kml, content="placemarks above ground; Google Earth", needs_crs=True)
+FORMAT = ExportFormat(
+    write=to_kml,
+    content="placemarks above ground; Google Earth",
+    needs_crs=True,
+    options=("views",),
+)

@@ -454,11 +454,12 @@ def render(
     from placement.evaluator.pictures import render as render_frame
     from placement.layout import check_layout
 
+    from ..export.watched import find_run
     from . import render as job
 
     around = load_scene(scene)
     check_layout(layout, around)
-    run = job.find_run(run_id, around, weather=weather)
+    run = find_run(run_id, around, weather=weather)
     frame_index = find_frame(run, frame)
     viewpoint = find_viewpoint(layout, unit_id, run, frame_index)
     suffix = job.suffixes_of(viewpoint.sensor)[0]

@@ -1,6 +1,6 @@
 """A picture or point cloud of one frame: which run, frame and unit, and the files that show it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -11,55 +11,13 @@ from geometry.catalogue import Sensor
 from geometry.errors import InputError
 from geometry.files import check_target, write_atomically
 from geometry.image_boxes import mask_box
-from geometry.junction import build_junction
 from geometry.lidar import LidarModel
-from geometry.scene import Scene
-from geometry.weather import pick_weather
 from placement.imaging import Picture, PointCloud
-from placement.question import Question
-from placement.setting import drive_one
-from scenarios.positions import AT_ZERO
-from scenarios.runs import WEATHERS, Run
 
 COLOUR_SUFFIXES = (".png", ".jpg", ".jpeg")
 CLOUD_SUFFIXES = (".ply", ".bin")
-_RUN_ID = (
-    "case/approach/speed or case/approach/speed/weather, such as CPNC-50/east/40/night or, away "
-    "from the junction, CPNC-50/east-15/40"
-)
 _JPEG_QUALITY = 85
 _MAX_CM = 65535  # what 16 bits hold
-
-
-def find_run(run_id: str, scene: Scene, *, weather: str | None = None) -> Run:
-    """The run that an id names, laid on a junction.
-
-    It reads "case/approach/speed", by day, or "case/approach/speed/weather"; see
-    :attr:`scenarios.runs.Run.id`. `weather` takes the place of the id's. Raises InputError if some
-    part is unknown, and says what is known.
-    """
-    parts = run_id.split("/")
-    if len(parts) not in (3, 4) or not all(parts):
-        raise InputError("--run", run_id, _RUN_ID)
-    case, place, speed = parts[:3]
-    approach, position = _split_place(place, tuple(build_junction(scene).arms))
-    if weather is not None:
-        pick_weather(weather, "weather")
-    light = weather or (parts[3] if len(parts) == 4 else WEATHERS[0])
-    question = Question(cases=case, approaches=approach, speeds=speed, weather=light)
-    try:
-        return drive_one(question, scene, position=position)
-    except InputError as error:
-        where = f"--run {run_id}: {error.where.removeprefix('--')}"
-        raise InputError(where, error.got, error.expected) from None
-
-
-def _split_place(place: str, arms: Sequence[str]) -> tuple[str, str]:
-    """Approach and position of "east-15": the arm with the longest name that it begins with."""
-    for arm in sorted(arms, key=len, reverse=True):
-        if place.startswith(arm):
-            return arm, place.removeprefix(arm) or AT_ZERO.name
-    return place, AT_ZERO.name
 
 
 def suffixes_of(sensor: Sensor) -> tuple[str, ...]:

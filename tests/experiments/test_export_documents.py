@@ -132,7 +132,7 @@ def stations_of(layout, scene):
 
 
 def sensors_of(station):
-    rsu, information = station["payload"]["cpmContainers"]
+    rsu, information = station["messages"][0]["payload"]["cpmContainers"]
     assert (rsu, information["containerId"]) == ({"containerId": 2, "containerData": {}}, 3)
     sensors = information["containerData"]
     assert 1 <= len(sensors) <= 128
@@ -148,7 +148,7 @@ def test_cpm_sensors_are_where_the_units_are(build, scene):
     units = {unit.id: unit for unit in layout.units}
     named = []
     for station in stations_of(layout, scene):
-        reference = station["payload"]["managementContainer"]["referencePosition"]
+        reference = station["messages"][0]["payload"]["managementContainer"]["referencePosition"]
         assert all(isinstance(reference[key], int) for key in ("latitude", "longitude"))
         origin = to_local.transform(reference["longitude"] / 1e7, reference["latitude"] / 1e7)
         for name, sensor in zip(station["units"], sensors_of(station), strict=True):
@@ -210,7 +210,7 @@ def test_cpm_by_hand():
         "verticalOpeningAngleEnd": 288,
     }
     assert sensor["shadowingApplies"] is True
-    reference = station["payload"]["managementContainer"]["referencePosition"]
+    reference = station["messages"][0]["payload"]["managementContainer"]["referencePosition"]
     assert (reference["latitude"], reference["longitude"]) == (490000000, 80000000)
     lidar = stations_of(level_layout(0.0, kind="lidar"), load_study_scene())[0]
     assert sensors_of(lidar)[0]["perceptionRegionShape"]["radial"]["range"] == 2500

@@ -120,7 +120,7 @@ def test_globes_are_told_heights_above_the_ground(hill, layout):
 def test_messages_count_from_the_ground_below_the_station(hill, layout):
     stations = json.loads(to_cpm(layout, hill))["stations"]
     for station in stations:
-        (sensor,) = station["payload"]["cpmContainers"][1]["containerData"]
+        (sensor,) = station["messages"][0]["payload"]["cpmContainers"][1]["containerData"]
         offset = sensor["perceptionRegionShape"]["radial"]["shapeReferencePoint"]
         assert offset["zCoordinate"] == pytest.approx(600, abs=1)
 
@@ -135,7 +135,9 @@ def test_messages_have_an_altitude_where_the_map_counts_from_the_ellipsoid(hill,
     feet_m = {unit.id: unit.pose.position_m[:2] for unit in layout.units}
     for station in stations:
         east_m, north_m = np.mean([feet_m[name] for name in station["units"]], axis=0)
-        altitude = station["payload"]["managementContainer"]["referencePosition"]["altitude"]
+        altitude = station["messages"][0]["payload"]["managementContainer"]["referencePosition"][
+            "altitude"
+        ]
         expected_m = ZERO_M + 0.08 * (east_m + 127.0) + 0.03 * north_m
         assert altitude["altitudeValue"] == pytest.approx(100.0 * expected_m, abs=1.0)
         assert altitude["altitudeConfidence"] == "unavailable"
@@ -154,7 +156,7 @@ def test_messages_have_an_altitude_where_the_map_counts_from_the_ellipsoid(hill,
 )
 def test_messages_without_a_known_altitude_say_so(hill, layout, changes, value):
     (station, *_) = json.loads(to_cpm(layout, replace(hill, **changes)))["stations"]
-    place = station["payload"]["managementContainer"]["referencePosition"]
+    place = station["messages"][0]["payload"]["managementContainer"]["referencePosition"]
     assert place["altitude"]["altitudeValue"] == value
 
 

@@ -138,13 +138,13 @@ def test_a_budget_beyond_what_the_sites_can_carry_is_refused(run, value):
         ("compare a b c", "LAYOUT: got 'a'; expected carlancap-12, or a layout file that exists"),
         (
             "export --layout carlancap-12",
-            "Missing option '--format'. Choose from: json, csv, parquet, geojson, gpkg, kml, "
-            "carla, opencv, ros, openlabel, cpm",
+            "Missing option '--format'. Choose from: json, csv, parquet, geojson, gpkg, kml, dxf, "
+            "carla, opencv, ros, openlabel, cpm, cpm-uper, mcap, usd",
         ),
         (
             "export --layout carlancap-12 --format xml",
-            "--format: got 'xml'; expected one of json, csv, parquet, geojson, gpkg, kml, "
-            "carla, opencv, ros, openlabel, cpm",
+            "--format: got 'xml'; expected one of json, csv, parquet, geojson, gpkg, kml, dxf, "
+            "carla, opencv, ros, openlabel, cpm, cpm-uper, mcap, usd",
         ),
         (
             "evaluate --layout carlancap-13",

@@ -7,7 +7,8 @@ import pytest
 from kept_backdrops import kept_backdrop
 from PIL import Image
 
-from experiments.perception_lab.render import find_run, instance_colours
+from experiments.export.watched import find_run
+from experiments.perception_lab.render import instance_colours
 from geometry.errors import InputError
 from geometry.study_scene import load_study_scene
 from placement.evaluator.pictures import find_frame

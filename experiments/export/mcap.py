@@ -1,0 +1,240 @@
+"""Layouts, and runs as they see them, as MCAP recordings in Foxglove's schemas."""
+
+import importlib
+import io
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from geometry.actors import Actor
+from geometry.errors import MissingExtraError
+from geometry.scene import Scene
+from geometry.sensors import CameraModel
+from geometry.terrain import on_ground
+from placement.evaluation import earliest_arrival_s
+from placement.layout import Layout
+from scenarios.runs import Run, build_frame_axis, find_onsets
+
+from .calibration import Calibration, calibrations, plain, sensor_quaternion
+from .formats import ExportFormat
+from .watched import WatchedRun
+
+WORLD = "map"  # frame, as REP 105 calls it
+_COLOURS = {
+    "ground": (0.45, 0.45, 0.45, 1.0), "building": (0.75, 0.7, 0.62, 1.0),
+    "wall": (0.7, 0.7, 0.7, 1.0), "vegetation": (0.3, 0.55, 0.3, 1.0),
+    "pole": (0.3, 0.3, 0.3, 1.0), "unit": (0.1, 0.4, 0.9, 1.0), "vut": (0.2, 0.3, 0.8, 0.9),
+    "vru": (0.9, 0.5, 0.1, 0.9), "seen": (0.1, 0.8, 0.2, 1.0), "other": (0.6, 0.6, 0.65, 1.0),
+}  # fmt: skip
+_FRUSTUM_M = 4.0  # how far ahead its far side is drawn
+_NANO = 1_000_000_000
+
+
+def to_mcap(layout: Layout, scene: Scene, watched: WatchedRun | None = None) -> bytes:
+    """Layout as an MCAP file; with a run its frames, from time 0 on.
+
+    Topics: /scene (meshes), /units (a frustum per camera, a ball per LiDAR), /tf and
+    /calibration/UNIT (cameras); of a run /bodies (boxes), /detections (a line from each unit that
+    detects) and /state (JSON: time to the impact, units that detect, whether a track is confirmed
+    and braking would have begun). Frame "map": x east, y north, z up. Nobody brakes in it. Not in
+    it: pictures, point clouds. Raises MissingExtraError if foxglove-sdk is not installed.
+    """
+    try:
+        foxglove = importlib.import_module("foxglove")
+    except ImportError:
+        raise MissingExtraError("mcap needs foxglove-sdk: pip install place-rsus[mcap]") from None
+    m = importlib.import_module("foxglove.messages")
+    context = foxglove.Context()
+    file = io.BytesIO()
+    with foxglove.open_mcap(file, context=context):
+        channels: dict[str, Any] = {}
+
+        def log(topic: str, message: Any, time_s: float) -> None:
+            if topic not in channels:
+                kind = f"{type(message).__name__}Channel"
+                maker = getattr(importlib.import_module("foxglove.channels"), kind, None)
+                channels[topic] = (
+                    foxglove.Channel(topic, message_encoding="json", context=context)
+                    if maker is None
+                    else maker(topic, context=context)
+                )
+            channels[topic].log(message, log_time=round(time_s * _NANO))
+
+        log("/scene", m.SceneUpdate(entities=list(_meshes(m, scene))), 0.0)
+        log("/units", m.SceneUpdate(entities=list(_units(m, layout))), 0.0)
+        log("/tf", m.FrameTransforms(transforms=list(_transforms(m, layout))), 0.0)
+        if any(isinstance(unit.sensor, CameraModel) for unit in layout.units):
+            for camera in calibrations(layout, "mcap"):
+                log(f"/calibration/{camera.id}", _calibration(m, camera), 0.0)
+        for topic, message, time_s in [] if watched is None else _frames(m, layout, watched):
+            log(topic, message, time_s)
+    return file.getvalue()
+
+
+def _entity(m: Any, name: str, **parts: Any) -> Any:
+    return m.SceneEntity(frame_id=WORLD, id=name, timestamp=m.Timestamp(0), **parts)
+
+
+def _colour(m: Any, name: str) -> Any:
+    red, green, blue, alpha = _COLOURS.get(name, _COLOURS["other"])
+    return m.Color(r=red, g=green, b=blue, a=alpha)
+
+
+def _points(m: Any, points_m: Any) -> list[Any]:
+    return [m.Point3(x=x, y=y, z=z) for x, y, z in np.asarray(points_m).tolist()]
+
+
+def _meshes(m: Any, scene: Scene) -> Iterator[Any]:
+    for index, thing in enumerate(scene.instances):
+        triangles = scene.triangles[scene.triangle_instance == index]
+        used, indices = np.unique(triangles, return_inverse=True)
+        mesh = m.TriangleListPrimitive(
+            points=_points(m, scene.vertices_m[used]),
+            indices=indices.ravel().tolist(),
+            color=_colour(m, thing.class_name),
+        )
+        yield _entity(
+            m,
+            thing.id,
+            triangles=[mesh],
+            metadata=[m.KeyValuePair(key="class", value=thing.class_name)],
+        )
+
+
+def _units(m: Any, layout: Layout) -> Iterator[Any]:
+    for unit in layout.units:
+        position_m = np.asarray(unit.pose.position_m)
+        label = m.TextPrimitive(
+            pose=_pose(m, position_m + [0.0, 0.0, 0.5]), text=unit.id, font_size=0.5, billboard=True
+        )
+        if not isinstance(unit.sensor, CameraModel):
+            size = _vector(m, [0.3, 0.3, 0.3])
+            ball = m.SpherePrimitive(pose=_pose(m, position_m), size=size, color=_colour(m, "unit"))
+            yield _entity(m, unit.id, spheres=[ball], texts=[label])
+            continue
+        half = 0.5 * np.array([unit.sensor.width_px, unit.sensor.height_px])
+        half_m = _FRUSTUM_M * half / unit.sensor.focal_length_px
+        corners = [[x * half_m[0], y * half_m[1], _FRUSTUM_M] for x, y in _AROUND]
+        ends = [[0.0, 0.0, 0.0], *corners]
+        order = [0, 1, 0, 2, 0, 3, 0, 4, 1, 2, 2, 3, 3, 4, 4, 1]
+        frustum = m.LinePrimitive(
+            type=m.LinePrimitiveLineType.LineList,
+            pose=_pose(m, position_m, sensor_quaternion(unit.pose, unit.sensor)),
+            points=_points(m, ends),
+            indices=order,
+            thickness=0.05,
+            color=_colour(m, "unit"),
+        )
+        yield _entity(m, unit.id, lines=[frustum], texts=[label])
+
+
+_AROUND = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+
+
+def _vector(m: Any, values: Any) -> Any:
+    x, y, z = np.asarray(values).tolist()
+    return m.Vector3(x=x, y=y, z=z)
+
+
+def _turn(m: Any, quaternion: Sequence[float]) -> Any:
+    x, y, z, w = quaternion
+    return m.Quaternion(x=x, y=y, z=z, w=w)
+
+
+def _pose(m: Any, position_m: Any, quaternion: Sequence[float] = (0.0, 0.0, 0.0, 1.0)) -> Any:
+    return m.Pose(position=_vector(m, position_m), orientation=_turn(m, quaternion))
+
+
+def _transforms(m: Any, layout: Layout) -> Iterator[Any]:
+    for unit in layout.units:
+        yield m.FrameTransform(
+            timestamp=m.Timestamp(0),
+            parent_frame_id=WORLD,
+            child_frame_id=unit.id,
+            translation=_vector(m, unit.pose.position_m),
+            rotation=_turn(m, sensor_quaternion(unit.pose, unit.sensor)),
+        )
+
+
+def _calibration(m: Any, camera: Calibration) -> Any:
+    return m.CameraCalibration(
+        timestamp=m.Timestamp(0),
+        frame_id=camera.id,
+        width=camera.width_px,
+        height=camera.height_px,
+        distortion_model="plumb_bob",
+        D=[0.0] * 5,
+        K=plain(camera.camera_matrix),
+        R=plain(np.eye(3)),
+        P=plain(np.column_stack([camera.camera_matrix, np.zeros(3)])),
+    )
+
+
+def _frames(m: Any, layout: Layout, watched: WatchedRun) -> Iterator[tuple[str, Any, float]]:
+    run = watched.run
+    axis = build_frame_axis((run,), np.ones(1))
+    parties = [(watched.detected[unit.id], unit.latency(watched.rule)) for unit in layout.units]
+    onsets = find_onsets(earliest_arrival_s(parties, axis), axis, rule=watched.rule)
+    confirmed_s, onset_s = float(onsets.confirmation_s[0]), float(onsets.onset_s[0])
+    met = run.encounter.vru
+    for frame, to_impact_s in enumerate(run.time_s.tolist()):
+        time_s = to_impact_s - float(run.time_s[0])
+        boxes = [
+            _box(
+                m, run, "vut", run.encounter.vut, run.vut_position_m[frame], run.vut_yaw_deg[frame]
+            ),
+            _box(m, run, "vru", met, run.vru_position_m[frame], run.vru_yaw_deg[frame]),
+        ]
+        boxes += [
+            _box(m, run, f"obstruction-{n}", one.actor, one.pose.position_m[:2], one.pose.yaw_deg)
+            for n, one in enumerate(run.obstruction, 1)
+        ]
+        boxes += [
+            _box(m, run, f"traffic-{n}", one.actor, one.position_m[frame], one.yaw_deg[frame])
+            for n, one in enumerate(run.traffic, 1)
+            if one.is_there[frame]
+        ]
+        yield "/bodies", m.SceneUpdate(entities=boxes), time_s
+        seeing = [unit for unit in layout.units if watched.detected[unit.id][frame]]
+        ground_m = on_ground(run.vru_position_m[frame], run.terrain)
+        at_m = ground_m + [0.0, 0.0, 0.5 * met.height_m]
+        rays = m.LinePrimitive(
+            type=m.LinePrimitiveLineType.LineList,
+            points=_points(m, [p for unit in seeing for p in (unit.pose.position_m, at_m)]),
+            thickness=0.05,
+            color=_colour(m, "seen"),
+        )
+        yield (
+            "/detections",
+            m.SceneUpdate(entities=[_entity(m, "detections", lines=[rays])]),
+            time_s,
+        )
+        state = {
+            "to_impact_s": to_impact_s,
+            "n_detecting": len(seeing),
+            "detecting": [unit.id for unit in seeing],
+            "is_confirmed": to_impact_s >= confirmed_s,
+            "would_brake": to_impact_s >= onset_s,
+            "last_brake_time_s": run.last_brake_time_s
+            if np.isfinite(run.last_brake_time_s)
+            else None,
+        }
+        yield "/state", state, time_s
+
+
+def _box(m: Any, run: Run, name: str, actor: Actor, position_m: Any, yaw_deg: float) -> Any:
+    half_rad = 0.5 * np.radians(yaw_deg)
+    turn = (0.0, 0.0, float(np.sin(half_rad)), float(np.cos(half_rad)))
+    middle_m = on_ground(position_m, run.terrain) + [0.0, 0.0, 0.5 * actor.height_m]
+    size = _vector(m, [actor.length_m, actor.width_m, actor.height_m])
+    cube = m.CubePrimitive(pose=_pose(m, middle_m, turn), size=size, color=_colour(m, name))
+    return _entity(m, name, cubes=[cube], metadata=[m.KeyValuePair(key="body", value=actor.name)])
+
+
+FORMAT = ExportFormat(
+    write=to_mcap,
+    content="scene, views, bodies, detections; Foxglove; extra: mcap",
+    is_binary=True,
+    shows_runs=True,
+)

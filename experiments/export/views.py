@@ -1,0 +1,79 @@
+"""What cameras see of the ground, and what none of them sees, as areas for maps."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from geometry.arrays import BoolArray, FloatArray
+from geometry.scene import Scene
+from geometry.sensors import CameraModel
+from placement.ground import LOOK_AT_M, REACH_M, find_ground_coverage
+from placement.layout import Layout
+
+UNSEEN = "unseen"
+NOTE = f"squares of 1 m, {LOOK_AT_M:g} m above the road, up to {REACH_M:g} m from the middle"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class View:
+    """Area that a camera sees, or road that no camera sees.
+
+    Attributes
+    ----------
+    unit : str
+        Its id; empty: what no camera sees.
+    area : shapely geometry
+        Polygons without overlap.
+    """
+
+    unit: str
+    area: Any
+
+    def record(self) -> dict[str, Any]:
+        """Fields of it in a table."""
+        return {
+            "id": f"view of {self.unit}" if self.unit else UNSEEN,
+            "unit": self.unit,
+            "area_m2": float(self.area.area),
+            "note": NOTE,
+        }
+
+
+def find_views(layout: Layout, scene: Scene) -> list[View]:
+    """Views of a layout's cameras, in its order, then the road that none sees; world frame.
+
+    LiDARs have none. Nothing drives or parks.
+    """
+    views = []
+    seen: BoolArray | None = None
+    for unit in layout.units:
+        if isinstance(unit.sensor, CameraModel):
+            found = find_ground_coverage(scene, [unit])
+            is_seen = found.density > 0.0
+            seen = is_seen if seen is None else seen | is_seen
+            area = _outline(is_seen, found.east_m, found.north_m)
+            views.append(View(unit=unit.id, area=area))
+    ground = find_ground_coverage(scene, [])
+    missed = ground.is_road if seen is None else ground.is_road & ~seen
+    return [*views, View(unit="", area=_outline(missed, ground.east_m, ground.north_m))]
+
+
+def moved(view: View, move: Callable[[FloatArray], FloatArray]) -> View:
+    """View in other coordinates: (n, 2) -> (n, 2)."""
+    import shapely
+
+    return View(unit=view.unit, area=shapely.transform(view.area, move))
+
+
+def _outline(mask: BoolArray, east_m: FloatArray, north_m: FloatArray) -> Any:
+    """Union of the cells of a mask, (n_north, n_east)."""
+    import shapely
+
+    half_m = 0.5 * float(east_m[1] - east_m[0])
+    row, column = np.nonzero(mask)
+    x_m, y_m = east_m[column], north_m[row]
+    return shapely.union_all(
+        shapely.box(x_m - half_m, y_m - half_m, x_m + half_m, y_m + half_m), grid_size=1.0e-3
+    )

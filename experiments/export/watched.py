@@ -1,0 +1,98 @@
+"""A run with the frames in which each unit detects: what formats show that move."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geometry.arrays import BoolArray
+from geometry.errors import InputError
+from geometry.junction import build_junction
+from geometry.scene import Scene
+from geometry.weather import pick_weather
+from placement.compute import DEFAULT_COMPUTE, Compute
+from placement.detectors import load_detector, load_planning_detector
+from placement.layout import Layout
+from placement.question import Question
+from placement.setting import Setting, drive_one
+from scenarios.aeb import AebRule, load_aeb_rule
+from scenarios.positions import AT_ZERO
+from scenarios.runs import WEATHERS, Run, build_frame_axis
+
+_RUN_ID = (
+    "case/approach/speed or case/approach/speed/weather, such as CPNC-50/east/40/night or, away "
+    "from the junction, CPNC-50/east-15/40"
+)
+
+
+def find_run(run_id: str, scene: Scene, *, weather: str | None = None) -> Run:
+    """The run that an id names, laid on a junction.
+
+    It reads "case/approach/speed", by day, or "case/approach/speed/weather"; see
+    :attr:`scenarios.runs.Run.id`. `weather` takes the place of the id's. Raises InputError if some
+    part is unknown, and says what is known.
+    """
+    parts = run_id.split("/")
+    if len(parts) not in (3, 4) or not all(parts):
+        raise InputError("--run", run_id, _RUN_ID)
+    case, place, speed = parts[:3]
+    approach, position = _split_place(place, tuple(build_junction(scene).arms))
+    if weather is not None:
+        pick_weather(weather, "weather")
+    light = weather or (parts[3] if len(parts) == 4 else WEATHERS[0])
+    question = Question(cases=case, approaches=approach, speeds=speed, weather=light)
+    try:
+        return drive_one(question, scene, position=position)
+    except InputError as error:
+        where = f"--run {run_id}: {error.where.removeprefix('--')}"
+        raise InputError(where, error.got, error.expected) from None
+
+
+def _split_place(place: str, arms: Sequence[str]) -> tuple[str, str]:
+    """Approach and position of "east-15": the arm with the longest name that it begins with."""
+    for arm in sorted(arms, key=len, reverse=True):
+        if place.startswith(arm):
+            return arm, place.removeprefix(arm) or AT_ZERO.name
+    return place, AT_ZERO.name
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class WatchedRun:
+    """A run, and what a layout's units detect of whoever the VUT meets.
+
+    Attributes
+    ----------
+    run : Run
+        What happens.
+    detected : mapping of unit's id to (n_frames,) bool
+        Frames in which the evaluator's detector finds the road user.
+    rule : AebRule
+        From detected frames to braking.
+    """
+
+    run: Run
+    detected: Mapping[str, BoolArray]
+    rule: AebRule
+
+
+def watch_run(
+    layout: Layout, scene: Scene, run_id: str, *, compute: Compute = DEFAULT_COMPUTE
+) -> WatchedRun:
+    """Run that an id names, watched by a layout with the default detector.
+
+    Raises InputError if the id names no run of the scene.
+    """
+    from placement.evaluator.evaluate import unit_key, watch
+
+    run, rule = find_run(run_id, scene), load_aeb_rule()
+    setting = Setting(
+        scene=scene,
+        runs=(run,),
+        axis=build_frame_axis((run,), np.ones(1)),
+        rule=rule,
+        detector=load_detector(),
+        table_detector=load_planning_detector(),
+    )
+    found = watch(setting, {unit_key(unit): unit for unit in layout.units}, compute=compute)
+    detected = {unit.id: found[unit_key(unit)] for unit in layout.units}
+    return WatchedRun(run=run, detected=detected, rule=rule)

@@ -1,0 +1,147 @@
+"""Collective perception messages as bytes."""
+
+import json
+
+import numpy as np
+import pytest
+from export_layouts import level_layout
+from hypothesis import given
+from hypothesis import strategies as st
+
+from experiments.export.cpm import RELEASES, build_stations, to_cpm
+from experiments.export.cpm_uper import decode, encode, split, tell_load, to_cpm_uper
+from experiments.export.watched import WatchedRun, find_run, watch_run
+from geometry.errors import InputError
+from geometry.study_scene import load_study_scene
+from placement.layout import Layout, load_carlancap_layout
+from scenarios.aeb import load_aeb_rule
+
+pytest.importorskip("asn1tools", reason="the extra v2x is not installed")
+
+SCENE = load_study_scene()
+# Of test_a_message_by_hand. asn1tools 0.169.0 with ETSI's modules decodes them to the same.
+GOLDEN = {
+    "2.1.1": "020e0000000000000000000296cdbc0380743007ffffff08eddd0f8880"
+    "80109002001a7c0004000412c097df511361489040",
+    "2.4.1": "020e0000000000000000000296cdbc0380743007ffffff08eddd0f8880"
+    "80109002001a7c0004000412c0978af2d561489040",
+}
+
+
+def seen_in(run, seed, share=0.5):
+    rng = np.random.default_rng(seed)
+    detected = {"one": rng.random(len(run.time_s)) < share}
+    return WatchedRun(run=run, detected=detected, rule=load_aeb_rule())
+
+
+@pytest.fixture(scope="module")
+def runs():
+    ids = ("CPNC-50/east/40", "CBLA/east/25", "CMCscp-near/north/30x50", "CCFtap/north/10x30")
+    return [find_run(run_id, SCENE) for run_id in ids]
+
+
+@given(
+    yaw_deg=st.floats(-180.0, 180.0),
+    pitch_deg=st.floats(-90.0, 45.0),
+    kind=st.sampled_from(["camera", "lidar"]),
+    release=st.sampled_from(RELEASES),
+    run_index=st.integers(0, 3),
+    seed=st.integers(0, 1000),
+)
+def test_messages_are_read_back_from_their_bytes(
+    runs, yaw_deg, pitch_deg, kind, release, run_index, seed
+):
+    layout = level_layout(yaw_deg, pitch_deg, kind=kind)
+    watched = seen_in(runs[run_index], seed, share=0.2)
+    (station,) = build_stations(layout, SCENE, watched, release=release)
+    content = split(to_cpm_uper(layout, SCENE, watched, release=release))
+    assert [decode(data, release) for _, data in content] == list(station.messages)
+
+
+def test_objects_are_where_the_run_has_them(runs):
+    """Position, velocity, age and times by hand, from the run's own frames."""
+    for run in runs:
+        watched = seen_in(run, 7)
+        (station,) = build_stations(level_layout(0.0), SCENE, watched)
+        by_time = {
+            message["payload"]["managementContainer"]["referenceTime"]: message["payload"]
+            for message in station.messages
+        }
+        mast_m = level_layout(0.0).units[0].pose.position_m[:2]
+        told = 0
+        for frame in np.flatnonzero(watched.detected["one"]):
+            payload = by_time[round(1000 * (run.time_s[frame] - run.time_s[0])) + 25]
+            found = payload["cpmContainers"][-1]
+            assert found["containerId"] == 5
+            (one,) = found["containerData"]["perceivedObjects"]
+            assert one["measurementDeltaTime"] == -25
+            at_m = [one["position"][f"{axis}Coordinate"]["value"] / 100.0 for axis in "xyz"]
+            np.testing.assert_allclose(at_m[:2], run.vru_position_m[frame] - mast_m, atol=0.012)
+            assert at_m[2] == pytest.approx(0.5 * run.encounter.vru.height_m, abs=0.006)
+            if 0 < frame < len(run.time_s) - 1:
+                steps_m = run.vru_position_m[frame + 1] - run.vru_position_m[frame - 1]
+                over_s = run.time_s[frame + 1] - run.time_s[frame - 1]
+                velocity = one["velocity"]["cartesianVelocity"]
+                speeds = [velocity[f"{axis}Velocity"]["value"] / 100.0 for axis in "xy"]
+                # Within what a turn or a start changes in a tenth of a second.
+                np.testing.assert_allclose(speeds, steps_m / over_s, atol=0.6)
+            told += 1
+        assert told > 3
+        sensors = [
+            time
+            for time, payload in by_time.items()
+            if any(one["containerId"] == 3 for one in payload["cpmContainers"])
+        ]
+        assert np.diff(sensors).min() >= 1000 - 1
+
+
+@pytest.mark.parametrize("release", RELEASES)
+def test_a_message_by_hand(release):
+    (station,) = build_stations(level_layout(90.0, -10.0), SCENE, release=release)
+    assert encode(station.messages[0], release).hex() == GOLDEN[release]
+
+
+def test_both_releases_open_to_the_same_side():
+    """V2.1.1 counts clockwise from north, V2.4.1 counter-clockwise from east."""
+    shapes = []
+    for release in RELEASES:
+        (station,) = build_stations(level_layout(30.0), SCENE, release=release)
+        sensors = station.messages[0]["payload"]["cpmContainers"][1]["containerData"]
+        shapes.append(sensors[0]["perceptionRegionShape"]["radial"])
+    old, new = shapes
+    assert old["stationaryHorizontalOpeningAngleStart"] == 900 - new["horizontalOpeningAngleEnd"]
+    assert new["horizontalOpeningAngleStart"] == (300 - 550) % 3600
+
+
+def test_the_load_of_the_channel_is_that_of_the_bytes(runs):
+    layout = level_layout(0.0)
+    content = to_cpm_uper(layout, SCENE, seen_in(runs[0], 1))
+    messages = split(content)
+    span_s = (messages[-1][0] - messages[0][0]) / 1000.0
+    bytes_per_s = sum(len(data) for _, data in messages) / span_s
+    words = tell_load(content)
+    assert f"{bytes_per_s:.0f} to {bytes_per_s:.0f} bytes per second" in words
+    assert f"together {100.0 * 8.0 * bytes_per_s / 6.0e6:.2f} % of a channel of 6 Mbit/s" in words
+    assert "1 messages of" in tell_load(to_cpm_uper(layout, SCENE))
+
+
+def test_what_units_detect_in_a_run_is_the_evaluators():
+    study = load_carlancap_layout()
+    layout = Layout(name="two", units=study.units[:2], scene_name=study.scene_name)
+    watched = watch_run(layout, SCENE, "CPNC-50/east/40")
+    document = json.loads(to_cpm(layout, SCENE, watched))
+    told = [
+        sensor_id
+        for station in document["stations"]
+        for message in station["messages"]
+        for container in message["payload"]["cpmContainers"]
+        if container["containerId"] == 5
+        for one in container["containerData"]["perceivedObjects"]
+        for sensor_id in one["sensorIdList"]
+    ]
+    assert len(told) == sum(int(frames.sum()) for frames in watched.detected.values()) > 0
+
+
+def test_an_unknown_release_is_refused():
+    with pytest.raises(InputError, match=r"^release: got '3'; expected one of 2.1.1, 2.4.1$"):
+        to_cpm(level_layout(0.0), SCENE, release="3")

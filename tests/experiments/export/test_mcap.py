@@ -1,0 +1,141 @@
+"""MCAP recordings, read back by the reader of another package."""
+
+import io
+import json
+import math
+
+import numpy as np
+import pytest
+from export_layouts import awkward_layout, large_layout
+
+from experiments.export.mcap import to_mcap
+from experiments.export.watched import WatchedRun, find_run
+from geometry.sensors import CameraModel
+from geometry.study_scene import load_study_scene
+from placement.layout import load_carlancap_layout
+from scenarios.aeb import load_aeb_rule
+
+pytest.importorskip("foxglove", reason="the extra mcap is not installed")
+reader = pytest.importorskip("mcap.reader", reason="mcap is not installed")
+
+SCENE = load_study_scene()
+
+
+def read(content):
+    """By topic: times in seconds and messages, decoded by the schemas in the file itself."""
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+
+    found, kinds = {}, {}
+    for schema, channel, message in reader.make_reader(io.BytesIO(content)).iter_messages():
+        if channel.message_encoding == "json":
+            value = json.loads(message.data)
+        else:
+            if schema.id not in kinds:
+                pool = descriptor_pool.DescriptorPool()
+                for file in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
+                    pool.Add(file)
+                kinds[schema.id] = message_factory.GetMessageClass(
+                    pool.FindMessageTypeByName(schema.name)
+                )
+            value = kinds[schema.id].FromString(message.data)
+        found.setdefault(channel.topic, []).append((message.log_time / 1.0e9, value))
+    return found
+
+
+@pytest.fixture(scope="module")
+def watched():
+    """A run behind parked cars; the first unit sees it from the tenth frame on, no other does."""
+    run = find_run("CPNCO-50/east/40", SCENE)
+    units = load_carlancap_layout().units
+    detected = {unit.id: np.zeros(len(run.time_s), dtype=bool) for unit in units}
+    detected[units[0].id][10:] = True
+    return WatchedRun(run=run, detected=detected, rule=load_aeb_rule())
+
+
+@pytest.fixture(scope="module")
+def topics(watched):
+    return read(to_mcap(load_carlancap_layout(), SCENE, watched))
+
+
+def test_bodies_are_where_the_run_has_them(topics, watched):
+    run = watched.run
+    assert len(topics["/bodies"]) == len(run.time_s)
+    for frame, (time_s, update) in enumerate(topics["/bodies"]):
+        assert time_s == pytest.approx(run.time_s[frame] - run.time_s[0], abs=1e-6)
+        boxes = {entity.id: entity.cubes[0] for entity in update.entities}
+        assert len(boxes) == 2 + len(run.obstruction) > 2
+        for name, body, at_m, yaw_deg in (
+            ("vut", run.encounter.vut, run.vut_position_m, run.vut_yaw_deg),
+            ("vru", run.encounter.vru, run.vru_position_m, run.vru_yaw_deg),
+        ):
+            pose, size = boxes[name].pose, boxes[name].size
+            np.testing.assert_allclose(
+                [pose.position.x, pose.position.y, pose.position.z],
+                [*at_m[frame], 0.5 * body.height_m],
+                atol=1e-9,
+            )
+            turn = 2.0 * math.atan2(pose.orientation.z, pose.orientation.w)
+            off_deg = math.degrees(turn) - yaw_deg[frame]
+            assert (off_deg + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=1e-9)
+            assert (size.x, size.y, size.z) == (body.length_m, body.width_m, body.height_m)
+
+
+def test_detections_confirmation_and_braking_follow_the_rule(topics, watched):
+    states = [state for _, state in topics["/state"]]
+    first = load_carlancap_layout().units[0]
+    for frame, (state, (_, update)) in enumerate(zip(states, topics["/detections"], strict=True)):
+        assert state["detecting"] == ([first.id] if frame >= 10 else [])
+        points = update.entities[0].lines[0].points
+        assert len(points) == 2 * state["n_detecting"]
+        assert state["is_confirmed"] == (frame >= 12)  # the third in a row
+        assert state["would_brake"] == (frame >= 13)  # 25 ms later
+    assert states[-1]["last_brake_time_s"] == watched.run.last_brake_time_s
+
+
+def test_frusta_show_the_corners_of_the_image(topics):
+    """A frustum's far corners are projected to the corners of the picture."""
+    (_, update), units = topics["/units"][0], load_carlancap_layout().units
+    by_id = {entity.id: entity for entity in update.entities}
+    assert list(by_id) == [unit.id for unit in units]
+    for unit in units:
+        line = by_id[unit.id].lines[0]
+        ((_, calibration),) = topics[f"/calibration/{unit.id}"]
+        matrix = np.reshape(list(calibration.K), (3, 3))
+        ends = np.array([[point.x, point.y, point.z] for point in line.points])[1:]
+        pixels = ends @ matrix.T
+        pixels = pixels[:, :2] / pixels[:, 2:]
+        width, height = calibration.width - 0.5, calibration.height - 0.5
+        np.testing.assert_allclose(
+            pixels, [[-0.5, -0.5], [width, -0.5], [width, height], [-0.5, height]], atol=1e-6
+        )
+
+
+def test_the_scenes_meshes_are_whole(topics):
+    ((_, update),) = topics["/scene"]
+    assert [entity.id for entity in update.entities] == [thing.id for thing in SCENE.instances]
+    triangles = sum(len(entity.triangles[0].indices) // 3 for entity in update.entities)
+    assert triangles == len(SCENE.triangles)
+
+
+@pytest.mark.parametrize("build", [awkward_layout, large_layout])
+def test_any_layout_is_written_without_a_run(build):
+    layout = build()
+    found = read(to_mcap(layout, SCENE))
+    assert {"/scene", "/units", "/tf"} <= set(found)
+    ((_, transforms),) = found["/tf"]
+    assert [one.child_frame_id for one in transforms.transforms] == [u.id for u in layout.units]
+    cameras = [unit for unit in layout.units if isinstance(unit.sensor, CameraModel)]
+    assert sum(topic.startswith("/calibration/") for topic in found) == len(cameras)
+
+
+def test_a_recording_is_small(watched):
+    assert len(to_mcap(load_carlancap_layout(), SCENE, watched)) < 5_000_000
+
+
+def test_foxgloves_layout_names_topics_that_exist(topics):
+    from pathlib import Path
+
+    layout = json.loads(Path("docs/files/foxglove.json").read_text(encoding="utf-8"))
+    shown = set(layout["configById"]["3D!scene"]["topics"])
+    plotted = {path["value"].split(".")[0] for path in layout["configById"]["Plot!state"]["paths"]}
+    assert shown | plotted <= set(topics)
