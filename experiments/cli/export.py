@@ -38,7 +38,7 @@ Examples:
   place-rsus export --layout carlancap-12 --format geojson --out rsus.geojson
   place-rsus export --layout a.json --scene city --format gpkg --out a.gpkg
   place-rsus export --calibration tsai.xml --format ros
-  place-rsus export --layout carlancap-12 --run CPNC-50/east/40 \\
+  place-rsus export --run CPNC-50/east/40 --layout a.json \\
       --format cpm-uper --out cpm.bin""",
 )
 @layout_option

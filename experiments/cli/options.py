@@ -348,7 +348,7 @@ def question_options(
 def _refuse_program_of_file(question: Question) -> None:
     """Refuse a network that only a question file names: it is a program, and files come by mail."""
     source = click.get_current_context().get_parameter_source("detector")
-    if source is ParameterSource.DEFAULT_MAP and Path(question.detector).suffix == ".onnx":
+    if source is ParameterSource.DEFAULT_MAP and ".onnx" in question.detector:
         raise InputError(
             "--question: detector",
             question.detector,

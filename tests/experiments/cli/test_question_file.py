@@ -116,5 +116,8 @@ def test_a_network_that_only_the_file_names_is_refused(path, command):
         asked(command, "--question", str(path))
     trusted = asked(command, "--question", str(path), "--detector", "mail/net.onnx")
     assert "detector='mail/net.onnx'" in trusted
+    path.write_text('detector = "mail/net.onnx+pointrcnn-2019"\n')
+    with pytest.raises(InputError, match="expected no network, which is a program"):
+        asked(command, "--question", str(path))
     path.write_text('detector = "response.toml"\n')
     assert "detector='response.toml'" in asked(command, "--question", str(path))

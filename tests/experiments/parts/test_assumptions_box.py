@@ -4,9 +4,10 @@ from types import SimpleNamespace
 
 from experiments.cli.answers import assumption_parts
 from experiments.cli.terminal import answer_text
-from experiments.parts.assumptions import assumption_sentences
+from experiments.parts.assumptions import _figures, assumption_sentences
 from experiments.report.page import page_template
 from geometry.notes import Note
+from placement.detectors import load_detector
 
 
 def moved(site_id, away_m):
@@ -52,3 +53,16 @@ def test_the_page_has_a_box_where_something_is_assumed():
     assert "&lt;0&gt; is assumed." in head
     assert "and 2 more" in head
     assert "<aside" not in page([])
+
+
+def test_the_report_counts_the_measured_figures_of_response_tables():
+    response, table = load_detector("response"), load_detector("cnn-table")
+    assert _figures(SimpleNamespace(detector=response, table_detector=response)) == (
+        f" {response.figures_words}"
+    )
+    # A network's own table stands in for it; boxes alone have no such figures.
+    network = SimpleNamespace(name="cnn")
+    told = _figures(SimpleNamespace(detector=network, table_detector=table))
+    assert told.startswith(" Of the 14 figures of cnn-table 11 are measured; assumed: motorcyclist")
+    rule = load_detector()
+    assert _figures(SimpleNamespace(detector=rule, table_detector=rule)) == ""
