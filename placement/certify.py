@@ -10,10 +10,8 @@ from .compute import check_whole
 from .optimiser import Solution, solve_placement
 from .optimiser.greedy import solve_greedy
 from .pipeline import Assembly, pick_layout
+from .question import N_BLOCKS, N_JUDGED
 from .sampling.out_of_sample import MeanEstimate, SampledApr, estimate_mean, out_of_sample_layouts
-
-N_BLOCKS = 5
-N_JUDGED = 60
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -415,7 +415,7 @@ def find_sensitivity(
     """
     assumptions = load_assumptions() if assumptions is None else assumptions
     setting = with_sight(setting, compute=compute)
-    units, rule = layout.units, setting.rule
+    units = layout.units
     is_large = len(units) > MAX_LOOKED_FROM
     values = {one.name: _new_values(one, setting) for one in assumptions}
     asked = [(name, value) for name in (*_MOUNTING, *_DETECTOR) for value in values.get(name, ())]
@@ -434,7 +434,7 @@ def find_sensitivity(
             units=units,
             detected=part,
             axis=setting.axis,
-            rule=rule,
+            rule=setting.rule,
             fusion=fusion,
             seen_by_vut=setting.seen_by_vut,
             cars=setting.cars,
@@ -444,18 +444,13 @@ def find_sensitivity(
     looked = dict(zip(looks, others, strict=True))
     planned = find_outcome(as_planned)
 
-    def outcome(name: str, value: float) -> Outcome:
-        if (name, value) in looked:
-            return find_outcome(looked[name, value])
-        if name == "packet_loss":
-            return find_expected_outcome(as_planned, packet_loss=value)
-        if name == "deceleration_mps2":
-            return find_outcome(replace(as_planned, axis=axes[value]))
-        changed: Any = int(value) if name == "n_confirmations" else value
-        return find_outcome(replace(as_planned, rule=replace(rule, **{name: changed})))
-
     def vary(name: str, value: float) -> Varied:
-        found = outcome(name, value)
+        if (name, value) in looked:
+            found = find_outcome(looked[name, value])
+        elif name == "deceleration_mps2":
+            found = find_outcome(replace(as_planned, axis=axes[value]))
+        else:
+            found = _find_outcome_under(as_planned, name, value)
         moved = zip(units, looks[name, value], strict=True) if name in _MOUNTING else ()
         return Varied(
             **asdict(found.worth),
@@ -482,6 +477,14 @@ def find_sensitivity(
     return Sensitivity(
         planned=planned.worth, assumptions=tuple(vary_all(one) for one in assumptions)
     )
+
+
+def _find_outcome_under(watched: Watched, name: str, value: float) -> Outcome:
+    """Outcome with another loss of messages, latency or rule of confirmation."""
+    if name == "packet_loss":
+        return find_expected_outcome(watched, packet_loss=value)
+    changed: Any = int(value) if name == "n_confirmations" else value
+    return find_outcome(replace(watched, rule=replace(watched.rule, **{name: changed})))
 
 
 def _finite(value: float | None) -> float | None:
