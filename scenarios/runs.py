@@ -248,16 +248,10 @@ class Onsets:
 def find_onsets(arrival_s: FloatArray, axis: FrameAxis, *, rule: AebRule) -> Onsets:
     """When the VRU of each run is confirmed, and when the VUT knows, if messages take their time.
 
-    Parameters
-    ----------
-    arrival_s : (n_frames,) float
-        When the VUT knows of a detection made in each frame; infinite where there is none. [s]
-    axis : FrameAxis
-        Runs and frames.
-    rule : AebRule
-        Confirmation, and for how long a track lives. A message that arrives after the last brake
-        time does not count; the age of a track is taken at the last brake time less the rule's
-        latency, also where messages take another time.
+    `arrival_s` (n_frames,): when the VUT knows of a detection made in each frame; infinite where
+    there is none. A message that arrives after the last brake time does not count; the age of a
+    track is taken at the last brake time less the rule's latency, also where messages take another
+    time.
     """
     n_frames = np.diff(axis.run_start)
     last_brake_s = axis.last_brake_time_s.repeat(n_frames)

@@ -11,21 +11,9 @@ _DPI = 110
 
 
 def scrape(block: tuple[Any, ...], values: Mapping[str, Any], config: Mapping[str, Any]) -> str:
-    """Save the figure that is the value of a block's last line.
+    """Save the figure that is the value of a block's last line; the rst that shows it, or "".
 
-    Parameters
-    ----------
-    block : tuple
-        Kind, text and line of the block.
-    values : mapping
-        What sphinx-gallery knows of the example; ``___`` is the value of the last line.
-    config : mapping
-        Of sphinx-gallery.
-
-    Returns
-    -------
-    rst : str
-        That shows it; empty where there is none.
+    `block`: kind, text and line. `values`: ``___`` is the value of the last line.
     """
     figure = values["example_globals"].get("___")
     if not isinstance(figure, Figure):

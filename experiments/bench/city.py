@@ -109,10 +109,7 @@ def solve_directly(
 def read_costs(folder: Path) -> "pd.DataFrame":
     """Sizes and costs in ``junctions.csv``, of junctions whose fronts were found.
 
-    Raises
-    ------
-    InputError
-        There is no such file, it lacks the columns, or no junction was answered.
+    Raises InputError: there is no such file, it lacks the columns, or no junction was answered.
     """
     import pandas as pd
 

@@ -236,18 +236,10 @@ _UNIT_COLOUR = "#CC0000"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Place:
-    """Place where some runs end in an impact if nobody brakes.
+    """Place where some runs end in an impact if nobody brakes."""
 
-    Attributes
-    ----------
-    position_m : (2,) float
-        Middle of the road users then. World frame. [m]
-    runs : (n,) int
-        Indices of the runs.
-    """
-
-    position_m: FloatArray
-    runs: IntArray
+    position_m: FloatArray  # (2,): middle of the road users then. World frame. [m]
+    runs: IntArray  # (n,): indices of the runs
 
     def share_avoided(self, is_avoided: BoolArray, weight: FloatArray) -> float:
         """Share of these runs that is avoided, by weight; NaN if none has any."""

@@ -62,27 +62,16 @@ class JunctionWishes:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SolvedJunction:
-    """A junction's front with its layouts.
+    """A junction's front with its layouts."""
 
-    Attributes
-    ----------
-    front : JunctionFront
-        Points and bounds.
-    layouts : tuple of Layout or None
-        Of each point, with the existing units; None where nothing is mounted.
-    n_sites, n_poses, n_runs, n_frames : int
-        Sizes of the question.
-    seconds : dict of str to float
-        Processor time of the thread that solved it, by stage. [s]
-    """
-
-    front: JunctionFront
+    front: JunctionFront  # Points and bounds
+    # Of each point, with the existing units; None where nothing is mounted
     layouts: tuple[Layout | None, ...]
-    n_sites: int
+    n_sites: int  # Sizes of the question
     n_poses: int
     n_runs: int
     n_frames: int
-    seconds: dict[str, float]
+    seconds: dict[str, float]  # Processor time of the thread that solved it, by stage. [s]
 
 
 def solve_junction(

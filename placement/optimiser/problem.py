@@ -129,27 +129,13 @@ Fusion = Literal["any", "single"]
 
 
 class PlacementValue(NamedTuple):
-    """Value of a set of poses: compared from left to right.
+    """Value of a set of poses: compared from left to right."""
 
-    Attributes
-    ----------
-    apr : float
-        Accident prevention ratio, 0..1.
-    apr_one_failed : float
-        The same when the most painful one of the units fails.
-    smallest_margin_s : float
-        Of the avoided runs; 0 if there is none. [s]
-    mean_margin_s : float
-        Of the avoided runs, by their weights; 0 if there is none. [s]
-    cost_eur : float
-        Units, and sites once; the less the better. [EUR]
-    """
-
-    apr: float
-    apr_one_failed: float
-    smallest_margin_s: float
-    mean_margin_s: float
-    cost_eur: float
+    apr: float  # Accident prevention ratio, 0..1
+    apr_one_failed: float  # The same when the most painful one of the units fails
+    smallest_margin_s: float  # Of the avoided runs; 0 if there is none. [s]
+    mean_margin_s: float  # Of the avoided runs, by their weights; 0 if there is none. [s]
+    cost_eur: float  # Units, and sites once; the less the better. [EUR]
 
     def of(self, objective: Objective) -> float:
         """Value of one of :data:`placement.optimiser.objectives.VALUE_OBJECTIVES`."""
@@ -158,24 +144,14 @@ class PlacementValue(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Floor:
-    """An accident prevention ratio that must be reached.
+    """An accident prevention ratio that must be reached."""
 
-    Attributes
-    ----------
-    name : str
-        Who asks for it, such as "target", for messages.
-    share : float
-        The ratio, 0..1.
-    is_counted : (n_runs,) bool, optional
-        Runs that count, such as those of a case; by default all, by the problem's own measure.
-    n_failures : int
-        It must still be reached when any so many units fail.
-    """
-
-    name: str
-    share: float
+    name: str  # Who asks for it, such as "target", for messages
+    share: float  # The ratio, 0..1
+    # (n_runs,): runs that count, such as those of a case; by default all, by the problem's own
+    # measure
     is_counted: BoolArray | None = None
-    n_failures: int = 0
+    n_failures: int = 0  # It must still be reached when any so many units fail
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.share <= 1.0:
@@ -189,43 +165,23 @@ class Floor:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlacementProblem:
-    """Which poses to mount, given what each detects.
+    """Which poses to mount, given what each detects."""
 
-    Attributes
-    ----------
-    table : DetectionTable
-        V[c, f].
-    limits : Limits
-        What may be mounted together.
-    fusion : {"any", "single"}
-        "any": a frame counts if any unit detects; "single": one unit must confirm alone.
-    rule : AebRule
-        Confirmation and latency.
-    floors : tuple of Floor
-        What must be reached in any case.
-    goal : {"best", "fewest", "cheapest"}
-        "fewest", "cheapest": of the sets that reach the floors only those with the fewest units,
-        or of the least cost, are looked at; then the best of them.
-    survive : int
-        If not 0, the APR when so many units fail is the first objective.
-    sample_index : (n_runs,) int, optional
-        Sampled world of each run.
-    tail : float
-        See :class:`placement.optimiser.problem.Measure`: how the APR sums up the sampled worlds.
-    seen_by_vut : (n_frames,) bool, optional
-        Frames in which the VUT's own sensors detect. They are in every set, also in that of no
-        pose, and never fail. None: cars are blind.
-    """
-
-    table: DetectionTable
-    limits: Limits
+    table: DetectionTable  # V[c, f]
+    limits: Limits  # What may be mounted together
+    # "any": a frame counts if any unit detects; "single": one unit must confirm alone
     fusion: Fusion
-    rule: AebRule
-    floors: tuple[Floor, ...] = ()
+    rule: AebRule  # Confirmation and latency
+    floors: tuple[Floor, ...] = ()  # What must be reached in any case
+    # "fewest", "cheapest": of the sets that reach the floors only those with the fewest units, or
+    # of the least cost, are looked at; then the best of them
     goal: Goal = "best"
-    survive: int = 0
-    sample_index: IntArray | None = None
+    survive: int = 0  # If not 0, the APR when so many units fail is the first objective
+    sample_index: IntArray | None = None  # (n_runs,): sampled world of each run
+    # See :class:`placement.optimiser.problem.Measure`: how the APR sums up the sampled worlds
     tail: float = 1.0
+    # (n_frames,): frames in which the VUT's own sensors detect. They are in every set, also in that
+    # of no pose, and never fail. None: cars are blind.
     seen_by_vut: BoolArray | None = None
 
     def __post_init__(self) -> None:
