@@ -3,6 +3,7 @@
 import atexit
 import errno
 import glob
+import json
 import os
 import re
 import shutil
@@ -203,6 +204,21 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
         raise InputError(where, Unquoted("tables nested too deeply"), "valid TOML") from None
     except ValueError as error:  # also that of a number with thousands of digits
         raise InputError(where, Unquoted(error), "valid TOML in UTF-8") from None
+
+
+def parse_json(text: str | bytes, where: str, what: str) -> Any:
+    """JSON as plain values. Raises InputError: it is none, or `what` it is nested too deep for."""
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise InputError(where, Unquoted("JSON nested too deep"), what) from None
+    except ValueError as error:  # no JSON, no UTF-8, or a number of thousands of digits
+        raise InputError(where, Unquoted(error), "JSON in UTF-8") from None
+
+
+def says(description: str, **limits: Any) -> msgspec.Meta:
+    """Description of a field for the schema, and limits of its value: ge, le, min_length."""
+    return msgspec.Meta(extra={"description": description}, **limits)
 
 
 def read_table(table: object, kind: type[_T], where: str) -> _T:

@@ -21,7 +21,8 @@ from .candidates import CandidateGrid, CandidatePose, build_candidates, build_gr
 from .compute import DEFAULT_COMPUTE, Compute
 from .detection_table import DetectionTable, level_axis, level_table, mixed_table
 from .evaluator import with_sight
-from .explain import NextUnit, find_next_unit, find_refusal
+from .explain.conflicts import find_refusal
+from .explain.contributions import NextUnit, find_next_unit
 from .ground import (
     PrivateGround,
     load_private_ground,

@@ -19,7 +19,7 @@ from placement.city.choose import CityWishes, choose
 from placement.city.fronts import Options
 from placement.city.knapsack import Knapsack, solve_knapsack
 
-from .rays import Figures
+from .speed import Figures
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -389,13 +389,7 @@ class Cancelled(RuntimeError):
 
 
 class Worker:
-    """Runs methods of :class:`Tasks` in a second process, which starts when it is needed.
-
-    Attributes
-    ----------
-    is_busy : bool
-        True while it works.
-    """
+    """Runs methods of :class:`Tasks` in a second process, which starts when it is needed."""
 
     def __init__(self, work: Work) -> None:
         self._work = work

@@ -18,7 +18,7 @@ from geometry.errors import InputError, Unquoted
 
 from ..layout import Certificate, Stage, relative_gap
 from ..optimiser.model import run_solver, solver_text
-from ..optimiser.objectives import Objective
+from ..optimiser.problem import Objective
 from ..optimiser.steering import COST_TOLERANCE_EUR, TOLERANCE
 from .fronts import Options
 from .knapsack import Knapsack, best_prices, priced_choice, solve_knapsack

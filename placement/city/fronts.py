@@ -15,8 +15,8 @@ from ..optimiser import Effort, Limits, PlacementProblem, presolve
 from ..optimiser.bitsets import BestSet, set_values, values_with_each
 from ..optimiser.front import pareto_front
 from ..optimiser.greedy import extend_greedily, forced_units, improve, to_full
-from ..optimiser.objectives import Objective
 from ..optimiser.presolve import ReducedProblem
+from ..optimiser.problem import Objective
 from ..optimiser.stages import Search
 from ..optimiser.steering import COST_TOLERANCE_EUR, TOLERANCE, deadline_in
 

@@ -18,8 +18,7 @@ from ..layout import Layout, check_layout
 from ..optimiser import Effort, PlacementProblem, UnmetError, presolve
 from ..optimiser.front import Front, FrontPoint, cost_front, largest_values, pareto_front
 from ..optimiser.limits import Limits
-from ..optimiser.objectives import Objective
-from ..optimiser.problem import PlacementValue, placement_value
+from ..optimiser.problem import Objective, PlacementValue, placement_value
 from ..optimiser.solve import of_pool
 from ..pipeline import assemble, pick_layout
 from ..question import Question

@@ -20,10 +20,11 @@ from ..layout import Certificate, Stage
 from .bitsets import union_apr
 from .greedy import to_full
 from .limits import Limits
-from .objectives import VALUE_OBJECTIVES, Objective
 from .presolve import PresolveStatistics, ReducedProblem, presolve
 from .problem import (
+    VALUE_OBJECTIVES,
     Floor,
+    Objective,
     PlacementProblem,
     PlacementValue,
     Requirement,
