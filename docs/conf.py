@@ -32,8 +32,7 @@ extensions = [
     "sphinx_click",
     "sphinx_copybutton",
     "sphinx_gallery.gen_gallery",
-    "mathml",
-    "public_names",
+    "pages",
 ]
 exclude_patterns = [
     "examples",
@@ -60,7 +59,7 @@ copybutton_only_copy_prompt_lines = True
 sphinx_gallery_conf = {
     "examples_dirs": "examples",
     "gallery_dirs": "gallery",
-    "image_scrapers": ("last_figure.scrape",),
+    "image_scrapers": ("pages.scrape",),
     "capture_repr": ("_repr_html_",),
     "write_computation_times": False,
     "filename_pattern": r"plot_",

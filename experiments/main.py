@@ -12,18 +12,15 @@ from click.shell_completion import get_completion_class
 
 from .city.command import city
 from .cli.certify import certify
-from .cli.compare import compare
 from .cli.doctor import doctor
-from .cli.evaluate import evaluate
-from .cli.export import export
+from .cli.evaluate import compare, evaluate
+from .cli.export import export, sheet
 from .cli.latency import latency
 from .cli.options import with_option_names
-from .cli.pareto import pareto
+from .cli.pareto import pareto, retrofit
 from .cli.place import cli
-from .cli.retrofit import retrofit
 from .cli.running import Session, command_line
 from .cli.scenarios import scenarios
-from .cli.sheet import sheet
 from .cli.solve import solve
 from .cli.terminal import sentences
 from .cli.verify import verify

@@ -245,10 +245,7 @@ def _end_with(parent: Any) -> NoReturn:
 def signals_held() -> Iterator[list[int]]:
     """Hold Ctrl-C and SIGTERM back while a few quick steps are done that belong together.
 
-    Yields
-    ------
-    held : list of int
-        Signals that came meanwhile; the first of those left in it is delivered in the end.
+    Yields the signals that came meanwhile; the first of those left in it is delivered in the end.
     """
     held: list[int] = []
     if threading.current_thread() is not threading.main_thread():

@@ -3,6 +3,7 @@
 import atexit
 import errno
 import glob
+import json
 import os
 import re
 import shutil
@@ -155,17 +156,10 @@ def write_atomically(
 ) -> None:
     """Write a file under a temporary name in the same folder and move it into place.
 
-    Raises OSError: something is in the way, see :func:`check_target`, or the system says no.
-
-    Parameters
-    ----------
-    path : Path
-        In a folder that exists. Temporary files that a killed process left for it are removed.
-    content : bytes, str or callable
-        The content, text in UTF-8; or what writes it to an open file. Whatever that raises leaves
-        `path` as it was.
-    is_private : bool
-        Readable and writable by this user alone, whatever the umask.
+    The folder exists; temporary files that a killed process left for it are removed. A callable
+    writes the content to an open file; whatever it raises leaves `path` as it was. A private file
+    is for this user alone, whatever the umask. Raises OSError: something is in the way, see
+    :func:`check_target`, or the system says no.
     """
     if what := _obstacle(path):
         raise FileExistsError(errno.EEXIST, f"{what}, no regular file", str(path))
@@ -212,29 +206,33 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
         raise InputError(where, Unquoted(error), "valid TOML in UTF-8") from None
 
 
+def parse_json(text: str | bytes, where: str, what: str) -> Any:
+    """JSON as plain values. Raises InputError: it is none, or `what` it is nested too deep for."""
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise InputError(where, Unquoted("JSON nested too deep"), what) from None
+    except ValueError as error:  # no JSON, no UTF-8, or a number of thousands of digits
+        raise InputError(where, Unquoted(error), "JSON in UTF-8") from None
+
+
+def says(description: str, **limits: Any) -> msgspec.Meta:
+    """Description of a field for the schema, and limits of its value: ge, le, min_length."""
+    return msgspec.Meta(extra={"description": description}, **limits)
+
+
 def read_table(table: object, kind: type[_T], where: str) -> _T:
-    """Convert a table of a TOML or JSON file to a value.
+    """Convert a table of a TOML or JSON file to a value; numbers are finite.
 
-    Raises InputError: names the file, the field, the value and what is expected. One that a value
-    raises itself with an empty ``where`` is completed.
+    `kind`: a frozen dataclass or msgspec.Struct whose fields have the names of the table's keys, or
+    a list or tuple of such. Arrays state their shape: ``ndarray[tuple[int, Literal[2]], ...]``, as
+    in :mod:`geometry.arrays`. Ranges stand in ``Annotated[float, msgspec.Meta(gt=0)]``; a
+    description there is what the message says to be expected. Keys that are no field are ignored,
+    except by a Struct with ``forbid_unknown_fields``.
 
-    Parameters
-    ----------
-    table : object
-        What was read, usually a mapping.
-    kind : type
-        A frozen dataclass or msgspec.Struct whose fields have the names of the table's keys, or a
-        list or tuple of such. Arrays state their shape: ``ndarray[tuple[int, Literal[2]], ...]``,
-        as in :mod:`geometry.arrays`. Ranges stand in ``Annotated[float, msgspec.Meta(gt=0)]``; a
-        description there is what the message says to be expected.
-    where : str
-        What is being read: "sensors.toml", or "sensors.toml: wide" for an entry of it.
-
-    Returns
-    -------
-    value : kind
-        Checked; numbers are finite. Keys that are no field are ignored, except by a Struct with
-        ``forbid_unknown_fields``.
+    `where`: "sensors.toml", or "sensors.toml: wide" for an entry of it. Raises InputError: names
+    the file, the field, the value and what is expected. One that a value raises itself with an
+    empty ``where`` is completed.
     """
     _check_finite(table, where)
     try:

@@ -10,26 +10,10 @@ from typing import Any
 def lazy_names(
     package: str, file: str
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """``__getattr__``, ``__dir__`` and ``__all__`` of a package, from the stub next to it.
+    """``__getattr__``, ``__dir__`` and ``__all__`` of a package, from the stub next to its file.
 
-    The stub is the one list of names: type checkers read the same file.
-
-    Parameters
-    ----------
-    package : str
-        ``__name__`` of the package.
-    file : str
-        Its ``__file__``; ``__init__.pyi`` lies next to it and holds nothing but a docstring and
-        lines such as ``from .poses import Pose as Pose``.
-
-    Returns
-    -------
-    get : callable
-        Loads the module that a name comes from; raises AttributeError for any other name.
-    names : callable
-        Lists the names.
-    all_names : list of str
-        The same names, sorted.
+    The stub is the one list of names: type checkers read the same file. It holds nothing but a
+    docstring and lines such as ``from .poses import Pose as Pose``.
 
     References
     ----------

@@ -144,23 +144,13 @@ def beam_directions(lidar: LidarModel) -> FloatArray:
 
 
 def beam_window(lidar: LidarModel, low_deg: ArrayLike, high_deg: ArrayLike) -> IntArray:
-    """Beams within boxes of angles, limits included.
+    """Beams within boxes of angles, (..., 2) azimuth to the left and elevation; limits included.
 
-    Parameters
-    ----------
-    lidar : LidarModel
-        Scan pattern.
-    low_deg, high_deg : (..., 2) float
-        Azimuth (to the left) and elevation, seen from the sensor; low <= high. A box over the seam
-        behind a LiDAR that scans all round has limits beyond 180 degrees, such as 170 to 190. [deg]
-
-    Returns
-    -------
-    window : (..., 4) int
-        First line, first column, and the line and column after the last, as in
-        ``beam_directions(lidar)[window[0]:window[2], window[1]:window[3]]``; equal where there
-        are none. Of a LiDAR that scans all round columns count modulo ``n_columns``: the first one
-        is in the circle, the end may be beyond it, and none is in the window twice.
+    A box over the seam behind a LiDAR that scans all round has limits beyond 180 degrees, such as
+    170 to 190. Returns (..., 4): first line, first column, and the line and column after the last,
+    as in ``beam_directions(lidar)[window[0]:window[2], window[1]:window[3]]``; equal where there
+    are none. Of a LiDAR that scans all round columns count modulo ``n_columns``: the first one is
+    in the circle, the end may be beyond it, and none is in the window twice.
     """
     counts = np.array([lidar.n_lines, lidar.n_columns])
     fov_deg = np.array([lidar.vertical_fov_deg, lidar.horizontal_fov_deg])

@@ -2,7 +2,9 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Annotated, Literal, get_args
+
+from geometry.files import says
 
 from .files import Text
 
@@ -12,24 +14,16 @@ Kind = Literal["junction", "side of the road", "sites", "roads", "buildings", "h
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Note:
-    """Something that was assumed where a map leaves it open, or that was left out.
+    """Something that was assumed where a map leaves it open, or that was left out."""
 
-    Attributes
-    ----------
-    what : str
-        Kind and id, as the source has them: "way 4711", "road 5 object 12".
-    why : str
-        Assumption, or reason, in words.
-    kind : str
-        Subject.
-    site_ids : tuple of str
-        Sites of the scene that the map does not have, or not there.
-    """
-
-    what: Text
-    why: Text
-    kind: Kind = "left out"
-    site_ids: tuple[Text, ...] = ()
+    what: Annotated[
+        Text, says('Kind and id, as the source has them: "way 4711", "road 5 object 12".')
+    ]
+    why: Annotated[Text, says("Assumption, or reason, in words.")]
+    kind: Annotated[Kind, says("Subject.")] = "left out"
+    site_ids: Annotated[
+        tuple[Text, ...], says("Sites of the scene that the map does not have, or not there.")
+    ] = ()
 
     def __str__(self) -> str:
         return f"{self.what}: {self.why}"

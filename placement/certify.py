@@ -10,48 +10,27 @@ from .compute import check_whole
 from .optimiser import Solution, solve_placement
 from .optimiser.greedy import solve_greedy
 from .pipeline import Assembly, pick_layout
+from .question import N_BLOCKS, N_JUDGED
 from .sampling.out_of_sample import MeanEstimate, SampledApr, estimate_mean, out_of_sample_layouts
-
-N_BLOCKS = 5
-N_JUDGED = 60
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Block:
-    """Some sampled worlds, and what can be reached in them.
+    """Some sampled worlds, and what can be reached in them."""
 
-    Attributes
-    ----------
-    first : int
-        Number of its first world.
-    bound : float
-        Mean APR that no layout exceeds in its worlds, proven. 0 .. 1
-    apr : float
-        Mean APR of the layout found in its worlds.
-    found, greedy : tuple of int
-        Rows of the candidates.
-    """
-
-    first: int
-    bound: float
-    apr: float
-    found: tuple[int, ...]
+    first: int  # Number of its first world
+    bound: float  # Mean APR that no layout exceeds in its worlds, proven. 0 .. 1
+    apr: float  # Mean APR of the layout found in its worlds
+    found: tuple[int, ...]  # Rows of the candidates
     greedy: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GapEstimate:
-    """Limits of the best mean APR and of a layout's own, both at once with a confidence.
+    """Limits of the best mean APR and of a layout's own, both at once with a confidence."""
 
-    Attributes
-    ----------
-    most : MeanEstimate
-        Of the blocks' bounds: no layout's APR over all worlds is above its `high`.
-    least : MeanEstimate
-        Of the layout in worlds that nothing was chosen in: its APR is not below its `low`.
-    """
-
-    most: MeanEstimate
+    most: MeanEstimate  # Of the blocks' bounds: no layout's APR over all worlds is above its `high`
+    # Of the layout in worlds that nothing was chosen in: its APR is not below its `low`
     least: MeanEstimate
 
     @property
@@ -97,24 +76,13 @@ def estimate_gap(bounds: Sequence[float], aprs: Sequence[float]) -> GapEstimate:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Certified:
-    """The best of the layouts that were found in blocks of worlds, and what it may lack.
+    """The best of the layouts that were found in blocks of worlds, and what it may lack."""
 
-    Attributes
-    ----------
-    blocks : tuple of Block
-        Each with worlds of its own.
-    pool : tuple of SampledApr
-        Layouts found in the blocks, and the greedy ones, in the same fresh worlds; the best first.
-    judged : SampledApr
-        The best one in other fresh worlds.
-    gap : GapEstimate
-        From the bounds and these.
-    """
-
-    blocks: tuple[Block, ...]
+    blocks: tuple[Block, ...]  # Each with worlds of its own
+    # Layouts found in the blocks, and the greedy ones, in the same fresh worlds; the best first
     pool: tuple[SampledApr, ...]
-    judged: SampledApr
-    gap: GapEstimate
+    judged: SampledApr  # The best one in other fresh worlds
+    gap: GapEstimate  # From the bounds and these
 
 
 def certify(assembly: Assembly, *, n_blocks: int = N_BLOCKS, n_judged: int = N_JUDGED) -> Certified:

@@ -133,25 +133,10 @@ def solve_covering(
     """Most rows within a budget (MCLP) or, without one, the least cost that covers enough (LSCP).
 
     x_c = 1: column c is chosen; y_r: row r is covered; y_r <= sum of the x that cover r. Only x has
-    to be whole.
-
-    Parameters
-    ----------
-    instance : CoveringInstance
-        What covers what.
-    budget_units, budget_cost : int or float, optional
-        At most so many columns, or so much money.
-    target : float, optional
-        Share of all rows, 0 to 1, in place of a budget; by default every row that can be covered.
-    time_limit_s : float
-        When it is up, the best answer found is given with its bound. [s]
-    gap : float
-        Relative distance of objective and bound that is good enough.
-
-    Raises
-    ------
-    InputError
-        The target or the budget is out of reach, or there is no memory for the model.
+    to be whole. `target`: share of all rows in place of a budget; by default every row that can be
+    covered. When the time is up, the best answer found is given with its bound; `gap` is the
+    relative distance of both that is good enough. Raises InputError: the target or the budget is
+    out of reach, or there is no memory for the model.
     """
     began_s = time.perf_counter()
     n_coverable = instance.n_covered()

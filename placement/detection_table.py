@@ -75,22 +75,7 @@ _AT_ONCE_S = 1.0e-12
 
 
 def level_table(table: DetectionTable, levels: Levels, rule: AebRule) -> DetectionTable:
-    """Table with a run for every level of a score.
-
-    Parameters
-    ----------
-    table : DetectionTable
-        Of the runs themselves.
-    levels : Levels
-        Of these runs.
-    rule : AebRule
-        Latency, and how long tracks live.
-
-    Returns
-    -------
-    table : DetectionTable
-        See :func:`level_axis`.
-    """
+    """Table with a run for every level, see :func:`level_axis`, from that of the runs."""
     axis, frames = level_axis(table.axis, levels, rule)
     packed = np.empty((table.n_poses, -(-axis.n_frames // 8)), dtype=np.uint8)
     for row in range(0, table.n_poses, _ROWS):

@@ -1,6 +1,5 @@
 """Layouts (what is mounted) and certificates (how good they are proven to be)."""
 
-import json
 import math
 import os
 import sys
@@ -24,7 +23,7 @@ from geometry.catalogue import (
     sensor_kind,
 )
 from geometry.errors import InputError, Unquoted
-from geometry.files import load_toml, pick, read_text, take_list, take_number, take_text
+from geometry.files import load_toml, parse_json, pick, read_text, take_list, take_number, take_text
 from geometry.frames import from_carla_pose
 from geometry.maps.place_lists import (
     PLACE_FIELDS,
@@ -329,12 +328,7 @@ def read_layout(
 
     `where` is what is read, for error messages; `name` is for a layout that has none.
     """
-    try:
-        document = json.loads(text)
-    except RecursionError:
-        raise InputError(where, Unquoted("JSON nested too deep"), "a layout") from None
-    except ValueError as error:  # no JSON, no UTF-8, or a number of thousands of digits
-        raise InputError(where, Unquoted(error), "JSON in UTF-8") from None
+    document = parse_json(text, where, "a layout")
     known = (SCHEMA, *RESULT_SCHEMAS)
     if isinstance(document, dict) and document.get("schema", SCHEMA) not in known:
         expected = f"{', '.join(known)}, or none of it"

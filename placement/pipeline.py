@@ -21,7 +21,8 @@ from .candidates import CandidateGrid, CandidatePose, build_candidates, build_gr
 from .compute import DEFAULT_COMPUTE, Compute
 from .detection_table import DetectionTable, level_axis, level_table, mixed_table
 from .evaluator import with_sight
-from .explain import NextUnit, find_next_unit, find_refusal
+from .explain.conflicts import find_refusal
+from .explain.contributions import NextUnit, find_next_unit
 from .ground import (
     PrivateGround,
     load_private_ground,
@@ -453,15 +454,7 @@ def place(assembly: Assembly) -> Placement:
             time_limit_s=effort.time_limit_s,
         )
         raise refusal or error from None
-    nominal, nominal_index = problem, solution.pose_index
-    cars = assembly.setting.cars
-    if assembly.setting.levels is not None or 0.0 < cars < 1.0:
-        plain = replace(assembly.setting, levels=None, cars=float(cars == 1.0))
-        nominal = replace(assembly, setting=plain, known_table=assembly.table).problem
-    if problem.sample_index is not None:
-        alone = replace(assembly, compute=compute.within("greedy")).of_layout(solution.pose_index)
-        nominal = alone.problem
-        nominal_index = tuple(range(nominal.table.n_poses))
+    nominal, nominal_index = _nominal(assembly, problem, solution.pose_index)
     pick = partial(pick_layout, assembly.candidates)
     return Placement(
         layout=pick(solution.pose_index, f"best-{len(solution.pose_index)}"),
@@ -481,6 +474,21 @@ def place(assembly: Assembly) -> Placement:
             "greedy": time.perf_counter() - optimised,
         },
     )
+
+
+def _nominal(
+    assembly: Assembly, problem: PlacementProblem, pose_index: tuple[int, ...]
+) -> tuple[PlacementProblem, tuple[int, ...]]:
+    """The problem without chance, and the rows of a layout in it."""
+    cars = assembly.setting.cars
+    if problem.sample_index is not None:
+        compute = assembly.compute.within("greedy")
+        alone = replace(assembly, compute=compute).of_layout(pose_index).problem
+        return alone, tuple(range(alone.table.n_poses))
+    if assembly.setting.levels is not None or 0.0 < cars < 1.0:
+        plain = replace(assembly.setting, levels=None, cars=float(cars == 1.0))
+        return replace(assembly, setting=plain, known_table=assembly.table).problem, pose_index
+    return problem, pose_index
 
 
 def pick_layout(

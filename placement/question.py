@@ -43,6 +43,11 @@ _MOST_SAMPLES = 100_000
 _MOST_LISTED = 10_000
 _MOST_S = 10_000_000  # four months
 
+# Of a certificate over sampled worlds: blocks, worlds in each, and worlds to judge layouts in.
+N_BLOCKS = 5
+N_SAMPLES = 8
+N_JUDGED = 60
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:

@@ -31,7 +31,7 @@ from .optimiser import (
 )
 from .optimiser.bitsets import SetValues
 from .optimiser.limits import are_allowed, costs_eur
-from .optimiser.objectives import VALUE_OBJECTIVES, Objective
+from .optimiser.problem import VALUE_OBJECTIVES, Objective
 from .optimiser.steering import TOLERANCE
 
 # ---------- poses: the units, their re-aims, and what can be added

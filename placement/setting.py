@@ -182,12 +182,8 @@ def build_rule(question: Question) -> AebRule:
 def check_question(question: Question) -> None:
     """Check what can be checked of a question without a scene.
 
-    Raises
-    ------
-    InputError
-        A word is unknown, or a file cannot be used, wherever the question is asked.
-    MissingExtraError
-        What it needs is not installed.
+    Raises InputError: a word is unknown, or a file cannot be used, wherever the question is asked.
+    MissingExtraError: what it needs is not installed.
     """
     _select(question)
     pick_positions(question.along_arms, question.cases)

@@ -87,21 +87,12 @@ class Accident:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Accidents:
-    """Accidents of a file.
+    """Accidents of a file."""
 
-    Attributes
-    ----------
-    source : str
-        The file's name.
-    place_deg : (n, 2) float
-        Latitude and longitude, WGS 84; not a number where the file has none. [deg]
-    what : tuple of Accident
-        Of each.
-    """
-
-    source: str
+    source: str  # The file's name
+    # (n, 2): latitude and longitude, WGS 84; not a number where the file has none. [deg]
     place_deg: FloatArray
-    what: tuple[Accident, ...]
+    what: tuple[Accident, ...]  # Of each
 
     def near(self, place_deg: tuple[float, float], within_m: float) -> list[Accident]:
         """Accidents no farther than so many metres from a place (latitude, longitude).
@@ -151,20 +142,11 @@ def split_source(how: str) -> tuple[str, Path] | None:
 def read_accidents(form: str, path: Path) -> Accidents:
     """Accidents of a file of one of ``FORMATS``; read once while it stays the same.
 
-    Parameters
-    ----------
-    form : str
-        "unfallatlas": the German accident atlas, CSV with semicolons and decimal commas;
-        "stats19": the collisions of Great Britain, CSV; the files of vehicles and casualties lie
-        beside it, with "vehicle" and "casualty" in place of "collision" (or "accident") in their
-        names.
-    path : Path
-        UTF-8, with or without a byte order mark, or Windows-1252.
-
-    Raises
-    ------
-    InputError
-        A file cannot be read, is no such CSV, lacks a column, or has no accident with a place.
+    "unfallatlas": the German accident atlas, CSV with semicolons and decimal commas; "stats19": the
+    collisions of Great Britain, CSV; the files of vehicles and casualties lie beside it, with
+    "vehicle" and "casualty" in place of "collision" (or "accident") in their names. UTF-8, with or
+    without a byte order mark, or Windows-1252. Raises InputError: a file cannot be read, is no such
+    CSV, lacks a column, or has no accident with a place.
     """
     paths = accident_files(form, path)
     stamps = tuple(_stamp(one) for one in paths)

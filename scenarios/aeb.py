@@ -234,21 +234,13 @@ def has_contact(encounter: Encounter, onset_s: ArrayLike, rule: AebRule) -> Bool
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Contacts:
-    """First contacts of the footprints for onsets of braking, each of the onsets' shape.
+    """First contacts of the footprints for onsets of braking, each of the onsets' shape."""
 
-    Attributes
-    ----------
-    time_s : (...,) float
-        Relative to the impact without braking; infinite where the footprints never touch. [s]
-    speed_mps : (...,) float
-        Of the VUT then; 0 where they never touch. [m/s]
-    closing_mps : (...,) float
-        The same less what the target does along the VUT's heading, at least 0: Euro NCAP's relative
-        impact speed. [m/s]
-    """
-
+    # (...,): relative to the impact without braking; infinite where the footprints never touch. [s]
     time_s: FloatArray
-    speed_mps: FloatArray
+    speed_mps: FloatArray  # (...,): of the VUT then; 0 where they never touch. [m/s]
+    # (...,): the same less what the target does along the VUT's heading, at least 0: Euro NCAP's
+    # relative impact speed. [m/s]
     closing_mps: FloatArray
 
 
@@ -319,19 +311,10 @@ def last_onsets_s(
 ) -> FloatArray:
     """Latest onsets such that they and all earlier ones leave a closing speed below each limit.
 
-    Parameters
-    ----------
-    below_mps : sequence of float
-        Limits of :attr:`Contacts.closing_mps`. [m/s]
-    avoids_until_s : float
-        Last brake time: no earlier onset leads to contact. [s]
-
-    Returns
-    -------
-    onset_s : (n_limits,) float
-        Not before `avoids_until_s`; 10 microseconds later it is too late. 0 where the impact
-        without braking is slower, minus infinity if even braking at the VUT's start leaves too
-        much. [s]
+    `below_mps`: limits of :attr:`Contacts.closing_mps`. `avoids_until_s`: last brake time: no
+    earlier onset leads to contact. Returns (n_limits,): not before `avoids_until_s`; 10
+    microseconds later it is too late. 0 where the impact without braking is slower, minus infinity
+    if even braking at the VUT's start leaves too much.
 
     Notes
     -----
@@ -480,25 +463,12 @@ def held_frames(
     """Detected frames since which the VRU has not been out of sight for longer than the memory.
 
     A track that is confirmed in such a frame is alive at `until_s`: neither between two detections
-    from then on, nor from the last one until then, more than `memory_s` have passed.
+    from then on, nor from the last one until then, more than `memory_s` have passed. More
+    detections never make fewer frames held.
 
-    Parameters
-    ----------
-    detected : (..., n_frames) bool
-        Frames in which the VRU is detected, of those that the VUT knows of when it matters.
-    time_s : (n_frames,) float
-        Ascending within a run. [s]
-    until_s : float or (n_frames,) float
-        When the track must be alive; the same in all frames of a run. [s]
-    memory_s : float
-        How long a track lives without detections; may be infinite. [s]
-    last_frame : (n_frames,) int, optional
-        The last frame of each frame's run; by default all belong to one run.
-
-    Returns
-    -------
-    held : (..., n_frames) bool
-        More detections never make fewer frames held.
+    `detected` (..., n_frames): of the frames that the VUT knows of when it matters. `time_s`
+    (n_frames,): ascending within a run. `until_s`: when the track must be alive; the same in all
+    frames of a run. `last_frame` (n_frames,): of each frame's run; by default there is one run.
 
     Examples
     --------

@@ -251,16 +251,10 @@ class Onsets:
 def find_onsets(arrival_s: FloatArray, axis: FrameAxis, *, rule: AebRule) -> Onsets:
     """When the VRU of each run is confirmed, and when the VUT knows, if messages take their time.
 
-    Parameters
-    ----------
-    arrival_s : (n_frames,) float
-        When the VUT knows of a detection made in each frame; infinite where there is none. [s]
-    axis : FrameAxis
-        Runs and frames.
-    rule : AebRule
-        Confirmation, and for how long a track lives. A message that arrives after the last brake
-        time does not count; the age of a track is taken at the last brake time less the rule's
-        latency, also where messages take another time.
+    `arrival_s` (n_frames,): when the VUT knows of a detection made in each frame; infinite where
+    there is none. A message that arrives after the last brake time does not count; the age of a
+    track is taken at the last brake time less the rule's latency, also where messages take another
+    time.
     """
     n_frames = np.diff(axis.run_start)
     last_brake_s = axis.last_brake_time_s.repeat(n_frames)
@@ -435,14 +429,7 @@ def build_runs(
             if case.recorded is not None and approach != nearest_arm(case.recorded, junction)[0]:
                 continue
             for number, position in enumerate(positions_of(case, positions)):
-                speeds_kmh = case.vut_speeds_kmh
-                if is_spread:
-                    speeds_kmh = spread_speeds(
-                        speeds_kmh,
-                        position,
-                        turn=tuple(junction.arms).index(approach) + number,
-                        impact_turn=(0, 1) if is_bound(case) else case.impact_turn,
-                    )
+                turn = tuple(junction.arms).index(approach) + number
                 keeps = keeps_limits and case.recorded is None  # so it was driven
                 drive = _Drive(
                     case=case,
@@ -455,7 +442,7 @@ def build_runs(
                     vut=vut,
                     rule=rule,
                 )
-                laid, refused = drive.lay(speeds_kmh)
+                laid, refused = drive.lay(turn if is_spread else None)
                 runs += [_in_weather(run, one) for run in laid for one in dict.fromkeys(weathers)]
                 refusals += refused
     return tuple(runs), tuple(refusals)
@@ -511,12 +498,15 @@ class _Drive:
     vut: Actor
     rule: AebRule
 
-    def lay(self, speeds_kmh: Sequence[float]) -> tuple[list[Run], list[Refusal]]:
-        """Runs at ascending speeds by day, and what could not be laid."""
+    def lay(self, turn: int | None) -> tuple[list[Run], list[Refusal]]:
+        """Runs at ascending speeds by day, and what could not be laid.
+
+        Speeds take turns with the positions from `turn` on; None: all of them are driven.
+        """
         runs = []
         reasons: dict[tuple[str, bool], list[tuple[float, float]]] = {}
         too_fast: dict[float, list[tuple[float, float]]] = {}
-        for speed_kmh, vru_speed_kmh in self._pairs(speeds_kmh):
+        for speed_kmh, vru_speed_kmh in self._pairs(turn):
             limit_kmh = self._broken_limit_kmh(speed_kmh, vru_speed_kmh)
             if limit_kmh is not None:
                 too_fast.setdefault(limit_kmh, []).append((speed_kmh, vru_speed_kmh))
@@ -557,8 +547,14 @@ class _Drive:
         is_faster = self.target_limit_kmh is not None and vru_speed_kmh > self.target_limit_kmh
         return self.target_limit_kmh if is_faster and is_vehicle(self.case.vru) else None
 
-    def _pairs(self, speeds_kmh: Sequence[float]) -> list[tuple[float, float]]:
+    def _pairs(self, turn: int | None) -> list[tuple[float, float]]:
         """Speeds of the VUT and of whoever it meets, ascending."""
+        speeds_kmh = self.case.vut_speeds_kmh
+        if turn is not None:
+            impact_turn = (0, 1) if is_bound(self.case) else self.case.impact_turn
+            speeds_kmh = spread_speeds(
+                speeds_kmh, self.position, turn=turn, impact_turn=impact_turn
+            )
         return [
             (speed_kmh, vru_speed_kmh)
             for speed_kmh in speeds_kmh

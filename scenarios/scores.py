@@ -101,28 +101,18 @@ def _criteria_of(criteria: Sequence[Criterion], case_name: str) -> list[Criterio
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Levels:
-    """Levels of runs, run by run, the best level of each first.
+    """Levels of runs, run by run, the best level of each first."""
 
-    Attributes
-    ----------
-    score : str
-        By which score.
-    run_index : (n_levels,) int
-        Run of each level, ascending; each run has one at least.
-    below_kmh : (n_levels,) float
-        Reached by closing speeds at contact below this; 0: by runs that are avoided. [km/h]
-    gain : (n_levels,) float
-        What reaching it adds to the next worse level of its run, a share of the run's weight; those
-        of a run sum to 1.
-    deadline_s : (n_levels,) float
-        Last onset of braking that reaches it, and so does every earlier one; of avoided runs the
-        last brake time. [s]
-    """
-
-    score: str
-    run_index: IntArray
+    score: str  # By which score
+    run_index: IntArray  # (n_levels,): run of each level, ascending; each run has one at least
+    # (n_levels,): reached by closing speeds at contact below this; 0: by runs that are avoided.
+    # [km/h]
     below_kmh: FloatArray
+    # (n_levels,): what reaching it adds to the next worse level of its run, a share of the run's
+    # weight; those of a run sum to 1
     gain: FloatArray
+    # (n_levels,): last onset of braking that reaches it, and so does every earlier one; of avoided
+    # runs the last brake time. [s]
     deadline_s: FloatArray
 
     def __post_init__(self) -> None:

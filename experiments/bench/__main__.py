@@ -28,8 +28,16 @@ from placement.question import Question
 from placement.setting import Setting, build_setting
 
 from .city import measure_city
-from .optimiser import build_bench_problem, measure_optimiser, measure_single
-from .rays import REPEATS, Figures, measure_casting, measure_evaluation, measure_table
+from .speed import (
+    REPEATS,
+    Figures,
+    build_bench_problem,
+    measure_casting,
+    measure_evaluation,
+    measure_optimiser,
+    measure_single,
+    measure_table,
+)
 
 _OWN_CASES = "CPNC-50,CBNA,CBLA"  # the study's: rays are measured on their 104 runs
 _LIMIT_S = 240.0

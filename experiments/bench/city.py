@@ -19,7 +19,7 @@ from placement.city.choose import CityWishes, choose
 from placement.city.fronts import Options
 from placement.city.knapsack import Knapsack, solve_knapsack
 
-from .rays import Figures
+from .speed import Figures
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -109,10 +109,7 @@ def solve_directly(
 def read_costs(folder: Path) -> "pd.DataFrame":
     """Sizes and costs in ``junctions.csv``, of junctions whose fronts were found.
 
-    Raises
-    ------
-    InputError
-        There is no such file, it lacks the columns, or no junction was answered.
+    Raises InputError: there is no such file, it lacks the columns, or no junction was answered.
     """
     import pandas as pd
 

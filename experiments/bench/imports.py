@@ -33,6 +33,7 @@ from placement.setting import Setting, build_setting
 from scenarios.staging import BENDS, ON_ROAD, lateral_acceleration_mps2
 
 from ..figures.axes import to_png
+from ..results.tables import markdown_table
 from ..scene.pictures import plot_scene_plan
 
 _NO_MAPS = ("_16mm.json", "_8mm.json", ".boundary.geojson")  # calibrations, outlines
@@ -192,9 +193,7 @@ def _page(rows: Sequence[Sequence[str]], notes: Sequence[str], command: str) -> 
         "the one that keeps most possible runs away. Assumed: how many notes of each kind stand in "
         "the answer's list of what the map leaves open.",
         "",
-        "| " + " | ".join(_HEADS) + " |",
-        "|" + " --- |" * len(_HEADS),
-        *("| " + " | ".join(row) + " |" for row in rows),
+        *markdown_table(_HEADS, rows),
     ]
     if notes:
         lines += ["", "Without runs:", "", *notes]

@@ -254,10 +254,7 @@ def choose_for_city(
 ) -> CityResult:
     """Choose a point of each junction's front; `done` has the fronts by their folders.
 
-    Raises
-    ------
-    InputError
-        No junction, or none with a weight, has a front; a wish cannot be met.
+    Raises InputError: no junction, or none with a weight, has a front; a wish cannot be met.
     """
     records = [done[one.folder] for one in city.junctions]
     solved = _solved(city, records, values)

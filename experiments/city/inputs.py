@@ -151,11 +151,8 @@ class City:
 def load_city(paths: Sequence[Path], reading: ReadingOptions, wish: CityWish) -> City:
     """Read maps once, and find the junctions that count.
 
-    Raises
-    ------
-    InputError
-        A file cannot be read, none has roads, two have the same name or overlap, or no junction
-        counts.
+    Raises InputError: a file cannot be read, none has roads, two have the same name or overlap, or
+    no junction counts.
     """
     if not paths:
         raise InputError("MAP", Unquoted("nothing"), "a map: OpenDRIVE or OpenStreetMap")
@@ -290,23 +287,13 @@ def _named(found: Sequence[CityJunction], roads: SourceMap, text: str) -> list[C
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CityValues:
-    """Weight of each junction, the source of the weights in words, and what has to be reached.
+    """Weight of each junction, the source of the weights in words, and what has to be reached."""
 
-    Attributes
-    ----------
-    weight, least_apr : (n,) float
-        Not all 0; 0: nothing is asked.
-    districts : tuple of (str, indices)
-        Names and junctions.
-    notes : tuple of str
-        Rows and districts that were not used.
-    """
-
-    weight: FloatArray
+    weight: FloatArray  # (n,): not all 0; 0: nothing is asked
     source: str
-    least_apr: FloatArray
-    districts: tuple[tuple[str, tuple[int, ...]], ...]
-    notes: tuple[str, ...]
+    least_apr: FloatArray  # (n,)
+    districts: tuple[tuple[str, tuple[int, ...]], ...]  # names and junctions
+    notes: tuple[str, ...]  # Rows and districts that were not used
 
     def district_of(self, junction: int) -> str:
         """Names of the districts of a junction, with commas between."""
@@ -337,10 +324,7 @@ class CityValues:
 def load_values(city: City, wish: CityWish) -> CityValues:
     """Weights, areas and districts of a city's junctions.
 
-    Raises
-    ------
-    InputError
-        A file cannot be read, or nothing of it is at the junctions.
+    Raises InputError: a file cannot be read, or nothing of it is at the junctions.
     """
     places = np.array([one.position_m for one in city.junctions])
     crs = city.roads[0].crs
@@ -454,12 +438,8 @@ def _number(
 def load_existing(paths: Sequence[Path], city: City) -> dict[str, Layout]:
     """Layouts of the units mounted already, by the name of the scene.
 
-    A folder is one of a city, and stands for the layouts that it chose.
-
-    Raises
-    ------
-    InputError
-        A file is no layout, two are of the same junction, or one is of none that counts.
+    A folder is one of a city, and stands for the layouts that it chose. Raises InputError: a file
+    is no layout, two are of the same junction, or one is of none that counts.
     """
     files: list[Path] = []
     for path in paths:

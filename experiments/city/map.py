@@ -30,18 +30,9 @@ def plot_city_map(
 ) -> Axes:
     """Streets and buildings of the maps, and what each junction gets.
 
-    Parameters
-    ----------
-    maps : sequence of SourceMap
-        The first one has the coordinates of `positions_m`.
-    positions_m : sequence of (2,) float
-        Of the junctions of `result`. [m]
-
-    Returns
-    -------
-    axes : Axes
-        Circles grow with the gain and darken with the number of units, which stands in them. A
-        small open circle gets nothing, a cross was not done.
+    The first map has the coordinates of `positions_m`, (2,) of each junction of `result`. Circles
+    grow with the gain and darken with the number of units, which stands in them. A small open
+    circle gets nothing, a cross was not done.
     """
     places, junctions = np.array(positions_m).reshape(-1, 2), result.junctions
     axes = new_map_axes(maps, places)

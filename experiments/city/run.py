@@ -113,27 +113,10 @@ def run_city(
 ) -> CityResult:
     """Choose the units of each junction of a city, and write the answer.
 
-    Parameters
-    ----------
-    question, wish, search, workers
-        Runs and sensors at each junction; budgets, and junctions that count; effort for each
-        front; where these are found.
-    maps : sequence of Path
-        Maps with roads, and others with buildings.
-    out : Path
-        Folder: new, empty, or of the same city.
-    seed : int
-        Of points on the road users.
-    command : str
-        Command line that makes the result again.
-    progress, tell
-        Shows the stages; prints the amount of work and the workers.
-
-    Raises
-    ------
-    InputError
-        A file cannot be read, the maps overlap, no junction can be solved, a wish cannot be met,
-        or the folder is of something else.
+    `question` has the runs and sensors at each junction; `maps` those with roads, and others with
+    buildings; `out` is new, empty, or of the same city; `command` makes the result again; `tell`
+    gets the amount of work and the workers. Raises InputError: a file cannot be read, the maps
+    overlap, no junction can be solved, a wish cannot be met, or the folder is of something else.
     """
     check_folder(out)
     progress.kept = f"nothing was written to {out}"

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from geometry.junction import compass_bearing_deg
 from placement.candidates import load_candidate_grid
-from placement.explain import Unavoided
 from placement.explain.agreement import Disagreement
+from placement.explain.unavoided import Unavoided
 from scenarios.scores import AVOIDED
 
 from ..parts import (

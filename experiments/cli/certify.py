@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from placement.compute import Compute
-from placement.question import Question
+from placement.question import N_BLOCKS, N_JUDGED, N_SAMPLES, Question
 
 from ..progress import StageProgress
 from .options import (
@@ -25,7 +25,6 @@ from .terminal import driven_lines, sentences, table
 if TYPE_CHECKING:
     from ..parts.certified import CertifiedResult
 
-_WORLDS = 8
 _ASKED = ("budget", "budget_cost", *fields_in(MOUNTED))
 _SOUGHT = (
     *("solver", "time_limit_s", "gap", "fusion"),
@@ -48,7 +47,7 @@ Examples:
     type=click.IntRange(min=2),
     metavar="N",
     expected="a whole number, at least 2",
-    default=5,
+    default=N_BLOCKS,
     show_default=True,
     help="Blocks of --samples worlds each; a layout and a bound is found in each.",
 )
@@ -58,12 +57,12 @@ Examples:
     type=click.IntRange(min=2),
     metavar="N",
     expected="a whole number, at least 2",
-    default=60,
+    default=N_JUDGED,
     show_default=True,
     help="Fresh worlds to choose among these layouts in, and as many others to judge the best in.",
 )
 @folder_option("layout.json and certified.json")
-@question_options(*_ASKED, *_SOUGHT, *JUDGED, defaults={"samples": _WORLDS})
+@question_options(*_ASKED, *_SOUGHT, *JUDGED, defaults={"samples": N_SAMPLES})
 @job_options(has_cache=True)
 @click.pass_obj
 def certify(

@@ -1,13 +1,30 @@
 """``place-rsus export``: a layout for other programs."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
+from placement.compute import Compute
+from placement.question import Question
+
 from ..export import FORMAT_NAMES
 from ..progress import StageProgress, tell, write_out
-from .options import layout_option, option, quiet_option, scene_option
-from .running import load_one_layout, unwritable
+from .options import (
+    JUDGED,
+    SectionedCommand,
+    job_options,
+    layout_option,
+    option,
+    question_options,
+    quiet_option,
+    scene_option,
+)
+from .running import begin, load_one_layout, print_result, unwritable
+from .terminal import sentences, table
+
+if TYPE_CHECKING:
+    from ..parts.sheet import SheetResult
 
 
 class _ExportCommand(click.Command):
@@ -144,3 +161,59 @@ def _convert(path: Path, format_name: str, size_px: tuple[int, int] | None) -> s
     cameras = read_cameras(path, size_px=size_px or None)
     found = [of_calibrated(name, camera) for name, camera in cameras.items()]
     return opencv_text(found, path.stem) if format_name == "opencv" else ros_text(found)
+
+
+# ---------- for whoever mounts the units
+
+
+@click.command(
+    cls=SectionedCommand,
+    epilog="""\b
+Examples:
+  place-rsus sheet --layout results/latest/layout.json --out mounting.pdf
+  place-rsus sheet --layout mine.json --scene scene --out mounting.pdf --json""",
+)
+@layout_option
+@option("--out", type=click.Path(path_type=Path), required=True, help="PDF file to write.")
+@question_options(*JUDGED)
+@job_options()
+@click.pass_obj
+def sheet(
+    progress: StageProgress,
+    *,
+    layout_names: tuple[str, ...],
+    out: Path,
+    question: Question,
+    as_json: bool,
+    quiet: bool,
+    compute: Compute,
+) -> None:
+    """Write a PDF for whoever mounts the units: a page each.
+
+    Where, how high, where it looks in words and degrees, what it will see (rendered), a plan, the
+    nearest landmarks, and how many degrees and centimetres it may be off before a run is lost.
+    """
+    question = begin(progress, question, quiet=quiet)
+    layout = load_one_layout(layout_names, question)
+    from ..parts.sheet import run_sheet
+
+    summary = run_sheet(question, layout=layout, out=out, compute=compute, progress=progress)
+    print_result(summary, progress, as_json, lambda: sheet_text(summary))
+
+
+def sheet_text(summary: "SheetResult") -> str:
+    """Tolerances of each unit before a run is lost."""
+    rows = []
+    for unit in summary.units:
+        (right, left), (down, up) = unit.yaw_deg, unit.pitch_deg
+        lower_m, higher_m = unit.height_m
+        degrees = [f"{value:g}\N{DEGREE SIGN}" for value in (left, right, up, down)]
+        rows.append([unit.unit_id, *degrees, f"{100 * higher_m:.0f} cm", f"{100 * lower_m:.0f} cm"])
+    lines = [
+        *sentences(f"What the units of {summary.layout} may be off before a run is lost:"),
+        *table(["unit", "left", "right", "up", "down", "higher", "lower"], rows),
+        "  One thing at a time; the largest of the steps tried.",
+        "",
+        f"Written to {summary.written}.",
+    ]
+    return "\n".join(lines)

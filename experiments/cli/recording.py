@@ -54,10 +54,7 @@ def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
 def check_recording_options(recording: Path | None) -> None:
     """Refuse options that say nothing next to a recording.
 
-    Raises
-    ------
-    click.UsageError
-        Which one.
+    Raises click.UsageError: says which.
     """
     if recording is None:
         return

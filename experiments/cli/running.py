@@ -37,10 +37,7 @@ class Session(StageProgress):
 def begin(progress: StageProgress, question: "Question", *, quiet: bool) -> "Question":
     """Show what happens from here on; the question, with its map imported.
 
-    Raises
-    ------
-    InputError
-        Options of a map stand with a scene, or the map has no such junction.
+    Raises InputError: options of a map stand with a scene, or the map has no such junction.
     """
     from placement.question import map_options
 
@@ -114,10 +111,7 @@ def cache_folder() -> Path:
 def check_address_space() -> None:
     """Refuse a limit of address space in which libraries end by a segmentation fault.
 
-    Raises
-    ------
-    click.UsageError
-        It is below 2 GB: a small question reserves 2.3 where it may.
+    Raises click.UsageError: it is below 2 GB: a small question reserves 2.3 where it may.
     """
     try:
         import resource

@@ -16,7 +16,7 @@ from scenarios.positions import AT_ZERO
 from scenarios.runs import FrameAxis
 
 # M. Okabe, K. Ito, "Color Universal Design" (2008): distinct with any colour vision.
-BLUE, SKY, GREEN, YELLOW = "#0072B2", "#56B4E9", "#009E73", "#F0E442"
+BLUE, SKY, GREEN = "#0072B2", "#56B4E9", "#009E73"
 ORANGE, VERMILION, PINK, GREY = "#E69F00", "#D55E00", "#CC79A7", "#999999"
 
 WIDTH_IN = 6.8

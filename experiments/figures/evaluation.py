@@ -92,18 +92,9 @@ def pick_heatmap_runs(evaluation: Evaluation) -> tuple[str, ...]:
 def plot_apr_by_case(evaluations: Mapping[str, Evaluation], *, axes: Axes | None = None) -> Axes:
     """Accident prevention ratio by case and over all runs, as a shaded table.
 
-    Parameters
-    ----------
-    evaluations : mapping of str to Evaluation
-        By display name; the first one is the subject. Shown are all RSUs together of each, the
-        VUT alone, and the VUT with the subject's RSUs.
-    axes : Axes, optional
-        Where to draw; by default in a new figure.
-
-    Returns
-    -------
-    axes : Axes
-        One row per case, the first for all runs; the more accidents are left, the darker.
+    The first evaluation is the subject. Shown are all RSUs together of each, the VUT alone, and the
+    VUT with the subject's RSUs: one row per case, the first for all runs; the more accidents are
+    left, the darker. By default in a new figure.
     """
     columns = _apr_columns(evaluations)
     rows = list(next(iter(columns.values())))

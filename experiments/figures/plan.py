@@ -216,28 +216,10 @@ def plot_plan(
 ) -> Axes:
     """Plan of the junction with a layout: where its units are and what ground they look at.
 
-    Parameters
-    ----------
-    setting : Setting
-        Junction and runs.
-    layout : Layout
-        Drawn with labels and fields of view.
-    others : sequence of Layout
-        Drawn lighter, without fields of view.
-    half_size_m : float, optional
-        Half the side of the square that is shown, around the middle of the junction; by default 45,
-        or what shows all units and places along the arms. [m]
-    max_range_m : float
-        Fields of view end here; the camera itself sees farther. [m]
-    width_in : float
-        Of a new figure. [inch]
-    axes : Axes, optional
-        Where to draw; by default in a new figure.
-
-    Returns
-    -------
-    axes : Axes
-        In metres, north up.
+    `others` are drawn lighter, without fields of view. The square that is shown lies around the
+    middle of the junction; half its side is by default 45 m, or what shows all units and places
+    along the arms. Fields of view end at `max_range_m`; the camera itself sees farther. The axes
+    are in metres, north up; by default in a new figure of so many inches.
     """
     entries = _plan_legend(setting, layout, others)
     n_columns = 1 if width_in < WIDTH_IN else 2

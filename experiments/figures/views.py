@@ -32,13 +32,7 @@ _MAX_MOUNTS = 256
 
 
 class GroundViews:
-    """Views in one setting; rays are cast once per mount position. For several threads.
-
-    Parameters
-    ----------
-    setting : Setting
-        Scene, road users, weathers, and the planning detector.
-    """
+    """Views in one setting; rays are cast once per mount position. For several threads."""
 
     def __init__(self, setting: Setting) -> None:
         self._setting = setting

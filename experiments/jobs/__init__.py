@@ -7,8 +7,8 @@ READY: dict[str, Any] = {
         "experiments.report.page",
         "placement.explain.other_sensors",
         "placement.explain.sensitivity",
-        "placement.visibility.projecting",  # the compiler
-        "placement.visibility.spreading",
+        "placement.visibility.point_kernels",  # the compiler
+        "placement.visibility.ray_kernels",
         "scipy.integrate",
         "scipy.optimize",
         "trimesh",

@@ -20,9 +20,8 @@ from placement.candidates import CandidatePose
 from placement.compute import Compute, silent
 from placement.evaluation import Evaluation, headline_apr
 from placement.evaluator import evaluate_layouts, with_sight
-from placement.explain import OtherSensors
 from placement.explain.other_sensors import STAGE as OTHER_SENSORS
-from placement.explain.other_sensors import find_other_sensors
+from placement.explain.other_sensors import OtherSensors, find_other_sensors
 from placement.explain.sensitivity import STAGE as WHAT_IF
 from placement.explain.sensitivity import (
     Sensitivity,

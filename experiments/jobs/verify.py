@@ -6,7 +6,6 @@ says it, too. What cannot be compared with anything is named.
 
 import csv
 import io
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,7 +17,7 @@ from msgspec import UNSET, UnsetType
 
 from geometry.arrays import BoolArray
 from geometry.errors import InputError, Unquoted
-from geometry.files import read_bytes, read_table, read_text
+from geometry.files import parse_json, read_bytes, read_table, read_text
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
 from geometry.study_scene import STUDY, load_study_scene
@@ -216,13 +215,7 @@ def _load_summary(path: Path) -> Mapping[str, Any] | None:
 
 
 def _load_object(path: Path) -> dict[str, Any]:
-    text = read_text(path, "JSON")
-    try:
-        document = json.loads(text)
-    except RecursionError:
-        raise InputError(str(path), Unquoted("JSON nested too deep"), "a summary") from None
-    except ValueError as error:  # no JSON, no UTF-8, or a number of thousands of digits
-        raise InputError(str(path), Unquoted(error), "JSON in UTF-8") from None
+    document = parse_json(read_text(path, "JSON"), str(path), "a summary")
     if not isinstance(document, dict):
         raise InputError(str(path), Unquoted("no object"), "a summary")
     return document

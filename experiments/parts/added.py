@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from scenarios.runs import find_onsets
 from scenarios.weights import weight_share
 
 from ..results.numbers import number, percent
+from ..results.record import says
 from ..results.tables import groups_by_case, groups_by_position
 from .dangers import position_words
 from .section import Section, Table
@@ -24,64 +26,45 @@ _MAX_TOLD = 4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AddedUnit:
-    """A unit that joins the VUT and the units before it.
+    """A unit that joins the VUT and the units before it."""
 
-    Attributes
-    ----------
-    unit : str
-        Its id.
-    apr : float
-        APR with it. 0..1
-    gain : float
-        How much higher that is than without.
-    """
-
-    unit: str
-    apr: float
-    gain: float
+    unit: Annotated[str, says("Its id.")]
+    apr: Annotated[float, says("APR with it. 0..1.")]
+    gain: Annotated[float, says("How much higher that is than without.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AddedGroup:
-    """What units add in some runs.
+    """What units add in some runs."""
 
-    Attributes
-    ----------
-    kind : str
-        "all", "case", "position" or "road user".
-    name : str
-        Of the group.
-    vut : float, optional
-        APR of the VUT by itself. None: no run of the group has weight. 0..1
-    with_units : float, optional
-        APR of the VUT with all units.
-    gain : float, optional
-        What the units add: the difference.
-    """
-
-    kind: str
-    name: str
-    vut: float | None
-    with_units: float | None
-    gain: float | None
+    kind: Annotated[str, says('"all", "case", "position" or "road user".')]
+    name: Annotated[str, says("Of the group.")]
+    vut: Annotated[
+        float | None, says("APR of the VUT by itself. None: no run of the group has weight. 0..1.")
+    ]
+    with_units: Annotated[float | None, says("APR of the VUT with all units.")]
+    gain: Annotated[float | None, says("What the units add: the difference.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Added:
-    """What the units of a layout add to a VUT that sees, by the evaluator.
+    """What the units of a layout add to a VUT that sees, by the evaluator."""
 
-    Attributes
-    ----------
-    groups : tuple of AddedGroup
-        All runs first, then each case, position along the arms and road user, where there are
-        several.
-    units : tuple of AddedUnit
-        In the order of greedy choice: the one first that adds most. A run counts here as avoided
-        where braking sets in before its last moment. Empty where there are too many.
-    """
-
-    groups: tuple[AddedGroup, ...]
-    units: tuple[AddedUnit, ...]
+    groups: Annotated[
+        tuple[AddedGroup, ...],
+        says(
+            "All runs first, then each case, position along the arms and road user, where "
+            "there are several."
+        ),
+    ]
+    units: Annotated[
+        tuple[AddedUnit, ...],
+        says(
+            "In the order of greedy choice: the one first that adds most. A run counts here "
+            "as avoided where braking sets in before its last moment. Empty where there are "
+            "too many."
+        ),
+    ]
 
 
 def build_added(setting: Setting, evaluation: Evaluation, *, fusion: str = "any") -> Added:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Annotated
 
 import numpy as np
 
@@ -31,7 +32,7 @@ from scenarios.scores import AVOIDED
 from ..progress import StageProgress
 from ..results.folders import RECOMMENDED_FILE
 from ..results.numbers import count_runs, first_of, percent
-from ..results.record import UnitRecord, build_unit_records
+from ..results.record import UnitRecord, build_unit_records, says
 from ..side_process import SideProcess, Task
 
 HEAVY_SHARE = 0.02
@@ -43,63 +44,43 @@ _MAX_HEAVY = 8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeavyRun:
-    """A run that counts much.
+    """A run that counts much."""
 
-    Attributes
-    ----------
-    run : str
-        Name of the run, as in runs.parquet.
-    share : float
-        Its part of the weight of all runs, 0..1.
-    """
-
-    run: str
-    share: float
+    run: Annotated[str, says("Name of the run, as in runs.parquet.")]
+    share: Annotated[float, says("Its part of the weight of all runs, 0..1.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LeadingLayout:
-    """A layout that leads on the detection table, by the evaluator.
+    """A layout that leads on the detection table, by the evaluator."""
 
-    Attributes
-    ----------
-    name : str
-        Of the layout.
-    layout : tuple of UnitRecord
-        Its units.
-    apr, apr_one_failed : float
-        APR, and that when the unit that is needed most fails; 0 for a single unit.
-    mounting : Standing, optional
-        What errors of mounting cost; null: not asked for.
-    """
-
-    name: str
-    layout: tuple[UnitRecord, ...]
-    apr: float
-    apr_one_failed: float
-    mounting: Standing | None = None
+    name: Annotated[str, says("Of the layout.")]
+    layout: Annotated[tuple[UnitRecord, ...], says("Its units.")]
+    apr: Annotated[
+        float, says("APR, and that when the unit that is needed most fails; 0 for a single unit.")
+    ]
+    apr_one_failed: Annotated[
+        float, says("APR, and that when the unit that is needed most fails; 0 for a single unit.")
+    ]
+    mounting: Annotated[
+        Standing | None, says("What errors of mounting cost; null: not asked for.")
+    ] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrontRunners:
-    """The layout found and others that lead, judged by the evaluator.
+    """The layout found and others that lead, judged by the evaluator."""
 
-    Attributes
-    ----------
-    recommended : str
-        Name of one of them; recommended.json has it if it is not the layout found.
-    decided_by : str
-        Why the layout found was passed over; order: it is the one recommended.
-    equal_within : float
-        Shares that differ by no more count as equal.
-    layouts : tuple of LeadingLayout
-        The layout found comes first.
-    """
-
-    recommended: str
-    decided_by: Deciding
-    equal_within: float = EQUAL_APR
-    layouts: tuple[LeadingLayout, ...]
+    recommended: Annotated[
+        str, says("Name of one of them; recommended.json has it if it is not the layout found.")
+    ]
+    decided_by: Annotated[
+        Deciding, says("Why the layout found was passed over; order: it is the one recommended.")
+    ]
+    equal_within: Annotated[float, says("Shares that differ by no more count as equal.")] = (
+        EQUAL_APR
+    )
+    layouts: Annotated[tuple[LeadingLayout, ...], says("The layout found comes first.")]
 
 
 def find_heavy_runs(axis: FrameAxis) -> tuple[HeavyRun, ...]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -26,7 +27,7 @@ from placement.wishes import Wishes
 from scenarios.runs import FrameAxis
 
 from ..results.numbers import percent
-from ..results.record import UnitRecord, build_unit_records, mixed
+from ..results.record import UnitRecord, build_unit_records, mixed, says
 
 STAGE = "baselines"
 
@@ -35,30 +36,20 @@ STAGE = "baselines"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Score:
-    """APR and avoided runs of a sensing party, by the evaluator.
+    """APR and avoided runs of a sensing party, by the evaluator."""
 
-    Attributes
-    ----------
-    name : str
-        Of the layout; or who else senses.
-    units : int
-        How many units it has; 0: the vehicle by itself.
-    runs_avoided : int
-        How many.
-    all : float, optional
-        APR over all runs, by weight.
-    by_case : dict of str to float
-        APR of each case, by its name; null where no run of it has weight.
-    by_position : dict of str to float
-        APR of each position along the arms; null where no run there has weight.
-    """
-
-    name: str
-    units: int
-    runs_avoided: int
-    all: float | None
-    by_case: dict[str, float | None]
-    by_position: dict[str, float | None]
+    name: Annotated[str, says("Of the layout; or who else senses.")]
+    units: Annotated[int, says("How many units it has; 0: the vehicle by itself.")]
+    runs_avoided: Annotated[int, says("How many.")]
+    all: Annotated[float | None, says("APR over all runs, by weight.")]
+    by_case: Annotated[
+        dict[str, float | None],
+        says("APR of each case, by its name; null where no run of it has weight."),
+    ]
+    by_position: Annotated[
+        dict[str, float | None],
+        says("APR of each position along the arms; null where no run there has weight."),
+    ]
 
 
 def build_score(name: str, verdict: Verdict, axis: FrameAxis, *, n_units: int) -> Score:
@@ -73,91 +64,70 @@ def build_score(name: str, verdict: Verdict, axis: FrameAxis, *, n_units: int) -
     )
 
 
+_OverWorlds = Annotated[
+    float, says("Mean APR of all random layouts over these worlds, and ends of its 95 % interval.")
+]
+_OverLayouts = Annotated[
+    float,
+    says("Mean APR; 5 % of them have no higher one than `low`, 5 % no lower one than `high`."),
+]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RandomInWorlds:
-    """Mean of random layouts over the sampled worlds that the layout found was chosen in.
+    """Mean of random layouts over the sampled worlds that the layout found was chosen in."""
 
-    Attributes
-    ----------
-    worlds : int
-        How many.
-    mean, low, high : float
-        Mean APR of all random layouts over these worlds, and ends of its 95 % interval.
-    """
-
-    worlds: int
-    mean: float
-    low: float
-    high: float
+    worlds: Annotated[int, says("How many.")]
+    mean: _OverWorlds
+    low: _OverWorlds
+    high: _OverWorlds
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RandomBaseline:
-    """Layouts of candidate poses drawn at random within the limits, on the detection table.
+    """Layouts of candidate poses drawn at random within the limits, on the detection table."""
 
-    Attributes
-    ----------
-    layouts, units : int
-        How many were drawn, and units of each.
-    mean, low, high : float
-        Mean APR; 5 % of them have no higher one than `low`, 5 % no lower one than `high`.
-    in_worlds : RandomInWorlds, optional
-        The mean over worlds; only with --samples.
-    """
-
-    layouts: int
-    units: int
-    mean: float
-    low: float
-    high: float
-    in_worlds: RandomInWorlds | None = None
+    layouts: Annotated[int, says("How many were drawn, and units of each.")]
+    units: Annotated[int, says("How many were drawn, and units of each.")]
+    mean: _OverLayouts
+    low: _OverLayouts
+    high: _OverLayouts
+    in_worlds: Annotated[
+        RandomInWorlds | None, says("The mean over worlds; only with --samples.")
+    ] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExpertBaseline:
-    """A camera per corner of the junction that looks at its middle.
+    """A camera per corner of the junction that looks at its middle."""
 
-    Attributes
-    ----------
-    name : str
-        Of the layout.
-    layout : tuple of UnitRecord
-        The units.
-    corners : tuple of str
-        Corners that have a camera, by the arms next to them, in the order of choice.
-    cost_eur : float
-        Price of the units by the catalogue, without poles or mounting. [EUR]
-    on_table : float
-        APR on the detection table.
-    score : Score
-        By the evaluator.
-    apr_without_worst_unit : float, optional
-        APR by the evaluator if the unit that is needed most fails.
-    """
-
-    name: str
-    layout: tuple[UnitRecord, ...]
-    corners: tuple[str, ...]
-    cost_eur: float
-    on_table: float
-    score: Score
-    apr_without_worst_unit: float | None
+    name: Annotated[str, says("Of the layout.")]
+    layout: Annotated[tuple[UnitRecord, ...], says("The units.")]
+    corners: Annotated[
+        tuple[str, ...],
+        says("Corners that have a camera, by the arms next to them, in the order of choice."),
+    ]
+    cost_eur: Annotated[
+        float, says("Price of the units by the catalogue, without poles or mounting, in EUR.")
+    ]
+    on_table: Annotated[float, says("APR on the detection table.")]
+    score: Annotated[Score, says("By the evaluator.")]
+    apr_without_worst_unit: Annotated[
+        float | None, says("APR by the evaluator if the unit that is needed most fails.")
+    ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Baselines:
-    """Layouts that need no optimiser, within the same limits.
+    """Layouts that need no optimiser, within the same limits."""
 
-    Attributes
-    ----------
-    random : RandomBaseline, optional
-        Drawn at random; null: none is within the limits.
-    expert : ExpertBaseline, optional
-        By rule of thumb; null: that is not within the limits, or there are no corners.
-    """
-
-    random: RandomBaseline | None
-    expert: ExpertBaseline | None
+    random: Annotated[
+        RandomBaseline | None, says("Drawn at random; null: none is within the limits.")
+    ]
+    expert: Annotated[
+        ExpertBaseline | None,
+        says("By rule of thumb; null: that is not within the limits, or there are no corners."),
+    ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Annotated
 
 import msgspec
 import numpy as np
@@ -26,6 +27,7 @@ from ..results.record import (
     build_evaluation_record,
     build_unit_records,
     price_eur,
+    says,
 )
 from ..results.tables import margin_s
 from .baselines import Baselines
@@ -42,31 +44,26 @@ _MAX_DRAWN_PAIRS = 28  # of eight layouts; the table has all
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Compared:
-    """Another layout on the same runs.
+    """Another layout on the same runs."""
 
-    Attributes
-    ----------
-    name : str
-        Of the layout.
-    layout : tuple of UnitRecord
-        Its units.
-    cost_eur : float
-        Price of its units by the catalogue, without poles or mounting. [EUR]
-    evaluation : EvaluationRecord
-        By the evaluator.
-    runs_gained, runs_lost : tuple of str
-        Runs that the first layout avoids and this one does not, and the other way round.
-    private_ground : PrivateGroundRecord, optional
-        What its cameras see of private ground; only with --no-look.
-    """
-
-    name: str
-    layout: tuple[UnitRecord, ...]
-    cost_eur: float
-    evaluation: EvaluationRecord
-    runs_gained: tuple[str, ...]
-    runs_lost: tuple[str, ...]
-    private_ground: PrivateGroundRecord | None = None
+    name: Annotated[str, says("Of the layout.")]
+    layout: Annotated[tuple[UnitRecord, ...], says("Its units.")]
+    cost_eur: Annotated[
+        float, says("Price of its units by the catalogue, without poles or mounting, in EUR.")
+    ]
+    evaluation: Annotated[EvaluationRecord, says("By the evaluator.")]
+    runs_gained: Annotated[
+        tuple[str, ...],
+        says("Runs that the first layout avoids and this one does not, and the other way round."),
+    ]
+    runs_lost: Annotated[
+        tuple[str, ...],
+        says("Runs that the first layout avoids and this one does not, and the other way round."),
+    ]
+    private_ground: Annotated[
+        PrivateGroundRecord | None,
+        says("What its cameras see of private ground; only with --no-look."),
+    ] = None
 
 
 def build_compared(
@@ -89,20 +86,16 @@ def build_compared(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Difference:
-    """Runs that only one of two layouts avoids, all units of each together.
+    """Runs that only one of two layouts avoids, all units of each together."""
 
-    Attributes
-    ----------
-    first, second : str
-        Names of the two layouts.
-    only_first, only_second : tuple of str
-        Runs that the first one alone avoids, and those of the second.
-    """
-
-    first: str
-    second: str
-    only_first: tuple[str, ...]
-    only_second: tuple[str, ...]
+    first: Annotated[str, says("Names of the two layouts.")]
+    second: Annotated[str, says("Names of the two layouts.")]
+    only_first: Annotated[
+        tuple[str, ...], says("Runs that the first one alone avoids, and those of the second.")
+    ]
+    only_second: Annotated[
+        tuple[str, ...], says("Runs that the first one alone avoids, and those of the second.")
+    ]
 
 
 def find_differences(evaluations: Mapping[str, Evaluation]) -> tuple[Difference, ...]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,6 +21,7 @@ from ..figures.axes import NARROW_IN, WIDTH_IN, new_axes, root_figure, show_squa
 from ..figures.evaluation import DARK_BELOW, SHADES
 from ..figures.plan import draw_scene
 from ..results.numbers import count_runs, joined, percent
+from ..results.record import says
 from ..results.tables import RunGroup, groups_by_case, groups_by_direction, groups_by_position
 from .accidents import is_weighted
 from .section import Block, Box, Picture, Section, Table, build_picture
@@ -29,38 +31,26 @@ _MAX_GROUPS = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DangerGroup:
-    """Some runs that are alike, and how many of them are not avoided.
+    """Some runs that are alike, and how many of them are not avoided."""
 
-    Attributes
-    ----------
-    name : str
-        Of the case, or of the position along the arms.
-    runs, not_avoided : int
-        How many runs, and how many of them are not avoided.
-    """
-
-    name: str
-    runs: int
-    not_avoided: int
+    name: Annotated[str, says("Of the case, or of the position along the arms.")]
+    runs: Annotated[int, says("How many runs, and how many of them are not avoided.")]
+    not_avoided: Annotated[int, says("How many runs, and how many of them are not avoided.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Dangers:
-    """Runs that the units of the layout do not avoid, by the evaluator.
+    """Runs that the units of the layout do not avoid, by the evaluator."""
 
-    Attributes
-    ----------
-    not_avoided : int
-        How many of all runs.
-    by_case : tuple of DangerGroup
-        By case, the largest share of runs that are not avoided first.
-    by_position : tuple of DangerGroup
-        By position along the arms, in the same order; empty where there is but one.
-    """
-
-    not_avoided: int
-    by_case: tuple[DangerGroup, ...]
-    by_position: tuple[DangerGroup, ...]
+    not_avoided: Annotated[int, says("How many of all runs.")]
+    by_case: Annotated[
+        tuple[DangerGroup, ...],
+        says("By case, the largest share of runs that are not avoided first."),
+    ]
+    by_position: Annotated[
+        tuple[DangerGroup, ...],
+        says("By position along the arms, in the same order; empty where there is but one."),
+    ]
 
 
 def avoided_runs(evaluation: Evaluation, fusion: str) -> BoolArray:
@@ -236,18 +226,10 @@ _UNIT_COLOUR = "#CC0000"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Place:
-    """Place where some runs end in an impact if nobody brakes.
+    """Place where some runs end in an impact if nobody brakes."""
 
-    Attributes
-    ----------
-    position_m : (2,) float
-        Middle of the road users then. World frame. [m]
-    runs : (n,) int
-        Indices of the runs.
-    """
-
-    position_m: FloatArray
-    runs: IntArray
+    position_m: FloatArray  # (2,): middle of the road users then. World frame. [m]
+    runs: IntArray  # (n,): indices of the runs
 
     def share_avoided(self, is_avoided: BoolArray, weight: FloatArray) -> float:
         """Share of these runs that is avoided, by weight; NaN if none has any."""

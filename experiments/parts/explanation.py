@@ -8,13 +8,8 @@ from typing import Annotated
 from placement.candidates import CandidatePose
 from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.detection_table import run_of_level
-from placement.explain import (
-    Contribution,
-    Reason,
-    Unavoided,
-    find_contributions,
-    find_unavoided,
-)
+from placement.explain.contributions import Contribution, find_contributions
+from placement.explain.unavoided import Reason, Unavoided, find_unavoided
 from placement.optimiser import PlacementProblem
 from placement.pipeline import Placement
 from placement.setting import Setting

@@ -2,13 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 from geometry.catalogue import sensor_kind
-from placement.explain import NextUnit, OtherSensors
+from placement.explain.contributions import NextUnit
+from placement.explain.other_sensors import OtherSensors
 from placement.layout import Layout
 
 from ..results.numbers import percent, points
+from ..results.record import says
 from .section import Section, Table, tabulate
 
 _NOTHING_GAINED = 0.5e-9
@@ -16,47 +18,33 @@ _NOTHING_GAINED = 0.5e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exchange:
-    """Another sensor model in place of those of the layout, on the detection table.
+    """Another sensor model in place of those of the layout, on the detection table."""
 
-    Attributes
-    ----------
-    model : str
-        Name in the catalogue.
-    kind : {"camera", "lidar"}
-        Which kind of sensor.
-    unit : str
-        Id of the unit for which it gains most.
-    horizontal_fov_deg : float
-        Its field of view there; a varifocal lens is tried at several. [deg]
-    yaw_deg, pitch_deg : float
-        Where that unit then looks; pitch is positive up. [deg]
-    apr : float
-        APR with that unit exchanged alone and turned for the most.
-    gain : float
-        By how much that is higher than without; negative: lower.
-    extra_eur : float
-        Price by the catalogue less that of the model in its place. [EUR]
-    all_units : int
-        How many units can be exchanged.
-    apr_all, apr_not_turned : float
-        APR with all of them exchanged, each turned for the most, and with none turned.
-    extra_all_eur : float
-        Extra price of all of them. [EUR]
-    """
-
-    model: str
-    kind: Literal["camera", "lidar"]
-    unit: str
-    horizontal_fov_deg: float
-    yaw_deg: float
-    pitch_deg: float
-    apr: float
-    gain: float
-    extra_eur: float
-    all_units: int
-    apr_all: float
-    apr_not_turned: float
-    extra_all_eur: float
+    model: Annotated[str, says("Name in the catalogue.")]
+    kind: Annotated[Literal["camera", "lidar"], says("Which kind of sensor.")]
+    unit: Annotated[str, says("Id of the unit for which it gains most.")]
+    horizontal_fov_deg: Annotated[
+        float, says("Its field of view there; a varifocal lens is tried at several, in degrees.")
+    ]
+    yaw_deg: Annotated[float, says("Where that unit then looks; pitch is positive up, in degrees.")]
+    pitch_deg: Annotated[
+        float, says("Where that unit then looks; pitch is positive up, in degrees.")
+    ]
+    apr: Annotated[float, says("APR with that unit exchanged alone and turned for the most.")]
+    gain: Annotated[float, says("By how much that is higher than without; negative: lower.")]
+    extra_eur: Annotated[
+        float, says("Price by the catalogue less that of the model in its place, in EUR.")
+    ]
+    all_units: Annotated[int, says("How many units can be exchanged.")]
+    apr_all: Annotated[
+        float,
+        says("APR with all of them exchanged, each turned for the most, and with none turned."),
+    ]
+    apr_not_turned: Annotated[
+        float,
+        says("APR with all of them exchanged, each turned for the most, and with none turned."),
+    ]
+    extra_all_eur: Annotated[float, says("Extra price of all of them, in EUR.")]
 
 
 def build_exchanges(layout: Layout, found: OtherSensors) -> tuple[Exchange, ...]:

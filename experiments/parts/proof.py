@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 
-from placement.optimiser.objectives import Objective
+from placement.optimiser.problem import Objective
 from scenarios.scores import AVOIDED
 
 from ..results.numbers import NOTHING, number, or_nan, percent

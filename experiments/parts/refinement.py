@@ -5,7 +5,7 @@ from typing import Annotated, cast
 
 import msgspec
 
-from placement.optimiser.objectives import Objective
+from placement.optimiser.problem import Objective
 from placement.refinement import Refinement
 from placement.refinement.poses import Move
 

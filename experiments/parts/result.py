@@ -13,9 +13,9 @@ from geometry.notes import Note, assumptions
 from placement import optimiser
 from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.evaluation import Evaluation
-from placement.explain import NextUnit
 from placement.explain.agreement import Disagreement, find_disagreements
 from placement.explain.alternatives import ByRuns, Sturdier
+from placement.explain.contributions import NextUnit
 from placement.explain.sensitivity import Sensitivity, Standing
 from placement.optimiser import Failing, placement_value, run_margins_s
 from placement.pipeline import Placement

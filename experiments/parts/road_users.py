@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -11,68 +12,50 @@ from scenarios.cases import ROAD_USER_GROUPS
 
 from ..results.drives import unprotected_cases
 from ..results.numbers import count_runs, finite_or_none, number, percent, several
-from ..results.record import mixed
+from ..results.record import mixed, says
 from .section import Block, Section, Table
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoadUserScore:
-    """A sensing party on the runs in which one group of road users is met, by the evaluator.
+    """A sensing party on the runs in which one group of road users is met, by the evaluator."""
 
-    Attributes
-    ----------
-    name : str
-        Of the layout, or "VUT alone".
-    runs_avoided : int
-        How many runs.
-    apr : float, optional
-        By weight; None where none of these runs counts.
-    mean_impact_speed_kmh : float, optional
-        Of the VUT at contact, by weight, avoided runs as 0; None where it is not known. [km/h]
-    """
-
-    name: str
-    runs_avoided: int
-    apr: float | None
-    mean_impact_speed_kmh: float | None
+    name: Annotated[str, says('Of the layout, or "VUT alone".')]
+    runs_avoided: Annotated[int, says("How many runs.")]
+    apr: Annotated[float | None, says("By weight; None where none of these runs counts.")]
+    mean_impact_speed_kmh: Annotated[
+        float | None,
+        says(
+            "Of the VUT at contact, by weight, avoided runs as 0; None where it is not "
+            "known, in km/h."
+        ),
+    ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoadUserGroup:
-    """Runs in which one group of road users is met.
+    """Runs in which one group of road users is met."""
 
-    Attributes
-    ----------
-    road_user : str
-        "on foot", "bicycle", "motorcycle" or "car".
-    runs : int
-        How many.
-    weight : float
-        Their share of the weight of all runs.
-    parties : tuple of RoadUserScore
-        The layouts, the subject first, and the vehicle by itself.
-    """
-
-    road_user: str
-    runs: int
-    weight: float
-    parties: tuple[RoadUserScore, ...]
+    road_user: Annotated[str, says('"on foot", "bicycle", "motorcycle" or "car".')]
+    runs: Annotated[int, says("How many.")]
+    weight: Annotated[float, says("Their share of the weight of all runs.")]
+    parties: Annotated[
+        tuple[RoadUserScore, ...],
+        says("The layouts, the subject first, and the vehicle by itself."),
+    ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoadUserGroups:
-    """Whose runs count, and who is left out.
+    """Whose runs count, and who is left out."""
 
-    Attributes
-    ----------
-    groups : tuple of RoadUserGroup
-        At least one, those on foot first.
-    unprotected : tuple of str
-        Names of cases that are left out since they meet a car; none with ``--protect all``.
-    """
-
-    groups: tuple[RoadUserGroup, ...]
-    unprotected: tuple[str, ...] = ()
+    groups: Annotated[tuple[RoadUserGroup, ...], says("At least one, those on foot first.")]
+    unprotected: Annotated[
+        tuple[str, ...],
+        says(
+            "Names of cases that are left out since they meet a car; none with ``--protect all``."
+        ),
+    ] = ()
 
 
 def build_road_users(setting: Setting, evaluations: Mapping[str, Evaluation]) -> RoadUserGroups:

@@ -23,22 +23,10 @@ _HEAD = {
     "description": "summary.json of a result folder, and what --json prints: a placement, an "
     "evaluation or a comparison. Shares are 0 to 1. Names end in their unit; no ending: no unit.",
 }
-_UNITS = {
-    "m": "metres",
-    "s": "seconds",
-    "deg": "degrees",
-    "EUR": "EUR",
-    "m^2": "square metres",
-    "km/h": "km/h",
-    "m/s^2": "m/s^2",
-}
 
 
 def build_schema() -> dict[str, Any]:
-    """Schema of ``summary.json``: types, limits and descriptions of the fields of all results.
-
-    A record says of each field what it is; a dataclass in the Attributes of its docstring.
-    """
+    """Schema of ``summary.json``: types, limits and descriptions of the fields of all results."""
     kinds = [*KINDS.values()]
     _, parts = msgspec.json.schema_components(kinds, ref_template="#/$defs/{name}")
     types = {kind.__name__: kind for kind in _kinds_in(kinds)}
@@ -87,24 +75,24 @@ def _described(part: dict[str, Any], kind: type) -> dict[str, Any]:
     tag = getattr(getattr(kind, "__struct_config__", None), "tag", None)
     if tag is not None:
         properties["schema"] = {"description": "Kind and version of this file.", "const": tag}
-    text = inspect.getdoc(kind) or ""
     return {
         **part,
-        "description": text.split("\n\nAttributes\n")[0],
+        "description": (inspect.getdoc(kind) or "").split("\n\nAttributes\n")[0],
         "properties": properties,
         "additionalProperties": False,
         **getattr(kind, "schema_rules", {}),
     }
 
 
-_ATTRIBUTE = re.compile(r"^(\w+(?:, \w+)*) : .*\n((?:    .*\n?|\n)+)", re.M)
+_UNITS = {"m": "metres", "deg": "degrees", "km/h": "km/h", "m/s^2": "m/s^2"}
 _UNIT = re.compile(r"\. \[(\S+)\]$")
+_ATTRIBUTE = re.compile(r"^(\w+(?:, \w+)*) : .*\n((?:    .*\n?|\n)+)", re.M)
 
 
 def _attributes(kind: type) -> dict[str, str]:
-    """Descriptions in the numpydoc section of a dataclass; units in brackets are spelled out."""
-    found = {}
+    """Descriptions of fields in the numpydoc section of a dataclass that has no others."""
     text = (inspect.getdoc(kind) or "").partition("Attributes\n----------\n")[2]
+    found = {}
     for names, words in _ATTRIBUTE.findall(text):
         said = _UNIT.sub(lambda unit: f", in {_UNITS[unit[1]]}.", " ".join(words.split()))
         for name in names.split(", "):

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from scenarios.runs import build_frame_axis
 from scenarios.weights import weight_per_run
 
 from ..results.numbers import count_runs, percent
+from ..results.record import says
 from .baselines import Score, build_score
 from .section import Section, Table
 
@@ -30,18 +32,12 @@ STAGE = "study's cases"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StudyCases:
-    """Layouts on the study's cases, as the study drives and reads them.
+    """Layouts on the study's cases, as the study drives and reads them."""
 
-    Attributes
-    ----------
-    runs : int
-        Runs of these cases.
-    parties : tuple of Score
-        The layouts, the first one first, and the vehicle by itself.
-    """
-
-    runs: int
-    parties: tuple[Score, ...]
+    runs: Annotated[int, says("Runs of these cases.")]
+    parties: Annotated[
+        tuple[Score, ...], says("The layouts, the first one first, and the vehicle by itself.")
+    ]
 
 
 def build_study_cases(evaluations: Mapping[str, Evaluation]) -> StudyCases:

@@ -295,10 +295,7 @@ def _check_one_source(
 ) -> None:
     """Refuse no source, several, and half of one.
 
-    Raises
-    ------
-    click.UsageError
-        A source is missing, or there is one too many.
+    Raises click.UsageError: a source is missing, or there is one too many.
     """
     if (labels is None) != (results is None):
         alone, other = ("--labels", "--results") if results is None else ("--results", "--labels")

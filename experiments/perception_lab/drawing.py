@@ -91,10 +91,7 @@ class DrawTask:
 def draw_task(task: DrawTask) -> int:
     """Draw what is missing of a task; the number of bytes written.
 
-    Raises
-    ------
-    OSError
-        Something cannot be written.
+    Raises OSError: something cannot be written.
     """
     parent = os.getppid()
     draw = _drawer(task)

@@ -249,11 +249,8 @@ class Stock:
 def change_state(state: PlanState, change: Change, stock: Stock) -> PlanState:
     """The state after a change.
 
-    Raises
-    ------
-    InputError
-        There is no such unit, site, sensor or variant; a site is full or forbidden; a number is
-        not one that can be mounted. The state is then as it was.
+    Raises InputError: there is no such unit, site, sensor or variant; a site is full or forbidden;
+    a number is not one that can be mounted. The state is then as it was.
     """
     return _CHANGES[type(change)](state, change, stock)
 

@@ -430,12 +430,8 @@ def build_app(session: Session, *, token: str, hosts: frozenset[str] | None) -> 
 class RunningServer:
     """A server in a thread of its own: the main thread waits, and is free to be interrupted.
 
-    Unless it `keeps_open`, it ends by itself some seconds after the last page was closed.
-
-    Attributes
-    ----------
-    address : str
-        Of the page, with its token.
+    Unless it `keeps_open`, it ends by itself some seconds after the last page was closed. Its
+    `address` is that of the page, with its token.
     """
 
     def __init__(

@@ -85,21 +85,8 @@ _MAX_KNOWN = 300  # layouts by the evaluator
 class Workspace:
     """A scene in which somebody plans: rays, views, private ground, and numbers known so far.
 
-    Parameters
-    ----------
-    work : Work
-        Question and files of the session.
-    setting : Setting
-        As :func:`placement.setting.build_setting` builds it for the same question.
-    title : str
-        For people, such as the streets that meet; by default the scene's name.
-    save : Path, optional
-        File that gets the plan whenever it rests.
-
-    Raises
-    ------
-    InputError
-        Areas of ``--no-look`` cannot lie in this scene.
+    `title` is for people, such as the streets that meet; by default the scene's name. `save` gets
+    the plan whenever it rests. Raises InputError: areas of ``--no-look`` cannot lie in this scene.
     """
 
     def __init__(
@@ -246,20 +233,8 @@ def sensor_words(sensors: str) -> dict[str, str]:
 class Session:
     """The plan, the browsers that show it, and the processes that work for it.
 
-    All methods but :meth:`stop` are called from the server's event loop.
-
-    Parameters
-    ----------
-    work : Work
-        Question and files of the session.
-    setting : Setting
-        As :func:`placement.setting.build_setting` builds it for the same question.
-    plan : Plan, optional
-        To begin with.
-    save : Path, optional
-        File that gets the plan whenever it rests.
-    make_worker : function of Work
-        Starts a process for tasks.
+    All methods but :meth:`stop` are called from the server's event loop. `plan` is there to begin
+    with, and `save` gets it whenever it rests.
     """
 
     def __init__(

@@ -46,21 +46,12 @@ _REQUESTS = ("next", "complete", "re-aim", "cheapest", "why-not")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Work:
-    """The question of a session, and where and how it is computed.
+    """The question of a session, and where and how it is computed."""
 
-    Attributes
-    ----------
-    question : Question
-        Its scene is a path that the server chose.
-    scratch : Path
-        Folder of this session, removed at its end; detections of units are cached there.
-    compute : Compute
-        Its cache has tables of whole grids.
-    """
-
-    question: Question
+    question: Question  # Its scene is a path that the server chose
+    # Folder of this session, removed at its end; detections of units are cached there
     scratch: Path
-    compute: Compute
+    compute: Compute  # Its cache has tables of whole grids
 
 
 class Tasks:
@@ -398,13 +389,7 @@ class Cancelled(RuntimeError):
 
 
 class Worker:
-    """Runs methods of :class:`Tasks` in a second process, which starts when it is needed.
-
-    Attributes
-    ----------
-    is_busy : bool
-        True while it works.
-    """
+    """Runs methods of :class:`Tasks` in a second process, which starts when it is needed."""
 
     def __init__(self, work: Work) -> None:
         self._work = work
@@ -416,14 +401,9 @@ class Worker:
     async def call(self, method: str, *args: Any, on_progress: OnProgress, **kwargs: Any) -> Any:
         """Result of a method; waits for its turn.
 
-        Raises
-        ------
-        TaskError
-            The method refused what it was given, or something went wrong that nobody foresaw.
-        DiedError
-            Its process ended by itself or was killed, for example because memory ran out.
-        Cancelled
-            :meth:`stop` was called meanwhile.
+        Raises TaskError: the method refused what it was given, or something went wrong that nobody
+        foresaw. DiedError: its process ended by itself or was killed, for example because memory
+        ran out. Cancelled: :meth:`stop` was called meanwhile.
         """
         loop = asyncio.get_running_loop()
 

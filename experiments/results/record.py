@@ -8,6 +8,7 @@ import numpy as np
 from msgspec import Meta, field
 from msgspec.structs import replace
 
+from geometry.files import says as says
 from geometry.junction import whereabouts
 from geometry.notes import assumed_sites
 from geometry.scene import Scene
@@ -29,29 +30,9 @@ from scenarios.aeb import AebRule
 
 
 class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A part of a result. Each field says what it is; UNSET ones are not written.
+    """A part of a result. Each field says what it is; UNSET ones are not written."""
 
-    Attributes
-    ----------
-    schema_rules : mapping
-        Rules of the JSON schema about several keys, such as "oneOf".
-    """
-
-    schema_rules: ClassVar[dict[str, object]] = {}
-
-
-def says(
-    description: str,
-    *,
-    ge: float | None = None,
-    le: float | None = None,
-    min_length: int | None = None,
-) -> Meta:
-    """Description of a field for the schema, and limits of its value."""
-    extra = {"description": description}
-    if min_length is not None:
-        return Meta(extra=extra, min_length=min_length)
-    return Meta(extra=extra, ge=ge, le=le)
+    schema_rules: ClassVar[dict[str, object]] = {}  # of the JSON schema, about several keys
 
 
 Share = Annotated[

@@ -1,7 +1,7 @@
 """Tables of verdicts, for other programs: ratios by group, and every run's outcome."""
 
 import unicodedata
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,8 +11,6 @@ from placement.evaluation import Evaluation, Verdict, apr
 from scenarios.positions import sort_positions
 from scenarios.runs import FrameAxis
 
-if TYPE_CHECKING:
-    import pandas as pd
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -186,6 +184,12 @@ def groups_by_speed(axis: FrameAxis) -> list[RunGroup]:
 def _equal(words: Sequence[str], order: Sequence[str] | None = None) -> list[RunGroup]:
     of_run = np.array(words)
     return [(word, of_run == word) for word in order or dict.fromkeys(words)]
+
+
+def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """Lines of a table in Markdown."""
+    lines = ["| " + " | ".join(header) + " |", "|" + " --- |" * len(header)]
+    return [*lines, *("| " + " | ".join(row) + " |" for row in rows)]
 
 
 # ---------- cells of CSV: a text that looks like a formula must not run as one

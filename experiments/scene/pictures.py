@@ -207,14 +207,7 @@ def new_map_axes(
 ) -> Axes:
     """Axes with streets and buildings of maps around some places, a scale, and nothing else.
 
-    Parameters
-    ----------
-    maps : sequence of SourceMap
-        The first one's coordinates are those of the axes.
-    places_m : (n, 2) float
-        To be shown. [m]
-    width_in : float
-        Of the figure; its height follows from the places. [in]
+    `places_m` (n, 2) are in the coordinates of the first map; the height follows from them.
     """
     low, high = places_m.min(axis=0), places_m.max(axis=0)
     half = 0.5 * np.maximum(high - low, _LEAST_M) * (1.0 + 2.0 * _BEYOND) + 60.0

@@ -208,26 +208,12 @@ def _import_result(imported: ImportedScene) -> SceneResult:
 def run_import(
     files: Sequence[str], options: ImportOptions, *, bbox: str, out: Path, progress: StageProgress
 ) -> SceneResult:
-    """Make a scene of map files and write it.
+    """Make a scene of map files and write it: ``scene.toml``, ``things.glb`` and two pictures.
 
-    Parameters
-    ----------
-    files : sequence of str
-        Map files; "town05" alone is the study's junction.
-    options : ImportOptions
-        Junction, radius, sites.
-    bbox : str
-        West, south, east, north with commas between: fetch OpenStreetMap there; empty: do not.
-    out : Path
-        Folder that gets ``scene.toml``, ``things.glb`` and two pictures, or a .zip file.
-    progress : StageProgress
-        Shows the stages.
-
-    Raises
-    ------
-    InputError
-        See :func:`geometry.maps.importing.import_scene`; `out` cannot be written, or is a folder
-        with other things in it.
+    `files`: "town05" alone is the study's junction. `bbox`: west, south, east, north with commas
+    between: fetch OpenStreetMap there. `out`: a folder, or a .zip file. Raises InputError, see
+    :func:`geometry.maps.importing.import_scene`; `out` cannot be written, or is a folder with other
+    things in it.
     """
     is_zip = out.suffix.lower() == ".zip"
     _check_target(out, is_zip=is_zip)
@@ -304,27 +290,10 @@ def import_into_cache(
 ) -> tuple[str, SceneResult]:
     """Import a junction of a map unless that was done before, for a command that goes on with it.
 
-    Parameters
-    ----------
-    question : Question
-        Its scene is a map with roads; options of the import: see
-        :func:`placement.question.map_options`.
-    cache : Path
-        Folder below which scenes are cached, by a hash of map and options.
-    progress : StageProgress
-        Shows the stages.
-
-    Returns
-    -------
-    folder : str
-        Of the scene.
-    summary : SceneResult
-        Contents, and notes on what was left out or assumed.
-
-    Raises
-    ------
-    InputError
-        There is no map, or it has no such junction.
+    The question's scene is a map with roads; options of the import: see
+    :func:`placement.question.map_options`. Scenes are cached below `cache` by a hash of map and
+    options. Returns the scene's folder and a summary with notes on what was left out or assumed.
+    Raises InputError: there is no map, or it has no such junction.
     """
     path, options = Path(question.scene), map_options(question)
     if not question.scene or not path.is_file() or has_scene(path):
@@ -361,23 +330,9 @@ def run_show(
 ) -> SceneResult:
     """Summarise a scene or a map, and draw it.
 
-    Parameters
-    ----------
-    paths : sequence of str
-        A scene, or map files; none: the study's junction.
-    reading : ReadingOptions
-        Facts that map files do not state of themselves.
-    out : Path, optional
-        Folder for pictures of a scene, or one of all junctions of a map.
-    progress : StageProgress
-        Shows the stages.
-    sort : str
-        Order of the junctions of a map, see :func:`geometry.maps.importing.sort_junctions`.
-
-    Raises
-    ------
-    InputError
-        A file cannot be read; a picture of a map without junctions is asked for.
+    `paths`: a scene, or map files; none: the study's junction. `out`: folder for pictures of a
+    scene, or one of all junctions of a map, which are in the order of `sort`. Raises InputError: a
+    file cannot be read; a picture of a map without junctions is asked for.
     """
     if out is not None:
         check_folder(out)
@@ -416,20 +371,7 @@ def run_show(
 
 
 def run_check(path: str, *, progress: StageProgress) -> SceneCheckResult:
-    """Check a scene.
-
-    Parameters
-    ----------
-    path : str
-        Of the scene; empty: the study's junction.
-    progress : StageProgress
-        Shows the stages.
-
-    Raises
-    ------
-    InputError
-        There is no such scene.
-    """
+    """Check a scene; an empty path is the study's junction. Raises InputError: there is none."""
     progress("check", 0, 0)
     scene = load_scene(path)
     findings = [*check_scene(scene), *find_sharp_bends(scene)]

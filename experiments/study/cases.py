@@ -29,6 +29,7 @@ from ..figures.axes import WIDTH_IN, new_figure, to_png
 from ..figures.plan import plot_plan
 from ..progress import StageProgress
 from ..results.numbers import percent
+from ..results.tables import markdown_table
 
 SETS = ("default", "junction", "all")
 _POSES = """\
@@ -74,10 +75,8 @@ def count_runs(drives: Drives) -> tuple[Counter[str], Counter[str]]:
     return driven, possible
 
 
-def table_of_cases(
-    question: Question, scenes: Mapping[str, Scene], answer: Answer
-) -> Iterator[str]:
-    """Lines of Markdown: a row for each family, and one for all."""
+def table_of_cases(question: Question, scenes: Mapping[str, Scene], answer: Answer) -> list[str]:
+    """A table in Markdown: a row for each family, and one for all."""
     counts = [count_runs(drive(question, scene)) for scene in scenes.values()]
     families = dict.fromkeys(run.case.family for run in answer.setting.runs)
     families |= dict.fromkeys(sorted({name for _, possible in counts for name in possible}))
@@ -87,8 +86,7 @@ def table_of_cases(
         "best three": answer.evaluations["best"].rsu_all,
         "best three and VUT": answer.evaluations["best"].vut_and_rsus,
     }
-    yield f"| case | {' | '.join([*scenes, *parties])} |"
-    yield "| --- " * (1 + len(scenes) + len(parties)) + "|"
+    rows = []
     of_run = np.array([run.case.family for run in answer.setting.runs])
     for family in families:
         cells = [f"{driven[family]} of {possible[family]}" for driven, possible in counts]
@@ -96,11 +94,11 @@ def table_of_cases(
         cells += [
             _told(verdict, answer, mask) if mask.any() else "-" for verdict in parties.values()
         ]
-        yield f"| {family} | {' | '.join(cells)} |"
+        rows.append([family, *cells])
     cells = [f"{driven.total()} of {possible.total()}" for driven, possible in counts]
     everything = np.ones(len(of_run), dtype=bool)
     cells += [_told(verdict, answer, everything) for verdict in parties.values()]
-    yield f"| all | {' | '.join(cells)} |"
+    return markdown_table(["case", *scenes, *parties], [*rows, ["all", *cells]])
 
 
 def _told(verdict: Verdict, answer: Answer, mask: np.ndarray) -> str:
@@ -129,10 +127,9 @@ def _proof(name: str, answer: Answer) -> Iterator[str]:
         yield ""
 
 
-def _difference(junction: Answer, default: Answer) -> Iterator[str]:
+def _difference(junction: Answer, default: Answer) -> list[str]:
     what = "site, x, y, z in m, yaw, pitch in degrees"
-    yield f"| best three for | {what} | APR of `junction` | APR of `default` |"
-    yield "| --- " * 4 + "|"
+    rows = []
     for name, answer in {"junction": junction, "default": default}.items():
         units = "; ".join(
             f"{unit.site_id} ({', '.join(f'{value:.1f}' for value in unit.pose.position_m)}), "
@@ -141,7 +138,9 @@ def _difference(junction: Answer, default: Answer) -> Iterator[str]:
         )
         judged = [one.evaluations[name] for one in (junction, default)]
         shares = [percent(apr(one.rsu_all, one.axis)) for one in judged]
-        yield f"| {name} | {units} | {' | '.join(shares)} |"
+        rows.append([name, units, *shares])
+    header = ("best three for", what, "APR of `junction`", "APR of `default`")
+    return markdown_table(header, rows)
 
 
 def save_plans(path: Path, answers: Mapping[str, Answer]) -> None:

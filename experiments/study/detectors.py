@@ -28,6 +28,7 @@ from placement.setting import Setting, build_setting
 
 from ..progress import StageProgress
 from ..results.numbers import percent
+from ..results.tables import markdown_table
 
 CASES = ("CPNC-50", "CBNA", "CBLA")
 DETECTORS = {
@@ -51,21 +52,18 @@ def compare_detectors(question: Question, layout: Layout, compute: Compute) -> s
         for name, setting in settings.items()
     }
     setting = settings["cnn"]
+    shown = (f"{unit}: {what}" for what in ("frames detected", "APR") for unit in _UNITS)
     lines = [
         f"{layout.name}, {len(setting.runs)} runs, {len(layout.units)} cameras.",
         "",
-        "| case | runs | detector | "
-        + " | ".join(f"{unit}: {what}" for what in ("frames detected", "APR") for unit in _UNITS)
-        + " |",
-        "| --- " * 7 + "|",
-        *_rows(setting, found),
+        *markdown_table(("case", "runs", "detector", *shown), _rows(setting, found)),
         "",
         *_agreement(setting, layout, found["cnn"]),
     ]
     return "\n".join(lines) + "\n"
 
 
-def _rows(setting: Setting, found: Mapping[str, Evaluation]) -> Iterator[str]:
+def _rows(setting: Setting, found: Mapping[str, Evaluation]) -> Iterator[list[str]]:
     axis = setting.axis
     for case in dict.fromkeys(axis.cases):
         mask = np.array(axis.cases) == case
@@ -73,10 +71,10 @@ def _rows(setting: Setting, found: Mapping[str, Evaluation]) -> Iterator[str]:
             verdicts = (found[name].vut, found[name].rsu_all)
             seen = [percent(detected_share(one, axis, mask)) for one in verdicts]
             avoided = [percent(apr(one, axis, mask)) for one in verdicts]
-            yield f"| {case} | {mask.sum()} | {words} | {' | '.join([*seen, *avoided])} |"
+            yield [case, str(mask.sum()), words, *seen, *avoided]
 
 
-def _agreement(setting: Setting, layout: Layout, by_network: Evaluation) -> Iterator[str]:
+def _agreement(setting: Setting, layout: Layout, by_network: Evaluation) -> list[str]:
     """Shares of runs in which a plan predicts the network's verdict, unit by unit."""
     surroundings = build_surroundings(setting.scene, setting.runs)
     judge = Judge(setting.runs, setting.axis, setting.rule)
@@ -86,10 +84,7 @@ def _agreement(setting: Setting, layout: Layout, by_network: Evaluation) -> Iter
         if isinstance(unit.sensor, CameraModel):
             evidence[unit.id] = perceive_from_roadside(surroundings, unit.pose, unit.sensor)
     verdicts: dict[str, Verdict] = {"VUT": by_network.vut, **by_network.units}
-    yield "Runs in which what a plan counts on gives the verdict of the network:"
-    yield ""
-    yield "| planned with | " + " | ".join([*evidence, "all units"]) + " |"
-    yield "| --- " * (len(evidence) + 2) + "|"
+    rows = []
     for name in ("geometric", "response", "cnn-table"):
         planner = load_planning_detector(name)
         expected: dict[str, BoolArray] = {
@@ -103,7 +98,12 @@ def _agreement(setting: Setting, layout: Layout, by_network: Evaluation) -> Iter
         units = [(frames, latency_s) for party, frames in expected.items() if party != "VUT"]
         fused = judge.verdict(units)
         shares.append(float((fused.is_avoided == by_network.rsu_all.is_avoided).mean()))
-        yield f"| {DETECTORS[name]} | {' | '.join(percent(share) for share in shares)} |"
+        rows.append([DETECTORS[name], *map(percent, shares)])
+    return [
+        "Runs in which what a plan counts on gives the verdict of the network:",
+        "",
+        *markdown_table(("planned with", *evidence, "all units"), rows),
+    ]
 
 
 @click.command()

@@ -22,6 +22,7 @@ from ..figures.axes import to_png
 from ..figures.evaluation import plot_heatmaps
 from ..progress import StageProgress
 from ..results.numbers import percent
+from ..results.tables import markdown_table
 from .variants import (
     AS_STUDIED,
     BEFORE,
@@ -185,7 +186,7 @@ def _published_table(found: Sequence[dict[tuple[str, str], float]]) -> list[str]
         for figure in load_published().figures
     ]
     header = ("quantity", "case", "published", "ours", "range", "use", "hangs on")
-    return ["## Published and ours", "", *_table(header, rows), ""]
+    return ["## Published and ours", "", *markdown_table(header, rows), ""]
 
 
 def _additional_section(by_variant: Mapping[str, Mapping[tuple[str, str], float]]) -> list[str]:
@@ -211,7 +212,7 @@ def _additional_section(by_variant: Mapping[str, Mapping[tuple[str, str], float]
         "not have it. In each cell: "
         f"{', '.join(of_all)}.",
         "",
-        *_table(("variant", *cases), rows),
+        *markdown_table(("variant", *cases), rows),
         "",
         *_reading(by_variant),
     ]
@@ -286,7 +287,7 @@ def _units_table(values: dict[tuple[str, str], float], units: Sequence[str]) -> 
     return [
         "## Every unit by itself",
         "",
-        *_table(header, rows),
+        *markdown_table(header, rows),
         "",
         f"Units that reach 100 % in all three cases: {', '.join(best) or 'none'} (the study: one "
         "RSU does; two to three cameras are enough for 100 % overall). The study, of the others: "
@@ -310,7 +311,7 @@ def _sensitivity_table(
         (name, *(percent(values[column]) for column in columns))
         for name, values in zip(names, found, strict=True)
     ]
-    return ["## Sensitivity", "", *_table(header, rows), ""]
+    return ["## Sensitivity", "", *markdown_table(header, rows), ""]
 
 
 def _weather_table(by_weather: dict[str, Evaluation]) -> list[str]:
@@ -337,7 +338,7 @@ def _weather_table(by_weather: dict[str, Evaluation]) -> list[str]:
     return [
         "## APR by weather",
         "",
-        *_table(header, rows),
+        *markdown_table(header, rows),
         "",
         "The study finds less than 3 points of change at night and in rain, a little more for "
         "cyclists in rain. Its figures are not given; fog it leaves to further work.",
@@ -390,14 +391,9 @@ def _predictions(found: Sequence[dict[tuple[str, str], float]], units: Sequence[
         "",
         "Not published as numbers; nothing here was fitted to them.",
         "",
-        *_table(("quantity", "case", "ours", "range"), rows),
+        *markdown_table(("quantity", "case", "ours", "range"), rows),
         "",
     ]
-
-
-def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    lines = ["| " + " | ".join(header) + " |", "|" + " --- |" * len(header)]
-    return lines + ["| " + " | ".join(row) + " |" for row in rows]
 
 
 @click.command()

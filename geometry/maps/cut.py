@@ -515,15 +515,7 @@ def _boxes(source: SourceMap) -> dict[str, FloatArray]:
 
 
 class Neighbourhoods:
-    """Maps from which what lies around a junction is taken again and again.
-
-    Parameters
-    ----------
-    maps : sequence of SourceMap
-        The one with the roads first.
-    radius_m : float
-        Of what will be cut out, see :func:`geometry.maps.cut.cut_out`. [m]
-    """
+    """Maps, that with roads first, from which what lies around junctions is taken repeatedly."""
 
     def __init__(self, maps: Sequence[SourceMap], *, radius_m: float) -> None:
         self._half_m = radius_m + LANES_BEYOND_M + _MORE_M

@@ -114,21 +114,11 @@ def choose_junction(
 ) -> Surveyed:
     """Choose a junction by name or point; by default the first.
 
-    Raises InputError: the map has no junction, or none or several match.
-
-    Parameters
-    ----------
-    source : SourceMap
-        The map.
-    surveyed : sequence of Surveyed
-        Its junctions, as :func:`survey_junctions` returns them.
-    name : str
-        Id; or name, streets in any order: "Mannerheimintie / Kaivokatu", or some of them, also
-        shortened (St, Ave, Str.); or a part of the name that no other junction has; or "latitude,
-        longitude" within 100 m in degrees; empty: any.
-    at : (float, float), optional
-        A point within 100 m, in the file's coordinate reference system: longitude and latitude, or
-        metres.
+    `surveyed`: as :func:`survey_junctions` returns them. `name`: id; or name, streets in any order:
+    "Mannerheimintie / Kaivokatu", or some of them, also shortened (St, Ave, Str.); or a part of the
+    name that no other junction has; or "latitude, longitude" within 100 m in degrees; empty: any.
+    `at`: a point within 100 m, in the file's coordinate reference system: longitude and latitude,
+    or metres. Raises InputError: the map has no junction, or none or several match.
     """
     if not surveyed:
         raise InputError(source.name, Unquoted("no junction"), "a map in which roads meet")

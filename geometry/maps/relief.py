@@ -181,27 +181,13 @@ _EXPECTED = "a GeoTIFF of heights"
 
 
 def read_elevation(path: Path, *, crs: str, middle_m: FloatArray, half_m: float) -> Elevation:
-    """Read the heights around a place from a raster.
+    """Read the heights of a raster in the square around a place, `half_m` to each side.
 
-    Raises InputError: the raster is no GeoTIFF, has no reference system or several bands, lies
-    elsewhere, is too coarse, too fine or packed in blocks that are too large, or has no height near
-    the place. MissingExtraError: rasterio is not installed.
-
-    Parameters
-    ----------
-    path : Path
-        One band of heights in metres, with a coordinate reference system.
-    crs : str
-        Of `middle_m` and of what is returned; projected, in metres.
-    middle_m : (2,) float
-        The place. [m]
-    half_m : float
-        Half the edge of the square around it that is read. [m]
-
-    Returns
-    -------
-    elevation : Elevation
-        Middles of the pixels that have a height.
+    `path`: one band of heights in metres, with a coordinate reference system. `crs`: that of
+    `middle_m` and of what is returned; projected, in metres. Returns the middles of the pixels that
+    have a height. Raises InputError: the raster is no GeoTIFF, has no reference system or several
+    bands, lies elsewhere, is too coarse, too fine or packed in blocks that are too large, or has no
+    height near the place. MissingExtraError: rasterio is not installed.
     """
     try:
         import rasterio

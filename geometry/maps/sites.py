@@ -464,21 +464,11 @@ class Place:
 
 
 def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Place]:
-    """Nearest places next to the road and outside walls.
+    """Nearest places next to the road and outside walls for things at (n, 2), in metres.
 
-    Parameters
-    ----------
-    positions_m : (n, 2) float
-        Where things would stand, in the scene's frame. [m]
-    surroundings : Surroundings
-        Lanes, outline and things around the junction.
-
-    Returns
-    -------
-    places : list of Place
-        What stands on a lane or in the junction is moved to the nearest kerb, half a metre behind
-        it; what stands inside a building or wall is moved out of it. None: that would be farther
-        than 15 m, or from inside a wall 2 m.
+    What stands on a lane or in the junction is moved to the nearest kerb, half a metre behind it;
+    what stands inside a building or wall is moved out of it. None: that would be farther than 15 m,
+    or from inside a wall 2 m.
     """
     positions = np.asarray(positions_m, dtype=np.float64).reshape(-1, 2)
     road = covered_area(surroundings.outline_m, surroundings.lanes)
@@ -582,21 +572,11 @@ def _box(thing: Thing) -> tuple[FloatArray, FloatArray]:
 
 
 def settle_poles(surroundings: Surroundings) -> tuple[Surroundings, tuple[Note, ...]]:
-    """Put the poles of a map where poles can stand.
+    """Put the poles of a map, which may lie where their signals hang, where poles can stand.
 
-    Parameters
-    ----------
-    surroundings : Surroundings
-        Poles may lie where their signals hang.
-
-    Returns
-    -------
-    settled : Surroundings
-        A signal or sign over the road is left to the pole that the map has within 12 m; other poles
-        on the road or inside walls are moved to the nearest place, see :func:`find_places`, or left
-        out if there is none.
-    notes : tuple of Note
-        Each that was moved or left out.
+    A signal or sign over the road is left to the pole that the map has within 12 m; other poles on
+    the road or inside walls are moved to the nearest place, see :func:`find_places`, or left out if
+    there is none. Also returns notes on each that was moved or left out.
     """
     if not surroundings.poles:
         return surroundings, ()

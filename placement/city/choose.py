@@ -18,7 +18,7 @@ from geometry.errors import InputError, Unquoted
 
 from ..layout import Certificate, Stage, relative_gap
 from ..optimiser.model import run_solver, solver_text
-from ..optimiser.objectives import Objective
+from ..optimiser.problem import Objective
 from ..optimiser.steering import COST_TOLERANCE_EUR, TOLERANCE
 from .fronts import Options
 from .knapsack import Knapsack, best_prices, priced_choice, solve_knapsack
@@ -430,21 +430,12 @@ _MAX_BINARIES = 3_000
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Phases:
-    """When the junctions are ready.
+    """When the junctions are ready."""
 
-    Attributes
-    ----------
-    year : (n,) int
-        From 1; 0 where nothing is mounted.
-    gain_years : float
-        Sum over junctions of gain times the years, up to the last one, in which it is there.
-    bound : float
-        What no other order exceeds.
-    """
-
-    year: IntArray
+    year: IntArray  # (n,): from 1; 0 where nothing is mounted
+    # Sum over junctions of gain times the years, up to the last one, in which it is there
     gain_years: float
-    bound: float
+    bound: float  # What no other order exceeds
 
 
 def plan_phases(

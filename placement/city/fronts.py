@@ -15,8 +15,8 @@ from ..optimiser import Effort, Limits, PlacementProblem, presolve
 from ..optimiser.bitsets import BestSet, set_values, values_with_each
 from ..optimiser.front import pareto_front
 from ..optimiser.greedy import extend_greedily, forced_units, improve, to_full
-from ..optimiser.objectives import Objective
 from ..optimiser.presolve import ReducedProblem
+from ..optimiser.problem import Objective
 from ..optimiser.stages import Search
 from ..optimiser.steering import COST_TOLERANCE_EUR, TOLERANCE, deadline_in
 
@@ -28,20 +28,11 @@ Steps = tuple[tuple[float, float], ...]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Point:
-    """A layout that a junction may get, by what it takes and what it is worth.
+    """A layout that a junction may get, by what it takes and what it is worth."""
 
-    Attributes
-    ----------
-    units : int
-        New ones: the existing ones are not counted.
-    cost_eur : float
-        Of the new units and their sites. [EUR]
-    apr, apr_one_failed, smallest_margin_s, mean_margin_s : float
-        As :class:`placement.optimiser.PlacementValue` has them, with the existing units.
-    """
-
-    units: int
-    cost_eur: float
+    units: int  # New ones: the existing ones are not counted
+    cost_eur: float  # Of the new units and their sites. [EUR]
+    # As :class:`placement.optimiser.PlacementValue` has them, with the existing units
     apr: float
     apr_one_failed: float
     smallest_margin_s: float

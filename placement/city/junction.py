@@ -18,8 +18,7 @@ from ..layout import Layout, check_layout
 from ..optimiser import Effort, PlacementProblem, UnmetError, presolve
 from ..optimiser.front import Front, FrontPoint, cost_front, largest_values, pareto_front
 from ..optimiser.limits import Limits
-from ..optimiser.objectives import Objective
-from ..optimiser.problem import PlacementValue, placement_value
+from ..optimiser.problem import Objective, PlacementValue, placement_value
 from ..optimiser.solve import of_pool
 from ..pipeline import assemble, pick_layout
 from ..question import Question
@@ -62,27 +61,16 @@ class JunctionWishes:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SolvedJunction:
-    """A junction's front with its layouts.
+    """A junction's front with its layouts."""
 
-    Attributes
-    ----------
-    front : JunctionFront
-        Points and bounds.
-    layouts : tuple of Layout or None
-        Of each point, with the existing units; None where nothing is mounted.
-    n_sites, n_poses, n_runs, n_frames : int
-        Sizes of the question.
-    seconds : dict of str to float
-        Processor time of the thread that solved it, by stage. [s]
-    """
-
-    front: JunctionFront
+    front: JunctionFront  # Points and bounds
+    # Of each point, with the existing units; None where nothing is mounted
     layouts: tuple[Layout | None, ...]
-    n_sites: int
+    n_sites: int  # Sizes of the question
     n_poses: int
     n_runs: int
     n_frames: int
-    seconds: dict[str, float]
+    seconds: dict[str, float]  # Processor time of the thread that solved it, by stage. [s]
 
 
 def solve_junction(

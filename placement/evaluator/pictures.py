@@ -55,10 +55,7 @@ _HALO_PX = 4.0  # by which blur and glare reach beyond a body
 class PictureSource:
     """Draws a frame when it is asked for; what stands still is prepared once per obstruction.
 
-    Attributes
-    ----------
-    n_drawn : int
-        Pictures so far, and crops, those included that look like an earlier one.
+    `n_drawn` counts pictures so far, and crops, those included that look like an earlier one.
     """
 
     def __init__(self, scene: Scene, runs: Sequence[Run], *, seed: int) -> None:

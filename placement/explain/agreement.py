@@ -2,10 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from geometry.arrays import BoolArray, IntArray
+from geometry.files import says
 from geometry.image_boxes import box_height_px, iou
 from geometry.lidar import LidarModel
 
@@ -24,27 +26,20 @@ FUSED = "all, fused"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Disagreement:
-    """A run that either detection table or evaluator calls avoided.
+    """A run that either detection table or evaluator calls avoided."""
 
-    Attributes
-    ----------
-    party : str
-        Id of a unit by itself, or "all, fused".
-    run_id : str
-        Which run.
-    on_table : bool
-        The detection table calls it avoided, and the evaluator does not; false: the opposite.
-    n_frames : int
-        Frames before the last moment to brake in which they differ.
-    cause : str
-        How the evaluator sees the road user in the first of them, in words.
-    """
-
-    party: str
-    run_id: str
-    on_table: bool
-    n_frames: int
-    cause: str
+    party: Annotated[str, says('Id of a unit by itself, or "all, fused".')]
+    run_id: Annotated[str, says("Which run.")]
+    on_table: Annotated[
+        bool,
+        says(
+            "The detection table calls it avoided, and the evaluator does not; false: the opposite."
+        ),
+    ]
+    n_frames: Annotated[int, says("Frames before the last moment to brake in which they differ.")]
+    cause: Annotated[
+        str, says("How the evaluator sees the road user in the first of them, in words.")
+    ]
 
 
 def find_disagreements(

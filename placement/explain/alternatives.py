@@ -3,11 +3,12 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
 from geometry.arrays import BoolArray
+from geometry.files import says
 from scenarios.aeb import AebRule
 from scenarios.weights import weight_share
 
@@ -39,45 +40,30 @@ LEAST_KEPT, MOST_GIVEN_UP = 0.05, 0.03
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ByRuns:
-    """The best layout if every run counted the same, on the detection table.
+    """The best layout if every run counted the same, on the detection table."""
 
-    Attributes
-    ----------
-    units : tuple of str
-        Ids of the candidate poses that avoid the most runs, as far as was found.
-    runs_avoided : int
-        Runs that it avoids.
-    runs_avoided_here : int
-        Runs that the layout found avoids, before it was refined.
-    is_proven : bool
-        No layout is proven to avoid more.
-    """
-
-    units: tuple[str, ...]
-    runs_avoided: int
-    runs_avoided_here: int
-    is_proven: bool
+    units: Annotated[
+        tuple[str, ...],
+        says("Ids of the candidate poses that avoid the most runs, as far as was found."),
+    ]
+    runs_avoided: Annotated[int, says("Runs that it avoids.")]
+    runs_avoided_here: Annotated[
+        int, says("Runs that the layout found avoids, before it was refined.")
+    ]
+    is_proven: Annotated[bool, says("No layout is proven to avoid more.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sturdier:
-    """The layout that keeps the most when any one unit fails, on the detection table.
+    """The layout that keeps the most when any one unit fails, on the detection table."""
 
-    Attributes
-    ----------
-    units : tuple of str
-        Ids of the candidate poses.
-    apr, apr_one_failed : float
-        Its APR, and that when the unit that is needed most fails.
-    apr_here, apr_one_failed_here : float
-        Those of the layout found, before it was refined.
-    """
-
-    units: tuple[str, ...]
-    apr: float
-    apr_one_failed: float
-    apr_here: float
-    apr_one_failed_here: float
+    units: Annotated[tuple[str, ...], says("Ids of the candidate poses.")]
+    apr: Annotated[float, says("Its APR, and that when the unit that is needed most fails.")]
+    apr_one_failed: Annotated[
+        float, says("Its APR, and that when the unit that is needed most fails.")
+    ]
+    apr_here: Annotated[float, says("Those of the layout found, before it was refined.")]
+    apr_one_failed_here: Annotated[float, says("Those of the layout found, before it was refined.")]
 
 
 def find_by_runs(

@@ -4,10 +4,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Annotated
 
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
+from geometry.files import says
 from scenarios.aeb import AebRule, live_confirmation_time_s
 from scenarios.runs import find_onsets
 from scenarios.weights import weight_share
@@ -228,21 +230,11 @@ def _worst_first(failures: Sequence[Failure]) -> tuple[Failure, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NextUnit:
-    """The further unit that greedy choice would add, budgets aside, on the detection table.
+    """The further unit that greedy choice would add, budgets aside, on the detection table."""
 
-    Attributes
-    ----------
-    pose : str
-        Id of the candidate pose.
-    apr : float
-        Accident prevention ratio with it, 0..1.
-    gain : float
-        How much higher that is than without.
-    """
-
-    pose: str
-    apr: float
-    gain: float
+    pose: Annotated[str, says("Id of the candidate pose.")]
+    apr: Annotated[float, says("Accident prevention ratio with it, 0..1.")]
+    gain: Annotated[float, says("How much higher that is than without.")]
 
 
 def find_next_unit(

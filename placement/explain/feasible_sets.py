@@ -17,9 +17,8 @@ from ..optimiser.bitsets import (
     values_with_each,
 )
 from ..optimiser.greedy import forced_units, improve, to_full
-from ..optimiser.limits import fitting
-from ..optimiser.objectives import Objective
-from ..optimiser.problem import Measure, Requirement
+from ..optimiser.limits import fitting, price_step_eur
+from ..optimiser.problem import Measure, Objective, Requirement
 from ..optimiser.solve import check_limits
 from ..optimiser.stages import Search
 from ..optimiser.steering import COST_TOLERANCE_EUR, TOLERANCE, Deadline
@@ -178,7 +177,7 @@ class Oracle:
     def least_cost_eur(self, problem: PlacementProblem, *, more_than_eur: float) -> Answer:
         """The least cost at which limits and floors are met, where so much is known not to do."""
         limits = problem.limits
-        step_eur = _price_step_eur(limits)
+        step_eur = max(price_step_eur(limits), 0.01)
         best = self.find(problem)
         if best.pose_index is None:
             return best
@@ -292,13 +291,6 @@ def _has_set(search: Search) -> bool:
 def _with(problem: PlacementProblem, **limits: Any) -> PlacementProblem:
     """The problem with some of its limits set anew."""
     return replace(problem, limits=replace(problem.limits, **limits))
-
-
-def _price_step_eur(limits: Limits) -> float:
-    """All costs are multiples of this: of a cent, if of nothing larger."""
-    prices = np.concatenate([limits.unit_cost_eur, limits.site_cost_eur])
-    cents = np.round(100.0 * prices).astype(np.int64)
-    return max(float(np.gcd.reduce(cents)), 1.0) / 100.0
 
 
 def _left(reduced: ReducedProblem, units: IntArray, n_failures: int) -> float:

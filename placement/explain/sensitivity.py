@@ -7,13 +7,13 @@ from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
 from importlib.resources import files
 from itertools import chain
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
-from geometry.files import Table, load_toml, take_list, take_number
+from geometry.files import Table, load_toml, says, take_list, take_number
 from geometry.poses import Pose, wrap_deg
 from geometry.scene import Scene, containing_instance
 from scenarios.aeb import TIME_TOLERANCE_S, AebRule, is_in_time, last_brake_time_s
@@ -127,23 +127,25 @@ class Watched:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Worth:
-    """Value of a layout.
+    """Value of a layout."""
 
-    Attributes
-    ----------
-    apr : float, optional
-        Accident prevention ratio; where messages are lost by chance, its expectation. None: no run
-        has weight.
-    apr_one_failed : float, optional
-        APR if the unit that is needed most fails; 0 for a single unit.
-    smallest_margin_s : float, optional
-        Smallest time to spare of the avoided runs with weight, in seconds; None where there is
-        none, or where messages are lost by chance.
-    """
-
-    apr: float | None
-    apr_one_failed: float | None
-    smallest_margin_s: float | None
+    apr: Annotated[
+        float | None,
+        says(
+            "Accident prevention ratio; where messages are lost by chance, its expectation. "
+            "None: no run has weight."
+        ),
+    ]
+    apr_one_failed: Annotated[
+        float | None, says("APR if the unit that is needed most fails; 0 for a single unit.")
+    ]
+    smallest_margin_s: Annotated[
+        float | None,
+        says(
+            "Smallest time to spare of the avoided runs with weight, in seconds; None where "
+            "there is none, or where messages are lost by chance."
+        ),
+    ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -332,69 +334,48 @@ _DETECTOR = ("min_box_height_share", "min_iou")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Varied(Worth):
-    """A value that an assumption may have instead, and the layout's worth with it.
+    """A value that an assumption may have instead, and the layout's worth with it."""
 
-    Attributes
-    ----------
-    value : float, optional
-        In the unit of the assumption's name; None: infinite, for ever.
-    apr, apr_one_failed, smallest_margin_s : float, optional
-        See :class:`Worth`; a time in seconds.
-    lost_runs : tuple of str
-        Runs that are avoided as planned, and then no longer; where messages are lost by chance,
-        with a probability below ``SURE``.
-    unmoved : tuple of str
-        Ids of units that stayed where they are: there they would be inside something.
-    """
-
-    value: float | None
-    lost_runs: tuple[str, ...]
-    unmoved: tuple[str, ...] = ()
+    value: Annotated[
+        float | None, says("In the unit of the assumption's name; None: infinite, for ever.")
+    ]
+    lost_runs: Annotated[
+        tuple[str, ...],
+        says(
+            "Runs that are avoided as planned, and then no longer; where messages are lost "
+            "by chance, with a probability below ``SURE``."
+        ),
+    ]
+    unmoved: Annotated[
+        tuple[str, ...],
+        says("Ids of units that stayed where they are: there they would be inside something."),
+    ] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VariedAssumption:
-    """Effect of one assumption.
+    """Effect of one assumption."""
 
-    Attributes
-    ----------
-    name : str
-        Which; its ending states the unit.
-    planned_value : float, optional
-        Value of the plan, 0 for errors of mounting; None where the question does not arise, and
-        where it is infinite: tracks that live for ever.
-    reason : str
-        Why it is varied so far.
-    is_ours : bool
-        Whether that is an assumption of this project, not a source.
-    left_out : str
-        Why it was not varied; empty if it was.
-    varied : tuple of Varied
-        By ascending value; empty if left out.
-    """
-
-    name: str
-    planned_value: float | None
-    reason: str
-    is_ours: bool
-    left_out: str
-    varied: tuple[Varied, ...]
+    name: Annotated[str, says("Which; its ending states the unit.")]
+    planned_value: Annotated[
+        float | None,
+        says(
+            "Value of the plan, 0 for errors of mounting; None where the question does not "
+            "arise, and where it is infinite: tracks that live for ever."
+        ),
+    ]
+    reason: Annotated[str, says("Why it is varied so far.")]
+    is_ours: Annotated[bool, says("Whether that is an assumption of this project, not a source.")]
+    left_out: Annotated[str, says("Why it was not varied; empty if it was.")]
+    varied: Annotated[tuple[Varied, ...], says("By ascending value; empty if left out.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sensitivity:
-    """Worth of a layout if an assumption is wrong: one at a time.
+    """Worth of a layout if an assumption is wrong: one at a time."""
 
-    Attributes
-    ----------
-    planned : Worth
-        As planned.
-    assumptions : tuple of VariedAssumption
-        One for each assumption.
-    """
-
-    planned: Worth
-    assumptions: tuple[VariedAssumption, ...]
+    planned: Annotated[Worth, says("As planned.")]
+    assumptions: Annotated[tuple[VariedAssumption, ...], says("One for each assumption.")]
 
 
 def find_sensitivity(
@@ -415,7 +396,7 @@ def find_sensitivity(
     """
     assumptions = load_assumptions() if assumptions is None else assumptions
     setting = with_sight(setting, compute=compute)
-    units, rule = layout.units, setting.rule
+    units = layout.units
     is_large = len(units) > MAX_LOOKED_FROM
     values = {one.name: _new_values(one, setting) for one in assumptions}
     asked = [(name, value) for name in (*_MOUNTING, *_DETECTOR) for value in values.get(name, ())]
@@ -434,7 +415,7 @@ def find_sensitivity(
             units=units,
             detected=part,
             axis=setting.axis,
-            rule=rule,
+            rule=setting.rule,
             fusion=fusion,
             seen_by_vut=setting.seen_by_vut,
             cars=setting.cars,
@@ -444,18 +425,13 @@ def find_sensitivity(
     looked = dict(zip(looks, others, strict=True))
     planned = find_outcome(as_planned)
 
-    def outcome(name: str, value: float) -> Outcome:
-        if (name, value) in looked:
-            return find_outcome(looked[name, value])
-        if name == "packet_loss":
-            return find_expected_outcome(as_planned, packet_loss=value)
-        if name == "deceleration_mps2":
-            return find_outcome(replace(as_planned, axis=axes[value]))
-        changed: Any = int(value) if name == "n_confirmations" else value
-        return find_outcome(replace(as_planned, rule=replace(rule, **{name: changed})))
-
     def vary(name: str, value: float) -> Varied:
-        found = outcome(name, value)
+        if (name, value) in looked:
+            found = find_outcome(looked[name, value])
+        elif name == "deceleration_mps2":
+            found = find_outcome(replace(as_planned, axis=axes[value]))
+        else:
+            found = _find_outcome_under(as_planned, name, value)
         moved = zip(units, looks[name, value], strict=True) if name in _MOUNTING else ()
         return Varied(
             **asdict(found.worth),
@@ -482,6 +458,14 @@ def find_sensitivity(
     return Sensitivity(
         planned=planned.worth, assumptions=tuple(vary_all(one) for one in assumptions)
     )
+
+
+def _find_outcome_under(watched: Watched, name: str, value: float) -> Outcome:
+    """Outcome with another loss of messages, latency or rule of confirmation."""
+    if name == "packet_loss":
+        return find_expected_outcome(watched, packet_loss=value)
+    changed: Any = int(value) if name == "n_confirmations" else value
+    return find_outcome(replace(watched, rule=replace(watched.rule, **{name: changed})))
 
 
 def _finite(value: float | None) -> float | None:
@@ -660,47 +644,34 @@ def find_tolerances(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MountingError:
-    """One unit that is off, all others as planned.
+    """One unit that is off, all others as planned."""
 
-    Attributes
-    ----------
-    unit_id : str
-        The unit.
-    kind : {"yaw", "pitch", "height"}
-        Turned counter-clockwise, tilted up, or raised ...
-    step : float
-        ... by so much. [deg, m]
-    apr : float
-        Accident prevention ratio that is left, 0..1.
-    lost_run_ids : tuple of str
-        Runs that are avoided as planned and then no longer.
-    """
-
-    unit_id: str
-    kind: ErrorKind
-    step: float
-    apr: float
-    lost_run_ids: tuple[str, ...]
+    unit_id: Annotated[str, says("The unit.")]
+    kind: Annotated[ErrorKind, says("Turned counter-clockwise, tilted up, or raised ...")]
+    step: Annotated[float, says("... by so much. [deg, m].")]
+    apr: Annotated[float, says("Accident prevention ratio that is left, 0..1.")]
+    lost_run_ids: Annotated[
+        tuple[str, ...], says("Runs that are avoided as planned and then no longer.")
+    ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Standing:
-    """Bearing of usual errors of mounting, on the detection table.
+    """Bearing of usual errors of mounting, on the detection table."""
 
-    Attributes
-    ----------
-    aim_deg : float
-        Any one unit may be turned or tilted by so much and no run is lost; 0: not even by the
-        smallest step tried. The largest step tried is 2 degrees. [deg]
-    height_m : float
-        Or raised or lowered by so much; the only step tried is the usual one. [m]
-    worst : MountingError
-        Of the usual errors the one that leaves the least.
-    """
-
-    aim_deg: float
-    height_m: float
-    worst: MountingError
+    aim_deg: Annotated[
+        float,
+        says(
+            "Any one unit may be turned or tilted by so much and no run is lost; 0: not "
+            "even by the smallest step tried. The largest step tried is 2 degrees, in "
+            "degrees."
+        ),
+    ]
+    height_m: Annotated[
+        float,
+        says("Or raised or lowered by so much; the only step tried is the usual one, in metres."),
+    ]
+    worst: Annotated[MountingError, says("Of the usual errors the one that leaves the least.")]
 
 
 def find_standing(

@@ -3,13 +3,14 @@
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError, Unquoted
+from geometry.files import says
 from geometry.raycast import FloatRays, build_caster, ray_lengths_m
 from geometry.scene import Scene
 from geometry.terrain import on_ground
@@ -45,23 +46,25 @@ class Look:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reason:
-    """Reason why the road user is not detected in some frames.
+    """Reason why the road user is not detected in some frames."""
 
-    Attributes
-    ----------
-    cause : str
-        "hidden": detected if nothing stood in the way; "out of view", "cut off": not in the image,
-        or only a part of it; "too dark": light and air leave too little contrast; "too far": too
-        small, or too few points; "otherwise": none of these, but the table has no detection.
-    thing : str
-        What hides it, by name: most of the blocked rays end there. Empty for all other causes.
-    frames : int
-        In how many frames.
-    """
-
-    cause: Cause
-    thing: str
-    frames: int
+    cause: Annotated[
+        Cause,
+        says(
+            '"hidden": detected if nothing stood in the way; "out of view", "cut '
+            'off": not in the image, or only a part of it; "too dark": light and air '
+            'leave too little contrast; "too far": too small, or too few points; '
+            '"otherwise": none of these, but the table has no detection.'
+        ),
+    ]
+    thing: Annotated[
+        str,
+        says(
+            "What hides it, by name: most of the blocked rays end there. Empty for all "
+            "other causes."
+        ),
+    ]
+    frames: Annotated[int, says("In how many frames.")]
 
 
 def find_reasons(
@@ -205,64 +208,57 @@ Outcome = Literal["hopeless", "never seen", "never confirmed", "lost again", "to
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rescue:
-    """Nearest candidate that would save a run as a further unit.
+    """Nearest candidate that would save a run as a further unit."""
 
-    Attributes
-    ----------
-    unit : str
-        Name of the candidate pose.
-    site : str
-        Its site.
-    distance_m : float
-        From the nearest unit, in metres; 0: at the same mount.
-    margin_s : float
-        Time to spare that it leaves, in seconds.
-    """
-
-    unit: str
-    site: str
-    distance_m: float
-    margin_s: float
+    unit: Annotated[str, says("Name of the candidate pose.")]
+    site: Annotated[str, says("Its site.")]
+    distance_m: Annotated[float, says("From the nearest unit, in metres; 0: at the same mount.")]
+    margin_s: Annotated[float, says("Time to spare that it leaves, in seconds.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Unavoided:
-    """A run with weight that is not avoided in the world as planned, on the detection table.
+    """A run with weight that is not avoided in the world as planned, on the detection table."""
 
-    Attributes
-    ----------
-    run : str
-        Name of the run, as in runs.parquet.
-    outcome : str
-        "hopeless": no frame comes early enough, whoever looks; else the units' achievement. "lost
-        again": they confirm early enough, but the track is not alive at the last moment, and none
-        is confirmed after it.
-    late_s : float, optional
-        By how much braking sets in too late, in seconds; None: never, also where the track was
-        lost again.
-    frames_in_time : int
-        Frames from which braking in time could follow.
-    frames_seen : int
-        Of these, those in which a unit detects the road user.
-    unit : str
-        Id of the unit nearest to the road user in the last of these frames, preferably among those
-        that have it in view in one of them; empty if hopeless.
-    reasons : tuple of Reason
-        Why that unit does not detect the road user in some of these frames, the most frequent one
-        first.
-    rescue : Rescue, optional
-        Nearest candidate that would save the run as a further unit; None: none, or nobody looked,
-        as where worlds are sampled.
-    """
-
-    run: str
-    outcome: Outcome
-    late_s: float | None
-    frames_in_time: int
-    frames_seen: int
-    unit: str
-    reasons: tuple[Reason, ...]
-    rescue: Rescue | None
+    run: Annotated[str, says("Name of the run, as in runs.parquet.")]
+    outcome: Annotated[
+        Outcome,
+        says(
+            '"hopeless": no frame comes early enough, whoever looks; else the units\' '
+            'achievement. "lost again": they confirm early enough, but the track is not '
+            "alive at the last moment, and none is confirmed after it."
+        ),
+    ]
+    late_s: Annotated[
+        float | None,
+        says(
+            "By how much braking sets in too late, in seconds; None: never, also where the "
+            "track was lost again."
+        ),
+    ]
+    frames_in_time: Annotated[int, says("Frames from which braking in time could follow.")]
+    frames_seen: Annotated[int, says("Of these, those in which a unit detects the road user.")]
+    unit: Annotated[
+        str,
+        says(
+            "Id of the unit nearest to the road user in the last of these frames, "
+            "preferably among those that have it in view in one of them; empty if hopeless."
+        ),
+    ]
+    reasons: Annotated[
+        tuple[Reason, ...],
+        says(
+            "Why that unit does not detect the road user in some of these frames, the most "
+            "frequent one first."
+        ),
+    ]
+    rescue: Annotated[
+        Rescue | None,
+        says(
+            "Nearest candidate that would save the run as a further unit; None: none, or "
+            "nobody looked, as where worlds are sampled."
+        ),
+    ]
 
 
 def find_unavoided(

@@ -17,11 +17,12 @@ money buy. Modules called ``.._kernels`` are compiled by Numba.
 
 from .greedy import solve_greedy
 from .limits import Failing, Limits, cost_eur, is_allowed
-from .objectives import Goal, Objective
 from .presolve import PresolveStatistics, ReducedProblem, presolve
 from .problem import (
     Floor,
     Fusion,
+    Goal,
+    Objective,
     PlacementProblem,
     PlacementValue,
     apr,

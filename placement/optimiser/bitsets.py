@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
 from .limits import Limits, cost_eur, costs_eur
-from .objectives import Objective
 from .presolve import ReducedProblem, unpack_words
-from .problem import Measure, WordArray
+from .problem import Measure, Objective, WordArray
 from .steering import DECIMALS, FEW_PARTNERS, TOLERANCE, share_out
 
 # ---------- values that are compared stage by stage
@@ -365,7 +364,7 @@ def shares_with_each(
         def add(begin: int, end: int, runs: IntArray, parts: dict[int, FloatArray]) -> None:
             parts[begin] = np.zeros(reduced.n_poses)
             add_weights_with_each(
-                reduced.detections.columns,
+                reduced.columns,
                 is_seen,
                 reduced.chains,
                 reduced.run_chain,
@@ -467,7 +466,7 @@ def _first_with_each(reduced: ReducedProblem, units: IntArray) -> NDArray[np.int
     first = np.empty((reduced.n_chains, reduced.n_poses), dtype=np.int32)  # it may be large
 
     def look(begin: int, end: int) -> None:
-        first_live_with_each(reduced.detections.columns, is_seen, reduced.chains, begin, end, first)
+        first_live_with_each(reduced.columns, is_seen, reduced.chains, begin, end, first)
 
     share_out(look, reduced.n_chains, workers=reduced.workers)
     return first

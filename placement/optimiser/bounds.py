@@ -34,9 +34,8 @@ from . import steering
 from .bitsets import union_apr, unions_of
 from .greedy import forced_units
 from .limits import Choice, build_choice
-from .objectives import Objective
 from .presolve import ReducedProblem, distinct_rows, transposed, unpack_words
-from .problem import WordArray
+from .problem import Objective, WordArray
 from .steering import NEVER, Deadline, share_out
 
 # ---------- rows of the covering problem
@@ -105,13 +104,13 @@ def find_root(
     Windows are asked for the frame, or the tail, that the poses picked so far see least, again and
     again, and the best round is taken. It ends at the deadline, but completes the first round.
     """
-    detections, choice = reduced.detections, build_choice(reduced.limits, n_units)
+    choice = build_choice(reduced.limits, n_units)
     union = unions_of(reduced, forced_units(reduced)[None, :])[0]
     is_alone = is_covered_by(reduced, union, rows)
     reached = float(rows.weight[is_alone].sum())
     rows = rows.of(~is_alone)
     # To begin with, the frames that fewest poses see; what is picked counts far more.
-    seen = np.bitwise_count(detections.columns).sum(axis=1) / (1.0e3 * max(reduced.n_poses, 1))
+    seen = np.bitwise_count(reduced.columns).sum(axis=1) / (1.0e3 * max(reduced.n_poses, 1))
     price = steering.PRICE_START * rows.weight
     best: Root | None = None
     for number in range(steering.ASK_ROUNDS):
@@ -140,7 +139,7 @@ def find_root(
         total = np.maximum(root.weight[row], steering.TINY)
         price = root.price[row] * (rows.weight / total)
         used = np.flatnonzero(root.share > steering.SMALL_SHARE)
-        of_used = unpack_words(detections.words[used], reduced.n_frames)
+        of_used = unpack_words(reduced.words[used], reduced.n_frames)
         seen = seen + np.minimum(root.share[used] @ of_used, 1.0)
     assert best is not None
     return best
@@ -162,16 +161,15 @@ def coverers_of(
     """
     from .walk_kernels import ask_for_least_seen, cover_rows
 
-    detections = reduced.detections
-    asked = np.empty(len(detections.chains.window), dtype=np.int64)
-    ask_for_least_seen(detections.chains, np.unique(rows.chain), union, seen, asked)
+    chains = reduced.chains
+    asked = np.empty(len(chains.window), dtype=np.int64)
+    ask_for_least_seen(chains, np.unique(rows.chain), union, seen, asked)
     is_poses = columns is None
-    columns = detections.columns if columns is None else columns
+    columns = reduced.columns if columns is None else columns
     coverers = np.empty((len(rows.chain), columns.shape[1]), dtype=np.uint64)
-    start = detections.chains.start
 
     def cover(begin: int, end: int) -> None:
-        cover_rows(columns, start, asked, rows.chain, rows.last, begin, end, coverers)
+        cover_rows(columns, chains.start, asked, rows.chain, rows.last, begin, end, coverers)
 
     share_out(cover, len(rows.chain), workers=reduced.workers if is_poses else 1)
     return coverers

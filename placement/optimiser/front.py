@@ -20,10 +20,11 @@ from ..layout import Certificate, Stage
 from .bitsets import union_apr
 from .greedy import to_full
 from .limits import Limits
-from .objectives import VALUE_OBJECTIVES, Objective
 from .presolve import PresolveStatistics, ReducedProblem, presolve
 from .problem import (
+    VALUE_OBJECTIVES,
     Floor,
+    Objective,
     PlacementProblem,
     PlacementValue,
     Requirement,
@@ -78,30 +79,19 @@ class FrontPoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Front:
-    """Layouts for growing budgets.
+    """Layouts for growing budgets."""
 
-    Attributes
-    ----------
-    by : {"units", "cost"}
-        What the points are allowed more and more of.
-    points : tuple of FrontPoint
-        In ascending order, at least one; on a front by cost those at which something grows.
-    stages : {"first", "all"}
-        What was optimised: APR and the APR when one unit fails, or margins and cost, too.
-    settled : float, optional
-        Proven that from so many units, or euros, on nothing grows that was optimised, not even
-        beyond the last point; None if that is not known.
-    refused : tuple of (int, str)
-        Numbers of units with which the wishes cannot be met, and why.
-    presolve : PresolveStatistics, optional
-        What dropped out before, once for all points; None if each was solved by itself.
-    """
-
-    by: Literal["units", "cost"]
+    by: Literal["units", "cost"]  # What the points are allowed more and more of
+    # In ascending order, at least one; on a front by cost those at which something grows
     points: tuple[FrontPoint, ...]
+    # What was optimised: APR and the APR when one unit fails, or margins and cost, too
     stages: StageChoice
+    # Proven that from so many units, or euros, on nothing grows that was optimised, not even beyond
+    # the last point; None if that is not known
     settled: float | None
+    # Numbers of units with which the wishes cannot be met, and why
     refused: tuple[tuple[int, str], ...]
+    # What dropped out before, once for all points; None if each was solved by itself
     presolve: PresolveStatistics | None
 
     @property

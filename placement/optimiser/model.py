@@ -24,9 +24,8 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from . import steering
 from .bitsets import union_margins_s, unions_of
 from .limits import Limits
-from .objectives import Objective
 from .presolve import ReducedProblem
-from .problem import Measure, Requirement, WordArray
+from .problem import Measure, Objective, Requirement, WordArray
 from .steering import COST_TOLERANCE_EUR, TOLERANCE
 
 if TYPE_CHECKING:

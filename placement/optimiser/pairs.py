@@ -89,10 +89,10 @@ class PairWalk:
         self.n_units = reduced.limits.max_units
         self.total = float(reduced.weight.sum())
         self.is_finished = False  # whether all sets were gone through
-        limits, detections = reduced.limits, reduced.detections
+        limits = reduced.limits
         self.usable = ~limits.is_forbidden & (limits.site_capacity > 0)[limits.site_index]
         self.rows, avoided = _hardest_first(reduced)
-        self.seen = np.bitwise_count(detections.columns).sum(axis=1).astype(np.float64)
+        self.seen = np.bitwise_count(reduced.columns).sum(axis=1).astype(np.float64)
         self.lost = lost_by_chain(reduced)
         chains = self.rows.chain
         self.order = chains[np.sort(np.unique(chains, return_index=True)[1])]
@@ -104,7 +104,7 @@ class PairWalk:
         np.bitwise_or.at(words, self.class_of[self.member], reduced.words[self.member])
         columns = transposed(words, reduced.n_frames, workers=reduced.workers)
         self.classes = _Units(words=words, columns=columns)
-        self.poses = _Units(words=reduced.words, columns=detections.columns)
+        self.poses = _Units(words=reduced.words, columns=reduced.columns)
         self.class_site = limits.site_index[self.member[self.start]]
 
     def again(self, need: float) -> "PairWalk":
@@ -242,7 +242,7 @@ def _hardest_first(reduced: ReducedProblem) -> tuple[Rows, WordArray]:
     rows = run_rows(reduced)
     rows = rows.of(rows.weight > 0.0)
     union = reduced.base
-    units = _Units(words=reduced.words, columns=reduced.detections.columns)
+    units = _Units(words=reduced.words, columns=reduced.columns)
     alone = _coverers(reduced, units, union, rows)[0]
     share = unpack_words(alone, reduced.n_poses).mean(axis=1)
     # Two more poses are likely to lose what many poses lose.

@@ -13,23 +13,26 @@ window has fewer tails, one that is not seen ends all windows of the run up to s
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import pairwise
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.files import says
 
 from . import steering
 from .limits import Limits
-from .objectives import Goal, Objective, objectives_in_order
 from .problem import (
     Chains,
+    Goal,
     Measure,
+    Objective,
     PlacementProblem,
     Requirement,
     WordArray,
+    objectives_in_order,
     run_of_frames,
     tails_behind,
     timely_windows_end,
@@ -41,26 +44,26 @@ PackedArray = WordArray | NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PresolveStatistics:
-    """Sizes of the problem before and after presolve.
+    """Sizes of the problem before and after presolve."""
 
-    Attributes
-    ----------
-    n_poses : tuple of (int, int)
-        Poses: before, after.
-    n_frames : tuple of (int, int)
-        Frames; after, distinct columns: those of frames, and those that hold a track until it is
-        needed, so that there may be more.
-    n_windows : tuple of (int, int)
-        Windows of frames that confirm: once per run before, once if they need the same frames
-        after.
-    n_runs : tuple of (int, int)
-        Runs: left out if nothing avoids them or they have no weight.
-    """
-
-    n_poses: tuple[int, int]
-    n_frames: tuple[int, int]
-    n_windows: tuple[int, int]
-    n_runs: tuple[int, int]
+    n_poses: Annotated[tuple[int, int], says("Poses: before, after.")]
+    n_frames: Annotated[
+        tuple[int, int],
+        says(
+            "Frames; after, distinct columns: those of frames, and those that hold a track "
+            "until it is needed, so that there may be more."
+        ),
+    ]
+    n_windows: Annotated[
+        tuple[int, int],
+        says(
+            "Windows of frames that confirm: once per run before, once if they need the "
+            "same frames after."
+        ),
+    ]
+    n_runs: Annotated[
+        tuple[int, int], says("Runs: left out if nothing avoids them or they have no weight.")
+    ]
 
     def __str__(self) -> str:
         return ", ".join(
@@ -74,22 +77,6 @@ class PresolveStatistics:
         )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Detections:
-    """Detections of the poses that are left; problems that differ elsewhere share it."""
-
-    n_frames: int  # merged frames
-    words: WordArray  # (n_poses, n_words): bits V[c, f] along the merged frames, lowest bit first
-    base: WordArray  # (n_words,): frames that the VUT sees, as every pose does then
-    chains: Chains  # of windows, and of what keeps them alive
-    workers: int = WORKERS  # threads for all that is computed with them
-
-    @cached_property
-    def columns(self) -> WordArray:
-        """V[c, f] with bits along the poses, (n_frames, ceil(n_poses / 64)); transposed once."""
-        return transposed(self.words, self.n_frames, workers=self.workers)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReducedProblem:
     """A placement problem without what does not matter."""
@@ -101,7 +88,13 @@ class ReducedProblem:
     floors: tuple[Requirement, ...]  # what must be reached in any case
     objectives: tuple[Objective, ...]  # in the order in which sets of poses are compared
     survive: int  # failed units that ``Objective.APR_SURVIVED`` is about
-    detections: Detections  # of these poses
+    n_frames: int  # merged frames
+    words: WordArray  # (n_poses, n_words): bits V[c, f] along the merged frames, lowest bit first
+    # (n_frames, ceil(n_poses / 64)): the same bits along the poses; empty while presolve is on
+    columns: WordArray
+    base: WordArray  # (n_words,): frames that the VUT sees, as every pose does then
+    chains: Chains  # of windows, and of what keeps them alive
+    workers: int  # threads for all that is computed with them
     run_chain: IntArray  # (n_runs,): chain of every run
     # (n_runs, longest chain + 1): margin if the first live window is the k-th of the chain; minus
     # infinity from the first one that is too late for this run [s].
@@ -112,31 +105,6 @@ class ReducedProblem:
     def n_poses(self) -> int:
         """Number of poses that are left."""
         return len(self.pose_index)
-
-    @property
-    def n_frames(self) -> int:
-        """Number of merged frames."""
-        return self.detections.n_frames
-
-    @property
-    def words(self) -> WordArray:
-        """Bits V[c, f] along the merged frames, (n_poses, n_words)."""
-        return self.detections.words
-
-    @property
-    def base(self) -> WordArray:
-        """Frames that are seen without any pose, (n_words,): by the VUT."""
-        return self.detections.base
-
-    @property
-    def chains(self) -> Chains:
-        """Windows of runs, and what keeps them alive."""
-        return self.detections.chains
-
-    @property
-    def workers(self) -> int:
-        """Threads for all that is computed on it."""
-        return self.detections.workers
 
     @property
     def weight(self) -> FloatArray:
@@ -151,9 +119,7 @@ class ReducedProblem:
 
     def with_workers(self, workers: int) -> "ReducedProblem":
         """Problem on so many threads."""
-        if workers == self.workers:
-            return self
-        return replace(self, detections=replace(self.detections, workers=workers))
+        return self if workers == self.workers else replace(self, workers=workers)
 
     def with_goal(self, goal: Goal) -> "ReducedProblem":
         """Problem for another goal."""
@@ -258,7 +224,8 @@ def presolve(
             price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
             is_needless[np.argmin(price[poses])] = False
         if not is_needless.any():
-            return reduced
+            columns = transposed(reduced.words, reduced.n_frames, workers=workers)
+            return replace(reduced, columns=columns)
         usable[poses[is_needless]] = False
 
 
@@ -462,13 +429,12 @@ class _Windows:
             ),
             objectives=problem.objectives,
             survive=problem.survive,
-            detections=Detections(
-                n_frames=len(kept),
-                words=words,
-                base=pack_words(self.is_base[first[kept]]),
-                chains=chains,
-                workers=self.workers,
-            ),
+            n_frames=len(kept),
+            words=words,
+            columns=words[:0],
+            base=pack_words(self.is_base[first[kept]]),
+            chains=chains,
+            workers=self.workers,
             run_chain=run_chain,
             margin_s=margin_s,
             statistics=PresolveStatistics(

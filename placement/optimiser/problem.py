@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from itertools import chain, combinations
 from typing import Literal, NamedTuple, get_args
 
@@ -15,8 +16,102 @@ from scenarios.runs import FrameAxis, live_confirmation_times_s
 
 from ..detection_table import DetectionTable
 from .limits import Limits, cost_eur, is_allowed
-from .objectives import VALUE_OBJECTIVES, Goal, Objective, objectives_in_order
-from .steering import TOLERANCE, common_step
+from .steering import COST_TOLERANCE_EUR, TOLERANCE, common_step
+
+Goal = Literal["best", "fewest", "cheapest"]
+
+
+class Objective(StrEnum):
+    """Something that a layout is optimised for; its value is its name in JSON."""
+
+    UNITS = "units"
+    COST = "cost_eur"
+    APR_SURVIVED = "apr_survived"
+    APR = "apr"
+    APR_ONE_FAILED = "apr_one_failed"
+    SMALLEST_MARGIN = "smallest_margin_s"
+    MEAN_MARGIN = "mean_margin_s"
+
+    @property
+    def label(self) -> str:
+        """Name in reports."""
+        return _LABELS[self]
+
+    @property
+    def unit(self) -> str:
+        """Unit of its values; empty for counts and shares."""
+        if self is Objective.COST:
+            return "EUR"
+        return "s" if self in (Objective.SMALLEST_MARGIN, Objective.MEAN_MARGIN) else ""
+
+    @property
+    def is_minimised(self) -> bool:
+        """True if less is better."""
+        return self in (Objective.UNITS, Objective.COST)
+
+    @property
+    def tolerance(self) -> float:
+        """Values that differ by no more are equal."""
+        return COST_TOLERANCE_EUR if self is Objective.COST else TOLERANCE
+
+    def excess(self, value: float, other: float) -> float:
+        """By how much a value is better than another one; negative if it is worse.
+
+        Examples
+        --------
+        >>> Objective.APR.excess(0.75, 0.5), Objective.UNITS.excess(3.0, 2.0)
+        (0.25, -1.0)
+        """
+        return other - value if self.is_minimised else value - other
+
+    def is_better(self, value: float, other: float) -> bool:
+        """True if a value is better than another one by more than rounding noise."""
+        return self.excess(value, other) > self.tolerance
+
+    def better(self, value: float, other: float) -> float:
+        """The better one of two values."""
+        return min(value, other) if self.is_minimised else max(value, other)
+
+    def worse(self, value: float, other: float) -> float:
+        """The worse one of two values."""
+        return max(value, other) if self.is_minimised else min(value, other)
+
+
+_LABELS = {
+    Objective.UNITS: "units",
+    Objective.COST: "cost",
+    Objective.APR_SURVIVED: "APR if the most needed units fail",
+    Objective.APR: "APR",
+    Objective.APR_ONE_FAILED: "APR if the most needed unit fails",
+    Objective.SMALLEST_MARGIN: "smallest time to spare",
+    Objective.MEAN_MARGIN: "mean time to spare",
+}
+VALUE_OBJECTIVES = (
+    Objective.APR,
+    Objective.APR_ONE_FAILED,
+    Objective.SMALLEST_MARGIN,
+    Objective.MEAN_MARGIN,
+    Objective.COST,
+)
+"""Objectives by which layouts are compared by default, in this order."""
+
+
+def objectives_in_order(goal: Goal, *, survive: int) -> tuple[Objective, ...]:
+    """Stages of a problem: the goal, then the APR that survives failures, then the usual ones.
+
+    The cost stands in it once: first where the cheapest layout is asked for, else last.
+
+    Examples
+    --------
+    >>> [str(objective) for objective in objectives_in_order("fewest", survive=1)][:3]
+    ['units', 'apr_survived', 'apr']
+    """
+    goals = {"best": (), "fewest": (Objective.UNITS,), "cheapest": (Objective.COST,)}
+    first: tuple[Objective, ...] = goals[goal]
+    if survive:
+        first = (*first, Objective.APR_SURVIVED)
+    return (*first, *(objective for objective in VALUE_OBJECTIVES if objective not in first))
+
 
 # ---------- the accident prevention ratio
 
@@ -129,53 +224,29 @@ Fusion = Literal["any", "single"]
 
 
 class PlacementValue(NamedTuple):
-    """Value of a set of poses: compared from left to right.
+    """Value of a set of poses: compared from left to right."""
 
-    Attributes
-    ----------
-    apr : float
-        Accident prevention ratio, 0..1.
-    apr_one_failed : float
-        The same when the most painful one of the units fails.
-    smallest_margin_s : float
-        Of the avoided runs; 0 if there is none. [s]
-    mean_margin_s : float
-        Of the avoided runs, by their weights; 0 if there is none. [s]
-    cost_eur : float
-        Units, and sites once; the less the better. [EUR]
-    """
-
-    apr: float
-    apr_one_failed: float
-    smallest_margin_s: float
-    mean_margin_s: float
-    cost_eur: float
+    apr: float  # Accident prevention ratio, 0..1
+    apr_one_failed: float  # The same when the most painful one of the units fails
+    smallest_margin_s: float  # Of the avoided runs; 0 if there is none. [s]
+    mean_margin_s: float  # Of the avoided runs, by their weights; 0 if there is none. [s]
+    cost_eur: float  # Units, and sites once; the less the better. [EUR]
 
     def of(self, objective: Objective) -> float:
-        """Value of one of :data:`placement.optimiser.objectives.VALUE_OBJECTIVES`."""
+        """Value of one of :data:`placement.optimiser.problem.VALUE_OBJECTIVES`."""
         return float(getattr(self, objective.value))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Floor:
-    """An accident prevention ratio that must be reached.
+    """An accident prevention ratio that must be reached."""
 
-    Attributes
-    ----------
-    name : str
-        Who asks for it, such as "target", for messages.
-    share : float
-        The ratio, 0..1.
-    is_counted : (n_runs,) bool, optional
-        Runs that count, such as those of a case; by default all, by the problem's own measure.
-    n_failures : int
-        It must still be reached when any so many units fail.
-    """
-
-    name: str
-    share: float
+    name: str  # Who asks for it, such as "target", for messages
+    share: float  # The ratio, 0..1
+    # (n_runs,): runs that count, such as those of a case; by default all, by the problem's own
+    # measure
     is_counted: BoolArray | None = None
-    n_failures: int = 0
+    n_failures: int = 0  # It must still be reached when any so many units fail
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.share <= 1.0:
@@ -189,43 +260,23 @@ class Floor:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlacementProblem:
-    """Which poses to mount, given what each detects.
+    """Which poses to mount, given what each detects."""
 
-    Attributes
-    ----------
-    table : DetectionTable
-        V[c, f].
-    limits : Limits
-        What may be mounted together.
-    fusion : {"any", "single"}
-        "any": a frame counts if any unit detects; "single": one unit must confirm alone.
-    rule : AebRule
-        Confirmation and latency.
-    floors : tuple of Floor
-        What must be reached in any case.
-    goal : {"best", "fewest", "cheapest"}
-        "fewest", "cheapest": of the sets that reach the floors only those with the fewest units,
-        or of the least cost, are looked at; then the best of them.
-    survive : int
-        If not 0, the APR when so many units fail is the first objective.
-    sample_index : (n_runs,) int, optional
-        Sampled world of each run.
-    tail : float
-        See :class:`placement.optimiser.problem.Measure`: how the APR sums up the sampled worlds.
-    seen_by_vut : (n_frames,) bool, optional
-        Frames in which the VUT's own sensors detect. They are in every set, also in that of no
-        pose, and never fail. None: cars are blind.
-    """
-
-    table: DetectionTable
-    limits: Limits
+    table: DetectionTable  # V[c, f]
+    limits: Limits  # What may be mounted together
+    # "any": a frame counts if any unit detects; "single": one unit must confirm alone
     fusion: Fusion
-    rule: AebRule
-    floors: tuple[Floor, ...] = ()
+    rule: AebRule  # Confirmation and latency
+    floors: tuple[Floor, ...] = ()  # What must be reached in any case
+    # "fewest", "cheapest": of the sets that reach the floors only those with the fewest units, or
+    # of the least cost, are looked at; then the best of them
     goal: Goal = "best"
-    survive: int = 0
-    sample_index: IntArray | None = None
+    survive: int = 0  # If not 0, the APR when so many units fail is the first objective
+    sample_index: IntArray | None = None  # (n_runs,): sampled world of each run
+    # See :class:`placement.optimiser.problem.Measure`: how the APR sums up the sampled worlds
     tail: float = 1.0
+    # (n_frames,): frames in which the VUT's own sensors detect. They are in every set, also in that
+    # of no pose, and never fail. None: cars are blind.
     seen_by_vut: BoolArray | None = None
 
     def __post_init__(self) -> None:

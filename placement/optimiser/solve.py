@@ -21,9 +21,8 @@ from .bitsets import left_after_failures, union_margins_s
 from .bounds import find_root, polished, relaxation_text, rounded_down, run_rows
 from .greedy import to_full
 from .limits import Limits, cost_eur
-from .objectives import Objective
 from .presolve import PresolveStatistics, ReducedProblem, presolve
-from .problem import Measure, PlacementProblem, objective_values
+from .problem import Measure, Objective, PlacementProblem, objective_values
 from .stages import Search, Stages
 from .steering import COST_TOLERANCE_EUR, TOLERANCE, Deadline, Effort, deadline_in
 

@@ -22,10 +22,9 @@ from .bounds import Root, failure_limit, find_root, relax, relaxation_text, run_
 from .greedy import extend_greedily, improve, search_from_many_starts
 from .limits import Limits, are_allowed, is_allowed, price_step_eur
 from .model import Cut, first_cuts, solve_window_model, solver_text, violated_cuts
-from .objectives import VALUE_OBJECTIVES, Objective
 from .pairs import goes_by_pairs, walk_by_pairs
 from .presolve import ReducedProblem
-from .problem import PlacementProblem, PlacementValue, Requirement
+from .problem import VALUE_OBJECTIVES, Objective, PlacementProblem, PlacementValue, Requirement
 from .steering import COST_TOLERANCE_EUR, NEVER, TOLERANCE, Deadline, Effort, settle
 from .walk import SetWalk, Tied, TieSearch, best_of_few, best_of_tied, can_walk
 
@@ -289,7 +288,7 @@ class Stages:
             if self._is_settled(search.value.apr, self.apr_limit):
                 break
             self.apr_limit = self._settle(search.value.apr, bound(), self.apr_limit)
-        self._hold(Requirement(measure=search.reduced.measure, least=search.value.apr))
+        self.held.append(Requirement(measure=search.reduced.measure, least=search.value.apr))
         return self.apr_limit
 
     def bound_apr_one_failed(self) -> float:
@@ -388,7 +387,7 @@ class Stages:
                 limit = self.walk_limit[n_failures]
             else:
                 limit = self._bound_failed_by_models(n_failures, limit)
-        self._hold(
+        self.held.append(
             Requirement(
                 measure=search.reduced.measure, least=self._left(n_failures), n_failures=n_failures
             )
@@ -444,12 +443,9 @@ class Stages:
         assert units is not None  # a first set is there, or solve_placement has given up
         return units
 
-    def _hold(self, requirement: Requirement) -> None:
-        self.held.append(requirement)
-
     def _hold_margin(self, bound: float) -> float:
         search = self.search
-        self._hold(
+        self.held.append(
             Requirement(
                 measure=search.reduced.measure,
                 least=search.value.apr,

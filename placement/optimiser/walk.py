@@ -42,8 +42,8 @@ from .bitsets import (
 from .bounds import Root, rounded_down
 from .greedy import forced_units
 from .limits import Limits, are_allowed, costs_eur
-from .objectives import Objective
 from .presolve import ReducedProblem, transposed, unpack_words
+from .problem import Objective
 from .steering import COST_TOLERANCE_EUR, NEVER, TOLERANCE, Deadline, deadline_in
 
 if TYPE_CHECKING:

@@ -30,8 +30,7 @@ from ..optimiser import (
 )
 from ..optimiser.bitsets import no_values
 from ..optimiser.greedy import improve, to_full
-from ..optimiser.objectives import Objective
-from ..optimiser.problem import objective_values
+from ..optimiser.problem import Objective, objective_values
 from ..optimiser.solve import build_stage
 from ..pipeline import Placement
 from ..setting import Setting

@@ -12,12 +12,20 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import read_text, take, take_list, take_number, take_text, write_atomically
+from geometry.files import (
+    parse_json,
+    read_text,
+    take,
+    take_list,
+    take_number,
+    take_text,
+    write_atomically,
+)
 
 from ..detection_table import has_levels, seeing_share
 from ..layout import Certificate, Stage
 from ..optimiser import PlacementProblem, PresolveStatistics
-from ..optimiser.objectives import Objective
+from ..optimiser.problem import Objective
 from .instances import (
     INSTANCE_FILE,
     KIND,
@@ -175,13 +183,7 @@ def load_certificate(path: str | Path) -> StoredCertificate:
         The file cannot be read, is no certificate, or a field is missing or not of its kind.
     """
     path, where = Path(path), str(path)
-    text = read_text(path, "JSON")
-    try:
-        document = json.loads(text)
-    except RecursionError:
-        raise InputError(where, Unquoted("JSON nested too deep"), "a certificate") from None
-    except ValueError as error:  # no JSON, no UTF-8, or a number of thousands of digits
-        raise InputError(where, Unquoted(error), "JSON in UTF-8") from None
+    document = parse_json(read_text(path, "JSON"), where, "a certificate")
     if not isinstance(document, dict) or document.get("schema") != SCHEMA:
         got = document.get("schema") if isinstance(document, dict) else Unquoted("no object")
         raise InputError(f"{where}: schema", got, SCHEMA)

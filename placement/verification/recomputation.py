@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
 from ..layout import Stage
-from ..optimiser.objectives import Objective
+from ..optimiser.problem import Objective
 
 if TYPE_CHECKING:
     from ..optimiser import Floor, PlacementProblem

@@ -20,7 +20,7 @@ import numpy as np
 
 from ..candidates import CandidatePose
 from ..layout import Stage
-from ..optimiser.objectives import Objective
+from ..optimiser.problem import Objective
 from .certificates import StoredCertificate, instance_of, model_of, words_of
 from .instances import Mounts, problem_hash
 from .recomputation import (

@@ -135,12 +135,8 @@ def look_around(
 ) -> Iterator[dict[str, Any]]:
     """Rows of :class:`Crops` by one camera after another, without end.
 
-    `backdrops` may be shared with others: what is missing is added.
-
-    Raises
-    ------
-    InputError
-        The junction carries no case, or none with such road users.
+    `backdrops` may be shared with others: what is missing is added. Raises InputError: the junction
+    carries no case, or none with such road users.
     """
     runs = [run for run in setting.runs if vru_class(run.encounter.vru) in framing.kinds]
     if not runs:

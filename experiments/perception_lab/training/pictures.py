@@ -107,10 +107,7 @@ def draw_looks(settings: Sequence[Setting], *, seed: int) -> Looks:
 def stored_looks(folder: Path, *, seed: int) -> Looks:
     """Pictures as of :func:`draw_looks`, out of crops stored for training, ``JUNCTION-SEED.npz``.
 
-    Raises
-    ------
-    InputError
-        The folder has none, or none of a class in a weather.
+    Raises InputError: the folder has none, or none of a class in a weather.
     """
     parts = {
         path.stem.rpartition("-")[0]: load_crops(path) for path in sorted(folder.glob("*.npz"))
@@ -145,12 +142,8 @@ def _stored(
 def draw_sheet(looks: Looks, *, tell: Callable[[str], None] = lambda words: None) -> Image.Image:
     """Forty pictures on a page, one of each class and weather after the other.
 
-    Whom no light reaches is not on it; `tell` gets how many were left out.
-
-    Raises
-    ------
-    InputError
-        Light reaches none of a hundred.
+    Whom no light reaches is not on it; `tell` gets how many were left out. Raises InputError: light
+    reaches none of a hundred.
     """
     tiles, n_dark = [], 0
     for number in range(_TILES):
@@ -189,10 +182,7 @@ def _stands_out(row: Mapping[str, Any]) -> bool:
 def load_people_detector() -> Judge:
     """OpenCV's detector of upright people.
 
-    Raises
-    ------
-    InputError
-        There is no OpenCV, or version 5, which has no such detector any more.
+    Raises InputError: there is no OpenCV, or version 5, which has no such detector any more.
 
     References
     ----------

@@ -12,8 +12,7 @@ from geometry.errors import InputError
 from geometry.files import write_atomically
 
 from ...figures.axes import to_png
-from .figures import plot_confirmations, plot_heights, plot_recall
-from .report import measure, tables, text
+from .report import measure, plot_confirmations, plot_heights, plot_recall, tables, text
 
 
 @click.command()

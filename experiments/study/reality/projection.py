@@ -22,7 +22,6 @@ from placement.recordings.wildtrack import read_opencv_camera, read_wildtrack
 BODY = "adult"
 POLE_M = 1.7
 WALKED_FRAMES = 4  # before and after, over which a heading is measured
-BAND_EDGES_M = (0.0, 20.0, 25.0, 30.0, 50.0)
 TILTS_DEG = np.linspace(-2.0, 2.0, 41)
 _DRAWS = 400
 _INSIDE_PX = 2.0  # a box that comes nearer to the picture's edge may be cut off

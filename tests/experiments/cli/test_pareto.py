@@ -134,14 +134,14 @@ def test_help_has_an_example_and_is_narrow(run_pareto):
 
 
 def test_nothing_heavy_is_imported_before_it_is_used():
-    modules = "experiments.cli.pareto, experiments.cli.retrofit"
+    modules = "experiments.cli.pareto"
     code = f"import sys, {modules}; print([m for m in {HEAVY} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"
 
 
 def test_options_that_are_left_out_do_not_reach_other_commands():
-    from experiments.cli.retrofit import retrofit
+    from experiments.cli.pareto import retrofit
 
     names = {param.name for param in main.cli.params}
     assert {"budget", "target", "survive", "keep"} <= names

@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from experiments import main
-from experiments.cli.retrofit import retrofit, retrofit_text
+from experiments.cli.pareto import retrofit, retrofit_text
 from experiments.parts.retrofit import RetrofitResult, words
 from experiments.results.record import to_plain
 from placement.layout import layout_from_records

@@ -5,7 +5,7 @@ import msgspec
 import pytest
 from kept_backdrops import kept_backdrop
 
-from experiments.cli.sheet import sheet_text
+from experiments.cli.export import sheet_text
 from experiments.parts import sheet
 from experiments.parts.sheet import SheetResult
 

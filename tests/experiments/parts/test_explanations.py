@@ -14,7 +14,8 @@ from experiments.parts.explanation import (
 )
 from experiments.results.record import to_plain
 from placement.detection_table import pack_table
-from placement.explain import find_contributions, find_unavoided
+from placement.explain.contributions import find_contributions
+from placement.explain.unavoided import find_unavoided
 from placement.layout import load_carlancap_layout
 from placement.pipeline import Assembly, place
 from placement.wishes import Wishes

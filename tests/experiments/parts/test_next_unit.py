@@ -6,7 +6,7 @@ from experiments.parts.next_unit import (
     other_sensor_sentence,
     section,
 )
-from placement.explain import NextUnit
+from placement.explain.contributions import NextUnit
 
 
 def test_what_the_next_unit_buys_and_how_that_is_known():

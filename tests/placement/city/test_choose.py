@@ -17,7 +17,7 @@ from placement.city.fronts import (
     stack_bounds,
     stack_fronts,
 )
-from placement.optimiser.objectives import Objective
+from placement.optimiser.problem import Objective
 
 STAGES = (
     Objective.APR,

@@ -10,13 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from problems import problems, questions
 
-from placement.explain import (
-    Demand,
-    Separation,
-    find_conflicts,
-    relax,
-)
-from placement.explain.conflicts import Wish
+from placement.explain.conflicts import Demand, Separation, Wish, find_conflicts, relax
 from placement.optimiser import (
     PlacementProblem,
     cost_eur,

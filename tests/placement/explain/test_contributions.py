@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 from problems import problems
 
 from placement.detection_table import pack_table
-from placement.explain import find_contributions
-from placement.explain.contributions import first_shares
+from placement.explain.contributions import find_contributions, first_shares
 from placement.optimiser import (
     PlacementProblem,
     apr,

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from problems import problems
 
-from placement.explain import find_next_unit
+from placement.explain.contributions import find_next_unit
 from placement.optimiser import apr, presolve, solve_placement
 from placement.optimiser.limits import is_allowed
 

@@ -9,7 +9,7 @@ from geometry.poses import Pose
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
 from placement.detectors import load_detector, load_planning_detector
-from placement.explain import find_other_sensors
+from placement.explain.other_sensors import find_other_sensors
 from placement.optimiser import apr
 from placement.setting import Setting
 from placement.visibility import build_detection_table

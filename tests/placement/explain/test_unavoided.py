@@ -16,8 +16,7 @@ from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.detection_table import pack_table
 from placement.detectors import load_detector, load_planning_detector
-from placement.explain import find_unavoided
-from placement.explain.unavoided import Look, find_reasons
+from placement.explain.unavoided import Look, find_reasons, find_unavoided
 from placement.optimiser import Limits, PlacementProblem, run_margins_s
 from placement.setting import Setting
 from placement.visibility import build_detection_table

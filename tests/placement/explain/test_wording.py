@@ -6,7 +6,7 @@ import pytest
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidateGrid, build_candidates, load_candidate_grid
 from placement.detection_table import pack_table
-from placement.explain import build_separation, find_refusal
+from placement.explain.conflicts import build_separation, find_refusal
 from placement.layout import load_carlancap_layout
 from placement.setting import Setting
 from placement.wishes import Wishes, build_problem

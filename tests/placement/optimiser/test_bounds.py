@@ -31,8 +31,8 @@ from placement.optimiser.bounds import (
     tightened,
 )
 from placement.optimiser.limits import are_allowed, build_choice
-from placement.optimiser.objectives import Objective
 from placement.optimiser.presolve import ReducedProblem, unpack_words
+from placement.optimiser.problem import Objective
 
 ANY_PROBLEM = st.from_type(PlacementProblem)
 

@@ -15,7 +15,7 @@ from placement.optimiser import (
     placement_value,
     solve_placement,
 )
-from placement.optimiser.objectives import Objective
+from placement.optimiser.problem import Objective
 from placement.refinement import (
     StageValue,
     certify,

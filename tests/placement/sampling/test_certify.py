@@ -37,12 +37,12 @@ def test_one_of_either_shows_no_spread(bounds, aprs):
 
 
 def coverage(n_repetitions, *, n_blocks, n_worlds, n_judged=60):
-    """Share of certificates that hold, on small problems whose optimum is known.
+    """Shares of gaps, and of their upper and lower ends, that hold where the optimum is known.
 
     Ten poses, two of which are mounted. In a world each pose sees each of twelve runs with a
     probability of its own, so that the APR of a pair over all worlds has a closed form.
     """
-    n_poses, n_runs, holds = 10, 12, 0
+    n_poses, n_runs, holds = 10, 12, np.zeros(3)
     pairs = np.array(list(combinations(range(n_poses), 2)))
     for repetition in range(n_repetitions):
         rng = np.random.default_rng([7, repetition])
@@ -59,21 +59,24 @@ def coverage(n_repetitions, *, n_blocks, n_worlds, n_judged=60):
         pool = sorted({int(block.argmax()) for block in blocks})
         best = pool[int(aprs(n_judged)[:, pool].mean(axis=0).argmax())]
         found = estimate_gap(bounds, aprs(n_judged)[:, best].tolist())
-        holds += true.max() - true[best] <= found.gap
-        # Either end for itself, too.
-        assert true.max() <= 1.0
+        holds += (
+            true.max() - true[best] <= found.gap,
+            true.max() <= found.most.high,
+            found.least.low <= true[best],
+        )
     return holds / n_repetitions
 
 
 def test_gaps_hold_as_often_as_they_say():
-    # 0.95 asked; three standard errors of 200 repetitions are 0.046.
-    assert coverage(200, n_blocks=5, n_worlds=4) >= 0.95 - 0.046
+    # 0.95 asked; three standard errors of 200 repetitions are 0.046. APRs near 1 are skewed: the
+    # lower end holds less often than the 0.975 of a normal distribution.
+    assert (coverage(200, n_blocks=5, n_worlds=4) >= 0.95 - 0.046).all()
 
 
 @pytest.mark.long
 def test_gaps_hold_as_often_as_they_say_whatever_the_blocks():
     for n_blocks, n_worlds in ((2, 2), (3, 8), (5, 8), (10, 2)):
-        assert coverage(1000, n_blocks=n_blocks, n_worlds=n_worlds) >= 0.95 - 0.021
+        assert (coverage(1000, n_blocks=n_blocks, n_worlds=n_worlds) >= 0.95 - 0.021).all()
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ from placement.optimiser import (
     run_margins_s,
     solve_placement,
 )
-from placement.optimiser.objectives import Objective
+from placement.optimiser.problem import Objective
 from placement.verification import (
     recomputation,
     verify,

@@ -21,7 +21,7 @@ from placement.optimiser import (
     Solution,
     solve_placement,
 )
-from placement.optimiser.objectives import Objective
+from placement.optimiser.problem import Objective
 from placement.verification import verify as verify_module
 from placement.verification.certificates import CERTIFICATE_FILE, load_certificate, save_certificate
 from placement.verification.instances import INSTANCE_FILE, load_problem

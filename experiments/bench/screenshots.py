@@ -1,4 +1,7 @@
-"""Pictures of the planner's page as browsers show it: ``python -m experiments.bench.planner``."""
+"""Pictures of pages as browsers show them: ``python -m experiments.bench.screenshots``.
+
+``plan`` photographs the planner's page, ``report REPORT.html`` a report.
+"""
 
 import json
 import shutil
@@ -26,6 +29,18 @@ from ..planner.tasks import Work
 
 _PATIENCE_MS = 300_000
 _SIZES_PX = {"desktop": (1440, 900), "tablet": (820, 1180)}
+_REPORT_SIZES_PX = {"desktop": (1280, 1600), "phone": (360, 1400)}
+_REPORT_PARTS = (
+    "Where to mount",
+    "What each unit buys",
+    "Time and distance to spare",
+    "If a unit or a pole fails",
+    "What if an assumption is wrong?",
+    "What the cameras see of the road",
+    "Who sees the road user when",
+    "Watch a run",
+    "Bill of materials",
+)
 # Chromium draws in three dimensions without a graphics card.
 _BROWSER_ARGUMENTS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
 
@@ -52,8 +67,9 @@ def _serve(setting: Setting, question: Question, variant: Variant, folder: Path)
     from ..planner.server import RunningServer
 
     work = Work(question=question, scratch=folder, compute=Compute())
-    plan = Plan(variants=(variant,))
-    server = RunningServer(lambda: Session(work, setting, plan=plan), host="127.0.0.1", port=0)
+    server = RunningServer(
+        lambda: Session(work, setting, plan=Plan(variants=(variant,))), host="127.0.0.1", port=0
+    )
     server.start()
     try:
         yield server.address
@@ -76,11 +92,16 @@ def _open(browser: Any, address: str, size_px: tuple[int, int]) -> Any:
 # ---------- pictures
 
 
-@click.command()
+@click.group()
+def main() -> None:
+    """Photograph the planner's page, or parts of a report."""
+
+
+@main.command()
 @click.option(
     "--out", type=click.Path(path_type=Path), default=Path("results/plan"), show_default=True
 )
-def main(out: Path) -> None:
+def plan(out: Path) -> None:
     """Photograph the page with two of the study's cameras, its dialogs, and private ground."""
     out.mkdir(parents=True, exist_ok=True)
     two = Variant(name="two cameras", units=load_carlancap_layout().units[:2])
@@ -101,6 +122,26 @@ def main(out: Path) -> None:
             page.wait_for_selector("#plan .seen", state="attached")
             _save(page, out / "desktop-private-ground.png")
             page.close()
+
+
+@main.command()
+@click.argument("page", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=Path("results/report"), show_default=True
+)
+def report(page: Path, out: Path) -> None:
+    """Photograph parts of a report at the widths of a desktop and of a phone."""
+    out.mkdir(parents=True, exist_ok=True)
+    with _browser() as browser:
+        for name, (width_px, height_px) in _REPORT_SIZES_PX.items():
+            shown = browser.new_page(viewport={"width": width_px, "height": height_px})
+            shown.goto(page.resolve().as_uri())
+            for part in _REPORT_PARTS:
+                heading = shown.locator("h1, h2").filter(has_text=part).first
+                heading.evaluate("element => element.scrollIntoView({ behavior: 'instant' })")
+                shown.wait_for_timeout(400)
+                words = "-".join(part.lower().replace("?", "").split())
+                _save(shown, out / f"{name}-{words}.png")
 
 
 def _photograph_dialogs(page: Any, stem: Path) -> None:
