@@ -234,7 +234,7 @@ def _box(m: Any, run: Run, name: str, actor: Actor, position_m: Any, yaw_deg: fl
 
 FORMAT = ExportFormat(
     write=to_mcap,
-    content="scene, views, bodies, detections; Foxglove; extra: mcap",
+    content="scene, bodies, detections; Foxglove; extra: mcap",
     is_binary=True,
     shows_runs=True,
 )

@@ -302,8 +302,9 @@ class ResponseDetector:
         linked = linked_noise(draws, lasting.frame_correlation(self.frame_correlation), rng)
         run = np.cumsum(np.diff(draws, prepend=draws[:1]) != 1) - 1
         own = rng.standard_normal(len(draws))[run]  # of the unit and the person, by run
-        noise: FloatArray = np.sqrt(lasting.unit_person_share) * own + lasting.person[draws]
-        return noise + np.sqrt(lasting.frame_share) * linked
+        own_part = np.sqrt(lasting.unit_person_share) * own
+        noise: FloatArray = own_part + np.sqrt(lasting.frame_share) * linked + lasting.person[draws]
+        return noise
 
     def _most(self, evidence: Evidence) -> FloatArray:
         """Probability of a correct detection of a box of any height, (n,)."""
