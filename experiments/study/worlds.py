@@ -224,15 +224,15 @@ def run(study: Study, path: Path, compute: Compute) -> Records:
         layouts = study.layouts(records, scene, cars)
         plan = Where(scene=scene, cars=cars, n_worlds=0)
         planned = records.planned.setdefault(plan.name, {})
-        if missing := [rows for rows in layouts if _key(rows) not in planned]:
-            planned |= in_own_process(plan_values, study.question, plan, missing, compute)
+        if new := [rows for rows in layouts if _key(rows) not in planned]:
+            planned |= in_own_process(plan_values, study.question, plan, new, compute)
             save()
         fresh = records.fresh.setdefault(plan.name, {})
         for first in range(0, study.n_judged, N_AT_ONCE):
             compute.progress(f"judge {plan.name}", first, study.n_judged)
-            if missing := [rows for rows in layouts if len(fresh.get(_key(rows), ())) <= first]:
+            if new := [rows for rows in layouts if len(fresh.get(_key(rows), ())) <= first]:
                 some = in_own_process(
-                    judge, study.question, replace(plan, n_worlds=1), missing, first, compute
+                    judge, study.question, replace(plan, n_worlds=1), new, first, compute
                 )
                 for key, values in some.items():
                     fresh[key] = [*fresh.get(key, [])[:first], *values]
