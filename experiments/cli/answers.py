@@ -259,7 +259,7 @@ def _head(result: Result) -> list[Part]:
                 *dangers.words(result.dangers, result.runs, cars=result.cars),
             ]
         ),
-        *_said(answer.preferred(result)),
+        *_said([*answer.preferred(result), *answer.planned_only(result)]),
         *_said([*result.driven[:1], *result.without_effect]),
         Part(notes=reasons),
         *_road_users(result.road_users),

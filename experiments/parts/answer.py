@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 from geometry.arrays import BoolArray
 from geometry.junction import street_names
+from placement.detectors.built_in import is_drawn
 from placement.evaluation import Evaluation, headline_apr
 from placement.setting import Setting
 from scenarios.weights import weight_share
@@ -47,6 +48,7 @@ def words(result: Result, shown: Mapping[str, Evaluation]) -> list[str]:
         *added.words(result.added),
         *dangers.words(result.dangers, result.runs, cars=result.cars),
         *preferred(result),
+        *planned_only(result),
         *(f"{sentence}." for sentence in sentences if sentence),
         *doubts(result),
         *private_ground(result),
@@ -57,7 +59,18 @@ def words(result: Result, shown: Mapping[str, Evaluation]) -> list[str]:
 
 def warnings(result: Result) -> list[str]:
     """What must not be overlooked: runs that were not driven, options that did nothing, doubts."""
-    return [*result.driven[:1], *result.without_effect, *preferred(result)]
+    return [*result.driven[:1], *result.without_effect, *preferred(result), *planned_only(result)]
+
+
+def planned_only(result: Result) -> list[str]:
+    """Warning that a layout was chosen as planned, where a detector finds people by chance."""
+    if not isinstance(result, PlacementResult) or result.sampled or not is_drawn(result.detector):
+        return []
+    return [
+        "This plan takes for seen whatever is seen with a probability of 0.5 or more, and nothing "
+        "is out of order in it: in fresh worlds such a choice can be behind a rule of thumb. "
+        "--samples 8 chooses for the mean of eight worlds."
+    ]
 
 
 def preferred(result: Result) -> list[str]:

@@ -403,6 +403,21 @@ def load_detector(name: str = "geometric", *, where: str = "detector") -> Detect
     raise InputError(where, name, f"{known}, a .toml file with a response table, or an .onnx file")
 
 
+def is_drawn(name: str) -> bool:
+    """True if a detector of this name finds people with a probability, not by a rule.
+
+    Examples
+    --------
+    >>> is_drawn("response"), is_drawn("geometric+pointrcnn-2019"), is_drawn("cnn")
+    (True, True, False)
+    """
+    return name.rpartition("+")[2] in (
+        *LIDAR_NAMES,
+        "response",
+        *_TABLE_FILES,
+    ) or name.endswith(".toml")
+
+
 @cache
 def _load_lidar_table(name: str) -> LidarTable:
     """A built-in table of what LiDARs find."""

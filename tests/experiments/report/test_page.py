@@ -334,6 +334,28 @@ def test_the_first_screen_tells_weights_once_and_no_proof_that_there_is_not(
     assert "Proof 99.0 % is the most that any choice could prevent" in words
 
 
+@pytest.mark.usefixtures("with_blank_pictures")
+@pytest.mark.parametrize(
+    ("detector", "is_told"),
+    [
+        ("geometric", False),
+        ("response", True),
+        ("own.toml", True),
+        ("pole-2015+pointrcnn-2019", True),
+    ],
+)
+def test_a_plan_by_a_detector_that_misses_by_chance_says_so(
+    placement_result, setting, evaluations, detector, is_told
+):
+    page = _page_of(
+        replace_fields(placement_result, detector=detector),
+        setting,
+        {"found": evaluations["found"]},
+        command=COMMAND,
+    )
+    assert ("--samples 8 chooses for the mean of eight worlds" in _first_screen(page)) == is_told
+
+
 def test_a_layout_that_was_given_is_not_said_to_be_proven(evaluation_page):
     assert "this layout was given, and not searched for" in _first_screen(evaluation_page)
 
