@@ -556,6 +556,8 @@ def _uncertainties() -> Mapping[str, tuple[str, Files]]:
     from importlib.resources import files
 
     text = (files("placement") / "data" / "uncertainty.toml").read_text(encoding="utf-8")
+    shared, rest = text.index('[aimed."by eye"]'), text.index("[robustness]")
+    text = text[:shared] + text[rest:]  # no section of any of the names
     names = ("default", "robustness", "as-measured")
     starts = [text.index(f"[{name}") for name in (*names, "none")]
     files_of = {"example": _example("uncertainty.toml")}

@@ -317,8 +317,8 @@ def show(
     epilog="""\b
 Examples:
   place-rsus scenarios import fcd.xml --out near.toml
-  place-rsus scenarios import 4_traj_ped.csv 4_traj_veh.csv --rate 23.98 --out near.toml
-  place-rsus scenarios import walks.csv --columns x=east,y=north --within 1.5 --out near.toml
+  place-rsus scenarios import ped.csv veh.csv --rate 23.98 --out near.toml
+  place-rsus scenarios import a.csv --columns x=east,y=north --out near.toml
   place-rsus --scene junction --cases near.toml --budget 3""",
 )
 @click.argument("paths", metavar="FILE..", nargs=-1, required=True, type=click.Path(path_type=Path))

@@ -249,7 +249,7 @@ def study(folder: Path, *, ttc_s: float, compute: Compute) -> tuple[str, Scene]:
     scene = build_street(clips)
     with tempfile.TemporaryDirectory() as temporary:
         cases = Path(temporary, "encounters.toml")
-        cases.write_text("\n".join(texts), encoding="utf-8")
+        write_atomically(cases, "\n".join(texts))
         question = Question(cases=str(cases), budget=N_CAMERAS, cars="blind")
         alone = build_setting(question, scene)
         settings = {"alone": alone, "crowd": with_crowd(alone, found, clips)}

@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
-from geometry.files import write_atomically
+from geometry.files import read_bytes, write_atomically
 from placement.cache import hash_of_code
 from placement.certify import estimate_gap
 from placement.compute import Compute
@@ -245,7 +245,7 @@ def _read(path: Path, question: Question) -> Records:
     if not path.exists():
         return Records(question=asked, code=code)
     try:
-        records = msgspec.json.decode(path.read_bytes(), type=Records)
+        records = msgspec.json.decode(read_bytes(path), type=Records)
     except msgspec.DecodeError as error:
         raise InputError(str(path), Unquoted(str(error)), "records of this command") from None
     if (records.question, records.code) != (asked, code):

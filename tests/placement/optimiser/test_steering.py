@@ -126,6 +126,6 @@ def test_only_the_table_has_numbers_that_steer() -> None:
             *("FIRST_STAGES = (", "DEFAULT_MAX_UNITS = 8"),  # what is asked
             *("_MAX_LEVELS = 2", "_CENTS = 1", "DEFAULT_MAX_POINTS = 4"),
         ],
-        "objectives.py": ["VALUE_OBJECTIVES = ("],
+        "problem.py": ["VALUE_OBJECTIVES = ("],
     }
     assert {name: names for name, names in found.items() if names} == mechanical
