@@ -399,7 +399,7 @@ def plot_sight(study: Study, records: Records, scene: str) -> Figure:
         axes.set_title(_NAMES[judged])
         axes.set_xlabel("units")
         axes.set_ylabel("not prevented [%]")
-        axes.legend()
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncol=2)
     return figure
 
 
