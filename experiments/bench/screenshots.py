@@ -138,7 +138,11 @@ def report(page: Path, out: Path) -> None:
             shown.goto(page.resolve().as_uri())
             for part in _REPORT_PARTS:
                 heading = shown.locator("h1, h2").filter(has_text=part).first
-                heading.evaluate("element => element.scrollIntoView({ behavior: 'instant' })")
+                heading.evaluate("""element => {
+                    const folded = element.closest("details");
+                    if (folded) folded.open = true;
+                    element.scrollIntoView({ behavior: "instant" });
+                }""")
                 shown.wait_for_timeout(400)
                 words = "-".join(part.lower().replace("?", "").split())
                 _save(shown, out / f"{name}-{words}.png")
