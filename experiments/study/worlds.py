@@ -22,6 +22,7 @@ from matplotlib.figure import Figure
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
 from geometry.files import read_bytes, write_atomically
+from geometry.scene_files import load_scene
 from placement.cache import hash_of_code
 from placement.certify import estimate_gap
 from placement.compute import Compute
@@ -515,6 +516,11 @@ def main(
         n_blocks=blocks,
         n_judged=-(-n_judged // N_AT_ONCE) * N_AT_ONCE,
     )
+    try:
+        for name in maps:  # before anything is computed
+            load_scene(name)
+    except InputError as error:
+        raise click.UsageError(str(error)) from None
     folder.mkdir(parents=True, exist_ok=True)
     progress = StageProgress()
     progress.start(quiet=False)

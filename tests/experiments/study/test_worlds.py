@@ -70,6 +70,13 @@ def test_numbers_of_units_are_whole(text: str, tmp_path: Path) -> None:
     assert not (tmp_path / "f").exists()
 
 
+def test_a_map_that_is_not_there_is_refused_before_anything_is_computed(tmp_path: Path) -> None:
+    answer = CliRunner().invoke(main, [str(tmp_path / "f"), f"--map={tmp_path / 'no.osm'}"])
+    assert answer.exit_code == 2
+    assert "no.osm" in answer.output
+    assert not (tmp_path / "f").exists()
+
+
 def _here(monkeypatch: pytest.MonkeyPatch, asked: list[str]) -> None:
     def choose(
         question: Question, where: Where, wanted: list[tuple[int, float]], compute: object
