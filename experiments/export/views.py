@@ -71,9 +71,14 @@ def _outline(mask: BoolArray, east_m: FloatArray, north_m: FloatArray) -> Any:
     """Union of the cells of a mask, (n_north, n_east)."""
     import shapely
 
-    half_m = 0.5 * float(east_m[1] - east_m[0])
-    row, column = np.nonzero(mask)
-    x_m, y_m = east_m[column], north_m[row]
-    return shapely.union_all(
-        shapely.box(x_m - half_m, y_m - half_m, x_m + half_m, y_m + half_m), grid_size=1.0e-3
+    # Corners of neighbours are equal to the last bit, as a coverage asks.
+    x_m, y_m = (
+        np.append(middles_m - 0.5 * step_m, middles_m[-1] + 0.5 * step_m)
+        for middles_m, step_m in (
+            (east_m, east_m[1] - east_m[0]),
+            (north_m, north_m[1] - north_m[0]),
+        )
     )
+    row, column = np.nonzero(mask)
+    cells = shapely.box(x_m[column], y_m[row], x_m[column + 1], y_m[row + 1])
+    return shapely.simplify(shapely.coverage_union_all(cells), 0.0)
