@@ -4,6 +4,7 @@ import atexit
 import errno
 import glob
 import json
+import math
 import os
 import re
 import shutil
@@ -214,6 +215,22 @@ def parse_json(text: str | bytes, where: str, what: str) -> Any:
         raise InputError(where, Unquoted("JSON nested too deep"), what) from None
     except ValueError as error:  # no JSON, no UTF-8, or a number of thousands of digits
         raise InputError(where, Unquoted(error), "JSON in UTF-8") from None
+
+
+def parse_number(
+    word: str, where: str, *, least: float = -math.inf, most: float = math.inf
+) -> float:
+    """The finite number that a word of a file is; `where` is its file, line and field."""
+    try:
+        # float() would also take 1_0 and other scripts' digits.
+        value = float(word) if word.isascii() and "_" not in word else math.nan
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and least <= value <= most):
+        limits = "" if least == -math.inf else f", at least {least:g}"
+        limits = limits if most == math.inf else f", {least:g} .. {most:g}"
+        raise InputError(where, word, f"a finite number{limits}")
+    return value
 
 
 def says(description: str, **limits: Any) -> msgspec.Meta:

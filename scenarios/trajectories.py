@@ -15,7 +15,7 @@ from msgspec import Struct
 from geometry.actors import pick_actor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted, check_one_of
-from geometry.files import load_toml, read_table, read_text
+from geometry.files import load_toml, parse_number, read_table, read_text
 from geometry.untrusted_files import read_xml
 
 VEHICLE = "vehicle"
@@ -274,13 +274,11 @@ def _find_columns(
 
 def _number(word: str | None, where: str) -> float:
     """The finite number that a word of a file is."""
-    try:
-        # float() would also take 1_0 and other scripts' digits.
-        value = float(word) if word and word.isascii() and "_" not in word else math.nan
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value) or abs(value) > _LARGEST:
-        raise InputError(where, Unquoted("nothing") if word is None else word, "a finite number")
+    if word is None:
+        raise InputError(where, Unquoted("nothing"), "a finite number")
+    value = parse_number(word, where)
+    if abs(value) > _LARGEST:
+        raise InputError(where, word, "a finite number")
     return value
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from geometry.arrays import BoolArray
 from placement.evaluation import Evaluation
 from placement.setting import Setting
 from scenarios.weights import weight_share
@@ -54,11 +55,12 @@ def build_first_screen(
     warnings: Sequence[str] = (),
 ) -> FirstScreen:
     """The first screen of a result; `warnings` stand between its sentence and its figures."""
+    avoided = avoided_runs(subject, result.fusion)
     return FirstScreen(
-        sentence=_sentence(result, subject),
+        sentence=_sentence(result, subject, avoided),
         warnings=tuple(warnings),
         cards=(
-            _prevented(result, subject),
+            _prevented(subject, avoided),
             _if_one_fails(result, subject),
             _cost(bill, subject),
             _proof(result),
@@ -68,10 +70,9 @@ def build_first_screen(
     )
 
 
-def _sentence(result: Result, subject: Evaluation) -> str:
+def _sentence(result: Result, subject: Evaluation, avoided: BoolArray) -> str:
     """What the layout prevents, and what cars prevent by themselves."""
     axis = subject.axis
-    avoided = avoided_runs(subject, result.fusion)
     share, own, together = (
         percent(weight_share(mask, axis.weight))
         for mask in (avoided, subject.vut.is_avoided, subject.vut_and_rsus.is_avoided)
@@ -102,9 +103,8 @@ def _spelled(text: str) -> str:
     return f"{_SMALL[int(count)]} {noun}" if is_small else text
 
 
-def _prevented(result: Result, subject: Evaluation) -> Card:
+def _prevented(subject: Evaluation, avoided: BoolArray) -> Card:
     axis = subject.axis
-    avoided = avoided_runs(subject, result.fusion)
     n_avoided, n_runs = int(avoided.sum()), axis.n_runs
     words = f"of the collisions that were tried: {n_avoided} of {n_runs}"
     if is_weighted(axis):

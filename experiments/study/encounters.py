@@ -34,6 +34,8 @@ from scenarios.paths import rotated
 from scenarios.runs import Run
 from scenarios.trajectories import VEHICLE, Track, load_trajectory_rules, read_tracks
 
+from ..results.tables import markdown_table
+
 RATE_HZ = 23.98  # the dataset's README
 N_CAMERAS = 3
 _STANDS_M = 0.5  # a vehicle that moves less all the time is parked
@@ -280,6 +282,10 @@ def study(folder: Path, *, ttc_s: float, compute: Compute) -> tuple[str, Scene]:
     return "\n".join([*head, *_table(alone, found, verdicts)]) + "\n", scene
 
 
+_COLUMNS = (
+    *("pair", "met by", "time to collision (s)", "car (km/h)", "pedestrian (km/h)"),
+    *("recorded for (s)", "last moment", "VUT confirms", "cameras confirm"),
+)
 _PARTIES = ("VUT crowd", "cameras crowd", "VUT alone", "cameras alone")
 _WORDS = ("VUT", "cameras", "VUT, nobody else there", "cameras, nobody else there")
 
@@ -288,35 +294,34 @@ def _table(
     setting: Setting, found: Mapping[str, FoundEncounter], verdicts: Mapping[str, Verdict]
 ) -> Iterator[str]:
     ttc_s = np.array([found[run.case.name].ttc_s for run in setting.runs])
-    yield f"| met by | pairs | in time by: {' | '.join(_WORDS)} |"
-    yield "| --- " * 6 + "|"
     is_front = np.array([_meets_front(run) for run in setting.runs])
+    rows = []
     for met, is_met in (("front", is_front), ("side", ~is_front)):
         for limit in _FACTS:
             is_short: BoolArray = is_met & (ttc_s <= limit)
             counts = [int(verdicts[name].is_avoided[is_short].sum()) for name in _PARTIES]
             words = f"the car's {met}, time to collision below {limit:g} s"
-            yield f"| {words} | {int(is_short.sum())} | {' | '.join(map(str, counts))} |"
+            rows.append([words, *map(str, (int(is_short.sum()), *counts))])
+    first, *others = _WORDS
+    yield from markdown_table(["met by", "pairs", f"in time by: {first}", *others], rows)
     yield ""
     yield (
         'Times in seconds before the replayed impact; "-": never confirmed, "lost": out of sight '
         'again at the last moment to brake, "late": too late.'
     )
     yield ""
-    yield (
-        "| pair | met by | time to collision (s) | car (km/h) | pedestrian (km/h) | "
-        "recorded for (s) | last moment | VUT confirms | cameras confirm |"
-    )
-    yield "| --- " * 9 + "|"
+    rows = []
     for index in np.argsort(ttc_s):
         run = setting.runs[index]
         told = [_confirmed(verdicts[name], int(index)) for name in _PARTIES[:2]]
-        yield (
-            f"| {run.case.name.removeprefix('dut')} | {'front' if is_front[index] else 'side'} | "
-            f"{ttc_s[index]:.2f} | {run.vut_speed_kmh:g} | {run.case.vru_speed_kmh:g} | "
-            f"{-run.time_s[0]:.1f} | {-run.last_brake_time_s:.2f} | "
-            f"{' | '.join(told)} |"
+        rows.append(
+            [
+                *(run.case.name.removeprefix("dut"), "front" if is_front[index] else "side"),
+                *(f"{ttc_s[index]:.2f}", f"{run.vut_speed_kmh:g}", f"{run.case.vru_speed_kmh:g}"),
+                *(f"{-run.time_s[0]:.1f}", f"{-run.last_brake_time_s:.2f}", *told),
+            ]
         )
+    yield from markdown_table(_COLUMNS, rows)
 
 
 def _meets_front(run: Run) -> bool:

@@ -30,6 +30,8 @@ from scenarios.aeb import load_aeb_rule
 from scenarios.cases import load_cases
 from scenarios.runs import Run, build_runs
 
+from ..results.tables import markdown_table
+
 APART = {
     "xosc": ("asam-qc-openscenarioxml==1.0.0", "lxml<6"),
     "carla": ("carla==0.9.16",),
@@ -371,9 +373,10 @@ def describe(rows: Sequence[Judgement]) -> str:
         "`uv run --group judges python -m experiments.study.judges` wrote this page: programs of",
         "others, those of who wrote the standards among them, on what this project writes.",
         "",
-        "| format | judge | what was checked | result |",
-        "| --- | --- | --- | --- |",
-        *(f"| {row.what} | {row.judge} | {row.checked} | {row.result} |" for row in rows),
+        *markdown_table(
+            ("format", "judge", "what was checked", "result"),
+            ((row.what, row.judge, row.checked, row.result) for row in rows),
+        ),
     ]
     return "\n".join(lines) + "\n"
 

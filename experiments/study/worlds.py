@@ -6,7 +6,7 @@ what is found is judged in fresh worlds that nothing was chosen in, beside greed
 
 import resource
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import product
@@ -33,7 +33,7 @@ from placement.question import BLIND, SEE, Question
 from placement.sampling.out_of_sample import (
     cvar,
     estimate_mean,
-    look_at_fresh_worlds,
+    out_of_sample_layouts,
     resampled_cvar,
 )
 
@@ -41,6 +41,7 @@ from ..figures.axes import BLUE, WIDTH_IN, new_figure, to_png
 from ..figures.plan import plot_plan
 from ..progress import StageProgress
 from ..results.numbers import percent
+from ..results.tables import markdown_table
 
 CARS = (BLIND, SEE)
 TAILS = (1.0, 0.25)
@@ -144,18 +145,16 @@ def judge(
     """APR of layouts in each of the next fresh worlds."""
     assembly = _assembly(replace(question, budget=1), where, compute)
     assert assembly.uncertainty is not None  # `where` has worlds
-    found = look_at_fresh_worlds(
+    found = out_of_sample_layouts(
         assembly.setting,
         [pick_layout(assembly.candidates, rows, _key(rows)) for rows in layouts],
         assembly.uncertainty,
-        n_worlds=N_AT_ONCE,
+        n_samples=N_AT_ONCE,
         first=first,
         fusion=assembly.fusion,
         compute=compute,
     )
-    weight = assembly.setting.axis.weight
-    by_world = 1.0 - (1.0 - found.avoided) @ (weight / weight.sum())
-    return {_key(rows): row.tolist() for rows, row in zip(layouts, by_world, strict=True)}
+    return {one.layout.name: one.apr_by_sample.tolist() for one in found}
 
 
 def _key(rows: Rows) -> str:
@@ -345,13 +344,6 @@ def rows_of(study: Study, records: Records, scene: str, cars: str) -> list[Row]:
     return sorted(rows, key=lambda row: (row.chosen.budget, -row.chosen.tail))
 
 
-def _table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[str]:
-    yield f"| {' | '.join(columns)} |"
-    yield "| --- " * len(columns) + "|"
-    for row in rows:
-        yield f"| {' | '.join(row)} |"
-
-
 def _sight_rows(study: Study, records: Records, scene: str) -> Iterator[list[str]]:
     """Layouts chosen with cars of either kind, valued with cars of both kinds."""
     wheres = [Where(scene=scene, cars=cars, n_worlds=0) for cars in CARS]
@@ -453,17 +445,15 @@ def describe(study: Study, records: Records, pictures: Sequence[str]) -> str:
     for scene, picture in zip(study.scenes, pictures[1:], strict=True):
         for cars in CARS:
             lines += [f"## {scene_name(scene)}, cars {cars}", ""]
-            lines += [*_table(_COLUMNS, (row.cells() for row in rows[scene, cars])), ""]
+            lines += [*markdown_table(_COLUMNS, (row.cells() for row in rows[scene, cars])), ""]
         lines += [f"## {scene_name(scene)}: see or blind", ""]
         valued = [
             f"{what}, {judged}"
             for judged in ("units alone", "with the car")
             for what in ("plan", "one unit failed", "fresh worlds")
         ]
-        lines += [
-            *_table(["units", "chosen in", "cars", *valued], _sight_rows(study, records, scene)),
-            "",
-        ]
+        columns = ["units", "chosen in", "cars", *valued]
+        lines += [*markdown_table(columns, _sight_rows(study, records, scene)), ""]
         lines += [f"![not prevented, by units]({picture})", ""]
     lines += [f"![plan, greedy, worlds]({pictures[0]})", ""]
     return "\n".join(lines)

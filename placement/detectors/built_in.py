@@ -143,8 +143,6 @@ class LastingNoise:
 
         0 where what lasts alone makes them more alike than that.
         """
-        if self.frame_share == 1.0:
-            return correlation
         lasting = self.person_share + self.unit_person_share
         return max(0.0, correlation - lasting) / (1.0 - lasting) if lasting < 1.0 else 0.0
 

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
-from geometry.files import read_text
+from geometry.files import parse_number, read_text
 
-from .files import Box, parse_number
+from .files import Box
 
 IGNORE = "ignore"
 """Class of a region in which nothing is annotated: what is found there does not count."""

@@ -12,11 +12,11 @@ import numpy as np
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
+from geometry.files import parse_number
 from geometry.lenses import CalibratedCamera, TsaiRadial
 from geometry.untrusted_files import read_xml
 
 from .boxes import BoxRow, RecordedBoxes, gather_boxes
-from .files import parse_number
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element

@@ -4,7 +4,6 @@ Reading is strict: every error names file, line and field.
 """
 
 import itertools
-import math
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from uuid import uuid4
 
 from geometry.arrays import FloatArray, float_array
 from geometry.errors import InputError, Unquoted
-from geometry.files import load_toml, read_table, read_text, write_new
+from geometry.files import load_toml, parse_number, read_table, read_text, write_new
 
 VRU_CLASSES = ("pedestrian", "bicycle")  # that are read; other road users are only written
 _WRITTEN = (*VRU_CLASSES, "motorcycle", "car")
@@ -209,22 +208,6 @@ def _box(words: Sequence[str], names: Sequence[str], path: Path, number: int) ->
             f"{path}:{number}: box", Unquoted(" ".join(words)), "min_x <= max_x and min_y <= max_y"
         )
     return x_min, y_min, x_max, y_max
-
-
-def parse_number(
-    word: str, where: str, *, least: float = -math.inf, most: float = math.inf
-) -> float:
-    """The finite number that a word of a file is; `where` is its file, line and field."""
-    try:
-        # float() would also take 1_0 and other scripts' digits.
-        value = float(word) if word.isascii() and "_" not in word else math.nan
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and least <= value <= most):
-        limits = "" if least == -math.inf else f", at least {least:g}"
-        limits = limits if most == math.inf else f", {least:g} .. {most:g}"
-        raise InputError(where, word, f"a finite number{limits}")
-    return value
 
 
 _BICYCLE = "bycicle"  # as the study's paper spells it

@@ -32,18 +32,15 @@ def silence(sample: Sample, table: DetectionTable) -> DetectionTable:
 
     order = link_frames(draw_index(sample.setting.runs))
     n_frames = [len(run.time_s) for run in sample.setting.runs]
-    is_silent = _silent_runs(sample)
+    is_silent = _silent_runs(sample) if drawn.may_fail else None
     mounts = pose_key if drawn.loss_shared_by == "unit" else mount_key
     packed = np.array(table.packed)
     for row in np.flatnonzero(packed.any(axis=1)).tolist():
         planned = sample.planned[row]
-        silent = (
-            is_silent(planned, sample.candidates[row])
-            if drawn.may_fail
-            else np.zeros(1, dtype=bool)
-        )
-        if silent.any():
-            packed[row] &= np.packbits(~np.repeat(silent, n_frames), bitorder="little")
+        if is_silent is not None:
+            silent = is_silent(planned, sample.candidates[row])
+            if silent.any():
+                packed[row] &= np.packbits(~np.repeat(silent, n_frames), bitorder="little")
         if loss:
             lose_frames(
                 *(order.run_of_frame, order.place_of_frame),

@@ -27,6 +27,7 @@ from placement.recordings.boxes import read_lines
 from placement.setting import Setting, build_setting
 
 from ...results.numbers import percent
+from ...results.tables import markdown_table
 from .crops import (
     TRAINED,
     WEATHERS,
@@ -338,15 +339,20 @@ def photographs_text(folder: Path, network: NetworkDetector) -> str:
         f"{len(labels)} photographs; boxes of confidence {network.min_confidence:g} and more: "
         f"{n_boxes}, of them on nobody: {n_alarms}.",
         "",
-        "| labelled | number | height | found |",
-        "| --- | --- | --- | --- |",
+        *markdown_table(
+            ("labelled", "number", "height", "found"),
+            (
+                (
+                    name,
+                    f"{len(found[name])}",
+                    f"{min(height[name]):.0f} to {max(height[name]):.0f} px",
+                    f"{sum(found[name])}",
+                )
+                for name in ("pedestrian", "cyclist")
+                if found[name]
+            ),
+        ),
     ]
-    for name in ("pedestrian", "cyclist"):
-        if found[name]:
-            low, high = min(height[name]), max(height[name])
-            lines.append(
-                f"| {name} | {len(found[name])} | {low:.0f} to {high:.0f} px | {sum(found[name])} |"
-            )
     return "\n".join(lines) + "\n"
 
 
