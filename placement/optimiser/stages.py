@@ -26,7 +26,7 @@ from .pairs import goes_by_pairs, walk_by_pairs
 from .presolve import ReducedProblem
 from .problem import VALUE_OBJECTIVES, Objective, PlacementProblem, PlacementValue, Requirement
 from .steering import COST_TOLERANCE_EUR, NEVER, TOLERANCE, Deadline, Effort, settle
-from .walk import SetWalk, Tied, TieSearch, best_of_few, best_of_tied, can_walk
+from .walk import SetWalk, Tied, TieSearch, best_of_few, best_of_tied, can_walk, least_apr
 
 # ---------- the best set so far
 
@@ -550,7 +550,9 @@ class Stages:
         """Ties by a walk through the covering problem; the APR itself may be held already."""
         search = self.search
         reduced, root = search.reduced, search.root
-        holds_apr = n_failures > 0 and not self.problem.survive
+        held = least_apr(reduced)
+        if n_failures > 0 and not self.problem.survive:
+            held = search.value.apr
         return TieSearch(
             reduced,
             self._units(),
@@ -560,7 +562,7 @@ class Stages:
             limit=lambda least, deadline: failure_limit(root, n_failures, least, deadline=deadline),
             ahead=steering.NEAR * self._left(n_failures) if n_failures else 0.0,
             n_failures=n_failures,
-            least_apr=search.value.apr if holds_apr else None,
+            least_apr=held if n_failures else None,
             on_better=self._improved,
         ).find(search.deadline.of("walk"))
 

@@ -54,12 +54,16 @@ _T = TypeVar("_T")
 
 
 def can_walk(reduced: ReducedProblem) -> bool:
-    """True if best sets have as many units as allowed or are parts of such: no floors or money."""
+    """True if best sets have as many units as allowed or are parts of such: no money.
+
+    Of floors there may be one, an APR of all runs without failures.
+    """
     limits = reduced.limits
     n_forced = int(limits.is_forced.sum())
     return (
         limits.budget_eur is None
-        and not (limits.is_forced_site.any() or len(limits.rivals) or reduced.floors)
+        and not (limits.is_forced_site.any() or len(limits.rivals))
+        and (not reduced.floors or least_apr(reduced) is not None)
         and not reduced.objectives[0].is_minimised
         and len(reduced.weight) > 0
         and max(2, n_forced + 1)
@@ -67,6 +71,15 @@ def can_walk(reduced: ReducedProblem) -> bool:
         <= min(steering.MAX_WALK_UNITS, reduced.n_poses)
         and not (n_forced and reduced.survive)
     )
+
+
+def least_apr(reduced: ReducedProblem) -> float | None:
+    """The APR that every set must reach, where that is the only floor."""
+    if len(reduced.floors) != 1:
+        return None
+    (floor,) = reduced.floors
+    is_of_all = floor.measure.is_mean and bool((floor.measure.weight == reduced.weight).all())
+    return floor.least if is_of_all and not floor.n_failures else None
 
 
 # ---------- all sets, where they are few
