@@ -41,9 +41,10 @@ from .optimiser import (
     UnmetError,
     presolve,
     solve_greedy,
-    solve_placement,
+    solve_sturdily,
+    sturdy_problem,
 )
-from .optimiser.problem import Fusion
+from .optimiser.problem import Fusion, apr
 from .question import BLIND, SEE, Question, read_cars
 from .sampling.tables import SampledTable, obtain_table, sampled_table
 from .sampling.uncertainty import Uncertainty, load_drawn
@@ -344,6 +345,21 @@ def build_effort(question: Question, compute: Compute = DEFAULT_COMPUTE) -> Effo
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Highest:
+    """The layout of the highest APR, where another one is chosen that bears failures better."""
+
+    layout: Layout
+    pose_index: tuple[int, ...]
+    certificate: Certificate
+    problem: PlacementProblem
+
+    @property
+    def apr(self) -> float:
+        """On the detection table."""
+        return apr(self.problem, self.pose_index)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Placement:
     """Result of the optimiser, and the problem that it solved.
 
@@ -371,6 +387,8 @@ class Placement:
         cars that do not.
     nominal_index : tuple of int
         Rows of its table that make `layout`.
+    highest : Highest, optional
+        The layout of the highest APR; None where nothing of the APR might be given up.
     next_unit : NextUnit, optional
         What greedy choice would add to `layout`, budgets aside; None: nothing fits, or not known.
     seconds : mapping of str to float
@@ -389,16 +407,37 @@ class Placement:
     seconds: Mapping[str, float]
     presolved: Callable[[], ReducedProblem] | None = None
     next_unit: NextUnit | None = None
+    highest: Highest | None = None
 
     def __repr__(self) -> str:
-        proof = "proven" if self.certificate.is_proven else "not proven"
-        return f"Placement({self.layout!r}, {proof})"
+        return f"Placement({self.layout!r}, {'proven' if self.is_proven else 'not proven'})"
+
+    @property
+    def is_proven(self) -> bool:
+        """True if every stage is, also those of the highest APR."""
+        others = () if self.highest is None else (self.highest.certificate,)
+        return all(certificate.is_proven for certificate in (self.certificate, *others))
 
     def __str__(self) -> str:
         return f"{self.layout}\n\n{self.certificate}"
 
     def _repr_html_(self) -> str:
         return self.layout._repr_html_() + self.certificate._repr_html_()
+
+
+@dataclass(frozen=True, slots=True)
+class _Answer:
+    """What the optimiser says of a problem."""
+
+    first: Solution
+    sturdy: Solution | None
+    greedy_index: tuple[int, ...]
+    next_unit: NextUnit | None
+
+    @property
+    def is_proven(self) -> bool:
+        solutions = (self.first, self.sturdy)
+        return all(one is None or one.certificate.is_proven for one in solutions)
 
 
 def place(assembly: Assembly) -> Placement:
@@ -420,29 +459,32 @@ def place(assembly: Assembly) -> Placement:
     _log.info("detection table: %d poses, %d frames", table.n_poses, table.axis.n_frames)
     problem = assembly.problem
 
-    def answer() -> tuple[Solution, tuple[int, ...], NextUnit | None]:
+    def answer() -> _Answer:
         nonlocal optimised
         reduced = assembly.presolved
-        solution = solve_placement(
+        first, sturdy = solve_sturdily(
             problem,
             reduced,
+            give_up=wishes.give_up,
             effort=effort,
             on_stage=lambda stage: compute.progress(f"optimise: {stage}", 0, 0),
         )
         optimised = time.perf_counter()
         compute.progress("greedy", 0, 0)
         greedy_index = solve_greedy(problem, reduced)
-        return solution, greedy_index, find_next_unit(problem, reduced, solution.pose_index)
+        chosen = first if sturdy is None else sturdy
+        next_unit = find_next_unit(problem, reduced, chosen.pose_index)
+        return _Answer(first, sturdy, greedy_index, next_unit)
 
     compute.progress("optimise", 0, 0)
     try:
-        solution, greedy_index, next_unit = cached_value(
+        found = cached_value(
             compute.cache_folder,
             "answer",
             answer,
-            kind=tuple[Solution, tuple[int, ...], NextUnit | None],
-            made_from=(problem, effort),
-            is_worth_it=lambda found: found[0].certificate.is_proven,
+            kind=_Answer,
+            made_from=(problem, effort, wishes.give_up),
+            is_worth_it=lambda found: found.is_proven,
         )
     except UnmetError as error:
         compute.progress("what has to give way", 0, 0)
@@ -454,20 +496,31 @@ def place(assembly: Assembly) -> Placement:
             time_limit_s=effort.time_limit_s,
         )
         raise refusal or error from None
-    nominal, nominal_index = _nominal(assembly, problem, solution.pose_index)
     pick = partial(pick_layout, assembly.candidates)
+    solution, highest, asked = found.first, None, problem
+    if found.sturdy is not None:
+        highest = Highest(
+            layout=pick(solution.pose_index, f"highest-{len(solution.pose_index)}"),
+            pose_index=solution.pose_index,
+            certificate=solution.certificate,
+            problem=problem,
+        )
+        asked = sturdy_problem(problem, solution, wishes.give_up)
+        solution = found.sturdy
+    nominal, nominal_index = _nominal(assembly, asked, solution.pose_index)
     return Placement(
         layout=pick(solution.pose_index, f"best-{len(solution.pose_index)}"),
-        greedy=pick(greedy_index, f"greedy-{len(greedy_index)}"),
-        greedy_index=greedy_index,
+        greedy=pick(found.greedy_index, f"greedy-{len(found.greedy_index)}"),
+        greedy_index=found.greedy_index,
         certificate=solution.certificate,
         presolve=solution.presolve,
-        problem=problem,
+        problem=asked,
         presolved=lambda: assembly.presolved,
         pose_index=solution.pose_index,
         nominal=nominal,
         nominal_index=nominal_index,
-        next_unit=next_unit,
+        next_unit=found.next_unit,
+        highest=highest,
         seconds={
             "detection_table": table_done - started,
             "optimise": optimised - table_done,

@@ -71,6 +71,9 @@ class Question:
     survive : str
         Reach `target` and `min_case_apr` even when any N units fail, or any pole with all its
         units: site, or '2 sites'. Without these, look for the highest APR that is left then.
+    give_up : float, optional
+        APR that may be given up so that more is left when a unit fails; 0: none; default: 0.01
+        where the best layout of so many units, or for so much money, is sought as planned.
     keep : str
         A layout that is mounted and paid already: units are added to it.
     within : str
@@ -213,6 +216,7 @@ class Question:
     least: Literal["units", "cost"] = "units"
     min_case_apr: Annotated[float, _share("a share of the runs")] = 0.0
     survive: str = "0"
+    give_up: Annotated[float, _share("a share of the runs")] | None = None
     keep: str = ""
     within: str = ""
     force_site: str = ""

@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import Meta
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.errors import InputError
+from geometry.errors import InputError, Unquoted
 from geometry.files import load_toml, read_table
 from geometry.scene import Scene, Site
 
@@ -116,6 +116,8 @@ class Wishes:
     survive : int
         Units or sites that may fail, any of them: target and floors hold then, too; without
         these, the APR that is left is the first objective.
+    give_up : float
+        APR that may be given up so that more is left when a unit fails.
     failing : {"unit", "site"}
         What fails at once: a unit, or a site with everything that it carries.
     existing : tuple of str
@@ -141,6 +143,7 @@ class Wishes:
     saves: str = "units"
     min_case_apr: float = 0.0
     survive: int = 0
+    give_up: float = 0.0
     failing: Failing = "unit"
     existing: tuple[str, ...] = ()
     forced_sites: tuple[str, ...] = ()
@@ -340,6 +343,7 @@ def read_wishes(
         saves=question.least,
         min_case_apr=question.min_case_apr,
         survive=survive,
+        give_up=_give_up(question, survive),
         failing=failing,
         existing=tuple(unit.id for unit in existing),
         forced_sites=split_names(question.force_site, "force_site"),
@@ -358,6 +362,30 @@ def _target(text: str) -> float | None:
     if text == "max":
         return np.inf
     return read_number("target", text, "a share of the runs from 0 to 1, or max", 0.0, 1.0)
+
+
+GIVE_UP = 0.01
+"""APR that may be given up by default, so that more is left when a unit fails.
+
+docs/decisions/default_question.md has why.
+"""
+
+
+def _give_up(question: Question, survive: int) -> float:
+    """What may be given up; nothing where failures count already, or something else is asked."""
+    others = {
+        "target": bool(question.target),
+        "min_case_apr": question.min_case_apr > 0.0,
+        "survive": survive > 0,
+        "samples": question.samples > 0,
+    }
+    asked = [name for name, is_asked in others.items() if is_asked]
+    if question.give_up and asked:
+        got = Unquoted(f"it beside `{asked[0]}`")
+        raise InputError("give_up", got, "one of them")
+    if question.give_up is not None:
+        return question.give_up
+    return 0.0 if asked else GIVE_UP
 
 
 def _failures(text: str) -> tuple[int, Failing]:

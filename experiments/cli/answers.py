@@ -29,6 +29,7 @@ from ..parts import (
 )
 from ..parts.assumptions import assumption_sentences
 from ..parts.baselines import Baselines, Score
+from ..parts.comparison import HIGHEST
 from ..parts.explanation import (
     OUTCOMES,
     ExplainedRecord,
@@ -74,8 +75,13 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
         parties[f"{result.baseline.name} fused"] = result.baseline.evaluation.judged
     if result.baselines.expert is not None:
         parties["expert rule, fused"] = result.baselines.expert.score
-    others = {"greedy": result.greedy.evaluation}
-    units = {"greedy": len(result.greedy.layout)}
+    others: dict[str, EvaluationRecord] = {}
+    units: dict[str, int] = {}
+    if result.highest is not None and result.highest.compared is not None:
+        others[HIGHEST] = result.highest.compared.evaluation
+        units[HIGHEST] = len(result.highest.compared.layout)
+    others["greedy"] = result.greedy.evaluation
+    units["greedy"] = len(result.greedy.layout)
     if result.baseline is not None:
         others[result.baseline.name] = result.baseline.evaluation
         units[result.baseline.name] = len(result.baseline.layout)

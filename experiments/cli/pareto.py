@@ -36,7 +36,7 @@ _TIME_LIMIT_S = 60.0
 # Several layouts are looked for: each in nominal conditions, on the grid.
 _SOUGHT = ("solver", "time_limit_s", "gap", "fusion")
 # A front has every APR and every number of units: what asks for one of them has no place here.
-_ASKED = fields_in(ASKED, MOUNTED, but=("budget", "target", "least", "survive"))
+_ASKED = fields_in(ASKED, MOUNTED, but=("budget", "target", "least", "survive", "give_up"))
 
 
 def front_options(*asked: str) -> Decorator:

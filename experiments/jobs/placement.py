@@ -55,7 +55,7 @@ from ..parts.alternatives import (
 )
 from ..parts.baselines import build_baselines, compare_layout, compare_placement
 from ..parts.bill_of_materials import BillOfMaterials, build_bill
-from ..parts.comparison import EXPERT, GREEDY
+from ..parts.comparison import EXPERT, GREEDY, HIGHEST
 from ..parts.explanation import build_explained_record
 from ..parts.front import FrontRecord, describe_front
 from ..parts.ground import PrivateGroundRecord, build_private_ground_record, coverage_section
@@ -243,6 +243,8 @@ def _named_layouts(
 ) -> dict[str, Layout]:
     """Layouts to evaluate by display name, the one found first."""
     layouts = {placement.layout.name: placement.layout, GREEDY: placement.greedy}
+    if placement.highest is not None and placement.highest.pose_index != placement.pose_index:
+        layouts[HIGHEST] = placement.highest.layout
     layouts |= {} if expert is None else {EXPERT: expert}
     return layouts | ({} if study is None else {study.name: study})
 
@@ -267,6 +269,7 @@ def _result(
         job.setting,
         found=evaluations[layout.name],
         greedy=evaluations[GREEDY],
+        highest=evaluations.get(HIGHEST),
         baseline=None if study is None else evaluations[study.name],
         compute=job.compute,
         sensitivity=sensitivity,
@@ -421,7 +424,8 @@ def _private_ground(
 def _front_below(job: _Job, found: _Found) -> FrontRecord | None:
     """The best layout of each smaller size, too; None where the best was not what was asked."""
     placement, plan, progress = found.placement, found.plan, job.progress
-    problem, chosen = placement.problem, placement.pose_index
+    best = placement if placement.highest is None else placement.highest
+    problem, chosen = best.problem, best.pose_index
     if problem.goal != "best" or problem.survive:
         return None
     n_kept = len(plan.wishes.existing)
@@ -433,14 +437,14 @@ def _front_below(job: _Job, found: _Found) -> FrontRecord | None:
         lambda: front_below(
             problem,
             chosen,
-            placement.certificate,
+            best.certificate,
             min_units=n_kept,
             effort=plan.effort,
             on_point=lambda point: progress(f"fewer units: {point.units}", 0, 0),
             reduced=None if placement.presolved is None else placement.presolved(),
         ),
         kind=Front,
-        made_from=(problem, chosen, placement.certificate, n_kept, plan.effort),
+        made_from=(problem, chosen, best.certificate, n_kept, plan.effort),
         is_worth_it=lambda front: front.is_proven,
     )
     return describe_front(front, problem, found.poses, n_kept=n_kept)
@@ -609,7 +613,7 @@ def _in_worlds(
 
 def _with_distinct_names(layouts: Sequence[Layout]) -> list[Layout]:
     """Layouts under names of their own: one whose name is taken gets a number."""
-    taken = {GREEDY, EXPERT}
+    taken = {GREEDY, EXPERT, HIGHEST}
     named = []
     for layout in layouts:
         names = chain([layout.name], (f"{layout.name} ({number})" for number in count(2)))

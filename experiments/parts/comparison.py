@@ -36,7 +36,7 @@ from .ground import PrivateGroundRecord
 from .sampled_worlds import SampledPairRecord, SampledRecord, is_open, plot_differences
 from .section import Block, Bullets, Section, Subheading, Table, build_picture, tabulate
 
-GREEDY, EXPERT = "greedy", "expert rule"
+GREEDY, EXPERT, HIGHEST = "greedy", "expert rule", "highest APR"
 """Display names of layouts to compare with: they appear in tables and bars only."""
 
 _MAX_DRAWN_PAIRS = 28  # of eight layouts; the table has all

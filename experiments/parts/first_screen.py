@@ -85,6 +85,13 @@ def _sentence(result: Result, subject: Evaluation, avoided: BoolArray) -> str:
     is_best = isinstance(result, PlacementResult) and result.sampled is None and _is_best(result)
     best = ", and no other choice prevents more" if is_best else ""
     also = "" if result.cars == 1.0 else f", and {together} if they hear what the sensors see"
+    if isinstance(result, PlacementResult) and result.highest and result.highest.compared:
+        other = result.highest.compared.evaluation
+        best = (
+            f", and {percent(result.evaluation.apr_without_worst_unit)} if one of them fails; "
+            f"the most that any choice prevents is {percent(other.judged.all)}, but then "
+            f"{percent(other.apr_without_worst_unit)} if one fails"
+        )
     return (
         f"{mounted}{seeing} {verb} {share} of the collisions that were tried{best}. Cars by "
         f"themselves prevent {own}{also}."
@@ -93,7 +100,14 @@ def _sentence(result: Result, subject: Evaluation, avoided: BoolArray) -> str:
 
 def _is_best(result: PlacementResult) -> bool:
     """True if no choice is proven to prevent more, and nothing else was asked for."""
-    return result.goal == "best" and result.stages[0].name == "apr" and result.stages[0].gap == 0.0
+    first = result.stages[0]
+    return result.goal == "best" and first.name == "apr" and first.gap == 0.0
+
+
+def _is_proven(result: PlacementResult) -> bool:
+    """True if the first objective is, and the highest share that might be given up of."""
+    first = [result.stages[0], *(result.highest.stages[:1] if result.highest else ())]
+    return all(stage.gap == 0.0 for stage in first)
 
 
 def _spelled(text: str) -> str:
@@ -141,7 +155,13 @@ def _proof(result: Result) -> Card:
         words = "this layout was given, and not searched for"
         return Card(head="Proof", figure=NOTHING, words=words)
     tried = f"among {result.candidates:,} possible mountings (by the planning model)"
-    if result.stages[0].gap == 0.0:
+    if result.highest is not None and _is_proven(result):
+        words = (
+            f"no other choice keeps more if a sensor fails, unless it prevents over "
+            f"{points(result.highest.given_up)} less than the most that can be {tried}"
+        )
+        return Card(head="Proof", figure="proven best", words=words)
+    if result.highest is None and result.stages[0].gap == 0.0:
         words = f"no other choice {_BEST[result.goal]} {tried}"
         return Card(head="Proof", figure="proven best", words=words)
     if result.bound is None:

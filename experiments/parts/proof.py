@@ -1,14 +1,14 @@
 """The proof of a placement, and how far detection table and evaluator agree about it."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from placement.optimiser.problem import Objective
 from scenarios.scores import AVOIDED
 
-from ..results.numbers import NOTHING, number, or_nan, percent
+from ..results.numbers import NOTHING, number, or_nan, percent, points
 from ..results.record import StageRecord
-from .result import PlacementResult
+from .result import HighestRecord, PlacementResult
 from .section import Block, Section, Table, tabulate
 
 
@@ -17,6 +17,8 @@ def words(result: PlacementResult) -> str:
     stages = result.stages
     among = f"{result.candidates} candidate poses"
     first = stages[0]
+    if result.highest is not None:
+        return _with_highest(result, result.highest, among)
     of_apr = next(stage for stage in stages if stage.name == "apr")
     within = ""
     if first.name in ("units", "cost_eur"):
@@ -39,6 +41,29 @@ def words(result: PlacementResult) -> str:
     )
 
 
+def _with_highest(result: PlacementResult, highest: HighestRecord, among: str) -> str:
+    """The proof where some of the highest APR might be given up."""
+    measure, failing = measure_of(result), "pole" if result.failing == "site" else "unit"
+    (most, kept), given_up = (highest.stages[0], result.stages[0]), points(highest.given_up)
+    is_proven = most.gap == 0.0 and kept.gap == 0.0
+    begin = "Proven on the detection table:" if is_proven else "Found in the time given:"
+    if most.gap == 0.0:
+        first = f"no choice among {among} has a higher {measure} than {percent(most.objective)}"
+    else:
+        first = (
+            f"a choice among {among} has an {measure} of {percent(most.objective)}, and none "
+            f"exceeds {percent(most.bound)}"
+        )
+    least = f"with at most {given_up} less"
+    if kept.gap == 0.0:
+        second = f"of those {least}, none keeps more when a {failing} fails"
+    else:
+        second = (
+            f"of those {least}, none keeps more than {percent(kept.bound)} when a {failing} fails"
+        )
+    return f"{begin} {first}; {second}"
+
+
 def measure_of(result: PlacementResult) -> str:
     """What is optimised: the APR, or the score that was asked for."""
     return "APR" if result.score == AVOIDED else "score"
@@ -46,7 +71,7 @@ def measure_of(result: PlacementResult) -> str:
 
 def section(result: PlacementResult) -> Section:
     """The optimiser's objectives with their proof."""
-    is_open = [_label(stage.name, result) for stage in result.stages if stage.gap != 0.0]
+    is_open = [label for label, stage in _stages(result) if stage.gap != 0.0]
     proof = "Yes: every objective's gap is closed."
     if is_open:
         proof = f"Not in full: proven are all objectives but {', '.join(is_open)}."
@@ -60,17 +85,27 @@ def section(result: PlacementResult) -> Section:
 
 def table(result: PlacementResult) -> Table:
     """A row per objective, in order."""
-    return stage_table(result.stages, lambda name: _label(name, result))
+    return _table(_stages(result))
 
 
-def stage_table(
-    stages: Sequence[StageRecord], label: Callable[[str], str] = lambda name: Objective(name).label
-) -> Table:
-    """A row per stage of any certificate; `label` is the name of an objective in words."""
+def _stages(result: PlacementResult) -> list[tuple[str, StageRecord]]:
+    """Objectives by name: first the highest APR of any choice, where some may be given up."""
+    found = [(_label(stage.name, result), stage) for stage in result.stages]
+    if result.highest is None:
+        return found
+    return [(f"highest {measure_of(result)} of any choice", result.highest.stages[0]), *found]
+
+
+def stage_table(stages: Sequence[StageRecord]) -> Table:
+    """A row per stage of any certificate."""
+    return _table([(Objective(stage.name).label, stage) for stage in stages])
+
+
+def _table(stages: Sequence[tuple[str, StageRecord]]) -> Table:
     return Table(
         caption="Objectives in order: each is optimised without giving up any before it",
         columns=["on the detection table", "found", "bound", "gap", "time (s)"],
-        rows=[[label(stage.name), *_stage_row(stage)] for stage in stages],
+        rows=[[label, *_stage_row(stage)] for label, stage in stages],
         numeric=range(1, 5),
     )
 

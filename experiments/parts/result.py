@@ -143,6 +143,17 @@ class Answer(DrivesRecord, frozen=True, kw_only=True, tag_field="schema"):
     ]
 
 
+@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
+class HighestRecord:
+    """The layout of the highest APR, where some of it might be given up to bear a failure."""
+
+    given_up: Annotated[float, says("APR that might be given up, 0..1.")]
+    stages: Annotated[tuple[StageRecord, ...], says("The proof of the highest APR.")]
+    compared: Annotated[
+        Compared | None, says("That layout by the evaluator; null: it is the one chosen.")
+    ]
+
+
 class PlacementResult(Answer, frozen=True, kw_only=True, tag="place-rsus/placement/2"):
     """The best layout found, with its proof, and what to compare it with."""
 
@@ -184,6 +195,10 @@ class PlacementResult(Answer, frozen=True, kw_only=True, tag="place-rsus/placeme
         Literal["unit", "site"],
         says("What fails at once where the optimiser asks: units, or poles (--survive site)."),
     ]
+    highest: Annotated[
+        HighestRecord | None,
+        says("The highest APR of any layout; null where none of it might be given up."),
+    ] = None
     greedy: Annotated[Compared, says("Units chosen one by one, for comparison.")]
     baseline: Annotated[
         Compared | None, says("The study's layout where it is its junction; null: none.")
@@ -335,6 +350,7 @@ def build_placement_result(
     found: Evaluation,
     greedy: Evaluation,
     baseline: Evaluation | None,
+    highest: Evaluation | None = None,
     compute: Compute = DEFAULT_COMPUTE,
     **parts: Any,
 ) -> PlacementResult:
@@ -360,6 +376,12 @@ def build_placement_result(
     }
     return PlacementResult(
         **answer,
+        highest=placement.highest
+        and HighestRecord(
+            given_up=placement.highest.apr - problem.floors[-1].share,
+            stages=build_stage_records(placement.highest.certificate)[:2],
+            compared=None if highest is None else build_compared(found, highest, rule),
+        ),
         goal=problem.goal,
         budget=limits.budget_units,
         candidates=problem.table.n_poses,

@@ -20,7 +20,7 @@ from ..parts import added, answer, comparison, dangers, next_unit, proof, road_u
 from ..parts.accidents import accidents_section, alone_section, apr_picture
 from ..parts.assumptions import again_section, assumption_sentences, assumptions_section
 from ..parts.bill_of_materials import BillOfMaterials, bill_section, build_bill
-from ..parts.comparison import EXPERT, GREEDY
+from ..parts.comparison import EXPERT, GREEDY, HIGHEST
 from ..parts.explanation import explanation_sections
 from ..parts.failures import failures_section
 from ..parts.first_screen import build_first_screen
@@ -260,7 +260,8 @@ def _shown(
     result: Result, evaluations: Mapping[str, Evaluation]
 ) -> tuple[dict[str, Evaluation], dict[str, Evaluation]]:
     """Those that are more than a row of a table or a bar; of these, the ones in detail."""
-    shown = {name: item for name, item in evaluations.items() if name not in (GREEDY, EXPERT)}
+    rows_alone = (GREEDY, EXPERT, HIGHEST)
+    shown = {name: item for name, item in evaluations.items() if name not in rows_alone}
     is_comparison = not isinstance(result, PlacementResult) and len(evaluations) > 1
     return shown, shown if is_comparison else dict([next(iter(evaluations.items()))])
 

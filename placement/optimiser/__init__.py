@@ -34,7 +34,7 @@ from .problem import (
     placement_value,
     run_margins_s,
 )
-from .solve import Solution, UnmetError, solve_placement
+from .solve import Solution, UnmetError, solve_placement, solve_sturdily, sturdy_problem
 from .steering import Effort
 
 __all__ = [
@@ -64,4 +64,6 @@ __all__ = [
     "run_margins_s",
     "solve_greedy",
     "solve_placement",
+    "solve_sturdily",
+    "sturdy_problem",
 ]

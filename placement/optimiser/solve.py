@@ -22,7 +22,7 @@ from .bounds import find_root, polished, relaxation_text, rounded_down, run_rows
 from .greedy import to_full
 from .limits import Limits, cost_eur
 from .presolve import PresolveStatistics, ReducedProblem, presolve
-from .problem import Measure, Objective, PlacementProblem, objective_values
+from .problem import Floor, Measure, Objective, PlacementProblem, objective_values
 from .stages import Search, Stages
 from .steering import COST_TOLERANCE_EUR, TOLERANCE, Deadline, Effort, deadline_in
 
@@ -236,6 +236,44 @@ def solve_placement(
         certificate=build_certificate(problem, pose_index, records, search),
         presolve=reduced.statistics,
     )
+
+
+def sturdy_problem(
+    problem: PlacementProblem, highest: Solution, give_up: float
+) -> PlacementProblem:
+    """What is left when a unit fails comes first, and so much of the highest APR may be given up."""
+    apr = objective_values(problem, highest.pose_index)[Objective.APR]
+    floor = Floor(name="give_up", share=max(apr - give_up, 0.0))
+    return replace(problem, survive=1, floors=(*problem.floors, floor))
+
+
+def solve_sturdily(
+    problem: PlacementProblem,
+    reduced: ReducedProblem | None = None,
+    *,
+    give_up: float,
+    effort: Effort,
+    on_stage: Callable[[str], None] | None = None,
+) -> tuple[Solution, Solution | None]:
+    """The layout of the highest APR; and the one that keeps most when a unit fails.
+
+    The second is that of :func:`sturdy_problem`. It is None where nothing may be given up, for a
+    single unit, and of a table that is too large to be solved as a whole. Raises InputError as
+    :func:`solve_placement`.
+    """
+    deadline = deadline_in(effort.time_limit_s)
+    has_two = give_up > 0.0 and problem.limits.max_units > 1 and not is_large(problem)
+    first = replace(effort, time_limit_s=effort.time_limit_s / 2.0) if has_two else effort
+    highest = solve_placement(problem, reduced, effort=first, on_stage=on_stage)
+    if not has_two or len(highest.pose_index) < 2:
+        return highest, None
+    sturdy = solve_placement(
+        sturdy_problem(problem, highest, give_up),
+        effort=replace(effort, time_limit_s=max(deadline.left_s(), steering.LEAST_S)),
+        starts=[np.array(highest.pose_index)],
+        on_stage=on_stage,
+    )
+    return highest, sturdy
 
 
 def _solve_as_if_units_failed(
