@@ -241,7 +241,7 @@ def solve_placement(
 def sturdy_problem(
     problem: PlacementProblem, highest: Solution, give_up: float
 ) -> PlacementProblem:
-    """What is left when a unit fails comes first, and so much of the highest APR may be given up."""
+    """What is left when a unit fails comes first; so much of the highest APR may be given up."""
     apr = objective_values(problem, highest.pose_index)[Objective.APR]
     floor = Floor(name="give_up", share=max(apr - give_up, 0.0))
     return replace(problem, survive=1, floors=(*problem.floors, floor))
