@@ -41,8 +41,6 @@ _REPORT_PARTS = (
     "Watch a run",
     "Bill of materials",
 )
-# Chromium draws in three dimensions without a graphics card.
-_BROWSER_ARGUMENTS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
 
 # ---------- a page in a browser
 
@@ -53,7 +51,7 @@ def _browser() -> Iterator[Any]:
 
     with sync_playwright() as library:
         browser = library.chromium.launch(
-            executable_path=shutil.which("chromium"), args=_BROWSER_ARGUMENTS
+            executable_path=shutil.which("chromium"), args=["--no-sandbox"]
         )
         try:
             yield browser
@@ -149,17 +147,13 @@ def report(page: Path, out: Path) -> None:
 
 
 def _photograph_dialogs(page: Any, stem: Path) -> None:
-    """A lost run with the picture of a camera, and the view in three dimensions."""
+    """A lost run with the picture of a camera."""
     page.locator("#lost button").first.click()
     page.wait_for_selector("#run-why li")
     page.locator("#picture-show").click()
     page.wait_for_selector("#picture:not([hidden])")
     page.wait_for_timeout(400)
     _save(page, stem.with_name(f"{stem.name}-lost-run.png"))
-    page.keyboard.press("Escape")
-    page.locator("#turn").click()
-    page.frame_locator("#turn-view").locator("#view-buttons").wait_for()
-    _save(page, stem.with_name(f"{stem.name}-three-dimensions.png"))
 
 
 def _garden(scene: Scene) -> str:

@@ -158,7 +158,7 @@ def _lane_polygon(lane: Lane) -> FloatArray:
 # ---------- plan of the junction: where the units are, and what ground they look at
 
 
-_UNIT_COLOURS = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY)
+UNIT_COLOURS = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY)
 _LINE_STYLES = ("-", "--", "-.", ":")
 _LEGEND_ROW_IN = 0.17
 _MAX_NAME = 18  # letters that the legend has room for
@@ -331,7 +331,7 @@ def _draw_units(axes: Axes, layout: Layout, scene: Scene, max_range_m: float) ->
     labels = unit_labels(layout)
     is_labelled = len(labels) <= MAX_LABELLED_UNITS
     for index, unit in enumerate(layout.units):
-        colour = _UNIT_COLOURS[index % len(_UNIT_COLOURS)]
+        colour = UNIT_COLOURS[index % len(UNIT_COLOURS)]
         position = unit.pose.position_m[:2]
         level = above_ground(unit, scene)
         corners = ground_footprint(level, max_range_m=max_range_m)

@@ -1,14 +1,15 @@
 """The player: runs as its script reads them, in whole centimetres and milliseconds, packed bits."""
 
+import base64
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from geometry.arrays import FloatArray, IntArray
+from geometry.arrays import FloatArray
 from geometry.catalogue import sensor_kind
-from geometry.errors import InputError, Unquoted
 from geometry.footprints import footprint_corners
 from geometry.junction import build_junction
 from geometry.scene import Lane, Scene, thing_footprint
@@ -19,149 +20,87 @@ from placement.setting import Setting
 from scenarios.runs import Run
 
 from ..figures.axes import describe_run, unit_labels
-from ..figures.plan import CLASS_STYLES
+from ..figures.plan import CLASS_STYLES, UNIT_COLOURS
 from ..figures.views import GroundViews
 from ..results.tables import margin_s, parties
-from .view_3d import (
-    COLOURS,
-    DASHES,
-    describe_unit,
-    lane_area,
-    to_base64,
-    to_script_json,
-    view_part,
-)
 
-# ---------- which runs are worth watching
-
-
-SHOWN_ABOVE = "shown above"
-LEAST_TIME = "least time to spare"
-NOT_AVOIDED = "not avoided"
-ONE_PER_CASE = "one of each case"
-ALL_OTHERS = "all others"
-
-
-def choose_runs(
-    evaluation: Evaluation, *, first_runs: Sequence[str] = (), max_runs: int = 24
-) -> list[tuple[int, str]]:
-    """Runs for the player, and why each is there.
-
-    Pairs of the index of a run, and one of ``SHOWN_ABOVE``, ``LEAST_TIME``, ``NOT_AVOIDED`` and
-    ``ONE_PER_CASE``, in this order. Each of the last three gets a third of what is left, or more
-    where the others do not need theirs. `first_runs` are ids of runs that come first; unknown ones
-    are left out. Raises InputError if `max_runs` is below 1.
-    """
-    if max_runs < 1:
-        raise InputError("max_runs", max_runs, "at least 1")
-    axis = evaluation.axis
-    index_of = {run_id: index for index, run_id in enumerate(axis.run_ids)}
-    chosen = {
-        index_of[run_id]: SHOWN_ABOVE for run_id in dict.fromkeys(first_runs) if run_id in index_of
-    }
-    chosen = dict([*chosen.items()][:max_runs])
-    margin = margin_s(evaluation.headline, axis)
-    is_avoided = evaluation.headline.is_avoided
-    order: IntArray = np.argsort(margin, kind="stable")
-    order = order[np.argsort(axis.weight[order] <= 0.0, kind="stable")]  # without weight: last
-    missed = _cases_in_turn(order[~is_avoided[order]][::-1], axis.cases)
-    groups = {
-        LEAST_TIME: [int(index) for index in order[is_avoided[order]]],
-        NOT_AVOIDED: missed,
-        ONE_PER_CASE: _first_of_each(order, [*zip(axis.cases, axis.weathers, strict=True)]),
-    }
-    share = -(-(max_runs - len(chosen)) // len(groups))
-    for quota in (share, max_runs):
-        for group, members in groups.items():
-            free = [index for index in members if index not in chosen]
-            taken = sum(name == group for name in chosen.values())
-            for index in free[: min(quota - taken, max_runs - len(chosen))]:
-                chosen[index] = group
-    names = [SHOWN_ABOVE, *groups]
-    return sorted(chosen.items(), key=lambda item: names.index(item[1]))
-
-
-def _first_of_each(order: IntArray, kinds: Sequence[object]) -> list[int]:
-    """The first run of each kind, kinds as they first appear among all runs."""
-    first: dict[object, int] = {}
-    for index in order:
-        first.setdefault(kinds[index], int(index))
-    return [first[kind] for kind in dict.fromkeys(kinds)]
-
-
-def _cases_in_turn(order: IntArray, cases: Sequence[str]) -> list[int]:
-    """Runs so that one of each case comes before the second of any."""
-    seen: dict[str, int] = {}
-    ranks = []
-    for index in order:
-        seen[cases[index]] = seen.get(cases[index], 0) + 1
-        ranks.append(seen[cases[index]])
-    return [int(index) for index in order[np.argsort(ranks, kind="stable")]]
+DASHES = ("", "7 4", "7 3 1.5 3", "1.5 3")
 
 
 # ---------- what the template needs
 
 
+SHOWN_ABOVE, NOT_AVOIDED, AVOIDED = "shown above", "not avoided", "avoided"
 _MAX_BYTES = 1_500_000  # of records: some four hundred runs of a dozen units
 
 
 def interactive_part(
-    setting: Setting,
-    evaluations: Mapping[str, Evaluation],
-    *,
-    max_runs: int = 24,
-    first_runs: Sequence[str] = (),
-) -> dict[str, Any] | None:
+    setting: Setting, evaluations: Mapping[str, Evaluation], *, first_runs: Sequence[str] = ()
+) -> dict[str, Any]:
     """Values for ``templates/interactive.html.j2``.
 
-    The first evaluation is the subject. Of the others, all units together are a row of the heatmap,
-    and sensors are in the 3-D view. At most `max_runs` runs stand out in the list; all others
-    follow as long as they fit.
-
-    "n_runs", "player_json", "view_json", "note" (what the 3-D view leaves out), "plotly_gzip"
-    (empty where the package plotly is missing: no 3-D view). None if no run has the frames that
-    were evaluated. Raises InputError if there is no evaluation, or `max_runs` is not positive.
+    The first evaluation is the subject. Of the others, all units together are a row of the heatmap.
+    Runs of `first_runs` come first, then those that are not avoided, then all others, each the
+    later the more time is to spare, as many as fit: "n_runs" of "n_all".
     """
-    if not evaluations:
-        raise InputError("evaluations", Unquoted("none"), "at least one")
     subject = next(iter(evaluations.values()))
-    by_id = {run.id: run for run in setting.runs}
-    chosen = choose_runs(subject, first_runs=first_runs, max_runs=max_runs)
-    outstanding = {index for index, _ in chosen}
-    others = [index for index in range(subject.axis.n_runs) if index not in outstanding]
+    axis = subject.axis
+    is_avoided = subject.headline.is_avoided
+    firsts = [axis.run_ids.index(run_id) for run_id in dict.fromkeys(first_runs)]
+    by_margin = np.argsort(margin_s(subject.headline, axis), kind="stable")
+    ordered = [*by_margin[~is_avoided[by_margin]], *by_margin[is_avoided[by_margin]]]
     records: list[dict[str, Any]] = []
     n_bytes = 0
-    for index, group in [*chosen, *((index, ALL_OTHERS) for index in others)]:
-        run = by_id.get(subject.axis.run_ids[index])
-        if run is None or not all(is_playable(run, item) for item in evaluations.values()):
-            continue
-        if group == ALL_OTHERS and n_bytes > _MAX_BYTES:
-            break
-        records.append(run_record(run, evaluations, group=group))
+    for index in dict.fromkeys([*firsts, *(int(index) for index in ordered)]):
+        group = AVOIDED if is_avoided[index] else NOT_AVOIDED
+        record = run_record(setting.runs[index], index, evaluations)
+        records.append(record | {"group": SHOWN_ABOVE if index in firsts else group})
         n_bytes += len(to_script_json(records[-1]))
-    if not records:
-        return None
+        if n_bytes > _MAX_BYTES:
+            break
     units_m = np.array([unit.pose.position_m[:2] for unit in subject.layout.units])
+    views = GroundViews(setting)
     player = {
         "plan": plan_record(setting.scene, units_m),
         "units": [
-            record | {"view": view}
-            for record, view in zip(
-                unit_records(subject.layout, setting.scene),
-                view_paths(subject.layout.units, GroundViews(setting)),
-                strict=True,
+            record | {"view": svg_path(views.shape(unit))}
+            for record, unit in zip(
+                unit_records(subject.layout, setting.scene), subject.layout.units, strict=True
             )
         ],
         "parties": party_records(evaluations),
         "runs": records,
     }
-    other_layouts = [item.layout for item in [*evaluations.values()][1:]]
-    return {
-        "n_runs": len(records),
-        "n_all": subject.axis.n_runs,
-        "player_json": to_script_json(player),
-        **view_part(setting.scene, subject.layout, other_layouts),
-    }
+    return {"n_runs": len(records), "n_all": axis.n_runs, "player_json": to_script_json(player)}
+
+
+_ESCAPES = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026"}
+
+
+def to_script_json(value: Any) -> str:
+    r"""A value as JSON that no name in it can break out of.
+
+    ASCII without ``<``, ``>`` and ``&``: U+2028, U+2029 and halves of surrogate pairs are escaped,
+    too.
+
+    References
+    ----------
+    .. [1] WHATWG, "HTML", section 4.12.1.3, "Restrictions for contents of script elements".
+
+    Examples
+    --------
+    >>> to_script_json({"a": "</script>"})
+    '{"a":"\\u003c/script\\u003e"}'
+    """
+    text = json.dumps(value, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    for sign, escaped in _ESCAPES.items():  # in JSON these stand in texts only
+        text = text.replace(sign, escaped)
+    return text
+
+
+def to_base64(array: NDArray[Any]) -> str:
+    """Bytes of an array, row by row, in base64."""
+    return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode()
 
 
 def pack_bits(bits: ArrayLike) -> str:
@@ -202,23 +141,19 @@ def party_records(evaluations: Mapping[str, Evaluation]) -> list[dict[str, str]]
     ]
 
 
-def run_record(run: Run, evaluations: Mapping[str, Evaluation], *, group: str) -> dict[str, Any]:
-    """A run with what every party detects.
+def run_record(run: Run, index: int, evaluations: Mapping[str, Evaluation]) -> dict[str, Any]:
+    """A run, at its `index` among those evaluated, with what every party detects.
 
     Times in milliseconds (None: never), positions in centimetres, headings in tenths of a degree.
     "bits": see :func:`pack_bits`, a row per party.
     """
     subject, *others = evaluations.values()
-    axis = subject.axis
-    index = axis.run_ids.index(run.id)
-    judged = [(subject, verdict) for verdict in parties(subject).values()]
-    judged += [(other, other.rsu_all) for other in others]
-    rows = [(item, verdict, item.axis.run_ids.index(run.id)) for item, verdict in judged]
-    detected = [verdict.detected[item.axis.frames_of(at)] for item, verdict, at in rows]
+    verdicts = [*parties(subject).values(), *(other.rsu_all for other in others)]
+    frames = subject.axis.frames_of(index)
+    bodies = run.encounter
     return {
         "id": run.id,
-        "group": group,
-        "title": describe_run(axis, index),
+        "title": describe_run(subject.axis, index),
         "case": run.case.title,
         "user": run.case.vru.class_name,
         "time": _milliseconds(run.time_s),
@@ -226,8 +161,8 @@ def run_record(run: Run, evaluations: Mapping[str, Evaluation], *, group: str) -
         "lastPlace": _last_place(run),
         "car": _motion(run.vut_position_m, run.vut_yaw_deg),
         "road": _motion(run.vru_position_m, run.vru_yaw_deg),
-        "carSize": _centimetres([run.encounter.vut.length_m, run.encounter.vut.width_m]),
-        "roadSize": _centimetres([run.encounter.vru.length_m, run.encounter.vru.width_m]),
+        "carSize": _centimetres([bodies.vut.length_m, bodies.vut.width_m]),
+        "roadSize": _centimetres([bodies.vru.length_m, bodies.vru.width_m]),
         "parked": [
             {
                 "name": body.actor.name,
@@ -239,36 +174,14 @@ def run_record(run: Run, evaluations: Mapping[str, Evaluation], *, group: str) -
                         width_m=body.actor.width_m,
                     )
                 ),
-                "height": _centimetres(body.actor.height_m),
             }
             for body in run.obstruction
         ],
-        **_on_slope(run),
-        "bits": pack_bits(np.array(detected)),
-        "confirmed": [_milliseconds(one.confirmation_time_s[at]) for _, one, at in rows],
-        "onset": [_milliseconds(one.onset_time_s[at]) for _, one, at in rows],
-        "avoided": [bool(one.is_avoided[at]) for _, one, at in rows],
+        "bits": pack_bits(np.array([verdict.detected[frames] for verdict in verdicts])),
+        "confirmed": [_milliseconds(verdict.confirmation_time_s[index]) for verdict in verdicts],
+        "onset": [_milliseconds(verdict.onset_time_s[index]) for verdict in verdicts],
+        "avoided": [bool(verdict.is_avoided[index]) for verdict in verdicts],
     }
-
-
-def _on_slope(run: Run) -> dict[str, Any]:
-    """Heights of the ground below car, road user and parked bodies; nothing on the plane."""
-    if run.terrain is None:
-        return {}
-    return {
-        "carGround": _centimetres(run.terrain.at(run.vut_position_m)),
-        "roadGround": _centimetres(run.terrain.at(run.vru_position_m)),
-        "parkedGround": [_centimetres(body.pose.position_m[2]) for body in run.obstruction],
-    }
-
-
-def is_playable(run: Run, evaluation: Evaluation) -> bool:
-    """True if an evaluation has the run on the very frames on which it is driven."""
-    axis = evaluation.axis
-    if run.id not in axis.run_ids:
-        return False
-    times_s = axis.time_s[axis.frames_of(axis.run_ids.index(run.id))]
-    return len(times_s) == len(run.time_s) and bool(np.allclose(times_s, run.time_s, atol=1.0e-6))
 
 
 def _last_place(run: Run) -> list[int] | None:
@@ -310,20 +223,23 @@ def unit_records(layout: Layout, scene: Scene) -> list[dict[str, Any]]:
     return [
         {
             "name": labels[unit.id],
-            "title": describe_unit(labels[unit.id], unit),
+            "title": _describe_unit(labels[unit.id], unit),
             "kind": "ring" if is_ring(unit.sensor) else sensor_kind(unit.sensor),
             "place": np.rint(100.0 * unit.pose.position_m[:2]).astype(int).tolist(),
             "yaw": round(10.0 * unit.pose.yaw_deg),
-            "colour": COLOURS[index % len(COLOURS)],
+            "colour": UNIT_COLOURS[index % len(UNIT_COLOURS)],
             "dash": DASHES[index % len(DASHES)],
         }
         for index, unit in enumerate(above_ground(unit, scene) for unit in layout.units)
     ]
 
 
-def view_paths(units: Iterable[CandidatePose], views: GroundViews) -> list[str]:
-    """Ground on which each unit can detect a road user, as SVG paths in centimetres."""
-    return [svg_path(views.shape(unit)) for unit in units]
+def _describe_unit(label: str, unit: CandidatePose) -> str:
+    name = label if label == unit.id else f"{label}, {unit.id}"
+    return (
+        f"{name}: {sensor_kind(unit.sensor)} {unit.sensor.name}, "
+        f"{unit.pose.position_m[2]:.1f} m high" + (", scans all round" * is_ring(unit.sensor))
+    )
 
 
 # ---------- the ground and what stands on it, as SVG paths
@@ -380,8 +296,13 @@ def _areas(lanes: Iterable[Lane], kind: str) -> Any:
     import shapely
 
     # Not put together: the white lines between lanes stay.
-    areas = [lane_area(lane) for lane in lanes if lane.kind == kind]
-    return shapely.geometrycollections(areas)
+    return shapely.geometrycollections(
+        [
+            shapely.LineString(lane.centreline_m).buffer(0.5 * lane.width_m, cap_style="flat")
+            for lane in lanes
+            if lane.kind == kind
+        ]
+    )
 
 
 def svg_path(shape: Any) -> str:

@@ -20,8 +20,7 @@ from placement.setting import Setting
 from ..export.json import to_json, to_json_text
 from ..figures.axes import describe_run
 from ..parts.bill_of_materials import build_bill
-from ..parts.player import plan_record, svg_path, unit_records
-from ..parts.view_3d import to_base64
+from ..parts.player import plan_record, svg_path, to_base64, unit_records
 from ..results.numbers import euros, finite_or_none, percent
 from ..results.record import build_evaluation_record
 from .plan import SCHEMA, Background, History, PlanState

@@ -22,7 +22,7 @@ from geometry.errors import InputError, MissingExtraError, Unquoted
 from .numbers import layout_text
 from .plan import MAX_IMAGE_BYTES, MAX_PLAN_BYTES, build_background, read_plan
 from .session import MAX_MAP_BYTES, Session
-from .tasks import Cancelled, TaskError, turn_page
+from .tasks import Cancelled, TaskError
 
 try:
     import uvicorn
@@ -153,7 +153,6 @@ class Pages:
             Route("/layout.json", self._answer(self._layout)),
             Route("/plan.json", self._answer(self._plan)),
             Route("/watch", self._answer(self._watch)),
-            Route("/turn", self._answer(self._turn)),
             Route("/explain", self._answer(self._explain)),
             Route("/private", self._answer(self._private)),
             Route("/background", self._answer(self._background), methods=["GET", "POST"]),
@@ -236,10 +235,6 @@ class Pages:
         run_id = request.query_params.get("run", "")
         page = await self._session.call("watch", self._session.layout(), run_id)
         return _inline(page)
-
-    async def _turn(self, request: Request) -> Response:
-        units = self._session.history.state.variant.units
-        return _inline(await asyncio.to_thread(turn_page, self._session.setting.scene, units))
 
     async def _private(self, request: Request) -> Response:
         return JSONResponse(await self._session.private_view(request.query_params.get("unit", "")))

@@ -24,7 +24,7 @@ from placement.live import LiveTable, table_verdict
 from placement.setting import Setting
 
 from ..figures.views import GroundViews
-from ..parts.player import unit_records, view_paths
+from ..parts.player import svg_path, unit_records
 from .numbers import (
     centimetres,
     cost_record,
@@ -156,13 +156,16 @@ class Workspace:
         places: list[list[int]] = centimetres(self.ground.points_m[seen, :2])
         return places
 
+    def view_paths(self, units: Sequence[CandidatePose]) -> list[str]:
+        """Ground on which each unit can detect a road user, as SVG paths in centimetres."""
+        return [svg_path(self.views.shape(unit)) for unit in units]
+
     def view_record(self, unit: CandidatePose) -> dict[str, Any]:
         """A unit's view on the ground, where it looks from, and how far its detector reaches."""
-        (path,) = view_paths([unit], self.views)
         return {
             "unit": unit.id,
             "place": centimetres(unit.pose.position_m[:2]),
-            "view": path,
+            "view": self.view_paths([unit])[0],
             "reachM": self.views.reach_m(unit.sensor),
         }
 
@@ -644,7 +647,7 @@ class Session:
             self._do("optimiser", "")
         workspace = self.workspace
         for answer in answers:
-            views = await asyncio.to_thread(view_paths, answer["units"], workspace.views)
+            views = await asyncio.to_thread(workspace.view_paths, answer["units"])
             if workspace is not self.workspace:
                 return
             proposal = Proposal(

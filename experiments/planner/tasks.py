@@ -7,7 +7,6 @@ import zipfile
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,6 @@ import numpy as np
 from msgspec import UNSET
 
 from geometry.errors import InputError
-from geometry.scene import Scene
 from geometry.scene_files import load_scene
 from placement.advice import LEAST_GAIN, Advice, Adviser
 from placement.candidates import CandidatePose, build_grid, own_models
@@ -32,14 +30,12 @@ from placement.setting import Setting, build_setting
 from scenarios.aeb import is_in_time
 
 from ..parts.player import interactive_part
-from ..parts.view_3d import view_part
 from ..progress import StageProgress, follow_parent
 from ..report.page import page_environment
 from ..results.numbers import euros, percent
 from .numbers import evaluated_numbers, key_of
 
 _MAX_EVALUATIONS = 40
-_MAX_WATCHED = 60
 _MAX_JUNCTIONS = 400
 _REQUESTS = ("next", "complete", "re-aim", "cheapest", "why-not")
 
@@ -100,10 +96,9 @@ class Tasks:
         """A page that plays runs of a layout, the one asked for first: the report's own player."""
         self._run_index(run_id)
         evaluation = self._evaluation(layout)
-        part = interactive_part(
-            self.setting, {layout.name: evaluation}, first_runs=(run_id,), max_runs=_MAX_WATCHED
-        )
-        template = page_environment().from_string(_page_text("watch.html.j2"))
+        part = interactive_part(self.setting, {layout.name: evaluation}, first_runs=(run_id,))
+        source = (Path(__file__).parent / "page" / "watch.html.j2").read_text(encoding="utf-8")
+        template = page_environment().from_string(source)
         page: str = template.render(interactive=part, title=run_id)
         return page
 
@@ -309,22 +304,6 @@ class _Forwarding(StageProgress):
         """Pass a stage on."""
         super().__call__(stage, done, total)
         self._to(stage, done, total)
-
-
-@cache
-def _page_text(name: str) -> str:
-    return (Path(__file__).parent / "page" / name).read_text(encoding="utf-8")
-
-
-def turn_page(scene: Scene, units: Sequence[CandidatePose]) -> str:
-    """A page with the junction and its units in three dimensions: the report's own view."""
-    layout = Layout(name="plan", units=tuple(units)) if units else None
-    page: str = (
-        page_environment()
-        .from_string(_page_text("turn.html.j2"))
-        .render(interactive=view_part(scene, layout))
-    )
-    return page
 
 
 def _answer(title: str, advice: Advice, *, costs: str) -> dict[str, Any]:

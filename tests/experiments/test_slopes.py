@@ -1,6 +1,5 @@
 """What is written and shown where the ground is not flat."""
 
-import base64
 import json
 from dataclasses import replace
 
@@ -8,16 +7,14 @@ import numpy as np
 import pandas as pd
 import pytest
 from defusedxml import ElementTree
-from interactive_pages import build_evaluation, build_layout
+from interactive_pages import build_layout
 
 from experiments.export.cpm import to_cpm
 from experiments.export.geojson import to_geojson
 from experiments.export.kml import to_kml
 from experiments.export.openscenario import to_openscenario
 from experiments.export.places import placed_records
-from experiments.parts.player import run_record
 from experiments.parts.units import unit_table
-from experiments.parts.view_3d import view_record
 from geometry.errors import InputError
 from geometry.poses import Pose
 from geometry.scene_files import load_scene, save_scene
@@ -172,36 +169,3 @@ def test_scenarios_drive_on_the_ground(small_setting, hill):
         to_openscenario(small_setting.runs[0], road_network="a.xodr")
     ).iter("WorldPosition")
     assert {float(one.attrib["z"]) for one in flat} == {0.0}
-
-
-def points(trace):
-    if isinstance(trace["x"], dict):
-        columns = [np.frombuffer(base64.b64decode(trace[axis]["bdata"]), "<f4") for axis in "xyz"]
-        return np.column_stack(columns)
-    return np.array([place for place in zip(*(trace[a] for a in "xyz"), strict=True) if place[0]])
-
-
-def test_the_view_lies_on_the_ground(hill, layout):
-    terrain = terrain_of(hill)
-    view = view_record(hill, layout)
-    traces = {trace["name"]: points(trace) for trace in view["traces"] if trace.get("x")}
-    for name, most_m in (("road", 0.06), ("lanes and crosswalks", 0.1)):
-        above = traces[name][:, 2] - terrain.at(traces[name][:, :2])
-        assert above == pytest.approx(0.5 * most_m, abs=0.6 * most_m)
-    borders = np.concatenate(
-        [points(trace) for trace in view["traces"] if "fields of view" in trace["name"]]
-    )
-    assert (borders[:, 2] - terrain.at(borders[:, :2])).min() > -0.02
-    assert view["bottom"] < traces["ground"][:, 2].min() + 8.0
-    assert view_record(load_study_scene(), layout)["bottom"] == -1.0
-
-
-def test_the_player_is_told_how_high_the_ground_is(small_setting, hill):
-    evaluation = build_evaluation(small_setting, build_layout(1))
-    run = small_setting.runs[0]
-    flat = run_record(run, {"one": evaluation}, group="")
-    assert not {"carGround", "roadGround", "parkedGround"} & set(flat)
-    steep = run_record(replace(run, terrain=terrain_of(hill)), {"one": evaluation}, group="")
-    ground_m = terrain_of(hill).at(run.vut_position_m)
-    assert steep["carGround"] == pytest.approx(100.0 * ground_m, abs=0.51)
-    assert len(steep["roadGround"]) == len(run.time_s)

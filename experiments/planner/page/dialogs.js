@@ -170,14 +170,6 @@ export function openDialogs({ map, notice, scene, state, saved }) {
     }
   });
 
-  // ---------- in three dimensions
-
-  find("turn").addEventListener("click", () => {
-    find("turn-view").src = "turn";
-    find("turn-dialog").showModal();
-  });
-  find("turn-dialog").addEventListener("close", () => find("turn-view").removeAttribute("src"));
-
   // ---------- the background image
 
   let image = null, preview = "", turn = 1; // a file that was chosen, or null: the one that is laid

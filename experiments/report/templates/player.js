@@ -12,7 +12,6 @@ function startPlayer(data) {
   const plan = createPlan(find("player-plan"), data);
   const heatmap = createHeatmap(find("player-heatmap"), parties, (frame) => { pause(); show(frame); });
   const calm = window.matchMedia("(prefers-reduced-motion: reduce)");
-  const listeners = [];
   let run = runs[0], frame = 0, timer = 0, startedAt = 0, startedFrom = 0;
 
   fillKey(find("player-key"), data);
@@ -32,7 +31,6 @@ function startPlayer(data) {
     markTimes();
     layOut();
     if (find("player-details").open) fillTable(find("player-table"), parties, run);
-    listeners.forEach((listener) => listener(run));
   }
 
   function layOut() {
@@ -143,5 +141,4 @@ function startPlayer(data) {
   window.addEventListener("afterprint", () => show(before));
   pause();
   chooseRun(0);
-  return { onRun(listener) { listeners.push(listener); listener(run); } };
 }

@@ -9,7 +9,7 @@ import pytest
 
 LARGE = {
     *("cvxpy", "geopandas", "highspy", "jinja2", "matplotlib", "numba", "numpy", "onnxruntime"),
-    *("open3d", "osqp", "pandas", "plotly", "pyarrow", "pyproj", "rich", "scipy", "shapely"),
+    *("open3d", "osqp", "pandas", "pyarrow", "pyproj", "rich", "scipy", "shapely"),
     *("trimesh",),
 }
 CODE = """

@@ -22,7 +22,6 @@ from experiments.figures.plan import (
 from experiments.parts.player import unit_records
 from experiments.parts.sheet import _direction, _draw_plan, _tilt
 from experiments.parts.units import unit_table
-from experiments.parts.view_3d import field_lines
 from geometry.catalogue import load_cameras
 from geometry.lidar import load_lidars
 from geometry.poses import Pose
@@ -133,18 +132,6 @@ def test_the_player_gets_a_round_sign():
     assert (ring["kind"], other["kind"]) == ("ring", "camera")
     assert "scans all round" in ring["title"]
     assert "scans all round" not in other["title"]
-
-
-def test_the_view_draws_where_a_ring_begins_and_ends_and_its_lowest_beams():
-    outer, inner, *beams = field_lines(_unit(), max_range_m=35.0)
-    for circle, radius_m in ((outer, 35.0), (inner, 6.0 / math.tan(math.radians(22.5)))):
-        np.testing.assert_array_equal(circle[0], circle[-1])
-        np.testing.assert_allclose(np.hypot(*(circle[:, :2] - PLACE[:2]).T), radius_m, atol=0.1)
-        assert (circle[:, 2] < 0.2).all()
-    assert len(beams) == 4
-    assert all((beam[0] == PLACE).all() for beam in beams)
-    flat = field_lines(_unit(replace(RING, vertical_fov_deg=4.0)), max_range_m=35.0)
-    assert len(flat) == 5  # no ground: the border of the scan itself
 
 
 @given(st.floats(-720.0, 720.0), st.floats(-22.0, 22.0), st.floats(1.0, 60.0))

@@ -1,7 +1,6 @@
 """The report's interactive part in a browser, where there is one."""
 
 import json
-from io import BytesIO
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from interactive_pages import (
     with_evil_names,
 )
 from packed_bits import unpack_bits
-from PIL import Image
 
 from experiments.parts.player import interactive_part
 
@@ -156,36 +154,6 @@ def test_the_page_is_no_wider_than_the_screen(browser, address, width):
             assert page.locator(name).bounding_box()["width"] > 0.25 * width
 
 
-def test_the_view_is_drawn_on_demand_and_turns(browser, address):
-    pytest.importorskip("plotly")
-
-    def picture(page):
-        page.wait_for_timeout(400)
-        image = page.locator("#view-3d").screenshot()
-        return np.asarray(Image.open(BytesIO(image)).convert("RGB")).astype(int)
-
-    with open_page(browser, address, width=420) as page:
-        assert page.evaluate("typeof window.Plotly") == "undefined"
-        page.click("#view-show")
-        page.wait_for_selector("#view-buttons:not([hidden])", timeout=60_000)
-        first = picture(page)
-        assert len(np.unique(first.reshape(-1, 3), axis=0)) > 100
-        for way in ("left", "above"):
-            page.click(f"[data-turn={way}]")
-            turned = picture(page)
-            assert (np.abs(turned - first).max(axis=2) > 40).mean() > 0.01, way
-            first = turned
-        names = page.evaluate(
-            "document.getElementById('view-3d').data.filter((t) => t.type === 'mesh3d')"
-            ".map((t) => [t.name, t.text ? t.text.length : 0])"
-        )
-        assert dict(names)["building"] > 0
-        way = "document.getElementById('view-3d').data.find((t) => t.name === 'way of the car').x"
-        before = page.evaluate(way)
-        page.select_option("#player-run", "2")
-        assert page.evaluate(way) != before
-
-
 def test_tables_sort_by_numbers_with_units_and_back(browser, address):
     def order(page):
         return page.locator("#sorted tbody th").all_inner_texts()
@@ -213,7 +181,6 @@ def test_without_scripts_a_line_says_what_is_missing(browser, address):
     with open_page(browser, address, java_script_enabled=False) as page:
         assert "Scripts are switched off" in page.inner_text("main")
         assert not page.is_visible("#watch")
-        assert not page.is_visible("#turn")
         assert page.is_visible("#sorted")
 
 

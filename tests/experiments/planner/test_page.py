@@ -247,22 +247,6 @@ def test_save_and_open_again_and_variants_side_by_side(browser, serve, tmp_path)
         page.get_by_text(re.compile(r"^bad\.json: got")).wait_for()
 
 
-def is_in_three_dimensions(page, frame):
-    """The view is drawn, or the browser has no WebGL, and that is told."""
-    if page.evaluate("document.createElement('canvas').getContext('webgl') === null"):
-        frame.get_by_text("This browser has no WebGL").wait_for()
-        return
-    frame.locator("#view-buttons").wait_for()
-    assert frame.locator("#view-message").inner_text() == ""
-    assert frame.locator("#view-3d canvas").count() > 0
-
-
-def test_the_junction_is_seen_in_three_dimensions_with_what_hangs(browser, serve):
-    with opened(browser, serve(load_carlancap_layout().units[:2])) as page:
-        page.locator("#turn").click()
-        is_in_three_dimensions(page, page.frame_locator("#turn-view"))
-
-
 def test_private_areas_are_drawn_and_told_for_the_chosen_camera(browser, serve, garden):
     units = load_carlancap_layout().units[:2]
     with opened(browser, serve(units, asked={"no_look": str(garden)})) as page:
@@ -373,8 +357,6 @@ def test_a_lost_run_is_told_and_played(browser, serve):
         frame.locator("#player-frame").focus()
         page.keyboard.press("ArrowLeft")
         assert frame.locator("#player-status").inner_text() != before
-        frame.locator("#view-show").click()
-        is_in_three_dimensions(page, frame)
         page.keyboard.press("Escape")
 
 
@@ -477,7 +459,7 @@ def test_the_page_has_no_serious_fault_for_who_cannot_see_it(browser, serve, gar
             page.keyboard.press("Escape")
 
         has_no_fault()
-        for opens in ("#show-help", "#background", "#turn"):
+        for opens in ("#show-help", "#background"):
             page.locator(opens).click()
             has_no_fault()
         page.locator("#lost button").first.click()

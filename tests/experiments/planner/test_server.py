@@ -440,7 +440,7 @@ def test_a_plan_whose_image_is_damaged_is_refused(open_client, image):
     assert "p.json: background: got" in response.json()["problem"]
 
 
-# ---------- private areas, three dimensions
+# ---------- private areas
 
 
 @pytest.fixture
@@ -492,14 +492,6 @@ def test_private_areas_are_kept_when_another_scene_is_opened(open_client, join, 
     assert client.post(f"/{TOKEN}/import", content=b"", headers=ORIGIN).status_code == 200
     scene = line.until(lambda told: told["type"] == "scene")
     assert [area["name"] for area in scene["private"]] == ["garden"]
-
-
-@pytest.mark.parametrize("n", [0, 2])
-def test_the_junction_is_shown_in_three_dimensions(open_client, n):
-    page = open_client(load_carlancap_layout().units[:n]).get(f"/{TOKEN}/turn")
-    assert page.status_code == 200
-    assert "startView(null)" in page.text
-    assert "player-data" not in page.text
 
 
 def test_an_evaluator_that_dies_is_told_and_asked_once_more(tmp_path, small_setting):

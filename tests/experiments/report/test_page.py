@@ -198,8 +198,6 @@ def page(request):
 def test_page_is_well_formed_and_stands_alone(page):
     parsed = Page(page)
     assert len(page.encode()) < 8_000_000
-    # plotly.js names its home in comments; tests/experiments/parts/test_player.py sees to it
-    # that a browser asks for nothing.
     assert not re.search(r"https?://|//\w+\.\w+", _without_scripts(page))
     tags = {tag for tag, _ in parsed.tags}
     assert not tags & {"link", "iframe", "object", "base", "form"}
