@@ -375,17 +375,6 @@ def _read_city_folder(path: Path) -> Any:
     return load_front(path)  # None where it is damaged: it is made anew
 
 
-def _city_costs() -> Mapping[str, tuple[str, Files]]:
-    lines = ["name,sites,runs,frames,cpu_s,peak_memory_mib", "a / b,8,340,21000,23.5,850"]
-    return {"csv": _one("junctions.csv", "\n".join([*lines, "c,0,0,0,0.1,", ""]))}
-
-
-def _read_city_costs(path: Path) -> Any:
-    from experiments.bench.city import read_costs
-
-    return read_costs(path.parent)
-
-
 # ---------- scenes
 
 
@@ -1067,9 +1056,6 @@ READERS: Mapping[str, Reader] = {
         _read_places,
         _places,
         ("geometry.maps.place_lists.read_counts", "geometry.maps.place_lists.read_areas"),
-    ),
-    "costs of a city": Reader(
-        _read_city_costs, _city_costs, ("experiments.bench.city.read_costs",)
     ),
     "folder of a city": Reader(
         _read_city_folder,

@@ -27,7 +27,6 @@ from placement.layout import load_carlancap_layout
 from placement.question import Question
 from placement.setting import Setting, build_setting
 
-from .city import measure_city
 from .speed import (
     REPEATS,
     Figures,
@@ -67,7 +66,6 @@ PARTS: dict[str, Callable[[int], Figures]] = {
     "single": lambda budget: measure_single(
         build_bench_problem(_setting(), _candidates(), budget, fusion="single")
     ),
-    "city": lambda _: measure_city(),
 }
 """Functions of the budget of units that measure, by name."""
 
@@ -82,7 +80,7 @@ PARTS: dict[str, Callable[[int], Figures]] = {
 )
 @click.option("--out", type=click.Path(path_type=Path), help="JSON file for the figures.")
 def main(budget: int, parts: str, limit: float, out: Path | None) -> None:
-    """Measure the whole command, rays, evaluator, optimiser, and a city.
+    """Measure the whole command, rays, evaluator and optimiser.
 
     Figures of parts that are not measured this time stay in the file as they are.
     """

@@ -1,18 +1,15 @@
 """Map files from import to runs: ``python -m experiments.bench.imports FOLDER``.
 
 Writes ``imports.md`` and a plan of each junction: arms, lanes, things, sites, runs, share of the
-possible runs that is driven, seconds. Files without roads - buildings, city models - are put
-at a junction of another file, between its north and its east arm: their real place is not known.
+possible runs that is driven, seconds.
 """
 
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import click
-import numpy as np
 
 from geometry.errors import InputError
 from geometry.junction import build_junction
@@ -20,13 +17,8 @@ from geometry.maps.importing import (
     SUFFIXES,
     ImportedScene,
     ImportOptions,
-    ReadingOptions,
-    choose_junction,
     import_scene,
-    read_map,
-    read_maps,
 )
-from geometry.maps.source_map import SourceMap
 from geometry.notes import assumptions
 from placement.question import Question
 from placement.setting import Setting, build_setting
@@ -46,96 +38,54 @@ _HEADS = (
 )
 
 
-class _Task(NamedTuple):
-    """Files that make one scene."""
-
-    name: str
-    paths: tuple[Path, ...]
-    offset_m: tuple[float, float] | None = None
-
-
 @click.command()
 @click.argument("folder", type=click.Path(exists=True, file_okay=False, path_type=Path))
-@click.option(
-    "--beside",
-    default="X-Intersection_NCAP.xodr",
-    show_default=True,
-    metavar="NAME",
-    help="Road map in FOLDER beside whose junction files without roads are put.",
-)
 @click.option("--junctions", default=1, show_default=True, help="Largest junctions of each file.")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("results"), show_default=True)
-def main(folder: Path, beside: str, junctions: int, out: Path) -> None:
+def main(folder: Path, junctions: int, out: Path) -> None:
     """Import every map file below FOLDER, and lay the default runs at its largest junctions."""
     pictures = out / "imports"
     pictures.mkdir(parents=True, exist_ok=True)
     rows, notes = [], []
-    for task in _tasks(folder, beside):
+    for path in sorted(folder.rglob("*")):
+        if not path.name.lower().endswith(SUFFIXES) or path.name.endswith(_NO_MAPS):
+            continue
         try:
-            for row in _run(task, junctions, pictures):
+            for row in _run(path, junctions, pictures):
                 rows.append(row)
-                click.echo(f"{task.name}: {row}")
+                click.echo(f"{path.name}: {row}")
         except InputError as error:
-            notes.append(f"* {task.name}: {error}".replace(f"{folder}/", ""))
+            notes.append(f"* {path.name}: {error}".replace(f"{folder}/", ""))
             click.echo(notes[-1])
     command = f"uv run python -m experiments.bench.imports FOLDER --junctions {junctions}"
     text = _page(rows, notes, command)
     (out / "imports.md").write_text(text, encoding="utf-8")
 
 
-def _tasks(folder: Path, beside: str) -> Iterator[_Task]:
-    files = sorted(
-        path
-        for path in folder.rglob("*")
-        if path.name.lower().endswith(SUFFIXES) and not path.name.endswith(_NO_MAPS)
-    )
-    roads = next((path for path in files if path.name == beside), None)
-    for path in files:
-        task = _Task(path.name, (path,))
-        try:
-            source = read_map(path)
-        except InputError:
-            source = None  # its import says why
-        if source and source.things and not source.lanes and roads:
-            task = _Task(f"{path.name} beside {roads.stem}", (roads, path), _beside(source, roads))
-        yield task
-
-
-def _beside(source: SourceMap, roads: Path) -> tuple[float, float]:
-    """Offset of the most south-western thing to the north-east of a junction."""
-    maps, junctions = read_maps([roads], ReadingOptions())
-    middle = choose_junction(maps[0], junctions).junction.position_m
-    corners = np.array([thing.vertices_m.min(axis=0) for thing in source.things])
-    corner = corners[np.argmin(corners[:, :2].sum(axis=1))]
-    east, north = (middle + _BESIDE_M - corner[:2]).tolist()
-    return east, north
-
-
-def _run(task: _Task, n_junctions: int, pictures: Path) -> Iterator[list[str]]:
+def _run(path: Path, n_junctions: int, pictures: Path) -> Iterator[list[str]]:
     """A row for each of the largest junctions; the first one's plan is drawn."""
-    reading = ReadingOptions(offset_m=task.offset_m)
     ids = [""]
     for number in range(n_junctions):
         if number == len(ids):
             return
         began_s = time.perf_counter()
-        imported = import_scene(task.paths, ImportOptions(junction=ids[number], reading=reading))
+        imported = import_scene([path], ImportOptions(junction=ids[number]))
         ids = ["", *(one.junction.id for one in imported.junctions[1:])]
         cut_s = time.perf_counter() - began_s
         if not number:
-            stem = task.name.replace(" ", "-").replace(".", "-")
+            stem = path.name.replace(" ", "-").replace(".", "-")
             (pictures / f"{stem}.png").write_bytes(to_png(plot_scene_plan(imported.scene)))
-        yield _row(task, imported, cut_s)
+        yield _row(path.name, imported, cut_s)
 
 
-def _row(task: _Task, imported: ImportedScene, cut_s: float) -> list[str]:
+def _row(name: str, imported: ImportedScene, cut_s: float) -> list[str]:
     scene = imported.scene
     began_s = time.perf_counter()
     setting = build_setting(Question(), scene)
     arms = build_junction(scene).arms
     n_lanes = sum(len(arm.entry_lanes) + len(arm.exit_lanes) for arm in arms.values())
     return [
-        task.name,
+        name,
         imported.chosen.junction.name or imported.chosen.junction.id,
         f"{len(arms)}: {', '.join(arms)}",
         str(n_lanes),
