@@ -42,8 +42,8 @@ print(judged)
 plan.plot_plan(setting, found.layout).figure
 
 # %%
-# How much is prevented, case by case.
-evaluation.plot_apr_by_case({"found": judged}).figure
+# Who detects the road user when, in the first run.
+evaluation.plot_heatmap(judged, 0).figure
 
 # %%
 # As a table of pandas:

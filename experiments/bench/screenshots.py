@@ -37,7 +37,6 @@ _REPORT_PARTS = (
     "If a unit or a pole fails",
     "What if an assumption is wrong?",
     "What the cameras see of the road",
-    "Who sees the road user when",
     "Watch a run",
     "Bill of materials",
 )

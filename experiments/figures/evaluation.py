@@ -1,4 +1,4 @@
-"""Figures of evaluations: APR by case, and heatmaps of who detects when."""
+"""Heatmaps of who detects when."""
 
 import textwrap
 from collections.abc import Mapping, Sequence
@@ -6,41 +6,29 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap, ListedColormap
+from matplotlib.colors import ListedColormap
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from geometry.arrays import BoolArray
-from geometry.catalogue import sensor_kind
 from placement.evaluation import (
     Evaluation,
     Verdict,
-    apr,
-    apr_by_case,
     run_outcome,
 )
 
-from ..results.numbers import percent
-from ..results.tables import margin_s
 from .axes import (
     BLUE,
-    NARROW_IN,
     WIDTH_IN,
     Style,
     describe_run,
     literal,
-    new_axes,
     new_figure,
     root_figure,
     unit_labels,
     write_beside,
 )
 
-# ---------- which runs have a heatmap, and which units have a row in it
-
-
-_STUDY_HEATMAPS = ("CPNC-50/east/55", "CBNA/east/60", "CBLA/east/50")
-_MAX_HEATMAPS = 3
 MAX_HEATMAP_UNITS = 24
 """Rows of a heatmap that units have: of more, those that confirm first."""
 
@@ -64,103 +52,6 @@ def units_in_heatmap(evaluation: Evaluation, run_indices: Sequence[int]) -> list
         )
 
     return sorted(units, key=rank)[:MAX_HEATMAP_UNITS]
-
-
-def pick_heatmap_runs(evaluation: Evaluation) -> tuple[str, ...]:
-    """Runs whose heatmaps are worth drawing.
-
-    At most three, of different cases: the study's own, at the speeds at which it shows them or
-    near, where they are driven; then of the hardest other cases the run that counts and has the
-    least time to spare.
-    """
-    axis = evaluation.axis
-    picked = {
-        axis.cases[axis.run_ids.index(run_id)]: run_id
-        for run_id in _STUDY_HEATMAPS
-        if run_id in axis.run_ids
-    }
-    margin = margin_s(evaluation.rsu_all, axis)
-    for index in np.argsort(margin, kind="stable"):
-        if axis.weight[index] > 0.0:
-            picked.setdefault(axis.cases[index], axis.run_ids[index])
-    return tuple(picked.values())[:_MAX_HEATMAPS]
-
-
-# ---------- APR by case
-
-
-def plot_apr_by_case(evaluations: Mapping[str, Evaluation], *, axes: Axes | None = None) -> Axes:
-    """Accident prevention ratio by case and over all runs, as a shaded table.
-
-    The first evaluation is the subject. Shown are all RSUs together of each, the VUT alone, and the
-    VUT with the subject's RSUs: one row per case, the first for all runs; the more accidents are
-    left, the darker. By default in a new figure.
-    """
-    columns = _apr_columns(evaluations)
-    rows = list(next(iter(columns.values())))
-    shares = np.array([[column[row] for column in columns.values()] for row in rows])
-    width_in = NARROW_IN if len(columns) <= _MAX_NARROW_COLUMNS else WIDTH_IN
-    axes = axes or new_axes(width_in, 1.0 + 0.24 * len(rows))
-    axes.imshow(np.nan_to_num(shares, nan=1.0), cmap=SHADES, vmin=0.0, vmax=1.0, aspect="auto")
-    for (row, column), share in np.ndenumerate(shares):
-        axes.text(
-            column,
-            row,
-            percent(share),
-            ha="center",
-            va="center",
-            fontsize=8,
-            fontweight="bold" if row == 0 else "normal",
-            color="white" if share < DARK_BELOW else "black",
-        )
-    axes.set_yticks(np.arange(len(rows)), [literal(row) for row in rows], fontsize=8)
-    heads = [literal(textwrap.fill(name, _HEAD_WIDTH)) for name in columns]
-    axes.set_xticks(np.arange(len(columns)), heads, fontsize=8)
-    axes.xaxis.tick_top()
-    axes.tick_params(length=0)
-    # Lines between the cells, a stronger one below all runs.
-    for row in range(1, len(rows)):
-        axes.axhline(row - 0.5, color="black", linewidth=1.2 if row == 1 else 0.3)
-    for column in range(1, len(columns)):
-        axes.axvline(column - 0.5, color="black", linewidth=0.3)
-    axes.set_xlabel("share of the runs that end without contact", fontsize=8)
-    return axes
-
-
-SHADES = LinearSegmentedColormap.from_list("left over", ["#303030", "#ffffff"])
-"""Of shares that are avoided: the more accidents are left, the darker."""
-DARK_BELOW = 0.34
-"""Shade from which white and black letters stand out alike."""
-_HEAD_WIDTH = 16
-_MAX_NARROW_COLUMNS = 3
-
-
-def _apr_columns(evaluations: Mapping[str, Evaluation]) -> dict[str, dict[str, float]]:
-    """APR of all runs and of each case, by sensing party."""
-    subject_name, subject = next(iter(evaluations.items()))
-    verdicts: dict[str, tuple[Evaluation, Verdict]] = {
-        f"{name}: {_n_sensors(evaluation)}": (evaluation, evaluation.rsu_all)
-        for name, evaluation in evaluations.items()
-    }
-    verdicts["car (VUT) alone"] = (subject, subject.vut)
-    verdicts[f"car (VUT) and {subject_name}"] = (subject, subject.vut_and_rsus)
-    return {
-        name: {
-            "all runs": apr(verdict, evaluation.axis),
-            **apr_by_case(verdict, evaluation.axis),
-        }
-        for name, (evaluation, verdict) in verdicts.items()
-    }
-
-
-def _n_sensors(evaluation: Evaluation) -> str:
-    units = evaluation.layout.units
-    kinds = {sensor_kind(unit.sensor) for unit in units}
-    one, many = ("camera", "cameras") if kinds == {"camera"} else ("sensor", "sensors")
-    return f"1 {one}" if len(units) == 1 else f"{len(units)} {many} together"
-
-
-# ---------- heatmaps
 
 
 _TIME_LABEL = "time before the impact without braking (s)"

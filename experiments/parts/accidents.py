@@ -10,10 +10,9 @@ from placement.layout import Layout
 from scenarios.runs import FrameAxis
 
 from ..figures.axes import unit_labels
-from ..figures.evaluation import plot_apr_by_case
 from ..results.numbers import percent, several
 from ..results.tables import groups_by_direction, groups_by_position, groups_by_speed
-from .section import Block, Picture, Section, Table, build_picture
+from .section import Block, Section, Table
 
 
 def is_weighted(axis: FrameAxis) -> bool:
@@ -34,9 +33,7 @@ def count_sensors(layout: Layout) -> str:
 # ---------- sections of the report
 
 
-def accidents_section(
-    evaluations: Mapping[str, Evaluation], picture: Picture, *, is_optimised: bool
-) -> Section:
+def accidents_section(evaluations: Mapping[str, Evaluation], *, is_optimised: bool) -> Section:
     """The accident prevention ratio of every sensing party; the first evaluation is the subject."""
     axis = next(iter(evaluations.values())).axis
     by_weight = ", by weight," if is_weighted(axis) else ""
@@ -47,24 +44,8 @@ def accidents_section(
         "the evaluator, which renders every camera's image and every LiDAR's scan frame by "
         f"frame{apart}."
     )
-    blocks: list[Block] = [meaning, apr_table(evaluations), picture, *apr_group_tables(evaluations)]
+    blocks: list[Block] = [meaning, apr_table(evaluations), *apr_group_tables(evaluations)]
     return Section("accidents", "Accidents prevented", blocks)
-
-
-def apr_picture(evaluations: Mapping[str, Evaluation]) -> Picture:
-    """APR by case, shaded."""
-    table = apr_table(evaluations)
-    # The table's first columns: every layout, the car alone, the car with the subject.
-    n_drawn = len(evaluations) + 2
-    over_all = [*zip(table.columns[1:], table.rows[0][1:], strict=True)][:n_drawn]
-    return build_picture(
-        plot_apr_by_case(evaluations),
-        title="Accident prevention ratio by case",
-        caption="Numbers from the table above.",
-        alt="Shaded table. Over all runs: "
-        + "; ".join(f"{name} {share}" for name, share in over_all)
-        + ".",
-    )
 
 
 def alone_section(detailed: Mapping[str, Evaluation]) -> Section:

@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
+from matplotlib.colors import LinearSegmentedColormap, Normalize
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from placement.evaluation import Evaluation
@@ -18,7 +18,6 @@ from scenarios.runs import FrameAxis
 from scenarios.weights import weight_share
 
 from ..figures.axes import NARROW_IN, WIDTH_IN, new_axes, root_figure, show_square
-from ..figures.evaluation import DARK_BELOW, SHADES
 from ..figures.plan import draw_scene
 from ..results.numbers import count_runs, joined, percent
 from ..results.record import says
@@ -218,6 +217,9 @@ def _share(is_avoided: BoolArray, axis: FrameAxis, mask: BoolArray) -> str:
 # ---------- the map of dangerous places
 
 
+SHADES = LinearSegmentedColormap.from_list("left over", ["#303030", "#ffffff"])
+"""Of shares that are avoided: the more accidents are left, the darker."""
+_DARK_BELOW = 0.34  # from there white and black letters stand out alike
 _SAME_PLACE_M = 6.0  # across: less than from one lane to the oncoming one
 _BORDER_M = 8.0
 _MIN_HALF_SIZE_M = 30.0
@@ -333,7 +335,7 @@ def _draw_place(axes: Axes, place: Place, share: float, size: float) -> None:
         fontsize=0.5 * size,
         ha="center",
         va="center_baseline",
-        color="white" if share < DARK_BELOW else "black",
+        color="white" if share < _DARK_BELOW else "black",
         zorder=8.0 - 0.5 * share,
         gid="share",
     )

@@ -1,4 +1,4 @@
-"""The runs: who sees the road user when in some of them, what is driven, and every outcome."""
+"""The runs: what is driven, and every outcome."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -6,93 +6,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from placement.evaluation import Evaluation, Outcome, run_outcome
-from placement.layout import Layout
 from placement.setting import Setting
-from scenarios.aeb import AebRule
 from scenarios.positions import AT_ZERO
 
-from ..figures.axes import NARROW_IN, describe_run
-from ..figures.evaluation import heatmap_rows, plot_heatmap
 from ..results.drives import describe_left_out, describe_limits, describe_places, is_set_aside
 from ..results.numbers import count_runs, number, percent
 from ..results.tables import margin_s
 from .accidents import is_weighted, several_weathers
-from .section import Block, Box, Bullets, Picture, Section, Subheading, Table, build_picture
-
-# ---------- who sees the road user when
-
-
-def build_heatmaps(
-    detailed: Mapping[str, Evaluation], run_indices: Sequence[int]
-) -> dict[str, list[Picture]]:
-    """Heatmaps of some runs, by the layout's display name."""
-    return {
-        name: [_heatmap(item, index) for index in run_indices] for name, item in detailed.items()
-    }
-
-
-def heatmaps_section(
-    heatmaps: Mapping[str, Sequence[Picture]], rule: AebRule, layouts: Sequence[Layout]
-) -> Section:
-    """Who detects the road user when, in a few runs."""
-    blocks: list[Block] = [
-        f"A few of the runs. A unit's detections count once it has detected the road user in "
-        f"{rule.n_confirmations} consecutive frames (white diamond). Braking begins "
-        f"{latency_in_short(rule, layouts)} later, and must begin at the last moment (dashed red "
-        "line) at the latest: the diamond must therefore lie at least so much to the left of the "
-        "line." + _lost_words(rule)
-    ]
-    for name, pictures in heatmaps.items():
-        if len(heatmaps) > 1:
-            blocks.append(Subheading(name))
-        blocks.append(Box("beside figures", pictures))
-    return Section("who-when", "Who sees the road user when", blocks)
-
-
-def _lost_words(rule: AebRule) -> str:
-    if math.isinf(rule.track_memory_s):
-        return ""
-    return (
-        f" Who is not detected for more than {rule.track_memory_s:g} s is lost and must be "
-        "confirmed anew: the diamond is of the track that is alive at the last moment, if one is."
-    )
-
-
-def _heatmap(evaluation: Evaluation, run_index: int) -> Picture:
-    axis = evaluation.axis
-    run = describe_run(axis, run_index)
-    last_moment = number(axis.last_brake_time_s[run_index])
-    confirmed = [
-        f"{name} at {number(verdict.confirmation_time_s[run_index], 1)} s"
-        if math.isfinite(verdict.confirmation_time_s[run_index])
-        else f"{name} never"
-        for name, verdict in heatmap_rows(evaluation, [run_index], vut="the VUT").items()
-    ]
-    return build_picture(
-        plot_heatmap(evaluation, run_index, width_in=NARROW_IN),  # several stand side by side
-        title=run,
-        caption=f"Detections in each frame; the last moment to brake is at {last_moment} s.",
-        alt=f"Heatmap of {run}. Last moment to brake {last_moment} s. Confirmed by: "
-        + ", ".join(confirmed)
-        + ".",
-    )
-
-
-def latency_in_short(rule: AebRule, layouts: Sequence[Layout]) -> str:
-    """How long after a confirmation braking sets in.
-
-    Examples
-    --------
-    "25 ms"; with units of their own latency: "25 ms to 120 ms, by the unit's own latency,".
-    """
-    own_s = sorted(
-        {rule.latency_s, *(unit.latency(rule) for layout in layouts for unit in layout.units)}
-    )
-    if len(own_s) == 1:
-        return f"{1000.0 * own_s[0]:g} ms"
-    low_ms, high_ms = 1000.0 * own_s[0], 1000.0 * own_s[-1]
-    return f"{low_ms:g} ms to {high_ms:g} ms, by the unit's own latency,"
-
+from .section import Block, Box, Bullets, Section, Subheading, Table
 
 # ---------- what is driven
 

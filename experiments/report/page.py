@@ -15,9 +15,8 @@ from placement.evaluation import Evaluation
 from placement.setting import Setting
 
 from ..figures.axes import unit_labels
-from ..figures.evaluation import pick_heatmap_runs
 from ..parts import added, answer, comparison, dangers, next_unit, proof, road_users, study_cases
-from ..parts.accidents import accidents_section, alone_section, apr_picture
+from ..parts.accidents import accidents_section, alone_section
 from ..parts.assumptions import again_section, assumption_sentences, assumptions_section
 from ..parts.bill_of_materials import BillOfMaterials, bill_section, build_bill
 from ..parts.comparison import EXPERT, GREEDY, HIGHEST
@@ -29,7 +28,7 @@ from ..parts.ground import coverage_section, private_ground_section
 from ..parts.margins import margins_section
 from ..parts.player import interactive_part
 from ..parts.result import EvaluationResult, PlacementResult, Result
-from ..parts.runs import build_heatmaps, cases_section, heatmaps_section, runs_section
+from ..parts.runs import cases_section, runs_section
 from ..parts.sampled_worlds import sampled_picture, sampled_section
 from ..parts.section import Picture, Section
 from ..parts.sensitivity import sensitivity_section
@@ -66,8 +65,8 @@ def write_report(
 ) -> Path:
     """Write the page of :func:`build_report` to ``report.html`` in `folder`, which must exist.
 
-    The plan, the APR by case, the heatmaps of the first layout and the APR in sampled worlds are
-    written next to it as PNG files. `options` are those of :func:`build_report`.
+    The plan and the APR in sampled worlds are written next to it as PNG files. `options` are those
+    of :func:`build_report`.
     """
     page, pictures = build_report(result, setting, evaluations, **options)
     for name, picture in pictures.items():
@@ -96,13 +95,11 @@ def build_report(
     tasks = begin_tasks(side, result, setting, evaluations)
     subject_name = next(iter(evaluations))
     shown, _ = _shown(result, evaluations)
-    interactive = interactive_part(setting, shown, first_runs=tasks.run_ids)
+    interactive = interactive_part(setting, shown)
     for task in reversed(tasks.in_order):
         task.take()
-    heatmaps, plans, of_apr = tasks.heatmaps.result(), tasks.plans.result(), tasks.apr.result()
-    pictures = {"plan": plans[0], "apr_by_case": of_apr}
-    for run_id, picture in zip(tasks.run_ids, heatmaps[subject_name], strict=True):
-        pictures[f"heatmap_{run_id.replace('/', '_')}"] = picture
+    plans = tasks.plans.result()
+    pictures = {"plan": plans[0]}
     if not isinstance(result, EvaluationResult) and result.sampled:
         pictures["sampled_apr"] = sampled_picture(result.sampled)
     subject = evaluations[subject_name]
@@ -142,7 +139,6 @@ def _sections(
     _, detailed = _shown(result, evaluations)
     layouts = {name: item.layout for name, item in detailed.items()}
     labels = unit_labels(subject.layout)
-    pictures = tasks.heatmaps.result()
     of_proof: list[Section | None] = []
     of_grid: list[Section | None] = []
     side_by_side = in_worlds = None
@@ -166,7 +162,7 @@ def _sections(
     return [
         units_section(layouts, tasks.plans.result()[1:], setting.scene),
         *of_proof,
-        accidents_section(evaluations, tasks.apr.result(), is_optimised=bool(of_proof)),
+        accidents_section(evaluations, is_optimised=bool(of_proof)),
         added.section(result.added),
         road_users.section(result.road_users),
         tasks.dangers.result(),
@@ -178,7 +174,6 @@ def _sections(
         tasks.what_if.result(),
         alone_section(detailed),
         tasks.coverage.result(),
-        heatmaps_section(pictures, setting.rule, [*layouts.values()]),
         *of_grid,
     ]
 
@@ -208,20 +203,17 @@ def _details(
 class Tasks:
     """Pictures and sections of a report that a second process may make."""
 
-    run_ids: tuple[str, ...]  # of the heatmaps
     plans: Task[list[Picture]]
-    heatmaps: Task[dict[str, list[Picture]]]
     dangers: Task[Section | None]
     margins: Task[Section | None]
     what_if: Task[Section | None]
-    apr: Task[Picture]
     coverage: Task[Section | None]
     front: Task[Section | None]
 
     @property
     def in_order(self) -> list[Task[Any]]:
         """As they were begun."""
-        return [getattr(self, field.name) for field in fields(self) if field.name != "run_ids"]
+        return [getattr(self, field.name) for field in fields(self)]
 
 
 def begin_tasks(
@@ -241,16 +233,11 @@ def begin_tasks(
     layouts = {name: item.layout for name, item in detailed.items()}
     others = [item.layout for item in [*shown.values()][1:]] if len(detailed) == 1 else []
     front = result.front if isinstance(result, PlacementResult) else None
-    run_ids = pick_heatmap_runs(subject)
-    run_indices = [subject.axis.run_ids.index(run_id) for run_id in run_ids]
     return Tasks(  # what takes the longest comes first
-        run_ids=run_ids,
         plans=side.begin("plans", build_plans, setting, layouts, others),
-        heatmaps=side.begin("heatmaps", build_heatmaps, detailed, run_indices),
         dangers=side.begin("dangers", dangers.section, setting, shown, fusion=result.fusion),
         margins=side.begin("margins", margins_section, shown),
         what_if=side.begin("sensitivity", sensitivity_section, result.sensitivity),
-        apr=side.begin("apr", apr_picture, evaluations),
         coverage=side.begin("coverage", coverage_section, setting.scene, subject.layout),
         front=side.begin("front", front_section, front),
     )
@@ -273,7 +260,7 @@ _IN_SIGHT = (
     *("accidents", "dangers", "failures", "private-ground", "bill"),
 )
 _FOLDED = (
-    *("why", "next-unit", "models", "study-cases", "road", "who-when", "missed", "added"),
+    *("why", "next-unit", "models", "study-cases", "road", "missed", "added"),
     *("road-users", "alone", "margins", "sensitivity", "assumptions", "cases", "runs", "again"),
 )
 

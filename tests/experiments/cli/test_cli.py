@@ -340,10 +340,6 @@ def test_placement_prints_one_object_and_writes_a_report(run, few_runs, whole_pl
         "summary.json",
         "SHA256SUMS",
         "plan.png",
-        "apr_by_case.png",
-        "heatmap_CPNC-50_east_55.png",
-        "heatmap_CBNA_east_60.png",
-        "heatmap_CBLA_east_50.png",
     }
     results = whole_placement / "results"
     assert json.loads((results / "latest/summary.json").read_text()) == summary

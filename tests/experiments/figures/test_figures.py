@@ -1,5 +1,4 @@
 from dataclasses import replace
-from itertools import pairwise
 
 import matplotlib
 import numpy as np
@@ -8,18 +7,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from experiments.figures.axes import describe_run, to_png, unit_labels
-from experiments.figures.evaluation import plot_apr_by_case, plot_heatmap, plot_heatmaps
-from experiments.results.numbers import percent
+from experiments.figures.evaluation import plot_heatmap, plot_heatmaps
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.evaluation import (
     Evaluation,
     Verdict,
-    apr,
-    apr_by_case,
 )
 from placement.layout import Layout
-from scenarios.runs import FrameAxis
 
 matplotlib.use("agg")
 RED = "#CC0000"
@@ -124,41 +119,6 @@ def test_a_heatmap_names_tracks_that_were_lost_again(evaluation):
     assert outcomes.get_yticklabels()[-1].get_text() == "lost again"
 
 
-def test_cells_tell_the_apr_of_every_case_and_party(frame_axis, camera):
-    evaluations = {
-        name: build_evaluation(frame_axis, camera, name=name, seed=seed)
-        for seed, name in enumerate(["found", "greedy", "carlancap-12"])
-    }
-    axes = plot_apr_by_case(evaluations)
-    found = evaluations["found"]
-    verdicts = [*(item.rsu_all for item in evaluations.values()), found.vut, found.vut_and_rsus]
-    expected = np.array(
-        [
-            [apr(verdict, frame_axis), *apr_by_case(verdict, frame_axis).values()]
-            for verdict in verdicts
-        ]
-    ).T
-    np.testing.assert_array_equal(np.asarray(axes.get_images()[0].get_array()), expected)
-    cells = {text.get_position(): text.get_text() for text in axes.texts}
-    assert cells == {
-        (column, row): percent(share) for (row, column), share in np.ndenumerate(expected)
-    }
-    assert [label.get_text() for label in axes.get_yticklabels()] == ["all runs", "A", "B"]
-    assert len(axes.get_xticklabels()) == len(verdicts)
-
-
-def test_cells_are_the_darker_the_more_is_left_and_their_numbers_stand_out(frame_axis, camera):
-    evaluation = build_evaluation(frame_axis, camera, name="a")
-    axes = plot_apr_by_case({"a": evaluation})
-    (image,) = axes.get_images()
-    lightness = image.cmap(image.norm(np.linspace(0.0, 1.0, 11)))[:, :3].mean(axis=1)
-    assert (np.diff(lightness) > 0.0).all()
-    for text in axes.texts:
-        column, row = text.get_position()
-        cell = image.cmap(image.norm(image.get_array()[row, column]))[0]
-        assert abs(cell - (1.0 if text.get_color() == "white" else 0.0)) > 0.35
-
-
 def test_figures_are_the_same_bytes_each_time(evaluation):
     assert to_png(plot_heatmap(evaluation, 0)) == to_png(plot_heatmap(evaluation, 0))
 
@@ -173,16 +133,13 @@ def test_figures_leave_no_trace_in_pyplot(evaluation):
 def test_figures_are_drawn_where_the_caller_wants_them(evaluation):
     figure = Figure()
     left, right = figure.subplots(1, 2)
-    assert plot_apr_by_case({"mine": evaluation}, axes=left) is left
     assert plot_heatmap(evaluation, 0, axes=right) is right
     assert to_png(left) == to_png(figure)
-    assert any(text.endswith("%") for text in texts(left))
 
 
 @pytest.mark.parametrize("name", ["$x^{", "_hidden", "雪", "a\\b", "%s {}"])
 def test_any_name_can_be_drawn(frame_axis, camera, name):
     evaluation = build_evaluation(frame_axis, camera, name=name, ids=(name, f"{name}2"))
-    assert to_png(plot_apr_by_case({name: evaluation})).startswith(b"\x89PNG")
     assert to_png(plot_heatmap(evaluation, 0)).startswith(b"\x89PNG")
 
 
@@ -205,30 +162,3 @@ def test_a_run_in_words_names_its_weather_unless_it_is_day(frame_axis, camera):
     assert words == [place[0], f"{place[1]}, night", f"{place[2]}, rain"]
     drawn = texts(plot_heatmap(build_evaluation(axis, camera), 1))
     assert any(text.startswith(f"{words[1]}: ") for text in drawn)
-
-
-@pytest.mark.parametrize("n_cases", [1, 13, 30])
-def test_every_row_stands_apart_however_many_cases_there_are(camera, n_cases):
-    axis = FrameAxis(
-        run_ids=tuple(f"CBTAfs-{case}/north/20" for case in range(n_cases)),
-        cases=tuple(f"CBTAfs-{case}" for case in range(n_cases)),
-        approaches=("north",) * n_cases,
-        weathers=("day",) * n_cases,
-        vut_speed_kmh=np.full(n_cases, 20.0),
-        weight=np.full(n_cases, 1.0 / n_cases),
-        last_brake_time_s=np.full(n_cases, -0.5),
-        run_start=np.arange(n_cases + 1),
-        time_s=np.zeros(n_cases),
-    )
-    axes = plot_apr_by_case({"found": build_evaluation(axis, camera, name="found")})
-    figure = axes.figure
-    figure.draw_without_rendering()
-    boxes = [label.get_window_extent() for label in axes.get_yticklabels()]
-    assert len(boxes) == n_cases + 1
-    for above, below in pairwise(boxes):
-        assert above.y0 > below.y1
-    page = figure.bbox
-    for text in (*axes.get_xticklabels(), *axes.get_yticklabels(), *axes.texts):
-        box = text.get_window_extent()
-        assert page.x0 <= box.x0 < box.x1 <= page.x1
-        assert page.y0 <= box.y0 < box.y1 <= page.y1

@@ -11,13 +11,11 @@ import pytest
 from msgspec.structs import replace as replace_fields
 from partial_pages import blank_pictures, build_result
 
-from experiments.figures.evaluation import pick_heatmap_runs
 from experiments.parts.dangers import build_dangers
 from experiments.parts.result import build_comparison_result
 from experiments.report.page import build_report, write_report
 from experiments.results.numbers import percent
 from experiments.results.record import StageRecord
-from experiments.results.tables import margin_s
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict, apr
@@ -221,7 +219,7 @@ def test_page_has_a_language_a_title_and_one_main_heading(page):
 
 def test_every_figure_is_a_png_with_an_alt_text(page):
     images = Page(page).images
-    assert len(images) >= 5
+    assert len(images) >= 3
     for image in images:
         assert len(image["alt"]) > 40
         data = base64.b64decode(image["src"].removeprefix("data:image/png;base64,"))
@@ -421,8 +419,7 @@ def test_comparison_shows_both_layouts(comparison_page, evaluations):
         f"and carlancap-12 avoids {int((theirs & ~ours).sum())} that found does not."
     ) in parsed.words
     plans = [image for image in parsed.images if image["alt"].startswith("Plan")]
-    heatmaps = [image for image in parsed.images if image["alt"].startswith("Heatmap")]
-    assert (len(plans), len(heatmaps)) == (2, 6)
+    assert len(plans) == 2
     assert all(f"RSU{index}" in parsed.words for index in range(12))
 
 
@@ -605,7 +602,7 @@ def test_several_weathers_are_told_and_have_a_column(evaluation_page):
 
 
 @pytest.mark.usefixtures("with_blank_pictures")
-def test_announcements_are_in_the_table_and_not_said_to_be_in_the_figure(setting, evaluations):
+def test_announcements_are_in_the_table(setting, evaluations):
     found = evaluations["found"]
     others = {"vam": found.vut, "all_sources": found.vut_and_rsus}
     announced = {"found": replace(found, others=others), "greedy": evaluations["greedy"]}
@@ -614,14 +611,6 @@ def test_announcements_are_in_the_table_and_not_said_to_be_in_the_figure(setting
     assert head[-2:] == ["road users' messages (VAM) alone", "car (VUT), found and VAM"]
     shares = [percent(apr(verdict, found.axis)) for verdict in others.values()]
     assert over_all[-2:] == shares
-    (alt,) = [
-        image["alt"] for image in Page(page).images if image["alt"].startswith("Shaded table")
-    ]
-    drawn = "; ".join(
-        f"{name} {share}" for name, share in zip(head[1:5], over_all[1:5], strict=True)
-    )
-    assert head[4] == "car (VUT) and found"
-    assert alt == f"Shaded table. Over all runs: {drawn}."
 
 
 @pytest.mark.usefixtures("with_blank_pictures")
@@ -639,30 +628,3 @@ def test_braking_and_the_moment_of_the_frames_are_told(setting, layout, evaluati
     slow = build_setting(question, load_study_scene())
     words = Page(page_of(slow, layout)[0]).words
     assert "reached linearly 0.3 s after the onset" in words
-
-
-def test_heatmaps_are_of_the_studys_runs_where_they_are_driven(setting, evaluations):
-    study = ("CPNC-50/east/55", "CBNA/east/60", "CBLA/east/50")
-    assert pick_heatmap_runs(evaluations["found"]) == study
-
-
-def test_heatmaps_are_otherwise_of_the_hardest_runs_that_count_each_of_another_case(layout):
-    question = Question(cases="CPNC-50,CPLA-50,CPNCO-50,CPTAfs-50,CBTAfo-50", along_arms="0")
-    setting = build_setting(question, load_study_scene())
-    evaluation = build_evaluation(setting, layout, seed=5)
-    first, *others = pick_heatmap_runs(evaluation)
-    assert first == "CPNC-50/east/55"
-    margin = margin_s(evaluation.rsu_all, setting.axis)
-    by_id = dict(zip(setting.axis.run_ids, margin, strict=True))
-    cases = [run_id.split("/")[0] for run_id in others]
-    assert len({"CPNC-50", *cases}) == 3
-    left = [by_id[run_id] for run_id in by_id if not run_id.startswith("CPNC-50")]
-    assert by_id[others[0]] == min(left)
-    for case, run_id in zip(cases, others, strict=True):
-        assert by_id[run_id] == min(by_id[i] for i in by_id if i.startswith(f"{case}/"))
-    # What does not count is not drawn.
-    weight = np.array([case != cases[0] for case in setting.axis.cases], dtype=float)
-    uncounted = replace(setting.axis, weight=weight / weight.sum())
-    picked = pick_heatmap_runs(replace(evaluation, axis=uncounted))
-    assert not any(run_id.startswith(f"{cases[0]}/") for run_id in picked)
-    assert len(picked) == 3
