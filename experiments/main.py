@@ -44,31 +44,6 @@ _COMPLETE_VARIABLE = "_PLACE_RSUS_COMPLETE"
 @click.command(
     epilog="""\b
 Examples:
-  place-rsus help                  the main command
-  place-rsus help scene import     one further down"""
-)
-@click.argument("names", nargs=-1, metavar="[COMMAND]...")
-@click.pass_context
-def help_command(context: click.Context, *, names: tuple[str, ...]) -> None:
-    """Show the help of a command, page by page on a terminal."""
-    at = context.find_root()
-    command = at.command
-    for name in names:
-        inner = command.get_command(at, name) if isinstance(command, click.Group) else None
-        if inner is None:
-            known = sorted(command.commands) if isinstance(command, click.Group) else []
-            raise click.UsageError(
-                f"help: got '{' '.join(names)}'; expected "
-                + (f"one of {', '.join(known)}" if known else f"nothing behind {at.info_name}")
-            )
-        at = click.Context(inner, parent=at, info_name=name)
-        command = inner
-    click.echo_via_pager(command.get_help(at) + "\n")
-
-
-@click.command(
-    epilog="""\b
-Examples:
   eval "$(place-rsus completion bash)"                      in ~/.bashrc
   eval "$(place-rsus completion zsh)"                       in ~/.zshrc
   place-rsus completion fish > ~/.config/fish/completions/place-rsus.fish"""
@@ -103,7 +78,6 @@ for _command in (
     *(scenarios, scene, sheet, solve, verify),
 ):
     cli.add_command(_command)
-cli.add_command(help_command, "help")
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:

@@ -4,9 +4,9 @@ import os
 import platform
 import sys
 from pathlib import Path
+from typing import Any
 
 import click
-import msgspec
 
 from ..progress import tell
 from .options import json_option
@@ -33,103 +33,61 @@ _LIBRARIES = (
 )
 
 
-class RaysState(msgspec.Struct, frozen=True):
-    """The library that casts rays; why Open3D cannot, if it cannot."""
+def examine(cache_folder: Path) -> dict[str, Any]:
+    """The installation, and the folder where detection tables are kept: content of ``--json``.
 
-    by: str
-    problem: str | None
-
-
-class ExtraState(msgspec.Struct, frozen=True):
-    """An optional package, the extra that brings it, and what is not there without it."""
-
-    package: str
-    extra: str
-    version: str | None
-    without: str
-
-
-class CacheState(msgspec.Struct, frozen=True):
-    """The folder of detection tables."""
-
-    folder: str
-    files: int
-    bytes: int
-    is_writable: bool
-
-
-class Installation(msgspec.Struct, frozen=True):
-    """Content of ``--json``; a version is None where a package is not installed.
-
-    Well: everything that is not an extra is there, and the cache can be written.
+    A version is None where a package is not installed. Well: everything that is not an extra is
+    there, and the cache can be written.
     """
-
-    version: str | None
-    python: str
-    platform: str
-    processors: int | None
-    rays: RaysState
-    libraries: dict[str, str | None]
-    extras: tuple[ExtraState, ...]
-    milp_solvers: tuple[str, ...]
-    cache: CacheState
-    is_well: bool
-
-
-def examine(cache_folder: Path) -> Installation:
-    """Look at the installation, and at the folder where detection tables are kept."""
     from geometry.raycast import caster_name, open3d_problem
 
     libraries = {name: _version(name) for name in _LIBRARIES}
     cache = _examine_cache(cache_folder)
-    return Installation(
-        version=_version("place-rsus"),
-        python=platform.python_version(),
-        platform=platform.platform(),
-        processors=os.cpu_count(),
-        rays=RaysState(by=caster_name(), problem=open3d_problem()),
-        libraries=libraries,
-        extras=tuple(
-            ExtraState(package=package, extra=extra, version=_version(package), without=without)
+    return {
+        "version": _version("place-rsus"),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "processors": os.cpu_count(),
+        "rays": {"by": caster_name(), "problem": open3d_problem()},
+        "libraries": libraries,
+        "extras": [
+            {"package": package, "extra": extra, "version": _version(package), "without": without}
             for package, extra, without in _EXTRAS
-        ),
-        milp_solvers=("HIGHS",) if libraries["highspy"] else (),
-        cache=cache,
-        is_well=all(libraries.values()) and cache.is_writable,
-    )
+        ],
+        "milp_solvers": ["HIGHS"] if libraries["highspy"] else [],
+        "cache": cache,
+        "is_well": all(libraries.values()) and cache["is_writable"],
+    }
 
 
-def doctor_text(summary: Installation) -> str:
+def doctor_text(found: dict[str, Any]) -> str:
     """Report in words, at most 80 columns wide."""
     lines = [
-        f"place-rsus {summary.version or '(not installed)'}, Python {summary.python}, "
-        f"{summary.processors} processors",
-        f"  {summary.platform}"[:WIDTH],
+        f"place-rsus {found['version'] or '(not installed)'}, Python {found['python']}, "
+        f"{found['processors']} processors",
+        f"  {found['platform']}"[:WIDTH],
         "",
-        f"rays are cast by {summary.rays.by}",
+        f"rays are cast by {found['rays']['by']}",
     ]
-    if summary.rays.problem:
-        lines += sentences(
-            summary.rays.problem, "embreex casts the same rays: nothing is lost", indent=2
-        )
+    if found["rays"]["problem"]:
+        nothing_lost = "embreex casts the same rays: nothing is lost"
+        lines += sentences(found["rays"]["problem"], nothing_lost, indent=2)
     lines += ["", "libraries:"]
     lines += [
-        f"  {name:<22} {found or 'MISSING: place-rsus does not work without it'}"
-        for name, found in summary.libraries.items()
+        f"  {name:<22} {version or 'MISSING: place-rsus does not work without it'}"
+        for name, version in found["libraries"].items()
     ]
     lines += ["", "extras:"]
-    for entry in summary.extras:
-        if entry.version:
-            lines.append(f"  {entry.package:<22} {entry.version}")
-        else:
-            lines.append(f"  {entry.package:<22} not installed (place-rsus[{entry.extra}])")
-            lines += sentences(f"without it: no {entry.without}", indent=4)
-    lines += ["", "mixed-integer solvers: " + ", ".join(summary.milp_solvers)]
-    cache = summary.cache
-    state = "" if cache.is_writable else "; it cannot be written to: tables are made anew"
-    lines += sentences(
-        f"detection tables: {cache.files} in {cache.folder}, {cache.bytes / 2**20:,.0f} MiB{state}"
-    )
+    for entry in found["extras"]:
+        missing = f"not installed (place-rsus[{entry['extra']}])"
+        lines.append(f"  {entry['package']:<22} {entry['version'] or missing}")
+        if not entry["version"]:
+            lines += sentences(f"without it: no {entry['without']}", indent=4)
+    lines += ["", "mixed-integer solvers: " + ", ".join(found["milp_solvers"])]
+    cache = found["cache"]
+    state = "" if cache["is_writable"] else "; it cannot be written to: tables are made anew"
+    size = f"{cache['bytes'] / 2**20:,.0f} MiB"
+    lines += sentences(f"detection tables: {cache['files']} in {cache['folder']}, {size}{state}")
     return "\n".join(lines)
 
 
@@ -142,17 +100,17 @@ def _version(package: str) -> str | None:
         return None
 
 
-def _examine_cache(folder: Path) -> CacheState:
+def _examine_cache(folder: Path) -> dict[str, Any]:
     tables = sorted(folder.glob("table-*.npz")) if folder.is_dir() else []
     existing = folder
     while not existing.exists() and existing != existing.parent:
         existing = existing.parent
-    return CacheState(
-        folder=str(folder),
-        files=len(tables),
-        bytes=sum(path.stat().st_size for path in tables),
-        is_writable=existing.is_dir() and os.access(existing, os.W_OK),
-    )
+    return {
+        "folder": str(folder),
+        "files": len(tables),
+        "bytes": sum(path.stat().st_size for path in tables),
+        "is_writable": existing.is_dir() and os.access(existing, os.W_OK),
+    }
 
 
 @click.command(
@@ -170,5 +128,5 @@ def doctor(*, as_json: bool) -> None:
 
     summary = examine(cache_folder())
     tell(to_json_text(summary).rstrip() if as_json else doctor_text(summary))
-    if not summary.is_well:
+    if not summary["is_well"]:
         sys.exit(_EXIT_FAILED)

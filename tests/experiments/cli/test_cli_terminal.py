@@ -60,27 +60,6 @@ def test_the_short_help_shows_at_most_25_options_and_all_of_them_elsewhere(path,
         assert len(every) == len(options) + 1  # --help
 
 
-def test_help_of_a_command_is_that_of_its_option(run):
-    code, out, err = run("help", "scene", "import")
-    assert (code, err) == (0, "")
-    assert out.strip() == run("scene", "import", "--help")[1].strip()
-
-
-@pytest.mark.parametrize(
-    ("names", "expected"),
-    [
-        (("scen",), "one of certify, city, compare"),
-        (("scene", "imp"), "one of check, import, show"),
-        (("sheet", "more"), "nothing behind sheet"),
-    ],
-)
-def test_help_of_what_is_not_there_names_what_is(run, names, expected):
-    code, out, err = run("help", *names)
-    assert (code, out) == (2, "")
-    assert f"got '{' '.join(names)}'; expected {expected}" in err
-    assert len(err.splitlines()) == 1
-
-
 def _completed(*words):
     shell = ShellComplete(cli, {}, "place-rsus", "_PLACE_RSUS_COMPLETE")
     return [(item.value, item.type) for item in shell.get_completions(list(words[:-1]), words[-1])]

@@ -28,8 +28,8 @@ def test_what_is_missing_is_told_with_what_it_costs(tmp_path, monkeypatch):
     )
     (tmp_path / "table-1.npz").write_bytes(b"x" * 2**20)
     summary = examine(tmp_path)
-    assert not summary.is_well
-    assert summary.cache.files == 1
+    assert not summary["is_well"]
+    assert summary["cache"]["files"] == 1
     text = doctor_text(summary)
     assert "requests               not installed (place-rsus[online])" in text
     assert "MISSING: place-rsus does not work without it" in text
@@ -41,4 +41,4 @@ def test_what_is_missing_is_told_with_what_it_costs(tmp_path, monkeypatch):
 def test_a_cache_that_cannot_be_is_told(tmp_path, folder):
     (tmp_path / "file").write_text("")
     summary = examine(tmp_path / folder)
-    assert summary.cache.is_writable == folder.startswith("gone")
+    assert summary["cache"]["is_writable"] == folder.startswith("gone")
