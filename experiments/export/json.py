@@ -1,12 +1,6 @@
 """Layouts as the JSON file that place-rsus reads; and JSON of plain values."""
 
 import json
-import math
-from collections.abc import Mapping
-from dataclasses import is_dataclass
-
-import msgspec
-import numpy as np
 
 from geometry.catalogue import own_sensor_record
 from geometry.notes import assumed_sites
@@ -25,22 +19,8 @@ def to_json_text(document: object) -> str:
     >>> to_json_text({"gap": math.inf, "apr": 0.1})
     '{\n  "gap": null,\n  "apr": 0.1\n}\n'
     """
-    text = json.dumps(_finite(document), indent=2, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(to_plain(document), indent=2, ensure_ascii=False)
     return text + "\n"
-
-
-def _finite(value: object) -> object:
-    if isinstance(value, msgspec.Struct) or is_dataclass(value):
-        return _finite(to_plain(value))
-    if isinstance(value, Mapping):
-        return {str(key): _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    if isinstance(value, np.generic | np.ndarray):
-        return _finite(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 def to_json(layout: Layout, scene: Scene | None = None) -> str:

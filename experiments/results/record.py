@@ -1,5 +1,6 @@
 """Records: frozen values of which results are made, with their JSON and the schema of it."""
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
@@ -58,23 +59,16 @@ StageValues = Annotated[
 """Value of each stage, in the unit that its name ends in."""
 
 
-def to_plain(record: object) -> dict[str, Any]:
-    """A record as plain values, ready for JSON but for numbers that JSON lacks."""
-    plain: dict[str, Any] = _with_lists(msgspec.to_builtins(record, enc_hook=_plain_number))
-    return plain
+def to_plain(value: object) -> Any:
+    """Values and records as JSON has them; numbers that JSON lacks (NaN, infinite) are None."""
+    return msgspec.json.decode(msgspec.json.encode(value, enc_hook=_plain_value))
 
 
-def _with_lists(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _with_lists(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_with_lists(item) for item in value]
-    return value
-
-
-def _plain_number(value: object) -> object:
-    if isinstance(value, np.generic):
-        return value.item()
+def _plain_value(value: object) -> object:
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return dict(value)
     raise TypeError(f"{type(value).__name__}: no plain value")
 
 
