@@ -1,6 +1,5 @@
 """Heatmaps of who detects when."""
 
-import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -24,7 +23,6 @@ from .axes import (
     describe_run,
     literal,
     new_figure,
-    root_figure,
     unit_labels,
     write_beside,
 )
@@ -58,27 +56,18 @@ _TIME_LABEL = "time before the impact without braking (s)"
 _RED = "#CC0000"
 _DETECTED, _MISSED = BLUE, "#e6e6e6"
 _DASHES = (0, (3.0, 1.5))
-_NARROW_TITLE = 46
 
 
-def plot_heatmap(
-    evaluation: Evaluation,
-    run_index: int,
-    *,
-    width_in: float = WIDTH_IN,
-    axes: Axes | None = None,
-) -> Axes:
+def plot_heatmap(evaluation: Evaluation, run_index: int, *, axes: Axes | None = None) -> Axes:
     """Who detects the VRU when, in one run; see :func:`plot_heatmaps`."""
     if axes is None:
-        return plot_heatmaps(evaluation, [run_index], width_in=width_in)[0]
+        return plot_heatmaps(evaluation, [run_index])[0]
     _draw_heatmap(axes, evaluation, heatmap_rows(evaluation, [run_index]), run_index)
     axes.set_xlabel(_TIME_LABEL, fontsize=9)
     return axes
 
 
-def plot_heatmaps(
-    evaluation: Evaluation, run_indices: Sequence[int], *, width_in: float = WIDTH_IN
-) -> list[Axes]:
+def plot_heatmaps(evaluation: Evaluation, run_indices: Sequence[int]) -> list[Axes]:
     """Who detects the VRU when, one pair of axes per run, in a new figure.
 
     Rows: the VUT, each RSU, all RSUs together. Columns: frames, by their time before the impact.
@@ -86,9 +75,7 @@ def plot_heatmaps(
     that confirm first have a row; an axis label tells how many.
     """
     rows = heatmap_rows(evaluation, run_indices)
-    is_narrow = width_in < WIDTH_IN
-    height = 0.75 + 0.2 * is_narrow + len(run_indices) * (0.85 + 0.21 * len(rows))
-    figure = new_figure(width_in, height)
+    figure = new_figure(WIDTH_IN, 0.75 + len(run_indices) * (0.85 + 0.21 * len(rows)))
     panels = figure.subplots(len(run_indices), 1, squeeze=False)[:, 0]
     for axes, run_index in zip(panels, run_indices, strict=True):
         _draw_heatmap(axes, evaluation, rows, run_index)
@@ -96,20 +83,18 @@ def plot_heatmaps(
     figure.legend(
         handles=_heatmap_legend(),
         loc="outside lower center",
-        ncols=2 if is_narrow else 4,
+        ncols=4,
         fontsize=8,
         frameon=False,
     )
     return list(panels)
 
 
-def heatmap_rows(
-    evaluation: Evaluation, run_indices: Sequence[int], *, vut: str = "VUT"
-) -> dict[str, Verdict]:
-    """Who has a row in a heatmap of runs, by what it is called; the VUT as it is said."""
+def heatmap_rows(evaluation: Evaluation, run_indices: Sequence[int]) -> dict[str, Verdict]:
+    """Who has a row in a heatmap of runs, by what it is called."""
     labels = unit_labels(evaluation.layout)
     return {
-        vut: evaluation.vut,
+        "VUT": evaluation.vut,
         **{
             labels[unit_id]: evaluation.units[unit_id]
             for unit_id in units_in_heatmap(evaluation, run_indices)
@@ -157,14 +142,7 @@ def _draw_heatmap(
     _draw_last_moment(axes, float(axis.last_brake_time_s[run_index]), len(rows))
     avoided = "avoided" if evaluation.rsu_all.is_avoided[run_index] else "not avoided"
     title = f"{describe_run(axis, run_index)}: {avoided} by all RSUs together"
-    is_narrow = root_figure(axes).get_figwidth() < WIDTH_IN
-    axes.set_title(
-        literal(textwrap.fill(title, _NARROW_TITLE) if is_narrow else title),
-        fontsize=9,
-        fontweight="bold",
-        loc="left",
-        pad=18.0,
-    )
+    axes.set_title(literal(title), fontsize=9, fontweight="bold", loc="left", pad=18.0)
 
 
 def _draw_last_moment(axes: Axes, last_brake_s: float, n_rows: int) -> None:

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
-import numpy as np
 import pandas as pd
 from pandas.api.types import is_bool_dtype, is_numeric_dtype, is_string_dtype
 
@@ -17,10 +16,9 @@ from geometry.errors import InputError, Unquoted
 from geometry.files import MAX_TEXT_BYTES, read_bytes, read_table
 from geometry.untrusted_files import open_parquet
 from placement.layout import Layout, load_layout
-from scenarios.positions import AT_ZERO
 
 from ..results.folders import APR_FILE, LAYOUT_FILE, MARKER, RUNS_FILE
-from ..results.tables import ALL, plain_cell
+from ..results.tables import plain_cell
 from .result import KINDS, Result
 
 _KINDS = {"text": is_string_dtype, "numbers": is_numeric_dtype, "true or false": is_bool_dtype}
@@ -115,9 +113,6 @@ def _load_runs(path: Path, summary: Result) -> pd.DataFrame:
         runs: pd.DataFrame = file.read().to_pandas(ignore_metadata=True)
     is_text = runs.dtypes == "category"
     runs = runs.astype(dict.fromkeys(runs.columns[is_text], object))
-    _add_positions(runs, AT_ZERO.name)
-    if "impact_speed_kmh" not in runs.columns:  # older files
-        runs["impact_speed_kmh"] = np.nan
     _check_columns(runs, _RUNS_COLUMNS, path)
     if summary.name not in set(runs["layout"]):
         raise InputError(
@@ -149,7 +144,6 @@ def _load_apr(path: Path, runs: pd.DataFrame) -> pd.DataFrame:
         )
     except ValueError as error:  # no table, no UTF-8
         raise InputError(str(path), Unquoted(_first_line(error)), _A_WHOLE) from None
-    _add_positions(apr, ALL)
     _check_columns(apr, _APR_COLUMNS, path)
     apr[text] = apr[text].map(plain_cell)
     # Groups of runs are the same for every party: a file that is cut off has fewer for the last.
@@ -161,12 +155,6 @@ def _load_apr(path: Path, runs: pd.DataFrame) -> pd.DataFrame:
             f"those of {RUNS_FILE}, with the same rows for each",
         )
     return apr
-
-
-def _add_positions(table: pd.DataFrame, position: str) -> None:
-    """Give a table of older results, for which nothing was driven elsewhere, its column."""
-    if "position" not in table.columns and "approach" in table.columns:
-        table.insert(list(table.columns).index("approach") + 1, "position", position)
 
 
 def _check_columns(table: pd.DataFrame, columns: Mapping[str, str], path: Path) -> None:
