@@ -44,7 +44,12 @@ def test_the_terminal_tells_the_first_few_and_counts_the_others():
 def test_the_page_has_a_box_where_something_is_assumed():
     def page(assumed):
         return page_template().render(
-            title="t", answer=["a"], assumed=assumed, sections=[], interactive={"n_runs": 0, "n_all": 0, "player_json": "{}"}, details=[]
+            title="t",
+            answer=["a"],
+            assumed=assumed,
+            sections=[],
+            interactive={"n_runs": 0, "n_all": 0, "player_json": "{}"},
+            details=[],
         )
 
     text = page([f"<{i}> is assumed." for i in range(7)])
